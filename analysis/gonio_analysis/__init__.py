@@ -1,0 +1,1 @@
+"""Fits, comparisons, plots and reports."""

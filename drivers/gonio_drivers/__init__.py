@@ -1,0 +1,1 @@
+"""Drivers of laboratory devices, behind the rig interface."""

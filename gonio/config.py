@@ -1,0 +1,105 @@
+"""Reading TOML into checked, frozen models, with messages that name the file, the key, the value and the remedy."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from gonio.errors import ConfigError
+
+
+class Strict(BaseModel):
+    """A configuration table: frozen, with every unknown key an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+Table = TypeVar("Table", bound=Strict)
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """The tables of a TOML file.
+
+    Raises
+    ------
+    ConfigError
+        The file is missing, cannot be read, or is not TOML (with the line).
+    """
+    path = Path(path)
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: there is no such file") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start})") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: is not valid TOML: {error}") from None
+
+
+def parse(table: type[Table], values: dict[str, Any], source: str | Path) -> Table:
+    """Check `values` (from `source`, named in messages) against a configuration table.
+
+    Raises
+    ------
+    ConfigError
+        One line for each wrong key: where it is, what was given, what is allowed, and the nearest known key.
+    """
+    try:
+        return table.model_validate(values)
+    except ValidationError as error:
+        lines = [f"{source}: {_explain(table, item)}" for item in error.errors()]
+    raise ConfigError("\n".join(lines[:8]))
+
+
+def load(table: type[Table], path: str | Path) -> Table:
+    """Read and check one TOML file; see `read_toml` and `parse` for the errors."""
+    return parse(table, read_toml(path), path)
+
+
+def _explain(table: type[BaseModel], item: Any) -> str:
+    where = _dotted(item["loc"])
+    if item["type"] == "extra_forbidden":
+        known = _fields_at(table, item["loc"][:-1])
+        near = difflib.get_close_matches(str(item["loc"][-1]), known, n=1)
+        hint = f'did you mean "{near[0]}"?' if near else f"known here: {', '.join(sorted(known))}"
+        return f"unknown key {where}; {hint}"
+    if item["type"] == "missing":
+        return f"the key {where} is missing"
+    message = item["msg"].removeprefix("Value error, ")
+    value = item.get("input")
+    shown = "" if isinstance(value, dict) else f" = {value!r}"
+    return f"{where or 'the file'}{shown}: {message[:1].lower()}{message[1:]}"
+
+
+def _dotted(location: tuple[Any, ...]) -> str:
+    out = ""
+    for part in location:
+        out += f"[{part + 1}]" if isinstance(part, int) else f".{part}" if out else str(part)
+    return out
+
+
+def _fields_at(table: type[BaseModel], location: tuple[Any, ...]) -> list[str]:
+    """The keys that the table at `location` knows."""
+    here: type[BaseModel] | None = table
+    for part in location:
+        if here is None:
+            return []
+        if isinstance(part, str) and part in here.model_fields:
+            here = _model_inside(here.model_fields[part].annotation)
+    return list(here.model_fields) if here is not None else []
+
+
+def _model_inside(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for inner in get_args(annotation):
+        found = _model_inside(inner)
+        if found is not None:
+            return found
+    return None

@@ -1,0 +1,235 @@
+"""The description of a rig: what `RIG.toml` says, checked.
+
+The same description drives the laboratory rig, the simulated one and the reduction of their frames. Everything in it is
+what a laboratory knows of its instrument (distances, apertures, limits, the camera's data sheet, the reference's
+certificate). Two kinds of key matter only to a simulated rig, which has to *produce* what a laboratory suffers:
+`backlash_deg`, `drift_per_hour`, and a zero offset that is hidden (`zero_offset_known = false`).
+
+An effect that is not named in the file is off. Angles are in degrees here (`_deg`), and radians everywhere in Python.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from gonio.config import Strict
+from gonio.errors import ConfigError
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+
+
+class Geometry(Strict):
+    """Distances and bodies, seen from the sample's centre."""
+
+    light_distance_mm: Positive = 1000.0
+    camera_distance_mm: Positive = 1000.0
+    light_body_radius_mm: NonNegative = 25.0
+    camera_body_radius_mm: NonNegative = 30.0
+
+
+class Axis(Strict):
+    """A rotary axis: its encoder, its mechanics, and how well its zero is known."""
+
+    encoder_step_deg: NonNegative = 0.0
+    backlash_deg: NonNegative = 0.0
+    zero_offset_deg: float = 0.0
+    """Encoder reading at the true zero, for an approach from below."""
+    zero_offset_known: bool = True
+    """True: the offset is subtracted from every reading. False: it is there, and nobody knows."""
+    zero_u_deg: NonNegative = 0.0
+    """Standard uncertainty of the zero after calibration; a simulated rig draws the remaining error from its seed."""
+    speed_deg_per_s: Positive = 30.0
+
+
+class ArmAxis(Axis):
+    limits_deg: tuple[float, float] = (-90.0, 90.0)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> ArmAxis:
+        if self.limits_deg[0] >= self.limits_deg[1]:
+            raise ValueError("limits_deg must be [lower, upper] with lower < upper")
+        return self
+
+
+class Arms(Strict):
+    light: ArmAxis = ArmAxis()
+    camera: ArmAxis = ArmAxis()
+    azimuth: ArmAxis | None = None
+    """The axis that carries the camera arm around the sample normal, where the rig has one."""
+
+
+class Holder(Axis):
+    """The sample holder: a tilt axis that lies in the plane of the arms, and a spin about the sample's normal."""
+
+    axes: tuple[Literal["tilt", "spin"], ...] = ()
+    tilt_limits_deg: tuple[float, float] = (-80.0, 80.0)
+    spin_limits_deg: tuple[float, float] = (-180.0, 180.0)
+    sample_diameter_mm: Positive = 20.0
+    holder_albedo: Fraction = 0.03
+
+
+class Lamp(Strict):
+    half_angle_deg: NonNegative = 0.0
+    """Half-angle of the disc of the lamp, seen from the sample's centre."""
+    noise: NonNegative = 0.0
+    """Relative standard deviation of the lamp's output from frame to frame."""
+    drift_per_hour: float = 0.0
+    """Relative drift of the lamp (simulation); the reduction learns the drift from the reference alone."""
+    warm_up_s: NonNegative = 0.0
+
+
+class Camera(Strict):
+    """The camera in the terms of EMVA 1288, and its lens."""
+
+    width: Annotated[int, Field(ge=32, le=8192)] = 640
+    height: Annotated[int, Field(ge=32, le=8192)] = 480
+    pixel_um: Positive = 5.0
+    focal_length_mm: Positive = 100.0
+    lens_half_angle_deg: NonNegative = 0.0
+    """Half-angle of the lens's entrance pupil, seen from the sample's centre."""
+    cos4: bool = False
+    vignetting: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Relative loss of light at the corner of the frame beyond cos^4, growing as the fourth power of the radius."""
+    pattern: Literal["mono", "RGGB", "BGGR", "GRBG", "GBRG"] = "mono"
+    bits: Literal[8, 10, 12, 14, 16] = 12
+    quantised: bool = True
+    electrons_per_dn: Positive = 3.0
+    black_level_dn: NonNegative = 64.0
+    full_well_e: Positive = 11_000.0
+    photon_noise: bool = False
+    read_noise_e: NonNegative = 0.0
+    dark_current_e_per_s: NonNegative = 0.0
+    prnu: NonNegative = 0.0
+    """Relative standard deviation of the pixels' responsivity."""
+    dsnu_e: NonNegative = 0.0
+    """Standard deviation of the pixels' dark signal [e-]."""
+    responsivity_e_per_s: Positive = 40_000.0
+    """Electrons a second on the axis from a Lambertian white (brdf = 1/pi) at normal incidence, with a fresh lamp."""
+    exposure_limits_s: tuple[Positive, Positive] = (1e-4, 60.0)
+    frame_overhead_s: NonNegative = 0.05
+
+    @property
+    def white_level_dn(self) -> float:
+        """The highest value that a pixel can take [DN]."""
+        return float(2**self.bits - 1)
+
+
+class Reference(Strict):
+    """The white reference: how it is reached, and what its certificate says."""
+
+    how: Literal["beside", "axis", "swap"] = "swap"
+    albedo: Fraction | None = 0.99
+    table: str | None = None
+    """A measurement table of the reference's BRDF, instead of a Lambertian albedo; a path beside the rig file."""
+    u_rel: NonNegative = 0.0
+    error: Literal["drawn", "none"] = "none"
+    """Simulation: draw the reference's true error from the seed, or have none."""
+    theta_i_deg: Annotated[float, Field(ge=0, lt=90)] = 0.0
+    theta_r_deg: Annotated[float, Field(gt=-90, lt=90)] = 45.0
+    every: Annotated[int, Field(ge=0)] = 25
+    """Points between two visits; 0 for visits at the start and at the end only."""
+    frames: Annotated[int, Field(ge=1)] = 8
+    offset_mm: tuple[float, float] = (0.0, 0.0)
+    """`beside`: centre of the reference on the sample's plane, in the sample's x and y."""
+    diameter_mm: Positive = 20.0
+
+
+class Band(Strict):
+    """A spectral band of the rig."""
+
+    name: str
+    centre_nm: Positive
+    fwhm_nm: Positive
+    channel: Literal["mono", "R", "G", "B"] = "mono"
+
+
+class Tunable(Strict):
+    start_nm: Positive
+    stop_nm: Positive
+    step_nm: Positive
+    fwhm_nm: Positive
+
+
+class Bands(Strict):
+    """Bands by name, or a tunable source that has one every `step_nm`."""
+
+    list: tuple[Band, ...] = ()
+    tunable: Tunable | None = None
+
+    @model_validator(mode="after")
+    def _some(self) -> Bands:
+        if not self.all():
+            raise ValueError("a rig needs at least one band: give `list` or `tunable`")
+        return self
+
+    def all(self) -> tuple[Band, ...]:
+        """Every band, in the order of the file."""
+        out = list(self.list)
+        if self.tunable is not None:
+            t = self.tunable
+            count = int((t.stop_nm - t.start_nm) / t.step_nm + 1.5)
+            centres = [t.start_nm + k * t.step_nm for k in range(count)]
+            out += [Band(name=f"{c:g} nm", centre_nm=c, fwhm_nm=t.fwhm_nm) for c in centres if c <= t.stop_nm + 1e-9]
+        return tuple(out)
+
+    def containing(self, wavelength_nm: float) -> Band:
+        """The band whose full width at half maximum contains a wavelength (the nearest centre, if several do).
+
+        Raises
+        ------
+        ConfigError
+            No band of this rig contains it.
+        """
+        inside = [b for b in self.all() if abs(b.centre_nm - wavelength_nm) <= b.fwhm_nm / 2 + 1e-9]
+        if not inside:
+            bands = self.all()
+            listed = ", ".join(b.name for b in bands) if len(bands) <= 6 else f"{bands[0].name} ... {bands[-1].name}"
+            raise ConfigError(f"wavelength_nm = {wavelength_nm:g} lies in no band of the rig; it has: {listed}")
+        return min(inside, key=lambda b: abs(b.centre_nm - wavelength_nm))
+
+
+class Acquisition(Strict):
+    """How a point is measured on this rig."""
+
+    roi_radius_mm: Positive = 0.8
+    """Radius of the patch of the sample, around its centre, that a BRDF value is the mean of."""
+    approach_deg: NonNegative = 1.0
+    """Every axis arrives from this far below its goal, so that backlash always lies on the same side."""
+    exposure_target: Annotated[float, Field(gt=0.05, lt=0.95)] = 0.6
+    """Where the brightest used pixel should lie, as a fraction of full scale."""
+    frames: Annotated[int, Field(ge=1)] = 2
+    """Frames at the chosen exposure; a shorter one always follows them."""
+    dark_frames: Annotated[int, Field(ge=1)] = 8
+
+
+class RigDescription(Strict):
+    """A whole rig file."""
+
+    rig: str
+    """The entry point (group `gonio.rigs`) that drives it."""
+    name: str
+    geometry: Geometry = Geometry()
+    arms: Arms = Arms()
+    holder: Holder = Holder()
+    lamp: Lamp = Lamp()
+    camera: Camera = Camera()
+    reference: Reference = Reference()
+    bands: Bands
+    acquisition: Acquisition = Acquisition()
+    devices: dict[str, Any] = {}
+    """Ports, ids and dialects: checked by the rig's own driver."""
+
+
+class SampleDescription(Strict):
+    """A sample for a simulated rig: which model it scatters light by."""
+
+    name: str
+    model: str
+    parameters: dict[str, Any] = {}
+    diameter_mm: Positive | None = None
+    integrate_band: bool = False
+    """Render the integral over the band instead of the value at its centre."""

@@ -1,0 +1,41 @@
+"""Every error that a user can meet, as a tree under `GonioError`.
+
+A message says what was asked (with its unit), what is allowed, where it came from (file and key, port, axis)
+and what to do. Each class carries the exit code that the command line ends with.
+"""
+
+from __future__ import annotations
+
+
+class GonioError(Exception):
+    """Anything that the workbench reports to a person; the command line prints it without a traceback."""
+
+    exit_code = 1
+
+
+class DataError(GonioError):
+    """A file or a table is unreadable, damaged, or does not hold what was asked of it (exit code 1)."""
+
+    exit_code = 1
+
+
+class ConfigError(GonioError):
+    """A wrong option, a wrong key or value in a configuration, or a missing input file (exit code 2)."""
+
+    exit_code = 2
+
+
+class ArgumentError(ConfigError, ValueError):
+    """An argument of a function is outside its domain; the message names the argument (exit code 2)."""
+
+
+class DeviceError(GonioError):
+    """A device does not answer, refuses, or lands where it should not (exit code 3)."""
+
+    exit_code = 3
+
+
+class Interrupted(GonioError):
+    """The run was stopped by the user, after the arms were parked and the lamp was dark (exit code 130)."""
+
+    exit_code = 130

@@ -1,0 +1,40 @@
+"""Entry points: rigs, models and commands, ours and a stranger's alike."""
+
+from __future__ import annotations
+
+import difflib
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Literal
+
+from gonio.errors import ConfigError, GonioError
+
+Group = Literal["gonio.rigs", "gonio.models", "gonio.commands"]
+
+
+def available(group: Group) -> dict[str, EntryPoint]:
+    """The entry points of a group by name, not yet imported."""
+    return {point.name: point for point in sorted(entry_points(group=group), key=lambda p: p.name)}
+
+
+def load(group: Group, name: str) -> Any:
+    """What an entry point names.
+
+    Raises
+    ------
+    ConfigError
+        Nothing of that name is installed (with the nearest name), or its import fails (with its error).
+    """
+    points = available(group)
+    kind = group.removeprefix("gonio.").removesuffix("s")
+    if name not in points:
+        near = difflib.get_close_matches(name, points, n=1)
+        hint = f'did you mean "{near[0]}"?' if near else f"installed: {', '.join(points) or 'none'}"
+        raise ConfigError(f'there is no {kind} named "{name}"; {hint}')
+    try:
+        return points[name].load()
+    except GonioError:
+        raise
+    except Exception as error:
+        raise ConfigError(
+            f'the {kind} "{name}" ({points[name].value}) cannot be loaded: {type(error).__name__}: {error}'
+        ) from error

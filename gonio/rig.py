@@ -1,0 +1,145 @@
+"""What a goniometer is: small protocols that a rig implements, and the values that pass through them.
+
+A rig is opened by an entry point of the group `gonio.rigs`: an object with the methods of `RigPlugin`. Entering the
+rig's context opens its devices with the lamp dark; leaving it, however that happens, darkens the lamp and parks the arms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Literal, Protocol, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.description import Band, RigDescription, SampleDescription
+
+Target = Literal["sample", "reference"]
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Positions of the axes [rad], with zero offsets already taken out.
+
+    `light` and `camera` are arm angles in the plane of the arms, from the direction that the untilted sample's normal
+    points to, positive toward the lab's x axis. `tilt` turns the normal out of that plane, `spin` turns the sample about
+    its normal, `azimuth` turns the camera arm about the normal (rigs that have that axis).
+    """
+
+    light: float = 0.0
+    camera: float = 0.0
+    tilt: float = 0.0
+    spin: float = 0.0
+    azimuth: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One raw frame: the linear mosaic as the sensor gave it.
+
+    `file` is set when a camera delivered a raw file of its own (CR2, NEF, ARW, DNG); the engine keeps that file.
+    Levels are in DN; `pattern` is "mono" or a Bayer pattern in raster order.
+    """
+
+    mosaic: npt.NDArray[np.uint16]
+    exposure_s: float
+    black_level_dn: float
+    white_level_dn: float
+    pattern: str = "mono"
+    time_s: float = 0.0
+    file: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A numbered step of a run; its number is the same in every run of the same plan on the same rig."""
+
+    index: int
+    kind: Literal["dark", "reference", "point"]
+    point: int | None = None
+    """Row of the plan, for a point."""
+    pose: Pose = field(default_factory=Pose)
+
+
+class ArmsDevice(Protocol):
+    """The motion of a rig, all axes together."""
+
+    def move(self, goal: Pose) -> Pose:
+        """Drive every axis to `goal`, arriving from below, wait until all have landed; the encoders' readback.
+
+        Raises `DeviceError` where an axis does not land, and `ConfigError` where a goal is outside a limit.
+        """
+
+    def read(self) -> Pose:
+        """The encoders' readback, now."""
+
+    def stop(self) -> None:
+        """Stop every axis at once; never raises."""
+
+    def park(self) -> None:
+        """Drive to the rest position."""
+
+
+class LightDevice(Protocol):
+    """The lamp; dark after construction and after every exit."""
+
+    def select(self, band: Band) -> None:
+        """Choose the spectral band (filter, grating or channel)."""
+
+    def on(self) -> None:
+        """Light up, and wait until the lamp has settled."""
+
+    def off(self) -> None:
+        """Darken."""
+
+
+class CameraDevice(Protocol):
+    def capture(self, exposure_s: float) -> Frame:
+        """One frame that was exposed wholly after this call."""
+
+
+class Rig(Protocol):
+    """A goniometer that is open."""
+
+    @property
+    def description(self) -> RigDescription: ...
+    @property
+    def arms(self) -> ArmsDevice: ...
+    @property
+    def light(self) -> LightDevice: ...
+    @property
+    def camera(self) -> CameraDevice: ...
+
+    @property
+    def repeatable(self) -> bool:
+        """True where a resumed run needs no new darks and references, because time stands still (simulation)."""
+
+    def begin(self, step: Step) -> None:
+        """Called before anything of a step is done; a simulated rig sets its clock and random numbers from it."""
+
+    def present(self, target: Target) -> None:
+        """Put the sample or the white reference into the beam (an axis, or a prompt that the user confirms)."""
+
+    def time_s(self) -> float:
+        """Seconds on the rig's own clock, since the start of the run."""
+
+    def __enter__(self) -> Self: ...
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+class RigPlugin(Protocol):
+    """What an entry point of the group `gonio.rigs` names."""
+
+    @property
+    def toml(self) -> str:
+        """The shipped rig file, as `gonio rig show` prints it ("" for a rig that always needs a file)."""
+
+    def open(self, description: RigDescription, *, sample: SampleDescription | None, seed: int, confirm: bool) -> Rig:
+        """Build the rig without touching a device; `confirm` is False where no prompt may be shown (`--yes`).
+
+        Raises `ConfigError` for a description that this rig cannot be built from.
+        """

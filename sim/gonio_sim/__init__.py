@@ -1,0 +1,1 @@
+"""The simulated goniometer: a second rig behind the same interface."""
