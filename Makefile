@@ -1,0 +1,27 @@
+# Everything here works on a machine that has Python >= 3.11, make and a C library: the first target that needs it builds .venv.
+PYTHON ?= python3
+BIN = .venv/bin
+
+.PHONY: demo test check clean
+
+demo: .venv/.ready
+	$(BIN)/gonio demo --out demo-run
+
+test: .venv/.ready
+	$(BIN)/python -m pytest -q -n 2 --dist worksteal
+
+check: .venv/.ready
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+.venv/.ready: pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "gonio needs Python 3.11 or newer; say: make PYTHON=python3.11")'
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch .venv/.ready
+
+clean:
+	rm -rf .venv demo-run
+	find gonio drivers sim analysis tests -name __pycache__ -type d -exec rm -rf {} +
