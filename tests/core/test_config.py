@@ -1,0 +1,109 @@
+"""Configuration: what a user mistypes is named with its file, key, value and remedy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from gonio.config import load, parse, read_toml
+from gonio.description import Bands, RigDescription
+from gonio.errors import ConfigError
+
+RIG = {
+    "rig": "sim",
+    "name": "bench",
+    "bands": {"tunable": {"start_nm": 400, "stop_nm": 700, "step_nm": 10, "fwhm_nm": 10}},
+}
+
+
+def message(values: dict[str, object]) -> str:
+    with pytest.raises(ConfigError) as caught:
+        parse(RigDescription, values, "bench.toml")
+    assert caught.value.exit_code == 2
+    return str(caught.value)
+
+
+def test_unknown_key_names_the_nearest_one() -> None:
+    assert message(RIG | {"lamp": {"half_angel_deg": 0.5}}) == (
+        'bench.toml: unknown key lamp.half_angel_deg; did you mean "half_angle_deg"?'
+    )
+
+
+def test_unknown_key_in_an_arm_of_a_pair() -> None:
+    text = message(RIG | {"arms": {"light": {"encoder_step": 0.1}}})
+    assert text == 'bench.toml: unknown key arms.light.encoder_step; did you mean "encoder_step_deg"?'
+
+
+def test_unknown_key_far_from_any_lists_the_known_ones() -> None:
+    text = message(RIG | {"geometry": {"zzz": 1}})
+    assert "geometry.zzz" in text
+    assert "light_distance_mm" in text
+
+
+def test_missing_key() -> None:
+    assert message({"rig": "sim", "bands": RIG["bands"]}) == "bench.toml: the key name is missing"
+
+
+def test_value_out_of_range_shows_key_value_and_limit() -> None:
+    text = message(RIG | {"lamp": {"noise": -0.1}})
+    assert "lamp.noise = -0.1" in text
+    assert "greater than or equal to 0" in text
+
+
+def test_reversed_limits() -> None:
+    text = message(RIG | {"arms": {"camera": {"limits_deg": [80, -80]}}})
+    assert "arms.camera" in text
+    assert "lower < upper" in text
+
+
+def test_nan_is_refused() -> None:
+    assert "camera.read_noise_e" in message(RIG | {"camera": {"read_noise_e": float("nan")}})
+
+
+def test_every_wrong_key_is_reported_at_once() -> None:
+    assert len(message(RIG | {"lamp": {"a": 1, "b": 2}, "camera": {"c": 3}}).splitlines()) == 3
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="there is no such file"):
+        read_toml(tmp_path / "nope.toml")
+
+
+def test_folder_instead_of_a_file(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_toml(tmp_path)
+
+
+def test_broken_toml_names_the_line(tmp_path: Path) -> None:
+    path = tmp_path / "broken.toml"
+    path.write_text('name = "x"\n[[oops\n')
+    with pytest.raises(ConfigError, match=r"broken.toml: is not valid TOML.*line 2"):
+        load(RigDescription, path)
+
+
+def test_binary_instead_of_toml(tmp_path: Path) -> None:
+    path = tmp_path / "junk.toml"
+    path.write_bytes(b"a = \xff\xfe")
+    with pytest.raises(ConfigError, match="is not UTF-8"):
+        read_toml(path)
+
+
+def test_tunable_bands_and_the_one_that_contains_a_wavelength() -> None:
+    bands = parse(RigDescription, RIG, "bench.toml").bands
+    assert len(bands.all()) == 31
+    assert bands.all()[-1].centre_nm == 700
+    assert bands.containing(503.0).centre_nm == 500
+    assert bands.containing(700.0).centre_nm == 700
+    with pytest.raises(ConfigError, match="633.*lies in no band|wavelength_nm = 800"):
+        bands.containing(800.0)
+
+
+def test_gap_between_bands_is_said() -> None:
+    bands = Bands.model_validate({"list": [{"name": "green", "centre_nm": 550, "fwhm_nm": 20}]})
+    with pytest.raises(ConfigError, match="wavelength_nm = 600 lies in no band of the rig; it has: green"):
+        bands.containing(600)
+
+
+def test_a_rig_without_bands_is_refused() -> None:
+    assert "at least one band" in message({"rig": "sim", "name": "x", "bands": {}})
