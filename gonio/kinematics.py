@@ -1,0 +1,312 @@
+"""Between the axes of a described rig and the directions at its sample, both ways, in closed form.
+
+The lab frame has its origin on the sample's surface, y along the axis that both arms turn about, and z where the
+untilted sample's normal points. With a and c the angles of light and camera arm, t the tilt and s the spin:
+
+    light  L = (sin a, 0, cos a)          camera  V = Rz(azimuth) (sin c, 0, cos c)
+    normal n = (0, sin t, cos t)          sample frame to lab frame  M = Rx(-t) Rz(s)
+
+The inverse rests on one fact: both arms are perpendicular to y, so y = +-(L x V)/|L x V|, and n . y = sin t. The two
+signs are the two branches: they mirror the arms, change the sign of the tilt and turn the sample by half a turn.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.description import RigDescription
+from gonio.errors import ConfigError
+from gonio.rig import Pose
+
+Array = npt.NDArray[np.float64]
+Vector = tuple[float, float, float]
+
+PARALLEL = 1e-14
+"""Below this separation [rad] two directions are one: their plane is lost in the rounding of the vectors."""
+IN_PLANE = 1e-9
+"""How far [rad] a direction may lie out of the plane of a rig that has only its arms: well below any encoder step, and
+above the rounding of degrees in a plan."""
+ROUNDING = 1e-12
+"""A goal this close [rad] beyond a limit is at the limit."""
+
+
+class Unreachable(ConfigError):
+    """A direction that a rig cannot measure; `flag` is the word for tables, the message is the reason for people."""
+
+    def __init__(self, flag: str, reason: str) -> None:
+        super().__init__(reason)
+        self.flag = flag
+
+
+@dataclass(frozen=True, slots=True)
+class Directions:
+    """Where the source and the detector are, seen from the sample [rad], as docs/conventions.md has it."""
+
+    theta_i: float
+    phi_i: float
+    theta_r: float
+    phi_r: float
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """Source and camera in the frame of the sample: origin at its centre, z its outward normal, x its x axis.
+
+    Positions are in millimetres; `image_x` and `image_y` are the unit vectors along which columns and rows grow. The
+    optical axis points from the camera to the origin, and `image_x`, `image_y`, optical axis are right-handed: the image
+    is not mirrored. `image_y` lies along the axis of the arms.
+    """
+
+    source_mm: Array
+    camera_mm: Array
+    image_x: Array
+    image_y: Array
+
+
+def view(description: RigDescription, pose: Pose) -> View:
+    """Where source and camera are, and how the image lies, in the sample's frame, for a pose of the axes."""
+    light, camera, image_x, image_y = _sample_frame(pose)
+    geometry = description.geometry
+    return View(
+        source_mm=geometry.light_distance_mm * np.array(light),
+        camera_mm=geometry.camera_distance_mm * np.array(camera),
+        image_x=np.array(image_x),
+        image_y=np.array(image_y),
+    )
+
+
+def directions(description: RigDescription, pose: Pose) -> Directions:
+    """The directions at the centre of the sample for a pose; polar angles above pi/2 lie behind the surface.
+
+    The azimuth of a direction along the normal is 0.
+    """
+    light, camera, _, _ = _sample_frame(pose)
+    return Directions(*_angles(light), *_angles(camera))
+
+
+def separation(d: Directions) -> float:
+    """Angle [rad] between the directions of source and detector, without cancellation near 0 and near pi."""
+    light, camera = _direction(d.theta_i, d.phi_i), _direction(d.theta_r, d.phi_r)
+    difference = math.dist(light, camera)
+    total = math.dist(light, (-camera[0], -camera[1], -camera[2]))
+    return 2.0 * math.atan2(difference, total)
+
+
+def blocked_cone(description: RigDescription) -> float:
+    """Half-angle [rad] of the cone around retro in which light and camera stand in each other's way.
+
+    Each body is a ball; seen from the sample's centre they overlap below the sum of their angular radii.
+    """
+    g = description.geometry
+    return _angular_radius(g.light_body_radius_mm, g.light_distance_mm) + _angular_radius(
+        g.camera_body_radius_mm, g.camera_distance_mm
+    )
+
+
+def reach(description: RigDescription, d: Directions) -> Pose:
+    """The pose that shows the sample from given directions.
+
+    Of the two branches the one inside all limits is taken; where both are, the one with the smaller spin, then the one
+    with the tilt, then with the light arm, on the positive side (then the one with the smaller azimuth).
+
+    Parameters
+    ----------
+    description : RigDescription
+        Limits, axes and bodies.
+    d : Directions
+        Polar angles in [0, pi/2], azimuths in any turn.
+
+    Raises
+    ------
+    Unreachable
+        With flag "blocked" where one body hides the other, "unreachable" where the rig has no axis for the directions
+        or both branches leave a limit, "below_horizon" for a polar angle above pi/2.
+    """
+    for name, theta in (("theta_i", d.theta_i), ("theta_r", d.theta_r)):
+        if not 0.0 <= theta <= math.pi / 2 + ROUNDING:
+            raise Unreachable("below_horizon", f"{name} = {math.degrees(theta):g} deg is outside 0 to 90 deg")
+    apart, cone = separation(d), blocked_cone(description)
+    if apart < cone - ROUNDING:
+        raise Unreachable(
+            "blocked",
+            f"source and detector are {math.degrees(apart):.1f} deg apart; their bodies block the cone of "
+            f"{math.degrees(cone):.1f} deg around retro",
+        )
+    poses = _with_azimuth(description, d) if description.arms.azimuth is not None else _with_holder(description, d)
+    fitting: list[Pose] = []
+    reasons: list[str] = []
+    for pose in poses:
+        try:
+            fitting.append(_inside_limits(description, pose))
+        except Unreachable as error:
+            reasons.append(str(error))
+    if not fitting:
+        raise Unreachable("unreachable", min(reasons, key=len) if len(set(reasons)) == 1 else "; or ".join(reasons))
+    return min(fitting, key=_preference)
+
+
+def _preference(pose: Pose) -> tuple[float, bool, bool, float]:
+    return (round(abs(pose.spin), 9), pose.tilt < -1e-9, pose.light < -1e-9, round(abs(pose.azimuth), 9))
+
+
+def _with_holder(description: RigDescription, d: Directions) -> list[Pose]:
+    """Both branches of arms with tilt and spin; without those axes, what is left of them."""
+    axes = description.holder.axes
+    light, camera = _direction(d.theta_i, d.phi_i), _direction(d.theta_r, d.phi_r)
+    normal_to_arms = _normal_of_plane(light, camera, d)
+    if "tilt" not in axes:
+        # the arms' plane must hold the normal of the sample: both directions in one vertical plane
+        if abs(normal_to_arms[2]) > IN_PLANE and min(d.theta_i, d.theta_r) > IN_PLANE:
+            raise Unreachable(
+                "unreachable",
+                "the detector lies out of the plane of incidence, and the rig has no axis for that: neither a tilt of the "
+                "holder nor an azimuth of the camera arm",
+            )
+        normal_to_arms = _unit((normal_to_arms[0], normal_to_arms[1], 0.0))
+    poses = []
+    for sign in (1.0, -1.0):
+        y = (sign * normal_to_arms[0], sign * normal_to_arms[1], sign * normal_to_arms[2])
+        # n lies perpendicular to the tilt axis x, and x to y: x = y x n
+        flat = math.hypot(y[0], y[1])
+        x = (y[1] / flat, -y[0] / flat, 0.0) if flat > 0.0 else (1.0, 0.0, 0.0)
+        z = _cross(x, y)
+        poses.append(
+            Pose(
+                light=math.atan2(_dot(light, x), _dot(light, z)),
+                camera=math.atan2(_dot(camera, x), _dot(camera, z)),
+                tilt=math.atan2(y[2], flat) if "tilt" in axes else 0.0,
+                spin=math.atan2(-x[1], x[0]) + 0.0,
+            )
+        )
+    return poses if "spin" in axes else _without_spin(poses, d)
+
+
+def _with_azimuth(description: RigDescription, d: Directions) -> list[Pose]:
+    """Both sides of the light arm, times both sides of the camera arm, which an azimuth axis carries."""
+    poses = []
+    for light_side in (0.0, math.pi):
+        # the light stands at the azimuth 0 or pi of the lab, and phi_i = that azimuth - spin
+        spin = _half_turns(light_side - d.phi_i) if d.theta_i > IN_PLANE else 0.0
+        light = d.theta_i if light_side == 0.0 else -d.theta_i
+        for camera_side in (0.0, math.pi):
+            azimuth = _half_turns(d.phi_r + spin - camera_side) if d.theta_r > IN_PLANE else 0.0
+            camera = d.theta_r if camera_side == 0.0 else -d.theta_r
+            poses.append(Pose(light=light, camera=camera, spin=spin, azimuth=azimuth))
+    return poses if "spin" in description.holder.axes else _without_spin(poses, d)
+
+
+def _without_spin(poses: list[Pose], d: Directions) -> list[Pose]:
+    """The poses that need no spin."""
+    still = [pose for pose in poses if abs(math.sin(pose.spin / 2.0)) <= IN_PLANE]
+    if not still:
+        name, phi = ("phi_i", d.phi_i) if d.theta_i > IN_PLANE else ("phi_r", d.phi_r)
+        raise Unreachable(
+            "unreachable",
+            f"{name} = {math.degrees(phi) % 360.0:g} deg needs an axis that spins the sample, and the rig has none: its "
+            "arms stay in the plane of phi = 0 and 180 deg",
+        )
+    return [Pose(light=p.light, camera=p.camera, tilt=p.tilt, azimuth=p.azimuth) for p in still]
+
+
+def _inside_limits(description: RigDescription, pose: Pose) -> Pose:
+    """The pose with every axis in its limits (whole turns are free), or `Unreachable` with the axis that is not."""
+    arms, holder = description.arms, description.holder
+    limits = {"light": arms.light.limits_deg, "camera": arms.camera.limits_deg}
+    if "tilt" in holder.axes:
+        limits["tilt"] = holder.tilt_limits_deg
+    if "spin" in holder.axes:
+        limits["spin"] = holder.spin_limits_deg
+    if arms.azimuth is not None:
+        limits["azimuth"] = arms.azimuth.limits_deg
+    values = {name: getattr(pose, name) for name in limits}
+    for name, (lower_deg, upper_deg) in limits.items():
+        lower, upper = math.radians(lower_deg), math.radians(upper_deg)
+        turns = [values[name]] + ([values[name] + k * 2.0 * math.pi for k in (-1, 1)] if name in FREE_TURNS else [])
+        for value in turns:
+            if lower - ROUNDING <= value <= upper + ROUNDING:
+                values[name] = min(max(value, lower), upper)
+                break
+        else:
+            raise Unreachable(
+                "unreachable",
+                f"the {NAMES[name]} would stand at {math.degrees(values[name]):.2f} deg; its limits are "
+                f"{lower_deg:g} to {upper_deg:g} deg",
+            )
+    return Pose(**values)
+
+
+FREE_TURNS = ("spin", "azimuth")
+NAMES = {
+    "light": "light arm",
+    "camera": "camera arm",
+    "tilt": "tilt of the holder",
+    "spin": "spin of the sample",
+    "azimuth": "azimuth axis of the camera arm",
+}
+
+
+def _sample_frame(pose: Pose) -> tuple[Vector, Vector, Vector, Vector]:
+    """Light, camera, image_x and image_y as unit vectors of the sample's frame."""
+    sin_c, cos_c = math.sin(pose.camera), math.cos(pose.camera)
+    sin_az, cos_az = math.sin(pose.azimuth), math.cos(pose.azimuth)
+    light = (math.sin(pose.light), 0.0, math.cos(pose.light))
+    camera = (sin_c * cos_az, sin_c * sin_az, cos_c)
+    image_y = (-sin_az, cos_az, 0.0)
+    # image_x x image_y = optical axis = -camera
+    image_x = (-cos_c * cos_az, -cos_c * sin_az, sin_c)
+    st, ct, ss, cs = math.sin(pose.tilt), math.cos(pose.tilt), math.sin(pose.spin), math.cos(pose.spin)
+
+    def to_sample(v: Vector) -> Vector:
+        y, z = ct * v[1] - st * v[2], st * v[1] + ct * v[2]  # Rx(t), the inverse of Rx(-t)
+        return (cs * v[0] + ss * y, cs * y - ss * v[0], z)
+
+    return to_sample(light), to_sample(camera), to_sample(image_x), to_sample(image_y)
+
+
+def _normal_of_plane(light: Vector, camera: Vector, d: Directions) -> Vector:
+    """Unit normal of the plane of both directions; of the vertical plane through them where they are parallel.
+
+    (L + V) x (V - L) = 2 L x V keeps its digits where L and V nearly agree, or are nearly opposite.
+    """
+    total = (light[0] + camera[0], light[1] + camera[1], light[2] + camera[2])
+    difference = (camera[0] - light[0], camera[1] - light[1], camera[2] - light[2])
+    cross = _cross(total, difference)
+    if math.hypot(*cross) > 2.0 * PARALLEL:
+        return _unit(cross)
+    phi = d.phi_i if d.theta_i > PARALLEL else d.phi_r if d.theta_r > PARALLEL else 0.0
+    return (-math.sin(phi), math.cos(phi), 0.0)
+
+
+def _half_turns(angle: float) -> float:
+    """The angle in [-pi, pi]."""
+    return math.remainder(angle, 2.0 * math.pi)
+
+
+def _angular_radius(radius: float, distance: float) -> float:
+    return math.asin(min(1.0, radius / distance))
+
+
+def _direction(theta: float, phi: float) -> Vector:
+    return (math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta))
+
+
+def _angles(v: Vector) -> tuple[float, float]:
+    phi = math.atan2(v[1], v[0]) % (2.0 * math.pi)
+    return math.atan2(math.hypot(v[0], v[1]), v[2]), phi if phi < 2.0 * math.pi else 0.0
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _unit(v: Vector) -> Vector:
+    length = math.hypot(*v)
+    return (v[0] / length, v[1] / length, v[2] / length)
