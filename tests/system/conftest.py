@@ -1,0 +1,57 @@
+"""The bench as a user runs it: the `gonio` command in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+Command = Callable[..., "subprocess.CompletedProcess[str]"]
+
+LAMBERT = 'name = "matte"\nmodel = "lambert"\n[parameters]\nalbedo = 0.5\n'
+PLAN = 'name = "small"\nwavelength_nm = [550]\n[[sweep]]\ntheta_i_deg = [20, 50]\ntheta_r_deg = [-60, -40, 0, 20, 40, 70]\n'
+
+
+def command_line() -> list[str]:
+    """The installed console script, beside the interpreter that runs the tests."""
+    return [str(Path(sys.executable).with_name("gonio"))]
+
+
+def environment() -> dict[str, str]:
+    return os.environ | {"COLUMNS": "100", "NO_COLOR": "1"}
+
+
+@pytest.fixture
+def gonio(tmp_path: Path) -> Command:
+    """Run a command in `tmp_path` and return what it printed; fails when a traceback shows."""
+
+    def run(*arguments: str | Path, expect: int = 0, timeout: float = 120) -> subprocess.CompletedProcess[str]:
+        done = subprocess.run(
+            [*command_line(), *map(str, arguments)],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            env=environment(),
+            timeout=timeout,
+            stdin=subprocess.DEVNULL,
+            check=False,
+        )
+        assert "Traceback" not in done.stdout + done.stderr, done.stderr
+        assert done.returncode == expect, (
+            f"exit code {done.returncode}, expected {expect}:\n{done.stdout}\n{done.stderr}"
+        )
+        return done
+
+    return run
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    """A folder with a small plan (`plan.toml`) and a Lambertian sample (`sample.toml`)."""
+    (tmp_path / "sample.toml").write_text(LAMBERT)
+    (tmp_path / "plan.toml").write_text(PLAN)
+    return tmp_path

@@ -1,0 +1,91 @@
+"""A measurement that is killed at any moment resumes: every point once, none lost, the same table."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gonio.measurement import read
+
+from .conftest import Command, command_line, environment
+
+MEASURE = ("measure", "plan.toml", "--rig", "sim", "--sample", "sample.toml", "--seed", "5")
+
+
+def kill_after(files: Path, out: str, steps: int, how: signal.Signals, *more: str) -> int:
+    """Start a measurement, send `how` as soon as the journal holds `steps` steps, and return the exit code."""
+    process = subprocess.Popen(
+        [*command_line(), *MEASURE, "--out", out, *more],
+        cwd=files,
+        env=environment(),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
+    journal = files / out / "journal.jsonl"
+    while process.poll() is None:
+        if journal.exists() and journal.read_bytes().count(b'"event":"step"'.replace(b" ", b"")) >= steps:
+            process.send_signal(how)
+            break
+        if journal.exists() and journal.read_bytes().replace(b": ", b":").count(b'"event":"step"') >= steps:
+            process.send_signal(how)
+            break
+    process.communicate(timeout=60)
+    return process.returncode
+
+
+def steps_in(files: Path, out: str) -> list[int]:
+    lines = (files / out / "journal.jsonl").read_text().splitlines()
+    return [event["step"] for event in map(json.loads, lines) if event["event"] == "step"]
+
+
+def test_killed_run_resumes_to_the_same_table(gonio: Command, files: Path) -> None:
+    gonio(*MEASURE, "--out", "whole")
+    for steps in (2, 5, 9):
+        more = ["--resume"] if (files / "cut" / "journal.jsonl").exists() else []
+        assert kill_after(files, "cut", steps, signal.SIGKILL, *more) == -signal.SIGKILL
+    with (files / "cut" / "journal.jsonl").open("ab") as journal:
+        journal.write(b'{"torn')
+    gonio(*MEASURE, "--out", "cut", "--resume")
+    assert steps_in(files, "cut") == steps_in(files, "whole")
+    for out in ("whole", "cut"):
+        gonio("reduce", out)
+    whole, cut = read(files / "whole" / "brdf.csv"), read(files / "cut" / "brdf.csv")
+    assert len(whole) == 12
+    numbers = whole.select_dtypes("number").columns
+    # one seed gives one table, whatever was interrupted: exactly, not nearly
+    np.testing.assert_array_equal(whole[numbers].to_numpy(), cut[numbers].to_numpy())
+    assert (whole["flag"] == cut["flag"]).all()
+
+
+def test_interrupt_finishes_the_step_and_exits_130(gonio: Command, files: Path) -> None:
+    assert kill_after(files, "run", 3, signal.SIGINT) == 130
+    done = steps_in(files, "run")
+    assert len(done) >= 3
+    gonio(*MEASURE, "--out", "run", "--resume")
+    assert len(set(steps_in(files, "run"))) == len(steps_in(files, "run"))
+
+
+def test_a_run_with_events_needs_resume(gonio: Command, files: Path) -> None:
+    gonio(*MEASURE, "--out", "run")
+    before = (files / "run" / "journal.jsonl").read_bytes()
+    assert "--resume" in gonio(*MEASURE, "--out", "run", expect=2).stderr
+    assert (files / "run" / "journal.jsonl").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "word"),
+    [("plan.toml", "20, 50", "20, 55", "plan"), ("sample.toml", "0.5", "0.6", "sample")],
+    ids=["another plan", "another sample"],
+)
+def test_resuming_something_else_is_refused(
+    gonio: Command, files: Path, name: str, old: str, new: str, word: str
+) -> None:
+    gonio(*MEASURE, "--out", "run")
+    (files / name).write_text((files / name).read_text().replace(old, new))
+    assert word in gonio(*MEASURE, "--out", "run", "--resume", expect=2).stderr
