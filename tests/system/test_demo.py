@@ -70,9 +70,11 @@ def test_report_renders_without_errors(quick_demo: tuple[Path, str], tmp_path: P
     folder, _ = quick_demo
     html = next((folder / "out").rglob("index.html"))
     done = subprocess.run(
-        ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking"]
-        + ["--disable-component-update", "--disable-sync", f"--user-data-dir={tmp_path}", "--enable-logging=stderr"]
-        + ["--window-size=1280,2000", "--dump-dom", html.as_uri()],
+        [
+            *("chromium", "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-sync"),
+            *("--disable-background-networking", "--disable-component-update", f"--user-data-dir={tmp_path}"),
+            *("--enable-logging=stderr", "--window-size=1280,2000", "--dump-dom", html.as_uri()),
+        ],
         capture_output=True,
         text=True,
         timeout=60,
