@@ -1,0 +1,302 @@
+"""Raw frames on disk: DNG written atomically; DNG and the makers' RAW files read through rawpy, bit-exact.
+
+The writer makes the smallest DNG 1.4 file that raw converters open: one uncompressed strip, as a Bayer mosaic or as a
+monochrome LinearRaw image, 12-bit packed where the white level allows it and 16-bit otherwise. The exposure is an exact
+rational of the EXIF directory.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import os
+import struct
+from dataclasses import dataclass
+from fractions import Fraction
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.errors import ArgumentError, DataError
+from gonio.rig import Frame
+
+BAYER = ("RGGB", "BGGR", "GRBG", "GBRG")
+_EPOCH = datetime.datetime(1970, 1, 1)
+_LARGEST = 2**32 - 1
+# TIFF 6.0 field types: struct code and size
+_TYPES = {1: ("B", 1), 2: ("c", 1), 3: ("H", 2), 4: ("I", 4), 5: ("II", 8), 7: ("B", 1), 9: ("i", 4), 10: ("ii", 8)}
+
+
+def write_dng(frame: Frame, path: str | Path) -> None:
+    """Write a frame as a DNG file, so that `path` either holds the whole file or is not touched.
+
+    The file is written under a temporary name in the same folder, synced to the disk, and then renamed. Values fit
+    into packed 12-bit words where `white_level_dn` is at most 4095, and into 16-bit words otherwise. The rig's clock
+    stands in DateTime and SubSecTime, counted from 1970-01-01 00:00:00 at the start of the run.
+
+    Parameters
+    ----------
+    frame
+        The mosaic, shape (rows, columns), with its exposure [s] (kept as the closest rational of 32-bit integers,
+        which restores the float to its last digits), its levels [DN] and its pattern ("mono" or a Bayer pattern in
+        raster order).
+
+    Raises
+    ------
+    ArgumentError
+        The frame is not a two-dimensional array of 16-bit values of at least 32 x 32 pixels, its pattern is unknown, a
+        value lies above the white level, or exposure or levels are not positive numbers that the format can hold.
+    DataError
+        The file cannot be written.
+    """
+    path = Path(path)
+    _check(frame)
+    data = encode_dng(frame)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with open(temporary, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise DataError(f"{path}: the frame cannot be written: {error.strerror or error}") from None
+
+
+def _check(frame: Frame) -> None:
+    mosaic = frame.mosaic
+    if mosaic.ndim != 2 or mosaic.dtype != np.uint16 or min(mosaic.shape) < 32:
+        raise ArgumentError(
+            f"mosaic: shape {mosaic.shape} of {mosaic.dtype}; a frame is two-dimensional, uint16, at least 32 x 32"
+        )
+    if frame.pattern != "mono" and frame.pattern not in BAYER:
+        raise ArgumentError(f'pattern = "{frame.pattern}": known are mono, {", ".join(BAYER)}')
+    if not 0 < frame.exposure_s <= 1e6:
+        raise ArgumentError(f"exposure_s = {frame.exposure_s!r} must be positive, and at most 1e6 s")
+    if not 0 < frame.white_level_dn <= 65535 or not 0 <= frame.black_level_dn < frame.white_level_dn:
+        raise ArgumentError(
+            f"black_level_dn = {frame.black_level_dn!r}, white_level_dn = {frame.white_level_dn!r}: "
+            "0 <= black < white <= 65535 is needed"
+        )
+    top = int(mosaic.max())
+    if top > frame.white_level_dn:
+        raise ArgumentError(f"mosaic holds {top} DN, above white_level_dn = {frame.white_level_dn:g}")
+
+
+def encode_dng(frame: Frame) -> bytes:
+    """The bytes of the DNG file of a frame; see `write_dng`, which checks the frame."""
+    rows, columns = frame.mosaic.shape
+    bits = 12 if frame.white_level_dn <= 4095 else 16
+    strip = _pack(frame.mosaic) if bits == 12 else np.ascontiguousarray(frame.mosaic, dtype="<u2")
+    exposure, moment = _rational(frame.exposure_s), _EPOCH + datetime.timedelta(seconds=max(frame.time_s, 0.0))
+    stamp = _text(moment.strftime("%Y:%m:%d %H:%M:%S"))
+    exif = {
+        33434: (5, exposure),  # ExposureTime
+        34855: (3, [100]),  # ISO; LibRaw reads it here only
+        36867: (2, stamp),  # DateTimeOriginal
+        37521: (2, _text(f"{moment.microsecond:06d}")),  # SubSecTimeOriginal
+    }
+    main: dict[int, tuple[int, Any]] = {
+        254: (4, [0]),  # the full image
+        256: (4, [columns]),
+        257: (4, [rows]),
+        258: (3, [bits]),
+        259: (3, [1]),  # uncompressed
+        262: (3, [34892 if frame.pattern == "mono" else 32803]),  # LinearRaw or CFA
+        271: (2, _text("gonio")),
+        272: (2, _text("gonio goniometer camera")),
+        273: (4, [0]),  # where the strip starts, filled in below
+        274: (3, [1]),
+        277: (3, [1]),
+        278: (4, [rows]),
+        279: (4, [strip.nbytes]),
+        284: (3, [1]),
+        305: (2, _text("gonio")),
+        306: (2, stamp),
+        34665: (4, [0]),  # EXIF directory, filled in below
+        50706: (1, [1, 4, 0, 0]),
+        50707: (1, [1, 1, 0, 0]),
+        50708: (2, _text("gonio goniometer camera")),
+        50714: (5, _rational(frame.black_level_dn)),
+        50717: (4, [round(frame.white_level_dn)]),
+        50721: (10, [1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1]),  # ColorMatrix1: identity
+        50778: (3, [23]),  # D50
+    }
+    if frame.pattern != "mono":
+        main[33421] = (3, [2, 2])
+        main[33422] = (1, ["RGB".index(colour) for colour in frame.pattern])
+    else:
+        main[50721] = (10, [1, 1])
+    header_size = 8
+    main_size = len(_directory(main, header_size))
+    exif_bytes = _directory(exif, header_size + main_size)
+    start = -(-(header_size + main_size + len(exif_bytes)) // 16) * 16
+    main[273], main[34665] = (4, [start]), (4, [header_size + main_size])
+    head = struct.pack("<2sHI", b"II", 42, header_size) + _directory(main, header_size) + exif_bytes
+    return head.ljust(start, b"\0") + strip.tobytes()
+
+
+def _pack(mosaic: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint8]:
+    from gonio._pixels import pack12
+
+    packed = np.empty((mosaic.shape[0], (3 * mosaic.shape[1] + 1) // 2), dtype=np.uint8)
+    pack12(mosaic, packed)
+    return packed
+
+
+def _rational(value: float) -> list[int]:
+    fraction = Fraction(value).limit_denominator(int(_LARGEST / max(value, 1.0)))
+    return [fraction.numerator, fraction.denominator]
+
+
+def _text(text: str) -> bytes:
+    return text.encode("ascii") + b"\0"
+
+
+def _directory(tags: dict[int, tuple[int, Any]], offset: int) -> bytes:
+    """A TIFF image file directory that starts at `offset`, with its values behind it."""
+    entries, values = b"", b""
+    behind = offset + 2 + 12 * len(tags) + 4
+    for tag, (kind, items) in sorted(tags.items()):
+        code, size = _TYPES[kind]
+        data = items if kind == 2 else struct.pack(f"<{len(items)}{code[0]}", *items)
+        entries += struct.pack("<HHI", tag, kind, len(data) // size)
+        if len(data) <= 4:
+            entries += data.ljust(4, b"\0")
+        else:
+            entries += struct.pack("<I", behind + len(values))
+            values += data + b"\0" * (len(data) % 2)
+    return struct.pack("<H", len(tags)) + entries + b"\0\0\0\0" + values
+
+
+def read_raw(path: str | Path, data: bytes | None = None) -> Frame:
+    """Read a raw frame: the linear mosaic exactly as it lies in the file, through rawpy (DNG, CR2, NEF, ARW, ...).
+
+    Exposure, fractional black level and clock are read from the file's own directories, where rawpy rounds them.
+
+    Parameters
+    ----------
+    path
+        The file; named in messages and in the frame's `file`.
+    data
+        The file's bytes, where the caller holds them already.
+
+    Raises
+    ------
+    DataError
+        The file is missing, truncated, damaged, not a raw file, has several samples a pixel, or does not say its
+        exposure.
+    """
+    import rawpy
+
+    path = Path(path)
+    if data is None:
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
+    tags = _read_directories(data, path)
+    try:
+        with rawpy.RawPy() as raw:
+            raw.open_buffer(BytesIO(data))
+            raw.unpack()
+            if raw.raw_type != rawpy.RawType.Flat:
+                raise DataError(f"{path}: holds {raw.num_colors} samples a pixel; a mosaic holds one")
+            mosaic = np.array(raw.raw_image_visible, dtype=np.uint16)
+            pattern = _pattern(raw)
+            black = [float(level) for level in raw.black_level_per_channel]
+            white = float(raw.white_level)
+            exposure = tags.exposure_s or float(raw.other.shutter_speed)
+    except rawpy.LibRawError as error:
+        text = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
+        raise DataError(f"{path}: is damaged or not a raw frame: {text}") from None
+    if not (np.isfinite(exposure) and exposure > 0):
+        raise DataError(f"{path}: does not say its exposure time (EXIF tag 33434)")
+    # Makers' colours may differ by a count; every frame is measured against dark frames, pixel by pixel.
+    mean = black[0] if pattern == "mono" else sum(black) / len(black)
+    level = mean if tags.black_level_dn is None else tags.black_level_dn
+    return Frame(mosaic, exposure, level, white, pattern, tags.time_s, file=path)
+
+
+def _pattern(raw: Any) -> str:
+    """The mosaic's pattern in raster order."""
+    cells = raw.raw_pattern
+    if cells is None or cells.shape != (2, 2):
+        return "mono"
+    names = raw.color_desc.decode()
+    return "".join(names[k] for k in cells.ravel())
+
+
+@dataclass
+class _Tags:
+    """What the directories of a TIFF-based file say."""
+
+    exposure_s: float | None = None
+    black_level_dn: float | None = None
+    time_s: float = 0.0
+
+
+def _read_directories(data: bytes, path: Path) -> _Tags:
+    """Walk the TIFF directories; refuse image data that reach beyond the end, which rawpy would fill with zeros."""
+    tags = _Tags()
+    order = {b"II*\0": "<", b"MM\0*": ">"}.get(data[:4])
+    if order is None:
+        return tags  # CR3, RAF and others are containers of their own: rawpy judges them
+    try:
+        queue, seen = [struct.unpack_from(order + "I", data, 4)[0]], set[int]()
+        clock = b""
+        while queue and len(seen) < 64:
+            at = queue.pop(0)
+            if at == 0 or at in seen:
+                continue
+            seen.add(at)
+            fields, following = _read_directory(data, at, order)
+            queue += [following, *fields.get(34665, []), *fields.get(330, [])]
+            for starts, sizes in ((273, 279), (324, 325)):
+                for start, size in zip(fields.get(starts, []), fields.get(sizes, []), strict=False):
+                    if start + size > len(data):
+                        raise DataError(
+                            f"{path}: is truncated: its image ends at byte {start + size}, the file at {len(data)}"
+                        )
+            if 33434 in fields and tags.exposure_s is None and fields[33434][1]:
+                tags.exposure_s = fields[33434][0] / fields[33434][1]
+            if 36867 in fields and 37521 in fields:
+                clock = fields[36867] + b"." + fields[37521]
+            black = fields.get(50714, [])
+            if 50706 in fields and len(black) == 2 and black[1]:
+                tags.black_level_dn = black[0] / black[1]
+        if clock:
+            with contextlib.suppress(ValueError):
+                moment = datetime.datetime.strptime(clock.decode("ascii", "replace"), "%Y:%m:%d %H:%M:%S.%f")
+                tags.time_s = (moment - _EPOCH).total_seconds()
+    except struct.error:
+        raise DataError(f"{path}: is damaged: a directory reaches beyond the end at byte {len(data)}") from None
+    return tags
+
+
+def _read_directory(data: bytes, at: int, order: str) -> tuple[dict[int, Any], int]:
+    """The fields that matter here, and the offset of the next directory (0 for none)."""
+    wanted = (273, 279, 324, 325, 330, 33434, 34665, 36867, 37521, 50706, 50714)
+    (count,) = struct.unpack_from(order + "H", data, at)
+    fields: dict[int, Any] = {}
+    for k in range(count):
+        tag, kind, items = struct.unpack_from(order + "HHI", data, at + 2 + 12 * k)
+        if tag not in wanted or kind not in _TYPES:
+            continue
+        code, size = _TYPES[kind]
+        place = at + 10 + 12 * k
+        if items * size > 4:
+            (place,) = struct.unpack_from(order + "I", data, place)
+        if place + items * size > len(data):
+            raise struct.error
+        if kind == 2:
+            fields[tag] = data[place : place + items].rstrip(b"\0 ")
+        else:
+            fields[tag] = list(struct.unpack_from(f"{order}{items * len(code)}{code[0]}", data, place))
+    (following,) = struct.unpack_from(order + "I", data, at + 2 + 12 * count)
+    return fields, following

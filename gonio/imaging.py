@@ -1,0 +1,274 @@
+"""Which spot of the sample each pixel sees, and how the light falls on it: pure geometry of a view.
+
+The camera is a pinhole in the middle of its lens, focused on the sample's centre. The simulated camera calls this
+with the true view, the reduction with the view that the encoders read, so that both sides share one set of formulas and
+differ only in what they know. Everything is in the sample's frame: origin at its centre, z its normal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.description import Camera, RigDescription
+from gonio.errors import ConfigError
+from gonio.rig import Target
+
+if TYPE_CHECKING:
+    from gonio.kinematics import View
+
+Array = npt.NDArray[np.float64]
+Channel = Literal["mono", "R", "G", "B"]
+
+
+def image_distance_mm(description: RigDescription) -> float:
+    """Distance from the lens to the sensor [mm] that brings the sample's centre into focus: 1/(1/f - 1/d).
+
+    Raises
+    ------
+    ConfigError
+        The focal length is not shorter than the camera's distance, so the lens cannot focus there.
+    """
+    focal, distance = description.camera.focal_length_mm, description.geometry.camera_distance_mm
+    if focal >= distance:
+        raise ConfigError(
+            f"camera.focal_length_mm = {focal:g} must be smaller than geometry.camera_distance_mm = {distance:g}: "
+            "this lens cannot focus on the sample"
+        )
+    return 1.0 / (1.0 / focal - 1.0 / distance)
+
+
+class PixelMap:
+    """What a rectangle of pixels sees of the sample's plane, each array of shape (rows, columns).
+
+    Nothing is computed before it is asked for. A pixel whose line of sight does not meet the plane in front of the
+    camera sees nothing: its `x_mm`, `y_mm` are NaN, and `cos_theta_i`, `cos_theta_r` and `distance_factor` are zero.
+    """
+
+    def __init__(self, description: RigDescription, view: View, rows: slice, cols: slice) -> None:
+        camera = description.camera
+        self._camera_model = camera
+        self._image_distance_mm = image_distance_mm(description)
+        self._distance_mm = description.geometry.light_distance_mm
+        self._source = np.asarray(view.source_mm, dtype=float)
+        self._camera = np.asarray(view.camera_mm, dtype=float)
+        self.rows = slice(*rows.indices(camera.height)[:2])
+        self.cols = slice(*cols.indices(camera.width)[:2])
+        # The line of sight of the pixel (i, j) is axis + v_i image_y + u_j image_x, with u and v in units of the image
+        # distance: it is separable, so that a frame costs two outer sums.
+        scale = 1e-3 * camera.pixel_um / self._image_distance_mm
+        u = (np.arange(self.cols.start, self.cols.stop) - 0.5 * (camera.width - 1)) * scale
+        v = (np.arange(self.rows.start, self.rows.stop) - 0.5 * (camera.height - 1)) * scale
+        axis = -self._camera / np.linalg.norm(self._camera)
+        self._by_col = u[:, None] * np.asarray(view.image_x, dtype=float)
+        self._by_row = axis + v[:, None] * np.asarray(view.image_y, dtype=float)
+
+    @cached_property
+    def _spots(self) -> tuple[Array, Array, Array, Array, Array]:
+        from gonio._pixels import spots
+
+        out = np.empty((5, self._by_row.shape[0], self._by_col.shape[0]))
+        spots(self._by_row, self._by_col, self._camera, self._source, self._distance_mm, *out)
+        return out[0], out[1], out[2], out[3], out[4]
+
+    @property
+    def x_mm(self) -> Array:
+        """The spot's x in the sample's frame [mm]."""
+        return self._spots[0]
+
+    @property
+    def y_mm(self) -> Array:
+        """The spot's y in the sample's frame [mm]."""
+        return self._spots[1]
+
+    @property
+    def cos_theta_i(self) -> Array:
+        """Cosine of the local angle of incidence; 0 where the source is below the plane."""
+        return self._spots[2]
+
+    @property
+    def cos_theta_r(self) -> Array:
+        """Cosine of the local angle of reflection, toward the camera."""
+        return self._spots[3]
+
+    @property
+    def distance_factor(self) -> Array:
+        """(d0/d)^2 with d the spot's distance from the source and d0 = geometry.light_distance_mm."""
+        return self._spots[4]
+
+    @property
+    def sees_plane(self) -> npt.NDArray[np.bool_]:
+        """True where the pixel sees the plane of the sample."""
+        return np.isfinite(self.x_mm)
+
+    @property
+    def falloff(self) -> Array:
+        """The lens's share of light: cos^4 of the field angle and vignetting, where the rig has them (read-only)."""
+        camera, distance = self._camera_model, self._image_distance_mm
+        return _falloff(camera, distance, self.rows.start, self.rows.stop, self.cols.start, self.cols.stop)
+
+    @cached_property
+    def weight(self) -> Array:
+        """falloff cos(theta_i) (d0/d)^2: all of the measurement equation that depends on the pixel alone."""
+        return self.falloff * self.cos_theta_i * self.distance_factor
+
+    @cached_property
+    def omega_i(self) -> Array:
+        """Unit vectors from the spots to the source, shape (rows, columns, 3)."""
+        return self._unit(self._source)
+
+    @cached_property
+    def omega_r(self) -> Array:
+        """Unit vectors from the spots to the camera, shape (rows, columns, 3)."""
+        return self._unit(self._camera)
+
+    def _unit(self, to: Array) -> Array:
+        out = np.empty((*self.x_mm.shape, 3))
+        out[..., 0] = to[0] - self.x_mm
+        out[..., 1] = to[1] - self.y_mm
+        out[..., 2] = to[2]
+        out /= np.sqrt(np.einsum("...k,...k->...", out, out))[..., None]
+        return out
+
+
+def pixel_map(
+    description: RigDescription, view: View, rows: slice = slice(None), cols: slice = slice(None)
+) -> PixelMap:
+    """What the pixels of a rectangle see of the sample's plane.
+
+    Parameters
+    ----------
+    description
+        The rig; its camera's pitch, focal length and size, and its distances.
+    view
+        Where source and camera are, and how the sensor's columns and rows run, in the sample's frame.
+    rows, cols
+        The rectangle (no step); the whole sensor when left out.
+
+    Raises
+    ------
+    ConfigError
+        The lens cannot focus at the camera's distance.
+    """
+    return PixelMap(description, view, rows, cols)
+
+
+@lru_cache(maxsize=8)
+def _falloff(camera: Camera, image_distance: float, top: int, bottom: int, left: int, right: int) -> Array:
+    v = (np.arange(top, bottom) - 0.5 * (camera.height - 1)) * 1e-3 * camera.pixel_um
+    u = (np.arange(left, right) - 0.5 * (camera.width - 1)) * 1e-3 * camera.pixel_um
+    radius_squared = v[:, None] ** 2 + u[None, :] ** 2
+    out = np.ones(radius_squared.shape)
+    if camera.cos4:
+        out /= (1.0 + radius_squared / image_distance**2) ** 2
+    if camera.vignetting:
+        corner_squared = (0.5e-3 * camera.pixel_um) ** 2 * (camera.width**2 + camera.height**2)
+        out *= 1.0 - camera.vignetting * (radius_squared / corner_squared) ** 2
+    out.flags.writeable = False
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class Roi:
+    """The pixels that a BRDF value is the mean of: a rectangle of the sensor, and which of its pixels are used."""
+
+    rows: slice
+    cols: slice
+    mask: npt.NDArray[np.bool_]
+    """Shape of the rectangle."""
+
+    @property
+    def count(self) -> int:
+        """Number of pixels used; at least one."""
+        return int(np.count_nonzero(self.mask))
+
+    def of(self, image: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+        """The used pixels of a whole frame, one-dimensional."""
+        out: npt.NDArray[np.generic] = image[self.rows, self.cols][self.mask]
+        return out
+
+
+def roi(description: RigDescription, view: View, target: Target = "sample", channel: Channel = "mono") -> Roi:
+    """The pixels whose spots lie within `acquisition.roi_radius_mm` of the target's centre.
+
+    On a Bayer sensor only the pixels of the band's channel count ("mono": all of them). Near grazing reflection a
+    column can be longer on the sample than the patch is wide, so that no spot falls into it; then the radius grows to
+    the length of a pixel on the sample, and a region is never empty.
+
+    Parameters
+    ----------
+    target
+        "sample", at the origin; "reference", at `reference.offset_mm` where it lies beside the sample, else at the
+        origin.
+    channel
+        Colour of the band's pixels.
+
+    Raises
+    ------
+    ConfigError
+        The camera is not above the plane, or does not see the target's centre.
+    """
+    camera, reference = description.camera, description.reference
+    centre = reference.offset_mm if target == "reference" and reference.how == "beside" else (0.0, 0.0)
+    if view.camera_mm[2] <= 0:
+        raise ConfigError("the camera is not above the sample's plane: it sees no region of interest")
+    radius = description.acquisition.roi_radius_mm
+    eye = np.asarray(view.camera_mm, dtype=float)
+    pitch = 1e-3 * camera.pixel_um * np.linalg.norm(eye) / image_distance_mm(description)
+    longest = float(pitch * np.linalg.norm(eye) / eye[2])  # of a pixel, on the sample
+    column, row = _project(description, view, *centre)
+    if not (-0.5 <= column < camera.width - 0.5 and -0.5 <= row < camera.height - 0.5):
+        raise ConfigError(
+            f"the centre of the {target} at x = {centre[0]:g} mm, y = {centre[1]:g} mm falls on column {column:.0f}, "
+            f"row {row:.0f}, outside the {camera.width} x {camera.height} frame; see reference.offset_mm, "
+            "camera.pixel_um and camera.focal_length_mm in the rig file"
+        )
+    turn = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
+    reach = max(radius, longest)
+    columns, rows = _project(description, view, centre[0] + reach * np.cos(turn), centre[1] + reach * np.sin(turn))
+    box_rows = _span(np.append(rows, row), camera.height)
+    box_cols = _span(np.append(columns, column), camera.width)
+    seen = pixel_map(description, view, box_rows, box_cols)
+    distance = (seen.x_mm - centre[0]) ** 2 + (seen.y_mm - centre[1]) ** 2
+    distance[~of_channel(camera.pattern, channel, box_rows, box_cols) | ~seen.sees_plane] = np.inf
+    inside = distance <= radius**2
+    if not inside.any():
+        inside = distance <= max(longest**2, distance.min())
+    return Roi(box_rows, box_cols, inside)
+
+
+def _project(
+    description: RigDescription, view: View, x: float | Array, y: float | Array
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Column and row (fractional) on which spots of the sample's plane fall."""
+    camera, eye = description.camera, np.asarray(view.camera_mm, dtype=float)
+    x, y = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
+    ray = np.stack([x - eye[0], y - eye[1], np.full(x.shape, -eye[2])], axis=-1)
+    depth = ray @ (-eye / np.linalg.norm(eye))
+    scale = image_distance_mm(description) / (1e-3 * camera.pixel_um)
+    columns = scale * (ray @ np.asarray(view.image_x)) / depth + 0.5 * (camera.width - 1)
+    rows = scale * (ray @ np.asarray(view.image_y)) / depth + 0.5 * (camera.height - 1)
+    return columns, rows
+
+
+def _span(pixels: Array, size: int) -> slice:
+    """The pixels around fractional positions, with a margin of one Bayer cell, inside the frame."""
+    return slice(max(int(np.floor(pixels.min())) - 2, 0), min(int(np.ceil(pixels.max())) + 3, size))
+
+
+def of_channel(
+    pattern: str, channel: Channel, rows: slice = slice(None), cols: slice = slice(None)
+) -> npt.NDArray[np.bool_]:
+    """Which pixels of a rectangle (with a start and a stop) carry a colour of a Bayer pattern in raster order.
+
+    Every pixel does for the channel "mono", and on a sensor without a mosaic.
+    """
+    i = np.arange(rows.start, rows.stop)[:, None] % 2
+    j = np.arange(cols.start, cols.stop)[None, :] % 2
+    if channel == "mono" or pattern == "mono":
+        return np.ones(np.broadcast_shapes(i.shape, j.shape), dtype=bool)
+    return np.asarray(np.array(list(pattern)).reshape(2, 2)[i, j] == channel)
