@@ -1,0 +1,75 @@
+"""Other people's files: one module a format, each with a `FORMAT` that says how to tell, read and write it.
+
+To add one: write `formats/mine.py` with a `FORMAT`, and name it in `_MODULES`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+
+from gonio.errors import ConfigError, DataError
+from gonio.formats.base import Format
+
+_MODULES = ("native",)
+SNIFFED_BYTES = 65536
+
+
+@cache
+def all_formats() -> dict[str, Format]:
+    """Every format by name."""
+    formats = [import_module(f"gonio.formats.{name}").FORMAT for name in _MODULES]
+    return {f.name: f for f in formats}
+
+
+def named(name: str) -> Format:
+    """The format of that name.
+
+    Raises
+    ------
+    ConfigError
+        There is none (with the nearest name).
+    """
+    formats = all_formats()
+    if name not in formats:
+        near = difflib.get_close_matches(name, formats, n=1)
+        hint = f'did you mean "{near[0]}"?' if near else f"known: {', '.join(formats)}"
+        raise ConfigError(f'there is no file format named "{name}"; {hint}')
+    return formats[name]
+
+
+def of_content(data: bytes, path: Path) -> Format:
+    """The format of a file, from its first bytes; where they do not tell, from its ending.
+
+    Raises
+    ------
+    DataError
+        Neither tells.
+    """
+    head = data[:SNIFFED_BYTES]
+    formats = all_formats().values()
+    ending = path.suffix.lower()
+    found = [f for f in formats if f.sniff(head)]
+    by_ending = [f for f in formats if ending in f.endings]
+    choice = [f for f in found if f in by_ending] or found or by_ending
+    if not choice:
+        raise DataError(f"{path}: is in no format known here ({', '.join(f.title for f in formats)})")
+    return choice[0]
+
+
+def of_name(path: Path) -> Format:
+    """The format that a new file of this name is written in.
+
+    Raises
+    ------
+    ConfigError
+        No format that can be written has this ending.
+    """
+    writable = [f for f in all_formats().values() if f.write is not None]
+    for f in writable:
+        if path.suffix.lower() in f.endings:
+            return f
+    endings = ", ".join(dict.fromkeys(ending for f in writable for ending in f.endings))
+    raise ConfigError(f'{path}: no format is written with the ending "{path.suffix}"; there are {endings}')

@@ -1,0 +1,248 @@
+"""What every file format shares: how it is described, and how a reader turns cells into the measurement table.
+
+A reader gets the bytes of a file and returns the table of `gonio.measurement`; it never opens files itself (but for the
+blank that belongs to an RT-300S file) and never asks for more memory than a small multiple of what it was given.
+Everything that is wrong with a file is a `DataError` that names the file and the line or byte.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.errors import ConfigError, DataError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Floats = npt.NDArray[np.float64]
+
+ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
+COLUMNS = (*ANGLES, "wavelength_nm", "polarisation", "brdf", "u_brdf", "u_random", "flag")
+POLARISATIONS = ("unpolarised", "ss", "sp", "ps", "pp")
+MAX_BYTES = 2**30
+"""No file above this size is opened."""
+
+
+@dataclass(frozen=True)
+class Format:
+    """One kind of file: how to tell it, to read it and to write it."""
+
+    name: str
+    """As in `gonio convert --from NAME --to NAME`."""
+    title: str
+    endings: tuple[str, ...]
+    sniff: Callable[[bytes], bool]
+    """Whether the first 64 KiB of a file look like this format."""
+    read: Callable[[bytes, Path], pd.DataFrame]
+    """The table in a file's bytes; the path is for messages and for what lies beside the file."""
+    write: Callable[[pd.DataFrame, Path], None] | None = None
+    carries: frozenset[str] = frozenset()
+    """What it has room for besides angles and values: "uncertainty", "flag"."""
+
+
+class Text:
+    """The lines of a text file, for readers whose messages name the line."""
+
+    def __init__(self, data: bytes, path: Path) -> None:
+        self.path = path
+        self.lines = decode(data, path).splitlines()
+
+    def where(self, line: int) -> str:
+        """`file, line N`, for the line with index `line`."""
+        return f"{self.path}, line {line + 1}"
+
+
+def decode(data: bytes, path: Path) -> str:
+    """Text as UTF-8, or as Latin-1 where it is not UTF-8 (old instruments' comments).
+
+    Raises
+    ------
+    DataError
+        The bytes hold control characters, so they are no text at all.
+    """
+    bad = re.search(rb"[\x00-\x08\x0e-\x1f\x7f]", data)
+    if bad:
+        raise DataError(f"{path}: byte {bad.start()} is {bad.group()[0]:#04x}: not a text file, or a damaged one")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+
+
+def number(text: str, where: str, what: str) -> float:
+    """One finite decimal number.
+
+    Raises
+    ------
+    DataError
+        The text is not a number, or beyond the range of a float; names `where` and `what`.
+    """
+    text = text.strip()
+    if not text.isascii() or not _NUMBER.fullmatch(text):
+        raise DataError(f"{where}: {what} is {_shown(text)}, not a number")
+    value = float(text)
+    if not math.isfinite(value):
+        raise DataError(f"{where}: {what} = {_shown(text)} is beyond the range of a float")
+    return value
+
+
+def integer(text: str, where: str, what: str, lower: int, upper: int) -> int:
+    """One integer from `lower` to `upper`; else `DataError`."""
+    value = number(text, where, what)
+    if value != int(value) or not lower <= value <= upper:
+        raise DataError(f"{where}: {what} = {_shown(text.strip())}; an integer from {lower} to {upper} is needed")
+    return int(value)
+
+
+def numbers(cells: Sequence[str], where: str, names: Sequence[str]) -> list[float]:
+    """The numbers of one line; `names[k]` names cell k in messages."""
+    return [number(cell, where, name) for cell, name in zip(cells, names, strict=True)]
+
+
+def _shown(text: str) -> str:
+    return json.dumps(text if len(text) <= 40 else text[:37] + "...", ensure_ascii=False)
+
+
+def fold(theta_deg: npt.ArrayLike, phi_deg: npt.ArrayLike, *, slack_deg: float = 0.0) -> tuple[Floats, Floats]:
+    """Directions with a signed polar angle as the table has them: (-theta, phi) is (theta, phi + 180).
+
+    A polar angle above 90 degrees by no more than `slack_deg` (the file's rounding) is 90.
+    """
+    theta, phi = np.broadcast_arrays(np.asarray(theta_deg, dtype=np.float64), np.asarray(phi_deg, dtype=np.float64))
+    phi = wrap_deg(np.where(theta < 0, phi + 180.0, phi))
+    theta = np.abs(theta)
+    return np.where((theta > 90) & (theta <= 90 + slack_deg), 90.0, theta), phi
+
+
+def wrap_deg(phi_deg: npt.ArrayLike) -> Floats:
+    """Azimuths in [0, 360) degrees."""
+    wrapped = np.mod(np.asarray(phi_deg, dtype=np.float64), 360.0)
+    return np.where(wrapped >= 360.0, 0.0, wrapped)  # mod(-1e-20, 360) is 360
+
+
+def table(
+    *,
+    theta_i_deg: npt.ArrayLike,
+    phi_i_deg: npt.ArrayLike,
+    theta_r_deg: npt.ArrayLike,
+    phi_r_deg: npt.ArrayLike,
+    wavelength_nm: npt.ArrayLike,
+    brdf: npt.ArrayLike,
+    u_brdf: npt.ArrayLike = math.nan,
+    u_random: npt.ArrayLike = math.nan,
+    polarisation: str | Sequence[str] = "unpolarised",
+    flag: str | Sequence[str] | npt.NDArray[Any] = "",
+    sample: Sequence[str] | None = None,
+    attrs: Mapping[str, Any],
+) -> pd.DataFrame:
+    """A measurement table, its columns in order; arguments broadcast to one length, attributes get their defaults."""
+    import pandas as pd
+
+    values = {
+        "theta_i_deg": theta_i_deg, "phi_i_deg": phi_i_deg, "theta_r_deg": theta_r_deg, "phi_r_deg": phi_r_deg,
+        "wavelength_nm": wavelength_nm, "brdf": brdf, "u_brdf": u_brdf, "u_random": u_random,
+    }  # fmt: skip
+    arrays = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in values.values()))
+    count = arrays[0].size
+    frame = pd.DataFrame({name: np.array(array) for name, array in zip(values, arrays, strict=True)})
+    frame.insert(5, "polarisation", _words(polarisation, count))
+    if sample is not None:
+        frame.insert(6, "sample", _words(sample, count))
+    frame["flag"] = _words(flag, count)
+    frame.attrs.update(attributes(**attrs))
+    return frame
+
+
+def _words(words: str | Sequence[str] | npt.NDArray[Any], count: int) -> npt.NDArray[Any]:
+    out = np.empty(count, dtype=object)
+    out[:] = words if isinstance(words, str) else list(words)
+    return out
+
+
+def attributes(**known: Any) -> dict[str, Any]:
+    """The attributes that every table has, with what is known of them filled in."""
+    return {
+        "quantity": "brdf",
+        "source_solid_angle_sr": None,
+        "receiver_solid_angle_sr": None,
+        "bands": [],
+        "polarisation": "unpolarised",
+        "source_file": None,
+        "sample": None,
+        "provenance": {},
+        "notes": [],
+    } | known
+
+
+def wide(frame: pd.DataFrame, path: Path, format_name: str) -> tuple[Floats, Floats, Floats]:
+    """Directions (n, 4), wavelengths (m,) and BRDF (n, m) of a table, for formats that have one row a direction.
+
+    Directions keep the order of the table; what is flagged, and what was not measured, is NaN.
+
+    Raises
+    ------
+    DataError
+        The table is polarised, holds several samples, repeats a direction, or has no wavelength.
+    """
+    single(frame, path, format_name)
+    if frame["wavelength_nm"].isna().any():
+        raise DataError(f"{path}: {format_name} needs a wavelength in each row, and this table has a broad band")
+    key = frame[[*ANGLES, "wavelength_nm"]]
+    if key.duplicated().any():
+        row = int(np.flatnonzero(key.duplicated().to_numpy())[0])
+        raise DataError(
+            f"{path}: {format_name} holds one value for each direction and wavelength; row {row + 1} is a second"
+        )
+    angles = frame[list(ANGLES)].to_numpy(np.float64)
+    _, first, inverse = np.unique(angles, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(order.size)
+    wavelengths, column = np.unique(frame["wavelength_nm"].to_numpy(np.float64), return_inverse=True)
+    values = np.full((order.size, wavelengths.size), np.nan)
+    values[rank[inverse.ravel()], column] = np.where(frame["flag"] == "", frame["brdf"].to_numpy(np.float64), np.nan)
+    return angles[first[order]], wavelengths, values
+
+
+def single(frame: pd.DataFrame, path: Path, format_name: str) -> None:
+    """`DataError` unless the table holds one unpolarised sample."""
+    if (frame["polarisation"] != "unpolarised").any():
+        raise DataError(f"{path}: {format_name} holds unpolarised values only; this table has polarised rows")
+    if "sample" in frame.columns:
+        raise DataError(f"{path}: {format_name} holds one sample; choose one of {', '.join(frame.attrs['samples'])}")
+
+
+def write_bytes(path: str | Path, data: bytes) -> None:
+    """Write a whole file or nothing: under a temporary name, synced, then renamed.
+
+    Raises
+    ------
+    ConfigError
+        The folder is missing or cannot be written to.
+    """
+    path = Path(path)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        try:
+            with open(partial, "wb") as stream:
+                stream.write(data)
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(partial, path)
+        finally:
+            partial.unlink(missing_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None

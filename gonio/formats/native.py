@@ -1,0 +1,177 @@
+"""The project's own table: a CSV that a bare `pandas.read_csv` opens, and `<name>.meta.json` beside it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gonio.errors import DataError
+from gonio.formats.base import COLUMNS, POLARISATIONS, Format, attributes, decode, number, write_bytes
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_WORDS = ("polarisation", "sample", "flag")
+
+
+def meta_path(path: str | Path) -> Path:
+    """Where the attributes of the table at `path` lie."""
+    return Path(path).with_suffix(".meta.json")
+
+
+def read(data: bytes, path: Path) -> pd.DataFrame:
+    """The table, its numbers to the last bit, and its attributes."""
+    import pandas as pd
+
+    text = decode(data, path)
+    header = next(csv.reader([text.partition("\n")[0].rstrip("\r")]), [])
+    check_columns(header, f"{path}, line 1")
+    kinds = {name: str if name in _WORDS else np.float64 for name in header}
+    if any(len(row) != len(header) for row in _rows(text, path)):
+        raise _first_fault(text, header, path)
+    try:
+        frame = pd.read_csv(
+            io.StringIO(text), dtype=kinds, keep_default_na=False, na_values={n: ["", "nan", "NaN"] for n in header if n not in _WORDS},
+            float_precision="round_trip", skip_blank_lines=False,
+        )  # fmt: skip
+    except (ValueError, OverflowError, pd.errors.ParserError):
+        raise _first_fault(text, header, path) from None
+    frame.attrs.update(_read_attrs(path))
+    check(frame, lambda row: f"{path}, line {row + 2}")
+    return frame
+
+
+def write(frame: pd.DataFrame, path: Path) -> None:
+    check_columns(list(frame.columns), str(path))
+    check(frame, lambda row: f"{path}, row {row + 1}")
+    text = frame.to_csv(index=False, lineterminator="\n")
+    meta = json.dumps(_plain(frame.attrs), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    write_bytes(meta_path(path), meta.encode())
+    write_bytes(path, text.encode())
+
+
+def check_columns(header: list[str], where: str) -> None:
+    """`DataError` unless these are the columns of a measurement table, each once."""
+    missing = [name for name in COLUMNS if name not in header]
+    extra = [n for n in header if n not in COLUMNS and n != "sample" and not (n.startswith("s_") and len(n) > 2)]
+    twice = sorted({name for name in header if header.count(name) > 1})
+    for names, what in ((missing, "missing"), (extra, "not known"), (twice, "there twice")):
+        if names:
+            shown = ", ".join(repr(n if len(n) <= 40 else n[:37] + "...") for n in names[:8])
+            known = f"a measurement table has {', '.join(COLUMNS)} and s_<cause>"
+            raise DataError(f"{where}: columns {what}: {shown}; {known}")
+
+
+def check(frame: pd.DataFrame, where: Any) -> None:
+    """`DataError` naming row and column of the first value that is not allowed; `where(row)` says where a row lies."""
+    flagged = frame["flag"].to_numpy() != ""
+    if len(frame) == 0:
+        raise DataError(f"{where(0)}: the table has no rows")
+
+    def demand(ok: Any, column: str, allowed: str) -> None:
+        bad = np.flatnonzero(~np.asarray(ok, dtype=bool))
+        if bad.size:
+            value = frame[column].iloc[int(bad[0])]
+            shown = repr(value[:40]) if isinstance(value, str) else f"{value:.9g}"
+            raise DataError(f"{where(int(bad[0]))}: {column} = {shown}; {allowed}")
+
+    for column in ("theta_i_deg", "theta_r_deg"):
+        theta = frame[column].to_numpy(np.float64)
+        demand(
+            (theta >= 0) & (theta <= 90),
+            column,
+            "polar angles lie in [0, 90] degrees; write (-theta, phi) as (theta, phi + 180)",
+        )
+    for column in ("phi_i_deg", "phi_r_deg"):
+        phi = frame[column].to_numpy(np.float64)
+        demand((phi >= 0) & (phi < 360), column, "azimuths lie in [0, 360) degrees")
+    wavelength = frame["wavelength_nm"].to_numpy(np.float64)
+    known = (wavelength > 0) & np.isfinite(wavelength)
+    demand(np.isnan(wavelength) | known, "wavelength_nm", "a positive number, or NaN for a broad band")
+    demand(frame["polarisation"].isin(POLARISATIONS), "polarisation", f"one of {', '.join(POLARISATIONS)}")
+    value = frame["brdf"].to_numpy(np.float64)
+    demand(np.isfinite(value) | flagged, "brdf", "a row without a flag needs a finite value [1/sr]")
+    for column in ("u_brdf", "u_random"):
+        u = frame[column].to_numpy(np.float64)
+        known = (u >= 0) & np.isfinite(u)
+        demand(np.isnan(u) | known | flagged, column, "a standard uncertainty [1/sr] >= 0, or NaN where it is unknown")
+    for column in frame.columns:
+        if column.startswith("s_"):
+            s = frame[column].to_numpy(np.float64)
+            demand(np.isfinite(s) | flagged, column, "a row without a flag needs a finite value [1/sr]")
+    for column in ("flag", "sample"):
+        if column in frame.columns:
+            demand([isinstance(v, str) for v in frame[column]], column, "text is needed")
+
+
+def _rows(text: str, path: Path) -> Any:
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    try:
+        yield from reader
+    except csv.Error as error:
+        raise DataError(f"{path}, line {reader.line_num}: {error}") from None
+
+
+def _first_fault(text: str, header: list[str], path: Path) -> DataError:
+    """The first cell that is wrong, once it is known that one is."""
+    for line, row in enumerate(_rows(text, path), start=1):
+        if len(row) != len(header):
+            return DataError(f"{path}, line {line}: {len(row)} cells, and the header names {len(header)} columns")
+        for name, cell in zip(header, row, strict=True):
+            if line > 1 and name not in _WORDS and cell not in ("", "nan", "NaN"):
+                try:
+                    number(cell, f"{path}, line {line}", name)
+                except DataError as error:
+                    return error
+    return DataError(f"{path}: the table cannot be read")
+
+
+def _read_attrs(path: Path) -> dict[str, Any]:
+    meta = meta_path(path)
+    try:
+        stored = json.loads(meta.read_bytes())
+    except FileNotFoundError:
+        note = f"there is no {meta.name} beside the table, so its solid angles and provenance are unknown"
+        return attributes(source_file=str(path), notes=[note])
+    except OSError as error:
+        raise DataError(f"{meta}: cannot be read: {error.strerror}") from None
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{meta}: is not valid JSON: {error}") from None
+    if not isinstance(stored, dict):
+        raise DataError(f"{meta}: an object of attributes is needed")
+    for key in ("source_solid_angle_sr", "receiver_solid_angle_sr"):
+        value = stored.get(key)
+        known = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) and value >= 0
+        if value is not None and not known:
+            raise DataError(f"{meta}: {key} = {value!r}; a solid angle [sr] >= 0, or null where it is unknown")
+    return attributes(**stored)
+
+
+def _plain(value: Any) -> Any:
+    """Attributes as JSON has them."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, Path):
+        return str(value)
+    return value
+
+
+FORMAT = Format(
+    name="gonio",
+    title="measurement table",
+    endings=(".csv",),
+    sniff=lambda head: b"theta_i_deg" in head.partition(b"\n")[0] and b"u_brdf" in head.partition(b"\n")[0],
+    read=read,
+    write=write,
+    carries=frozenset({"uncertainty", "flag"}),
+)

@@ -1,0 +1,196 @@
+"""The measurement table: what everything downstream of a measurement reads, whoever measured it.
+
+A table is a `pandas.DataFrame` with one row a direction pair, wavelength and polarisation:
+
+- `theta_i_deg, phi_i_deg` toward the source and `theta_r_deg, phi_r_deg` toward the detector: theta in [0, 90], phi in
+  [0, 360), from the outward normal and the sample's x axis; the mirror half-plane is phi_r = phi_i + 180;
+- `wavelength_nm`, NaN for a broad band; `polarisation`: "unpolarised", or "ss", "sp", "ps", "pp"
+  (incident, then reflected);
+- `sample`, only where a file holds several samples;
+- `brdf` [1/sr], with the sign that it was measured with;
+- `u_brdf`, its combined standard uncertainty (k = 1), NaN where nobody stated one; `u_random`, the part of it that is
+  independent from row to row; `s_<cause>`, one signed column a common cause: the change of `brdf` for one standard
+  deviation of that cause. The covariance of the values is diag(u_random^2) + sum over causes of s s^T;
+- `flag`: "" or the reason why the row must not be used.
+
+`frame.attrs` holds the rest: `quantity`, `source_solid_angle_sr`, `receiver_solid_angle_sr` (None where unknown),
+`bands`, `polarisation`, `source_file`, `sample`, `samples`, `provenance`, and `notes`: sentences for a person about what a file
+leaves out or what a reader did to it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gonio import formats
+from gonio.errors import ConfigError, DataError
+from gonio.formats.base import COLUMNS, MAX_BYTES, Floats
+from gonio.formats.native import check, check_columns, meta_path
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["COLUMNS", "meta_path", "read", "samples", "tables", "uncertainty", "write"]
+
+
+def read(path: str | Path, *, format: str | None = None, sample: str | None = None) -> pd.DataFrame:
+    """The measurement table in a file of any supported format, or in a RUN folder (its `brdf.csv`).
+
+    Parameters
+    ----------
+    path
+        A file or a RUN folder. The format is told from the content, then from the ending.
+    format
+        The name of a format (`gonio.formats.all_formats()`), where neither tells.
+    sample
+        Which sample to take from a file that holds several; without it all are there, told apart by a column `sample`.
+
+    Raises
+    ------
+    ConfigError
+        There is no such file, or it cannot be opened; there is no such format.
+    DataError
+        The file is empty, damaged or in no known format; a value is not allowed (with file, line and column); it holds
+        no such sample.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = _table_of_run(path)
+    data = _load(path)
+    chosen = formats.named(format) if format else formats.of_content(data, path)
+    frame = chosen.read(data, path)
+    frame.attrs.setdefault("format", chosen.name)
+    check_columns(list(frame.columns), str(path))
+    if chosen.name != "gonio":  # whose reader has checked, with line numbers
+        check(frame, lambda row: f"{path}, row {row + 1} of the table")
+    return frame if sample is None else _choose(frame, sample, path)
+
+
+def write(frame: pd.DataFrame, path: str | Path, *, format: str | None = None) -> list[str]:
+    """Write a table: all of it or nothing.
+
+    Parameters
+    ----------
+    frame
+        A measurement table.
+    path
+        The file. Without `format` its ending tells the format; `.csv` is the project's own table, whose attributes go
+        to `<name>.meta.json` beside it.
+    format
+        The name of a format.
+
+    Returns
+    -------
+    list of str
+        What the format has no room for, a sentence each; nothing for the project's own table.
+
+    Raises
+    ------
+    DataError
+        The table is not valid (with row and column), or the format cannot hold it at all.
+    ConfigError
+        The file cannot be written, or the format is unknown or only read.
+    """
+    path = Path(path)
+    chosen = formats.named(format) if format else formats.of_name(path)
+    if chosen.write is None:
+        raise ConfigError(f'{path}: files of the format "{chosen.name}" are read, not written')
+    check_columns(list(frame.columns), str(path))
+    check(frame, lambda row: f"{path}, row {row + 1}")
+    chosen.write(frame, path)
+    lost = []
+    if "uncertainty" not in chosen.carries and frame["u_brdf"].notna().any():
+        lost.append(f"{chosen.title} has no room for uncertainties: u_brdf, u_random and s_ columns are not written")
+    elif chosen.name != "gonio" and any(name.startswith("s_") for name in frame.columns):
+        lost.append(f"{chosen.title} has no room for correlated uncertainties: only u_brdf is written")
+    if "flag" not in chosen.carries and (frame["flag"] != "").any():
+        count = int((frame["flag"] != "").sum())
+        lost.append(f"{chosen.title} has no room for flags: {count} flagged rows are left out")
+    return lost
+
+
+def samples(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """The samples of a table by name, in the order of the file."""
+    if "sample" not in frame.columns:
+        source = frame.attrs.get("source_file")
+        return {frame.attrs.get("sample") or (Path(source).stem if source else "sample"): frame}
+    path = Path(frame.attrs.get("source_file") or "table")
+    return {name: _choose(frame, name, path) for name in frame.attrs["samples"]}
+
+
+def tables(spec: str | Path) -> dict[str, pd.DataFrame]:
+    """The tables that `FILE`, `RUN` or `FILE:SAMPLE` on a command line names, by sample.
+
+    Raises
+    ------
+    ConfigError, DataError
+        As `read` does.
+    """
+    text = str(spec)
+    name, colon, sample = text.rpartition(":")
+    if colon and not Path(text).exists() and Path(name).exists():
+        return {sample: read(name, sample=sample)}
+    return samples(read(text))
+
+
+def uncertainty(frame: pd.DataFrame) -> tuple[Floats, Floats, list[str]]:
+    """The covariance of a table's values in factors: C = diag(u_random^2) + S S^T.
+
+    Returns
+    -------
+    u_random : (n,) array [1/sr]
+        Independent part. Where a file states only a combined uncertainty it counts as independent; NaN where none is
+        stated.
+    S : (n, k) array [1/sr]
+        One signed column a common cause.
+    causes : list of str
+        The names of the k causes, without `s_`.
+    """
+    columns = [name for name in frame.columns if name.startswith("s_")]
+    common = frame[columns].to_numpy(np.float64) if columns else np.zeros((len(frame), 0))
+    independent = frame["u_random"].to_numpy(np.float64)
+    combined = frame["u_brdf"].to_numpy(np.float64)
+    rest = np.sqrt(np.maximum(combined**2 - (common**2).sum(axis=1), 0.0))
+    return np.where(np.isnan(independent), rest, independent), common, [name.removeprefix("s_") for name in columns]
+
+
+def _choose(frame: pd.DataFrame, sample: str, path: Path) -> pd.DataFrame:
+    if "sample" not in frame.columns:
+        if sample == frame.attrs.get("sample"):
+            return frame
+        raise DataError(f'{path}: holds one sample, "{frame.attrs.get("sample") or path.stem}", and not "{sample}"')
+    if sample not in frame.attrs["samples"]:
+        raise DataError(f'{path}: holds no sample "{sample}"; it holds: {"; ".join(frame.attrs["samples"])}')
+    chosen = frame[frame["sample"] == sample].drop(columns="sample").reset_index(drop=True)
+    chosen.attrs.update({key: value for key, value in frame.attrs.items() if key != "samples"} | {"sample": sample})
+    chosen.attrs.pop("samples", None)
+    return chosen
+
+
+def _table_of_run(folder: Path) -> Path:
+    path = folder / "brdf.csv"
+    if path.is_file():
+        return path
+    if (folder / "run.toml").is_file():
+        raise ConfigError(f"{folder}: this run has no brdf.csv yet; make it with: gonio reduce {folder}")
+    raise ConfigError(f"{folder}: is a folder, but not a run (there is no run.toml and no brdf.csv in it)")
+
+
+def _load(path: Path) -> bytes:
+    try:
+        with open(path, "rb") as stream:
+            data = stream.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: there is no such file") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError:
+        raise ConfigError(f"{str(path)!r}: is not a file name") from None
+    if not data.strip():
+        raise DataError(f"{path}: is empty")
+    if len(data) > MAX_BYTES:
+        raise DataError(f"{path}: is larger than {MAX_BYTES >> 20} MiB, the largest file that is read")
+    return data
