@@ -107,8 +107,8 @@ class Material:
         if outside.any():
             asked = float(nm[outside].flat[0])
             raise ArgumentError(
-                f"wavelength_nm = {asked:g}: {self.name} ({self.source.partition(':')[0]}) is known from {lower:g} to {upper:g} nm"
-                + _others(self.name, asked)
+                f"wavelength_nm = {asked:g}: {self.name} ({self.source.partition(':')[0]}) is known from "
+                f"{lower:g} to {upper:g} nm{_others(self.name, asked)}"
             )
         um = np.clip(nm, lower, upper) / 1000.0
         index = np.empty(nm.shape, dtype=np.complex128)
@@ -216,6 +216,7 @@ def _dispersion(formula: int, coefficients: tuple[float, ...], um: npt.NDArray[n
     c = (*coefficients, *([0.0] * 17))[:17]
     squared = um**2
     pairs = list(zip(c[1::2], c[2::2], strict=True))
+    n: Any
     if formula == 1:  # Sellmeier
         n = np.sqrt(1 + c[0] + sum(b * squared / (squared - d**2) for b, d in pairs if b))
     elif formula == 2:  # Sellmeier with squared resonances

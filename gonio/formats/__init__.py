@@ -13,7 +13,7 @@ from pathlib import Path
 from gonio.errors import ConfigError, DataError
 from gonio.formats.base import Format
 
-_MODULES = ("native",)
+_MODULES = ("native", "astm", "nist_mueller", "mwir_inplane", "reflectance_factor")
 SNIFFED_BYTES = 65536
 
 

@@ -7,6 +7,8 @@ Everything that is wrong with a file is a `DataError` that names the file and th
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import math
 import os
@@ -79,6 +81,62 @@ def decode(data: bytes, path: Path) -> str:
         return data.decode("latin-1")
 
 
+@dataclass(frozen=True)
+class CsvTable:
+    """A CSV of numbers under a header: the cells as text, and where each row stands."""
+
+    path: Path
+    header: list[str]
+    rows: list[list[str]]
+    line_numbers: list[int]
+
+    def column(self, name: str) -> Floats:
+        """The numbers of a column; `DataError` naming the line of the first cell that is none."""
+        k = self.header.index(name)
+        return np.array([number(row[k], self.where(j), name) for j, row in enumerate(self.rows)])
+
+    def words(self, name: str) -> list[str]:
+        k = self.header.index(name)
+        return [row[k].strip() for row in self.rows]
+
+    def where(self, row: int) -> str:
+        return f"{self.path}, line {self.line_numbers[row]}"
+
+
+def csv_table(data: bytes, path: Path, needed: Sequence[str]) -> CsvTable:
+    """A CSV with a header line that has at least the `needed` columns; every row as long as the header.
+
+    Raises
+    ------
+    DataError
+        A column is missing or there twice, a row is too long or too short (with its line), or there are no rows.
+    """
+    reader = csv.reader(io.StringIO(decode(data, path), newline=""), strict=True)
+    header: list[str] = []
+    rows: list[list[str]] = []
+    line_numbers: list[int] = []
+    try:
+        for cells in reader:
+            if not any(cell.strip() for cell in cells):
+                continue
+            if not header:
+                header = [cell.strip() for cell in cells]
+                continue
+            if len(cells) != len(header):
+                where = f"{path}, line {reader.line_num}"
+                raise DataError(f"{where}: {len(cells)} cells, and the header names {len(header)} columns")
+            rows.append(cells)
+            line_numbers.append(reader.line_num)
+    except csv.Error as error:
+        raise DataError(f"{path}, line {reader.line_num}: {error}") from None
+    missing = [name for name in needed if header.count(name) != 1]
+    if missing:
+        raise DataError(f"{path}, line 1: columns missing, or there twice: {', '.join(missing)}")
+    if not rows:
+        raise DataError(f"{path}: has a header and no rows")
+    return CsvTable(path, header, rows, line_numbers)
+
+
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
 
@@ -127,10 +185,26 @@ def fold(theta_deg: npt.ArrayLike, phi_deg: npt.ArrayLike, *, slack_deg: float =
     return np.where((theta > 90) & (theta <= 90 + slack_deg), 90.0, theta), phi
 
 
+def plain_degrees(radians: npt.ArrayLike, decimals: int) -> Floats:
+    """Angles in degrees that a file gives in radians with so many decimals: the shortest that its digits stand for.
+
+    0.174533 stands for 10 degrees and not for 10.0000043; the same digits come out when the angle is written again.
+    """
+    rad = np.asarray(radians, dtype=np.float64)
+    half = max(0.5 * 10.0**-decimals, 1e-15)
+    degrees = np.rad2deg(rad)
+    for digits in range(12, -1, -1):
+        candidate = np.round(np.rad2deg(rad), digits)
+        degrees = np.where(np.abs(np.deg2rad(candidate) - rad) <= half, candidate, degrees)
+    return degrees
+
+
 def wrap_deg(phi_deg: npt.ArrayLike) -> Floats:
     """Azimuths in [0, 360) degrees."""
-    wrapped = np.mod(np.asarray(phi_deg, dtype=np.float64), 360.0)
-    return np.where(wrapped >= 360.0, 0.0, wrapped)  # mod(-1e-20, 360) is 360
+    phi = np.asarray(phi_deg, dtype=np.float64)
+    wrapped = np.round(np.mod(phi, 360.0), 10)  # so that -22.5 becomes 337.5 and not the float beside it
+    wrapped = np.where(wrapped >= 360.0, 0.0, wrapped)
+    return np.where((phi >= 0) & (phi < 360), phi, wrapped)
 
 
 def table(

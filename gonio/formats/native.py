@@ -33,13 +33,18 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
     header = next(csv.reader([text.partition("\n")[0].rstrip("\r")]), [])
     check_columns(header, f"{path}, line 1")
     kinds = {name: str if name in _WORDS else np.float64 for name in header}
+    missing = {name: ["", "nan", "NaN"] for name in header if name not in _WORDS}
     if any(len(row) != len(header) for row in _rows(text, path)):
         raise _first_fault(text, header, path)
     try:
         frame = pd.read_csv(
-            io.StringIO(text), dtype=kinds, keep_default_na=False, na_values={n: ["", "nan", "NaN"] for n in header if n not in _WORDS},
-            float_precision="round_trip", skip_blank_lines=False,
-        )  # fmt: skip
+            io.StringIO(text),
+            dtype=kinds,
+            keep_default_na=False,
+            na_values=missing,
+            float_precision="round_trip",
+            skip_blank_lines=False,
+        )
     except (ValueError, OverflowError, pd.errors.ParserError):
         raise _first_fault(text, header, path) from None
     frame.attrs.update(_read_attrs(path))

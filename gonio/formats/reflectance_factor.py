@@ -1,0 +1,88 @@
+"""Two-dimensional spectral goniometer tables: the reflectance factor, one column a wavelength, as CSV.
+
+Columns: `Incident_angle` and `Measure_angle` [degrees] in one plane, the second signed and positive on the mirror side,
+then the reflectance factor at one wavelength a column (`550nm`). The reflectance factor of a perfect diffuser is 1,
+so brdf = R / pi. A value of exactly zero is written where the receiver would stand in the beam: it is flagged "blocked".
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gonio.errors import DataError
+from gonio.formats.base import Format, csv_table, fold, table, wide, write_bytes
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_WAVELENGTH = re.compile(r"(\d{1,7}(?:\.\d+)?)\s*nm")
+_ANGLES = ["Incident_angle", "Measure_angle"]
+
+
+def read(data: bytes, path: Path) -> pd.DataFrame:
+    cells = csv_table(data, path, _ANGLES)
+    columns = [name for name in cells.header if name not in _ANGLES]
+    matches = [_WAVELENGTH.fullmatch(name) for name in columns]
+    if not columns or not all(match and float(match[1]) > 0 for match in matches):
+        unknown = next((name for name, match in zip(columns, matches, strict=True) if not match), "")
+        raise DataError(f'{path}, line 1: column "{unknown[:40]}" is no wavelength; columns as 550nm are needed')
+    wavelengths = [float(match[1]) for match in matches if match]
+    incident, measured = (cells.column(name) for name in _ANGLES)
+    for name, angle in zip(_ANGLES, (incident, measured), strict=True):
+        for row in np.flatnonzero(np.abs(angle) > 90)[:1]:
+            raise DataError(f"{cells.where(int(row))}: {name} = {angle[row]:g} lies outside +-90 degrees")
+    factor = np.column_stack([cells.column(name) for name in columns]).ravel()
+    theta_i, phi_i = fold(incident, 0.0)
+    theta_r, phi_r = fold(measured, 180.0)
+    count = len(columns)
+    blocked = factor == 0
+    notes = [
+        "the file holds reflectance factors R; brdf = R / pi",
+        "the format states no uncertainties and no solid angles",
+    ]
+    if blocked.any():
+        notes.append(f'{blocked.sum()} of {factor.size} values are zero: the zone around retro, flagged "blocked"')
+    return table(
+        theta_i_deg=np.repeat(theta_i, count),
+        phi_i_deg=np.repeat(phi_i, count),
+        theta_r_deg=np.repeat(theta_r, count),
+        phi_r_deg=np.repeat(phi_r, count),
+        wavelength_nm=np.tile(wavelengths, len(cells.rows)),
+        brdf=factor / math.pi,
+        flag=np.where(blocked, "blocked", ""),
+        attrs={"source_file": str(path), "sample": path.stem, "notes": notes},
+    )
+
+
+def write(frame: pd.DataFrame, path: Path) -> None:
+    """In-plane tables only; what is flagged is written as zero."""
+    angles, wavelengths, values = wide(frame, path, "a reflectance-factor table")
+    dphi = np.mod(angles[:, 3] - angles[:, 1], 360.0)
+    mirror, retro = np.abs(dphi - 180) < 1e-6, np.minimum(dphi, 360 - dphi) < 1e-6
+    at_normal = (angles[:, 2] == 0) | (angles[:, 0] == 0)
+    for row in np.flatnonzero(~(mirror | retro | at_normal))[:1]:
+        raise DataError(
+            f"{path}: a reflectance-factor table holds one plane, and phi_r - phi_i = {dphi[row]:g} degrees"
+        )
+    signed = np.where(retro, -angles[:, 2], angles[:, 2])
+    lines = [",".join(_ANGLES + [f"{nm!r}nm" for nm in wavelengths.tolist()])]
+    factors = np.nan_to_num(values * math.pi)
+    for incident, measured, row in zip(angles[:, 0].tolist(), signed.tolist(), factors.tolist(), strict=True):
+        lines.append(",".join(repr(value) for value in [incident, measured, *row]))
+    write_bytes(path, ("\n".join(lines) + "\n").encode())
+
+
+FORMAT = Format(
+    name="reflectance-factor",
+    title="reflectance-factor table",
+    endings=(".csv",),
+    sniff=lambda head: re.match(rb"(\xef\xbb\xbf)?\s*Incident_angle\s*,\s*Measure_angle\s*,", head) is not None,
+    read=read,
+    write=write,
+    carries=frozenset({"flag"}),
+)
