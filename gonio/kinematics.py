@@ -35,11 +35,16 @@ ROUNDING = 1e-12
 
 
 class Unreachable(ConfigError):
-    """A direction that a rig cannot measure; `flag` is the word for tables, the message is the reason for people."""
+    """A direction that a rig cannot measure.
 
-    def __init__(self, flag: str, reason: str) -> None:
+    `flag` is the word for tables, the message is the reason for people, and `cause` is the reason without the numbers
+    of this one point, so that points can be counted by it.
+    """
+
+    def __init__(self, flag: str, reason: str, cause: str = "") -> None:
         super().__init__(reason)
         self.flag = flag
+        self.cause = cause or reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +62,8 @@ class View:
     """Source and camera in the frame of the sample: origin at its centre, z its outward normal, x its x axis.
 
     Positions are in millimetres; `image_x` and `image_y` are the unit vectors along which columns and rows grow. The
-    optical axis points from the camera to the origin, and `image_x`, `image_y`, optical axis are right-handed: the image
-    is not mirrored. `image_y` lies along the axis of the arms.
+    optical axis points from the camera to the origin, and `image_x`, `image_y`, optical axis are right-handed: the
+    image is not mirrored. `image_y` lies along the axis of the arms.
     """
 
     source_mm: Array
@@ -131,21 +136,19 @@ def reach(description: RigDescription, d: Directions) -> Pose:
             raise Unreachable("below_horizon", f"{name} = {math.degrees(theta):g} deg is outside 0 to 90 deg")
     apart, cone = separation(d), blocked_cone(description)
     if apart < cone - ROUNDING:
-        raise Unreachable(
-            "blocked",
-            f"source and detector are {math.degrees(apart):.1f} deg apart; their bodies block the cone of "
-            f"{math.degrees(cone):.1f} deg around retro",
-        )
+        cause = f"the bodies of source and detector block {math.degrees(cone):.1f} deg around retro"
+        raise Unreachable("blocked", f"source and detector are {math.degrees(apart):.1f} deg apart: {cause}", cause)
     poses = _with_azimuth(description, d) if description.arms.azimuth is not None else _with_holder(description, d)
     fitting: list[Pose] = []
-    reasons: list[str] = []
+    failed: list[Unreachable] = []
     for pose in poses:
         try:
             fitting.append(_inside_limits(description, pose))
         except Unreachable as error:
-            reasons.append(str(error))
+            failed.append(error)
     if not fitting:
-        raise Unreachable("unreachable", min(reasons, key=len) if len(set(reasons)) == 1 else "; or ".join(reasons))
+        reasons, causes = (list(dict.fromkeys(each)) for each in (map(str, failed), (e.cause for e in failed)))
+        raise Unreachable("unreachable", "; or ".join(reasons), "; or ".join(causes))
     return min(fitting, key=_preference)
 
 
@@ -163,8 +166,8 @@ def _with_holder(description: RigDescription, d: Directions) -> list[Pose]:
         if abs(normal_to_arms[2]) > IN_PLANE and min(d.theta_i, d.theta_r) > IN_PLANE:
             raise Unreachable(
                 "unreachable",
-                "the detector lies out of the plane of incidence, and the rig has no axis for that: neither a tilt of the "
-                "holder nor an azimuth of the camera arm",
+                "the detector lies out of the plane of incidence, and the rig has no axis for that: neither a tilt of "
+                "the holder nor an azimuth of the camera arm",
             )
         normal_to_arms = _unit((normal_to_arms[0], normal_to_arms[1], 0.0))
     poses = []
@@ -204,11 +207,11 @@ def _without_spin(poses: list[Pose], d: Directions) -> list[Pose]:
     still = [pose for pose in poses if abs(math.sin(pose.spin / 2.0)) <= IN_PLANE]
     if not still:
         name, phi = ("phi_i", d.phi_i) if d.theta_i > IN_PLANE else ("phi_r", d.phi_r)
-        raise Unreachable(
-            "unreachable",
-            f"{name} = {math.degrees(phi) % 360.0:g} deg needs an axis that spins the sample, and the rig has none: its "
-            "arms stay in the plane of phi = 0 and 180 deg",
+        cause = (
+            f"{name} other than 0 and 180 deg needs an axis that spins the sample, and the rig has none: its arms "
+            "stay in one plane"
         )
+        raise Unreachable("unreachable", f"{name} = {math.degrees(phi) % 360.0:g} deg; {cause}", cause)
     return [Pose(light=p.light, camera=p.camera, tilt=p.tilt, azimuth=p.azimuth) for p in still]
 
 
@@ -231,11 +234,8 @@ def _inside_limits(description: RigDescription, pose: Pose) -> Pose:
                 values[name] = min(max(value, lower), upper)
                 break
         else:
-            raise Unreachable(
-                "unreachable",
-                f"the {NAMES[name]} would stand at {math.degrees(values[name]):.2f} deg; its limits are "
-                f"{lower_deg:g} to {upper_deg:g} deg",
-            )
+            cause = f"outside the limits {lower_deg:g} to {upper_deg:g} deg of the {NAMES[name]}"
+            raise Unreachable("unreachable", f"{math.degrees(values[name]):.2f} deg is {cause}", cause)
     return Pose(**values)
 
 

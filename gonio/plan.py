@@ -1,0 +1,391 @@
+"""What to measure: plan files, the points they stand for, and the numbered steps that a rig makes of them.
+
+A plan knows nothing of a rig, so that one plan can run on several. `assess` says which of its points a rig can reach,
+and why not the others; `schedule` makes the fixed list of steps that a run is (docs/acquisition.md).
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import math
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, ValidationError, field_validator, model_validator
+
+from gonio.config import Strict, parse, read_toml
+from gonio.description import Axis, Band, Positive, RigDescription
+from gonio.errors import ConfigError
+from gonio.kinematics import Directions, Unreachable, reach
+from gonio.rig import Pose, Step
+
+ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
+MAX_POINTS = 1_000_000
+SAME_DEG = 1e-7
+"""Points closer than this in every angle [deg] are one point: above rounding, and far below an encoder's step."""
+GRAZING_DEG = 1e-6
+EXPECTED_ALBEDO = 0.5
+"""What time estimates take the sample for."""
+
+
+class Range(Strict):
+    """Equally spaced angles [deg], both ends included where the step meets them."""
+
+    start: float
+    stop: float
+    step: Annotated[float, Field(gt=0)]
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Range:
+        if self.stop < self.start:
+            raise ValueError("a range needs start <= stop")
+        if (self.stop - self.start) / self.step > MAX_POINTS:
+            raise ValueError(f"a range of more than {MAX_POINTS} angles; take a larger step")
+        return self
+
+    def values(self) -> list[float]:
+        """The angles, free of accumulated rounding."""
+        count = math.floor((self.stop - self.start) / self.step * (1 + 1e-12) + 1e-9) + 1
+        return [round(self.start + k * self.step, 9) for k in range(count)]
+
+
+AngleList = Annotated[tuple[float, ...], Field(min_length=1)]
+
+
+class Sweep(Strict):
+    """Every combination of its angles; in the plane of incidence unless `dphi_deg` is given."""
+
+    theta_i_deg: AngleList
+    theta_r_deg: AngleList
+    """Without `dphi_deg` signed: positive on the mirror side, negative on the retro side."""
+    dphi_deg: AngleList | None = None
+    """phi_r - phi_i: 0 is retro, 180 the mirror half-plane. A negative theta_r lies on the opposite side."""
+
+    @field_validator("theta_i_deg", "theta_r_deg", "dphi_deg", mode="before")
+    @classmethod
+    def _expanded(cls, value: object) -> object:
+        if isinstance(value, dict):
+            try:
+                return Range.model_validate(value).values()
+            except ValidationError as error:
+                item = error.errors()[0]
+                where = ".".join(map(str, item["loc"]))
+                unknown = item["type"] == "extra_forbidden"
+                what = "unknown key; a range has start, stop and step" if unknown else item["msg"]
+                raise ValueError(f"{where}: {what}".removeprefix(": Value error, ")) from None
+        if isinstance(value, list) and not value:
+            raise ValueError("the list is empty; give angles in degrees, or { start = ..., stop = ..., step = ... }")
+        if not isinstance(value, list):
+            raise ValueError("give a list of angles in degrees, or { start = ..., stop = ..., step = ... }")
+        return value
+
+    @field_validator("theta_i_deg")
+    @classmethod
+    def _incidence(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        for angle in value:
+            if not 0 <= angle <= 90:
+                raise ValueError(f"{angle:g} deg is outside 0 to 90 deg: theta_i is counted from the normal")
+        return value
+
+    @field_validator("theta_r_deg")
+    @classmethod
+    def _reflection(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        for angle in value:
+            if not -90 <= angle <= 90:
+                raise ValueError(
+                    f"{angle:g} deg is outside -90 to 90 deg: theta_r is counted from the normal, "
+                    "positive on the mirror side"
+                )
+        return value
+
+    @field_validator("dphi_deg")
+    @classmethod
+    def _azimuth(cls, value: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        for angle in value or ():
+            if not -360 <= angle <= 360:
+                raise ValueError(f"{angle:g} deg is outside -360 to 360 deg")
+        return value
+
+
+class PointsFile(Strict):
+    file: str
+    """A CSV with the four angle columns, beside the plan."""
+
+
+class PlanFile(Strict):
+    """A plan.toml."""
+
+    name: str
+    wavelength_nm: Annotated[tuple[Positive, ...], Field(min_length=1)]
+    sweep: tuple[Sweep, ...] = ()
+    points: tuple[PointsFile, ...] = ()
+
+    @field_validator("wavelength_nm", mode="before")
+    @classmethod
+    def _some_wavelength(cls, value: object) -> object:
+        if isinstance(value, list) and not value:
+            raise ValueError("the list is empty; give at least one wavelength in nanometres")
+        return value
+
+    @model_validator(mode="after")
+    def _something(self) -> PlanFile:
+        if not self.sweep and not self.points:
+            raise ValueError("the plan has no points; add a [[sweep]] or a [[points]] table")
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """A point of a plan in canonical angles [deg]: theta in [0, 90], phi in [0, 360)."""
+
+    theta_i_deg: float
+    phi_i_deg: float
+    theta_r_deg: float
+    phi_r_deg: float
+
+    @property
+    def directions(self) -> Directions:
+        """The directions of source and detector [rad]."""
+        return Directions(*(math.radians(getattr(self, name)) for name in ANGLES))
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What to measure: points in the order of the plan, and wavelengths."""
+
+    name: str
+    wavelength_nm: tuple[float, ...]
+    points: tuple[Point, ...]
+    repeated: int
+    """How many further points of the plan were the same as one before; each is measured once."""
+    source: str
+
+    @property
+    def sha256(self) -> str:
+        """What tells plans apart: a hash of points and wavelengths; name, comments and layout are free."""
+        content = [list(self.wavelength_nm), [[getattr(p, name) for name in ANGLES] for p in self.points]]
+        return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+
+    def bands(self, description: RigDescription) -> tuple[Band, ...]:
+        """The rig's bands that contain the plan's wavelengths, each once.
+
+        Raises
+        ------
+        ConfigError
+            A wavelength lies in no band of the rig.
+        """
+        try:
+            return tuple(dict.fromkeys(description.bands.containing(w) for w in self.wavelength_nm))
+        except ConfigError as error:
+            raise ConfigError(f"{self.source}: {error}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class Assessed:
+    """A point as one rig sees it: its pose, or why there is none."""
+
+    point: Point
+    pose: Pose | None
+    flag: str = ""
+    reason: str = ""
+    cause: str = ""
+    """The reason without the numbers of this one point."""
+
+
+def load_plan(path: str | Path) -> Plan:
+    """Read and check a plan.toml and the point lists that it names.
+
+    Raises
+    ------
+    ConfigError
+        A file is missing or wrong; the message names file, key, value and remedy.
+    """
+    path = Path(path)
+    file = parse(PlanFile, read_toml(path), path)
+    every = [point for sweep in file.sweep for point in _combinations(sweep)]
+    for table in file.points:
+        every += read_points(path.parent / table.file)
+    if len(every) > MAX_POINTS:
+        raise ConfigError(f"{path}: the plan has {len(every)} points; at most {MAX_POINTS} fit into one run")
+    first: dict[tuple[int, ...], Point] = {}
+    for point in every:
+        first.setdefault(_identity(point), point)
+    return Plan(file.name, file.wavelength_nm, tuple(first.values()), len(every) - len(first), str(path))
+
+
+def read_points(path: Path) -> list[Point]:
+    """The points of a CSV with the columns theta_i_deg, phi_i_deg, theta_r_deg, phi_r_deg (others are passed over).
+
+    Raises
+    ------
+    ConfigError
+        The file is missing, a column is missing, or an angle is not a number or out of range (with its line).
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: there is no such file (a plan's `file` is looked up beside the plan)") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read as a table of points: {error}") from None
+    lines = csv.DictReader(io.StringIO(text), skipinitialspace=True)
+    missing = [name for name in ANGLES if name not in (lines.fieldnames or ())]
+    if missing:
+        raise ConfigError(
+            f"{path}: the column {missing[0]} is missing; a list of points needs {', '.join(ANGLES)}, in degrees"
+        )
+    points = []
+    for row in lines:
+        values = {}
+        for name in ANGLES:
+            try:
+                values[name] = float(row[name])
+            except (TypeError, ValueError):
+                values[name] = math.nan
+            limit = 90.0 if name.startswith("theta") else 360.0
+            if not abs(values[name]) <= limit:
+                raise ConfigError(
+                    f"{path}: line {lines.line_num}: {name} = {row[name]!r}; "
+                    f"allowed are numbers from {-limit:g} to {limit:g}"
+                )
+        points.append(_canonical(*values.values()))
+    if not points:
+        raise ConfigError(f"{path}: holds no points")
+    return points
+
+
+def assess(plan: Plan, description: RigDescription) -> list[Assessed]:
+    """Every point of the plan, in order, with its pose on a rig, or with the flag and the reason why it has none."""
+    out = []
+    for point in plan.points:
+        try:
+            if point.theta_i_deg > 90.0 - GRAZING_DEG:
+                raise Unreachable("grazing", "theta_i = 90 deg: no light falls on the sample")
+            if point.theta_r_deg > 90.0 - GRAZING_DEG:
+                raise Unreachable("grazing", "theta_r = 90 deg: the sample is seen edge-on")
+            out.append(Assessed(point, reach(description, point.directions)))
+        except Unreachable as error:
+            out.append(Assessed(point, None, error.flag, str(error), error.cause))
+    return out
+
+
+def reference_pose(description: RigDescription) -> Pose:
+    """The pose for visits to the white reference.
+
+    Raises
+    ------
+    ConfigError
+        The rig cannot reach the geometry that its own file asks for.
+    """
+    reference = description.reference
+    point = _canonical(reference.theta_i_deg, 0.0, reference.theta_r_deg, 180.0)
+    try:
+        return reach(description, point.directions)
+    except Unreachable as error:
+        raise ConfigError(
+            f'rig "{description.name}": [reference] theta_i_deg = {reference.theta_i_deg:g}, '
+            f"theta_r_deg = {reference.theta_r_deg:g} cannot be reached: {error}"
+        ) from None
+
+
+def schedule(plan: Plan, description: RigDescription, points: list[Assessed] | None = None) -> list[Step]:
+    """The numbered steps of a run: darks, a reference visit, points with a visit every `reference.every`, a last visit.
+
+    Parameters
+    ----------
+    plan, description
+        What to measure, and on which rig.
+    points : list of Assessed, optional
+        What `assess` made of them, where it has been called already.
+
+    Raises
+    ------
+    ConfigError
+        No point can be reached, or the reference cannot.
+    """
+    points = assess(plan, description) if points is None else points
+    reachable = [(row, a.pose) for row, a in enumerate(points) if a.pose is not None]
+    if not reachable:
+        reasons = "".join(f"\n  {count} {flag}: {cause}" for (flag, cause), count in count_reasons(points)[:3])
+        raise ConfigError(f'{plan.source}: no point can be reached on the rig "{description.name}":{reasons}')
+    at_reference, every = reference_pose(description), description.reference.every
+    steps = [Step(0, "dark"), Step(1, "reference", pose=at_reference)]
+    for count, (row, pose) in enumerate(reachable, 1):
+        steps.append(Step(len(steps), "point", row, pose))
+        if count == len(reachable) or (every and count % every == 0):
+            steps.append(Step(len(steps), "reference", pose=at_reference))
+    return steps
+
+
+def count_reasons(points: list[Assessed]) -> list[tuple[tuple[str, str], int]]:
+    """How many points are not measured for which (flag, cause), the most frequent first."""
+    return Counter((a.flag, a.cause) for a in points if a.pose is None).most_common()
+
+
+def estimate_s(steps: list[Step], description: RigDescription, bands: int) -> float:
+    """How long a run takes [s] on the rig's own clock, for a matt sample of albedo 0.5, prompts and settling apart."""
+    from gonio.exposure import dark_exposures_s, expected_exposure_s
+
+    camera, acquisition = description.camera, description.acquisition
+    frame = camera.frame_overhead_s
+    total, here = description.lamp.warm_up_s, Pose()
+    for step in steps:
+        if step.kind == "dark":
+            total += sum(acquisition.dark_frames * (t + frame) for t in dark_exposures_s(description))
+            continue
+        total += _move_s(here, step.pose, description)
+        here = step.pose
+        if step.kind == "reference":
+            exposure = expected_exposure_s(description, step.pose, 1.0)
+            total += bands * (description.reference.frames + 1) * (exposure + frame)
+        else:
+            exposure = expected_exposure_s(description, step.pose, EXPECTED_ALBEDO)
+            total += bands * ((acquisition.frames + 1.25) * exposure + (acquisition.frames + 2) * frame)
+    return total
+
+
+def _move_s(start: Pose, goal: Pose, description: RigDescription) -> float:
+    arms, holder = description.arms, description.holder
+    axes: dict[str, Axis | None] = {
+        "light": arms.light,
+        "camera": arms.camera,
+        "tilt": holder,
+        "spin": holder,
+        "azimuth": arms.azimuth,
+    }
+    approach = 2.0 * description.acquisition.approach_deg
+    times = [
+        (math.degrees(abs(getattr(goal, name) - getattr(start, name))) + approach) / axis.speed_deg_per_s
+        for name, axis in axes.items()
+        if axis is not None and getattr(goal, name) != getattr(start, name)
+    ]
+    return max(times, default=0.0)
+
+
+def _combinations(sweep: Sweep) -> list[Point]:
+    """In plane: a scan of theta_r for each theta_i. Out of plane: for each theta_i and dphi a scan of theta_r."""
+    if sweep.dphi_deg is None:
+        return [_canonical(i, 0.0, r, 180.0) for i in sweep.theta_i_deg for r in sweep.theta_r_deg]
+    return [_canonical(i, 0.0, r, d) for i in sweep.theta_i_deg for d in sweep.dphi_deg for r in sweep.theta_r_deg]
+
+
+def _canonical(theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> Point:
+    """Signed angles [deg] to theta in [0, 90] and phi in [0, 360): (-theta, phi) is (theta, phi + 180)."""
+    phi_i, phi_r = phi_i + 180.0 * (theta_i < 0), phi_r + 180.0 * (theta_r < 0)
+    return Point(abs(theta_i), _turn(phi_i), abs(theta_r), _turn(phi_r))
+
+
+def _turn(phi: float) -> float:
+    out = round(phi % 360.0, 9)
+    return out if out < 360.0 else 0.0
+
+
+def _identity(point: Point) -> tuple[int, ...]:
+    """Equal for points with the same directions; along the normal the azimuth means nothing."""
+    i, pi, r, pr = (round(getattr(point, name) / SAME_DEG) for name in ANGLES)
+    turn = round(360.0 / SAME_DEG)
+    return (i, pi % turn if i else 0, r, pr % turn if r else 0)
