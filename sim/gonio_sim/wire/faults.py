@@ -1,0 +1,102 @@
+"""Faults by name: what goes wrong on the wire, in a servo, in the lamp, at the camera.
+
+A fault is armed for the next event that it concerns (or the next `times` of them) and is spent by it; `Faults.fired`
+tells what has happened.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from gonio.errors import ConfigError
+
+if TYPE_CHECKING:
+    from gonio_sim.wire.servo import Servo
+
+WIRE = ("silence", "late-reply", "corrupt-crc", "truncated-packet", "noise")
+SERVO = ("stall", "overheat", "dropout", "reboot", "voltage-alarm")
+LAMP = ("lamp-nak", "lamp-silent", "lamp-reset")
+CAMERA = ("file-late", "file-truncated", "wrong-exposure", "file-duplicate", "file-missing")
+NAMES = WIRE + SERVO + LAMP + CAMERA
+
+LATE_S = 0.040
+"""A late reply comes after the SDK has given up (34 ms) and before a careless driver has asked again."""
+FILE_LATE_S = 1.5
+
+
+@dataclass(slots=True)
+class Armed:
+    """A fault that waits for its event."""
+
+    name: str
+    servo: int | None
+    times: int
+
+
+class Faults:
+    """The faults that are armed on one bench; safe to use from several threads."""
+
+    def __init__(self) -> None:
+        self._armed: list[Armed] = []
+        self._lock = threading.Lock()
+        self.fired: list[str] = []
+
+    def arm(self, name: str, *, servo: int | None = None, times: int = 1) -> None:
+        """Let a fault happen at its next `times` events (of one servo, where `servo` gives its id).
+
+        Raises
+        ------
+        ConfigError
+            There is no fault of that name.
+        """
+        if name not in NAMES:
+            raise ConfigError(f'there is no fault "{name}"; known: {", ".join(NAMES)}')
+        with self._lock:
+            self._armed.append(Armed(name, servo, times))
+
+    def take(self, *names: str, servo: int | None = None) -> str | None:
+        """The first armed fault among `names` that concerns this event; it is spent."""
+        with self._lock:
+            for armed in self._armed:
+                if armed.name in names and (armed.servo is None or servo is None or armed.servo == servo):
+                    armed.times -= 1
+                    if armed.times <= 0:
+                        self._armed.remove(armed)
+                    self.fired.append(armed.name)
+                    return armed.name
+        return None
+
+    def on_status(self, servo: Servo, status: bytes) -> list[tuple[float, bytes]]:
+        """What a status packet becomes on the wire: delays [s] and bytes."""
+        fault = self.take(*SERVO, *WIRE, servo=servo.id)
+        if fault == "silence":
+            return []
+        if fault == "late-reply":
+            return [(LATE_S, status)]
+        if fault == "corrupt-crc":
+            return [(0.0, status[:-1] + bytes([status[-1] ^ 0x5A]))]
+        if fault == "truncated-packet":
+            return [(0.0, status[: len(status) // 2])]
+        if fault == "noise":
+            return [(0.0, b"\x00\xff\xff\xfd\x13\x37\xff" + status)]
+        if fault is not None:
+            strike(servo, fault)
+            if fault in ("dropout", "reboot"):
+                return []
+        return [(0.0, status)]
+
+
+def strike(servo: Servo, fault: str) -> None:
+    """Let something happen to a servo itself."""
+    if fault == "stall":
+        servo.block()
+    elif fault == "overheat":
+        servo.temperature_c = servo.get("Temperature Limit") + 5
+    elif fault == "voltage-alarm":
+        servo.supply_dv = servo.get("Min Voltage Limit") - 6
+    elif fault == "dropout":
+        servo.lose_power()
+    elif fault == "reboot":
+        servo.restart()

@@ -1,0 +1,104 @@
+"""A serial peer on a pseudo-terminal: what is plugged in at the other end of the cable."""
+
+from __future__ import annotations
+
+import os
+import select
+import termios
+import threading
+import time
+import tty
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+Clock = Callable[[], float]
+
+BAUD_RATES = {
+    getattr(termios, name): int(name[1:])
+    for name in dir(termios)
+    if name.startswith("B") and name[1:].isdigit() and name != "B0"
+}
+
+
+class Device(Protocol):
+    """What sits behind the terminal."""
+
+    def receive(self, data: bytes, baud: int, send: Callable[[bytes], None]) -> None:
+        """Take bytes that arrived at a line speed; answer with `send`."""
+
+
+class SerialPeer:
+    """Serves one device on a pseudo-terminal from a thread, until it is closed.
+
+    The slave end is kept open, so that a driver may close and open its port as it likes (`setBaudRate` does).
+
+    Parameters
+    ----------
+    device
+        What answers.
+    link
+        Where to put a symbolic link to the terminal; removed on closing.
+    """
+
+    def __init__(self, device: Device, link: Path | None = None) -> None:
+        self.device = device
+        self._link = link
+        self._master = self._slave = -1
+        self._wake = (-1, -1)
+        self._thread: threading.Thread | None = None
+        self.port = ""
+        self.failure: BaseException | None = None
+
+    def __enter__(self) -> Self:
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        self._wake = os.pipe()
+        self.port = os.ttyname(self._slave)
+        if self._link is not None:
+            if self._link.is_symlink():
+                self._link.unlink()
+            self._link.symlink_to(self.port)
+            self.port = str(self._link)
+        self._thread = threading.Thread(target=self._serve, name=f"twin on {self.port}", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        os.write(self._wake[1], b"x")
+        if self._thread is not None:
+            self._thread.join()
+        for descriptor in (self._master, self._slave, *self._wake):
+            os.close(descriptor)
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+        if self.failure is not None and error is None:
+            raise self.failure
+
+    def send(self, data: bytes) -> None:
+        """Put bytes on the line, whatever was asked (noise, banners)."""
+        os.write(self._master, data)
+
+    def baud(self) -> int:
+        """The line speed that the other side has set; 0 where it is none of the standard ones."""
+        return BAUD_RATES.get(termios.tcgetattr(self._slave)[4], 0)
+
+    def _serve(self) -> None:
+        try:
+            while True:
+                ready, _, _ = select.select([self._master, self._wake[0]], [], [])
+                if self._wake[0] in ready:
+                    return
+                data = os.read(self._master, 4096)
+                self.device.receive(data, self.baud(), self.send)
+        except BaseException as failure:  # shown when the peer is closed: a thread has nobody to raise to
+            self.failure = failure
+
+
+def scaled_clock(scale: float) -> Clock:
+    """A clock that starts at 0 and runs `scale` times faster than wall time [s]."""
+    start = time.monotonic()
+    return lambda: (time.monotonic() - start) * scale

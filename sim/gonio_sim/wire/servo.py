@@ -1,0 +1,405 @@
+"""A Dynamixel servo of the X series: its control table, its rules, its shaft, its health.
+
+Written from the e-Manual, from the device's side. Motion and health run on the twin's clock; the return delay and
+the bus watchdog, which belong to the wire, run on wall time.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from gonio_sim.wire import motion, tables
+from gonio_sim.wire import protocol2 as p2
+from gonio_sim.wire.peer import Clock
+
+NO_LOAD = 1.0e6
+"""Acceleration where no profile limits it [counts/s^2]."""
+STALL_TO_OVERLOAD_S = 2.0
+BOOT_S = 0.5
+POSITION_MODES = (3, 4, 5)
+LIMITED = (("Goal Velocity", "Velocity Limit"), ("Goal Current", "Current Limit"), ("Goal PWM", "PWM Limit"))
+
+VOLTAGE, OVERHEATING, OVERLOAD = 0x01, 0x04, 0x20
+AMBIENT_C, SUPPLY_DV = 34, 120
+
+
+@dataclass(frozen=True, slots=True)
+class Mechanics:
+    """What the shaft does that its owner would rather not have."""
+
+    short_counts: float = 0.0
+    """Friction: without I gain the shaft stops this far before its goal, and does not leave for less [counts]."""
+    noise_counts: float = 0.0
+    """Amplitude of the readback's flicker at rest [counts]."""
+
+
+class Refused(Exception):
+    """An instruction ends with an error number in its status packet."""
+
+    def __init__(self, error: int) -> None:
+        super().__init__(error)
+        self.error = error
+
+
+class Servo:
+    """One servo.
+
+    Parameters
+    ----------
+    identity, model, baud
+        What its owner has set: ID, model name as "xm430-w350", line speed.
+    clock
+        The twin's clock [s].
+    position
+        Where the shaft stands when the power comes [counts].
+    """
+
+    def __init__(
+        self,
+        identity: int,
+        clock: Clock,
+        *,
+        model: str = "xm430-w350",
+        baud: int = 57_600,
+        position: float = 2048.0,
+        mechanics: Mechanics | None = None,
+    ) -> None:
+        self.table = tables.table(model)
+        self.mechanics = mechanics or Mechanics()
+        self._clock = clock
+        self._memory = bytearray(self.table.size)
+        for name, value in self.table.factory.items():
+            self._put(name, value)
+        self._put("ID", identity)
+        self._put("Baud Rate", {rate: code for code, rate in tables.BAUD_CODES.items()}[baud])
+        self._path = motion.rest(clock(), position)
+        self._aim = position
+        self._registered: tuple[int, bytes] | None = None
+        self._blocked_at: float | None = None
+        self._stalled_since: float | None = None
+        self._back_at: float | None = None
+        self._watched = 0.0
+        self.powered = True
+        self.temperature_c = AMBIENT_C
+        self.supply_dv = SUPPLY_DV
+        self._power_up()
+
+    # ---- what the bench sees and does ----
+
+    @property
+    def id(self) -> int:
+        return self.get("ID")
+
+    @property
+    def baud(self) -> int:
+        return tables.BAUD_CODES[self.get("Baud Rate")]
+
+    @property
+    def torque(self) -> bool:
+        return bool(self.get("Torque Enable"))
+
+    @property
+    def answers(self) -> bool:
+        """Powered, and not booting."""
+        return self.powered and (self._back_at is None or self._clock() >= self._back_at)
+
+    def shaft(self) -> tuple[float, float]:
+        """Position [counts] and velocity [counts/s] of the shaft, now."""
+        if self._blocked_at is not None:
+            return self._blocked_at, 0.0
+        return self._path.at(self._clock())
+
+    def moves(self) -> bool:
+        """Whether the shaft turns now, or would turn if nothing blocked it."""
+        return self._clock() < self._path.end_s or abs(self._path.at(self._clock())[1]) > 0
+
+    def block(self) -> None:
+        """Something holds the shaft from now on."""
+        self._blocked_at = self.shaft()[0]
+
+    def unblock(self) -> None:
+        """Let it go; it follows its goal again if it has torque."""
+        if self._blocked_at is not None:
+            self._path = motion.rest(self._clock(), self._blocked_at)
+            self._blocked_at = self._stalled_since = None
+            if self.torque:
+                self._drive()
+
+    def lose_power(self) -> None:
+        """Drop out of the bus."""
+        self._release()
+        self.powered = False
+
+    def restart(self) -> None:
+        """Boot: RAM falls back to its defaults, torque is off, and nothing answers for half a second."""
+        self._release()
+        self._power_up()
+        self._back_at = self._clock() + BOOT_S
+
+    def get(self, name: str) -> int:
+        """The value of an item, as its owner means it (signed where it is)."""
+        item = self.table.items[name]
+        return int.from_bytes(self._memory[item.address : item.address + item.size], "little", signed=item.signed)
+
+    # ---- instructions ----
+
+    def ping(self) -> bytes:
+        """Model number and firmware version, as a ping returns them."""
+        return bytes(self._memory[0:2] + self._memory[6:7])
+
+    @property
+    def error(self) -> int:
+        """The error byte of a good status packet: the alert bit while a hardware error stands."""
+        self._look()
+        return p2.ALERT if self.get("Hardware Error Status") else 0
+
+    def read(self, address: int, length: int) -> bytes:
+        """Bytes of the control table."""
+        starts = {item.address + k for item in self.table.items.values() for k in range(item.size)}
+        if length < 1 or address not in starts or address + length > self.table.size:
+            raise Refused(p2.ACCESS_ERROR)
+        self._refresh()
+        data = bytearray(self._memory[address : address + length])
+        for k in range(length):
+            target = self._indirect(address + k)
+            if target != address + k:
+                data[k] = self._memory[target]
+        return bytes(data)
+
+    def write(self, address: int, data: bytes) -> None:
+        """Change the control table, all of it or (with `Refused`) nothing."""
+        pairs = self._items(self._follow(address, data), data)
+        for item, value in pairs:
+            self._check(item, value)
+        for item, value in pairs:
+            self._set(item.name, value)
+
+    def register(self, address: int, data: bytes) -> None:
+        """Keep a write for `action`."""
+        for item, value in self._items(address, data):
+            self._check(item, value)
+        self._registered = (address, data)
+        self._put("Registered Instruction", 1)
+
+    def action(self) -> None:
+        """Carry out what was registered."""
+        if self._registered is None:
+            raise Refused(p2.INSTRUCTION_ERROR)
+        address, data = self._registered
+        self._registered = None
+        self._put("Registered Instruction", 0)
+        self.write(address, data)
+
+    def reset(self, option: int) -> None:
+        """Factory values: 0xFF all, 0x01 all except ID, 0x02 all except ID and baud rate."""
+        if option not in (0xFF, 0x01, 0x02):
+            raise Refused(p2.RANGE_ERROR)
+        if self.torque:
+            raise Refused(p2.RESULT_FAIL)
+        keep = {0xFF: (), 0x01: ("ID",), 0x02: ("ID", "Baud Rate")}[option]
+        kept = {name: self.get(name) for name in keep}
+        for name, item in self.table.items.items():
+            if item.writable:
+                self._put(name, kept.get(name, self.table.factory.get(name, 0)))
+        self.restart()
+
+    def clear_turns(self) -> None:
+        """Forget whole turns; only at rest."""
+        position, velocity = self.shaft()
+        if velocity != 0:
+            raise Refused(p2.RESULT_FAIL)
+        self._path = motion.rest(self._clock(), position % tables.COUNTS)
+        self._aim = position % tables.COUNTS
+
+    def heard(self, wall_s: float) -> None:
+        """Called for every instruction packet on the bus: the bus watchdog counts silence in wall time."""
+        timeout = self.get("Bus Watchdog") * 0.020
+        if timeout > 0 and self.torque and wall_s - self._watched > timeout:
+            self._put("Bus Watchdog", -1)
+            self._halt()
+        self._watched = wall_s
+
+    # ---- memory ----
+
+    def _put(self, name: str, value: int) -> None:
+        item = self.table.items[name]
+        raw = (value % (1 << 8 * item.size)).to_bytes(item.size, "little")
+        self._memory[item.address : item.address + item.size] = raw
+
+    def _power_up(self) -> None:
+        for name, item in self.table.items.items():
+            if item.address >= tables.EEPROM_END and item.writable:
+                self._put(name, self.table.factory.get(name, 0))
+        for goal, limit in LIMITED:
+            if goal in self.table.items and limit in self.table.items:
+                self._put(goal, self.get(limit))
+        self._put("Hardware Error Status", 0)
+        self._put("Registered Instruction", 0)
+        self._registered = None
+        self._stalled_since = None
+        position = self.shaft()[0] % tables.COUNTS   # whole turns are forgotten
+        self._path = motion.rest(self._clock(), position)
+        self._aim = position
+        self._put("Goal Position", round(position) + self._offset)
+
+    @property
+    def _offset(self) -> int:
+        offset = self.get("Homing Offset")
+        return max(-1024, min(1024, offset)) if self.get("Operating Mode") == 3 else offset
+
+    def _indirect(self, address: int) -> int:
+        """Where an indirect data byte points to; any other address is itself."""
+        for first, table, data in ((1, 168, 224), (29, 578, 634)):
+            if data <= address < data + 28 and f"Indirect Data {first}" in self.table.items:
+                return int.from_bytes(self._memory[table + 2 * (address - data) :][:2], "little")
+        return address
+
+    def _follow(self, address: int, data: bytes) -> int:
+        """The address that a write to indirect data means: the run of bytes must be contiguous behind it."""
+        target = self._indirect(address)
+        if any(self._indirect(address + k) != target + k for k in range(len(data))):
+            raise Refused(p2.ACCESS_ERROR)
+        return target
+
+    def _items(self, address: int, data: bytes) -> list[tuple[tables.Item, int]]:
+        at = {item.address: item for item in self.table.items.values()}
+        out, position = [], 0
+        if not data:
+            raise Refused(p2.LENGTH_ERROR)
+        while position < len(data):
+            item = at.get(address + position)
+            if item is None or not item.writable:
+                raise Refused(p2.ACCESS_ERROR)
+            if position + item.size > len(data):
+                raise Refused(p2.LENGTH_ERROR)
+            raw = data[position : position + item.size]
+            out.append((item, int.from_bytes(raw, "little", signed=item.signed)))
+            position += item.size
+        return out
+
+    def _check(self, item: tables.Item, value: int) -> None:
+        name = item.name
+        if item.address < tables.EEPROM_END and self.torque:
+            raise Refused(p2.ACCESS_ERROR)
+        low, high = tables.RANGES.get(name, (-(1 << 31), 1 << 32))
+        if name == "Current Limit":
+            high = self.table.factory.get(name, high)
+        if name == "Operating Mode" and value not in tables.MODES:
+            raise Refused(p2.RANGE_ERROR)
+        if not low <= value <= high:
+            raise Refused(p2.RANGE_ERROR)
+        limits = self.get("Min Position Limit"), self.get("Max Position Limit")
+        if name == "Goal Position" and self.get("Operating Mode") == 3 and not limits[0] <= value <= limits[1]:
+            raise Refused(p2.LIMIT_ERROR)
+        for goal, limit in LIMITED:
+            if name == goal and abs(value) > self.get(limit):
+                raise Refused(p2.LIMIT_ERROR)
+        if name in ("Goal Position", "Goal Velocity", "Goal Current", "Goal PWM") and self.get("Bus Watchdog") == -1:
+            raise Refused(p2.RANGE_ERROR)   # read-only until the watchdog is cleared
+        if name == "Torque Enable" and value == 1 and self._shut_down():
+            raise Refused(p2.RESULT_FAIL)
+
+    def _set(self, name: str, value: int) -> None:
+        before = self.torque
+        self._put(name, value)
+        if name == "Torque Enable" and bool(value) != before:
+            if value:
+                self._drive()
+            else:
+                self._release()
+        elif name in ("Goal Position", "Goal Velocity") and self.torque:
+            self._drive()
+        elif name == "Operating Mode":
+            self._put("Goal Position", round(self.shaft()[0]) + self._offset)
+
+    # ---- shaft ----
+
+    def _limits(self) -> tuple[float, float]:
+        fastest = self.get("Velocity Limit") * tables.RPM
+        speed = self.get("Profile Velocity") * tables.RPM or fastest
+        acceleration = self.get("Profile Acceleration") * tables.RPM2 or NO_LOAD
+        return min(speed, fastest), acceleration
+
+    def _drive(self) -> None:
+        """Make for what the goal registers say."""
+        now = self._clock()
+        position, velocity = self._path.at(now)
+        mode = self.get("Operating Mode")
+        speed, acceleration = self._limits()
+        if mode in POSITION_MODES:
+            self._aim = goal = float(self.get("Goal Position") - self._offset)
+            short = self.mechanics.short_counts if self.get("Position I Gain") == 0 else 0.0
+            if abs(goal - position) <= short and velocity == 0:
+                self._path = motion.rest(now, position)
+            else:
+                there = goal - math.copysign(short, goal - position)
+                self._path = motion.to_position(now, position, velocity, there, speed, acceleration)
+        elif mode == 1:
+            self._path = motion.to_speed(now, position, velocity, self.get("Goal Velocity") * tables.RPM, acceleration)
+
+    def _halt(self) -> None:
+        position, _ = self.shaft()
+        self._path = motion.rest(self._clock(), position)
+
+    def _release(self) -> None:
+        self._halt()
+        self._put("Torque Enable", 0)
+
+    # ---- health ----
+
+    def _shut_down(self) -> bool:
+        return bool(self.get("Hardware Error Status") & self.get("Shutdown"))
+
+    def _look(self) -> None:
+        """Bring the hardware-error byte up to date."""
+        now = self._clock()
+        error = self.get("Hardware Error Status")
+        if self.temperature_c > self.get("Temperature Limit"):
+            error |= OVERHEATING
+        if not self.get("Min Voltage Limit") <= self.supply_dv <= self.get("Max Voltage Limit"):
+            error |= VOLTAGE
+        if self._pushes():
+            self._stalled_since = now if self._stalled_since is None else self._stalled_since
+            if now - self._stalled_since > STALL_TO_OVERLOAD_S:
+                error |= OVERLOAD
+        else:
+            self._stalled_since = None
+        self._put("Hardware Error Status", error)
+        if self.torque and self._shut_down():
+            self._release()
+
+    def _pushes(self) -> bool:
+        """Against what blocks it."""
+        if self._blocked_at is None or not self.torque:
+            return False
+        return abs(self._path.at(self._clock())[0] - self._blocked_at) > max(10.0, self.mechanics.short_counts)
+
+    def _refresh(self) -> None:
+        """Write what is measured into the table."""
+        self._look()
+        now = self._clock()
+        position, velocity = self.shaft()
+        planned, planned_velocity = self._path.at(now)
+        flicker = self.mechanics.noise_counts * math.sin(1e3 * now) if velocity == 0 else 0.0
+        units = round(velocity / tables.RPM)
+        self._put("Present Position", round(position + flicker) + self._offset)
+        self._put("Present Velocity", units)
+        self._put("Moving", int(abs(units) > self.get("Moving Threshold")))
+        underway = now < self._path.end_s
+        arrived = not underway and abs(position - self._aim) < 20
+        self._put("Moving Status", int(arrived) | int(underway) << 1 | 0x30)
+        self._put("Velocity Trajectory", round(planned_velocity / tables.RPM))
+        self._put("Position Trajectory", round(planned) + self._offset)
+        self._put("Present Input Voltage", self.supply_dv)
+        self._put("Present Temperature", self.temperature_c)
+        self._put("Realtime Tick", int(now * 1000) % 32768)
+        load = "Present Current" if "Present Current" in self.table.items else "Present Load"
+        effort = 0
+        if self.torque:
+            full = self.get("Goal Current") if "Goal Current" in self.table.items else 1000
+            error = self._aim - position
+            light = round(20 * math.tanh(error / 20)) + units // 8
+            effort = int(math.copysign(full, error)) if self._pushes() else light
+        self._put(load, effort)
+        self._put("Present PWM", round(effort / 2))
