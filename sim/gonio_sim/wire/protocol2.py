@@ -99,17 +99,14 @@ class Reader:
             if stream[3] != 0 or stream[4] in (0xFD, 0xFF) or not 3 <= length <= LONGEST - 7:
                 del stream[:3]   # stuffed bytes, or noise that looks like a header
                 continue
+            again = stream.find(HEADER + b"\0", 7, 7 + length)   # a header inside: the packet before it was cut short
+            if again >= 0:
+                del stream[:again]
+                continue
             if len(stream) < 7 + length:
-                again = stream.find(HEADER, 7)   # a whole new header inside: the packet before it was cut short
-                if again >= 0 and len(stream) > again + 3 and stream[again + 3] == 0:
-                    del stream[:again]
-                    continue
                 return None
             raw = bytes(stream[: 7 + length])
             body = unstuff(raw[7:-2])
             good = crc16(raw[:-2]) == int.from_bytes(raw[-2:], "little")
-            if good:
-                del stream[: 7 + length]
-            else:
-                del stream[:3]
+            del stream[: 7 + length if good else 3]
             return Packet(raw[4], body[0], body[1:], good)
