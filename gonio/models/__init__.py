@@ -1,0 +1,27 @@
+"""Reflectance models of the papers: one file a paper, on one compiled kernel layer (see docs/models.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from gonio.models.base import Model, build_model
+from gonio.models.engine import Geometry, geometry
+from gonio.models.lambert import Lambert
+
+__all__ = ["Geometry", "Lambert", "Model", "build", "geometry"]
+
+
+def build(name: str, parameters: Mapping[str, Any]) -> Model:
+    """A model by its command-line name, ours or a plugin's, from named parameters.
+
+    Raises
+    ------
+    ConfigError
+        There is no such model (with the nearest name).
+    ArgumentError
+        A parameter is unknown (with the nearest name) or outside its range.
+    """
+    from gonio import plugins
+
+    return build_model(plugins.load("gonio.models", name), name, parameters)

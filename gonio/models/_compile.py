@@ -1,0 +1,92 @@
+"""How a plain Python function becomes machine code: marked here, compiled at its first evaluation, kept on disk.
+
+A *kernel* is an ordinary function of floats, marked with `device`. Nothing is compiled when a module is imported, and numba
+itself is imported by the first call of `jit`. Functions that a kernel calls are compiled with it and inlined, so that
+a loop over it vectorises.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from types import FunctionType
+from typing import Any, Final, TypeVar
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+# Contraction, reciprocals and the sign of zero change no digit that matters. Reassociation would fold two-part constants
+# and compensated sums; "nnan" and "ninf" would break the limits at grazing.
+FASTMATH: Final = frozenset({"contract", "arcp", "nsz"})
+
+_lock = threading.RLock()
+
+
+def device(function: F) -> F:
+    """Mark a function of floats that kernels may call and that `jit` compiles; globals it uses must be plain names."""
+    function.__dict__["__device__"] = True
+    return function
+
+
+def _clone(function: Callable[..., Any], names: dict[str, Any]) -> Any:
+    """The same code with the marked functions that it calls replaced by compiled ones."""
+    assert isinstance(function, FunctionType)
+    called = {}
+    for name in function.__code__.co_names:
+        value = names.get(name, function.__globals__.get(name))
+        if getattr(value, "__device__", False):
+            called[name] = jit(value)
+        elif name in names:
+            called[name] = value
+    clone = FunctionType(function.__code__, {**function.__globals__, **called}, function.__name__, function.__defaults__)
+    clone.__qualname__ = function.__qualname__
+    clone.__module__ = function.__module__
+    return clone
+
+
+@functools.cache
+def _sources() -> str:
+    """A fingerprint of every source file of the models: numba's own cache watches only the file of the loop itself."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+@functools.cache
+def _jit(function: Callable[..., Any]) -> Any:
+    import numba
+
+    return numba.njit(fastmath=set(FASTMATH), error_model="numpy", forceinline=True)(_clone(function, {}))
+
+
+def jit(function: Callable[..., Any]) -> Any:
+    """A marked function compiled for use inside other compiled code; safe to call from several threads."""
+    with _lock:
+        return _jit(function)
+
+
+@functools.cache
+def _loop(template: Callable[..., Any], kernel: Callable[..., Any]) -> Any:
+    import numba
+
+    loop = _clone(template, {"kernel": kernel})
+    loop.__qualname__ = f"{template.__name__}_{kernel.__module__.rsplit('.', 1)[-1]}_{kernel.__name__}_{_sources()}"
+    loop.__name__ = loop.__qualname__
+    return numba.njit(fastmath=set(FASTMATH), error_model="numpy", nogil=True, cache=True)(loop)
+
+
+def loop(template: Callable[..., Any], kernel: Callable[..., Any]) -> Any:
+    """A loop written once for every kernel, compiled for this one, cached on disk, and running without the GIL.
+
+    Parameters
+    ----------
+    template
+        A function that calls the global name ``kernel``.
+    kernel
+        The marked function that takes its place.
+    """
+    with _lock:
+        return _loop(template, kernel)

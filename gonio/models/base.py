@@ -1,0 +1,227 @@
+"""What every reflectance model is: a frozen set of parameters, and a BRDF over angles or unit vectors."""
+
+from __future__ import annotations
+
+import cmath
+import dataclasses
+import difflib
+import functools
+import inspect
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, cast
+
+import numpy as np
+
+from gonio.errors import ArgumentError
+from gonio.models import engine
+from gonio.models.engine import SPLIT, Constants, Geometry, Kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+Index = complex | str | Sequence[float] | Callable[[float], complex]
+"""A complex refractive index n + ik, [n, k], a material's name, or a function of the wavelength in nm."""
+
+
+class Model(ABC):
+    """A reflectance model with its parameters.
+
+    Subclasses are frozen dataclasses whose fields are the constructor's arguments; they name a compiled kernel and the constants
+    that it needs at a wavelength. A model with a specular delta also has ``specular_reflectivity``.
+    """
+
+    name: ClassVar[str]
+    """The model's name on the command line and in sample files."""
+    grain: ClassVar[int] = SPLIT
+    """How many evaluations are worth a thread of their own."""
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The constructor's arguments by name, as reports print them and `gonio.models.build` takes them."""
+        return {f.name: getattr(self, f.name) for f in dataclasses.fields(cast(Any, self)) if f.init}
+
+    @property
+    @abstractmethod
+    def convention(self) -> str:
+        """One sentence for reports: the paper, the form, the normalisation, and what departs from the print."""
+
+    @abstractmethod
+    def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
+        """The kernel and the constants that it is called with at one wavelength."""
+
+    @property
+    def _absolute(self) -> bool:
+        """Whether the BRDF depends on both azimuths and not on their difference alone."""
+        return False
+
+    def brdf(
+        self,
+        theta_i: ArrayLike,
+        phi_i: ArrayLike,
+        theta_r: ArrayLike,
+        phi_r: ArrayLike,
+        *,
+        wavelength_nm: ArrayLike = 550.0,
+    ) -> Any:
+        """BRDF [1/sr] at angles, without any specular spike.
+
+        Parameters
+        ----------
+        theta_i, theta_r
+            Polar angles of the directions toward the source and the detector [rad], in [0, pi/2]. The double nearest pi/2 is exactly
+            grazing, and the formula's limit is returned there.
+        phi_i, phi_r
+            Their azimuths from the sample's x axis [rad]; phi_r - phi_i is 0 in retro-reflection and pi in the mirror half-plane.
+        wavelength_nm
+            Wavelength [nm] of models whose index of refraction depends on it.
+
+        Returns
+        -------
+        float64 array of the shape that the arguments broadcast to (a float64 scalar for scalars).
+
+        Raises
+        ------
+        ArgumentError
+            An angle is NaN or out of range, an argument is not real, or the shapes do not broadcast; it names the argument.
+        """
+        if np.ndim(wavelength_nm) == 0:
+            kernel, constants = self._evaluation(positive("wavelength_nm", wavelength_nm))
+            return engine.over_angles(
+                kernel, constants, theta_i, phi_i, theta_r, phi_r, absolute=self._absolute, split=self.grain
+            )
+        arrays, shape = engine.angle_arrays(theta_i, phi_i, theta_r, phi_r)
+        engine.check_angles(arrays)
+        return _by_wavelength(lambda w, parts: self.brdf(*parts, wavelength_nm=w), wavelength_nm, arrays, shape)
+
+    def brdf_vectors(self, omega_i: ArrayLike, omega_r: ArrayLike, *, wavelength_nm: float = 550.0) -> Any:
+        """BRDF [1/sr] at unit vectors toward the source and the detector, without any specular spike.
+
+        Parameters
+        ----------
+        omega_i, omega_r
+            Vectors (..., 3) in the sample's frame, z its normal, both leaving the surface. Their lengths may differ from 1 by 1e-6
+            (float32) and are taken out to second order; beyond that they are refused.
+        wavelength_nm
+            Wavelength [nm] of models whose index of refraction depends on it.
+
+        Returns
+        -------
+        float64 array of the shape that the arguments broadcast to without the last axis; 0 where either vector is below the surface.
+
+        Raises
+        ------
+        ArgumentError
+            A vector is not of unit length or holds NaN, or the shapes do not broadcast; it names the argument.
+        """
+        kernel, constants = self._evaluation(positive("wavelength_nm", wavelength_nm))
+        return engine.over_vectors(kernel, constants, omega_i, omega_r, split=self.grain)
+
+    def at(self, geometry: Geometry, *, wavelength_nm: float = 550.0) -> Any:
+        """BRDF [1/sr] at directions that `gonio.models.geometry` has checked: the fast way to try many parameters."""
+        kernel, constants = self._evaluation(wavelength_nm)
+        return engine.at_geometry(kernel, constants, geometry, split=self.grain)
+
+
+def _by_wavelength(evaluate: Callable[..., Any], wavelength_nm: ArrayLike, arrays: list[Any], shape: tuple[int, ...]) -> Any:
+    waves = engine.real_array("wavelength_nm", wavelength_nm)
+    whole = engine._shape(("the angles", "wavelength_nm"), [shape, waves.shape])
+    waves = np.broadcast_to(waves, whole)
+    parts = [np.broadcast_to(array, whole) for array in arrays]
+    out = np.empty(whole)
+    for wave in np.unique(waves):
+        here = waves == wave
+        out[here] = evaluate(positive("wavelength_nm", wave), [part[here] for part in parts])
+    return out
+
+
+# --- parameters ---------------------------------------------------------------------------------------------------
+
+
+def number(name: str, value: Any, low: float = -math.inf, high: float = math.inf, unit: str = "") -> float:
+    """A real parameter in [low, high]; raises `ArgumentError` naming it otherwise."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        try:
+            value = np.asarray(value).item() if isinstance(value, np.ndarray) and value.dtype.kind in "fiu" else None
+        except ValueError:
+            value = None
+        if value is None:
+            raise ArgumentError(f"{name} must be one real number{unit and f' [{unit}]'}")
+    result = float(value)
+    if not low <= result <= high or math.isinf(result):
+        allowed = f"at least {low:g}" if math.isinf(high) else f"in [{low:g}, {high:g}]"
+        raise ArgumentError(
+            f"{name} = {result:g}{unit and ' ' + unit}: must be "
+            f"{'finite' if math.isinf(low) and math.isinf(high) else 'finite and ' + allowed}"
+        )
+    return result
+
+
+def positive(name: str, value: Any, unit: str = "") -> float:
+    """A real parameter above zero; raises `ArgumentError` naming it otherwise."""
+    result = number(name, value, unit=unit)
+    if result <= 0.0:
+        raise ArgumentError(f"{name} = {result:g}{unit and ' ' + unit}: must be above 0")
+    return result
+
+
+def choice(name: str, value: Any, allowed: Sequence[str]) -> str:
+    """One of a few names; raises `ArgumentError` with the nearest of them otherwise."""
+    if value in allowed:
+        return str(value)
+    near = difflib.get_close_matches(str(value), allowed, n=1)
+    listed = ", ".join(f'"{option}"' for option in allowed)
+    raise ArgumentError(f"{name} = {value!r}: must be one of {listed}" + (f'; did you mean "{near[0]}"?' if near else ""))
+
+
+@functools.lru_cache(maxsize=64)
+def _material(name: str) -> Callable[[float], complex]:
+    from gonio import materials
+
+    return cast(Callable[[float], complex], materials.ior(name))
+
+
+def checked_index(ior: Any, name: str = "ior") -> Any:
+    """An `Index` argument in its stored form: a complex number, a material's name, or a function."""
+    if isinstance(ior, str):
+        _material(ior)
+        return ior
+    if callable(ior):
+        return ior
+    if isinstance(ior, (list, tuple, np.ndarray)):
+        if len(ior) != 2:
+            raise ArgumentError(f"{name} = {ior!r}: a list must be [n, k]")
+        return _valid_index(complex(number(f"{name}[0]", ior[0]), number(f"{name}[1]", ior[1])), name)
+    try:
+        value = complex(ior)
+    except (TypeError, ValueError):
+        raise ArgumentError(
+            f"{name} = {ior!r}: must be a number n + ik, [n, k], a material's name, or a function of wavelength_nm"
+        ) from None
+    return _valid_index(value, name)
+
+
+def _valid_index(value: complex, name: str) -> complex:
+    if not (cmath.isfinite(value) and 0.0 < value.real <= 1e8 and 0.0 <= value.imag <= 1e8):
+        raise ArgumentError(f"{name} = {value}: n must be above 0 and k at least 0, both at most 1e8")
+    return value
+
+
+def index_at(ior: Any, wavelength_nm: float, name: str = "ior") -> complex:
+    """The complex index n + ik of a checked `Index` at a wavelength [nm]."""
+    if isinstance(ior, complex):
+        return ior
+    function = _material(ior) if isinstance(ior, str) else ior
+    return _valid_index(complex(function(wavelength_nm)), f"{name} at {wavelength_nm:g} nm")
+
+
+def build_model(kind: type[Model], name: str, parameters: Mapping[str, Any]) -> Model:
+    """A model of a class from named parameters; raises `ArgumentError` for a name it does not know."""
+    known = [p for p in inspect.signature(kind).parameters]
+    for key in parameters:
+        if key not in known:
+            near = difflib.get_close_matches(key, known, n=1)
+            hint = f'did you mean "{near[0]}"?' if near else f"it has {', '.join(known)}"
+            raise ArgumentError(f'the model "{name}" has no parameter "{key}"; {hint}')
+    return kind(**parameters)

@@ -1,0 +1,310 @@
+"""Evaluating one compiled kernel over arrays: checks, broadcasting, blocks and threads.
+
+A kernel maps the components of two unit vectors and a tuple of constants to a BRDF. The loops below are the only ones: over
+vectors, over angles (turned into vectors inside), and over an already checked `Geometry`. Arguments are checked in the same
+pass that evaluates them, into a private array that is thrown away when a check fails.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from math import pi, prod
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from gonio.errors import ArgumentError
+from gonio.models._compile import loop
+from gonio.models._math import sincos, sincos_polar
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+Kernel = Callable[..., Any]
+Constants = tuple[float, ...]
+
+NORM_TOLERANCE: Final = 1e-6  # how far from 1 the length of a direction may be: what float32 vectors need, and no more
+BLOCK: Final = 8192  # pairs handled at a time: one constant argument is repeated that often, and stays in the cache
+SPLIT: Final = 65536  # pairs a thread must have to be worth waking: a wake costs some 20 us
+PHI_LIMIT: Final = 1e6  # rad; beyond it an azimuth has fewer than ten digits left
+HALF_PI: Final = pi / 2
+
+
+# --- the loops: `kernel` is put in by _compile.loop -------------------------------------------------------------
+
+
+def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop):  # type: ignore[no-untyped-def]
+    wrong = 0
+    for first in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - first)
+        l = omega_i[first * step_i : first * step_i + count]  # noqa: E741
+        v = omega_r[first * step_r : first * step_r + count]
+        o = out[first : first + count]
+        for j in range(count):
+            lx, ly, lz, vx, vy, vz = l[j, 0], l[j, 1], l[j, 2], v[j, 0], v[j, 1], v[j, 2]
+            el = lx * lx + ly * ly + (lz * lz - 1.0)
+            ev = vx * vx + vy * vy + (vz * vz - 1.0)
+            wrong |= 0 if abs(el) <= 2.0 * NORM_TOLERANCE and abs(ev) <= 2.0 * NORM_TOLERANCE else 1
+            fl = 1.0 - el * (0.5 - 0.375 * el)  # 1/sqrt(1 + e): the next term is below 3e-18
+            fv = 1.0 - ev * (0.5 - 0.375 * ev)
+            value = kernel(lx * fl, ly * fl, lz * fl, vx * fv, vy * fv, vz * fv, constants)  # type: ignore[name-defined]  # noqa: F821
+            o[j] = value if lz >= 0.0 and vz >= 0.0 else 0.0
+    return wrong
+
+
+def _over_angles(theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, constants, out, start, stop):  # type: ignore[no-untyped-def]
+    wrong = 0
+    for first in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - first)
+        ti = theta_i[first * step_ti : first * step_ti + count]
+        pi_ = phi_i[first * step_pi : first * step_pi + count]
+        tr = theta_r[first * step_tr : first * step_tr + count]
+        pr = phi_r[first * step_pr : first * step_pr + count]
+        o = out[first : first + count]
+        for j in range(count):
+            a, b, p, q = ti[j], tr[j], pi_[j], pr[j]
+            wrong |= 0 if 0.0 <= a <= HALF_PI and 0.0 <= b <= HALF_PI and abs(p) <= PHI_LIMIT and abs(q) <= PHI_LIMIT else 1
+            sin_i, cos_i = sincos_polar(a)
+            sin_r, cos_r = sincos_polar(b)
+            sin_d, cos_d = sincos(q - p)  # in the frame of the source's azimuth
+            o[j] = kernel(sin_i, 0.0, cos_i, sin_r * cos_d, sin_r * sin_d, cos_r, constants)  # type: ignore[name-defined]  # noqa: F821
+    return wrong
+
+
+def _over_absolute_angles(  # type: ignore[no-untyped-def]
+    theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, constants, out, start, stop
+):
+    wrong = 0
+    for j in range(start, stop):
+        a, b, p, q = theta_i[j * step_ti], theta_r[j * step_tr], phi_i[j * step_pi], phi_r[j * step_pr]
+        if not (0.0 <= a <= HALF_PI and 0.0 <= b <= HALF_PI and abs(p) <= PHI_LIMIT and abs(q) <= PHI_LIMIT):
+            wrong = 1
+            continue
+        sin_i, cos_i = sincos_polar(a)
+        sin_r, cos_r = sincos_polar(b)
+        sin_p, cos_p = sincos(p)
+        sin_q, cos_q = sincos(q)
+        out[j] = kernel(sin_i * cos_p, sin_i * sin_p, cos_i, sin_r * cos_q, sin_r * sin_q, cos_r, constants)  # type: ignore[name-defined]  # noqa: F821
+    return wrong
+
+
+# --- threads: our own, over serial compiled code, so that no numba threading layer is involved -------------------
+
+_pool: ThreadPoolExecutor | None = None
+_pool_lock = threading.Lock()
+
+
+def _forget_pool() -> None:
+    """After a fork the child has none of the parent's threads."""
+    global _pool, _pool_lock
+    _pool, _pool_lock = None, threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_pool)
+
+
+def threads() -> int:
+    """How many threads large arrays are split over: the processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def in_parts(work: Callable[[int, int], int], count: int, split: int = SPLIT) -> int:
+    """Run ``work(start, stop)`` over [0, count), split over threads where each gets at least `split`; the largest result.
+
+    `work` must release the GIL. Safe from several Python threads at once.
+    """
+    parts = min(threads(), count // split)
+    if parts <= 1:
+        return work(0, count)
+    global _pool
+    with _pool_lock:
+        if _pool is None:
+            _pool = ThreadPoolExecutor(threads(), thread_name_prefix="gonio-models")
+        pool = _pool
+    edges = [count * part // parts for part in range(parts + 1)]
+    waiting = [pool.submit(work, edges[part], edges[part + 1]) for part in range(1, parts)]
+    worst = work(edges[0], edges[1])
+    return max([worst, *(future.result() for future in waiting)])
+
+
+# --- arguments ----------------------------------------------------------------------------------------------------
+
+
+def real_array(name: str, value: ArrayLike) -> NDArray[np.float64]:
+    """An argument as a float64 array; raises `ArgumentError` naming it when it is not made of real numbers."""
+    try:
+        array = np.asarray(value)
+    except ValueError as error:
+        raise ArgumentError(f"{name} is not an array of numbers: {error}") from error
+    if array.dtype.kind not in "fiu":
+        raise ArgumentError(f"{name} must hold real numbers, not {array.dtype}")
+    return array.astype(np.float64, copy=False)
+
+
+def _flat(array: NDArray[np.float64], shape: tuple[int, ...], count: int) -> tuple[NDArray[np.float64], int]:
+    """A contiguous 1-D array and 1, or a block of one repeated value and 0."""
+    if array.size == 1 and count != 1:
+        return np.full(min(BLOCK, count), array.reshape(-1)[0]), 0
+    if array.shape != shape:
+        array = np.broadcast_to(array, shape)
+    flat = np.ascontiguousarray(array).reshape(-1)
+    return (flat if flat.flags.aligned else flat.copy()), 1
+
+
+def _flat_vectors(array: NDArray[np.float64], shape: tuple[int, ...], count: int) -> tuple[NDArray[np.float64], int]:
+    if array.size == 3 and count != 1:
+        return np.tile(array.reshape(1, 3), (min(BLOCK, count), 1)), 0
+    if array.shape[:-1] != shape:
+        array = np.broadcast_to(array, (*shape, 3))
+    flat = np.ascontiguousarray(array).reshape(-1, 3)
+    return (flat if flat.flags.aligned else flat.copy()), 1
+
+
+def _shape(names: tuple[str, ...], shapes: list[tuple[int, ...]]) -> tuple[int, ...]:
+    if all(shape == shapes[0] for shape in shapes):
+        return shapes[0]
+    try:
+        return np.broadcast_shapes(*shapes)
+    except ValueError:
+        given = ", ".join(f"{name} {shape}" for name, shape in zip(names, shapes, strict=True))
+        raise ArgumentError(f"the shapes do not broadcast together: {given}") from None
+
+
+ANGLES: Final = ("theta_i", "phi_i", "theta_r", "phi_r")
+
+
+def _explain_angles(arrays: list[NDArray[np.float64]]) -> ArgumentError:
+    for name, array in zip(ANGLES, arrays, strict=True):
+        low, high = (0.0, HALF_PI) if name.startswith("theta") else (-PHI_LIMIT, PHI_LIMIT)
+        bad = np.flatnonzero(~((array >= low) & (array <= high)))
+        if bad.size:
+            where = f" at index {tuple(int(i) for i in np.unravel_index(bad[0], array.shape))}" if array.ndim else ""
+            allowed = "[0, pi/2]" if low == 0 else f"[-{PHI_LIMIT:g}, {PHI_LIMIT:g}]"
+            return ArgumentError(f"{name} = {array.reshape(-1)[bad[0]]:.17g} rad{where}: must lie in {allowed} rad")
+    raise AssertionError("a check failed that no argument explains")
+
+
+def _explain_vectors(arrays: list[NDArray[np.float64]]) -> ArgumentError:
+    for name, array in zip(("omega_i", "omega_r"), arrays, strict=True):
+        square = np.einsum("...k,...k->...", array, array) - 1.0
+        bad = np.flatnonzero(~(np.abs(square) <= 2.0 * NORM_TOLERANCE))
+        if bad.size:
+            where = f" at index {tuple(int(i) for i in np.unravel_index(bad[0], square.shape))}" if square.ndim else ""
+            return ArgumentError(
+                f"{name} = {array.reshape(-1, 3)[bad[0]].tolist()}{where} is not a unit vector: "
+                f"its length must be 1 to {NORM_TOLERANCE:g}"
+            )
+    raise AssertionError("a check failed that no argument explains")
+
+
+def angle_arrays(
+    theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: ArrayLike
+) -> tuple[list[NDArray[np.float64]], tuple[int, ...]]:
+    """The four angles as float64 arrays and the shape that they broadcast to; their ranges are not yet checked."""
+    arrays = [real_array(name, value) for name, value in zip(ANGLES, (theta_i, phi_i, theta_r, phi_r), strict=True)]
+    return arrays, _shape(ANGLES, [array.shape for array in arrays])
+
+
+def check_angles(arrays: list[NDArray[np.float64]]) -> None:
+    """Raise `ArgumentError` for a polar angle outside [0, pi/2], an azimuth that is not finite, or NaN."""
+    for name, array in zip(ANGLES, arrays, strict=True):
+        low, high = (0.0, HALF_PI) if name.startswith("theta") else (-PHI_LIMIT, PHI_LIMIT)
+        if not bool(np.all((array >= low) & (array <= high))):
+            raise _explain_angles(arrays)
+
+
+# --- evaluation ---------------------------------------------------------------------------------------------------
+
+
+def over_angles(
+    kernel: Kernel,
+    constants: Constants,
+    theta_i: ArrayLike,
+    phi_i: ArrayLike,
+    theta_r: ArrayLike,
+    phi_r: ArrayLike,
+    *,
+    absolute: bool = False,
+    split: int = SPLIT,
+) -> Any:
+    """A kernel over broadcast angles [rad]; `absolute` when it depends on both azimuths and not on their difference."""
+    arrays, shape = angle_arrays(theta_i, phi_i, theta_r, phi_r)
+    count = prod(shape)
+    out = np.empty(shape)
+    if count == 0:
+        check_angles(arrays)
+        return out
+    run = loop(_over_absolute_angles if absolute else _over_angles, kernel)
+    (a, sa), (b, sb), (c, sc), (d, sd) = (_flat(array, shape, count) for array in arrays)
+    flat = out.reshape(-1)
+    if in_parts(lambda i, j: run(a, sa, b, sb, c, sc, d, sd, constants, flat, i, j), count, split):
+        raise _explain_angles(arrays)
+    return out if shape else out[()]
+
+
+def over_vectors(
+    kernel: Kernel, constants: Constants, omega_i: ArrayLike, omega_r: ArrayLike, *, split: int = SPLIT
+) -> Any:
+    """A kernel over broadcast unit vectors (..., 3); 0 where either lies below the surface."""
+    arrays = [real_array("omega_i", omega_i), real_array("omega_r", omega_r)]
+    for name, array in zip(("omega_i", "omega_r"), arrays, strict=True):
+        if array.ndim == 0 or array.shape[-1] != 3:
+            raise ArgumentError(f"{name} has shape {array.shape}: its last axis must have the 3 components of a vector")
+    shape = _shape(("omega_i", "omega_r"), [array.shape[:-1] for array in arrays])
+    count = prod(shape)
+    out = np.empty(shape)
+    if count == 0:
+        if any(not bool(np.all(np.abs(np.einsum("...k,...k->...", a, a) - 1.0) <= 2.0 * NORM_TOLERANCE)) for a in arrays):
+            raise _explain_vectors(arrays)
+        return out
+    run = loop(_over_vectors, kernel)
+    (l, sl), (v, sv) = (_flat_vectors(array, shape, count) for array in arrays)  # noqa: E741
+    flat = out.reshape(-1)
+    if in_parts(lambda i, j: run(l, sl, v, sv, constants, flat, i, j), count, split):
+        raise _explain_vectors(arrays)
+    return out if shape else out[()]
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Pairs of directions, checked and turned into vectors once: what a fit evaluates many parameter sets at.
+
+    Attributes
+    ----------
+    omega_i, omega_r
+        Unit vectors toward the source and toward the detector, (n, 3), contiguous.
+    shape
+        The shape of the result.
+    """
+
+    omega_i: NDArray[np.float64]
+    omega_r: NDArray[np.float64]
+    shape: tuple[int, ...]
+
+
+def geometry(theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: ArrayLike) -> Geometry:
+    """Check angles [rad] once for many evaluations (`Model.at`); raises `ArgumentError` as `Model.brdf` does."""
+    arrays, shape = angle_arrays(theta_i, phi_i, theta_r, phi_r)
+    check_angles(arrays)
+
+    def vectors(theta: NDArray[np.float64], phi: NDArray[np.float64]) -> NDArray[np.float64]:
+        cosine = np.where(theta < HALF_PI, np.cos(theta), 0.0)
+        parts = np.broadcast_arrays(np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), cosine)
+        return np.ascontiguousarray(np.broadcast_to(np.stack(parts, axis=-1), (*shape, 3)).reshape(-1, 3))
+
+    return Geometry(vectors(arrays[0], arrays[1]), vectors(arrays[2], arrays[3]), shape)
+
+
+def at_geometry(kernel: Kernel, constants: Constants, where: Geometry, *, split: int = SPLIT) -> Any:
+    """A kernel at a checked `Geometry`."""
+    out = np.empty(where.shape)
+    flat = out.reshape(-1)
+    run = loop(_over_vectors, kernel)
+    if out.size:
+        in_parts(lambda i, j: run(where.omega_i, 1, where.omega_r, 1, constants, flat, i, j), out.size, split)
+    return out if where.shape else out[()]

@@ -1,0 +1,41 @@
+"""Lambert's law: the perfect diffuser."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+from typing import ClassVar
+
+from gonio.models._compile import device
+from gonio.models.base import Model, number
+from gonio.models.engine import Constants, Kernel
+
+
+@device
+def lambert(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    """The constant BRDF."""
+    return p[0]
+
+
+@dataclass(frozen=True)
+class Lambert(Model):
+    """A perfect diffuser: brdf = albedo / pi [1/sr].
+
+    Parameters
+    ----------
+    albedo
+        Directional-hemispherical reflectance, in [0, 1].
+    """
+
+    albedo: float = 0.5
+    name: ClassVar[str] = "lambert"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "albedo", number("albedo", self.albedo, 0.0, 1.0))
+
+    @property
+    def convention(self) -> str:
+        return "Lambert: brdf = albedo / pi."
+
+    def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
+        return lambert, (self.albedo / pi,)
