@@ -54,7 +54,7 @@ class Range(Strict):
         return [round(self.start + k * self.step, 9) for k in range(count)]
 
 
-AngleList = Annotated[tuple[float, ...], Field(min_length=1)]
+AngleList = tuple[float, ...]
 
 
 class Sweep(Strict):
@@ -73,7 +73,7 @@ class Sweep(Strict):
             try:
                 return Range.model_validate(value).values()
             except ValidationError as error:
-                item = error.errors()[0]
+                item = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
                 where = ".".join(map(str, item["loc"]))
                 unknown = item["type"] == "extra_forbidden"
                 what = "unknown key; a range has start, stop and step" if unknown else item["msg"]
@@ -121,7 +121,7 @@ class PlanFile(Strict):
     """A plan.toml."""
 
     name: str
-    wavelength_nm: Annotated[tuple[Positive, ...], Field(min_length=1)]
+    wavelength_nm: tuple[Positive, ...]
     sweep: tuple[Sweep, ...] = ()
     points: tuple[PointsFile, ...] = ()
 
