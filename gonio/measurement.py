@@ -14,8 +14,8 @@ A table is a `pandas.DataFrame` with one row a direction pair, wavelength and po
 - `flag`: "" or the reason why the row must not be used.
 
 `frame.attrs` holds the rest: `quantity`, `source_solid_angle_sr`, `receiver_solid_angle_sr` (None where unknown),
-`bands`, `polarisation`, `source_file`, `sample`, `samples`, `provenance`, and `notes`: sentences for a person about what
-a file leaves out or what a reader did to it.
+`bands`, `polarisation`, `source_file`, `sample`, `samples`, `provenance`, and `notes`: sentences for a person about
+what a file leaves out or what a reader did to it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from gonio.formats.native import check, check_columns, meta_path
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["COLUMNS", "meta_path", "read", "samples", "tables", "uncertainty", "write"]
+__all__ = ["COLUMNS", "meta_path", "parse", "read", "samples", "tables", "uncertainty", "write"]
 
 
 def read(path: str | Path, *, format: str | None = None, sample: str | None = None) -> pd.DataFrame:
@@ -59,14 +59,19 @@ def read(path: str | Path, *, format: str | None = None, sample: str | None = No
     path = Path(path)
     if path.is_dir():
         path = _table_of_run(path)
-    data = _load(path)
+    frame = parse(_load(path), path, format=format)
+    return frame if sample is None else _choose(frame, sample, path)
+
+
+def parse(data: bytes, path: Path, *, format: str | None = None) -> pd.DataFrame:
+    """The table in the bytes of a file, as `read` gives it; `path` names the file in messages."""
     chosen = formats.named(format) if format else formats.of_content(data, path)
     frame = chosen.read(data, path)
     frame.attrs.setdefault("format", chosen.name)
     check_columns(list(frame.columns), str(path))
     if chosen.name != "gonio":  # whose reader has checked, with line numbers
         check(frame, lambda row: f"{path}, row {row + 1} of the table")
-    return frame if sample is None else _choose(frame, sample, path)
+    return frame
 
 
 def write(frame: pd.DataFrame, path: str | Path, *, format: str | None = None) -> list[str]:

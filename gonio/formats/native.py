@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import json
 import math
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.base import COLUMNS, POLARISATIONS, Format, attributes, decode, number, write_bytes
+from gonio.formats.base import COLUMNS, POLARISATIONS, Floats, Format, attributes, decode, number, write_bytes
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,24 +30,25 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
     """The table, its numbers to the last bit, and its attributes."""
     import pandas as pd
 
-    text = decode(data, path)
-    header = next(csv.reader([text.partition("\n")[0].rstrip("\r")]), [])
-    check_columns(header, f"{path}, line 1")
-    kinds = {name: str if name in _WORDS else np.float64 for name in header}
-    missing = {name: ["", "nan", "NaN"] for name in header if name not in _WORDS}
-    if any(len(row) != len(header) for row in _rows(text, path)):
-        raise _first_fault(text, header, path)
+    reader = csv.reader(io.StringIO(decode(data, path), newline=""), strict=True)
     try:
-        frame = pd.read_csv(
-            io.StringIO(text),
-            dtype=kinds,
-            keep_default_na=False,
-            na_values=missing,
-            float_precision="round_trip",
-            skip_blank_lines=False,
-        )
-    except (ValueError, OverflowError, pd.errors.ParserError):
-        raise _first_fault(text, header, path) from None
+        header = next(reader, [])
+        check_columns(header, f"{path}, line 1")
+        parts: list[list[Any]] = [[] for _ in header]
+        line = 2
+        while chunk := list(itertools.islice(reader, 20_000)):
+            for row, cells in enumerate(chunk):
+                if len(cells) != len(header):
+                    where = f"{path}, line {line + row}"
+                    raise DataError(f"{where}: {len(cells)} cells, and the header names {len(header)} columns")
+            for part, name, column in zip(parts, header, zip(*chunk, strict=True), strict=True):
+                part.append(np.array(column, dtype=object) if name in _WORDS else _floats(column, name, path, line))
+            line += len(chunk)
+    except csv.Error as error:
+        raise DataError(f"{path}, line {reader.line_num}: {error}") from None
+    if line == 2:
+        raise DataError(f"{path}: has a header and no rows")
+    frame = pd.DataFrame({name: np.concatenate(part) for name, part in zip(header, parts, strict=True)})
     frame.attrs.update(_read_attrs(path))
     check(frame, lambda row: f"{path}, line {row + 2}")
     return frame
@@ -56,7 +58,10 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     check_columns(list(frame.columns), str(path))
     check(frame, lambda row: f"{path}, row {row + 1}")
     text = frame.to_csv(index=False, lineterminator="\n")
-    meta = json.dumps(_plain(frame.attrs), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    try:
+        meta = json.dumps(_plain(frame.attrs), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{path}: an attribute of the table cannot be written as JSON: {error}") from None
     write_bytes(meta_path(path), meta.encode())
     write_bytes(path, text.encode())
 
@@ -83,7 +88,7 @@ def check(frame: pd.DataFrame, where: Any) -> None:
         bad = np.flatnonzero(~np.asarray(ok, dtype=bool))
         if bad.size:
             value = frame[column].iloc[int(bad[0])]
-            shown = repr(value[:40]) if isinstance(value, str) else f"{value:.9g}"
+            shown = f"{value:.9g}" if isinstance(value, float) else repr(value)[:40]
             raise DataError(f"{where(int(bad[0]))}: {column} = {shown}; {allowed}")
 
     for column in ("theta_i_deg", "theta_r_deg"):
@@ -99,7 +104,11 @@ def check(frame: pd.DataFrame, where: Any) -> None:
     wavelength = frame["wavelength_nm"].to_numpy(np.float64)
     known = (wavelength > 0) & np.isfinite(wavelength)
     demand(np.isnan(wavelength) | known, "wavelength_nm", "a positive number, or NaN for a broad band")
-    demand(frame["polarisation"].isin(POLARISATIONS), "polarisation", f"one of {', '.join(POLARISATIONS)}")
+    demand(
+        [value in POLARISATIONS for value in frame["polarisation"]],
+        "polarisation",
+        f"one of {', '.join(POLARISATIONS)}",
+    )
     value = frame["brdf"].to_numpy(np.float64)
     demand(np.isfinite(value) | flagged, "brdf", "a row without a flag needs a finite value [1/sr]")
     for column in ("u_brdf", "u_random"):
@@ -112,29 +121,22 @@ def check(frame: pd.DataFrame, where: Any) -> None:
             demand(np.isfinite(s) | flagged, column, "a row without a flag needs a finite value [1/sr]")
     for column in ("flag", "sample"):
         if column in frame.columns:
-            demand([isinstance(v, str) for v in frame[column]], column, "text is needed")
+            demand([isinstance(value, str) for value in frame[column]], column, "text is needed")
 
 
-def _rows(text: str, path: Path) -> Any:
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    try:
-        yield from reader
-    except csv.Error as error:
-        raise DataError(f"{path}, line {reader.line_num}: {error}") from None
-
-
-def _first_fault(text: str, header: list[str], path: Path) -> DataError:
-    """The first cell that is wrong, once it is known that one is."""
-    for line, row in enumerate(_rows(text, path), start=1):
-        if len(row) != len(header):
-            return DataError(f"{path}, line {line}: {len(row)} cells, and the header names {len(header)} columns")
-        for name, cell in zip(header, row, strict=True):
-            if line > 1 and name not in _WORDS and cell not in ("", "nan", "NaN"):
-                try:
-                    number(cell, f"{path}, line {line}", name)
-                except DataError as error:
-                    return error
-    return DataError(f"{path}: the table cannot be read")
+def _floats(cells: tuple[str, ...], name: str, path: Path, line: int) -> Floats:
+    """A column of numbers, NaN where the cell is empty; exact, as Python reads them."""
+    joined = "".join(cells)
+    if joined.isascii() and "_" not in joined:
+        try:
+            return np.array([float(cell or "nan") for cell in cells])
+        except ValueError:
+            pass  # the loop below finds the cell and says what is wrong with it
+    out = np.full(len(cells), np.nan)
+    for row, cell in enumerate(cells):
+        if cell not in ("", "nan", "NaN"):
+            out[row] = number(cell, f"{path}, line {line + row}", name)
+    return out
 
 
 def _read_attrs(path: Path) -> dict[str, Any]:

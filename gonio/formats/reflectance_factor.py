@@ -2,7 +2,8 @@
 
 Columns: `Incident_angle` and `Measure_angle` [degrees] in one plane, the second signed and positive on the mirror side,
 then the reflectance factor at one wavelength a column (`550nm`). The reflectance factor of a perfect diffuser is 1,
-so brdf = R / pi. A value of exactly zero is written where the receiver would stand in the beam: it is flagged "blocked".
+so brdf = R / pi. A value of exactly zero is written where the receiver would stand in the beam: it is flagged
+"blocked".
 """
 
 from __future__ import annotations

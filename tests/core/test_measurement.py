@@ -1,0 +1,273 @@
+"""The measurement table: exact round trips, atomic writes, and messages that name file, line and column."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gonio import measurement
+from gonio.errors import ConfigError, DataError
+from gonio.formats.base import COLUMNS, fold, plain_degrees, table
+
+
+def example(count: int = 4, **changes: object) -> pd.DataFrame:
+    frame = table(
+        theta_i_deg=30.0,
+        phi_i_deg=0.0,
+        theta_r_deg=np.linspace(0, 80, count),
+        phi_r_deg=180.0,
+        wavelength_nm=550.0,
+        brdf=np.linspace(-1e-4, 1 / 3, count),
+        u_brdf=0.01,
+        u_random=0.006,
+        attrs={
+            "source_solid_angle_sr": 0.1 + 0.2,
+            "bands": [{"name": "550 nm", "centre_nm": 550.0}],
+            "provenance": {"seed": 3},
+        },
+    )
+    frame.insert(len(frame.columns) - 1, "s_reference", -0.008)
+    for name, value in changes.items():
+        frame[name] = value
+    return frame
+
+
+def test_columns_are_those_of_the_contract(tmp_path: Path) -> None:
+    measurement.write(example(), tmp_path / "t.csv")
+    back = measurement.read(tmp_path / "t.csv")
+    assert [name for name in back.columns if not name.startswith("s_")] == list(COLUMNS)
+    assert list(back.columns)[-2:] == ["s_reference", "flag"]
+    assert all(back[name].dtype == np.float64 for name in back.columns if name not in ("flag", "polarisation"))
+    assert back["flag"].tolist() == [""] * 4
+    assert back["polarisation"].tolist() == ["unpolarised"] * 4
+
+
+def test_a_round_trip_is_exact(tmp_path: Path) -> None:
+    frame = example(flag=["", "blocked", "", "saturated"])
+    frame.loc[1, ["brdf", "u_brdf", "u_random", "s_reference"]] = np.nan
+    assert measurement.write(frame, tmp_path / "t.csv") == []
+    back = measurement.read(tmp_path / "t.csv")
+    pd.testing.assert_frame_equal(back, frame, check_exact=True)
+    assert {key: back.attrs[key] for key in frame.attrs} == frame.attrs
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=20))
+@settings(max_examples=60, deadline=None)
+def test_every_float_comes_back_to_the_last_bit(values: list[float]) -> None:
+    frame = example(len(values), brdf=values)
+    frame["theta_r_deg"] = 10.0
+    text = frame.to_csv(index=False).encode()
+    back = measurement.parse(text, Path("t.csv"))
+    assert back["brdf"].to_numpy().tobytes() == np.array(values).tobytes()
+
+
+def test_a_bare_read_csv_opens_it(tmp_path: Path) -> None:
+    measurement.write(example(), tmp_path / "t.csv")
+    bare = pd.read_csv(tmp_path / "t.csv")
+    assert list(bare.columns) == list(example().columns)
+    np.testing.assert_allclose(
+        bare["brdf"], example()["brdf"], rtol=1e-15
+    )  # pandas' quick parser may miss the last bit
+    assert json.loads((tmp_path / "t.meta.json").read_text())["provenance"] == {"seed": 3}
+
+
+def test_attributes_without_their_file_are_said_to_be_unknown(tmp_path: Path) -> None:
+    measurement.write(example(), tmp_path / "t.csv")
+    (tmp_path / "t.meta.json").unlink()
+    attrs = measurement.read(tmp_path / "t.csv").attrs
+    assert attrs["source_solid_angle_sr"] is None
+    assert "t.meta.json" in attrs["notes"][0]
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "told"),
+    [
+        ("theta_r_deg", 90.5, "[0, 90]"),
+        ("theta_i_deg", -5.0, "[0, 90]"),
+        ("theta_i_deg", np.nan, "[0, 90]"),
+        ("phi_r_deg", 360.0, "[0, 360)"),
+        ("phi_i_deg", -90.0, "[0, 360)"),
+        ("wavelength_nm", 0.0, "positive"),
+        ("wavelength_nm", np.inf, "positive"),
+        ("polarisation", "sideways", "unpolarised, ss"),
+        ("brdf", np.nan, "finite"),
+        ("brdf", np.inf, "finite"),
+        ("u_brdf", -0.1, ">= 0"),
+        ("u_random", np.inf, ">= 0"),
+        ("s_reference", np.nan, "finite"),
+    ],
+)
+def test_a_value_that_is_not_allowed_names_file_line_and_column(
+    tmp_path: Path, column: str, value: object, told: str
+) -> None:
+    frame = example()
+    frame.loc[2, column] = value
+    path = tmp_path / "wrong.csv"
+    path.write_text(frame.to_csv(index=False))
+    with pytest.raises(DataError) as caught:
+        measurement.read(path)
+    for part in (f"{path}, line 4", column, told):  # header and two rows come before it
+        assert part in str(caught.value)
+    with pytest.raises(DataError, match="row 3"):
+        measurement.write(frame, tmp_path / "out.csv")
+    assert not (tmp_path / "out.csv").exists()
+    assert not (tmp_path / "out.meta.json").exists()
+
+
+def test_a_flag_excuses_a_missing_value(tmp_path: Path) -> None:
+    frame = example(flag=["blocked", "", "", ""])
+    frame.loc[0, "brdf"] = np.nan
+    measurement.write(frame, tmp_path / "t.csv")
+    assert measurement.read(tmp_path / "t.csv")["flag"].tolist() == ["blocked", "", "", ""]
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("a,b,c\n1,2,3\n", "columns missing: 'theta_i_deg'"),
+        ("\n", "empty"),
+        ("", "empty"),
+    ],
+)
+def test_wrong_columns_and_empty_files(tmp_path: Path, text: str, told: str) -> None:
+    path = tmp_path / "x.csv"
+    path.write_text(text)
+    with pytest.raises(DataError, match=told):
+        measurement.read(path)
+
+
+def test_cells_that_are_wrong_are_located(tmp_path: Path) -> None:
+    lines = example().to_csv(index=False).splitlines()
+    path = tmp_path / "x.csv"
+    for damage, told in (
+        (lambda line: line.replace("550.0", "green"), 'line 3: wavelength_nm is "green", not a number'),
+        (lambda line: line + ",1", "line 3: 12 cells, and the header names 11 columns"),
+        (lambda line: line.rsplit(",", 4)[0], "line 3: 7 cells"),
+        (lambda line: line.replace("550.0", "1e999"), "line 3: wavelength_nm"),
+    ):
+        path.write_text("\n".join([*lines[:2], damage(lines[2]), *lines[3:]]) + "\n")
+        with pytest.raises(DataError) as caught:
+            measurement.read(path)
+        assert told in str(caught.value)
+
+
+def test_columns_that_nobody_knows_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="columns not known: 'temperature'"):
+        measurement.write(example(temperature=20.0), tmp_path / "t.csv")
+
+
+def test_binary_junk_is_one_clear_error(tmp_path: Path) -> None:
+    for name in ("x.csv", "x.astm", "x.dat"):
+        path = tmp_path / name
+        path.write_bytes(np.random.default_rng(1).bytes(3000))
+        with pytest.raises(DataError, match=name):
+            measurement.read(path)
+
+
+def test_a_missing_file_and_a_folder_are_configuration_errors(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no such file"):
+        measurement.read(tmp_path / "nope.csv")
+    with pytest.raises(ConfigError, match="not a run"):
+        measurement.read(tmp_path)
+    (tmp_path / "run.toml").write_text("")
+    with pytest.raises(ConfigError, match="gonio reduce"):
+        measurement.read(tmp_path)
+    measurement.write(example(), tmp_path / "brdf.csv")
+    assert len(measurement.read(tmp_path)) == 4
+
+
+def test_an_unknown_format_names_the_nearest(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("x")
+    with pytest.raises(ConfigError, match='did you mean "astm"'):
+        measurement.read(tmp_path / "t.csv", format="astn")
+    with pytest.raises(ConfigError, match="no format is written"):
+        measurement.write(example(), tmp_path / "t.xyz")
+
+
+def test_a_write_that_fails_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be written"):
+        measurement.write(example(), tmp_path / "absent" / "t.csv")
+    bad = example()
+    bad.attrs["provenance"] = {"x": float("nan")}
+    with pytest.raises(DataError, match="attribute"):
+        measurement.write(bad, tmp_path / "t.csv")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_damaged_meta_file_is_named(tmp_path: Path) -> None:
+    measurement.write(example(), tmp_path / "t.csv")
+    for text in ('{"a": ', "[1]", '{"source_solid_angle_sr": "wide"}', '{"receiver_solid_angle_sr": -1}'):
+        (tmp_path / "t.meta.json").write_text(text)
+        with pytest.raises(DataError, match=r"t\.meta\.json"):
+            measurement.read(tmp_path / "t.csv")
+
+
+def test_the_covariance_comes_in_factors() -> None:
+    u_random, common, causes = measurement.uncertainty(example())
+    assert causes == ["reference"]
+    # 0.006 and 0.008 make 0.01
+    np.testing.assert_allclose(u_random**2 + (common**2).sum(axis=1), example()["u_brdf"] ** 2, rtol=1e-14)
+    only_combined = example(u_random=np.nan)
+    np.testing.assert_allclose(measurement.uncertainty(only_combined)[0], 0.006, rtol=1e-12)
+    nobody_said = example(u_random=np.nan, u_brdf=np.nan)
+    assert np.isnan(measurement.uncertainty(nobody_said)[0]).all()
+
+
+def test_samples_of_a_file_by_name(tmp_path: Path) -> None:
+    text = (
+        "sample_en,theta_o_deg,theta_i_deg,L_reflected_W_m-2_sr-1\n"
+        + "zinc,15,80,2.5\nbrass,15,80,3.5\nzinc,20,80,1.5\n"
+    )
+    path = tmp_path / "metals.csv"
+    path.write_text(text)
+    assert {name: len(frame) for name, frame in measurement.tables(path).items()} == {"zinc": 2, "brass": 1}
+    ((name, brass),) = measurement.tables(f"{path}:brass").items()
+    assert name == "brass"
+    assert list(brass.columns) == list(COLUMNS)
+    assert brass.attrs["sample"] == "brass"
+    with pytest.raises(DataError, match="zinc; brass"):
+        measurement.tables(f"{path}:tin")
+    with pytest.raises(ConfigError, match="no such file"):
+        measurement.tables(tmp_path / "none.csv:tin")
+    several = measurement.read(path)
+    measurement.write(several, tmp_path / "native.csv")
+    assert list(measurement.tables(tmp_path / "native.csv")) == ["zinc", "brass"]
+
+
+@given(st.floats(-90, 90), st.floats(-720, 720))
+@settings(deadline=None)
+def test_a_signed_angle_keeps_its_direction(theta: float, phi: float) -> None:
+    folded, azimuth = fold(theta, phi)
+    assert 0 <= folded <= 90
+    assert 0 <= azimuth < 360
+
+    def vector(t: float, p: float) -> np.ndarray:
+        t, p = np.deg2rad(t), np.deg2rad(p)
+        return np.array([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)])
+
+    # azimuths are rounded to 1e-10 degrees; the reduction of 720 degrees loses 1e-13
+    np.testing.assert_allclose(vector(float(folded), float(azimuth)), vector(theta, phi), atol=3e-12)
+
+
+@given(st.floats(0, 90).map(lambda x: round(x, 3)))
+@settings(deadline=None)
+def test_radians_with_six_decimals_stand_for_plain_degrees(degrees: float) -> None:
+    text = f"{np.deg2rad(degrees):.6f}"
+    short = float(plain_degrees(float(text), 6))
+    assert f"{np.deg2rad(short):.6f}" == text
+    assert abs(short - degrees) <= 5.8e-5  # twice the half of the sixth decimal, in degrees
+
+
+def test_a_table_longer_than_a_chunk_of_the_reader() -> None:
+    frame = example(45_000)
+    back = measurement.parse(frame.to_csv(index=False).encode(), Path("big.csv"))
+    pd.testing.assert_frame_equal(back, frame, check_exact=True)
+    frame.loc[44_321, "theta_r_deg"] = 91.0
+    with pytest.raises(DataError, match=r"big\.csv, line 44323: theta_r_deg = 91"):
+        measurement.parse(frame.to_csv(index=False).encode(), Path("big.csv"))

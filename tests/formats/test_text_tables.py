@@ -1,0 +1,191 @@
+"""ASTM E1392, NIST's Mueller CSV, the infrared in-plane CSV, reflectance factors, and our own table as a format."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from gonio import measurement
+from gonio.errors import DataError
+
+ASTM = """LAB_NAME A laboratory
+SAMPLE_NAME Tile "7"; grey
+NUM_POINTS 4
+VARS theta_i,phi_i,theta_s,phi_s,500nm,650.5nm
+
+0.174533,0.000000,0.427512,3.141593,0.100000,0.250000
+0.174533,0.000000,0.427512,0.000000,0.000000,-0.000200
+0.785398,0.000000,0.000000,-0.392699,0.300000,0.000001
+1.570796,0.000000,1.570796,1.570796,0.300000,0.000000
+"""
+
+NIST = """lambda,thetai,phi,thetar,phir,f_r11,f_r12/f_r11
+0.633,-45,0,0.001,0,3.16E-01,0.01
+0.633,-45,0,30,-90,3.10E-01,0.01
+0.351,-0.001,0,45,180,2.62E-01,0.01
+"""
+
+MWIR = """sample_de,sample_en,theta_o_deg,theta_i_deg,L_reflected_W_m-2_sr-1
+Alu,aluminium,15,60,1.0
+Messing,brass,15,0,2.0
+"""
+
+FACTOR = """ Incident_angle,Measure_angle, 500nm , 650nm
+10,-30,0.5,0.7
+10,-12,0,0
+10,10,27.5,31.0
+"""
+
+
+def test_astm_angles_values_and_clamped_zeros() -> None:
+    frame = measurement.parse(ASTM.encode(), Path("tile.astm"))
+    assert frame["wavelength_nm"].tolist() == [500.0, 650.5] * 4
+    # six decimals of radians stand for these degrees; phi_s = pi is the mirror side
+    assert frame["theta_i_deg"].tolist()[::2] == [10.0, 10.0, 45.0, 90.0]
+    assert frame["phi_r_deg"].tolist()[::2] == [180.0, 0.0, 337.5, 90.0]
+    assert frame["brdf"].tolist() == [0.1, 0.25, 0.0, -0.0002, 0.3, 0.000001, 0.3, 0.0]
+    # only an exact zero is missing: a small value and a negative one are data
+    assert frame["flag"].tolist() == ["", "", "clamped", "", "", "", "", "clamped"]
+    assert frame["u_brdf"].isna().all()
+    assert frame.attrs["sample"] == 'Tile "7"; grey'
+    assert any("uncertaint" in note for note in frame.attrs["notes"])
+
+
+def test_astm_round_trip_to_the_formats_digits(tmp_path: Path, small: pd.DataFrame) -> None:
+    lost = measurement.write(small, tmp_path / "a.astm")
+    back = measurement.read(tmp_path / "a.astm")
+    assert lost == []
+    pd.testing.assert_frame_equal(back, small, check_exact=True)
+    first = (tmp_path / "a.astm").read_text()
+    measurement.write(back, tmp_path / "b.astm")
+    assert (tmp_path / "b.astm").read_text() == first
+
+
+def test_astm_says_what_it_has_no_room_for(tmp_path: Path, small: pd.DataFrame) -> None:
+    small["u_brdf"] = 0.01
+    (lost,) = measurement.write(small, tmp_path / "a.astm")
+    assert "u_brdf" in lost
+    small["polarisation"] = "ss"
+    with pytest.raises(DataError, match="unpolarised"):
+        measurement.write(small, tmp_path / "b.astm")
+    assert not (tmp_path / "b.astm").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("0.785398,", "45.0,", "line 8: theta_i = 45; a polar angle in radians"),
+        ("-0.392699", "-22.5", "line 8: phi_s = -22.5; an azimuth in radians"),
+        ("-0.000200", "-0.0002x", 'line 7: 650.5nm is "-0.0002x"'),
+        (",-0.000200", "", "line 7: 5 values, and VARS names 6"),
+        ("NUM_POINTS 4", "NUM_POINTS 9", "line 9: the file ends after 4 points, and NUM_POINTS is 9"),
+        ("500nm", "blue", 'line 4: VARS names "blue"'),
+        ("theta_i,phi_i,theta_s,phi_s,500nm,650.5nm", "theta_i,phi_i,x,y,1nm", "line 4: VARS begins with"),
+    ],
+)
+def test_astm_damage_is_located(old: str, new: str, told: str) -> None:
+    with pytest.raises(DataError) as caught:
+        measurement.parse(ASTM.replace(old, new, 1).encode(), Path("tile.astm"))
+    assert f"tile.astm, {told}" in str(caught.value)
+
+
+def test_nist_puts_the_source_where_its_negative_angle_says() -> None:
+    frame = measurement.parse(NIST.encode(), Path("ptfe.csv"))
+    assert frame["theta_i_deg"].tolist() == [45.0, 45.0, 0.001]
+    assert frame["phi_i_deg"].tolist() == [180.0] * 3
+    assert frame["phi_r_deg"].tolist() == [0.0, 270.0, 180.0]
+    assert frame["wavelength_nm"].tolist() == [633.0, 633.0, 351.0]
+    assert frame["brdf"].tolist() == [0.316, 0.310, 0.262]
+    assert any("Mueller" in note for note in frame.attrs["notes"])
+
+
+def test_nist_with_the_column_names_of_its_readme() -> None:
+    text = NIST.replace("thetai,phi,", "thetai,phii,").replace("f_r11,f_r12/f_r11", "fr11,m12")
+    assert len(measurement.parse(text.encode(), Path("ptfe.csv"))) == 3
+
+
+def test_infrared_radiance_becomes_brdf() -> None:
+    frame = measurement.parse(MWIR.encode(), Path("metals.csv"))
+    source = math.pi * 25 / 315**2
+    expected = [1.0 / (3463.986 * 0.5 * source), 2.0 / (3463.986 * source)]
+    np.testing.assert_allclose(frame["brdf"], expected, rtol=1e-14)
+    assert (frame["phi_r_deg"] - frame["phi_i_deg"]).tolist() == [180.0, 180.0]  # opposite sides of the normal
+    assert frame["wavelength_nm"].isna().all()
+    assert frame.attrs["bands"] == [{"name": "2-5.7 um", "lower_nm": 2000.0, "upper_nm": 5700.0}]
+    assert frame.attrs["source_solid_angle_sr"] == pytest.approx(source, rel=1e-14)
+    assert frame.attrs["samples"] == ["aluminium", "brass"]
+    with pytest.raises(DataError, match="line 2: theta_i_deg = 90"):
+        measurement.parse(MWIR.replace(",60,", ",90,").encode(), Path("metals.csv"))
+
+
+def test_reflectance_factors_become_brdf() -> None:
+    frame = measurement.parse(FACTOR.encode(), Path("paint.csv"))
+    np.testing.assert_allclose(frame["brdf"] * math.pi, [0.5, 0.7, 0, 0, 27.5, 31.0], rtol=1e-15)
+    assert frame["phi_r_deg"].tolist() == [0.0] * 4 + [180.0] * 2  # positive is the mirror side
+    assert frame["flag"].tolist() == ["", "", "blocked", "blocked", "", ""]
+
+
+def test_reflectance_factor_round_trip(tmp_path: Path, small: pd.DataFrame) -> None:
+    plane = small[small["phi_r_deg"] != 90].reset_index(drop=True)
+    plane.loc[plane["theta_r_deg"] == 0, "phi_r_deg"] = 180.0  # a signed zero has no side
+    plane["flag"] = ["blocked" if flag else "" for flag in plane["flag"]]
+    measurement.write(plane, tmp_path / "f.csv", format="reflectance-factor")
+    back = measurement.read(tmp_path / "f.csv")
+    pd.testing.assert_frame_equal(back, plane, check_exact=False, rtol=1e-15)  # R = pi f is divided again
+    with pytest.raises(DataError, match="one plane"):
+        measurement.write(small, tmp_path / "g.csv", format="reflectance-factor")
+
+
+@pytest.mark.parametrize(
+    ("text", "name"), [(ASTM, "tile.astm"), (NIST, "ptfe.csv"), (MWIR, "metals.csv"), (FACTOR, "paint.csv")]
+)
+def test_damaged_files_are_named_errors_or_tables(text: str, name: str, survives: Callable[..., None]) -> None:
+    survives(text.encode(), name)
+
+
+def test_damaged_tables_of_our_own(small: pd.DataFrame, survives: Callable[..., None]) -> None:
+    survives(small.to_csv(index=False).encode(), "table.csv")
+
+
+def test_cornell(shared: Path) -> None:
+    for name, zeros in (("cayman", 11840), ("krylon_blue", 1218)):
+        frame = measurement.read(shared / "cornell_astm" / f"{name}.astm")
+        assert len(frame) == 1439 * 31
+        assert (frame["flag"] == "clamped").sum() == zeros  # counted with grep
+        assert sorted(frame["theta_i_deg"].unique()) == [10, 20, 30, 40, 50, 60, 70, 80]
+        lobe = frame[frame["flag"] == ""].sort_values("brdf").iloc[-1]
+        assert lobe["phi_r_deg"] == 180.0  # the gloss is on the mirror side
+
+
+def test_nist_ptfe(shared: Path) -> None:
+    frame = measurement.read(shared / "nist_ptfe" / "PTFE.data.csv")
+    assert len(frame) == 7296
+    red = frame[(frame["wavelength_nm"] == 633) & (frame["theta_r_deg"].sub(45).abs() < 1) & (frame["theta_i_deg"] < 1)]
+    assert math.pi * red["brdf"].mean() == pytest.approx(
+        0.993, abs=0.01
+    )  # README of the data; 16 azimuths spread by 1 %
+
+
+def test_infrared_metals(shared: Path) -> None:
+    metals = measurement.tables(shared / "mwir_metals" / "mwir_inplane_reflected_radiance.csv")
+    assert len(metals) == 8
+    assert {len(frame) for frame in metals.values()} == {890}
+    rough = metals["sandblasted aluminium"]
+    grid = rough.pivot(index="theta_i_deg", columns="theta_r_deg", values="brdf")
+    angles = [angle for angle in grid.columns if angle in grid.index]
+    square = grid.loc[angles, angles].to_numpy()
+    assert (square / square.T).max() < 1.12  # Helmholtz: this sample is reciprocal within 12 %
+
+
+def test_reflectance_factor_table(shared: Path) -> None:
+    frame = measurement.read(shared / "reflectance_factor_table" / "two_dimensional_reflectance_factor.csv")
+    assert len(frame) == 329 * 35
+    for theta_i, group in frame[frame["flag"] == ""].groupby("theta_i_deg"):
+        peak = group.loc[group["brdf"].idxmax()]
+        assert abs(peak["theta_r_deg"] - theta_i) <= 1  # the step of the table at its peaks
+        assert peak["phi_r_deg"] == 180.0
