@@ -1,0 +1,145 @@
+"""Simulated axes: encoder counts, backlash, and zeros that are known, not quite known, or hidden.
+
+An encoder sits on the motor's side of the gear. It reads whole counts. The motor stops when its encoder shows the count
+that is nearest to the goal; within that count it may stand anywhere, with equal probability. So the true position is
+uniform over one encoder step around what is read, which is the standard uncertainty step / sqrt(12) of a reading.
+
+The arm follows with play: on the way up the lower flank of the gear pushes it, on the way down the upper one, and it
+lags by `backlash_deg`. Every goal is approached from below, from `acquisition.approach_deg` away, which takes up the
+play if the approach is longer than the play; the zero offset is defined for that side. What is left is
+
+    true = encoder - zero_offset_deg - (what the calibration missed, drawn once from N(0, zero_u_deg))
+    read = encoder in whole counts - zero_offset_deg, or without it where `zero_offset_known = false`
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields
+
+from gonio.description import Axis
+from gonio.errors import ConfigError
+from gonio.rig import Pose
+from gonio_sim.world import SETTLE_S, Stream, World, axes, limits_deg
+
+AXES = tuple(field.name for field in fields(Pose))
+ROUNDING = 1e-9
+"""A goal this close [rad] to a limit is at the limit."""
+
+
+class Mechanism:
+    """One axis. Angles are radians; the encoder's own zero is where the arm stands at -zero_offset."""
+
+    def __init__(self, axis: Axis, zero_error: float, rest: float) -> None:
+        self._step = math.radians(axis.encoder_step_deg)
+        self._backlash = math.radians(axis.backlash_deg)
+        self._offset = math.radians(axis.zero_offset_deg)
+        self._known_offset = self._offset if axis.zero_offset_known else 0.0
+        self._zero_error = zero_error
+        self.speed = math.radians(axis.speed_deg_per_s)
+        self._rest = rest
+        self.rest()
+
+    def rest(self) -> None:
+        """Stand at the rest position, reached from above: the play is open, as it is before a first approach."""
+        self.encoder = self._rest + self._known_offset
+        self.arm = self.encoder + self._backlash
+
+    def land(self, goal: float, approach: float, within: float) -> None:
+        """Go to `approach` below the goal, then up to it; the motor stops at `within`, in [-1/2, 1/2), of its count."""
+        target = goal + self._known_offset
+        if self._step > 0.0:
+            target = (round(target / self._step) + within) * self._step
+        for encoder in (target - approach, target):
+            self.encoder = encoder
+            self.arm = min(max(self.arm, encoder), encoder + self._backlash)
+
+    @property
+    def reading(self) -> float:
+        """What the encoder shows, with the zero offset taken out if it is known."""
+        counted = round(self.encoder / self._step) * self._step if self._step > 0.0 else self.encoder
+        return counted - self._known_offset
+
+    @property
+    def true(self) -> float:
+        """Where the arm is."""
+        return self.arm - self._offset - self._zero_error
+
+
+class SimulatedArms:
+    """All axes of the simulated rig, as an `ArmsDevice`."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._limits = {name: tuple(map(math.radians, pair)) for name, pair in limits_deg(world.description).items()}
+        self._approach = math.radians(world.description.acquisition.approach_deg)
+        # out of each other's way: the light on its lower end, the camera on its upper end, the holder at zero
+        self._rest = {name: 0.0 for name in axes(world.description)}
+        self._rest["light"], self._rest["camera"] = self._limits["light"][0], self._limits["camera"][1]
+        self._axes = {
+            name: Mechanism(axis, world.zero_error[name], self._rest[name])
+            for name, axis in axes(world.description).items()
+        }
+        self._moves = 0
+        self._publish()
+
+    def begin(self) -> None:
+        """Stand where every step begins: at rest."""
+        for axis in self._axes.values():
+            axis.rest()
+        self._moves = 0
+        self._publish()
+
+    def move(self, goal: Pose) -> Pose:
+        """Drive every axis to `goal` from below; what the encoders read there."""
+        self._world.require_open("arms")
+        wanted = self._checked(goal)
+        self._drive(wanted)
+        return self.read()
+
+    def read(self) -> Pose:
+        """What the encoders read, now."""
+        self._world.require_open("arms")
+        return Pose(**{name: axis.reading for name, axis in self._axes.items()})
+
+    def stop(self) -> None:
+        """Nothing moves between two calls, so there is nothing to stop."""
+
+    def park(self) -> None:
+        """Drive to the rest position."""
+        self._drive(self._rest)
+
+    def _drive(self, goals: Mapping[str, float]) -> None:
+        durations = []
+        for number, (name, axis) in enumerate(self._axes.items()):
+            durations.append((abs(goals[name] - axis.reading) + 2.0 * self._approach) / axis.speed)
+            within = self._world.uniform(Stream.LANDING, self._world.step, self._moves, number)
+            axis.land(goals[name], self._approach, within)
+        self._moves += 1
+        self._world.spend(max(durations) + SETTLE_S)
+        self._publish()
+
+    def _publish(self) -> None:
+        self._world.pose = Pose(**{name: axis.true for name, axis in self._axes.items()})
+
+    def _checked(self, goal: Pose) -> dict[str, float]:
+        out = {}
+        for name in AXES:
+            value = getattr(goal, name)
+            if name not in self._axes:
+                if abs(value) > ROUNDING:
+                    raise ConfigError(
+                        f'{name} = {math.degrees(value):g} deg: the rig "{self._world.description.name}" has no such '
+                        f"axis; it has {', '.join(self._axes)}"
+                    )
+                continue
+            lower, upper = self._limits[name]
+            if not lower - ROUNDING <= value <= upper + ROUNDING:
+                raise ConfigError(
+                    f"{name} = {math.degrees(value):g} deg is outside the limits of this axis, "
+                    f"{math.degrees(lower):g} to {math.degrees(upper):g} deg, of the rig "
+                    f'"{self._world.description.name}"'
+                )
+            out[name] = min(max(value, lower), upper)
+        return out

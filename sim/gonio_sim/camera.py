@@ -1,0 +1,174 @@
+"""The simulated camera: the rendered scene through an EMVA 1288 sensor."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.description import Band, Camera
+from gonio.errors import ConfigError, DeviceError
+from gonio.rig import Frame
+from gonio_sim.world import Stream, World
+
+if TYPE_CHECKING:
+    from gonio_sim.render import Renderer
+
+Floats = npt.NDArray[np.float32]
+THREADS = max(1, min(2, os.cpu_count() or 1))
+
+
+class Sensor:
+    """A sensor with its own fixed differences between pixels, drawn from the seed alone.
+
+    The order of effects is that of EMVA 1288: photo-electrons (with PRNU) and dark electrons are counted, with shot
+    noise; the well fills up; dark offset (DSNU) and read noise are added; the gain makes DN above the black level; the
+    converter rounds and clips.
+
+    Raises
+    ------
+    ConfigError
+        The description asks for unquantised levels in a raw file that cannot hold them.
+    """
+
+    def __init__(self, camera: Camera, world: World) -> None:
+        if not camera.quantised and camera.bits != 16:
+            raise ConfigError(
+                f"camera.quantised = false with camera.bits = {camera.bits}: a raw file holds whole numbers; "
+                "with bits = 16 one DN is 1.5e-5 of full scale"
+            )
+        self._camera = camera
+        self._size = camera.width * camera.height
+        self._pool: ThreadPoolExecutor | None = None
+        self._world = world
+        self._maps: tuple[Floats, Floats] | None = None
+
+    def close(self) -> None:
+        """End the threads; the next frame starts new ones."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    def read_out(self, rate: Floats | None, exposure_s: float, level: float, key: np.uint64) -> npt.NDArray[np.uint16]:
+        """The mosaic of one frame [DN].
+
+        Parameters
+        ----------
+        rate
+            Expected photo-electrons a second of each pixel with a fresh lamp; None in the dark.
+        exposure_s, level
+            Exposure time, and the lamp's relative output during it.
+        key
+            Start of the frame's random numbers.
+        """
+        from gonio_sim.sensor import expose
+
+        camera = self._camera
+        gain, offset = self._fixed_maps()
+        flat = np.zeros(1, np.float32) if rate is None else rate.reshape(-1)
+        out = np.empty(self._size, np.uint16)
+
+        def part(first: int, last: int) -> None:
+            expose(
+                flat,
+                exposure_s * level,
+                gain,
+                offset,
+                camera.dark_current_e_per_s * exposure_s,
+                camera.photon_noise,
+                camera.read_noise_e,
+                camera.full_well_e,
+                camera.electrons_per_dn,
+                camera.black_level_dn,
+                camera.white_level_dn,
+                key,
+                first,
+                last,
+                out,
+            )
+
+        self._in_parts(part)
+        return out.reshape(camera.height, camera.width)
+
+    def _fixed_maps(self) -> tuple[Floats, Floats]:
+        """Relative responsivity (never negative) and dark offset [e-] of every pixel; size 1 where all are alike."""
+        if self._maps is None:
+            gain = np.maximum(self._fixed_map(Stream.PRNU, self._camera.prnu, 1.0), np.float32(0.0))
+            self._maps = gain, self._fixed_map(Stream.DSNU, self._camera.dsnu_e, 0.0)
+        return self._maps
+
+    def _fixed_map(self, stream: Stream, deviation: float, centre: float) -> Floats:
+        from gonio_sim.sensor import normals
+
+        if deviation == 0.0:
+            return np.full(1, centre, np.float32)
+        out, key = np.empty(self._size, np.float32), self._world.key(stream)
+        self._in_parts(lambda first, last: normals(key, first, last, deviation, centre, out))
+        return out
+
+    def _in_parts(self, work: Callable[[int, int], None]) -> None:
+        """Run `work(first, last)` over all pixels in threads of our own; the kernels release the interpreter's lock."""
+        if THREADS == 1:
+            return work(0, self._size)
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="gonio-sim-sensor")
+        edges = [self._size * k // THREADS for k in range(THREADS + 1)]
+        parts = [self._pool.submit(work, first, last) for first, last in pairwise(edges)]
+        for done in parts:
+            done.result()
+
+
+class SimulatedCamera:
+    """The camera of the simulated rig, as a `CameraDevice`."""
+
+    def __init__(self, world: World, renderer: Renderer) -> None:
+        self._world = world
+        self._renderer = renderer
+        self._sensor = Sensor(world.description.camera, world)
+
+    def capture(self, exposure_s: float) -> Frame:
+        """One frame of what the world looks like now.
+
+        Raises
+        ------
+        ConfigError
+            The exposure is outside `camera.exposure_limits_s`.
+        DeviceError
+            The rig is not open, or the lamp is lit without a band.
+        """
+        world, camera = self._world, self._world.description.camera
+        world.require_open("camera")
+        shortest, longest = camera.exposure_limits_s
+        if not shortest * (1 - 1e-9) <= exposure_s <= longest * (1 + 1e-9):
+            raise ConfigError(
+                f"an exposure of {exposure_s:g} s is outside camera.exposure_limits_s, {shortest:g} to {longest:g} s"
+            )
+        rate = self._renderer.rate(self._lit_band()) if world.lamp_on else None
+        mosaic = self._sensor.read_out(
+            rate, exposure_s, world.lamp_level(), world.key(Stream.SENSOR, world.step, world.frame)
+        )
+        time_s = world.now_s()
+        world.frame += 1
+        world.spend(exposure_s + camera.frame_overhead_s)
+        return Frame(
+            mosaic=mosaic,
+            exposure_s=exposure_s,
+            black_level_dn=camera.black_level_dn,
+            white_level_dn=camera.white_level_dn,
+            pattern=camera.pattern,
+            time_s=time_s,
+        )
+
+    def close(self) -> None:
+        """Let go of threads."""
+        self._sensor.close()
+
+    def _lit_band(self) -> Band:
+        if self._world.band is None:
+            raise DeviceError("the lamp is lit, and no band was selected")
+        return self._world.band

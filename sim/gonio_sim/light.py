@@ -1,0 +1,33 @@
+"""The simulated lamp: a band, on or off. Its level, drift and noise are the world's."""
+
+from __future__ import annotations
+
+from gonio.description import Band
+from gonio.errors import ConfigError
+from gonio_sim.world import World
+
+
+class SimulatedLight:
+    """The lamp of the simulated rig, as a `LightDevice`; dark when it is made."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._bands = world.description.bands.all()
+
+    def select(self, band: Band) -> None:
+        """Put a band of the rig into the beam."""
+        self._world.require_open("lamp")
+        if band not in self._bands:
+            raise ConfigError(
+                f'the rig "{self._world.description.name}" has no band "{band.name}" ({band.centre_nm:g} nm)'
+            )
+        self._world.band = band
+
+    def on(self) -> None:
+        """Light up; the simulated lamp settles at once."""
+        self._world.require_open("lamp")
+        self._world.lamp_on = True
+
+    def off(self) -> None:
+        """Darken; allowed at any time."""
+        self._world.lamp_on = False

@@ -1,0 +1,152 @@
+"""The truth of a simulated measurement: where the axes really are, the lamp, the sample, the clock, the random numbers.
+
+The simulated devices change and read this one object; nothing that runs a measurement or reduces it may. Random numbers
+and the clock are functions of (seed, step, frame within the step) and of nothing that happened before the step: a step
+gives the same frames whenever it is run.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+
+from gonio.description import Axis, Band, RigDescription, SampleDescription
+from gonio.errors import ConfigError, DeviceError
+from gonio.rig import Pose, Target
+
+FRAMES_S = 10.0
+"""What a step is given for its frames, beyond the longest move [s]."""
+SETTLE_S = 0.2
+"""From the end of a move until the arms stand still [s]."""
+
+
+class Stream(IntEnum):
+    """What a random number is for; the first part of its address."""
+
+    ZERO = 1
+    REFERENCE = 2
+    LAMP = 3
+    LANDING = 4
+    SENSOR = 5
+    PRNU = 6
+    DSNU = 7
+
+
+class World:
+    """Everything that is true on the simulated bench, and known to nobody who measures there.
+
+    Parameters
+    ----------
+    description
+        The rig; the world suffers what it names.
+    sample
+        What lies in the holder; None for a bench without a sample, where only the reference can be looked at.
+    seed
+        At least 0. The remaining errors of the zeros and of the reference, the pixels' differences and every noise
+        follow from it.
+
+    Raises
+    ------
+    ConfigError
+        The seed is negative.
+    """
+
+    def __init__(self, description: RigDescription, sample: SampleDescription | None, seed: int) -> None:
+        if seed < 0:
+            raise ConfigError(f"seed = {seed}: it must be 0 or more")
+        self.description = description
+        self.sample = sample
+        self.seed = seed
+        self.open = False
+        self.lamp_on = False
+        self.band: Band | None = None
+        self.target: Target = "sample"
+        self.pose = Pose()
+        """True positions of the axes [rad]."""
+        self.zero_error = {
+            name: np.radians(axis.zero_u_deg) * self.normal(Stream.ZERO, number)
+            for number, (name, axis) in enumerate(axes(description).items())
+        }
+        """What the calibration of each zero missed [rad]: the true position is the calibrated one minus this."""
+        reference = description.reference
+        drawn = self.normal(Stream.REFERENCE) if reference.error == "drawn" else 0.0
+        self.reference_scale = 1.0 + reference.u_rel * drawn
+        """True reflectance of the white reference over the certified one."""
+        self.step = 0
+        self.frame = 0
+        self._elapsed_s = 0.0
+        self._slot_s = slot_s(description)
+
+    def begin(self, step: int) -> None:
+        """Set the clock and the random numbers to the start of a step."""
+        self.step, self.frame, self._elapsed_s = step, 0, 0.0
+
+    def now_s(self) -> float:
+        """Seconds since the lamp was lit for the run.
+
+        Step n starts at n times `slot_s`, and time goes on with every move and frame, but never into the next step: in
+        a step that is longer than its slot the clock, and with it the lamp's drift, waits at the end of the slot.
+        """
+        return self.description.lamp.warm_up_s + self.step * self._slot_s + min(self._elapsed_s, self._slot_s)
+
+    def spend(self, seconds: float) -> None:
+        """Let time pass."""
+        self._elapsed_s += seconds
+
+    def lamp_level(self) -> float:
+        """The lamp's output during the present frame, relative to its mean when the run began."""
+        lamp = self.description.lamp
+        drift = 1.0 + lamp.drift_per_hour * self.now_s() / 3600.0
+        noise = lamp.noise * self.normal(Stream.LAMP, self.step, self.frame) if lamp.noise else 0.0
+        return max(0.0, drift * (1.0 + noise))
+
+    def normal(self, stream: Stream, *address: int) -> float:
+        """A standard normal number, the same at every call with the same address."""
+        return float(self._generator(stream, *address).standard_normal())
+
+    def uniform(self, stream: Stream, *address: int) -> float:
+        """A uniform number in [-1/2, 1/2), the same at every call with the same address."""
+        return float(self._generator(stream, *address).random()) - 0.5
+
+    def key(self, stream: Stream, *address: int) -> np.uint64:
+        """64 bits that start a counter-based generator for one whole frame or map."""
+        return np.uint64(np.random.SeedSequence([self.seed, stream, *address]).generate_state(1, np.uint64)[0])
+
+    def _generator(self, stream: Stream, *address: int) -> np.random.Generator:
+        return np.random.default_rng([self.seed, stream, *address])
+
+    def require_open(self, device: str) -> None:
+        """Raise `DeviceError` where a device is used before its rig was entered, or after it was left."""
+        if not self.open:
+            name = self.description.name
+            raise DeviceError(f'the {device} of the simulated rig "{name}" is not open: enter the rig first')
+
+
+def axes(description: RigDescription) -> dict[str, Axis]:
+    """The axes that a described rig has, by the name of their field in a `Pose`."""
+    out: dict[str, Axis] = {"light": description.arms.light, "camera": description.arms.camera}
+    out |= {name: description.holder for name in ("tilt", "spin") if name in description.holder.axes}
+    if description.arms.azimuth is not None:
+        out["azimuth"] = description.arms.azimuth
+    return out
+
+
+def limits_deg(description: RigDescription) -> dict[str, tuple[float, float]]:
+    """The limits of the axes that a described rig has [deg]."""
+    arms, holder = description.arms, description.holder
+    known = {
+        "light": arms.light.limits_deg,
+        "camera": arms.camera.limits_deg,
+        "tilt": holder.tilt_limits_deg,
+        "spin": holder.spin_limits_deg,
+        "azimuth": arms.azimuth.limits_deg if arms.azimuth is not None else (0.0, 0.0),
+    }
+    return {name: known[name] for name in axes(description)}
+
+
+def slot_s(description: RigDescription) -> float:
+    """Simulated duration of a step [s]: the longest travel of any axis, and `FRAMES_S` for the frames."""
+    limits = limits_deg(description)
+    travel = max((limits[n][1] - limits[n][0]) / axis.speed_deg_per_s for n, axis in axes(description).items())
+    return travel + SETTLE_S + FRAMES_S
