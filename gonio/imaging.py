@@ -1,8 +1,8 @@
 """Which spot of the sample each pixel sees, and how the light falls on it: pure geometry of a view.
 
 The camera is a pinhole in the middle of its lens, focused on the sample's centre. The simulated camera calls this
-with the true view, the reduction with the view that the encoders read, so that both sides share one set of formulas and
-differ only in what they know. Everything is in the sample's frame: origin at its centre, z its normal.
+with the true view, the reduction with the view that the encoders read, so that both sides share one set of formulas
+and differ only in what they know. Everything is in the sample's frame: origin at its centre, z its normal.
 """
 
 from __future__ import annotations
@@ -190,6 +190,16 @@ class Roi:
         """The used pixels of a whole frame, one-dimensional."""
         out: npt.NDArray[np.generic] = image[self.rows, self.cols][self.mask]
         return out
+
+    def shared(self, other: Roi) -> int:
+        """How many pixels two regions have in common."""
+        top, bottom = max(self.rows.start, other.rows.start), min(self.rows.stop, other.rows.stop)
+        left, right = max(self.cols.start, other.cols.start), min(self.cols.stop, other.cols.stop)
+        if top >= bottom or left >= right:
+            return 0
+        cut = [r.mask[top - r.rows.start : bottom - r.rows.start, left - r.cols.start : right - r.cols.start]
+               for r in (self, other)]  # fmt: skip
+        return int(np.count_nonzero(cut[0] & cut[1]))
 
 
 def roi(description: RigDescription, view: View, target: Target = "sample", channel: Channel = "mono") -> Roi:

@@ -1,0 +1,277 @@
+"""Raw frames to BRDF with uncertainty: what `gonio reduce` does. The formulas are explained in docs/radiometry.md.
+
+Every pixel of the region of interest is freed of its own bias and dark charge and divided by the geometry that it
+is known to see (docs/architecture.md, "The measurement equation"); the mean over the region is a rate in electrons
+a second. Frames of one point are merged with the inverse of the variance that EMVA 1288 predicts for the *pooled*
+signal. A rate over the signal per unit BRDF, which visits to the white reference tell, is the BRDF.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+import gonio
+from gonio import geometry, kinematics, level, sensitivity
+from gonio.description import Axis, Band, RigDescription
+from gonio.errors import DataError
+from gonio.kinematics import Directions
+from gonio.plan import ANGLES
+from gonio.rates import Bench, Merged, Region, in_threads
+from gonio.rig import Pose
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from gonio.run import Run
+
+Array = npt.NDArray[np.float64]
+
+CAUSES = {"light": "s_theta_i_zero", "camera": "s_theta_r_zero", "tilt": "s_tilt_zero", "azimuth": "s_azimuth_zero"}
+"""Axes whose zeros are common causes. A spin turns both directions alike: an isotropic surface does not notice it."""
+
+
+def reduce(run: Run) -> pd.DataFrame:
+    """The measurement table of a run: BRDF [1/sr] with uncertainty for every point of its plan and every band.
+
+    Parameters
+    ----------
+    run
+        A run, complete or not. Frames are checked against the journal's checksums while they are read, a few at a
+        time.
+
+    Returns
+    -------
+    pandas.DataFrame
+        As `gonio.measurement` describes it, in the order of the plan. Angles are what the encoders read. `brdf` is NaN
+        where `flag` says why: "blocked", "unreachable" and the plan's other reasons, "saturated" (in every frame),
+        "below_horizon" (at the pose that was read), "not_measured" (the run ended before).
+        Causes: `s_reference` (the certificate), `s_reference_noise` (mean level of the visits), `s_lamp_drift`,
+        `s_theta_i_zero`, `s_theta_r_zero` and, with those axes, `s_tilt_zero`, `s_azimuth_zero`.
+
+    Raises
+    ------
+    DataError
+        There are no dark frames or no usable visit to the white reference, or a frame is missing, damaged or not
+        the one that the journal names.
+    ConfigError
+        The reference's table is missing.
+    """
+    bench = Bench(run)
+    return _assemble(run, [_reduce_band(bench, band) for band in run.bands])
+
+
+@dataclass(frozen=True, slots=True)
+class _BandResult:
+    """One band of a run: its rows by point, why others have none, and what the attributes say of it."""
+
+    band: Band
+    rows: dict[int, dict[str, Any]]
+    flags: dict[int, str]
+    level: level.Level
+    reference_brdf: float
+    visits: int
+
+
+def _reduce_band(bench: Bench, band: Band) -> _BandResult:
+    run, description = bench.run, bench.description
+    merged = list(in_threads(lambda step: bench.merge(step, band), bench.steps))
+    points = [m for m in merged if isinstance(m, Merged) and m.point is not None]
+    visits = [m for m in merged if isinstance(m, Merged) and m.point is None]
+    kept = [(s, m) for s, m in zip(bench.steps, merged, strict=True) if isinstance(m, str) and s["kind"] == "point"]
+    flags = bench.flags | {int(step["point"]): flag for step, flag in kept}
+    if not visits:
+        raise DataError(f"{run.path}: no usable visit to the white reference in band {band.name}; see its frames")
+    known = np.array([_reference_brdf(bench, visit.directions, band) for visit in visits])
+    at_reference = visits[0]
+    encoder, zeros = _encoder_steps(description), _zeros(description)
+    landing = sum(_change_of_cosine(description, at_reference, axis, u)[0] ** 2 for axis, u in encoder.items())
+    rates = np.array([visit.rate for visit in visits])
+    if rates.min() <= 0:
+        raise DataError(f"{run.path}: a visit to the white reference in band {band.name} saw no light; see its frames")
+    variances = np.array([visit.variance for visit in visits]) + landing * rates**2
+    fitted = level.fit(np.array([visit.time_s for visit in visits]), rates / known, variances / known**2)
+
+    times = np.array([point.time_s for point in points])
+    k = fitted.at(times)
+    brdf = np.array([point.rate for point in points]) / k
+    random = np.sqrt(np.array([point.variance for point in points])) / k
+    prnu = np.array([_prnu(description, point.region, at_reference.region) for point in points])
+    random = np.sqrt(random**2 + (brdf * prnu) ** 2 + (brdf * fitted.extra(times) / k) ** 2)
+    common = {
+        "s_reference": brdf * description.reference.u_rel,
+        "s_reference_noise": -brdf * fitted.noise(times) / k,
+        "s_lamp_drift": -brdf * fitted.drift(times) / k,
+    } | {name: np.zeros(len(points)) for name in (CAUSES[axis] for axis in zeros)}
+    nominal = np.radians(run.plan[list(ANGLES)].to_numpy(dtype=float))
+    goals = [Directions(*nominal[point.point].tolist()) for point in points if point.point is not None]
+    cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
+    curves = sensitivity.Curves(goals, [point.directions for point in points], brdf, random, cones)
+    for index, point in enumerate(points):
+        variance = 0.0
+        for axis, u in encoder.items():
+            odd, even = _effects(description, curves, index, point, axis, u)
+            variance += odd**2 + even**2
+        for axis, u in zeros.items():
+            odd, even = _effects(description, curves, index, point, axis, u)
+            variance += even**2
+            same = _change_of_cosine(description, at_reference, axis, u)[0]
+            common[CAUSES[axis]][index] = odd - brdf[index] * same
+        random[index] = math.sqrt(random[index] ** 2 + variance)
+    combined = np.sqrt(random**2 + sum(column**2 for column in common.values()))
+    rows = {
+        int(point.point): {
+            **_angle_columns(point.directions),
+            "brdf": brdf[index],
+            "u_brdf": combined[index],
+            "u_random": random[index],
+            **{name: column[index] for name, column in common.items()},
+        }
+        for index, point in enumerate(points)
+        if point.point is not None
+    }
+    return _BandResult(band, rows, flags, fitted, float(known.mean()), len(visits))
+
+
+def _reference_brdf(bench: Bench, directions: Directions, band: Band) -> float:
+    """What the certificate says [1/sr]."""
+    reference = bench.description.reference
+    if reference.table is not None:
+        from gonio import measurement
+
+        return level.brdf_of_table(measurement.read(reference.table), directions, band.centre_nm)
+    if not reference.albedo:
+        raise DataError("the rig file gives neither reference.albedo (above 0) nor reference.table")
+    return reference.albedo / math.pi
+
+
+def _axes(description: RigDescription) -> dict[str, Axis]:
+    """The axes whose angles a value depends on."""
+    arms = description.arms
+    axes: dict[str, Axis] = {"light": arms.light, "camera": arms.camera}
+    if "tilt" in description.holder.axes:
+        axes["tilt"] = description.holder
+    if arms.azimuth is not None:
+        axes["azimuth"] = arms.azimuth
+    return axes
+
+
+def _encoder_steps(description: RigDescription) -> dict[str, float]:
+    """Standard uncertainty [rad] of a reading in whole steps: uniform over one step."""
+    axes = {name: math.radians(axis.encoder_step_deg) / math.sqrt(12.0) for name, axis in _axes(description).items()}
+    return {name: u for name, u in axes.items() if u > 0}
+
+
+def _zeros(description: RigDescription) -> dict[str, float]:
+    """Standard uncertainty [rad] of each zero; both arms are always there, so that tables have the same columns."""
+    axes = {name: math.radians(axis.zero_u_deg) for name, axis in _axes(description).items()}
+    return {name: u for name, u in axes.items() if u > 0 or name in ("light", "camera")}
+
+
+def _moved(description: RigDescription, pose: Pose, axis: str, by: float) -> Directions:
+    return kinematics.directions(description, replace(pose, **{axis: getattr(pose, axis) + by}))
+
+
+def _effects(
+    description: RigDescription, curves: sensitivity.Curves, index: int, point: Merged, axis: str, u: float
+) -> tuple[float, float]:
+    """Odd and even change [1/sr] of a value when an axis truly stands +-u [rad] from where it is read."""
+    if u == 0:
+        return 0.0, 0.0
+    plus, minus = (_moved(description, point.pose, axis, by) for by in (u, -u))
+    return curves.effects(index, point.directions, plus, minus)
+
+
+def _change_of_cosine(description: RigDescription, visit: Merged, axis: str, u: float) -> tuple[float, float]:
+    """Relative odd and even change of the light on the reference when an axis truly stands +-u [rad] off."""
+    here = math.cos(visit.directions.theta_i)
+    up, down = (math.cos(_moved(description, visit.pose, axis, by).theta_i) / here - 1.0 for by in (u, -u))
+    return 0.5 * (up - down), 0.5 * (up + down)
+
+
+def _prnu(description: RigDescription, region: Region, reference: Region) -> float:
+    """Relative standard deviation from the pixels' responsivities; those that both regions use cancel in part."""
+    if not description.camera.prnu:
+        return 0.0
+    n, m = region.roi.count, reference.roi.count
+    return description.camera.prnu * math.sqrt(
+        max(1.0 / n + 1.0 / m - 2.0 * region.roi.shared(reference.roi) / (n * m), 0)
+    )
+
+
+def _angle_columns(directions: Directions) -> dict[str, float]:
+    """The four angles [deg] as tables have them."""
+    theta = [min(round(math.degrees(t), 9), 90.0) for t in (directions.theta_i, directions.theta_r)]
+    phi = [round(math.degrees(p), 9) % 360.0 for p in (directions.phi_i, directions.phi_r)]
+    return dict(zip(ANGLES, (theta[0], phi[0], theta[1], phi[1]), strict=True))
+
+
+def _assemble(run: Run, results: list[_BandResult]) -> pd.DataFrame:
+    """One row for every point of the plan and every band, and the attributes."""
+    import pandas as pd
+
+    description, plan = run.description, run.plan
+    causes = ["s_reference", "s_reference_noise", "s_lamp_drift", *(CAUSES[axis] for axis in _zeros(description))]
+    nothing = dict.fromkeys(["brdf", "u_brdf", "u_random", *causes], math.nan)
+    rows = []
+    for point, goal in zip(plan.index.astype(int).tolist(), plan.to_dict("records"), strict=True):
+        for result in results:
+            row = {name: goal[name] for name in ANGLES} | nothing
+            flag = goal["flag"] or result.flags.get(point, "")
+            if not flag and point in result.rows:
+                row = result.rows[point]
+            elif not flag:
+                flag = "not_measured"
+            rows.append(row | {"wavelength_nm": result.band.centre_nm, "polarisation": "unpolarised", "flag": flag})
+    columns = [*ANGLES, "wavelength_nm", "polarisation", "brdf", "u_brdf", "u_random", *causes, "flag"]
+    frame = pd.DataFrame(rows, columns=columns)
+    lamp, camera = description.lamp, description.camera
+    cones = (math.radians(lamp.half_angle_deg), math.radians(camera.lens_half_angle_deg))
+    frame.attrs.update(
+        quantity="brdf",
+        source_solid_angle_sr=float(geometry.solid_angle_of_cone(cones[0])),
+        receiver_solid_angle_sr=float(geometry.solid_angle_of_cone(cones[1])),
+        bands=[result.band.model_dump() for result in results],
+        polarisation="unpolarised",
+        source_file=str(run.path),
+        sample=run.sample.name if run.sample is not None else None,
+        provenance={
+            "reduced_by": f"gonio {gonio.__version__}",
+            "rig": description.name,
+            "seed": run.seed,
+            "reference": [_account(result) for result in results],
+        },
+        notes=[note for result in results for note in _notes(result)],
+    )
+    return frame
+
+
+def _account(result: _BandResult) -> dict[str, Any]:
+    """What the visits to the reference said."""
+    fitted = result.level
+    return {
+        "band": result.band.name,
+        "brdf": result.reference_brdf,
+        "visits": result.visits,
+        "level_e_per_s_sr": fitted.level,
+        "u_level_rel": fitted.u_level / fitted.level,
+        "drift_per_hour": fitted.slope / fitted.level * 3600.0,
+        "u_drift_per_hour": fitted.u_slope / fitted.level * 3600.0,
+        "chi_square": fitted.chi_square,
+        "straight": fitted.straight,
+    }
+
+
+def _notes(result: _BandResult) -> list[str]:
+    if result.visits == 1:
+        return [f"{result.band.name}: one visit to the white reference only, so a drift of the lamp is not in u_brdf"]
+    if not result.level.straight:
+        return [
+            f"{result.band.name}: the visits to the white reference do not lie on a straight line (chi-square "
+            f"{result.level.chi_square:.1f} of {result.visits} visits): the level is interpolated between them"
+        ]
+    return []

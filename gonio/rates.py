@@ -1,0 +1,253 @@
+"""Raw frames to rates: electrons a second from the region of interest, with their variance.
+
+The formulas are explained in docs/radiometry.md, sections 1 to 3.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio import kinematics
+from gonio.description import Band, RigDescription
+from gonio.errors import DataError
+from gonio.frames import read_raw
+from gonio.imaging import Roi, pixel_map, roi
+from gonio.kinematics import Directions
+from gonio.rig import Frame, Pose, Target
+
+if TYPE_CHECKING:
+    from gonio.run import Run
+
+Array = npt.NDArray[np.float64]
+In = TypeVar("In")
+Out = TypeVar("Out")
+
+USABLE = 0.95
+"""A frame whose brightest used pixel lies above this fraction of full scale is not used at all: dropping single pixels,
+or frames that are only nearly full, would keep the darker half of the noise."""
+THREADS = 2
+
+
+class Darks:
+    """Each pixel's dark signal as a line over exposure time, for one rectangle of the sensor."""
+
+    def __init__(
+        self, frames: list[tuple[float, npt.NDArray[np.uint16]]], rows: slice, cols: slice, rate: float
+    ) -> None:
+        self._corner = rows.start, cols.start
+        times = np.array([t for t, _ in frames])
+        self._centre, self._count = float(times.mean()), len(frames)
+        self._spread = float(np.sum((times - self._centre) ** 2))
+        stack = np.stack([mosaic for _, mosaic in frames]).astype(float)
+        self._mean = stack.mean(axis=0)
+        if self._spread > 1e-6 * self._centre**2 and len(frames) > 1:
+            self._slope = np.tensordot(times - self._centre, stack, 1) / self._spread
+        else:  # one exposure only: the data sheet's dark current
+            self._slope, self._spread = np.full(self._mean.shape, rate), math.inf
+
+    def of(self, region: Roi, exposure_s: float) -> Array:
+        """Dark signal [DN] of the used pixels of a region, black level included."""
+        rows = slice(region.rows.start - self._corner[0], region.rows.stop - self._corner[0])
+        cols = slice(region.cols.start - self._corner[1], region.cols.stop - self._corner[1])
+        mean, slope = self._mean[rows, cols][region.mask], self._slope[rows, cols][region.mask]
+        return np.asarray(mean + slope * (exposure_s - self._centre))
+
+    def leverage(self, exposure_s: float) -> float:
+        """Variance of the line at an exposure over the variance of one dark frame's pixel."""
+        return 1.0 / self._count + (exposure_s - self._centre) ** 2 / self._spread
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """What the frames of one step and band are averaged over."""
+
+    roi: Roi
+    target: Target
+    per_weight: Array
+    """1 / (falloff cos(theta_i) (d0/d)^2) of the used pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """One frame, reduced to its region."""
+
+    rate: float
+    """Electrons a second, over the known geometry."""
+    exposure_s: float
+    time_s: float
+    peak: float
+    """Brightest used pixel, as a fraction of full scale."""
+    leverage: float
+
+
+@dataclass(frozen=True, slots=True)
+class Merged:
+    """The frames of one step and band, merged."""
+
+    rate: float
+    variance: float
+    """Of everything that is independent from step to step, the pixels' responsivities left out."""
+    time_s: float
+    region: Region
+    directions: Directions
+    pose: Pose
+    point: int | None
+
+
+class Bench:
+    """What all bands of a run share: its steps, what each looks at, and the dark signal there."""
+
+    def __init__(self, run: Run) -> None:
+        self.run = run
+        self.description: RigDescription = run.description
+        steps = run.steps()
+        self.steps = [s for s in steps if s["kind"] != "dark" and not s.get("flag")]
+        self.flags = {int(s["point"]): str(s["flag"]) for s in steps if s["kind"] == "point" and s.get("flag")}
+        self.poses = {int(s["step"]): Pose(**s["pose"]) for s in self.steps}
+        self._regions: dict[tuple[int, str], Region | None] = {}
+        for step in self.steps:
+            target: Target = "reference" if step["kind"] == "reference" else "sample"
+            for channel in dict.fromkeys(band.channel for band in run.bands):
+                self._regions[int(step["step"]), channel] = self._look(int(step["step"]), target, channel)
+        if not any(self._regions.values()):
+            raise DataError(f"{run.path}: no point was measured in this run; finish it with --resume")
+        self._darks = self._read_darks([f for s in steps if s["kind"] == "dark" for f in s["frames"]])
+
+    def _look(self, step: int, target: Target, channel: Any) -> Region | None:
+        """The region of a step; None where source or camera stands below the horizon."""
+        view = kinematics.view(self.description, self.poses[step])
+        if view.source_mm[2] <= 0 or view.camera_mm[2] <= 0:
+            return None
+        region = roi(self.description, view, target, channel)
+        seen = pixel_map(self.description, view, region.rows, region.cols)
+        weight = seen.weight[region.mask]
+        return Region(region, target, 1.0 / weight) if weight.min() > 0 else None
+
+    def _read_darks(self, frames: list[dict[str, Any]]) -> dict[Target, Darks]:
+        if not frames:
+            raise DataError(f"{self.run.path}: the run has no dark frames; finish it with --resume")
+        camera = self.description.camera
+        targets: tuple[Target, ...] = ("sample", "reference")
+        boxes = {t: _bounds(r.roi for r in self._regions.values() if r and r.target == t) for t in targets}
+        crops: dict[Target, list[tuple[float, npt.NDArray[np.uint16]]]] = {t: [] for t in targets}
+        for frame in in_threads(self.read, frames):
+            for target, box in boxes.items():
+                if box is not None:
+                    crops[target].append((frame.exposure_s, frame.mosaic[box].copy()))
+        rate = camera.dark_current_e_per_s / camera.electrons_per_dn
+        return {t: Darks(crops[t], *box, rate) for t, box in boxes.items() if box is not None}
+
+    def read(self, entry: dict[str, Any]) -> Frame:
+        """A frame that the journal names, checked."""
+        path = Path(self.run.frame_path(entry["file"]))
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise DataError(f"{path}: a frame of the run cannot be read: {error.strerror or error}") from None
+        if hashlib.sha256(data).hexdigest() != entry["sha256"]:
+            raise DataError(f"{path}: is not the frame that the journal names (its checksum differs): it was changed")
+        frame = read_raw(path, data)
+        camera = self.description.camera
+        if frame.mosaic.shape != (camera.height, camera.width) or frame.pattern != camera.pattern:
+            raise DataError(
+                f"{path}: holds {frame.mosaic.shape[1]} x {frame.mosaic.shape[0]} pixels ({frame.pattern}); "
+                f"the rig file has camera.width = {camera.width}, camera.height = {camera.height}, "
+                f"camera.pattern = {camera.pattern}"
+            )
+        return frame
+
+    def shots(self, step: dict[str, Any], band: Band) -> tuple[Region, list[Shot]] | None:
+        """The frames of a step in a band, each reduced to its region; None for a region below the horizon."""
+        region = self._regions[int(step["step"]), band.channel]
+        if region is None:
+            return None
+        entries = [f for f in step["frames"] if f["band"] == band.name and f["lamp"]]
+        return region, [self._shot(region, self.read(entry), float(entry["time_s"])) for entry in entries]
+
+    def _shot(self, region: Region, frame: Frame, time_s: float) -> Shot:
+        camera, darks = self.description.camera, self._darks[region.target]
+        values = region.roi.of(frame.mosaic).astype(float)
+        signal = (values - darks.of(region.roi, frame.exposure_s)) * camera.electrons_per_dn
+        full = min(frame.white_level_dn - frame.black_level_dn, camera.full_well_e / camera.electrons_per_dn)
+        return Shot(
+            rate=float(np.mean(signal * region.per_weight)) / frame.exposure_s,
+            exposure_s=frame.exposure_s,
+            time_s=time_s,
+            peak=(float(values.max()) - frame.black_level_dn) / full,
+            leverage=darks.leverage(frame.exposure_s),
+        )
+
+    def merge(self, step: dict[str, Any], band: Band) -> Merged | str:
+        """The merged frames of a step in a band, or the flag that says why there is no value."""
+        found = self.shots(step, band)
+        if found is None:
+            return "below_horizon"
+        region, every = found
+        shots = [shot for shot in every if shot.peak < USABLE]
+        if not shots:
+            return "saturated" if every else "not_measured"
+        rate, variance, time_s = pool(self.description, region, shots)
+        pose = self.poses[int(step["step"])]
+        directions = kinematics.directions(self.description, pose)
+        point = None if step["kind"] == "reference" else int(step["point"])
+        return Merged(rate, variance, time_s, region, directions, pose, point)
+
+
+def pool(description: RigDescription, region: Region, shots: list[Shot]) -> tuple[float, float, float]:
+    """Rate [e-/s], its variance, and the time of the merged frames.
+
+    Weights come from the pooled rate, not from each frame's own: a frame that is dark by chance gets no larger weight.
+    """
+    camera, lamp = description.camera, description.lamp
+    exposure = np.array([shot.exposure_s for shot in shots])
+    rates, times = np.array([shot.rate for shot in shots]), np.array([shot.time_s for shot in shots])
+    count = region.per_weight.size
+    mean_1, mean_2 = float(np.mean(region.per_weight)), float(np.mean(region.per_weight**2))
+    pixel = camera.read_noise_e**2 + camera.electrons_per_dn**2 / 12.0
+    dark = camera.dark_current_e_per_s * exposure if camera.photon_noise else np.zeros(exposure.size)
+    background = (pixel + dark) * mean_2 / (count * exposure**2)
+    pooled = float(np.sum(rates * exposure) / np.sum(exposure))
+    for _ in range(3):
+        signal = max(pooled, 0.0)
+        shot_noise = signal * mean_1 / (count * exposure) if camera.photon_noise else 0.0
+        variances = background + shot_noise + (lamp.noise * signal) ** 2
+        weights = (1.0 / variances) / np.sum(1.0 / variances)
+        pooled = float(np.sum(weights * rates))
+    # the dark model is one and the same for all frames of the point
+    leverage = np.array([shot.leverage for shot in shots])
+    of_darks = float(np.sum(weights * np.sqrt(leverage * (pixel + dark) * mean_2 / count) / exposure))
+    return pooled, float(1.0 / np.sum(1.0 / variances)) + of_darks**2, float(np.sum(weights * times))
+
+
+def _bounds(regions: Iterable[Roi]) -> tuple[slice, slice] | None:
+    """The smallest rectangle that holds all regions; None without any."""
+    boxes = [(r.rows.start, r.rows.stop, r.cols.start, r.cols.stop) for r in regions]
+    if not boxes:
+        return None
+    top, bottom, left, right = zip(*boxes, strict=True)
+    return slice(min(top), max(bottom)), slice(min(left), max(right))
+
+
+def in_threads(work: Callable[[In], Out], items: list[In]) -> Iterator[Out]:
+    """`map` in two threads, in order, a few items ahead: decoding a frame releases the interpreter."""
+    with ThreadPoolExecutor(THREADS, thread_name_prefix="gonio-reduce") as pool:
+        waiting = []
+        try:
+            for item in items:
+                waiting.append(pool.submit(work, item))
+                if len(waiting) > 2 * THREADS:
+                    yield waiting.pop(0).result()
+            for future in waiting:
+                yield future.result()
+        finally:
+            for future in waiting:
+                future.cancel()

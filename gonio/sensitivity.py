@@ -1,0 +1,222 @@
+"""How a measured BRDF follows the angles: what a zero's error or an encoder's step does to each value of a run.
+
+A value at the pose that was read is f(true directions) cos(true theta_i) / cos(read theta_i). How f changes is
+taken from the run's own curves, which the instrument's cones have smoothed already. A curve is split into
+
+- a lobe, smooth over the spacing of the points: its slope in theta_r is the curve's own; its change with theta_i at a
+  fixed distance from the mirror direction comes from the curves of the neighbouring angles of incidence at that
+  distance (zero without neighbours), because lobes move with the mirror direction;
+- a specular spike, present where a curve stands out of its lobe around the mirror direction: its shape is known,
+  namely the overlap of the lamp's mirror image with the lens.
+
+Effects are differences over finite steps of +-u, since a slope is undefined at the top and at the edge of a spike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.kinematics import Directions
+
+Array = npt.NDArray[np.float64]
+
+STANDS_OUT = 0.05
+"""A curve has a spike where it exceeds its lobe by more than this part of it and three times its noise."""
+TOGETHER = 1e-4
+"""Points whose nominal angles of incidence differ by less [rad] belong to one curve."""
+NARROWEST = math.radians(0.2)
+"""Points closer than this do not tell a slope: encoder steps and noise would."""
+NORMAL = math.radians(1.0)
+"""Below this angle of incidence the plane of incidence is not a direction that f could depend on."""
+
+
+def overlap(offset: npt.ArrayLike, half_angle_1: float, half_angle_2: float) -> Array:
+    """Common area of two discs of given radii whose centres are `offset` apart, over the area of the smaller one.
+
+    Two discs without extent, or one, overlap fully inside the other and not at all outside. Cones of half-angles below
+    five degrees overlap like flat discs within 0.2 %.
+    """
+    d = np.abs(np.asarray(offset, dtype=float))
+    small, large = sorted((half_angle_1, half_angle_2))
+    if small <= 0:
+        return np.where(d <= large, 1.0, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a = np.arccos(np.clip((d**2 + small**2 - large**2) / (2 * d * small), -1, 1))
+        b = np.arccos(np.clip((d**2 + large**2 - small**2) / (2 * d * large), -1, 1))
+    lens = small**2 * (a - np.sin(a) * np.cos(a)) + large**2 * (b - np.sin(b) * np.cos(b))
+    return np.where(d <= large - small, 1.0, np.where(d >= large + small, 0.0, lens / (np.pi * small**2)))
+
+
+def mirror_offset(d: Directions) -> float:
+    """Angle [rad] between the mirror direction and the detector, for angles small or large."""
+    x = math.sin(d.theta_r) * math.cos(d.phi_r) + math.sin(d.theta_i) * math.cos(d.phi_i)
+    y = math.sin(d.theta_r) * math.sin(d.phi_r) + math.sin(d.theta_i) * math.sin(d.phi_i)
+    z = math.cos(d.theta_r) - math.cos(d.theta_i)
+    return 2.0 * math.asin(min(0.5 * math.sqrt(x * x + y * y + z * z), 1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class _Point:
+    """Where source and detector are, seen from above the sample, relative to the goal's plane of incidence."""
+
+    theta_i: float
+    x: float
+    """Detector, along the plane of incidence: positive on the mirror side [rad]."""
+    y: float
+    """Detector, across the plane of incidence [rad]."""
+
+
+def _relative(d: Directions, azimuth: float) -> _Point:
+    """Coordinates that stay smooth where an angle passes through the normal."""
+    along, across = d.theta_i * math.cos(d.phi_i - azimuth), d.theta_i * math.sin(d.phi_i - azimuth)
+    theta_i = math.copysign(d.theta_i, along)
+    turn = math.atan2(across, along) if theta_i >= NORMAL else 0.0  # rotate with the plane of incidence
+    phi = d.phi_r - azimuth - turn
+    return _Point(theta_i, -d.theta_r * math.cos(phi), d.theta_r * math.sin(phi))
+
+
+class Curves:
+    """The measured values of one band as a function of directions, good for small steps around each point.
+
+    Parameters
+    ----------
+    goals
+        Nominal directions: points with the same nominal angle of incidence make a curve.
+    read
+        The directions that were read.
+    brdf, u
+        Values and their independent standard uncertainties [1/sr].
+    half_angles
+        Of the lamp and of the lens [rad].
+    """
+
+    def __init__(
+        self,
+        goals: Sequence[Directions],
+        read: Sequence[Directions],
+        brdf: Array,
+        u: Array,
+        half_angles: tuple[float, float],
+    ) -> None:
+        self._half_angles = half_angles
+        self._azimuth = [goal.phi_i for goal in goals]
+        self._points = [_relative(d, a) for d, a in zip(read, self._azimuth, strict=True)]
+        self._x = np.array([p.x for p in self._points])
+        self._y = np.array([p.y for p in self._points])
+        self._theta_i = np.array([p.theta_i for p in self._points])
+        self._offset = np.array([mirror_offset(d) for d in read])
+        goal_x = [_relative(goal, a) for goal, a in zip(goals, self._azimuth, strict=True)]
+        in_plane = np.array([abs(p.y) < TOGETHER for p in goal_x])
+        incidence = np.round(np.array([goal.theta_i for goal in goals]) / TOGETHER)
+        self._groups = [np.flatnonzero(incidence == value) for value in np.unique(incidence)]
+        self._lines = [group[in_plane[group]] for group in self._groups]
+        self._lines = [line[np.argsort(self._x[line])] for line in self._lines]
+        self.lobe, self.spike = brdf.astype(float), np.zeros(len(brdf))
+        for line in self._lines:
+            self._split(line, u)
+        self.slope = np.zeros((len(brdf), 3))
+        for k, group in enumerate(self._groups):
+            self._slopes_of(k, group, in_plane)
+
+    def _split(self, line: npt.NDArray[np.intp], u: Array) -> None:
+        """Take a spike out of an in-plane curve; `spike` holds its amplitude at full overlap for the curve's points."""
+        share = overlap(self._offset[line], *self._half_angles)
+        reach = sum(self._half_angles)
+        outside = line[self._offset[line] > reach + np.radians(0.05)]
+        inside = line[self._offset[line] <= reach + np.radians(0.05)]
+        if inside.size == 0 or outside.size < 4 or reach <= 0 or np.sum(share**2) < 0.01:
+            return
+        lobe = np.array([_cubic(self._x[k], self._x[outside], self.lobe[outside]) for k in inside])
+        excess, ratio = self.lobe[inside] - lobe, overlap(self._offset[inside], *self._half_angles)
+        weight = float(np.sum(ratio**2))
+        amplitude, u_amplitude = float(np.sum(excess * ratio)) / weight, float(np.sum((u[inside] * ratio) ** 2)) ** 0.5
+        u_amplitude /= weight
+        if amplitude > max(3 * u_amplitude, STANDS_OUT * float(np.max(np.abs(lobe)))):
+            self.spike[line] = amplitude
+            self.lobe[inside] = lobe
+
+    def _slopes_of(self, number: int, group: npt.NDArray[np.intp], in_plane: npt.NDArray[np.bool_]) -> None:
+        """Derivatives of the lobe along x, y and theta_i for the points of one angle of incidence."""
+        line = self._lines[number]
+        for place, k in enumerate(line):
+            self.slope[k, 0] = self._along_line(line, place)
+        for k in group[~in_plane[group]]:
+            self.slope[k, :2] = self._plane(k, group)
+        diagonal = np.zeros(group.size)
+        for place, k in enumerate(group):
+            if in_plane[k]:
+                diagonal[place] = self._along_mirror(number, int(k))
+        self.slope[group, 2] = diagonal - self.slope[group, 0]
+
+    def _along_line(self, line: npt.NDArray[np.intp], place: int) -> float:
+        """Slope of the lobe along its curve, from the nearest points on each side that the cones tell apart."""
+        x, f = self._x[line] - self._x[line[place]], self.lobe[line] - self.lobe[line[place]]
+        apart = max(NARROWEST, 0.5 * sum(self._half_angles))
+        found = [(f[j] / x[j], abs(x[j])) for j in (*np.flatnonzero(x <= -apart)[-1:], *np.flatnonzero(x >= apart)[:1])]
+        return _weighted(found)
+
+    def _plane(self, k: int, group: npt.NDArray[np.intp]) -> Array:
+        """Slopes along x and y from the nearest points of the same incidence, and their mirror images in its plane."""
+        dx = np.concatenate([self._x[group], self._x[group]]) - self._x[k]
+        dy = np.concatenate([self._y[group], -self._y[group]]) - self._y[k]
+        df = np.concatenate([self.lobe[group]] * 2) - self.lobe[k]
+        distance = np.hypot(dx, dy)
+        near = np.argsort(distance)[: 7 + 1]
+        near = near[distance[near] > TOGETHER]
+        if near.size < 2:
+            return np.zeros(2)
+        weight = 1.0 / distance[near]
+        design = np.stack([dx[near], dy[near]], axis=1) * weight[:, None]
+        return np.asarray(np.linalg.lstsq(design, df[near] * weight, rcond=1e-3)[0])
+
+    def _along_mirror(self, number: int, k: int) -> float:
+        """Change of the lobe with theta_i at a fixed distance from the mirror direction, per radian."""
+        found = []
+        for step in (-1, 1):
+            other = number + step
+            if not 0 <= other < len(self._lines) or self._lines[other].size < 2:
+                continue
+            line = self._lines[other]
+            move = float(np.mean(self._theta_i[line])) - self._theta_i[k]
+            x = self._x[k] + move
+            if self._x[line[0]] <= x <= self._x[line[-1]] and abs(move) > TOGETHER:
+                value = float(np.interp(x, self._x[line], self.lobe[line]))
+                found.append(((value - self.lobe[k]) / move, abs(move)))
+        return _weighted(found)
+
+    def value(self, k: int, d: Directions) -> float:
+        """f [1/sr] at directions near those of point k."""
+        here, there = self._points[k], _relative(d, self._azimuth[k])
+        step = np.array([there.x - here.x, there.y - here.y, there.theta_i - here.theta_i])
+        out = float(self.lobe[k] + self.slope[k] @ step)
+        if self.spike[k]:
+            out += float(self.spike[k] * overlap(mirror_offset(d), *self._half_angles))
+        return out
+
+    def effects(self, k: int, read: Directions, plus: Directions, minus: Directions) -> tuple[float, float]:
+        """Odd and even part [1/sr] of the change of point k when its true directions are `plus` or `minus`."""
+        cosine, here = math.cos(read.theta_i), self.value(k, read)
+        up = self.value(k, plus) * math.cos(plus.theta_i) / cosine - here
+        down = self.value(k, minus) * math.cos(minus.theta_i) / cosine - here
+        return 0.5 * (up - down), 0.5 * (up + down)
+
+
+def _weighted(secants: list[tuple[float, float]]) -> float:
+    """A slope from secants (slope, length) on either side: the nearer counts more, as in a second-order difference."""
+    return float(np.average([s for s, _ in secants], weights=[1.0 / h for _, h in secants])) if secants else 0.0
+
+
+def _cubic(x: float, at: Array, values: Array) -> float:
+    """Lagrange's cubic through the two points on each side of x (or the four nearest at an end)."""
+    start = int(np.clip(np.searchsorted(at, x) - 2, 0, at.size - 4))
+    p, v = at[start : start + 4], values[start : start + 4]
+    out = 0.0
+    for j in range(4):
+        others = np.delete(p, j)
+        out += v[j] * float(np.prod((x - others) / (p[j] - others)))
+    return out

@@ -1,0 +1,172 @@
+"""A run made by hand: frames from the measurement equation, written out independently of the simulated rig."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from gonio.description import Acquisition, Arms, Band, Bands, Camera, Lamp, Reference, RigDescription
+from gonio.frames import write_dng
+from gonio.kinematics import Directions, directions, reach
+from gonio.rig import Frame, Pose
+
+ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
+BAND = Band(name="550 nm", centre_nm=550.0, fwhm_nm=10.0)
+Brdf = Callable[[Directions], float]
+
+
+def describe(**tables: Any) -> RigDescription:
+    """A rig without any effect: 64 x 64 pixels of 0.225 mm on the sample, 16 bits, one e- a DN."""
+    camera = {
+        "width": 64, "height": 64, "pixel_um": 25.0, "bits": 16, "electrons_per_dn": 1.0, "black_level_dn": 1000.0,
+        "full_well_e": 60_000.0, "responsivity_e_per_s": 40_000.0,
+    }  # fmt: skip
+    return RigDescription(
+        rig="by-hand",
+        name="run made by hand",
+        bands=Bands(list=(BAND,)),
+        camera=Camera(**(camera | tables.pop("camera", {}))),
+        acquisition=Acquisition(**({"roi_radius_mm": 3.0} | tables.pop("acquisition", {}))),
+        reference=Reference(**({"albedo": 0.99} | tables.pop("reference", {}))),
+        **tables,
+    )
+
+
+def in_plane(theta_i_deg: float, signed_theta_r_deg: float) -> tuple[float, float, float, float]:
+    return (theta_i_deg, 0.0, abs(signed_theta_r_deg), 180.0 if signed_theta_r_deg >= 0 else 0.0)
+
+
+@dataclass
+class MadeRun:
+    """Has what `reduce` reads of a `gonio.run.Run`."""
+
+    path: Path
+    description: RigDescription
+    plan: pd.DataFrame
+    bands: tuple[Band, ...] = (BAND,)
+    sample: None = None
+    seed: int = 0
+    events: list[dict[str, Any]] = field(default_factory=list)
+
+    def steps(self) -> list[dict[str, Any]]:
+        return self.events
+
+    def frame_path(self, name: str) -> Path:
+        return self.path / name
+
+
+@dataclass
+class Maker:
+    """Takes the frames of a run, pixel by pixel, from vectors."""
+
+    path: Path
+    description: RigDescription
+    brdf: Brdf
+    rng: np.random.Generator | None = None
+    lamp: Callable[[float], float] = lambda time_s: 1.0
+    time_s: float = 0.0
+    number: int = 0
+
+    def make(self, points: list[tuple[float, float, float, float]], exposures: tuple[float, ...], every: int = 10) -> MadeRun:
+        plan = pd.DataFrame(points, columns=list(ANGLES)).assign(flag="", reason="")
+        run = MadeRun(self.path, self.description, plan)
+        events = [self.darks()]
+        events.append(self.visit())
+        for row, point in enumerate(points):
+            goal = reach(self.description, Directions(*np.radians(point)))
+            events.append(self.step("point", goal, exposures, row))
+            if (row + 1) % every == 0 or row + 1 == len(points):
+                events.append(self.visit())
+        run.events = events
+        return run
+
+    def visit(self) -> dict[str, Any]:
+        reference = self.description.reference
+        goal = reach(self.description, Directions(*np.radians(in_plane(reference.theta_i_deg, reference.theta_r_deg))))
+        return self.step("reference", goal, (0.5,) * reference.frames)
+
+    def darks(self) -> dict[str, Any]:
+        count = self.description.acquisition.dark_frames
+        frames = [self.frame(None, "dark", t) for t in (0.001, 2.0) for _ in range(count)]
+        return self.event("dark", None, Pose(), frames)
+
+    def step(self, kind: str, read: Pose, exposures: tuple[float, ...], row: int | None = None) -> dict[str, Any]:
+        """The encoders read `read`; the axes may stand elsewhere within their step, and by the errors of their zeros."""
+        return self.event(kind, row, read, [self.frame(self.stand(read), kind, t) for t in exposures])
+
+    def stand(self, read: Pose) -> Pose:
+        return read
+
+    def event(self, kind: str, row: int | None, pose: Pose, frames: list[dict[str, Any]]) -> dict[str, Any]:
+        self.number += 1
+        return {
+            "event": "step", "step": self.number - 1, "kind": kind, "point": row, "time_s": self.time_s,
+            "goal": asdict(pose), "pose": asdict(pose), "flag": "", "frames": frames,
+        }  # fmt: skip
+
+    def frame(self, pose: Pose | None, kind: str, exposure_s: float) -> dict[str, Any]:
+        camera = self.description.camera
+        electrons = np.zeros((camera.height, camera.width))
+        if pose is not None:
+            electrons = self.rate(pose, kind) * exposure_s * self.lamp(self.time_s)
+        dn = self.sensor(electrons + camera.dark_current_e_per_s * exposure_s)
+        name = f"{self.number:06d}-{self.time_s:.3f}.dng"
+        write_dng(Frame(dn, exposure_s, camera.black_level_dn, camera.white_level_dn, camera.pattern), self.path / name)
+        digest = hashlib.sha256((self.path / name).read_bytes()).hexdigest()
+        entry = {
+            "file": name, "band": BAND.name, "exposure_s": exposure_s, "time_s": self.time_s,
+            "lamp": pose is not None, "sha256": digest,
+        }  # fmt: skip
+        self.time_s += exposure_s + 1.0
+        return entry
+
+    def rate(self, pose: Pose, kind: str) -> npt.NDArray[np.float64]:
+        """Electrons a second of each pixel; rays and angles written out one vector at a time."""
+        d, geometry, camera = directions(self.description, pose), self.description.geometry, self.description.camera
+        value = self.description.reference.albedo / math.pi if kind == "reference" else self.brdf(d)
+        source, eye = (
+            distance * np.array([math.sin(t) * math.cos(p), math.sin(t) * math.sin(p), math.cos(t)])
+            for distance, t, p in (
+                (geometry.light_distance_mm, d.theta_i, d.phi_i),
+                (geometry.camera_distance_mm, d.theta_r, d.phi_r),
+            )
+        )
+        spots = self.spots(eye)
+        to_source = source - spots
+        distance = np.linalg.norm(to_source, axis=-1)
+        geometry_factor = to_source[..., 2] / distance * (geometry.light_distance_mm / distance) ** 2
+        return camera.responsivity_e_per_s * math.pi * value * geometry_factor
+
+    def spots(self, eye: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """In plane: the image's rows run along y, and its columns across it."""
+        camera = self.description.camera
+        focus = 1.0 / (1.0 / camera.focal_length_mm - 1.0 / self.description.geometry.camera_distance_mm)
+        axis = -eye / np.linalg.norm(eye)
+        rows = np.array([0.0, 1.0, 0.0])
+        columns = np.cross(rows, axis)
+        i, j = np.mgrid[: camera.height, : camera.width].astype(float)
+        u = (j - (camera.width - 1) / 2) * camera.pixel_um / 1000 / focus
+        v = (i - (camera.height - 1) / 2) * camera.pixel_um / 1000 / focus
+        ray = axis + u[..., None] * columns + v[..., None] * rows
+        return eye + ray * (-eye[2] / ray[..., 2])[..., None]
+
+    def sensor(self, electrons: npt.NDArray[np.float64]) -> npt.NDArray[np.uint16]:
+        camera = self.description.camera
+        if self.rng is not None:
+            if camera.photon_noise:
+                electrons = self.rng.poisson(electrons).astype(float)
+            electrons = np.minimum(electrons, camera.full_well_e)
+            electrons = electrons + self.rng.normal(0.0, camera.read_noise_e, electrons.shape)
+        dn = np.floor(electrons / camera.electrons_per_dn + camera.black_level_dn + 0.5)
+        return np.clip(dn, 0, camera.white_level_dn).astype(np.uint16)
+
+
+__all__ = ["ANGLES", "BAND", "Arms", "Lamp", "MadeRun", "Maker", "describe", "in_plane"]
