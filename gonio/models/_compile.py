@@ -22,6 +22,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 FASTMATH: Final = frozenset({"contract", "arcp", "nsz"})
 
 _lock = threading.RLock()
+_ready: dict[tuple[Callable[..., Any], Callable[..., Any], int], Any] = {}
 
 
 def device(function: F) -> F:
@@ -68,25 +69,60 @@ def jit(function: Callable[..., Any]) -> Any:
         return _jit(function)
 
 
-@functools.cache
-def _loop(template: Callable[..., Any], kernel: Callable[..., Any]) -> Any:
+def template(layout: str) -> Callable[[F], F]:
+    """Mark a loop over a kernel, with the kinds of its arguments in order.
+
+    ``r1``, ``r2``: arrays of 1 or 2 axes that are read (they may be read-only); ``w1``, ``w2``: arrays that are written; ``i``: an
+    integer; ``p``: the tuple of the kernel's constants. All arrays are float64 and contiguous.
+    """
+
+    def mark(function: F) -> F:
+        function.__dict__["__layout__"] = layout.split()
+        return function
+
+    return mark
+
+
+def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int) -> Any:
     import numba
+    from numba import types
 
-    loop = _clone(template, {"kernel": kernel})
-    loop.__qualname__ = f"{template.__name__}_{kernel.__module__.rsplit('.', 1)[-1]}_{kernel.__name__}_{_sources()}"
-    loop.__name__ = loop.__qualname__
-    return numba.njit(fastmath=set(FASTMATH), error_model="numpy", nogil=True, cache=True)(loop)
+    def kind(code: str) -> Any:
+        if code == "i":
+            return types.int64
+        if code == "p":
+            return types.UniTuple(types.float64, size)
+        return types.Array(types.float64, int(code[1]), "C", readonly=code[0] == "r")
+
+    def compiled(cache: bool) -> Any:
+        return numba.njit(signature, fastmath=set(FASTMATH), error_model="numpy", nogil=True, cache=cache)(plain)
+
+    signature = tuple(kind(code) for code in function.__dict__["__layout__"])
+    plain = _clone(function, {"kernel": kernel})
+    plain.__name__ = f"{function.__name__}_{kernel.__module__.rsplit('.', 1)[-1]}_{kernel.__name__}_{_sources()}"
+    plain.__qualname__ = plain.__name__
+    try:
+        return compiled(cache=True)
+    except RuntimeError as error:
+        if "cannot cache" not in str(error):
+            raise
+        return compiled(cache=False)  # neither the package's folder nor the user's cache can be written
 
 
-def loop(template: Callable[..., Any], kernel: Callable[..., Any]) -> Any:
+def loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int) -> Any:
     """A loop written once for every kernel, compiled for this one, cached on disk, and running without the GIL.
 
     Parameters
     ----------
-    template
-        A function that calls the global name ``kernel``.
+    function
+        A function marked by `template` that calls the global name ``kernel``.
     kernel
         The marked function that takes its place.
+    size
+        How many constants the kernel takes.
     """
-    with _lock:
-        return _loop(template, kernel)
+    found = _ready.get((function, kernel, size))
+    if found is None:
+        with _lock:
+            found = _ready[function, kernel, size] = _loop(function, kernel, size)
+    return found

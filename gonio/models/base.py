@@ -86,7 +86,7 @@ class Model(ABC):
         ArgumentError
             An angle is NaN or out of range, an argument is not real, or the shapes do not broadcast; it names the argument.
         """
-        if np.ndim(wavelength_nm) == 0:
+        if isinstance(wavelength_nm, (int, float)) or np.ndim(wavelength_nm) == 0:
             kernel, constants = self._evaluation(positive("wavelength_nm", wavelength_nm))
             return engine.over_angles(
                 kernel, constants, theta_i, phi_i, theta_r, phi_r, absolute=self._absolute, split=self.grain
@@ -141,7 +141,7 @@ def _by_wavelength(evaluate: Callable[..., Any], wavelength_nm: ArrayLike, array
 
 def number(name: str, value: Any, low: float = -math.inf, high: float = math.inf, unit: str = "") -> float:
     """A real parameter in [low, high]; raises `ArgumentError` naming it otherwise."""
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+    if type(value) is not float and (isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating))):
         try:
             value = np.asarray(value).item() if isinstance(value, np.ndarray) and value.dtype.kind in "fiu" else None
         except ValueError:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from gonio.errors import ArgumentError
-from gonio.models._compile import loop
+from gonio.models._compile import loop, template
 from gonio.models._math import sincos, sincos_polar
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ HALF_PI: Final = pi / 2
 # --- the loops: `kernel` is put in by _compile.loop -------------------------------------------------------------
 
 
+@template("r2 i r2 i p w1 i i")
 def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop):  # type: ignore[no-untyped-def]
     wrong = 0
     for first in range(start, stop, BLOCK):
@@ -56,6 +57,7 @@ def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop)
     return wrong
 
 
+@template("r1 i r1 i r1 i r1 i p w1 i i")
 def _over_angles(theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, constants, out, start, stop):  # type: ignore[no-untyped-def]
     wrong = 0
     for first in range(start, stop, BLOCK):
@@ -75,6 +77,7 @@ def _over_angles(theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step
     return wrong
 
 
+@template("r1 i r1 i r1 i r1 i p w1 i i")
 def _over_absolute_angles(  # type: ignore[no-untyped-def]
     theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, constants, out, start, stop
 ):
@@ -118,7 +121,7 @@ def in_parts(work: Callable[[int, int], int], count: int, split: int = SPLIT) ->
 
     `work` must release the GIL. Safe from several Python threads at once.
     """
-    parts = min(threads(), count // split)
+    parts = 1 if count < 2 * split else min(threads(), count // split)
     if parts <= 1:
         return work(0, count)
     global _pool
@@ -137,6 +140,8 @@ def in_parts(work: Callable[[int, int], int], count: int, split: int = SPLIT) ->
 
 def real_array(name: str, value: ArrayLike) -> NDArray[np.float64]:
     """An argument as a float64 array; raises `ArgumentError` naming it when it is not made of real numbers."""
+    if type(value) is float:
+        return np.array(value)
     try:
         array = np.asarray(value)
     except ValueError as error:
@@ -148,6 +153,8 @@ def real_array(name: str, value: ArrayLike) -> NDArray[np.float64]:
 
 def _flat(array: NDArray[np.float64], shape: tuple[int, ...], count: int) -> tuple[NDArray[np.float64], int]:
     """A contiguous 1-D array and 1, or a block of one repeated value and 0."""
+    if not array.ndim and count == 1:
+        return array.reshape(1), 1
     if array.size == 1 and count != 1:
         return np.full(min(BLOCK, count), array.reshape(-1)[0]), 0
     if array.shape != shape:
@@ -166,7 +173,7 @@ def _flat_vectors(array: NDArray[np.float64], shape: tuple[int, ...], count: int
 
 
 def _shape(names: tuple[str, ...], shapes: list[tuple[int, ...]]) -> tuple[int, ...]:
-    if all(shape == shapes[0] for shape in shapes):
+    if shapes.count(shapes[0]) == len(shapes):
         return shapes[0]
     try:
         return np.broadcast_shapes(*shapes)
@@ -239,7 +246,7 @@ def over_angles(
     if count == 0:
         check_angles(arrays)
         return out
-    run = loop(_over_absolute_angles if absolute else _over_angles, kernel)
+    run = loop(_over_absolute_angles if absolute else _over_angles, kernel, len(constants))
     (a, sa), (b, sb), (c, sc), (d, sd) = (_flat(array, shape, count) for array in arrays)
     flat = out.reshape(-1)
     if in_parts(lambda i, j: run(a, sa, b, sb, c, sc, d, sd, constants, flat, i, j), count, split):
@@ -262,7 +269,7 @@ def over_vectors(
         if any(not bool(np.all(np.abs(np.einsum("...k,...k->...", a, a) - 1.0) <= 2.0 * NORM_TOLERANCE)) for a in arrays):
             raise _explain_vectors(arrays)
         return out
-    run = loop(_over_vectors, kernel)
+    run = loop(_over_vectors, kernel, len(constants))
     (l, sl), (v, sv) = (_flat_vectors(array, shape, count) for array in arrays)  # noqa: E741
     flat = out.reshape(-1)
     if in_parts(lambda i, j: run(l, sl, v, sv, constants, flat, i, j), count, split):
@@ -304,7 +311,7 @@ def at_geometry(kernel: Kernel, constants: Constants, where: Geometry, *, split:
     """A kernel at a checked `Geometry`."""
     out = np.empty(where.shape)
     flat = out.reshape(-1)
-    run = loop(_over_vectors, kernel)
+    run = loop(_over_vectors, kernel, len(constants))
     if out.size:
         in_parts(lambda i, j: run(where.omega_i, 1, where.omega_r, 1, constants, flat, i, j), out.size, split)
     return out if where.shape else out[()]
