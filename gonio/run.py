@@ -65,6 +65,20 @@ class Settings(Strict):
     sample: SampleDescription | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What a run is asked to be."""
+
+    plan: Plan
+    points: list[Assessed]
+    """The plan's points, as `description` sees them."""
+    description: RigDescription
+    sample: SampleDescription | None
+    seed: int
+    command: str
+    """The command line, for the record."""
+
+
 @dataclass
 class Run:
     """An opened run; the methods that write need `journal`, which `create` and `resume` open."""
@@ -74,17 +88,7 @@ class Run:
     journal: Journal | None = None
 
     @classmethod
-    def create(
-        cls,
-        path: str | Path,
-        *,
-        plan: Plan,
-        points: list[Assessed],
-        description: RigDescription,
-        sample: SampleDescription | None,
-        seed: int,
-        command: str,
-    ) -> Run:
+    def create(cls, path: str | Path, request: Request) -> Run:
         """Start a run in an empty or absent folder; where that fails nothing is left behind.
 
         Raises
@@ -102,8 +106,8 @@ class Run:
                 raise _needs_resume(path)
             shutil.rmtree(path / "frames", ignore_errors=True)
             (path / "frames").mkdir()
-            settings = _settings(plan, _with_reference_table(path, description), sample, seed, command)
-            _write(path / "plan.csv", _plan_csv(points))
+            settings = _settings(request, _with_reference_table(path, request.description))
+            _write(path / "plan.csv", _plan_csv(request.points))
             _write(path / "run.toml", to_toml(settings.model_dump(mode="json", exclude_none=True)))
             _sync_folder(path)
         except BaseException as error:
@@ -122,17 +126,7 @@ class Run:
         return cls(path, _resolved(settings, path), journal)
 
     @classmethod
-    def resume(
-        cls,
-        path: str | Path,
-        *,
-        plan: Plan,
-        points: list[Assessed],
-        description: RigDescription,
-        sample: SampleDescription | None,
-        seed: int,
-        command: str,
-    ) -> Run:
+    def resume(cls, path: str | Path, request: Request) -> Run:
         """Go on with a run, or start it where it has not begun.
 
         Raises
@@ -145,14 +139,11 @@ class Run:
         """
         path = Path(path)
         if not begun(path):
-            return cls.create(
-                path, plan=plan, points=points, description=description, sample=sample, seed=seed, command=command
-            )
+            return cls.create(path, request)
         run = cls.open(path)
         journal = Journal(path / "journal.jsonl")
         try:
-            asked = _settings(plan, description, sample, seed, command)
-            differing = _differences(run.settings, asked)
+            differing = _differences(run.settings, _settings(request, request.description))
             if differing:
                 raise ConfigError(
                     f"{path}: this run was begun with something else, so it cannot be resumed:\n"
@@ -337,9 +328,7 @@ def _key(key: str) -> str:
     return key if plain else _value(key)
 
 
-def _settings(
-    plan: Plan, description: RigDescription, sample: SampleDescription | None, seed: int, command: str
-) -> Settings:
+def _settings(request: Request, description: RigDescription) -> Settings:
     versions = {"python": platform.python_version()}
     for name in RECORDED:
         with contextlib.suppress(PackageNotFoundError):
@@ -348,17 +337,17 @@ def _settings(
         run=Header(
             format=FORMAT,
             created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
-            command=command,
-            plan=plan.name,
-            plan_sha256=plan.sha256,
-            wavelength_nm=plan.wavelength_nm,
-            bands=tuple(band.name for band in plan.bands(description)),
+            command=request.command,
+            plan=request.plan.name,
+            plan_sha256=request.plan.sha256,
+            wavelength_nm=request.plan.wavelength_nm,
+            bands=tuple(band.name for band in request.plan.bands(description)),
             rig=description.rig,
-            seed=seed,
+            seed=request.seed,
         ),
         versions=versions,
         rig=description,
-        sample=sample,
+        sample=request.sample,
     )
 
 

@@ -1,0 +1,142 @@
+"""One measurement from its files to its folder: find the rig, check everything, then measure or go on measuring."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gonio import plugins
+from gonio.config import load, parse
+from gonio.description import RigDescription, SampleDescription
+from gonio.errors import ConfigError
+from gonio.plan import Plan, assess, schedule
+
+if TYPE_CHECKING:
+    from gonio.acquire import Progress
+    from gonio.rig import RigPlugin
+    from gonio.run import Run
+
+
+@dataclass(frozen=True, slots=True)
+class RigChoice:
+    """A rig that was asked for: the program that drives it, its description, and where that came from."""
+
+    plugin: RigPlugin
+    description: RigDescription
+    source: str
+
+
+def find_rig(name: str) -> RigChoice:
+    """A rig by the name of its entry point, or by the path of a rig file whose key `rig` names the entry point.
+
+    Raises
+    ------
+    ConfigError
+        There is no such rig or file, or the file is wrong.
+    """
+    path = Path(name)
+    if path.suffix == ".toml" or len(path.parts) > 1 or path.is_file():
+        description = load(RigDescription, path)
+        table = description.reference.table
+        if table is not None:
+            reference = description.reference.model_copy(update={"table": str((path.parent / table).absolute())})
+            description = description.model_copy(update={"reference": reference})
+        try:
+            return RigChoice(plugins.load("gonio.rigs", description.rig), description, name)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: rig = {description.rig!r}: {error}") from None
+    plugin: RigPlugin = plugins.load("gonio.rigs", name)
+    if not plugin.toml:
+        raise ConfigError(f'the rig "{name}" needs a rig file: --rig my-{name}.toml, with rig = "{name}" in it')
+    import tomllib
+
+    return RigChoice(plugin, parse(RigDescription, tomllib.loads(plugin.toml), f'rig file of "{name}"'), name)
+
+
+def load_sample(path: str | Path) -> SampleDescription:
+    """Read a sample file, and check that its model takes its parameters.
+
+    Raises
+    ------
+    ConfigError
+        The file, its model or one of its parameters is wrong; the message names file and key.
+    """
+    sample = load(SampleDescription, path)
+    from gonio import models
+
+    try:
+        models.build(sample.model, sample.parameters)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: [parameters] of model = {sample.model!r}: {error}") from None
+    return sample
+
+
+def carry_out(
+    plan: Plan,
+    rig: RigChoice,
+    out: str | Path,
+    *,
+    sample: SampleDescription | None = None,
+    seed: int = 0,
+    resume: bool = False,
+    confirm: bool = False,
+    command: str = "",
+    progress: Progress | None = None,
+) -> Run:
+    """Measure a plan into a folder. Everything that can be wrong is checked before the folder is made.
+
+    Parameters
+    ----------
+    plan, rig
+        What to measure, and on what.
+    out
+        The folder of the run.
+    sample, seed
+        For a simulated rig.
+    resume
+        Go on with a run that has begun.
+    confirm
+        Whether somebody sits at a terminal who can confirm a swap of sample and reference.
+    command
+        The command line, for the record.
+    progress
+        Who watches; nobody by default.
+
+    Returns
+    -------
+    Run
+        Closed for writing; it can be reduced.
+
+    Raises
+    ------
+    GonioError
+        See `gonio.acquire.measure`, `Run.create`, `Run.resume` and the rig's own documentation.
+    """
+    from gonio.acquire import Silent, Stop, measure
+    from gonio.run import Request, Run, begun, check_new, check_writable
+
+    out = Path(out)
+    progress = progress or Silent()
+    plan.bands(rig.description)
+    points = assess(plan, rig.description)
+    steps = schedule(plan, rig.description, points)
+    device = rig.plugin.open(rig.description, sample=sample, seed=seed, confirm=confirm)
+    if sample is None and device.repeatable:
+        raise ConfigError(f'the rig "{rig.source}" simulates its sample: name one with --sample S.toml')
+    going_on = resume and begun(out)
+    if going_on:
+        check_writable(out)
+    else:
+        check_new(out)
+    request = Request(plan, points, rig.description, sample, seed, command)
+    with Stop(progress) as stop, contextlib.ExitStack() as stack:
+        if going_on:
+            run = stack.enter_context(Run.resume(out, request))
+            stack.enter_context(device)
+        else:
+            stack.enter_context(device)
+            run = stack.enter_context(Run.create(out, request))
+        measure(device, run, steps, progress, stop)
+    return Run.open(out)
