@@ -75,7 +75,9 @@ class Maker:
     time_s: float = 0.0
     number: int = 0
 
-    def make(self, points: list[tuple[float, float, float, float]], exposures: tuple[float, ...], every: int = 10) -> MadeRun:
+    def make(
+        self, points: list[tuple[float, float, float, float]], exposures: tuple[float, ...], every: int = 10
+    ) -> MadeRun:
         plan = pd.DataFrame(points, columns=list(ANGLES)).assign(flag="", reason="")
         run = MadeRun(self.path, self.description, plan)
         events = [self.darks()]
@@ -99,7 +101,7 @@ class Maker:
         return self.event("dark", None, Pose(), frames)
 
     def step(self, kind: str, read: Pose, exposures: tuple[float, ...], row: int | None = None) -> dict[str, Any]:
-        """The encoders read `read`; the axes may stand elsewhere within their step, and by the errors of their zeros."""
+        """The encoders read `read`; the axes may stand elsewhere (`stand`)."""
         return self.event(kind, row, read, [self.frame(self.stand(read), kind, t) for t in exposures])
 
     def stand(self, read: Pose) -> Pose:

@@ -1,0 +1,205 @@
+"""Pixel geometry against rays that are traced one by one in the lab's frame."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from gonio.description import Acquisition, Band, Bands, Camera, Geometry, Reference, RigDescription
+from gonio.errors import ConfigError
+from gonio.imaging import of_channel, pixel_map, roi
+from gonio.kinematics import View, view
+from gonio.rig import Pose
+
+BANDS = Bands(list=(Band(name="550 nm", centre_nm=550, fwhm_nm=10),))
+POSES = [
+    Pose(light=0.2, camera=-0.7),
+    Pose(light=-1.1, camera=1.3),
+    Pose(light=0.5, camera=0.1, tilt=0.6, spin=-1.0),
+    Pose(light=-0.3, camera=-0.9, tilt=-0.4, spin=2.5),
+    Pose(light=0.3, camera=0.8, azimuth=1.2),
+]
+
+
+def rig(**tables: object) -> RigDescription:
+    values: dict[str, object] = {
+        "camera": Camera(width=64, height=48, pixel_um=40.0, focal_length_mm=80.0, cos4=True, vignetting=0.3),
+        "geometry": Geometry(light_distance_mm=700.0, camera_distance_mm=500.0),
+    }
+    return RigDescription(rig="sim", name="test", bands=BANDS, **(values | tables))  # type: ignore[arg-type]
+
+
+def rotation(axis: int, angle: float) -> npt.NDArray[np.float64]:
+    out, c, s = np.eye(3), math.cos(angle), math.sin(angle)
+    j, k = [(1, 2), (2, 0), (0, 1)][axis]
+    out[j, j], out[j, k], out[k, j], out[k, k] = c, -s, s, c
+    return out
+
+
+def traced(pose: Pose, i: int, j: int) -> dict[str, float]:
+    """One ray in the lab's frame, where the camera is simple, met with the tilted sample's plane by its normal."""
+    light = 700.0 * np.array([math.sin(pose.light), 0.0, math.cos(pose.light)])
+    turn = rotation(2, pose.azimuth) @ rotation(1, pose.camera)
+    eye = turn @ np.array([0.0, 0.0, 500.0])
+    # image distance of a thin lens of 80 mm focused at 500 mm; rows grow along the lab's y, columns against its x
+    image = 80.0 * 500.0 / (500.0 - 80.0)
+    u, v = (j - 31.5) * 0.040, (i - 23.5) * 0.040
+    ray = turn @ np.array([-u, v, -image])
+    to_sample = (rotation(0, -pose.tilt) @ rotation(2, pose.spin)).T
+    normal = to_sample.T @ np.array([0.0, 0.0, 1.0])
+    spot = eye - ray * (eye @ normal) / (ray @ normal)
+    toward_light, toward_eye = light - spot, eye - spot
+    distance = np.linalg.norm(toward_light)
+    x, y, z = to_sample @ spot
+    assert abs(z) < 1e-9  # rounding of 500 mm
+    radius = math.hypot(u, v)
+    corner = 0.020 * math.hypot(64, 48)
+    return {
+        "x": x,
+        "y": y,
+        "cos_i": toward_light @ normal / distance,
+        "cos_r": toward_eye @ normal / np.linalg.norm(toward_eye),
+        "factor": (700.0 / distance) ** 2,
+        "falloff": math.cos(math.atan(radius / image)) ** 4 * (1 - 0.3 * (radius / corner) ** 4),
+    }
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_every_quantity_against_single_rays(pose: Pose) -> None:
+    description = rig()
+    seen = pixel_map(description, view(description, pose))
+    for i, j in [(0, 0), (47, 63), (0, 63), (23, 31), (24, 32), (11, 50)]:
+        one = traced(pose, i, j)
+        # 1e-11: rounding of millimetres over a thousand of them
+        assert seen.x_mm[i, j] == pytest.approx(one["x"], rel=1e-11, abs=1e-10)
+        assert seen.y_mm[i, j] == pytest.approx(one["y"], rel=1e-11, abs=1e-10)
+        assert seen.cos_theta_i[i, j] == pytest.approx(one["cos_i"], rel=1e-11)
+        assert seen.cos_theta_r[i, j] == pytest.approx(one["cos_r"], rel=1e-11)
+        assert seen.distance_factor[i, j] == pytest.approx(one["factor"], rel=1e-11)
+        assert seen.falloff[i, j] == pytest.approx(one["falloff"], rel=1e-11)
+        assert seen.weight[i, j] == pytest.approx(one["cos_i"] * one["factor"] * one["falloff"], rel=1e-11)
+        spot = np.array([one["x"], one["y"], 0.0])
+        at = view(description, pose)
+        for omega, place in ((seen.omega_i, at.source_mm), (seen.omega_r, at.camera_mm)):
+            toward = place - spot
+            np.testing.assert_allclose(omega[i, j], toward / np.linalg.norm(toward), rtol=0, atol=1e-12)
+
+
+def test_a_rectangle_is_a_part_of_the_frame() -> None:
+    description = rig()
+    at = view(description, POSES[2])
+    whole, part = pixel_map(description, at), pixel_map(description, at, slice(5, 20), slice(30, 41))
+    for name in ("x_mm", "y_mm", "cos_theta_i", "cos_theta_r", "distance_factor", "falloff", "weight"):
+        np.testing.assert_array_equal(getattr(whole, name)[5:20, 30:41], getattr(part, name))
+
+
+def test_a_lens_without_falloff_weighs_all_pixels_alike() -> None:
+    description = rig(camera=Camera(width=64, height=48))
+    assert np.all(pixel_map(description, view(description, POSES[0])).falloff == 1.0)
+
+
+def test_pixels_that_look_past_the_plane_see_nothing() -> None:
+    """At 89.9 degrees, half of the frame looks over the horizon of the sample's plane."""
+    description = rig()
+    at = view(description, Pose(light=0.0, camera=math.radians(89.9)))
+    seen = pixel_map(description, at)
+    ray_z = np.array([[traced_z(at, i, j) for j in range(64)] for i in (0, 20)])
+    expected = np.repeat((ray_z < 0)[:1], 48, axis=0)
+    np.testing.assert_array_equal(seen.sees_plane, expected)
+    assert 20 < np.count_nonzero(~seen.sees_plane[0]) < 44
+    dark = ~seen.sees_plane
+    assert np.all(np.isnan(seen.x_mm[dark]))
+    for name in ("cos_theta_i", "cos_theta_r", "distance_factor", "weight"):
+        assert np.all(getattr(seen, name)[dark] == 0.0)
+
+
+def traced_z(at: View, i: int, j: int) -> float:
+    image = 80.0 * 500.0 / (500.0 - 80.0)
+    axis = -at.camera_mm / np.linalg.norm(at.camera_mm)
+    return float((image * axis + (j - 31.5) * 0.04 * at.image_x + (i - 23.5) * 0.04 * at.image_y)[2])
+
+
+def test_no_light_comes_from_below_the_plane() -> None:
+    description = rig()
+    at = view(description, Pose(light=math.radians(100.0), camera=0.2))
+    assert np.all(pixel_map(description, at).cos_theta_i == 0.0)
+
+
+def test_a_camera_below_the_plane_sees_nothing() -> None:
+    description = rig()
+    at = view(description, Pose(light=0.1, camera=math.radians(95.0)))
+    assert not pixel_map(description, at).sees_plane.any()
+    with pytest.raises(ConfigError, match="not above the sample's plane"):
+        roi(description, at)
+
+
+def test_a_lens_that_cannot_focus_is_a_wrong_key() -> None:
+    description = rig(camera=Camera(focal_length_mm=600.0))
+    with pytest.raises(ConfigError, match=r"camera.focal_length_mm = 600 must be smaller.*camera_distance_mm = 500"):
+        pixel_map(description, view(description, POSES[0]))
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_the_region_of_interest_is_a_disc_on_the_sample(pose: Pose) -> None:
+    description = rig(acquisition=Acquisition(roi_radius_mm=2.0))
+    at = view(description, pose)
+    region, whole = roi(description, at), pixel_map(description, at)
+    mask = np.zeros((48, 64), bool)
+    mask[region.rows, region.cols] = region.mask
+    np.testing.assert_array_equal(mask, np.hypot(whole.x_mm, whole.y_mm) <= 2.0)
+    assert region.count == mask.sum()
+    image = np.arange(48 * 64).reshape(48, 64)
+    np.testing.assert_array_equal(region.of(image), image[mask])
+
+
+def test_a_reference_beside_the_sample_has_a_region_of_its_own() -> None:
+    beside = Reference(how="beside", offset_mm=(-4.0, 1.5))
+    description = rig(acquisition=Acquisition(roi_radius_mm=1.0), reference=beside)
+    at = view(description, POSES[0])
+    whole = pixel_map(description, at)
+    sample, reference = roi(description, at), roi(description, at, "reference")
+    assert reference.of(whole.x_mm).mean() == pytest.approx(-4.0, abs=0.05)  # a pixel sees 0.2 mm
+    assert reference.of(whole.y_mm).mean() == pytest.approx(1.5, abs=0.05)
+    assert sample.shared(reference) == 0
+    swapped = description.model_copy(update={"reference": Reference(how="swap", offset_mm=(-4.0, 1.5))})
+    assert roi(swapped, at, "reference").shared(sample) == sample.count
+
+
+def test_a_target_outside_the_frame_is_a_wrong_key() -> None:
+    description = rig(reference=Reference(how="beside", offset_mm=(40.0, 0.0)))
+    at = view(description, POSES[0])
+    with pytest.raises(
+        ConfigError, match=r"reference at x = 40 mm.*outside the 64 x 48 frame; see reference.offset_mm"
+    ):
+        roi(description, at, "reference")
+
+
+@pytest.mark.parametrize("theta_r_deg", [80.0, 85.0, 88.0, 89.0, 89.5, 89.9])
+def test_a_region_is_never_empty_near_grazing(theta_r_deg: float) -> None:
+    """A pixel sees 0.21 mm / cos(theta_r) of the sample: more than the patch's diameter beyond 83 degrees."""
+    description = rig(acquisition=Acquisition(roi_radius_mm=0.8))
+    region = roi(description, view(description, Pose(light=0.3, camera=math.radians(theta_r_deg))))
+    assert region.count >= 7  # the patch's 1.6 mm hold 7 rows of 0.21 mm
+    nearest = pixel_map(description, view(description, Pose(light=0.3, camera=math.radians(theta_r_deg))))
+    reach = np.hypot(region.of(nearest.x_mm), region.of(nearest.y_mm)).max()
+    assert reach <= max(0.8, 1.001 * 0.04 * 500 * (1 / 80 - 1 / 500) / math.cos(math.radians(theta_r_deg)))
+
+
+@pytest.mark.parametrize("pattern", ["RGGB", "BGGR", "GRBG", "GBRG"])
+def test_a_bayer_region_holds_the_pixels_of_its_channel(pattern: str) -> None:
+    camera = Camera(width=64, height=48, pixel_um=40.0, focal_length_mm=80.0, pattern=pattern)  # type: ignore[arg-type]
+    description = rig(camera=camera, acquisition=Acquisition(roi_radius_mm=2.0))
+    at = view(description, POSES[0])
+    mosaic = np.array([[pattern[2 * (i % 2) + j % 2] for j in range(64)] for i in range(48)])
+    every = roi(description, at)
+    counts = {}
+    for channel in "RGB":
+        region = roi(description, at, channel=channel)  # type: ignore[arg-type]
+        assert set(region.of(mosaic)) == {channel}
+        counts[channel] = region.count
+    assert sum(counts.values()) == every.count
+    part = of_channel(pattern, "G", slice(3, 10), slice(5, 9))
+    np.testing.assert_array_equal(part, mosaic[3:10, 5:9] == "G")
