@@ -1,8 +1,8 @@
 """Raw frames on disk: DNG written atomically; DNG and the makers' RAW files read through rawpy, bit-exact.
 
 The writer makes the smallest DNG 1.4 file that raw converters open: one uncompressed strip, as a Bayer mosaic or as a
-monochrome LinearRaw image, 12-bit packed where the white level allows it and 16-bit otherwise. The exposure is an exact
-rational of the EXIF directory.
+monochrome LinearRaw image, 12-bit packed where the white level allows it and 16-bit otherwise. The exposure is an
+exact rational of the EXIF directory.
 """
 
 from __future__ import annotations
