@@ -1,0 +1,392 @@
+"""A Dynamixel bus (Protocol 2.0) over the ROBOTIS SDK, with the SDK's pitfalls handled in one place.
+
+What is handled, and where:
+
+- a late reply is taken as the answer to the next request: after any failure the line is left alone for longer than a
+  late reply takes, emptied, and a ping (whose reply has a length of its own) is asked before anything else;
+- an exception inside a transaction leaves the port busy for ever: `is_using` is reset whatever happens;
+- an error status without data raises IndexError in the SDK's reads: replies are taken as packets and checked here;
+- `GroupSyncRead` drops the alert bits, and one silent servo fails the group and reads as 0: replies are collected by
+  id, and the missing ones are read one by one;
+- byte stuffing is broken on transmit and can lose a byte on reception: a packet that would need it is not sent, and the
+  length that a reply announces must be the length that was asked for;
+- values are unsigned: `Item.decode` extends the sign;
+- open errors raise raw exceptions and nothing locks the port: `ExclusivePort` locks it at every (re)opening;
+- the SDK spins while it waits: `ExclusivePort` sleeps until bytes arrive.
+"""
+
+from __future__ import annotations
+
+import logging
+import select
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+import serial
+from dynamixel_easy_sdk.control_table import ControlTable
+from dynamixel_sdk import (
+    COMM_RX_CORRUPT,
+    COMM_RX_TIMEOUT,
+    COMM_SUCCESS,
+    INST_PING,
+    INST_READ,
+    INST_REBOOT,
+    INST_WRITE,
+    PortHandler,
+    Protocol2PacketHandler,
+)
+
+from gonio.errors import ConfigError, DeviceError
+from gonio_drivers import ports
+
+log = logging.getLogger("gonio.devices")
+
+ALERT = 0x80
+QUIET_S = 0.060
+"""How long the line is left alone after a failure: the SDK gives up after 34 ms, and replies have come 40 ms late."""
+TRIES = 4
+WAIT_S = 0.002
+BAUD_RATES = (57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 9_600)
+
+ERRORS = {
+    1: "failed to carry out the instruction (result fail)",
+    2: "does not know the instruction",
+    4: "the value is out of the item's range",
+    5: "the data are shorter than the item",
+    6: "the value is beyond a limit that is set in the servo",
+    7: "the address cannot be read or written now (EEPROM is locked while torque is on)",
+}
+HARDWARE_ERRORS = {
+    0: "input voltage out of range",
+    2: "overheated",
+    3: "encoder or motor fault",
+    4: "electrical shock or too little power",
+    5: "overloaded",
+}
+
+
+class BusError(DeviceError):
+    """The bus fails to carry packets: no answer, or a damaged one."""
+
+
+class Refusal(DeviceError):
+    """A servo answers an instruction with an error number."""
+
+    def __init__(self, message: str, error: int) -> None:
+        super().__init__(message)
+        self.error = error
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One entry of a control table."""
+
+    name: str
+    address: int
+    size: int
+
+    def decode(self, data: bytes, start: int = 0) -> int:
+        """The value in a block of bytes that begins at the address `start`; the SDK's own readers forget the sign."""
+        raw = data[self.address - start : self.address - start + self.size]
+        return int.from_bytes(raw, "little", signed=self.name in SIGNED)
+
+    def encode(self, value: int) -> bytes:
+        """The bytes of a value, two's complement where it is negative."""
+        return (value % (1 << 8 * self.size)).to_bytes(self.size, "little")
+
+
+SIGNED = frozenset(
+    {
+        "Homing Offset", "Goal PWM", "Goal Current", "Goal Velocity", "Goal Position", "Present PWM", "Present Current",
+        "Present Load", "Present Velocity", "Present Position", "Velocity Trajectory", "Position Trajectory",
+    }
+)  # fmt: skip
+
+
+@cache
+def models() -> dict[int, str]:
+    """Model names by model number, as "xm430-w350", from the SDK's list."""
+    return {n: file.removesuffix(".model").replace("_", "-") for n, file in ControlTable.parsingModelList().items()}
+
+
+@cache
+def control_table(model: str) -> dict[str, Item]:
+    """The control table of a model, from the SDK's own file.
+
+    Raises
+    ------
+    ConfigError
+        The SDK does not know the model.
+    """
+    for number, name in models().items():
+        if name == model.lower():
+            return {n: Item(n, e.address, e.size) for n, e in ControlTable.getControlTable(number).items()}
+    known = ", ".join(sorted(models().values()))
+    raise ConfigError(f'model = "{model}" is not known to the Dynamixel SDK; it knows: {known}')
+
+
+class ExclusivePort(PortHandler):  # type: ignore[misc]
+    """The SDK's port, locked for one owner, and sleeping while it waits for bytes."""
+
+    is_open: bool
+
+    def setupPort(self, cflag_baud: int) -> bool:
+        """Open the port (again) at a line speed, with the lock taken again."""
+        if self.is_open:
+            self.closePort()
+        self.ser = serial.Serial(
+            port=self.port_name,
+            baudrate=cflag_baud,
+            bytesize=serial.EIGHTBITS,
+            timeout=0,
+            write_timeout=1.0,
+            exclusive=True,
+        )
+        self.is_open = True
+        self.ser.reset_input_buffer()
+        self.tx_time_per_byte = 1000.0 / cflag_baud * 10.0
+        return True
+
+    def readPort(self, length: int) -> bytes:
+        """Bytes that are there, after a short wait where there are none."""
+        if length <= 0:
+            return b""
+        if not self.ser.in_waiting:
+            select.select([self.ser.fileno()], [], [], WAIT_S)
+        return bytes(self.ser.read(length))
+
+
+Answer = TypeVar("Answer")
+
+
+class Bus:
+    """The servos on one port.
+
+    Parameters
+    ----------
+    port, baud
+        Where they are, and their line speed.
+    key
+        Name of the table that says so, for messages.
+
+    Opening (as a context) takes the port's lock and touches no servo.
+    """
+
+    def __init__(self, port: str, baud: int, *, key: str = "devices.servos") -> None:
+        self.port = port
+        self.baud = baud
+        self.key = key
+        self.alerts: set[int] = set()
+        """Ids whose last status packet had the alert bit."""
+        self.recovered = 0
+        """Failures that a repetition has mended."""
+        self._port = ExclusivePort(port)
+        self._packets = Protocol2PacketHandler()
+        self._lock = threading.RLock()
+
+    def __enter__(self) -> Self:
+        self.set_baud(self.baud)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._port.is_open:
+            self._port.closePort()
+        self._port.is_using = False
+
+    def set_baud(self, baud: int) -> None:
+        """Open the port at a line speed; the lock is taken anew."""
+        try:
+            if not self._port.setBaudRate(baud):
+                known = ", ".join(map(str, BAUD_RATES))
+                raise ConfigError(f"{self.key}.baud = {baud}: the SDK has no such line speed; it has {known}")
+        except (serial.SerialException, OSError) as error:
+            raise ports.unopened(self.port, error, f"{self.key}.port") from None
+
+    # ---- one servo ----
+
+    def ping(self, identity: int) -> tuple[int, int]:
+        """Model number and firmware version of a servo."""
+        data = self._repeat(identity, lambda: self._transact(identity, INST_PING, b"", 3))
+        return int.from_bytes(data[:2], "little"), data[2]
+
+    def read(self, identity: int, address: int, size: int) -> bytes:
+        """`size` bytes of a servo's control table."""
+        request = address.to_bytes(2, "little") + size.to_bytes(2, "little")
+        return self._repeat(identity, lambda: self._transact(identity, INST_READ, request, size))
+
+    def write(self, identity: int, address: int, data: bytes) -> None:
+        """Change a servo's control table."""
+        request = address.to_bytes(2, "little") + data
+        self._repeat(identity, lambda: self._transact(identity, INST_WRITE, request, 0))
+
+    def reboot(self, identity: int) -> None:
+        """Restart a servo: RAM falls back to its defaults, and a hardware error is forgotten."""
+        self._repeat(identity, lambda: self._transact(identity, INST_REBOOT, b"", 0))
+
+    # ---- several servos ----
+
+    def discover(self) -> dict[int, tuple[int, int]]:
+        """Model number and firmware version by id of every servo that answers a broadcast ping at this line speed."""
+        with self._lock:
+            try:
+                self._calm(0.0)
+                found, _ = self._packets.broadcastPing(self._port)   # empty, or damaged where replies collided
+            except (serial.SerialException, OSError) as error:
+                raise ports.lost(self.port, error, f"{self.key}.port") from None
+            finally:
+                self._port.is_using = False
+            return {identity: (entry[0], entry[1]) for identity, entry in sorted(found.items())}
+
+    def read_all(self, ids: Iterable[int], address: int, size: int) -> dict[int, bytes]:
+        """The same block of several servos, by one sync read; those that fail in it are read one by one."""
+        wanted = list(ids)
+        with self._lock:
+            try:
+                blocks = self._sync_read(wanted, address, size)
+            except (serial.SerialException, OSError) as error:
+                raise ports.lost(self.port, error, f"{self.key}.port") from None
+            finally:
+                self._port.is_using = False
+            missing = [identity for identity in wanted if identity not in blocks]
+            if missing:
+                self._calm(QUIET_S)
+                for identity in missing:
+                    self._confirm(identity)
+                    blocks[identity] = self.read(identity, address, size)
+                self.recovered += 1
+                log.warning("servo bus %s: sync read without an answer of id %s; repeated", self.port, missing)
+            return blocks
+
+    def write_all(self, address: int, data: Mapping[int, bytes]) -> None:
+        """Change several servos at once, by one sync write; no servo answers it: read back what matters."""
+        sizes = {len(d) for d in data.values()}
+        if len(sizes) != 1:
+            raise ValueError("a sync write takes the same number of bytes for every servo")
+        (size,) = sizes
+        parameters = b"".join(bytes([identity]) + d for identity, d in data.items())
+        _unstuffed(parameters)
+        with self._lock:
+            try:
+                self._port.is_using = False
+                self._packets.syncWriteTxOnly(self._port, address, size, list(parameters), len(parameters))
+            except (serial.SerialException, OSError) as error:
+                raise ports.lost(self.port, error, f"{self.key}.port") from None
+            finally:
+                self._port.is_using = False
+
+    # ---- transactions ----
+
+    def _repeat(self, identity: int, ask: Callable[[], bytes]) -> bytes:
+        """Ask until there is a good answer; before a repetition the line falls silent and the servo answers a ping."""
+        with self._lock:
+            for attempt in range(TRIES):
+                try:
+                    answer = ask()
+                except BusError as failure:
+                    last = failure
+                    self._calm(QUIET_S)
+                    self._confirm(identity)
+                    continue
+                if attempt:
+                    self.recovered += 1
+                    log.warning("servo bus %s: %s; answered at attempt %d", self.port, last, attempt + 1)
+                return answer
+            raise last
+
+    def _transact(self, identity: int, instruction: int, parameters: bytes, expected: int) -> bytes:
+        """One request and its reply; `expected` is the number of data bytes in a good reply."""
+        _unstuffed(parameters)
+        length = len(parameters) + 3
+        request = [0, 0, 0, 0, identity, length & 0xFF, length >> 8, instruction, *parameters, 0, 0]
+        try:
+            self._port.is_using = False
+            reply, result, _ = self._packets.txRxPacket(self._port, request)
+        except (serial.SerialException, OSError) as error:
+            raise ports.lost(self.port, error, f"{self.key}.port") from None
+        finally:
+            self._port.is_using = False
+        if result != COMM_SUCCESS:
+            raise BusError(f"servo id {identity} on {self.port} at {self.baud} baud: {_comm(result)}")
+        return self._data(identity, reply, expected)
+
+    def _data(self, identity: int, reply: list[int], expected: int) -> bytes:
+        """The data of a status packet, checked: error number, and the length that was asked for."""
+        error = reply[8]
+        (self.alerts.add if error & ALERT else self.alerts.discard)(identity)
+        number = error & 0x7F
+        if number == 3:
+            raise BusError(f"servo id {identity} on {self.port}: the request arrived damaged")
+        if number:
+            what = ERRORS.get(number, f"error number {number}")
+            raise Refusal(f"servo id {identity} on {self.port} refuses: {what}", number)
+        announced = (reply[5] | reply[6] << 8) - 4
+        data = bytes(reply[9 : 9 + announced])
+        if announced != expected or len(data) != expected:
+            raise BusError(
+                f"servo id {identity} on {self.port}: a reply of {announced} bytes to a request for {expected}"
+            )
+        return data
+
+    def _sync_read(self, ids: list[int], address: int, size: int) -> dict[int, bytes]:
+        self._port.is_using = False
+        result = self._packets.syncReadTx(self._port, address, size, ids, len(ids), False)
+        blocks: dict[int, bytes] = {}
+        while result == COMM_SUCCESS and len(blocks) < len(ids):
+            reply, result = self._packets.rxPacket(self._port, False)
+            if result == COMM_SUCCESS and reply[4] in ids:
+                try:
+                    blocks[reply[4]] = self._data(reply[4], reply, size)
+                except BusError:
+                    return blocks   # the caller reads the rest one by one
+        return blocks
+
+    def _calm(self, quiet_s: float) -> None:
+        """Let late replies come, and drop them."""
+        self._port.is_using = False
+        try:
+            time.sleep(quiet_s)
+            while self._port.readPort(1024):
+                time.sleep(WAIT_S)
+            self._port.clearPort()
+        except (serial.SerialException, OSError) as error:
+            raise ports.lost(self.port, error, f"{self.key}.port") from None
+
+    def _confirm(self, identity: int) -> None:
+        """A ping whose own reply comes back: nothing older is on its way. Its failure is left to the next attempt."""
+        try:
+            self._transact(identity, INST_PING, b"", 3)
+        except BusError:
+            self._calm(QUIET_S)
+
+
+def _unstuffed(parameters: bytes) -> None:
+    if b"\xff\xff\xfd" in parameters:
+        raise DeviceError("a packet that holds FF FF FD cannot be sent: the SDK's byte stuffing would damage it")
+
+
+def _comm(result: int) -> str:
+    known = {COMM_RX_TIMEOUT: "no answer", COMM_RX_CORRUPT: "a damaged answer"}
+    return known.get(result, f"the SDK reports {result}")
+
+
+def hardware_error(byte: int) -> str:
+    """The bits of a Hardware Error Status in words."""
+    return ", ".join(text for bit, text in HARDWARE_ERRORS.items() if byte & 1 << bit) or f"hardware error {byte:#04x}"
+
+
+def scan(port: str, *, key: str = "devices.servos") -> dict[int, dict[int, Any]]:
+    """Servos by line speed: what answers a broadcast ping at each speed (about a second a speed)."""
+    found: dict[int, dict[int, Any]] = {}
+    for baud in BAUD_RATES[:-1]:
+        with Bus(port, baud, key=key) as bus:
+            servos = bus.discover()
+        if servos:
+            found[baud] = servos
+    return found

@@ -1,0 +1,65 @@
+"""Serial ports: opened for one owner only, with messages that say what is wrong and what to do."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+from gonio.errors import DeviceError
+
+
+def unopened(port: str, error: Exception, key: str) -> DeviceError:
+    """What to tell a person whose port did not open; `key` is where the port was written."""
+    said = f'{key} = "{port}"'
+    number = getattr(error, "errno", None)
+    text = str(error)
+    if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or not Path(port).exists():
+        there = ", ".join(present()) or "none"
+        return DeviceError(f"{said}: there is no such port (is the adapter plugged in?); ports here: {there}")
+    if number in (errno.EACCES, errno.EPERM):
+        return DeviceError(
+            f'{said}: no permission to open it; add yourself to its group ("sudo usermod -aG {_group(port)} $USER", '
+            "then log in again) or install the udev rule of docs/lab_setup.md"
+        )
+    if number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in text:
+        return DeviceError(f"{said}: the port is taken{_holder(port)}; end that program, then try again")
+    return DeviceError(f"{said}: cannot be opened as a serial port: {text}")
+
+
+def lost(port: str, error: Exception, key: str) -> DeviceError:
+    """What to tell a person whose port went away while it was in use."""
+    return DeviceError(f'{key} = "{port}": the port went away while in use ({error}); check cable and power')
+
+
+def present() -> list[str]:
+    """Serial ports that this machine has now, by their stable names where they have one."""
+    from serial.tools import list_ports
+
+    by_id = Path("/dev/serial/by-id")
+    stable = {os.path.realpath(link): str(link) for link in by_id.iterdir()} if by_id.is_dir() else {}
+    return sorted(stable.get(p.device, p.device) for p in list_ports.comports() if p.hwid != "n/a")
+
+
+def _group(port: str) -> str:
+    import grp
+
+    try:
+        return grp.getgrgid(Path(port).stat().st_gid).gr_name
+    except (KeyError, OSError):
+        return "dialout"
+
+
+def _holder(port: str) -> str:
+    """The other processes that have a port open, as far as they can be seen."""
+    target = os.path.realpath(port)
+    for process in Path("/proc").glob("[0-9]*"):
+        if process.name == str(os.getpid()):
+            continue
+        try:
+            if any(os.path.realpath(link) == target for link in (process / "fd").iterdir()):
+                name = (process / "comm").read_text().strip()
+                return f" by process {process.name} ({name})"
+        except OSError:
+            continue   # another user's process, or one that has just ended
+    return ""

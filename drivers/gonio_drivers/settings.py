@@ -1,0 +1,152 @@
+"""The `[devices]` table of a laboratory rig's file."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from gonio.config import Strict
+from gonio.description import NonNegative, Positive, RigDescription
+from gonio.errors import ConfigError
+
+AxisName = Literal["light", "camera", "tilt", "spin", "azimuth"]
+
+
+class ServoAxis(Strict):
+    """One servo and how it is built in."""
+
+    id: Annotated[int, Field(ge=0, le=252)]
+    model: str
+    """As printed on the servo: "xm430-w350"."""
+    direction: Literal[1, -1] = 1
+    """1: the axis turns toward positive angles when the servo's count grows."""
+    gear_ratio: Positive = 1.0
+    """Turns of the servo for one turn of the axis."""
+    zero_count: Annotated[int, Field(ge=0, le=4095)] = 2048
+    """Count that is called 0 deg; what remains is `zero_offset_deg` of the axis."""
+    park_deg: float | None = None
+    """Where the axis rests; by default light on its lower limit, camera on its upper limit, the others at 0."""
+    current_limit: Annotated[int, Field(ge=1)] | None = None
+    """In the servo's own units (2.69 mA for the 430 models); None leaves what is in the servo."""
+
+
+class Servos(Strict):
+    """The servos of all axes, on one port."""
+
+    port: str
+    baud: int = 57_600
+    axes: dict[AxisName, ServoAxis]
+    acceleration_deg_per_s2: Positive = 90.0
+    tolerance_deg: Positive = 0.15
+    """A landing is good within this distance of the goal."""
+    settle_s: NonNegative = 0.1
+    """How long an axis must stand still before it has landed."""
+    on_exit: Literal["torque-off", "hold"] = "torque-off"
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Servos:
+        ids = [axis.id for axis in self.axes.values()]
+        if len(set(ids)) < len(ids):
+            raise ValueError(f"two axes have the same servo id; ids given: {ids}")
+        return self
+
+
+class Light(Strict):
+    """A lamp controller on a serial port."""
+
+    port: str
+    dialect: str = "scpi"
+    """A shipped dialect ("scpi", "mightex", "arduino"), or the path of a TOML file beside the rig file."""
+    baud: Positive | None = None
+    """Instead of the dialect's own line speed."""
+    level: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """Output while it is on, as a fraction of the dialect's largest setting."""
+    channel: Annotated[int, Field(ge=0)] = 1
+    channels: dict[str, int] = Field(default_factory=dict)
+    """Controller channel by band name, for a lamp with one emitter a band; other bands use `channel`."""
+    settle_s: NonNegative = 0.5
+    monitor_tolerance: Annotated[float, Field(gt=0)] | None = None
+    """Compare the monitor photodiode with the level that was set, and refuse a larger relative deviation."""
+
+
+class Trigger(Strict):
+    """How the tethered camera is made to expose."""
+
+    how: Literal["none", "command", "serial"] = "none"
+    command: tuple[str, ...] = ()
+    """Program and arguments; {exposure_s} and {folder} are filled in."""
+    port: str = ""
+    baud: Positive = 115_200
+
+    @model_validator(mode="after")
+    def _complete(self) -> Trigger:
+        if self.how == "command" and not self.command:
+            raise ValueError('how = "command" needs `command`, a list: program and arguments')
+        if self.how == "serial" and not self.port:
+            raise ValueError('how = "serial" needs `port`')
+        return self
+
+
+class FolderCamera(Strict):
+    """RAW files that a tethering program puts into a folder."""
+
+    folder: str
+    suffixes: tuple[str, ...] = (".dng", ".cr2", ".nef", ".arw")
+    trigger: Trigger = Trigger()
+    timeout_s: Positive = 20.0
+    """How long after the end of the exposure a file may take."""
+    exposure_tolerance: Annotated[float, Field(gt=0, lt=1)] = 0.05
+    """Largest relative deviation of the exposure in the file from what was asked."""
+    keep: bool = False
+    """Leave the files in the folder after they have been taken over."""
+
+
+class UvcCamera(Strict):
+    """A USB video camera."""
+
+    device: str = "/dev/video0"
+    response: str | None = None
+    """CSV of a response calibration (dn, relative exposure); without it the camera refuses quantitative work."""
+    gain: float | None = None
+    drop: Annotated[int, Field(ge=0)] = 4
+    """Frames that are queued in the driver and thrown away before a frame is used."""
+
+
+class SequenceCamera(Strict):
+    """Images from a folder, in order: replay without a camera."""
+
+    folder: str
+
+
+class Devices(Strict):
+    servos: Servos
+    light: Light
+    camera: dict[str, Any]
+    """`driver` ("folder", "uvc", "sequence", or an entry point of the group `gonio.cameras`) and that driver's keys."""
+    prompt: bool = True
+    """Ask at the terminal when sample and reference are to be swapped."""
+
+
+def axis_limits_deg(description: RigDescription) -> dict[str, tuple[float, float]]:
+    """Limits of the axes that a described rig has [deg]."""
+    arms, holder = description.arms, description.holder
+    out: dict[str, tuple[float, float]] = {"light": arms.light.limits_deg, "camera": arms.camera.limits_deg}
+    if "tilt" in holder.axes:
+        out["tilt"] = holder.tilt_limits_deg
+    if "spin" in holder.axes:
+        out["spin"] = holder.spin_limits_deg
+    if arms.azimuth is not None:
+        out["azimuth"] = arms.azimuth.limits_deg
+    return out
+
+
+def check_axes(servos: Servos, description: RigDescription) -> None:
+    """Raise `ConfigError` where servos and axes of the rig do not belong together."""
+    limits = axis_limits_deg(description)
+    for name in limits:
+        if name not in servos.axes:
+            raise ConfigError(f"devices.servos.axes.{name} is missing: the rig has this axis, and no servo turns it")
+    for name in servos.axes:
+        if name not in limits:
+            raise ConfigError(f"devices.servos.axes.{name}: the rig has no axis {name}; it has {', '.join(limits)}")
