@@ -15,7 +15,7 @@ from gonio.plan import Plan, assess, schedule
 
 if TYPE_CHECKING:
     from gonio.acquire import Progress
-    from gonio.rig import RigPlugin
+    from gonio.rig import Rig, RigPlugin
     from gonio.run import Run
 
 
@@ -115,21 +115,15 @@ def carry_out(
         See `gonio.acquire.measure`, `Run.create`, `Run.resume` and the rig's own documentation.
     """
     from gonio.acquire import Silent, Stop, measure
-    from gonio.run import Request, Run, begun, check_new, check_writable
+    from gonio.run import Request, Run, begun
 
     out = Path(out)
     progress = progress or Silent()
     plan.bands(rig.description)
     points = assess(plan, rig.description)
     steps = schedule(plan, rig.description, points)
-    device = rig.plugin.open(rig.description, sample=sample, seed=seed, confirm=confirm)
-    if sample is None and device.repeatable:
-        raise ConfigError(f'the rig "{rig.source}" simulates its sample: name one with --sample S.toml')
+    device = _open(rig, out, sample, seed, resume, confirm)
     going_on = resume and begun(out)
-    if going_on:
-        check_writable(out)
-    else:
-        check_new(out)
     request = Request(plan, points, rig.description, sample, seed, command)
     with Stop(progress) as stop, contextlib.ExitStack() as stack:
         if going_on:
@@ -140,3 +134,26 @@ def carry_out(
             run = stack.enter_context(Run.create(out, request))
         measure(device, run, steps, progress, stop)
     return Run.open(out)
+
+
+def check(
+    plan: Plan, rig: RigChoice, out: Path, *, sample: SampleDescription | None, seed: int, resume: bool, confirm: bool
+) -> None:
+    """Raise what `carry_out` would raise before it touches a device; its parameters."""
+    plan.bands(rig.description)
+    schedule(plan, rig.description)
+    _open(rig, out, sample, seed, resume, confirm)
+
+
+def _open(rig: RigChoice, out: Path, sample: SampleDescription | None, seed: int, resume: bool, confirm: bool) -> Rig:
+    """The rig, built but not entered, after every check that needs no device."""
+    from gonio.run import begun, check_new, check_writable
+
+    device = rig.plugin.open(rig.description, sample=sample, seed=seed, confirm=confirm)
+    if sample is None and device.repeatable:
+        raise ConfigError(f'the rig "{rig.source}" simulates its sample: name one with --sample S.toml')
+    if resume and begun(out):
+        check_writable(out)
+    else:
+        check_new(out)
+    return device

@@ -1,0 +1,101 @@
+"""The command line `gonio`: the core's own commands, and those that other packages add by entry point.
+
+Whatever goes wrong ends here as one message on stderr and an exit code (docs: gonio/errors.py). Nothing heavy is
+imported before a command needs it, so that `gonio --help` answers at once.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import typer
+
+ORDER = ("demo", "rig", "plan", "measure", "reduce", "fit", "compare", "report")
+"""The order of the help: that of the work."""
+
+
+def main() -> None:
+    """Run the command line, and end the process with its exit code."""
+    from gonio.errors import GonioError
+
+    try:
+        build()(prog_name="gonio")
+    except GonioError as error:
+        fail(str(error), error.exit_code)
+    except KeyboardInterrupt:
+        fail("interrupted", 130)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader has gone: nothing more to say
+        sys.exit(1)
+    except Exception as error:
+        if os.environ.get("GONIO_TRACEBACK"):
+            raise
+        fail(
+            f"an error that should not happen: {type(error).__name__}: {error}\n"
+            "  GONIO_TRACEBACK=1 shows where; please report it with that",
+            1,
+        )
+
+
+def fail(message: str, code: int) -> None:
+    """End the process with a message on stderr."""
+    sys.stdout.flush()
+    print(f"gonio: {message}", file=sys.stderr)
+    sys.exit(code)
+
+
+def build() -> typer.Typer:
+    """The application with every command that is installed."""
+    import typer
+
+    from gonio import plugins
+    from gonio.cli import measuring, plans, rigs, tables
+
+    class InOrder(typer.core.TyperGroup):
+        def list_commands(self, ctx: typer.Context) -> list[str]:
+            names = super().list_commands(ctx)
+            return [n for n in ORDER if n in names] + sorted(set(names).difference(ORDER))
+
+    app = typer.Typer(
+        cls=InOrder,
+        help="A goniometer workbench: plan, measure, reduce, fit, compare and report BRDFs.",
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.add_typer(rigs.app, name="rig")
+    app.add_typer(plans.app, name="plan")
+    app.command()(measuring.measure)
+    app.command()(measuring.reduce)
+    for name, point in plugins.available("gonio.commands").items():
+        _add(app, name, point)
+    app.command()(tables.convert)
+    return app
+
+
+def _add(app: typer.Typer, name: str, point: Any) -> None:
+    """Add a command, or a group of commands, that an entry point names; a broken one says so when it is called."""
+    import typer
+
+    try:
+        command = point.load()
+    except Exception as error:
+        command = _broken(name, f"{type(error).__name__}: {error}", point.value)
+    if isinstance(command, typer.Typer):
+        app.add_typer(command, name=name)
+    else:
+        app.command(name)(command)
+
+
+def _broken(name: str, error: str, value: str) -> Any:
+    def command() -> None:
+        from gonio.errors import ConfigError
+
+        raise ConfigError(f'the command "{name}" ({value}) cannot be loaded: {error}')
+
+    command.__doc__ = f"(cannot be loaded: {error})"
+    return command

@@ -1,0 +1,157 @@
+"""What commands show: results on stdout, progress on stderr."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+    from rich.table import Table
+
+    from gonio.acquire import Live, Progress
+
+LINES = 20
+"""At most about so many lines of progress where there is no terminal."""
+
+
+def show(*things: RenderableType) -> None:
+    """Print results on stdout: tables are fitted to the terminal, and are plain text in a pipe."""
+    console = _console(stderr=False)
+    for thing in things:
+        console.print(thing, highlight=False, markup=False)
+
+
+def table(*headings: str, title: str | None = None) -> Table:
+    """An empty table in the style of all commands; headings and title are plain text."""
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    plain = escape(title) if title is not None else None
+    return Table(*map(escape, headings), title=plain, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+
+
+def note(text: str) -> None:
+    """One line for the person at the terminal, on stderr."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def duration(seconds: float) -> str:
+    """A duration as people say it: 45 s, 12 min, 3 h 20 min."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def progress() -> contextlib.AbstractContextManager[Progress]:
+    """Somebody who shows a measurement: a bar with a line of live values on a terminal, a few plain lines elsewhere."""
+    return _on_terminal() if sys.stderr.isatty() else contextlib.nullcontext(_Lines())
+
+
+def values(live: Live) -> str:
+    """The line of live values."""
+    what = live.step.kind if live.step.point is None else f"point {live.step.point}"
+    if live.angles_deg is not None:
+        theta_i, phi_i, theta_r, phi_r = live.angles_deg
+        what += f"  theta_i {theta_i:g}  theta_r {theta_r:g}  dphi {(phi_r - phi_i) % 360:g} deg"
+    if live.step.kind != "dark":
+        what += f"  signal {100 * live.level:.0f} % of full scale"
+    return what + f"  exposure {live.exposure_s:.3g} s" + (f"  [{live.flag}]" if live.flag else "")
+
+
+class _Lines:
+    """Progress in a log file."""
+
+    def __init__(self) -> None:
+        self._steps, self._done, self._began, self._at_start = 0, 0, 0.0, 0
+
+    def start(self, steps: int, done: int) -> None:
+        self._steps, self._done, self._at_start, self._began = steps, done, done, time.monotonic()
+        note(f"{steps - done} steps to take" + (f", {done} of {steps} were done before" if done else ""))
+
+    def step(self, live: Live) -> None:
+        self._done += 1
+        if self._done * LINES // self._steps > (self._done - 1) * LINES // self._steps:
+            elapsed = time.monotonic() - self._began
+            left = elapsed / (self._done - self._at_start) * (self._steps - self._done)
+            note(f"{self._done:>{len(str(self._steps))}}/{self._steps}  {duration(left)} left  {values(live)}")
+
+    def paused(self) -> contextlib.AbstractContextManager[None]:
+        return contextlib.nullcontext()
+
+    def say(self, text: str) -> None:
+        note(text)
+
+
+class _Bar:
+    """Progress on a terminal."""
+
+    def __init__(self, console: Console) -> None:
+        from rich.live import Live as Screen
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
+
+        self._bar = Progress(
+            TextColumn("measuring"),
+            BarColumn(None),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            console=console,
+            expand=True,
+        )
+        self._task = self._bar.add_task("", total=None)
+        self._text = ""
+        self.screen = Screen(get_renderable=self._render, console=console, refresh_per_second=8)
+        self._console = console
+
+    def _render(self) -> RenderableType:
+        from rich.console import Group
+        from rich.text import Text
+
+        return Group(self._bar, Text(self._text, style="dim", no_wrap=True, overflow="ellipsis"))
+
+    def start(self, steps: int, done: int) -> None:
+        self._bar.reset(self._task, total=steps, completed=done)
+
+    def step(self, live: Live) -> None:
+        self._text = values(live)
+        self._bar.advance(self._task)
+
+    @contextlib.contextmanager
+    def paused(self) -> Iterator[None]:
+        self.screen.stop()
+        try:
+            yield
+        finally:
+            self.screen.start()
+
+    def say(self, text: str) -> None:
+        self._console.print(text, highlight=False, markup=False)
+
+
+@contextlib.contextmanager
+def _on_terminal() -> Iterator[Progress]:
+    bar = _Bar(_console(stderr=True))
+    with bar.screen:
+        yield bar
+
+
+def _console(*, stderr: bool) -> Console:
+    from rich.console import Console
+
+    out = Console(stderr=stderr, soft_wrap=False)
+    # a table in a pipe is for grep: as wide as it needs to be
+    return out if out.is_terminal else Console(stderr=stderr, width=max(out.width, 120))

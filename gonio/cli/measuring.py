@@ -1,0 +1,86 @@
+"""`gonio measure` and `gonio reduce`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def measure(
+    plan: Annotated[Path, typer.Argument(help="What to measure: a plan.toml.", show_default=False)],
+    rig: Annotated[str, typer.Option(help="A rig's name (gonio rig list), or a rig file.", show_default=False)],
+    out: Annotated[Path, typer.Option(help="Folder of the run; made if it is absent.", show_default=False)],
+    sample: Annotated[
+        Path | None, typer.Option(help="What a simulated rig measures: a sample.toml.", show_default=False)
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of a simulated rig.")] = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with a run that was cut short.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Check everything and show the plan; move nothing.")
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask for no confirmation.")] = False,
+) -> None:
+    """Measure a plan on a rig: raw frames and a journal in a folder. Ctrl-C finishes the step and parks."""
+    from gonio.bench import carry_out, check, find_rig, load_sample
+    from gonio.cli import console, plans
+    from gonio.plan import load_plan
+    from gonio.run import command_line
+
+    asked, chosen = load_plan(plan), find_rig(rig)
+    described = load_sample(sample) if sample is not None else None
+    confirm = not yes and sys.stdin.isatty() and sys.stderr.isatty()
+    if dry_run:
+        check(asked, chosen, out, sample=described, seed=seed, resume=resume, confirm=confirm)
+        plans.describe(asked, chosen)
+        console.note("nothing was moved or written (--dry-run)")
+        return
+    with console.progress() as progress:
+        run = carry_out(
+            asked,
+            chosen,
+            out,
+            sample=described,
+            seed=seed,
+            resume=resume,
+            confirm=confirm,
+            command=command_line(),
+            progress=progress,
+        )
+    points = sum(event["kind"] == "point" for event in run.steps())
+    skipped = len(asked.points) - points
+    console.show(
+        f"{out}: {points} points measured" + (f", {skipped} not ({_flags(run.plan['flag'])})" if skipped else ""),
+        f"next: gonio reduce {out}",
+    )
+
+
+def reduce(
+    run: Annotated[Path, typer.Argument(help="Folder of a run.", show_default=False)],
+) -> None:
+    """Reduce the frames of a run to BRDF with uncertainty: RUN/brdf.csv."""
+    from gonio import measurement, radiometry
+    from gonio.cli import console
+    from gonio.run import Run
+
+    opened = Run.open(run)
+    table = radiometry.reduce(opened)
+    path = run / "brdf.csv"
+    for remark in measurement.write(table, path):
+        console.note(remark)
+    good = table[table["flag"] == ""]
+    flags = _flags(table["flag"])
+    console.show(f"{path}: {len(good)} values of {len(table)}" + (f" ({flags})" if flags else ""))
+    if len(good):
+        relative = float((good["u_brdf"] / good["brdf"].abs()).median())
+        console.show(f"median standard uncertainty {100 * relative:.2g} %")
+
+
+def _flags(column: object) -> str:
+    """Counts of the flags in a column, as text."""
+    import pandas as pd
+
+    counts = pd.Series(column).loc[lambda flags: flags != ""].value_counts()
+    return ", ".join(f"{count} {flag}" for flag, count in counts.items())

@@ -1,0 +1,108 @@
+"""`gonio plan show`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from gonio.bench import RigChoice
+    from gonio.plan import Assessed, Plan, Point
+
+app = typer.Typer(help="Look at plans.", no_args_is_help=True)
+
+SHOWN = 12
+
+
+@app.callback()
+def _group() -> None:
+    """Look at plans."""
+
+
+@app.command()
+def show(
+    plan: Annotated[Path, typer.Argument(help="A plan.toml.", show_default=False)],
+    rig: Annotated[
+        str | None, typer.Option(help="The rig that shall measure it: a name or a rig file.", show_default=False)
+    ] = None,
+) -> None:
+    """Show the points of a plan; with a rig also what it cannot reach and why, and how long it takes."""
+    from gonio.bench import find_rig
+    from gonio.plan import load_plan
+
+    describe(load_plan(plan), find_rig(rig) if rig is not None else None)
+
+
+def describe(plan: Plan, rig: RigChoice | None) -> None:
+    """Print a plan, as a rig sees it if there is one."""
+    from gonio.cli import console
+    from gonio.plan import Assessed, assess, estimate_s, schedule
+
+    points = [Assessed(p, None) for p in plan.points] if rig is None else assess(plan, rig.description)
+    by_incidence: dict[float, list[Assessed]] = {}
+    for a in points:
+        by_incidence.setdefault(a.point.theta_i_deg, []).append(a)
+    headings = ["theta_i, deg", "theta_r in plane, deg", "dphi out of plane, deg", "points"]
+    if rig is not None:
+        headings += ["measured", "not measured, theta_r or theta_r/dphi"]
+    table = console.table(*headings, title=f"{plan.name}: {len(points)} points")
+    for theta_i, group in sorted(by_incidence.items()):
+        signed = sorted(t for a in group if (t := _signed(a.point)) is not None)
+        dphi = sorted({_dphi(a.point) for a in group if _signed(a.point) is None})
+        row = [f"{theta_i:g}", _span(signed), ", ".join(f"{d:g}" for d in dphi[:SHOWN]), str(len(group))]
+        if rig is not None:
+            row += [str(sum(a.pose is not None for a in group)), _missing(group)]
+        table.add_row(*row)
+    console.show(table)
+    if plan.repeated:
+        console.show(f"{plan.repeated} points occur more than once; each is measured once")
+    if rig is None:
+        console.show(f"wavelengths: {', '.join(f'{w:g} nm' for w in plan.wavelength_nm)}")
+        return
+    bands = plan.bands(rig.description)
+    steps = schedule(plan, rig.description, points)
+    visits = sum(step.kind == "reference" for step in steps)
+    for (flag, cause), count in _reasons(points):
+        console.show(f"{count} {flag}: {cause}")
+    seconds = estimate_s(steps, rig.description, len(bands))
+    console.show(
+        f"rig: {rig.description.name}",
+        f"bands: {', '.join(f'{b.name} (centre {b.centre_nm:g} nm, width {b.fwhm_nm:g} nm)' for b in bands)}",
+        f"{len(steps)} steps with {visits} visits to the white reference; about {console.duration(seconds)} "
+        "on the rig's clock, for a matt sample of albedo 0.5",
+    )
+
+
+def _reasons(points: list[Assessed]) -> list[tuple[tuple[str, str], int]]:
+    from gonio.plan import count_reasons
+
+    return count_reasons(points)
+
+
+def _missing(group: list[Assessed]) -> str:
+    """The points of a group that are not measured, by flag."""
+    out: dict[str, list[str]] = {}
+    for a in group:
+        if a.pose is None:
+            signed = _signed(a.point)
+            angles = f"{signed:g}" if signed is not None else f"{a.point.theta_r_deg:g}/{_dphi(a.point):g}"
+            out.setdefault(a.flag, []).append(angles)
+    return "; ".join(
+        f"{flag}: {', '.join(angles[:SHOWN])}{' ...' if len(angles) > SHOWN else ''}" for flag, angles in out.items()
+    )
+
+
+def _dphi(point: Point) -> float:
+    return round((point.phi_r_deg - point.phi_i_deg) % 360.0, 6)
+
+
+def _signed(point: Point) -> float | None:
+    """theta_r in plane, positive on the mirror side; None out of plane."""
+    side = {0.0: -1.0, 180.0: 1.0}.get(_dphi(point))
+    return None if side is None else side * point.theta_r_deg + 0.0
+
+
+def _span(angles: list[float]) -> str:
+    return "" if not angles else f"{angles[0]:g}" if len(angles) == 1 else f"{angles[0]:g} to {angles[-1]:g}"

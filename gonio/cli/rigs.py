@@ -1,0 +1,144 @@
+"""`gonio rig list | show | check`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from gonio.bench import RigChoice
+    from gonio.rig import Rig
+
+app = typer.Typer(help="List, show and check rigs.", no_args_is_help=True)
+
+Row = tuple[str, str, bool]
+LITTLE_DEG = 2.0
+
+
+@app.command("list")
+def list_rigs() -> None:
+    """List the rigs that are installed; a broken one with its error."""
+    from rich.markup import escape
+
+    from gonio import plugins
+    from gonio.cli import console
+    from gonio.errors import GonioError
+
+    table = console.table("rig", "from", "")
+    for name, point in plugins.available("gonio.rigs").items():
+        try:
+            shipped = plugins.load("gonio.rigs", name).toml
+            remark = "ready" if shipped else f'needs a rig file with rig = "{name}"'
+        except GonioError as error:
+            remark = str(error)
+        table.add_row(*map(escape, (name, point.dist.name if point.dist is not None else point.value, remark)))
+    console.show(table)
+
+
+@app.command()
+def show(
+    rig: Annotated[str, typer.Argument(metavar="R", help="A rig's name, or a rig file.", show_default=False)],
+) -> None:
+    """Print a rig's file, to copy and to change."""
+    from gonio.bench import find_rig
+
+    choice = find_rig(rig)
+    path = Path(rig)
+    print(path.read_text(encoding="utf-8") if path.is_file() else choice.plugin.toml, end="")
+
+
+@app.command()
+def check(
+    rig: Annotated[str, typer.Option(help="A rig's name, or a rig file.", show_default=False)],
+) -> None:
+    """Open a rig, move every axis a little, switch the lamp, take a dark and a lit frame; exit 3 if any is bad."""
+    from rich.markup import escape
+
+    from gonio.bench import find_rig
+    from gonio.cli import console
+    from gonio.errors import DeviceError
+
+    choice = find_rig(rig)
+    rows = checks(choice)
+    table = console.table("check", "found", "verdict", title=choice.description.name)
+    for what, found, good in rows:
+        table.add_row(*map(escape, (what, found)), "good" if good else "[bold red]BAD[/]")
+    console.show(table)
+    bad = [what for what, _, good in rows if not good]
+    if bad:
+        raise DeviceError(
+            f'rig "{choice.description.name}": {len(bad)} of {len(rows)} checks are bad: {"; ".join(bad)}'
+        )
+
+
+def checks(choice: RigChoice) -> list[Row]:
+    """What is checked, what was found, and whether that is good; stops at the first device that fails."""
+    from gonio.errors import DeviceError
+
+    rig = choice.plugin.open(choice.description, sample=None, seed=0, confirm=False)
+    rows: list[Row] = []
+    try:
+        with rig:
+            rows.append(("devices open, lamp dark", "yes", True))
+            _check_devices(rig, rows)
+        rows.append(("arms parked, lamp dark", "yes", True))
+    except DeviceError as error:
+        rows.append(("device", str(error), False))
+    return rows
+
+
+def _check_devices(rig: Rig, rows: list[Row]) -> None:
+    import numpy as np
+
+    from gonio import exposure
+    from gonio.plan import reference_pose
+    from gonio.rig import Step
+
+    description = rig.description
+    at_reference = reference_pose(description)
+    rig.begin(Step(0, "reference", pose=at_reference))
+    for name, landed, tolerance in _small_moves(rig):
+        rows.append((f"{name} axis moves {LITTLE_DEG:g} deg", f"lands within {landed:.3f} deg", landed <= tolerance))
+    camera = description.camera
+    short, _ = exposure.dark_exposures_s(description)
+    dark = rig.camera.capture(short)
+    offset = float(np.median(dark.mosaic)) - dark.black_level_dn
+    scale = exposure.full_scale_dn(camera, dark)
+    found = f"{dark.mosaic.shape[1]} x {dark.mosaic.shape[0]}, median {offset:+.1f} DN from the black level"
+    rows.append(("dark frame", found, abs(offset) < 0.02 * scale))
+    rig.present("reference")
+    rig.arms.move(at_reference)
+    rig.light.select(description.bands.all()[0])
+    rig.light.on()
+    exposure_s = exposure.expected_exposure_s(description, at_reference, 1.0)
+    lit = rig.camera.capture(exposure_s)
+    rig.light.off()
+    rows.append(
+        ("lit frame", *_verdict_lit(float(np.percentile(lit.mosaic, 99)), lit.black_level_dn, scale, exposure_s))
+    )
+
+
+def _verdict_lit(bright: float, black: float, scale: float, exposure_s: float) -> tuple[str, bool]:
+    level = (bright - black) / scale
+    found = f"bright pixels at {100 * level:.0f} % of full scale after {exposure_s:.3g} s"
+    return found, 0.02 < level < 0.98
+
+
+def _small_moves(rig: Rig) -> list[tuple[str, float, float]]:
+    """For every axis of the rig: how far from its goal it lands [deg], and how far it may."""
+    arms, holder = rig.description.arms, rig.description.holder
+    steps = {"light": arms.light, "camera": arms.camera} | {name: holder for name in holder.axes}
+    if arms.azimuth is not None:
+        steps["azimuth"] = arms.azimuth
+    out = []
+    for name, axis in steps.items():
+        here = rig.arms.read()
+        at = getattr(here, name)
+        goal = replace(here, **{name: at - math.copysign(math.radians(LITTLE_DEG), at)})
+        landed = math.degrees(abs(getattr(rig.arms.move(goal), name) - getattr(goal, name)))
+        out.append((name, landed, max(2.0 * axis.encoder_step_deg, 0.02)))
+    return out
