@@ -13,7 +13,12 @@ import pytest
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
 
 LAMBERT = 'name = "matte"\nmodel = "lambert"\n[parameters]\nalbedo = 0.5\n'
-PLAN = 'name = "small"\nwavelength_nm = [550]\n[[sweep]]\ntheta_i_deg = [20, 50]\ntheta_r_deg = [-60, -40, 0, 20, 40, 70]\n'
+PLAN = """name = "small"
+wavelength_nm = [550]
+[[sweep]]
+theta_i_deg = [20, 50]
+theta_r_deg = [-60, -40, 0, 20, 40, 70]
+"""
 
 
 def command_line() -> list[str]:
