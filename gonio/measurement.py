@@ -5,7 +5,7 @@ A table is a `pandas.DataFrame` with one row a direction pair, wavelength and po
 - `theta_i_deg, phi_i_deg` toward the source and `theta_r_deg, phi_r_deg` toward the detector: theta in [0, 90], phi in
   [0, 360), from the outward normal and the sample's x axis; the mirror half-plane is phi_r = phi_i + 180;
 - `wavelength_nm`, NaN for a broad band; `polarisation`: "unpolarised", or "ss", "sp", "ps", "pp"
-  (incident, then reflected);
+  (incident, then reflected), or "s", "p" (incident only);
 - `sample`, only where a file holds several samples;
 - `brdf` [1/sr], with the sign that it was measured with;
 - `u_brdf`, its combined standard uncertainty (k = 1), NaN where nobody stated one; `u_random`, the part of it that is
@@ -71,6 +71,8 @@ def parse(data: bytes, path: Path, *, format: str | None = None) -> pd.DataFrame
     check_columns(list(frame.columns), str(path))
     if chosen.name != "gonio":  # whose reader has checked, with line numbers
         check(frame, lambda row: f"{path}, row {row + 1} of the table")
+    if "sample" in frame.columns:
+        frame.attrs["samples"] = list(dict.fromkeys(frame["sample"]))
     return frame
 
 
@@ -109,8 +111,6 @@ def write(frame: pd.DataFrame, path: str | Path, *, format: str | None = None) -
     lost = []
     if "uncertainty" not in chosen.carries and frame["u_brdf"].notna().any():
         lost.append(f"{chosen.title} has no room for uncertainties: u_brdf, u_random and s_ columns are not written")
-    elif chosen.name != "gonio" and any(name.startswith("s_") for name in frame.columns):
-        lost.append(f"{chosen.title} has no room for correlated uncertainties: only u_brdf is written")
     if "flag" not in chosen.carries and (frame["flag"] != "").any():
         count = int((frame["flag"] != "").sum())
         lost.append(f"{chosen.title} has no room for flags: {count} flagged rows are left out")

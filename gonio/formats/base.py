@@ -30,7 +30,8 @@ Floats = npt.NDArray[np.float64]
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 COLUMNS = (*ANGLES, "wavelength_nm", "polarisation", "brdf", "u_brdf", "u_random", "flag")
-POLARISATIONS = ("unpolarised", "ss", "sp", "ps", "pp")
+POLARISATIONS = ("unpolarised", "ss", "sp", "ps", "pp", "s", "p")
+"""Incident, then reflected; "s" and "p" alone: polarised incidence, and a receiver that takes both."""
 MAX_BYTES = 2**30
 """No file above this size is opened."""
 

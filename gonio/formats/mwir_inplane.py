@@ -56,8 +56,6 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
             "BRDF from radiance with 3463.986 W/m^2/sr for the source and its solid angle of 7.915e-4 sr",
         ],
     }
-    if len(several) > 1:
-        attrs["samples"] = several
     return table(
         theta_i_deg=theta_i,
         phi_i_deg=phi_i,

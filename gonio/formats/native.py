@@ -150,13 +150,22 @@ def _read_attrs(path: Path) -> dict[str, Any]:
         raise DataError(f"{meta}: cannot be read: {error.strerror}") from None
     except (ValueError, RecursionError) as error:
         raise DataError(f"{meta}: is not valid JSON: {error}") from None
+    return checked_attributes(stored, str(meta))
+
+
+def checked_attributes(stored: Any, where: str) -> dict[str, Any]:
+    """Attributes from a file, with defaults for what is not there; `DataError` where one is of the wrong kind."""
     if not isinstance(stored, dict):
-        raise DataError(f"{meta}: an object of attributes is needed")
+        raise DataError(f"{where}: an object of attributes is needed")
     for key in ("source_solid_angle_sr", "receiver_solid_angle_sr"):
         value = stored.get(key)
-        known = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) and value >= 0
+        known = isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= 2 * math.pi
         if value is not None and not known:
-            raise DataError(f"{meta}: {key} = {value!r}; a solid angle [sr] >= 0, or null where it is unknown")
+            raise DataError(f"{where}: {key} is {repr(value)[:40]}; a solid angle [sr], or null where it is unknown")
+    kinds = {"quantity": str, "bands": list, "sample": str, "notes": list, "provenance": dict, "source_file": str}
+    for key, kind in kinds.items():
+        if stored.get(key) is not None and not isinstance(stored[key], kind):
+            raise DataError(f"{where}: {key} is {repr(stored[key])[:40]}; a {kind.__name__} is needed")
     return attributes(**stored)
 
 

@@ -98,7 +98,7 @@ def damaged(data: bytes, count: int) -> Iterator[bytes]:
 
 @pytest.fixture
 def survives() -> Callable[..., None]:
-    """Read many damaged copies of a file: each is a table that passes its own check, or a `DataError` naming the file."""
+    """Read many damaged copies of a file: each is a valid table, or a `DataError` naming the file."""
 
     def attempt(data: bytes, name: str, format: str | None = None) -> None:
         path = Path(name)

@@ -1,0 +1,156 @@
+"""ALTA text: the plain data files of the ALTA library, with `#` keyword lines and one line a direction.
+
+`#DIM n m` counts the coordinates and the values of a line, `#PARAM_IN` names the coordinates:
+
+    ISOTROPIC_TL_TV_PROJ_DPHI      theta_l, theta_v cos(dphi), theta_v sin(dphi)
+    ISOTROPIC_TV_TL_DPHI           theta_v, theta_l, dphi
+    SPHERICAL_TL_PL_TV_PV          theta_l, phi_l, theta_v, phi_v
+
+all in radians, l toward the light and v toward the viewer, dphi = phi_v - phi_l (0 is retro). `#PARAM_OUT` names the
+quantity: INV_STERADIAN is the BRDF; INV_STERADIAN_COSINE_FACTOR is the BRDF times cos(theta_l), divided out here. ALTA names no wavelength, no uncertainty and no solid angle; files that we write say theirs in `#WAVELENGTH_NM`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gonio.errors import DataError
+from gonio.formats.base import (
+    Floats,
+    Format,
+    Text,
+    fold,
+    integer,
+    number,
+    numbers,
+    plain_degrees,
+    single,
+    table,
+    wide,
+    write_bytes,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_COORDINATES = {"ISOTROPIC_TL_TV_PROJ_DPHI": 3, "ISOTROPIC_TV_TL_DPHI": 3, "SPHERICAL_TL_PL_TV_PV": 4}
+_QUANTITIES = ("INV_STERADIAN", "INV_STERADIAN_COSINE_FACTOR")
+
+
+def read(data: bytes, path: Path) -> pd.DataFrame:
+    text = Text(data, path)
+    keywords: dict[str, str] = {}
+    lines = []
+    for line, content in enumerate(text.lines):
+        if content.startswith("#"):
+            key, _, value = content[1:].partition(" ")
+            keywords[key.strip()] = value.strip()
+        elif content.strip():
+            lines.append(line)
+    kind, quantity = keywords.get("PARAM_IN", ""), keywords.get("PARAM_OUT", "INV_STERADIAN")
+    for key, value, known in (("PARAM_IN", kind, tuple(_COORDINATES)), ("PARAM_OUT", quantity, _QUANTITIES)):
+        if value not in known:
+            raise DataError(f'{path}: #{key} is "{value[:40]}"; read are {", ".join(known)}')
+    if keywords.get("VS", "0").split()[:1] not in ([], ["0"]):
+        raise DataError(f"{path}: #VS {keywords['VS'][:20]}: files with confidence intervals are not read")
+    coordinates = _COORDINATES[kind]
+    dim = keywords.get("DIM", "").split()
+    if len(dim) != 2 or integer(dim[0], str(path), "#DIM", 1, 100) != coordinates:
+        raise DataError(f"{path}: #DIM {keywords.get('DIM', '')[:20]}: {kind} has {coordinates} coordinates")
+    count = integer(dim[1], str(path), "#DIM", 1, 10_000)
+    wavelengths = [number(word, str(path), "#WAVELENGTH_NM") for word in keywords.get("WAVELENGTH_NM", "").split()]
+    if len(wavelengths) != count:
+        if wavelengths or count > 1:
+            raise DataError(f"{path}: {count} values a line, and {len(wavelengths)} wavelengths in #WAVELENGTH_NM")
+        wavelengths = [math.nan]
+    if not lines:
+        raise DataError(f"{path}: there is no line of data")
+    names = [f"coordinate {k + 1}" for k in range(coordinates)] + [f"value {k + 1}" for k in range(count)]
+    rows = np.empty((len(lines), coordinates + count))
+    for row, line in enumerate(lines):
+        cells = text.lines[line].split()
+        if len(cells) != len(names):
+            raise DataError(f"{text.where(line)}: {len(cells)} numbers, and #DIM makes it {len(names)}")
+        rows[row] = numbers(cells, text.where(line), names)
+
+    theta_i, phi_i, theta_r, phi_r = _directions(kind, rows)
+    for name, theta in (("light", theta_i), ("viewer", theta_r)):
+        for row in np.flatnonzero(theta > 90)[:1]:
+            raise DataError(
+                f"{text.where(lines[int(row)])}: the {name} stands at {theta[row]:g} degrees, below the surface"
+            )
+    values = rows[:, coordinates:]
+    notes = ["the format states no uncertainties and no solid angles"]
+    if quantity == "INV_STERADIAN_COSINE_FACTOR":
+        for row in np.flatnonzero(theta_i >= 90)[:1]:
+            raise DataError(f"{text.where(lines[int(row)])}: a cosine factor of zero cannot be divided out")
+        values = values / np.cos(np.deg2rad(theta_i))[:, np.newaxis]
+        notes.append("values were BRDF times cos(theta_i); the cosine is divided out")
+    if math.isnan(wavelengths[0]):
+        notes.append("the file states no wavelength")
+    return table(
+        theta_i_deg=np.repeat(theta_i, count),
+        phi_i_deg=np.repeat(phi_i, count),
+        theta_r_deg=np.repeat(theta_r, count),
+        phi_r_deg=np.repeat(phi_r, count),
+        wavelength_nm=np.tile(wavelengths, len(lines)),
+        brdf=values.ravel(),
+        attrs={
+            "source_file": str(path),
+            "sample": keywords.get("SAMPLE", "").strip('"') or None,
+            "provenance": {key: keywords[key] for key in ("ORIGIN", "URL") if key in keywords},
+            "notes": notes,
+        },
+    )
+
+
+def _directions(kind: str, rows: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    if kind == "ISOTROPIC_TL_TV_PROJ_DPHI":
+        theta_l, phi_l = rows[:, 0], np.zeros(len(rows))
+        theta_v, phi_v = np.hypot(rows[:, 1], rows[:, 2]), np.arctan2(rows[:, 2], rows[:, 1])
+    elif kind == "ISOTROPIC_TV_TL_DPHI":
+        theta_v, theta_l, phi_v = rows[:, :3].T
+        phi_l = np.zeros(len(rows))
+    else:
+        theta_l, phi_l, theta_v, phi_v = rows[:, :4].T
+    # the digits of a float stand for 1e-13 degrees here; files round pi/2 up
+    (theta_i, phi_i), (theta_r, phi_r) = (
+        fold(plain_degrees(theta, 13), plain_degrees(phi, 13), slack_deg=0.001)
+        for theta, phi in ((theta_l, phi_l), (theta_v, phi_v))
+    )
+    return theta_i, phi_i, theta_r, phi_r
+
+
+def write(frame: pd.DataFrame, path: Path) -> None:
+    """Full directions (SPHERICAL_TL_PL_TV_PV) and the BRDF without a cosine; flagged rows are left out."""
+    single(frame, path, "ALTA text")
+    usable = frame[frame["flag"] == ""]
+    if usable.empty:
+        raise DataError(f"{path}: every row of the table is flagged; ALTA text has no room for flags")
+    broad = usable["wavelength_nm"].isna().all()
+    angles, wavelengths, values = wide(usable.fillna({"wavelength_nm": 0.0}) if broad else usable, path, "ALTA text")
+    if np.isnan(values).any():
+        raise DataError(f"{path}: ALTA text needs every wavelength in every direction; a direction lacks one")
+    sample = re.sub(r"[\r\n\"]", " ", str(frame.attrs.get("sample") or ""))
+    lines = [f'#SAMPLE "{sample}"', f"#DIM 4 {wavelengths.size}", "#VS 0", "#PARAM_IN SPHERICAL_TL_PL_TV_PV"]
+    lines.append("#PARAM_OUT INV_STERADIAN")
+    if not broad:
+        lines.append("#WAVELENGTH_NM " + " ".join(repr(nm) for nm in wavelengths.tolist()))
+    for direction, row in zip(np.deg2rad(angles).tolist(), values.tolist(), strict=True):
+        lines.append(" ".join(repr(value) for value in direction + row))
+    write_bytes(path, ("\n".join(lines) + "\n").encode())
+
+
+FORMAT = Format(
+    name="alta",
+    title="ALTA text",
+    endings=(".dat", ".alta"),
+    sniff=lambda head: re.search(rb"^#PARAM_IN\b", head, re.MULTILINE) is not None,
+    read=read,
+    write=write,
+)

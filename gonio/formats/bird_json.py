@@ -1,0 +1,349 @@
+"""BiRD universal BRDF data format 1.0: one JSON object with `metadata` and `data` (draft of the EMPIR project BiRD).
+
+Every variable is a column of numbers with its unit: angles in degrees or radians, azimuths in [0, 360) from the
+direction that the sample's metadata name, wavelengths in nm or um, `BRDF` and `uBRDF` in 1/sr (the latter also in %).
+Polarisation is s, p or u, or a Stokes vector, in the planes of incidence and of reflection: [1, 1, 0, 0] is s. The
+receiver's solid angle is taken from the detection system. The format does not say whether an uncertainty is expanded;
+it is read as a standard uncertainty. What it has no variable for (flags, `u_random`, `s_` columns, negative estimates)
+is written as ad-hoc variables of the same names, which other readers pass over and this one restores.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import uuid
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gonio import __version__
+from gonio.errors import DataError
+from gonio.formats.base import ANGLES, Floats, Format, fold, table, write_bytes
+from gonio.formats.native import checked_attributes
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_SCHEMA = "https://raw.githubusercontent.com/BiRD-project/BiRD_view/master/BRDF_JSON_schema/brdf_json_schema_v1.0.json"
+_STOKES = {(1.0, 1.0, 0.0, 0.0): "s", (1.0, -1.0, 0.0, 0.0): "p", (1.0, 0.0, 0.0, 0.0): "u"}
+_STATES = {"uu": "unpolarised", "su": "s", "pu": "p"} | {pair: pair for pair in ("ss", "sp", "ps", "pp")}
+_OURS = re.compile(r"brdf|u_brdf|u_random|flag|sample|s_\w{1,60}")
+
+
+def read(data: bytes, path: Path) -> pd.DataFrame:
+    content = _load(data, path)
+    section = content.get("data")
+    if not isinstance(section, dict):
+        raise DataError(f'{path}: a BiRD file needs an object "data"')
+    file = _Section(section, path)
+    brdf = file.numbers("BRDF", {"1/sr": 1.0, "sr^-1": 1.0})
+    count = brdf.size
+    angles = {name: file.angles(name, count) for name in ("theta_i", "phi_i", "theta_r", "phi_r")}
+    theta_i, phi_i = fold(angles["theta_i"], angles["phi_i"], slack_deg=0.001)
+    theta_r, phi_r = fold(angles["theta_r"], angles["phi_r"], slack_deg=0.001)
+    notes = []
+    received = file.numbers("wavelength_r", {"nm": 1.0, "μm": 1000.0}, count) if "wavelength_r" in section else None
+    wavelength = (
+        file.numbers("wavelength_i", {"nm": 1.0, "μm": 1000.0}, count) if "wavelength_i" in section else received
+    )
+    if received is not None and wavelength is not None and not np.array_equal(received, wavelength):
+        raise DataError(f"{path}: data.wavelength_r differs from data.wavelength_i; fluorescence is not a BRDF")
+    if wavelength is None:
+        notes.append("the file states no wavelength")
+    u_brdf = _uncertainty(file, brdf)
+    notes.append(
+        "the file states no uncertainties"
+        if np.isnan(u_brdf).all()
+        else "uncertainties are taken as standard uncertainties; the format does not state a coverage factor"
+    )
+    columns, others = file.adhoc(count)
+    if others:
+        notes.append(f"further variables of the file are not carried: {', '.join(others)}")
+    metadata = content.get("metadata")
+    metadata = metadata if isinstance(metadata, dict) else {}
+    sample = metadata.get("sample")
+    frame = table(
+        theta_i_deg=theta_i,
+        phi_i_deg=phi_i,
+        theta_r_deg=theta_r,
+        phi_r_deg=phi_r,
+        wavelength_nm=math.nan if wavelength is None else wavelength,
+        brdf=columns.get("brdf", brdf),
+        u_brdf=columns.get("u_brdf", u_brdf),
+        u_random=columns.get("u_random", math.nan),
+        polarisation=file.polarisation(count),
+        flag=columns.get("flag", ""),
+        sample=columns.get("sample"),
+        attrs={
+            "source_file": str(path),
+            "sample": sample.get("name") if isinstance(sample, dict) and isinstance(sample.get("name"), str) else None,
+            "receiver_solid_angle_sr": _solid_angle(metadata),
+            "provenance": {"bird": metadata},
+            "notes": notes,
+        },
+    )
+    for name in columns:
+        if name.startswith("s_"):
+            frame.insert(len(frame.columns) - 1, name, columns[name])
+    own = metadata.get("adhoc_section")
+    if isinstance(own, dict) and isinstance(own.get("gonio"), dict):
+        frame.attrs.update(
+            checked_attributes(own["gonio"] | {"source_file": str(path)}, f"{path}: metadata.adhoc_section")
+        )
+    return frame
+
+
+class _Section:
+    """The object `data` of a file, whose messages name the variable and the index."""
+
+    def __init__(self, section: dict[str, Any], path: Path) -> None:
+        self.section = section
+        self.path = path
+
+    def numbers(self, name: str, units: dict[str, float], count: int | None = None) -> Floats:
+        variable = self._variable(name)
+        unit = variable.get("unit")
+        if not isinstance(unit, str) or unit not in units:
+            raise DataError(f"{self.path}: data.{name}.unit is {_short(unit)}; one of {', '.join(units)} is needed")
+        values = self._values(name, variable, count)
+        return units[unit] * np.array(
+            [_finite(v, f"{self.path}: data.{name}.values[{k}]") for k, v in enumerate(values)]
+        )
+
+    def angles(self, name: str, count: int) -> Floats:
+        degrees = self.numbers(name, {"deg": 1.0, "°": 1.0, "rad": 180.0 / math.pi}, count)
+        limit = 90.001 if name.startswith("theta") else 360.0
+        for k in np.flatnonzero((degrees < 0) | (degrees > limit))[:1]:
+            allowed = f"[0, {limit:.0f}] degrees"
+            raise DataError(f"{self.path}: data.{name}.values[{k}] is {degrees[k]:g} degrees; {allowed} is allowed")
+        return degrees
+
+    def polarisation(self, count: int) -> list[str]:
+        sides = []
+        for name in ("polarization_i", "polarization_r"):
+            if name not in self.section:
+                sides.append(["u"] * count)
+                continue
+            values = self._values(name, self._variable(name), count)
+            sides.append([self._state(value, f"{name}.values[{k}]") for k, value in enumerate(values)])
+        out = []
+        for k, (incident, reflected) in enumerate(zip(*sides, strict=True)):
+            if incident + reflected not in _STATES:
+                raise DataError(
+                    f"{self.path}: row {k}: unpolarised light seen through a polariser is not in the table's terms"
+                )
+            out.append(_STATES[incident + reflected])
+        return out
+
+    def adhoc(self, count: int) -> tuple[dict[str, Any], list[str]]:
+        """The columns that we have written there ourselves, and the names of all other ad-hoc variables."""
+        variables = self.section.get("adhoc_variables", {})
+        if not isinstance(variables, dict):
+            raise DataError(f"{self.path}: data.adhoc_variables is {_short(variables)}; an object is needed")
+        ours: dict[str, Any] = {}
+        others = []
+        for name, variable in variables.items():
+            if not _OURS.fullmatch(name) or not isinstance(variable, dict):
+                others.append(name[:40])
+                continue
+            where = f"adhoc_variables.{name}"
+            values = self._values(where, variable, count)
+            if name in ("flag", "sample"):
+                ours[name] = values
+            else:
+                ours[name] = np.array(
+                    [
+                        math.nan if v is None else _finite(v, f"{self.path}: data.{where}.values[{k}]")
+                        for k, v in enumerate(values)
+                    ]
+                )
+        return ours, others
+
+    def _state(self, value: Any, where: str) -> str:
+        if isinstance(value, str) and value in ("s", "p", "u"):
+            return value
+        if isinstance(value, list) and len(value) == 4:
+            stokes = tuple(_finite(v, f"{self.path}: data.{where}") for v in value)
+            if stokes in _STOKES:
+                return _STOKES[stokes]
+        raise DataError(f"{self.path}: data.{where} is {_short(value)}; the table knows s, p and unpolarised light")
+
+    def _variable(self, name: str) -> dict[str, Any]:
+        variable = self.section.get(name)
+        if not isinstance(variable, dict):
+            raise DataError(f'{self.path}: data has no variable "{name}"')
+        return variable
+
+    def _values(self, name: str, variable: dict[str, Any], count: int | None) -> list[Any]:
+        values = variable.get("values")
+        if not isinstance(values, list) or not values:
+            raise DataError(f"{self.path}: data.{name}.values is {_short(values)}; an array of values is needed")
+        if count is not None and len(values) != count:
+            raise DataError(
+                f"{self.path}: data.{name}.values has {len(values)} entries, and data.BRDF.values has {count}"
+            )
+        return values
+
+
+def _uncertainty(file: _Section, brdf: Floats) -> Floats:
+    """Standard uncertainty of each value: `uBRDF`, or else the one number beside `BRDF`, or else NaN."""
+    if "uBRDF" in file.section:
+        relative = file.section["uBRDF"].get("unit") == "%" if isinstance(file.section["uBRDF"], dict) else False
+        u = file.numbers("uBRDF", {"1/sr": 1.0, "sr^-1": 1.0, "%": 0.01}, brdf.size)
+        return u * np.abs(brdf) if relative else u
+    stated = file.section["BRDF"].get("uncertainty")
+    if stated is None:
+        return np.full(brdf.size, np.nan)
+    if not isinstance(stated, dict) or stated.get("unit") not in ("1/sr", "sr^-1", "%"):
+        raise DataError(f"{file.path}: data.BRDF.uncertainty is {_short(stated)}; a value and a unit are needed")
+    value = _finite(stated.get("value"), f"{file.path}: data.BRDF.uncertainty.value")
+    return 0.01 * value * np.abs(brdf) if stated["unit"] == "%" else np.full(brdf.size, value)
+
+
+def _solid_angle(metadata: dict[str, Any]) -> float | None:
+    here: Any = metadata
+    for key in ("instrumentation", "detection_system", "solid_angle"):
+        here = here.get(key) if isinstance(here, dict) else None
+    value = here.get("value") if isinstance(here, dict) else None
+    known = isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= 12.57
+    return float(value) if known and value is not None else None
+
+
+def _load(data: bytes, path: Path) -> dict[str, Any]:
+    def refuse(word: str) -> Any:
+        raise ValueError(f"{word} is not JSON")
+
+    try:
+        content = json.loads(data.decode("utf-8-sig"), parse_constant=refuse)
+    except UnicodeDecodeError as error:
+        raise DataError(f"{path}: byte {error.start} is not UTF-8 text") from None
+    except json.JSONDecodeError as error:
+        raise DataError(f"{path}, line {error.lineno}, column {error.colno}: {error.msg}") from None
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{path}: is not valid JSON: {str(error)[:200]}") from None
+    if not isinstance(content, dict):
+        raise DataError(f"{path}: a BiRD file is one JSON object")
+    return content
+
+
+def _finite(value: Any, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise DataError(f"{where} is {_short(value)}, not a number")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise DataError(f"{where} is beyond the range of a float")
+    return number
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def write(frame: pd.DataFrame, path: Path) -> None:
+    """Everything that the table holds; metadata that the schema demands and nobody knows are "unknown"."""
+    for column in ("theta_i_deg", "theta_r_deg"):
+        if (frame[column] >= 90).any():
+            raise DataError(f"{path}: {column} = 90; BiRD's schema takes polar angles below 90 degrees")
+    data: dict[str, Any] = {
+        name.removesuffix("_deg"): {"unit": "deg", "values": frame[name].tolist()} for name in ANGLES
+    }
+    wavelength = frame["wavelength_nm"]
+    if wavelength.notna().all():
+        data["wavelength_i"] = {"unit": "nm", "values": wavelength.tolist()}
+    elif wavelength.notna().any():
+        raise DataError(f"{path}: a BiRD file states a wavelength for every row or for none")
+    if (frame["polarisation"] != "unpolarised").any():
+        pairs = {state: pair for pair, state in _STATES.items()}
+        for side, name in enumerate(("polarization_i", "polarization_r")):
+            values = [pairs[state][side] for state in frame["polarisation"]]
+            data[name] = {"notation": "sp", "values": values}
+    adhoc: dict[str, Any] = {}
+
+    def keep(name: str, description: str, kind: str = "number", unit: str = "1/sr") -> None:
+        values = [None if isinstance(v, float) and not math.isfinite(v) else v for v in frame[name].tolist()]
+        adhoc[name] = {"description": description, "unit": unit, "type": kind, "values": values}
+
+    brdf, u_brdf = frame["brdf"].to_numpy(np.float64), frame["u_brdf"].to_numpy(np.float64)
+    data["BRDF"] = {"unit": "1/sr", "values": np.maximum(np.nan_to_num(brdf, nan=0.0, posinf=0.0), 0.0).tolist()}
+    if not (brdf >= 0).all():
+        keep("brdf", "The estimates with their sign; BRDF holds zero where one is negative or missing.")
+    if np.isfinite(u_brdf).any():
+        data["uBRDF"] = {"unit": "1/sr", "values": np.nan_to_num(u_brdf).tolist()}
+        if not np.isfinite(u_brdf).all():
+            keep("u_brdf", "Combined standard uncertainty; null where it is unknown.")
+    if frame["u_random"].notna().any():
+        keep("u_random", "The part of the standard uncertainty that is independent from row to row.")
+    for name in frame.columns:
+        if name.startswith("s_"):
+            keep(name, f"Change of BRDF for one standard deviation of the common cause {name.removeprefix('s_')}.")
+    if (frame["flag"] != "").any():
+        keep("flag", "Why a row must not be used; empty where it may be.", "string", "")
+    if "sample" in frame.columns:
+        keep("sample", "The sample that a row belongs to.", "string", "")
+    if adhoc:
+        data["adhoc_variables"] = adhoc
+    content = {"metadata": _metadata(frame), "data": data}
+    try:
+        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{path}: an attribute of the table cannot be written as JSON: {error}") from None
+    write_bytes(path, text.encode() + b"\n")
+
+
+def _metadata(frame: pd.DataFrame) -> dict[str, Any]:
+    attrs = frame.attrs
+    provenance = attrs.get("provenance") or {}
+    attributes = {key: value for key, value in attrs.items() if key not in ("provenance", "source_file")}
+    attributes["provenance"] = {key: value for key, value in provenance.items() if key != "bird"}
+    given = provenance.get("bird")
+    if isinstance(given, dict) and given:
+        section = given.get("adhoc_section")
+        return given | {"adhoc_section": (section if isinstance(section, dict) else {}) | {"gonio": attributes}}
+    unknown = "unknown"
+    values = frame["brdf"].to_numpy(np.float64).tobytes().hex()
+    return {
+        "schema": _SCHEMA,
+        "id": f"urn:uuid:{uuid.uuid5(uuid.NAMESPACE_OID, values)}",
+        "type": "BRDF",
+        "timestamp": datetime.now(UTC).isoformat(timespec="seconds"),
+        "provenance": {
+            "organization": str(provenance.get("organization", unknown)),
+            "location": dict.fromkeys(("country", "city", "street", "building_nr", "postal_code"), unknown),
+            "email": "unknown@unknown.invalid",
+            "contact_person": unknown,
+        },
+        "description": f"BRDF of {attrs.get('sample') or 'a sample'}",
+        "method": "simulation" if str(provenance.get("rig", "")).startswith("sim") else "measurement",
+        "instrumentation": "NA",
+        "software": {"name": "gonio", "version": __version__},
+        "sample": {
+            "name": str(attrs.get("sample") or unknown),
+            "type": unknown,
+            "shape": unknown,
+            "dimensions": {},
+            "zero_azimuth_location": "the sample's x axis",
+        },
+        "environment": "NA",
+        "adhoc_section": {"gonio": attributes},
+    }
+
+
+FORMAT = Format(
+    name="bird",
+    title="BiRD universal BRDF JSON",
+    endings=(".brdf", ".json"),
+    sniff=lambda head: (
+        head.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] == b"{" and (b'"metadata"' in head or b'"theta_i"' in head)
+    ),
+    read=read,
+    write=write,
+    carries=frozenset({"uncertainty", "flag"}),
+)
