@@ -4,13 +4,16 @@
 
 from __future__ import annotations
 
+from gonio.models._compile import device
+
 TERMS = (8, 16, 24, 32, 48, 64, 80, 104)
 LIMITS_FULL = (0.09992, 1.219, 3.321, 6.045, 12.84, 20.91, 29.82, 44.34)  # m0 up to which that many terms hold 3e-15
 LIMITS_NANO = (0.3695, 2.389, 5.338, 8.878, 17.22, 26.65, 36.82, 53)  # m0 up to which that many terms hold 1e-10
 LIMITS_MICRO = (0.8868, 3.805, 7.525, 11.81, 21.45, 32.05, 43.24, 60.81)  # m0 up to which that many terms hold 1e-07
 
 
-def full_40_to_120(x: float, p: float) -> float:
+@device
+def full_40_to_120(x, p):  # type: ignore[no-untyped-def]
     """1 + A_1(p) x + A_2(p) x^2 + ... for x = 1/m0, within 3e-14."""
     y = (x - 0.016666666666666666) * 120.0
     t = 2.0 * p - 1.0
@@ -25,7 +28,8 @@ def full_40_to_120(x: float, p: float) -> float:
     return 1.0 + x * (r0 + y * (r1 + y * (r2 + y * (r3 + y * (r4 + y * (r5 + y * (r6 + y * (r7))))))))
 
 
-def full_120_to_1500(x: float, p: float) -> float:
+@device
+def full_120_to_1500(x, p):  # type: ignore[no-untyped-def]
     """1 + A_1(p) x + A_2(p) x^2 + ... for x = 1/m0, within 1e-14."""
     y = (x - 0.0045) * 260.8695652173913
     t = 2.0 * p - 1.0
@@ -38,7 +42,8 @@ def full_120_to_1500(x: float, p: float) -> float:
     return 1.0 + x * (r0 + y * (r1 + y * (r2 + y * (r3 + y * (r4 + y * (r5))))))
 
 
-def full_from_1500(x: float, p: float) -> float:
+@device
+def full_from_1500(x, p):  # type: ignore[no-untyped-def]
     """1 + A_1(p) x + A_2(p) x^2 + ... for x = 1/m0, within 1e-14."""
     y = (x - 0.0003333333333333333) * 3000.0
     t = 2.0 * p - 1.0
@@ -49,7 +54,8 @@ def full_from_1500(x: float, p: float) -> float:
     return 1.0 + x * (r0 + y * (r1 + y * (r2 + y * (r3))))
 
 
-def nano_28_to_150(x: float, p: float) -> float:
+@device
+def nano_28_to_150(x, p):  # type: ignore[no-untyped-def]
     """1 + A_1(p) x + A_2(p) x^2 + ... for x = 1/m0, within 2e-10."""
     y = (x - 0.02119047619047619) * 68.85245901639344
     t = 2.0 * p - 1.0
@@ -63,7 +69,8 @@ def nano_28_to_150(x: float, p: float) -> float:
     return 1.0 + x * (r0 + y * (r1 + y * (r2 + y * (r3 + y * (r4 + y * (r5 + y * (r6)))))))
 
 
-def nano_from_150(x: float, p: float) -> float:
+@device
+def nano_from_150(x, p):  # type: ignore[no-untyped-def]
     """1 + A_1(p) x + A_2(p) x^2 + ... for x = 1/m0, within 1e-10."""
     y = (x - 0.0033333333333333335) * 300.0
     t = 2.0 * p - 1.0
@@ -74,7 +81,8 @@ def nano_from_150(x: float, p: float) -> float:
     return 1.0 + x * (r0 + y * (r1 + y * (r2 + y * (r3))))
 
 
-def micro_18_to_100(x: float, p: float) -> float:
+@device
+def micro_18_to_100(x, p):  # type: ignore[no-untyped-def]
     """1 + A_1(p) x + A_2(p) x^2 + ... for x = 1/m0, within 2e-07."""
     y = (x - 0.03277777777777778) * 43.90243902439025
     t = 2.0 * p - 1.0
@@ -86,7 +94,8 @@ def micro_18_to_100(x: float, p: float) -> float:
     return 1.0 + x * (r0 + y * (r1 + y * (r2 + y * (r3 + y * (r4)))))
 
 
-def micro_from_100(x: float, p: float) -> float:
+@device
+def micro_from_100(x, p):  # type: ignore[no-untyped-def]
     """1 + A_1(p) x + A_2(p) x^2 + ... for x = 1/m0, within 1e-07."""
     y = (x - 0.005) * 200.0
     t = 2.0 * p - 1.0
@@ -96,7 +105,8 @@ def micro_from_100(x: float, p: float) -> float:
     return 1.0 + x * (r0 + y * (r1 + y * (r2)))
 
 
-def erfcx(h: float) -> float:
+@device
+def erfcx(h):  # type: ignore[no-untyped-def]
     """exp(h^2) erfc(h) for 0 <= h <= 6.5, within 3e-16 of itself."""
     s = ((h - 3.0) / (h + 3.0) + 1.0) * 1.4615384615384615 - 1.0
     return (1.2855851950348964 + s * (-0.03278391930050437 + s * (-0.12495386461903578 + s * (0.11655598628577053 + s * (-0.05783254836288566 + s * (0.01716530170723911 + s * (-0.0022993968243834313 + s * (-0.0003002718859438874 + s * (0.00014795306432362025 + s * (2.6465974468475742e-06 + s * (-8.102865245008275e-06 + s * (-7.72601948893769e-08 + s * (4.83068138816947e-07 + s * (2.8864699281055422e-08 + s * (-2.9208455911823204e-08 + s * (-4.757417650529564e-09 + s * (1.490043956031013e-09 + s * (5.162088847420718e-10 + s * (-4.31348867993518e-11 + s * (-3.304164123861041e-11)))))))))))))))))))) / (1.0 + 2.0 * h)

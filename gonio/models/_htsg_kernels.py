@@ -1,8 +1,9 @@
-"""Compiled kernels of He, Torrance, Sillion and Greenberg (1991); imported at the first evaluation.
+"""Kernels of He, Torrance, Sillion and Greenberg (1991): what every pair of directions needs, and the series in classes.
 
-Pairs of directions are worked through in blocks. A first pass computes what every pair needs (Fresnel, geometry,
-shadowing, effective roughness, the place m0 of the series' largest term) without branches; a second sorts the pairs
-by how the series is best summed, and sums each class with loops over pairs that a compiler turns into vector code.
+Pairs are worked through in blocks. A first pass computes, without branches, Fresnel, geometry, shadowing, effective
+roughness and the place m0 of the series' largest term. A second sorts the pairs by how their series is best summed,
+and sums each class with loops over pairs that vectorise: so many terms from m = 1 for small m0, Laplace's expansion
+about m0 above (tools/htsg_expansion.py derives it and writes its polynomials).
 """
 
 from __future__ import annotations
@@ -10,37 +11,57 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from gonio.models import _htsg_expansion as expansion
-
-FAST = {"contract", "arcp", "nsz"}
-compiled = njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-inlined = njit(nogil=True, error_model="numpy", fastmath=FAST)
-
-BLOCK = 256
-LANES = 32
-N_CLASSES = len(expansion.TERMS) + 4  # nothing, sums of so many terms, three expansions
-MAGIC = 6755399441055744.0  # 1.5 * 2^52: adding it leaves the nearest integer in the low bits
-LN2_HI = 6.93147180369123816490e-01
-LN2_LO = 1.90821492927058770002e-10
-SQRT_PI = math.sqrt(math.pi)
-
-erfcx = inlined(expansion.erfcx)
-full_low, full_mid, full_high = (
-    inlined(expansion.full_40_to_120),
-    inlined(expansion.full_120_to_1500),
-    inlined(expansion.full_from_1500),
+from gonio.models._compile import device, template
+from gonio.models._facets import fresnel
+from gonio.models._htsg_expansion import (
+    LIMITS_FULL,
+    LIMITS_MICRO,
+    LIMITS_NANO,
+    TERMS,
+    erfcx,
+    full_40_to_120,
+    full_120_to_1500,
+    full_from_1500,
+    micro_18_to_100,
+    micro_from_100,
+    nano_28_to_150,
+    nano_from_150,
 )
-nano_low, nano_high = inlined(expansion.nano_28_to_150), inlined(expansion.nano_from_150)
-micro_low, micro_high = inlined(expansion.micro_18_to_100), inlined(expansion.micro_from_100)
-TERMS = np.array(expansion.TERMS)
-RECIPROCALS = np.concatenate([[0.0], 1.0 / np.arange(1, 129)])
+from gonio.models._math import exp, log, sincos, sincos_polar
+from gonio.models.engine import HALF_PI, NORM_TOLERANCE, PHI_LIMIT
+
+BLOCK = 512  # pairs sorted at a time: their state stays in the cache
+LANES = 32  # pairs summed at a time: their exponentials stay in the cache
+SUMS = len(TERMS)
+NOTHING = SUMS + 3
+_COUNTS = np.array(TERMS)
+_RECIPROCALS = np.concatenate([[0.0], 1.0 / np.arange(1, max(TERMS) + 1)])
+_SQRT_PI = math.sqrt(math.pi)
+_LOG2_E = 1.4426950408889634
+_ROUND = 6755399441055744.0
+_ROUND_BITS = 4843621399236968448
+_LN2_HIGH = 0.6931471803691238
+_LN2_LOW = 1.9082149292705877e-10
+
+# m0 up to which each class serves: so many terms, then the three (two) expansions of a tolerance.
+_LIMITS = np.array(
+    [
+        [min(limit, 40.0) for limit in LIMITS_FULL[:-1]] + [40.0, 120.0, 1500.0],
+        [min(limit, 28.0) for limit in LIMITS_NANO[:-1]] + [28.0, 150.0, np.inf],
+        [min(limit, 18.0) for limit in LIMITS_MICRO[:-1]] + [18.0, 100.0, np.inf],
+    ]
+)
+TIERS = (1e-12, 1e-9, 1e-6)
+"""Largest relative error (times 1 + conditioning) of the three ways of evaluating the series."""
 
 
-@inlined
-def expm1_reduced(r):
-    """exp(r) - 1 for |r| <= 0.35."""
+@device
+def expm1(x):  # type: ignore[no-untyped-def]
+    """e^x - 1 for x in [0, 700], accurate near 0."""
+    shifted = x * _LOG2_E + _ROUND
+    k = shifted - _ROUND
+    r = (x - k * _LN2_HIGH) - k * _LN2_LOW
     p = 1.0 / 6227020800.0
     p = p * r + 1.0 / 479001600.0
     p = p * r + 1.0 / 39916800.0
@@ -53,65 +74,14 @@ def expm1_reduced(r):
     p = p * r + 1.0 / 24.0
     p = p * r + 1.0 / 6.0
     p = p * r + 0.5
-    return r + r * r * p
+    bits = np.float64(shifted).view(np.int64) - _ROUND_BITS
+    scale = np.int64((bits + 1023) << 52).view(np.float64)
+    return scale * (r + r * r * p) + (scale - 1.0)
 
 
-@inlined
-def exp(x):
-    """exp(x), 0 below -708."""
-    y = max(x, -708.0)
-    t = y * 1.4426950408889634 + MAGIC
-    k = t - MAGIC
-    r = (y - k * LN2_HI) - k * LN2_LO
-    scale = ((np.float64(t).view(np.int64) + 1023) << 52).view(np.float64)
-    value = scale + scale * expm1_reduced(r)
-    return value if x >= -708.0 else 0.0
-
-
-@inlined
-def expm1(x):
-    """exp(x) - 1 for x in [0, 700], accurate near 0."""
-    t = x * 1.4426950408889634 + MAGIC
-    k = t - MAGIC
-    r = (x - k * LN2_HI) - k * LN2_LO
-    scale = ((np.float64(t).view(np.int64) + 1023) << 52).view(np.float64)
-    return scale * expm1_reduced(r) + (scale - 1.0)
-
-
-@inlined
-def log(x):
-    """ln x for a normal x > 0."""
-    bits = np.float64(x).view(np.int64)
-    shifted = bits - np.int64(0x3FE6A09E00000000) + (np.int64(1023) << 52)
-    k = np.int64(np.uint64(shifted) >> np.uint64(52))
-    mantissa = (bits - ((k - 1023) << 52)).view(np.float64)
-    exponent = (k | np.int64(0x4330000000000000)).view(np.float64) - (4503599627370496.0 + 1023.0)
-    f = mantissa - 1.0
-    s = f / (2.0 + f)
-    z = s * s
-    w = z * (
-        0.6666666666666735130
-        + z
-        * (
-            0.3999999999940941908
-            + z
-            * (
-                0.2857142874366239149
-                + z
-                * (
-                    0.2222219843214978396
-                    + z * (0.1818357216161805012 + z * (0.1531383769920937332 + z * 0.1479819860511658591))
-                )
-            )
-        )
-    )
-    half = 0.5 * f * f
-    return exponent * LN2_HI - ((half - (s * (half + w) + exponent * LN2_LO)) - f)
-
-
-@inlined
-def lambert_w(x):
-    """W0(x) for x >= 0, by one step of Fritsch, Shafer and Crowley (1973) from a rational start within 1e-4."""
+@device
+def lambert_w(x):  # type: ignore[no-untyped-def]
+    """W0(x) for x >= 0: one step of Fritsch, Shafer and Crowley (1973) from a rational start within 1e-4."""
     x = min(max(x, 1e-300), 1e300)
     y = log(1.0 + x)
     y = x if x < 1e-4 else y
@@ -122,103 +92,305 @@ def lambert_w(x):
     return w * (1.0 + z * (q - z) / ((1.0 + w) * (q - 2.0 * z)))
 
 
-@inlined
-def shadowing_over_cos(z, s, a, printed):
-    """(S_1 / cos theta, K) for cos theta = z, sin theta = s, a = tau / (2 sigma0); finite at grazing and normal.
+@device
+def shadowing_over_cos(z, s, a, printed):  # type: ignore[no-untyped-def]
+    """(S_1 / cos theta, K) for cos theta = z, sin theta = s, a = tau / (2 sigma0); regular at grazing and normal.
 
-    S_1 = 1 / (1 + exp(-h^2) / (sqrt(pi) h erfc(-h))), h = a z / s: He1991 eqs. 24, 25 with the factor exp(-h^2)
-    that the print lacks (`printed`: as the print has it). K is eq. 82.
+    S_1 = 1 / (1 + exp(-h^2) / (sqrt(pi) h erfc(-h))), h = a z / s: He1991 eqs. 24 and 25 with the factor exp(-h^2)
+    that the print lacks (`printed` = 1: as the print has it). K is eq. 82.
     """
     h = a * z / max(s, 1e-300)
-    near = min(h, 6.5)
+    near = min(h, 6.5)  # beyond it erfc(h) and exp(-h^2) are below 4e-20
     e = exp(-near * near)
     e = e if h <= 6.5 else 0.0
     erfc = e * erfcx(near)
-    lit = SQRT_PI * a * (2.0 - erfc)
-    return lit / (z * lit + s * (1.0 if printed else e)), min(s * erfc / max(z, 1e-300), 1e140)
+    lit = _SQRT_PI * a * (2.0 - erfc)
+    return lit / (z * lit + s * (printed + (1.0 - printed) * e)), min(s * erfc / max(z, 1e-300), 1e140)
 
 
-@inlined
-def fresnel_power(c2, n2m1_re, n2_im):
-    """|F|^2 = (|F_s|^2 + |F_p|^2) / 2 at cos^2 = c2; the index enters as Re(n^2) - 1 and Im(n^2).
+@device
+def lobe_state(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    """(factor, g, c, p, m0, phi) of a pair: its lobe is factor * T(g, c), with T = S(g, c)/g.
 
-    F_s = -(n^2 - 1)/(c + q)^2 and F_p = F_s (c q - s^2)/(c q + s^2) keep their digits where n is near 1.
+    He1991 eq. 71 with G = |L+V|^4/(L+V)_z^2 (eq. 76 without its singularities), where g cancels (L+V)_z^2: with both
+    directions grazing the product stays finite. `p` is what `HeTorrance` puts together.
     """
-    c = math.sqrt(c2)
-    s2 = 1.0 - c2
-    re = n2m1_re + c2
-    size = math.sqrt(re * re + n2_im * n2_im)
-    large = math.sqrt(0.5 * (size + abs(re)))
-    small = 0.5 * n2_im / max(large, 1e-300)
-    q_re = large if re >= 0.0 else small
-    q_im = small if re >= 0.0 else large
-    sum_re = c + q_re
-    d = sum_re * sum_re + q_im * q_im
-    f_s = (n2m1_re * n2m1_re + n2_im * n2_im) / max(d * d, 1e-300)
-    im2 = c * q_im * (c * q_im)
-    minus = c * q_re - s2
-    plus = c * q_re + s2
-    return 0.5 * f_s * (1.0 + (minus * minus + im2) / max(plus * plus + im2, 1e-300))
+    hx, hy, hz = lx + vx, ly + vy, lz + vz
+    h2 = hx * hx + hy * hy
+    hh = h2 + hz * hz
+    s_i, k_i = shadowing_over_cos(lz, math.sqrt(lx * lx + ly * ly), p[4], p[5])
+    s_r, k_r = shadowing_over_cos(vz, math.sqrt(vx * vx + vy * vy), p[4], p[5])
+    k = k_i + k_r
+    narrowing = 1.0 / (1.0 + lambert_w(k * k * (0.125 / math.pi)))  # (sigma/sigma0)^2, He1991 eqs. 80-83 solved
+    up, down = fresnel(min(0.25 * hh, 1.0), p[6], p[7], p[8]) if p[6] >= 0.0 else (1.0, 1.0)
+    factor = p[1] * narrowing * (up / down) * (hh * hh) * s_i * s_r
+    g = max(p[2] * narrowing * hz * hz, 1e-290)
+    c = p[3] * h2
+    u = 0.5 * lambert_w(min(2.0 * (c / g), 1e300) / g)
+    rise = expm1(u)
+    m0 = g + g * rise
+    phi = g * (rise * (1.0 - u) - u) - c / m0
+    return (factor if lz > 0.0 and vz > 0.0 else 0.0), g, c, 1.0 / (1.0 + 2.0 * u), m0, phi
 
 
-@inlined
-def saddle(g, c):
-    """u, p and m0 of the series' largest term: m0 = g exp(u), 2u = W0(2c/g^2), p = 1/(1 + 2u)."""
-    u = 0.5 * lambert_w(2.0 * (c / g) / g)
-    return u, 1.0 / (1.0 + 2.0 * u), g * exp(u)
-
-
-@inlined
-def expansion_exponent(g, c, u, m0):
-    """m0 (1 - u) - g - c/m0, stationary in u, without cancellation for small u."""
-    return g * (expm1(u) * (1.0 - u) - u) - c / m0
-
-
-@compiled
-def sum_terms(terms, g, c, total, buffer):
-    """T(g, c) = sum over m = 1..terms of exp(-g) g^(m-1) / (m! m) exp(-c/m), for up to LANES pairs.
+@device
+def sum_terms(terms, n, g, c, total, powers):  # type: ignore[no-untyped-def]
+    """T(g, c) = sum over m = 1..terms of exp(-g) g^(m-1)/(m! m) exp(-c/m), for n <= LANES pairs.
 
     Only the upper half of the exponentials is computed: exp(-c/m) = exp(-c/2m)^2.
     """
-    n = g.size
-    for m in range(terms, terms // 2, -1):
-        r = -RECIPROCALS[m]
-        row = buffer[m]
+    for m in range(terms // 2 + 1, terms + 1):
+        r = _RECIPROCALS[m]
         for i in range(n):
-            row[i] = exp(c[i] * r)
+            powers[m, i] = exp(-c[i] * r)
     for m in range(terms // 2, 0, -1):
-        row, twice = buffer[m], buffer[2 * m]
         for i in range(n):
-            row[i] = twice[i] * twice[i]
-    weight = buffer[0]
+            powers[m, i] = powers[2 * m, i] * powers[2 * m, i]
     for i in range(n):
-        weight[i] = exp(-g[i])
-        total[i] = weight[i] * buffer[1, i]
+        powers[0, i] = exp(-g[i])
+        total[i] = powers[0, i] * powers[1, i]
     for m in range(2, terms + 1):
-        r = RECIPROCALS[m]
-        row = buffer[m]
+        r = _RECIPROCALS[m]
         for i in range(n):
-            w = weight[i] * (g[i] * r)
-            weight[i] = w
-            total[i] += w * r * row[i]
+            weight = powers[0, i] * (g[i] * r)
+            powers[0, i] = weight
+            total[i] += weight * r * powers[m, i]
 
 
-@compiled
-def expand(which, g, c, total):
-    """T(g, c) by the expansion about the largest term: which = 0..2 full, 3..4 nano, 5..6 micro."""
-    n = g.size
+@device
+def finish(n, tier, state, out, order, key, work, powers):  # type: ignore[no-untyped-def]
+    """out = factor * T(g, c) for a block of n states, class by class."""
+    factor, g, c, p, m0, phi = state[0], state[1], state[2], state[3], state[4], state[5]
+    limits = _LIMITS[tier]
     for i in range(n):
-        u, p, m0 = saddle(g[i], c[i])
-        total[i] = exp(expansion_exponent(g[i], c[i], u, m0)) * math.sqrt(p) / (m0 * g[i])
-    if which == 0:
-        for i in range(n):
-            u, p, m0 = saddle(g[i], c[i])
-            total[i] *= full_low(1.0 / m0, p)
-    elif which == 1:
-        for i in range(n):
-            u, p, m0 = saddle(g[i], c[i])
-            total[i] *= full_mid(1.0 / m0, p)
-    else:
-        for i in range(n):
-            u, p, m0 = saddle(g[i], c[i])
-            total[i] *= full_high(1.0 / m0, p)
+        kind = np.int64(0)
+        for k in range(SUMS + 2):
+            kind += np.int64(m0[i] > limits[k])
+        key[i] = kind if factor[i] > 0.0 and max(phi[i], -c[i]) > -705.0 else NOTHING
+    starts = np.zeros(NOTHING + 2, np.int64)
+    for i in range(n):
+        starts[key[i] + 1] += 1
+    for k in range(NOTHING + 1):
+        starts[k + 1] += starts[k]
+    ends = starts.copy()
+    for i in range(n):
+        k = key[i]
+        order[ends[k]] = i
+        ends[k] += 1
+    for j in range(starts[NOTHING], n):
+        out[order[j]] = 0.0
+    a, b, total, q = work[0], work[1], work[2], work[3]
+    for kind in range(SUMS):
+        for first in range(starts[kind], starts[kind + 1], LANES):
+            count = min(LANES, starts[kind + 1] - first)
+            for j in range(count):
+                a[j], b[j] = g[order[first + j]], c[order[first + j]]
+            sum_terms(_COUNTS[kind], count, a, b, total, powers)
+            for j in range(count):
+                out[order[first + j]] = factor[order[first + j]] * total[j]
+    for kind in range(SUMS, NOTHING):
+        first, count = starts[kind], starts[kind + 1] - starts[kind]
+        if count == 0:
+            continue
+        for j in range(count):
+            i = order[first + j]
+            a[j], b[j], q[j], total[j] = 1.0 / m0[i], phi[i], p[i], factor[i] / g[i]
+        for j in range(count):
+            total[j] *= exp(b[j]) * math.sqrt(q[j]) * a[j]
+        if tier == 0 and kind == SUMS:
+            for j in range(count):
+                total[j] *= full_40_to_120(a[j], q[j])
+        elif tier == 0 and kind == SUMS + 1:
+            for j in range(count):
+                total[j] *= full_120_to_1500(a[j], q[j])
+        elif tier == 0:
+            for j in range(count):
+                total[j] *= full_from_1500(a[j], q[j])
+        elif tier == 1 and kind == SUMS:
+            for j in range(count):
+                total[j] *= nano_28_to_150(a[j], q[j])
+        elif tier == 1:
+            for j in range(count):
+                total[j] *= nano_from_150(a[j], q[j])
+        elif kind == SUMS:
+            for j in range(count):
+                total[j] *= micro_18_to_100(a[j], q[j])
+        else:
+            for j in range(count):
+                total[j] *= micro_from_100(a[j], q[j])
+        for j in range(count):
+            out[order[first + j]] = total[j]
+
+
+# --- the loops of engine.py, with a second pass ------------------------------------------------------------------
+
+
+@template("r1 i r1 i p w1 i i")
+def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop):  # type: ignore[no-untyped-def]
+    wrong = 0
+    tier = int(constants[9])
+    state, work = np.empty((6, BLOCK)), np.empty((4, BLOCK))
+    order, key = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
+    powers = np.empty((_RECIPROCALS.size, LANES))
+    s0, s1, s2, s3, s4, s5 = state[0], state[1], state[2], state[3], state[4], state[5]
+    for first in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - first)
+        l = omega_i[3 * first * step_i : 3 * (first * step_i + count)]  # noqa: E741
+        v = omega_r[3 * first * step_r : 3 * (first * step_r + count)]
+        o = out[first : first + count]
+        for j in range(count):
+            lx, ly, lz = l[3 * j], l[3 * j + 1], l[3 * j + 2]
+            vx, vy, vz = v[3 * j], v[3 * j + 1], v[3 * j + 2]
+            el = lx * lx + ly * ly + (lz * lz - 1.0)
+            ev = vx * vx + vy * vy + (vz * vz - 1.0)
+            wrong |= 0 if abs(el) <= 2.0 * NORM_TOLERANCE and abs(ev) <= 2.0 * NORM_TOLERANCE else 1
+            fl = 1.0 - el * (0.5 - 0.375 * el)
+            fv = 1.0 - ev * (0.5 - 0.375 * ev)
+            s0[j], s1[j], s2[j], s3[j], s4[j], s5[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
+                lx * fl, ly * fl, max(lz * fl, 0.0), vx * fv, vy * fv, max(vz * fv, 0.0), constants
+            )
+        finish(count, tier, state, o, order, key, work, powers)
+        for j in range(count):
+            o[j] += constants[0] if l[3 * j + 2] >= 0.0 and v[3 * j + 2] >= 0.0 else 0.0
+    return wrong
+
+
+@template("r1 i r1 i r1 i r1 i p w1 i i")
+def _over_angles(theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, constants, out, start, stop):  # type: ignore[no-untyped-def]
+    wrong = 0
+    tier = int(constants[9])
+    state, work = np.empty((6, BLOCK)), np.empty((4, BLOCK))
+    order, key = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
+    powers = np.empty((_RECIPROCALS.size, LANES))
+    s0, s1, s2, s3, s4, s5 = state[0], state[1], state[2], state[3], state[4], state[5]
+    for first in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - first)
+        ti = theta_i[first * step_ti : first * step_ti + count]
+        pi_ = phi_i[first * step_pi : first * step_pi + count]
+        tr = theta_r[first * step_tr : first * step_tr + count]
+        pr = phi_r[first * step_pr : first * step_pr + count]
+        o = out[first : first + count]
+        for j in range(count):
+            a, b, p, q = ti[j], tr[j], pi_[j], pr[j]
+            wrong |= 0 if 0.0 <= a <= HALF_PI and 0.0 <= b <= HALF_PI and abs(p) <= PHI_LIMIT and abs(q) <= PHI_LIMIT else 1
+            sin_i, cos_i = sincos_polar(a)
+            sin_r, cos_r = sincos_polar(b)
+            sin_d, cos_d = sincos(q - p)  # in the frame of the source's azimuth
+            s0[j], s1[j], s2[j], s3[j], s4[j], s5[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
+                sin_i, 0.0, cos_i, sin_r * cos_d, sin_r * sin_d, cos_r, constants
+            )
+        finish(count, tier, state, o, order, key, work, powers)
+        for j in range(count):
+            o[j] += constants[0]
+    return wrong
+
+
+lobe_state.__dict__.update(_over_vectors=_over_vectors, _over_angles=_over_angles)
+
+
+# --- the specular spike and the Jones matrix ---------------------------------------------------------------------
+
+
+@device
+def spike_reflectivity(theta, p):  # type: ignore[no-untyped-def]
+    """rho_s = |F|^2 exp(-g) S at the mirror direction (He1991 eq. 73)."""
+    s, z = sincos_polar(theta)
+    shadow, k = shadowing_over_cos(z, s, p[4], p[5])
+    narrowing = 1.0 / (1.0 + lambert_w(k * k * (0.5 / math.pi)))
+    up, down = fresnel(z * z, p[6], p[7], p[8])
+    return (up / down) * exp(-4.0 * p[2] * narrowing * z * z) * (z * shadow) ** 2
+
+
+@template("r1 p w1 i i")
+def over_thetas(theta, constants, out, start, stop):  # type: ignore[no-untyped-def]
+    for j in range(start, stop):
+        out[j] = kernel(theta[j], constants)  # type: ignore[name-defined]  # noqa: F821
+    return 0
+
+
+@device
+def jones(sin_i, cos_i, sin_r, cos_r, sin_d, cos_d, rise, loss):  # type: ignore[no-untyped-def]
+    """(J_ss, J_sp, J_ps, J_pp), J[e_r][e_i] as real and imaginary parts, in the frame of the source's azimuth.
+
+    J = -F_s {e_r.e_i + (n^2 - 1)/(2c (n^2 c + q)) (e_r.k_i)(e_i.k_r)}: He1991 eqs. 61-65, with the sign that the
+    print of eq. 64 lacks, and without their division by |k_r x k_i|^2: regular at retro and at normal incidence,
+    where s is taken at the given azimuth. `rise` = Re n^2 - 1, `loss` = Im n^2.
+    """
+    hx, hy, hz = sin_i + sin_r * cos_d, sin_r * sin_d, cos_i + cos_r
+    c2 = min(0.25 * (hx * hx + hy * hy + hz * hz), 1.0)
+    c = max(math.sqrt(c2), 1e-100)
+    re = rise + c2
+    large = max(math.sqrt(0.5 * (math.sqrt(re * re + loss * loss) + abs(re))), 1e-100)
+    small = 0.5 * loss / large
+    q_re = large if re >= 0.0 else small
+    q_im = small if re >= 0.0 else large
+    # f = -F_s = (n^2 - 1)/(c + q)^2
+    a, b = c + q_re, q_im
+    d_re, d_im = a * a - b * b, 2.0 * a * b
+    d = d_re * d_re + d_im * d_im
+    f_re, f_im = (rise * d_re + loss * d_im) / d, (loss * d_re - rise * d_im) / d
+    # t = f (n^2 - 1)/(2 c (n^2 c + q))
+    d_re, d_im = 2.0 * c * ((1.0 + rise) * c + q_re), 2.0 * c * (loss * c + q_im)
+    d = d_re * d_re + d_im * d_im
+    w_re, w_im = (rise * d_re + loss * d_im) / d, (loss * d_re - rise * d_im) / d
+    t_re, t_im = f_re * w_re - f_im * w_im, f_re * w_im + f_im * w_re
+    # bases s = k x z/|k x z|, p = s x k: s_i = (0, 1, 0), p_i = (-cos_i, 0, sin_i), s_r = (sin_d, -cos_d, 0),
+    # p_r = (-cos_r cos_d, -cos_r sin_d, sin_r); k_i = (-sin_i, 0, -cos_i), k_r = (sin_r cos_d, sin_r sin_d, cos_r)
+    s_kr = sin_r * sin_d
+    p_kr = sin_i * cos_r - cos_i * sin_r * cos_d
+    s_ki = -sin_i * sin_d
+    p_ki = sin_i * cos_r * cos_d - cos_i * sin_r
+    ss, sp = -cos_d, -cos_i * sin_d
+    ps, pp = -cos_r * sin_d, cos_i * cos_r * cos_d + sin_i * sin_r
+    return (
+        (f_re * ss + t_re * s_ki * s_kr, f_im * ss + t_im * s_ki * s_kr),
+        (f_re * sp + t_re * s_ki * p_kr, f_im * sp + t_im * s_ki * p_kr),
+        (f_re * ps + t_re * p_ki * s_kr, f_im * ps + t_im * p_ki * s_kr),
+        (f_re * pp + t_re * p_ki * p_kr, f_im * pp + t_im * p_ki * p_kr),
+    )
+
+
+@device
+def mueller_matrix(a, b, c, d, factor, out):  # type: ignore[no-untyped-def]
+    """Sixteen numbers from J = [[a, b], [c, d]]: I = |Es|^2 + |Ep|^2, Q = |Es|^2 - |Ep|^2, U = 2 Re Es Ep*, V = -2 Im Es Ep*."""
+    half = 0.5 * factor
+    aa, bb = half * (a[0] * a[0] + a[1] * a[1]), half * (b[0] * b[0] + b[1] * b[1])
+    cc, dd = half * (c[0] * c[0] + c[1] * c[1]), half * (d[0] * d[0] + d[1] * d[1])
+    ab_re, ab_im = factor * (a[0] * b[0] + a[1] * b[1]), factor * (a[1] * b[0] - a[0] * b[1])
+    cd_re, cd_im = factor * (c[0] * d[0] + c[1] * d[1]), factor * (c[1] * d[0] - c[0] * d[1])
+    ac_re, ac_im = factor * (a[0] * c[0] + a[1] * c[1]), factor * (a[1] * c[0] - a[0] * c[1])
+    bd_re, bd_im = factor * (b[0] * d[0] + b[1] * d[1]), factor * (b[1] * d[0] - b[0] * d[1])
+    ad_re, ad_im = factor * (a[0] * d[0] + a[1] * d[1]), factor * (a[1] * d[0] - a[0] * d[1])
+    bc_re, bc_im = factor * (b[0] * c[0] + b[1] * c[1]), factor * (b[1] * c[0] - b[0] * c[1])
+    out[0], out[1], out[2], out[3] = aa + bb + cc + dd, aa - bb + cc - dd, ab_re + cd_re, ab_im + cd_im
+    out[4], out[5], out[6], out[7] = aa + bb - cc - dd, aa - bb - cc + dd, ab_re - cd_re, ab_im - cd_im
+    out[8], out[9], out[10], out[11] = ac_re + bd_re, ac_re - bd_re, ad_re + bc_re, ad_im - bc_im
+    out[12], out[13], out[14], out[15] = -ac_im - bd_im, bd_im - ac_im, -ad_im - bc_im, ad_re - bc_re
+
+
+@template("r1 i r1 i r1 i r1 i p r1 w1 i i")
+def mueller_over_angles(  # type: ignore[no-untyped-def]
+    theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, constants, lobe, out, start, stop
+):
+    for j in range(start, stop):
+        sin_i, cos_i = sincos_polar(theta_i[j * step_ti])
+        sin_r, cos_r = sincos_polar(theta_r[j * step_tr])
+        sin_d, cos_d = sincos(phi_r[j * step_pr] - phi_i[j * step_pi])
+        a, b, c, d = kernel(sin_i, cos_i, sin_r, cos_r, sin_d, cos_d, constants[7], 2.0 * constants[8])  # type: ignore[name-defined]  # noqa: F821
+        row = out[16 * j : 16 * j + 16]
+        mueller_matrix(a, b, c, d, lobe[j], row)
+        row[0] += constants[0]
+    return 0
+
+
+@template("r1 r1 r1 p w1 i i")
+def jones_over_angles(theta_i, theta_r, dphi, constants, out, start, stop):  # type: ignore[no-untyped-def]
+    for j in range(start, stop):
+        sin_i, cos_i = sincos_polar(theta_i[j])
+        sin_r, cos_r = sincos_polar(theta_r[j])
+        sin_d, cos_d = sincos(dphi[j])
+        a, b, c, d = kernel(sin_i, cos_i, sin_r, cos_r, sin_d, cos_d, constants[7], 2.0 * constants[8])  # type: ignore[name-defined]  # noqa: F821
+        row = out[8 * j : 8 * j + 8]
+        row[0], row[1], row[2], row[3] = a[0], a[1], b[0], b[1]
+        row[4], row[5], row[6], row[7] = c[0], c[1], d[0], d[1]
+    return 0

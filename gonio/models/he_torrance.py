@@ -1,0 +1,300 @@
+"""He, Torrance, Sillion and Greenberg (1991): a comprehensive physical model for light reflection."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from gonio.models import _htsg_kernels as kernels
+from gonio.models import engine
+from gonio.models._compile import loop
+from gonio.models._facets import fresnel_constants
+from gonio.models.base import Index, Model, checked_index, choice, index_at, number, positive
+from gonio.models.engine import Constants, Kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True)
+class HeTorrance(Model):
+    """A Gaussian random surface seen by physical optics: specular spike, directional diffuse lobe and uniform diffuse.
+
+    ``brdf`` holds the lobe (He1991 eq. 71) and ``diffuse_albedo / pi``; the spike's reflectivity is
+    `specular_reflectivity`, and `gonio.instrument` spreads it over an instrument's cones.
+
+    Parameters
+    ----------
+    sigma0_um
+        Rms roughness [um], at least 0; at 0 the lobe is 0 and the spike that of a smooth surface.
+    tau_um
+        Correlation length of the Gaussian autocorrelation exp(-r^2/tau^2) [um], above 0.
+    ior
+        Complex refractive index n + ik: a number, [n, k], a material's name, or a function of wavelength_nm.
+    diffuse_albedo
+        a in [0, 1]; the paper's a(lambda) is this albedo, its BRDF a/pi (the print's eq. 72 leaves the pi out).
+    shadowing
+        "smith": eq. 25 with the factor exp(-h^2) that the print lacks; "paper": as printed.
+    tolerance
+        Largest relative error (times 1 + conditioning) of the series: the cheapest of the evaluations for 1e-12,
+        1e-9 and 1e-6 that holds it is taken.
+
+    Notes
+    -----
+    At exactly grazing (cos theta = 0) the effective roughness is 0 in the limit, reached like 1/sqrt(ln), and with it
+    the lobe and the spike's reflectivity.
+    """
+
+    sigma0_um: float = 0.28
+    tau_um: float = 1.77
+    ior: Index = 0.77 + 6.08j
+    diffuse_albedo: float = 0.0
+    shadowing: str = "smith"
+    tolerance: float = 1e-12
+    name: ClassVar[str] = "he-torrance"
+    grain: ClassVar[int] = 8192
+
+    def __post_init__(self) -> None:
+        store = functools.partial(object.__setattr__, self)
+        store("sigma0_um", number("sigma0_um", self.sigma0_um, 0.0, unit="um"))
+        store("tau_um", positive("tau_um", self.tau_um, unit="um"))
+        store("ior", checked_index(self.ior))
+        store("diffuse_albedo", number("diffuse_albedo", self.diffuse_albedo, 0.0, 1.0))
+        store("shadowing", choice("shadowing", self.shadowing, ("smith", "paper")))
+        store("tolerance", number("tolerance", self.tolerance, min(kernels.TIERS)))
+
+    @property
+    def convention(self) -> str:
+        shadow = "Smith's shadowing" if self.shadowing == "smith" else "shadowing as printed in eq. 25"
+        return f"He-Torrance 1991, unpolarised (eqs. 69-86), {shadow}, a(lambda) as an albedo: brdf = lobe + a/pi."
+
+    def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
+        return kernels.lobe_state, self._constants(wavelength_nm)
+
+    def _constants(self, wavelength_nm: float) -> Constants:
+        k0 = 2.0 * math.pi / (wavelength_nm * 1e-3)  # rad/um
+        phase = (k0 * self.sigma0_um) ** 2
+        width = (k0 * self.tau_um) ** 2
+        index = fresnel_constants(index_at(self.ior, wavelength_nm))
+        slope = min(self.tau_um / (2.0 * self.sigma0_um), 1e100) if self.sigma0_um > 0.0 else 1e100
+        tier = sum(self.tolerance >= limit for limit in kernels.TIERS) - 1
+        return (
+            self.diffuse_albedo / math.pi,
+            phase * width / (16.0 * math.pi),
+            phase,
+            0.25 * width,
+            slope,
+            float(self.shadowing == "paper"),
+            *index,
+            float(tier),
+        )
+
+    # --- the specular spike -------------------------------------------------------------------------------------
+
+    def specular_reflectivity(self, theta_i: ArrayLike, *, wavelength_nm: ArrayLike = 550.0) -> Any:
+        """rho_s, the reflectivity of the specular spike (He1991 eq. 73), for unpolarised light.
+
+        Parameters
+        ----------
+        theta_i
+            Polar angle of the source [rad], in [0, pi/2].
+        wavelength_nm
+            Wavelength [nm].
+
+        Returns
+        -------
+        float64 array of the shape that the arguments broadcast to, in [0, 1].
+
+        Raises
+        ------
+        ArgumentError
+            An angle is NaN or out of range; it names the argument.
+        """
+        return self._over_thetas(self._spike, theta_i, wavelength_nm)
+
+    def _over_thetas(self, evaluate: Any, theta_i: ArrayLike, wavelength_nm: ArrayLike) -> Any:
+        """``evaluate(flat theta, wavelength) -> flat`` over broadcast arguments."""
+        theta = engine.real_array("theta_i", theta_i)
+        engine.check_angles([theta, *[np.zeros(1)] * 3])
+        waves = engine.real_array("wavelength_nm", wavelength_nm)
+        shape = np.broadcast_shapes(theta.shape, waves.shape)
+        theta, waves = np.broadcast_to(theta, shape).ravel(), np.broadcast_to(waves, shape).ravel()
+        out = np.empty(theta.shape)
+        for wave in np.unique(waves):
+            here = waves == wave
+            out[here] = evaluate(np.ascontiguousarray(theta[here]), positive("wavelength_nm", wave, "nm"))
+        return out.reshape(shape)[()]
+
+    def _spike(self, theta: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
+        constants = self._constants(wavelength_nm)
+        out = np.empty(theta.size)
+        run = loop(kernels.over_thetas, kernels.spike_reflectivity, len(constants))
+        engine.in_parts(lambda i, j: run(theta, constants, out, i, j), theta.size)
+        return out
+
+    # --- polarisation -------------------------------------------------------------------------------------------
+
+    def mueller(
+        self,
+        theta_i: ArrayLike,
+        phi_i: ArrayLike,
+        theta_r: ArrayLike,
+        phi_r: ArrayLike,
+        *,
+        wavelength_nm: float = 550.0,
+    ) -> NDArray[np.float64]:
+        """Mueller matrix of the BRDF [1/sr], lobe and uniform diffuse (which depolarises), He1991 eqs. 59-68.
+
+        Parameters
+        ----------
+        theta_i, phi_i, theta_r, phi_r
+            Directions as in `brdf` [rad].
+        wavelength_nm
+            Wavelength [nm].
+
+        Returns
+        -------
+        float64 array (..., 4, 4). Stokes vectors are I = |E_s|^2 + |E_p|^2, Q = |E_s|^2 - |E_p|^2, U = 2 Re(E_s E_p*),
+        V = i (E_s E_p* - E_p E_s*), fields exp(-i omega t), on the bases s = k x z / |k x z| (at normal incidence the
+        limit at the given azimuth), p = s x k, k the direction in which the light travels.
+
+        Raises
+        ------
+        ArgumentError
+            As `brdf`.
+        """
+        constants = self._constants(positive("wavelength_nm", wavelength_nm, "nm"))
+        bare = (0.0, *constants[1:6], -1.0, *constants[7:])  # the lobe without Fresnel
+        lobe = np.asarray(
+            engine.over_angles(kernels.lobe_state, bare, theta_i, phi_i, theta_r, phi_r, split=self.grain)
+        )
+        arrays, shape = engine.angle_arrays(theta_i, phi_i, theta_r, phi_r)
+        flat = [part for array in arrays for part in engine._flat(array, shape, lobe.size)]
+        out = np.empty((*shape, 4, 4))
+        run = loop(kernels.mueller_over_angles, kernels.jones, len(constants))
+        factor, target = lobe.reshape(-1), out.reshape(-1)
+        engine.in_parts(lambda i, j: run(*flat, constants, factor, target, i, j), lobe.size, self.grain)
+        return out
+
+    def jones(
+        self, theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: ArrayLike, *, wavelength_nm: float = 550.0
+    ) -> NDArray[np.complex128]:
+        """Jones matrix J[e_r][e_i] of one facet, on the bases of `mueller`: E_r = J E_i up to a common phase.
+
+        Parameters
+        ----------
+        theta_i, phi_i, theta_r, phi_r
+            Directions as in `brdf` [rad].
+        wavelength_nm
+            Wavelength [nm].
+
+        Returns
+        -------
+        complex128 array (..., 2, 2): rows s, p of the reflected field, columns s, p of the incident one. For exactly
+        retro-reflecting or mirror geometry and at normal incidence these are the limits.
+        """
+        constants = self._constants(positive("wavelength_nm", wavelength_nm, "nm"))
+        arrays, shape = engine.angle_arrays(theta_i, phi_i, theta_r, phi_r)
+        engine.check_angles(arrays)
+        angles = np.stack(np.broadcast_arrays(*arrays)).reshape(4, -1)
+        out = np.empty((*shape, 2, 2, 2))
+        run = loop(kernels.jones_over_angles, kernels.jones, len(constants))
+        run(angles[0], angles[2], angles[3] - angles[1], constants, out.reshape(-1), 0, angles.shape[1])
+        return out.view(np.complex128)[..., 0]
+
+    # --- energy -------------------------------------------------------------------------------------------------
+
+    def directional_hemispherical(self, theta_i: ArrayLike, *, wavelength_nm: ArrayLike = 550.0) -> Any:
+        """Directional-hemispherical reflectance: spike + lobe + diffuse_albedo.
+
+        Parameters
+        ----------
+        theta_i
+            Polar angle of the source [rad], in [0, pi/2].
+        wavelength_nm
+            Wavelength [nm].
+
+        Returns
+        -------
+        float64 array of the shape that the arguments broadcast to. Nothing forces it below 1: the paper's own Figs. 9,
+        11 and 14 exceed it.
+        """
+        return self._over_thetas(self._hemispherical, theta_i, wavelength_nm)
+
+    def _hemispherical(self, theta: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
+        constants = self._constants(wavelength_nm)
+        lobe = np.array([self._lobe_hemispherical(t, (0.0, *constants[1:])) for t in theta])
+        return self._spike(theta, wavelength_nm) + lobe + self.diffuse_albedo
+
+    def _lobe_hemispherical(self, theta: float, constants: Constants) -> float:
+        """The integral of lobe * cos(theta_r), to 1e-9 of itself.
+
+        Over the disc of direction cosines, in polar coordinates (r, psi) about the mirror direction, where
+        1 - |v|^2 = (R - r)(r + R'), with R and -R' where the line leaves the disc. Panels in r halve toward the mirror
+        down to the lobe's narrowest possible width; r runs quadratically into R, where the integrand is a function of
+        cos(theta_r); panels in psi shrink toward pi/2, where R changes fastest for a grazing source.
+        """
+        cos_i, sin_i = math.cos(theta), math.sin(theta)
+        if theta >= engine.HALF_PI or constants[1] == 0.0:
+            return 0.0
+        narrow = min(0.25, 1.0 / math.sqrt(1.0 + 4.0 * constants[3]))  # 1/(k0 tau)
+        r_edges = np.concatenate([[0.0], 0.5 ** np.arange(math.ceil(math.log2(4.0 / narrow)), 0, -1.0), [1.0]])
+        psi_steps = 0.25 ** np.arange(max(1, math.ceil(-math.log(cos_i) / math.log(4.0)) + 1))
+        psi_edges = math.pi / 2 * np.unique(np.concatenate([1.0 - psi_steps, [1.0], 1.0 + psi_steps]))
+        before = math.inf
+        for order in (8, 12, 18, 27, 40):
+            psi, w_psi = panels(psi_edges, order)
+            t, w_t = panels(r_edges, order)
+            along = -sin_i * np.cos(psi)  # of the mirror point (-sin_i, 0), along the ray
+            root = np.sqrt(cos_i * cos_i + along * along)
+            # the ray leaves the disc at R = -along + root; without cancellation on either side
+            big = np.abs(along) + root
+            other = cos_i * cos_i / big
+            edge, back = np.where(along > 0, other, big), np.where(along > 0, big, other)
+            left = (1.0 - t) ** 2  # (R - r)/R
+            r = edge[:, None] * (1.0 - left)
+            z = np.sqrt(edge[:, None] * left * (r + back[:, None]))
+            omega_r = np.stack([-sin_i + r * np.cos(psi)[:, None], r * np.sin(psi)[:, None], z], axis=-1)
+            lobe = engine.over_vectors(
+                kernels.lobe_state, constants, np.array([sin_i, 0.0, cos_i]), omega_r, split=self.grain
+            )
+            jacobian = r * edge[:, None] * 2.0 * (1.0 - t)
+            total = 2.0 * float(w_psi @ (lobe * jacobian) @ w_t)
+            if abs(total - before) <= 1e-9 * abs(total):
+                break
+            before = total
+        return total
+
+    def max_diffuse_albedo(self, *, wavelength_nm: float = 550.0, theta_max_deg: float = 90.0) -> float:
+        """The largest a(lambda) that keeps energy: max(0, 1 - largest first-surface reflectance up to `theta_max_deg`).
+
+        Parameters
+        ----------
+        wavelength_nm
+            Wavelength [nm].
+        theta_max_deg
+            Largest polar angle of the source that counts [deg], in [0, 90].
+
+        Returns
+        -------
+        An albedo in [0, 1]. It is reported and never enforced: the paper's own Figs. 9, 11 and 14 exceed it.
+        """
+        wave = positive("wavelength_nm", wavelength_nm, "nm")
+        top = math.radians(number("theta_max_deg", theta_max_deg, 0.0, 90.0, unit="deg"))
+        grid = np.linspace(0.0, top, 46)
+        first = self._hemispherical(grid, wave) - self.diffuse_albedo
+        best = int(np.argmax(first))
+        low, high = grid[max(best - 1, 0)], grid[min(best + 1, grid.size - 1)]
+        finer = self._hemispherical(np.linspace(low, high, 33), wave) - self.diffuse_albedo
+        return max(0.0, 1.0 - float(max(first.max(), finer.max())))
+
+
+def panels(edges: NDArray[np.float64], order: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Gauss-Legendre nodes and weights of an order in each interval between `edges`."""
+    x, w = np.polynomial.legendre.leggauss(order)
+    half = 0.5 * np.diff(edges)[:, None]
+    return (edges[:-1, None] + half * (1.0 + x)).ravel(), (half * w).ravel()
