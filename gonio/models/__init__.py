@@ -7,9 +7,10 @@ from typing import Any
 
 from gonio.models.base import Model, build_model
 from gonio.models.engine import Geometry, geometry
+from gonio.models.he_torrance import HeTorrance
 from gonio.models.lambert import Lambert
 
-__all__ = ["Geometry", "Lambert", "Model", "build", "geometry"]
+__all__ = ["Geometry", "HeTorrance", "Lambert", "Model", "build", "geometry"]
 
 
 def build(name: str, parameters: Mapping[str, Any]) -> Model:

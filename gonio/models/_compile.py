@@ -97,6 +97,7 @@ def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int) -
     def compiled(cache: bool) -> Any:
         return numba.njit(signature, fastmath=set(FASTMATH), error_model="numpy", nogil=True, cache=cache)(plain)
 
+    function = kernel.__dict__.get(function.__name__, function)  # a kernel of several passes brings its own loops
     signature = tuple(kind(code) for code in function.__dict__["__layout__"])
     plain = _clone(function, {"kernel": kernel})
     plain.__name__ = f"{function.__name__}_{kernel.__module__.rsplit('.', 1)[-1]}_{kernel.__name__}_{_sources()}"

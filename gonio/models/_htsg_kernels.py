@@ -272,7 +272,9 @@ def _over_angles(theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step
         o = out[first : first + count]
         for j in range(count):
             a, b, p, q = ti[j], tr[j], pi_[j], pr[j]
-            wrong |= 0 if 0.0 <= a <= HALF_PI and 0.0 <= b <= HALF_PI and abs(p) <= PHI_LIMIT and abs(q) <= PHI_LIMIT else 1
+            wrong |= (
+                0 if 0.0 <= a <= HALF_PI and 0.0 <= b <= HALF_PI and abs(p) <= PHI_LIMIT and abs(q) <= PHI_LIMIT else 1
+            )
             sin_i, cos_i = sincos_polar(a)
             sin_r, cos_r = sincos_polar(b)
             sin_d, cos_d = sincos(q - p)  # in the frame of the source's azimuth

@@ -181,7 +181,13 @@ class HeTorrance(Model):
         return out
 
     def jones(
-        self, theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: ArrayLike, *, wavelength_nm: float = 550.0
+        self,
+        theta_i: ArrayLike,
+        phi_i: ArrayLike,
+        theta_r: ArrayLike,
+        phi_r: ArrayLike,
+        *,
+        wavelength_nm: float = 550.0,
     ) -> NDArray[np.complex128]:
         """Jones matrix J[e_r][e_i] of one facet, on the bases of `mueller`: E_r = J E_i up to a common phase.
 
