@@ -86,10 +86,10 @@ def fit(times_s: Array, values: Array, variances: Array) -> Level:
     if spread > 0:
         slope, u_slope = float(np.sum(weights * (times_s - centre) * (values - level)) / spread), spread**-0.5
     if len(values) > 2:
-        from scipy.stats import chi2
+        from scipy.special import chdtrc  # of chi-square, beyond
 
         chi_square = float(np.sum(weights * (values - level - slope * (times_s - centre)) ** 2))
-        straight = bool(chi2.sf(chi_square, len(values) - 2) >= REJECTED)
+        straight = bool(chdtrc(len(values) - 2, chi_square) >= REJECTED)
     return Level(centre, level, u_level, slope, u_slope, straight, chi_square, times_s, values, variances)
 
 

@@ -185,7 +185,7 @@ class Curves:
             move = float(np.mean(self._theta_i[line])) - self._theta_i[k]
             x = self._x[k] + move
             if self._x[line[0]] <= x <= self._x[line[-1]] and abs(move) > TOGETHER:
-                value = float(np.interp(x, self._x[line], self.lobe[line]))
+                value = _cubic(x, self._x[line], self.lobe[line])
                 found.append(((value - self.lobe[k]) / move, abs(move)))
         return _weighted(found)
 
@@ -212,11 +212,16 @@ def _weighted(secants: list[tuple[float, float]]) -> float:
 
 
 def _cubic(x: float, at: Array, values: Array) -> float:
-    """Lagrange's cubic through the two points on each side of x (or the four nearest at an end)."""
-    start = int(np.clip(np.searchsorted(at, x) - 2, 0, at.size - 4))
+    """Lagrange's cubic through the two points on each side of x; through all, where there are fewer than four.
+
+    Points that are read closer together than a slope can be told from count once.
+    """
+    apart = np.concatenate([[True], np.diff(at) > 0.1 * NARROWEST])
+    at, values = at[apart], values[apart]
+    start = int(np.clip(np.searchsorted(at, x) - 2, 0, max(at.size - 4, 0)))
     p, v = at[start : start + 4], values[start : start + 4]
     out = 0.0
-    for j in range(4):
+    for j in range(p.size):
         others = np.delete(p, j)
         out += v[j] * float(np.prod((x - others) / (p[j] - others)))
     return out
