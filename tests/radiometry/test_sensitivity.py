@@ -1,0 +1,192 @@
+"""Angle effects against functions whose derivatives are known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from gonio.kinematics import Directions
+from gonio.sensitivity import Curves, mirror_offset, overlap
+
+HALF = math.radians(0.5)
+Function = Callable[[Directions], float]
+
+
+def at(theta_i: float, theta_r: float, dphi: float = 180.0) -> Directions:
+    """Degrees; a negative theta_r lies on the other side."""
+    turn = dphi + (180.0 if theta_r < 0 else 0.0)
+    return Directions(math.radians(theta_i), 0.0, math.radians(abs(theta_r)), math.radians(turn % 360))
+
+
+def curves(function: Function, goals: list[Directions], half: float = HALF, noise: float = 1e-6) -> Curves:
+    values = np.array([function(d) for d in goals])
+    return Curves(goals, goals, values, noise * abs(values) + 1e-12, (half, half))
+
+
+def moved(d: Directions, i: float = 0.0, r: float = 0.0) -> Directions:
+    return Directions(d.theta_i + i, d.phi_i, d.theta_r + r, d.phi_r)
+
+
+def test_overlap_of_discs_against_counting() -> None:
+    rng = np.random.default_rng(2)
+    for first, second in ((1.0, 1.0), (1.0, 0.4), (0.3, 2.0)):
+        small, large = sorted((first, second))
+        angle, radius = rng.uniform(0, 2 * np.pi, 400_000), small * np.sqrt(rng.uniform(0, 1, 400_000))
+        for offset in (0.0, 0.2, 0.7, 1.1, 1.9, 2.3):
+            counted = np.mean(np.hypot(radius * np.cos(angle) - offset, radius * np.sin(angle)) <= large)
+            # 4e5 draws: a standard deviation of at most 8e-4
+            assert overlap(offset, first, second) == pytest.approx(counted, abs=4e-3)
+
+
+def test_overlap_of_equal_discs_falls_linearly() -> None:
+    """1 - 2 d / (pi r) to first order in d."""
+    assert float(overlap(1e-4, 1.0, 1.0)) == pytest.approx(1 - 2e-4 / math.pi, abs=1e-8)
+    assert float(overlap(2.0, 1.0, 1.0)) == 0.0
+
+
+@pytest.mark.parametrize("theta", [0.0, 1e-9, 30.0, 75.0])
+def test_mirror_offset(theta: float) -> None:
+    assert mirror_offset(at(theta, theta)) == pytest.approx(0.0, abs=1e-15)
+    assert mirror_offset(at(theta, theta + 0.5)) == pytest.approx(math.radians(0.5), rel=1e-9)
+    assert mirror_offset(at(90.0, 90.0, 0.0)) == pytest.approx(math.pi)
+
+
+GRID = [at(i, float(r)) for i in (20.0, 25.0, 30.0, 35.0, 40.0) for r in range(-70, 71, 5)]
+
+
+def test_a_matt_sample_feels_the_cosine_alone() -> None:
+    model, u = curves(lambda d: 0.25, GRID), math.radians(0.05)
+    for k, d in enumerate(GRID):
+        odd, even = model.effects(k, d, moved(d, i=u), moved(d, i=-u))
+        # (cos(t + u) - cos(t - u)) / (2 cos t) = -tan(t) sin(u), and cos(u) - 1
+        assert odd == pytest.approx(-0.25 * math.tan(d.theta_i) * math.sin(u), rel=1e-9)
+        assert even == pytest.approx(0.25 * (math.cos(u) - 1), abs=1e-12)
+        assert model.effects(k, d, moved(d, r=u), moved(d, r=-u)) == pytest.approx((0.0, 0.0), abs=1e-12)
+
+
+def lobe(d: Directions) -> float:
+    signed = -d.theta_r * math.cos(d.phi_r - d.phi_i)
+    return (1 + math.cos(d.theta_i)) * math.exp(-(((signed - 1.1 * d.theta_i) / 0.4) ** 2)) + 0.1
+
+
+def test_a_lobe_that_follows_the_mirror_direction() -> None:
+    """Not symmetric, and changing with theta_i: both derivatives within the error of 5 degrees' differences."""
+    model, u = curves(lobe, GRID), math.radians(0.02)
+    for k, d in enumerate(GRID):
+        if not 24 < math.degrees(d.theta_i) < 36 or math.degrees(d.theta_r) > 61:
+            continue
+        for move in ("i", "r"):
+            plus, minus = moved(d, **{move: u}), moved(d, **{move: -u})
+            true = (lobe(plus) * math.cos(plus.theta_i) - lobe(minus) * math.cos(minus.theta_i)) / 2
+            odd, even = model.effects(k, d, plus, minus)
+            # a central difference misses (5 deg / 0.4)^2 / 6 of f''', at most 5 times the largest slope (4.1 a radian), for
+            # theta_i and theta_r alike: 8 % of that slope
+            assert odd == pytest.approx(true / math.cos(d.theta_i), abs=0.08 * 4.1 * u)
+            assert abs(even) < 1e-6
+
+
+def test_the_normal_is_no_edge() -> None:
+    """A step of theta_r through 0 leads to the other side of the curve."""
+    model, u = curves(lobe, GRID), math.radians(0.05)
+    k = next(k for k, d in enumerate(GRID) if d.theta_r == 0 and abs(d.theta_i - math.radians(30)) < 1e-9)
+    plus = Directions(GRID[k].theta_i, 0.0, u, math.pi)
+    minus = Directions(GRID[k].theta_i, 0.0, u, 0.0)
+    odd, _ = model.effects(k, GRID[k], plus, minus)
+    assert odd == pytest.approx((lobe(plus) - lobe(minus)) / 2, rel=0.1)  # differences over 5 degrees
+
+
+def test_normal_incidence_has_no_preferred_plane() -> None:
+    """The azimuth of a source 0.02 deg off the normal is arbitrary; the lobe's slope along theta_r is not."""
+    goals = [at(0.0, float(r)) for r in range(-60, 61, 5)]
+    read = [Directions(math.radians(0.02), math.pi * (k % 2), d.theta_r, d.phi_r) for k, d in enumerate(goals)]
+
+    def value(d: Directions) -> float:
+        return math.exp(-((d.theta_r / 0.5) ** 2))
+
+    f = np.array([value(d) for d in goals])
+    model, u = Curves(goals, read, f, 1e-6 * f, (HALF, HALF)), math.radians(0.02)
+    for k in range(2, len(goals) - 2):
+        if goals[k].theta_r == 0:
+            continue
+        odd, _ = model.effects(k, read[k], moved(read[k], r=u), moved(read[k], r=-u))
+        slope = -2 * goals[k].theta_r / 0.25 * f[k]
+        assert odd == pytest.approx(slope * u, rel=0.15)  # differences over 5 degrees
+
+
+SPIKED = [at(i, float(r)) for i in (60.0, 75.0) for r in np.arange(-80, 85.1, 2.5)]
+
+
+def spiked(d: Directions) -> float:
+    share = float(overlap(mirror_offset(d), HALF, HALF))
+    return lobe(d) + (40.0 * share if d.theta_i > 1.2 else 0.0)
+
+
+def test_a_spike_is_told_from_its_lobe_and_has_its_own_shape() -> None:
+    model = curves(spiked, SPIKED)
+    top = next(k for k, d in enumerate(SPIKED) if mirror_offset(d) < 1e-9 and d.theta_i > 1.2)
+    # the cubic through the lobe's neighbours misses its fourth derivative: (2.5 deg / 0.4)^4 * 12 / 6
+    assert model.spike[top] == pytest.approx(40.0, abs=0.01)
+    assert model.lobe[top] == pytest.approx(lobe(SPIKED[top]), abs=0.01)
+    assert not model.spike[[k for k, d in enumerate(SPIKED) if d.theta_i < 1.2]].any()
+
+
+@pytest.mark.parametrize("step_deg", [0.02, 0.1, 0.3])
+def test_the_top_of_a_spike_falls_to_both_sides(step_deg: float) -> None:
+    """A slope would say that nothing happens there."""
+    model, u = curves(spiked, SPIKED), math.radians(step_deg)
+    top = next(k for k, d in enumerate(SPIKED) if mirror_offset(d) < 1e-9 and d.theta_i > 1.2)
+    d = SPIKED[top]
+    odd, even = model.effects(top, d, moved(d, r=u), moved(d, r=-u))
+    fall = 40.0 * (float(overlap(u, HALF, HALF)) - 1)
+    assert even == pytest.approx(fall, rel=0.01)
+    assert abs(odd) < 0.02 * abs(fall)
+
+
+def test_a_point_just_outside_of_a_spike_knows_its_edge() -> None:
+    goals = sorted([*SPIKED, at(75.0, 76.02)], key=lambda d: (d.theta_i, -d.theta_r * math.cos(d.phi_r)))
+    model, u = curves(spiked, goals), math.radians(0.2)
+    k = next(k for k, d in enumerate(goals) if abs(math.degrees(d.theta_r) - 76.02) < 1e-9)
+    d = goals[k]
+    odd, even = model.effects(k, d, moved(d, r=u), moved(d, r=-u))
+    rise = 40.0 * float(overlap(mirror_offset(moved(d, r=-u)), HALF, HALF))
+    assert rise > 1.0
+    assert even == pytest.approx(rise / 2, rel=0.05)
+    assert odd == pytest.approx(-rise / 2, rel=0.05)
+
+
+def test_a_smooth_peak_is_no_spike() -> None:
+    """Eight degrees wide, measured every 2.5 degrees."""
+
+    def peak(d: Directions) -> float:
+        return math.exp(-((mirror_offset(d) / math.radians(8)) ** 2)) + 0.01
+
+    assert not curves(peak, SPIKED).spike.any()
+
+
+def test_points_out_of_the_plane_follow_their_neighbours() -> None:
+    """Linear in the detector's place seen from above: the local plane is exact, in both directions."""
+
+    def tilted(d: Directions) -> float:
+        return 1.0 - 0.5 * d.theta_r * math.cos(d.phi_r - d.phi_i)
+
+    goals = [at(30.0, float(r), dphi) for dphi in (30.0, 75.0, 110.0, 150.0) for r in (15, 40, 65)]
+    model, u = curves(tilted, goals), math.radians(0.05)
+    for k, d in enumerate(goals):
+        turned = [Directions(d.theta_i, d.phi_i, d.theta_r, d.phi_r + sign * u) for sign in (1, -1)]
+        for plus, minus in ((moved(d, r=u), moved(d, r=-u)), turned):
+            odd, _ = model.effects(k, d, plus, minus)
+            assert odd == pytest.approx((tilted(plus) - tilted(minus)) / 2, abs=1e-3 * u)
+
+
+def test_repeated_readings_are_no_slope() -> None:
+    """A grid finer than the encoder's step: several points read the same angle, and differ by their noise."""
+    goals = [at(30.0, 40.0 + 0.01 * k) for k in range(60)]
+    read = [at(30.0, round((40.0 + 0.01 * k) / 0.088) * 0.088) for k in range(60)]
+    f = 0.2 + 1e-3 * np.random.default_rng(0).standard_normal(60)
+    model, u = Curves(goals, read, f, np.full(60, 1e-3), (0.0, 0.0)), math.radians(0.025)
+    effects = [model.effects(k, d, moved(d, r=u), moved(d, r=-u))[0] for k, d in enumerate(read)]
+    # differences over at least 0.2 deg of noise of 1e-3: 0.025/0.2 of it
+    assert np.max(np.abs(effects)) < 1e-3
