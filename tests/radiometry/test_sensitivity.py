@@ -82,8 +82,8 @@ def test_a_lobe_that_follows_the_mirror_direction() -> None:
             plus, minus = moved(d, **{move: u}), moved(d, **{move: -u})
             true = (lobe(plus) * math.cos(plus.theta_i) - lobe(minus) * math.cos(minus.theta_i)) / 2
             odd, even = model.effects(k, d, plus, minus)
-            # a central difference misses (5 deg / 0.4)^2 / 6 of f''', at most 5 times the largest slope (4.1 a radian), for
-            # theta_i and theta_r alike: 8 % of that slope
+            # a central difference misses (5 deg / 0.4)^2 / 6 of f''', at most 5 times the largest slope (4.1 a radian):
+            # 4 % of that slope, in theta_r and along the mirror direction alike
             assert odd == pytest.approx(true / math.cos(d.theta_i), abs=0.08 * 4.1 * u)
             assert abs(even) < 1e-6
 
