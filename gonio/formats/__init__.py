@@ -13,7 +13,7 @@ from pathlib import Path
 from gonio.errors import ConfigError, DataError
 from gonio.formats.base import Format
 
-_MODULES = ("native", "astm", "nist_mueller", "mwir_inplane", "reflectance_factor", "bird_json", "alta")
+_MODULES = ("native", "astm", "nist_mueller", "mwir_inplane", "reflectance_factor", "bird_json", "alta", "klems_xml")
 SNIFFED_BYTES = 65536
 
 

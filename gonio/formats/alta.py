@@ -7,7 +7,8 @@
     SPHERICAL_TL_PL_TV_PV          theta_l, phi_l, theta_v, phi_v
 
 all in radians, l toward the light and v toward the viewer, dphi = phi_v - phi_l (0 is retro). `#PARAM_OUT` names the
-quantity: INV_STERADIAN is the BRDF; INV_STERADIAN_COSINE_FACTOR is the BRDF times cos(theta_l), divided out here. ALTA names no wavelength, no uncertainty and no solid angle; files that we write say theirs in `#WAVELENGTH_NM`.
+quantity: INV_STERADIAN is the BRDF; INV_STERADIAN_COSINE_FACTOR is the BRDF times cos(theta_l), divided out here.
+ALTA names no wavelength, no uncertainty and no solid angle; files that we write say theirs in `#WAVELENGTH_NM`.
 """
 
 from __future__ import annotations

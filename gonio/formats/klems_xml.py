@@ -1,0 +1,261 @@
+"""Klems matrices in the XML of LBNL's WINDOW: averages of the BSDF [1/sr] over pairs of patches of the hemisphere.
+
+`AngleBasis` lists rings of patches by polar angle; patch k of a ring of n is centred at azimuth 360 k / n. A block of
+`ScatteringData` is a matrix in row-major order; with `IncidentDataStructure` "Columns" a column is a direction of
+incidence. Directions are those of propagation along the window, so that regular transmission and mirror reflection
+both lie on the diagonal: light of incidence azimuth phi comes from phi + 180. Both sides share the window's x and y, so
+azimuths of the back, seen against its own normal, run the other way.
+
+Only reflection is read; each side and band becomes a sample named "<product> front Visible". Bands are broad: there
+is no wavelength. A value is an average over two patches, which the polar angles of their centres stand for.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree
+from xml.sax.saxutils import escape
+
+import numpy as np
+
+from gonio.errors import DataError
+from gonio.formats.base import ANGLES, Floats, Format, integer, number, table, wrap_deg, write_bytes
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_BANDS = {"Visible": (380.0, 780.0), "Solar": (300.0, 2500.0)}
+_FULL = (
+    (0, 5, 1),
+    (5, 15, 8),
+    (15, 25, 16),
+    (25, 35, 20),
+    (35, 45, 24),
+    (45, 55, 24),
+    (55, 65, 24),
+    (65, 75, 16),
+    (75, 90, 12),
+)
+_NAME = re.compile(r"(.*) (front|back) (\S+)")
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Centres of the patches, in the order of the matrix [degrees]."""
+
+    theta: Floats
+    phi: Floats
+
+
+def _rings(rings: Iterator[tuple[float, int]]) -> Basis:
+    parts = [(np.full(count, theta), 360.0 * np.arange(count) / count) for theta, count in rings]
+    return Basis(np.concatenate([t for t, _ in parts]), np.concatenate([p for _, p in parts]))
+
+
+def read(data: bytes, path: Path) -> pd.DataFrame:
+    if re.search(rb"<!(DOCTYPE|ENTITY)", data):
+        raise DataError(f"{path}: has a document type, which no Klems file needs")
+    try:
+        root = ElementTree.fromstring(data)
+    except ElementTree.ParseError as error:
+        line, column = error.position
+        raise DataError(
+            f"{path}, line {line}, column {column + 1}: not valid XML: {str(error).partition(':')[0]}"
+        ) from None
+    except (ValueError, LookupError) as error:
+        raise DataError(f"{path}: not valid XML: {str(error)[:100]}") from None
+    layer = root.find(".//{*}Layer")
+    if layer is None:
+        raise DataError(f"{path}: there is no element Layer; this is not a WINDOW file")
+    definition = _child(layer, "DataDefinition", path)
+    structure = _text(definition, "IncidentDataStructure", path)
+    if structure not in ("Columns", "Rows"):
+        raise DataError(f'{path}: IncidentDataStructure is "{structure[:40]}"; only Columns and Rows are matrices')
+    bases = dict(_bases(definition, path))
+    product = " ".join((layer.findtext("{*}Material/{*}Name") or path.stem).split()) or path.stem
+    parts = []
+    skipped = 0
+    for element in layer.iterfind("{*}WavelengthData"):
+        band = _text(element, "Wavelength", path)
+        for block in element.iterfind("{*}WavelengthDataBlock"):
+            direction = _text(block, "WavelengthDataDirection", path)
+            if not direction.startswith("Reflection"):
+                skipped += 1
+                continue
+            side = direction.removeprefix("Reflection").strip().lower()
+            if side not in ("front", "back"):
+                raise DataError(f'{path}: WavelengthDataDirection is "{direction[:40]}"')
+            parts.append(
+                (f"{product} {side} {'_'.join(band.split())[:40]}", *_block(block, structure, bases, side, path))
+            )
+    if not parts:
+        raise DataError(f"{path}: holds no reflection ({skipped} blocks of transmission)")
+    names = [name for name, _, _ in parts]
+    if len(set(names)) < len(names):
+        raise DataError(f"{path}: a side and a band are there twice")
+    angles = np.concatenate([a for _, a, _ in parts])
+    bands = dict.fromkeys(name.rpartition(" ")[2] for name in names)
+    notes = ["values are averages over pairs of Klems patches, given at the patches' centres"]
+    notes.append("broad bands; the file states no uncertainties")
+    if skipped:
+        notes.append(f"{skipped} blocks of transmission are not carried")
+    return table(
+        theta_i_deg=angles[:, 0],
+        phi_i_deg=angles[:, 1],
+        theta_r_deg=angles[:, 2],
+        phi_r_deg=angles[:, 3],
+        wavelength_nm=math.nan,
+        brdf=np.concatenate([v for _, _, v in parts]),
+        sample=[name for name, _, values in parts for _ in values],
+        attrs={
+            "source_file": str(path),
+            "bands": [
+                {"name": b, "lower_nm": _BANDS[b][0], "upper_nm": _BANDS[b][1]} if b in _BANDS else {"name": b}
+                for b in bands
+            ],
+            "notes": notes,
+        },
+    )
+
+
+def _bases(definition: ElementTree.Element, path: Path) -> Iterator[tuple[str, Basis]]:
+    for basis in definition.iterfind("{*}AngleBasis"):
+        name = _text(basis, "AngleBasisName", path)
+        rings = []
+        for block in basis.iterfind("{*}AngleBasisBlock"):
+            theta = number(_text(block, "Theta", path), f"{path}, {name[:40]}", "Theta")
+            if not 0 <= theta <= 90:
+                raise DataError(f"{path}: {name[:40]}: Theta = {theta:g} lies outside [0, 90] degrees")
+            rings.append((theta, integer(_text(block, "nPhis", path), f"{path}, {name[:40]}", "nPhis", 1, 1000)))
+        if not rings or sum(count for _, count in rings) > 4000:
+            raise DataError(f"{path}: {name[:40]} has {sum(count for _, count in rings)} patches; 1 to 4000 are read")
+        yield name, _rings(iter(rings))
+
+
+def _block(
+    block: ElementTree.Element, structure: str, bases: dict[str, Basis], side: str, path: Path
+) -> tuple[Floats, Floats]:
+    """Directions (n, 4) and values (n,) of one matrix, incidence by incidence."""
+    pair = []
+    for element in ("ColumnAngleBasis", "RowAngleBasis"):
+        name = _text(block, element, path)
+        if name not in bases:
+            raise DataError(f'{path}: {element} is "{name[:40]}", which DataDefinition does not define')
+        pair.append(bases[name])
+    columns, rows = pair
+    words = _text(block, "ScatteringData", path).replace(",", " ").split()
+    if len(words) != columns.theta.size * rows.theta.size:
+        wanted = f"{rows.theta.size} x {columns.theta.size}"
+        raise DataError(f"{path}: ScatteringData of {side} reflection has {len(words)} numbers; {wanted} are needed")
+    where = f"{path}, ScatteringData of {side} reflection"
+    matrix = np.array([number(word, where, f"number {k + 1}") for k, word in enumerate(words)])
+    matrix = matrix.reshape(rows.theta.size, columns.theta.size)
+    incident, outgoing, values = (columns, rows, matrix.T) if structure == "Columns" else (rows, columns, matrix)
+    turn = 1.0 if side == "front" else -1.0
+    i, r = (
+        a.ravel() for a in np.meshgrid(np.arange(incident.theta.size), np.arange(outgoing.theta.size), indexing="ij")
+    )
+    phi_i, phi_r = wrap_deg(turn * incident.phi[i] + 180.0), wrap_deg(turn * outgoing.phi[r])
+    return np.column_stack([incident.theta[i], phi_i, outgoing.theta[r], phi_r]), values.ravel()
+
+
+def _child(element: ElementTree.Element, name: str, path: Path) -> ElementTree.Element:
+    found = element.find(f"{{*}}{name}")
+    if found is None:
+        raise DataError(f"{path}: an element {name} is missing")
+    return found
+
+
+def _text(element: ElementTree.Element, name: str, path: Path) -> str:
+    return (_child(element, name, path).text or "").strip()
+
+
+def write(frame: pd.DataFrame, path: Path) -> None:
+    """A table whose directions are the 145 x 145 pairs of the full Klems basis, for each sample once.
+
+    The side and the band are read from the sample's name ("<product> front Visible"), as this reader makes them; a
+    table without a column `sample` is the front in the visible.
+    """
+    basis = _rings(iter([((low + high) / 2 if low else 0.0, count) for low, high, count in _FULL]))
+    if (frame["polarisation"] != "unpolarised").any() or (frame["flag"] != "").any():
+        raise DataError(f"{path}: a Klems matrix has no room for polarised or flagged rows")
+    groups = (
+        frame.groupby("sample", sort=False) if "sample" in frame.columns else [(frame.attrs.get("sample") or "", frame)]
+    )
+    product, blocks = "", []
+    for name, group in groups:
+        match = _NAME.fullmatch(str(name))
+        product, side, band = match.groups() if match else (str(name), "front", "Visible")
+        turn = 1.0 if side == "front" else -1.0
+        given = {tuple(row): k for k, row in enumerate(np.round(group[list(ANGLES)].to_numpy(np.float64), 6).tolist())}
+        phi_i, phi_r = wrap_deg(turn * basis.phi + 180.0), wrap_deg(turn * basis.phi)
+        lines = []
+        values = group["brdf"].tolist()
+        for r in range(basis.theta.size):
+            keys = [
+                tuple(np.round([basis.theta[i], phi_i[i], basis.theta[r], phi_r[r]], 6).tolist())
+                for i in range(basis.theta.size)
+            ]
+            absent = next((key for key in keys if key not in given), None)
+            if absent is not None or len(given) != len(values) or len(values) != basis.theta.size**2:
+                raise DataError(
+                    f"{path}: a Klems matrix needs each pair of its 145 patches once, and this table has others"
+                )
+            lines.append(", ".join(repr(values[given[key]]) for key in keys))
+        blocks.append(_XML_BLOCK.format(band=escape(band), side=side.capitalize(), data=",\n".join(lines)))
+    rings = "".join(
+        _XML_RING.format(theta=(low + high) / 2 if low else 0, low=low, high=high, count=count)
+        for low, high, count in _FULL
+    )
+    write_bytes(path, _XML.format(product=escape(product), rings=rings, blocks="".join(blocks)).encode())
+
+
+_XML = """<?xml version="1.0" encoding="UTF-8"?>
+<WindowElement xmlns="http://windows.lbl.gov">
+<WindowElementType>System</WindowElementType>
+<FileType>BSDF</FileType>
+<Optical>
+<Layer>
+<Material><Name>{product}</Name><Manufacturer></Manufacturer></Material>
+<DataDefinition>
+<IncidentDataStructure>Columns</IncidentDataStructure>
+<AngleBasis>
+<AngleBasisName>LBNL/Klems Full</AngleBasisName>
+{rings}</AngleBasis>
+</DataDefinition>
+{blocks}</Layer>
+</Optical>
+</WindowElement>
+"""
+_XML_RING = (
+    "<AngleBasisBlock><Theta>{theta:g}</Theta><nPhis>{count}</nPhis><ThetaBounds><LowerTheta>{low}</LowerTheta>"
+    "<UpperTheta>{high}</UpperTheta></ThetaBounds></AngleBasisBlock>\n"
+)
+_XML_BLOCK = """<WavelengthData>
+<LayerNumber>System</LayerNumber>
+<Wavelength unit="Integral">{band}</Wavelength>
+<WavelengthDataBlock>
+<WavelengthDataDirection>Reflection {side}</WavelengthDataDirection>
+<ColumnAngleBasis>LBNL/Klems Full</ColumnAngleBasis>
+<RowAngleBasis>LBNL/Klems Full</RowAngleBasis>
+<ScatteringDataType>BRDF</ScatteringDataType>
+<ScatteringData>
+{data}
+</ScatteringData>
+</WavelengthDataBlock>
+</WavelengthData>
+"""
+
+FORMAT = Format(
+    name="klems",
+    title="Klems XML (WINDOW)",
+    endings=(".xml",),
+    sniff=lambda head: b"<WindowElement" in head,
+    read=read,
+    write=write,
+)

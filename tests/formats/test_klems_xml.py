@@ -1,0 +1,90 @@
+"""Klems matrices: which element is which pair of directions, and both sides of a window."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from gonio import measurement
+from gonio.errors import DataError
+
+
+def window(side: str = "Front", structure: str = "Columns", data: str = "11 12 13 21 22 23 31 32 33") -> bytes:
+    """One patch at the normal and two at 45 degrees, of azimuth 0 and 180."""
+    return f"""<?xml version="1.0"?><WindowElement xmlns="http://windows.lbl.gov"><Optical><Layer>
+    <Material><Name>Blind</Name></Material>
+    <DataDefinition><IncidentDataStructure>{structure}</IncidentDataStructure><AngleBasis><AngleBasisName>B</AngleBasisName>
+    <AngleBasisBlock><Theta>0</Theta><nPhis>1</nPhis></AngleBasisBlock>
+    <AngleBasisBlock><Theta>45</Theta><nPhis>2</nPhis></AngleBasisBlock></AngleBasis></DataDefinition>
+    <WavelengthData><Wavelength unit="Integral">Visible</Wavelength><WavelengthDataBlock>
+    <WavelengthDataDirection>Reflection {side}</WavelengthDataDirection><ColumnAngleBasis>B</ColumnAngleBasis>
+    <RowAngleBasis>B</RowAngleBasis><ScatteringData>{data}</ScatteringData></WavelengthDataBlock></WavelengthData>
+    </Layer></Optical></WindowElement>""".encode()
+
+
+def value(frame: pd.DataFrame, *angles: float) -> float:
+    columns = ["theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg"]
+    return float(frame.loc[(frame[columns] == list(angles)).all(axis=1), "brdf"].item())
+
+
+def test_columns_are_incidence_and_the_diagonal_is_the_mirror() -> None:
+    frame = measurement.parse(window(), Path("blind.xml"))
+    assert frame.attrs["samples"] == ["Blind front Visible"]
+    assert value(frame, 45, 180, 45, 0) == 22  # patch 2 in, patch 2 out: mirror, dphi = 180
+    assert value(frame, 45, 180, 45, 180) == 32  # column 2, row 3: retro
+    assert value(frame, 0, 180, 45, 0) == 21  # normal incidence is the first column
+    assert value(measurement.parse(window(structure="Rows"), Path("blind.xml")), 0, 180, 45, 0) == 12
+    assert frame["wavelength_nm"].isna().all()
+
+
+@pytest.mark.parametrize(
+    ("data", "told"),
+    [
+        (window(data="1 2 3"), "has 3 numbers; 3 x 3 are needed"),
+        (window(data="1 2 3 4 5 6 7 8 x"), 'number 9 is "x"'),
+        (window(structure="TensorTree3"), "TensorTree3"),
+        (window(side="Sideways"), "Sideways"),
+        (window().replace(b"<RowAngleBasis>B", b"<RowAngleBasis>C"), 'RowAngleBasis is "C"'),
+        (window()[:500], "line 6"),
+        (window().replace(b"<Window", b'<!DOCTYPE x [<!ENTITY a "b">]><Window', 1), "document type"),
+        (window().replace(b"<nPhis>2<", b"<nPhis>900000<"), "nPhis = "),
+    ],
+)
+def test_damage_is_named(data: bytes, told: str) -> None:
+    with pytest.raises(DataError) as caught:
+        measurement.parse(data, Path("blind.xml"))
+    assert "blind.xml" in str(caught.value)
+    assert told in str(caught.value)
+
+
+def test_damaged_files(survives: Callable[..., None]) -> None:
+    survives(window(), "blind.xml", format="klems")
+
+
+def test_round_trip_of_measured_matrices(shared: Path, tmp_path: Path) -> None:
+    for name, blocks in (("2011-SA1.XML", 4), ("aerc6216_kf.xml", 1)):
+        frame = measurement.read(shared / "klems" / name)
+        assert len(frame) == blocks * 145**2
+        measurement.write(frame, tmp_path / "back.xml")
+        pd.testing.assert_frame_equal(measurement.read(tmp_path / "back.xml"), frame, check_exact=True)
+
+
+def test_a_shade_obeys_helmholtz(shared: Path) -> None:
+    frame = measurement.read(shared / "klems" / "aerc6216_kf.xml")
+    swapped = frame.rename(columns=lambda c: c.replace("_i_", "_x_").replace("_r_", "_i_").replace("_x_", "_r_"))
+    keys = ["theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg"]
+    both = frame.merge(swapped, on=keys, suffixes=("", "_swapped"))
+    # patches lie symmetric about phi + 180, so most pairs are there both ways; the file has four digits
+    assert len(both) > 20_000
+    np.testing.assert_allclose(both["brdf"], both["brdf_swapped"], atol=2e-4)
+
+
+def test_other_directions_cannot_be_a_klems_matrix(tmp_path: Path, small: pd.DataFrame) -> None:
+    small["flag"] = ""
+    with pytest.raises(DataError, match="145 patches"):
+        measurement.write(small, tmp_path / "a.xml")
+    assert list(tmp_path.iterdir()) == []
