@@ -21,7 +21,7 @@ from gonio.description import Axis, Band, RigDescription
 from gonio.errors import DataError
 from gonio.kinematics import Directions
 from gonio.plan import ANGLES
-from gonio.rates import Bench, Merged, Region, in_threads
+from gonio.rates import Bench, Merged, in_threads
 from gonio.rig import Pose
 
 if TYPE_CHECKING:
@@ -75,6 +75,9 @@ class _BandResult:
     level: level.Level
     reference_brdf: float
     visits: int
+    scatter: float
+    """Reduced chi-square of the frames around the means of their steps."""
+    freedom: int
 
 
 def _reduce_band(bench: Bench, band: Band) -> _BandResult:
@@ -100,7 +103,8 @@ def _reduce_band(bench: Bench, band: Band) -> _BandResult:
     k = fitted.at(times)
     brdf = np.array([point.rate for point in points]) / k
     random = np.sqrt(np.array([point.variance for point in points])) / k
-    prnu = np.array([_prnu(description, point.region, at_reference.region) for point in points])
+    reference_pixels = bench.reference[band.channel].count
+    prnu = np.array([_prnu(description, point, reference_pixels) for point in points])
     random = np.sqrt(random**2 + (brdf * prnu) ** 2 + (brdf * fitted.extra(times) / k) ** 2)
     common = {
         "s_reference": brdf * description.reference.u_rel,
@@ -122,6 +126,8 @@ def _reduce_band(bench: Bench, band: Band) -> _BandResult:
             same = _change_of_cosine(description, at_reference, axis, u)[0]
             common[CAUSES[axis]][index] = odd - brdf[index] * same
         random[index] = math.sqrt(random[index] ** 2 + variance)
+    freedom = sum(step.frames - 1 for step in (*points, *visits))
+    scatter = sum(step.chi_square for step in (*points, *visits)) / max(freedom, 1)
     combined = np.sqrt(random**2 + sum(column**2 for column in common.values()))
     rows = {
         int(point.point): {
@@ -134,7 +140,7 @@ def _reduce_band(bench: Bench, band: Band) -> _BandResult:
         for index, point in enumerate(points)
         if point.point is not None
     }
-    return _BandResult(band, rows, flags, fitted, float(known.mean()), len(visits))
+    return _BandResult(band, rows, flags, fitted, float(known.mean()), len(visits), scatter, freedom)
 
 
 def _reference_brdf(bench: Bench, directions: Directions, band: Band) -> float:
@@ -193,14 +199,12 @@ def _change_of_cosine(description: RigDescription, visit: Merged, axis: str, u: 
     return 0.5 * (up - down), 0.5 * (up + down)
 
 
-def _prnu(description: RigDescription, region: Region, reference: Region) -> float:
+def _prnu(description: RigDescription, point: Merged, reference_pixels: int) -> float:
     """Relative standard deviation from the pixels' responsivities; those that both regions use cancel in part."""
     if not description.camera.prnu:
         return 0.0
-    n, m = region.roi.count, reference.roi.count
-    return description.camera.prnu * math.sqrt(
-        max(1.0 / n + 1.0 / m - 2.0 * region.roi.shared(reference.roi) / (n * m), 0)
-    )
+    n, m = point.pixels, reference_pixels
+    return description.camera.prnu * math.sqrt(max(1.0 / n + 1.0 / m - 2.0 * point.shared / (n * m), 0.0))
 
 
 def _angle_columns(directions: Directions) -> dict[str, float]:
@@ -263,15 +267,23 @@ def _account(result: _BandResult) -> dict[str, Any]:
         "u_drift_per_hour": fitted.u_slope / fitted.level * 3600.0,
         "chi_square": fitted.chi_square,
         "straight": fitted.straight,
+        "frame_scatter": result.scatter,
     }
 
 
 def _notes(result: _BandResult) -> list[str]:
+    out, name = [], result.band.name
     if result.visits == 1:
-        return [f"{result.band.name}: one visit to the white reference only, so a drift of the lamp is not in u_brdf"]
+        out.append(f"{name}: one visit to the white reference only, so a drift of the lamp is not in u_brdf")
     if not result.level.straight:
-        return [
-            f"{result.band.name}: the visits to the white reference do not lie on a straight line (chi-square "
+        out.append(
+            f"{name}: the visits to the white reference do not lie on a straight line (chi-square "
             f"{result.level.chi_square:.1f} of {result.visits} visits): the level is interpolated between them"
-        ]
-    return []
+        )
+    # three standard deviations of a reduced chi-square, and enough to matter: uncertainties 20 % too small
+    if result.scatter > max(1.44, 1.0 + 3.0 * math.sqrt(2.0 / max(result.freedom, 1))):
+        out.append(
+            f"{name}: frames of one step scatter {math.sqrt(result.scatter):.1f} times as much as the rig file's noise "
+            "says (see lamp.noise and the camera's noise there): u_random is too small"
+        )
+    return out

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +20,7 @@ from gonio import kinematics
 from gonio.description import Band, RigDescription
 from gonio.errors import DataError
 from gonio.frames import read_raw
-from gonio.imaging import Roi, pixel_map, roi
+from gonio.imaging import Channel, Roi, pixel_map, roi
 from gonio.kinematics import Directions
 from gonio.rig import Frame, Pose, Target
 
@@ -97,7 +97,12 @@ class Merged:
     variance: float
     """Of everything that is independent from step to step, the pixels' responsivities left out."""
     time_s: float
-    region: Region
+    chi_square: float
+    """Of the frames around their mean."""
+    frames: int
+    pixels: int
+    shared: int
+    """How many of the pixels the first visit to the reference uses too."""
     directions: Directions
     pose: Pose
     point: int | None
@@ -112,19 +117,24 @@ class Bench:
         steps = run.steps()
         self.steps = [s for s in steps if s["kind"] != "dark" and not s.get("flag")]
         self.flags = {int(s["point"]): str(s["flag"]) for s in steps if s["kind"] == "point" and s.get("flag")}
-        self.poses = {int(s["step"]): Pose(**s["pose"]) for s in self.steps}
-        self._regions: dict[tuple[int, str], Region | None] = {}
+        channels = dict.fromkeys(band.channel for band in run.bands)
+        boxes: dict[Target, tuple[slice, slice]] = {}
+        self.reference: dict[str, Roi] = {}
         for step in self.steps:
-            target: Target = "reference" if step["kind"] == "reference" else "sample"
-            for channel in dict.fromkeys(band.channel for band in run.bands):
-                self._regions[int(step["step"]), channel] = self._look(int(step["step"]), target, channel)
-        if not any(self._regions.values()):
+            for channel in channels:
+                region = self._look(step, channel)
+                if region is not None:
+                    boxes[region.target] = _around(region.roi, boxes.get(region.target))
+                    if region.target == "reference":
+                        self.reference.setdefault(channel, region.roi)
+        if not boxes:
             raise DataError(f"{run.path}: no point was measured in this run; finish it with --resume")
-        self._darks = self._read_darks([f for s in steps if s["kind"] == "dark" for f in s["frames"]])
+        self._darks = self._read_darks([f for s in steps if s["kind"] == "dark" for f in s["frames"]], boxes)
 
-    def _look(self, step: int, target: Target, channel: Any) -> Region | None:
+    def _look(self, step: dict[str, Any], channel: Channel) -> Region | None:
         """The region of a step; None where source or camera stands below the horizon."""
-        view = kinematics.view(self.description, self.poses[step])
+        target: Target = "reference" if step["kind"] == "reference" else "sample"
+        view = kinematics.view(self.description, Pose(**step["pose"]))
         if view.source_mm[2] <= 0 or view.camera_mm[2] <= 0:
             return None
         region = roi(self.description, view, target, channel)
@@ -132,19 +142,18 @@ class Bench:
         weight = seen.weight[region.mask]
         return Region(region, target, 1.0 / weight) if weight.min() > 0 else None
 
-    def _read_darks(self, frames: list[dict[str, Any]]) -> dict[Target, Darks]:
+    def _read_darks(
+        self, frames: list[dict[str, Any]], boxes: dict[Target, tuple[slice, slice]]
+    ) -> dict[Target, Darks]:
         if not frames:
             raise DataError(f"{self.run.path}: the run has no dark frames; finish it with --resume")
         camera = self.description.camera
-        targets: tuple[Target, ...] = ("sample", "reference")
-        boxes = {t: _bounds(r.roi for r in self._regions.values() if r and r.target == t) for t in targets}
-        crops: dict[Target, list[tuple[float, npt.NDArray[np.uint16]]]] = {t: [] for t in targets}
+        crops: dict[Target, list[tuple[float, npt.NDArray[np.uint16]]]] = {target: [] for target in boxes}
         for frame in in_threads(self.read, frames):
             for target, box in boxes.items():
-                if box is not None:
-                    crops[target].append((frame.exposure_s, frame.mosaic[box].copy()))
+                crops[target].append((frame.exposure_s, frame.mosaic[box].copy()))
         rate = camera.dark_current_e_per_s / camera.electrons_per_dn
-        return {t: Darks(crops[t], *box, rate) for t, box in boxes.items() if box is not None}
+        return {target: Darks(crops[target], *box, rate) for target, box in boxes.items()}
 
     def read(self, entry: dict[str, Any]) -> Frame:
         """A frame that the journal names, checked."""
@@ -167,7 +176,7 @@ class Bench:
 
     def shots(self, step: dict[str, Any], band: Band) -> tuple[Region, list[Shot]] | None:
         """The frames of a step in a band, each reduced to its region; None for a region below the horizon."""
-        region = self._regions[int(step["step"]), band.channel]
+        region = self._look(step, band.channel)
         if region is None:
             return None
         entries = [f for f in step["frames"] if f["band"] == band.name and f["lamp"]]
@@ -195,15 +204,24 @@ class Bench:
         shots = [shot for shot in every if shot.peak < USABLE]
         if not shots:
             return "saturated" if every else "not_measured"
-        rate, variance, time_s = pool(self.description, region, shots)
-        pose = self.poses[int(step["step"])]
-        directions = kinematics.directions(self.description, pose)
-        point = None if step["kind"] == "reference" else int(step["point"])
-        return Merged(rate, variance, time_s, region, directions, pose, point)
+        rate, variance, time_s, chi_square = pool(self.description, region, shots)
+        pose, reference = Pose(**step["pose"]), self.reference.get(band.channel)
+        return Merged(
+            rate=rate,
+            variance=variance,
+            time_s=time_s,
+            chi_square=chi_square,
+            frames=len(shots),
+            pixels=region.roi.count,
+            shared=region.roi.shared(reference) if reference is not None else 0,
+            directions=kinematics.directions(self.description, pose),
+            pose=pose,
+            point=None if step["kind"] == "reference" else int(step["point"]),
+        )
 
 
-def pool(description: RigDescription, region: Region, shots: list[Shot]) -> tuple[float, float, float]:
-    """Rate [e-/s], its variance, and the time of the merged frames.
+def pool(description: RigDescription, region: Region, shots: list[Shot]) -> tuple[float, float, float, float]:
+    """Rate [e-/s], its variance, the time of the merged frames, and the chi-square of the frames around their mean.
 
     Weights come from the pooled rate, not from each frame's own: a frame that is dark by chance gets no larger weight.
     """
@@ -225,16 +243,19 @@ def pool(description: RigDescription, region: Region, shots: list[Shot]) -> tupl
     # the dark model is one and the same for all frames of the point
     leverage = np.array([shot.leverage for shot in shots])
     of_darks = float(np.sum(weights * np.sqrt(leverage * (pixel + dark) * mean_2 / count) / exposure))
-    return pooled, float(1.0 / np.sum(1.0 / variances)) + of_darks**2, float(np.sum(weights * times))
+    chi_square = float(np.sum((rates - pooled) ** 2 / variances))
+    return pooled, float(1.0 / np.sum(1.0 / variances)) + of_darks**2, float(np.sum(weights * times)), chi_square
 
 
-def _bounds(regions: Iterable[Roi]) -> tuple[slice, slice] | None:
-    """The smallest rectangle that holds all regions; None without any."""
-    boxes = [(r.rows.start, r.rows.stop, r.cols.start, r.cols.stop) for r in regions]
-    if not boxes:
-        return None
-    top, bottom, left, right = zip(*boxes, strict=True)
-    return slice(min(top), max(bottom)), slice(min(left), max(right))
+def _around(region: Roi, box: tuple[slice, slice] | None) -> tuple[slice, slice]:
+    """The smallest rectangle around a region and a rectangle."""
+    if box is None:
+        return region.rows, region.cols
+    rows, cols = box
+    return (
+        slice(min(region.rows.start, rows.start), max(region.rows.stop, rows.stop)),
+        slice(min(region.cols.start, cols.start), max(region.cols.stop, cols.stop)),
+    )
 
 
 def in_threads(work: Callable[[In], Out], items: list[In]) -> Iterator[Out]:

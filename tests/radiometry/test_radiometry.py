@@ -302,3 +302,12 @@ def test_frames_of_another_camera_are_refused(tmp_path: Path) -> None:
     run.description = describe(camera={"width": 128})
     with pytest.raises(DataError, match=r"holds 64 x 64 pixels.*camera.width = 128"):
         radiometry.reduce(run)
+
+
+def test_a_lamp_that_flickers_more_than_the_rig_file_says_is_noticed(tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    for noise, noted in ((0.005, False), (0.001, True)):
+        description = describe(camera=NOISY, lamp=Lamp(noise=noise), reference={"frames": 4})
+        maker = Maker(tmp_path, description, glossy, rng, lamp=lambda t: 1.0 + 0.005 * rng.standard_normal())
+        table = radiometry.reduce(maker.make(POINTS, (0.25, 0.25, 0.0625)))
+        assert any("u_random is too small" in note for note in table.attrs["notes"]) is noted
