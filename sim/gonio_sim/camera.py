@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -47,6 +47,7 @@ class Sensor:
         self._pool: ThreadPoolExecutor | None = None
         self._world = world
         self._maps: tuple[Floats, Floats] | None = None
+        self._dark = np.zeros(self._size, np.float32)
 
     def close(self) -> None:
         """End the threads; the next frame starts new ones."""
@@ -70,33 +71,24 @@ class Sensor:
 
         camera = self._camera
         gain, offset = self._fixed_maps()
-        flat = np.zeros(1, np.float32) if rate is None else rate.reshape(-1)
+        flat = self._dark if rate is None else rate.reshape(-1)
         out = np.empty(self._size, np.uint16)
-
-        def part(first: int, last: int) -> None:
-            expose(
-                flat,
-                exposure_s * level,
-                gain,
-                offset,
-                camera.dark_current_e_per_s * exposure_s,
-                camera.photon_noise,
-                camera.read_noise_e,
-                camera.full_well_e,
-                camera.electrons_per_dn,
-                camera.black_level_dn,
-                camera.white_level_dn,
-                key,
-                first,
-                last,
-                out,
-            )
-
-        self._in_parts(part)
+        numbers = (
+            exposure_s * level,
+            camera.dark_current_e_per_s * exposure_s,
+            camera.photon_noise,
+            camera.read_noise_e,
+            camera.full_well_e,
+            1.0 / camera.electrons_per_dn,
+            camera.black_level_dn,
+            camera.white_level_dn,
+        )
+        single: list[Any] = [number if isinstance(number, bool) else np.float32(number) for number in numbers]
+        self._in_parts(lambda first, last: expose(flat, gain, offset, out, first, last, key, *single))
         return out.reshape(camera.height, camera.width)
 
     def _fixed_maps(self) -> tuple[Floats, Floats]:
-        """Relative responsivity (never negative) and dark offset [e-] of every pixel; size 1 where all are alike."""
+        """Relative responsivity (never negative) and dark offset [e-] of every pixel."""
         if self._maps is None:
             gain = np.maximum(self._fixed_map(Stream.PRNU, self._camera.prnu, 1.0), np.float32(0.0))
             self._maps = gain, self._fixed_map(Stream.DSNU, self._camera.dsnu_e, 0.0)
@@ -105,19 +97,22 @@ class Sensor:
     def _fixed_map(self, stream: Stream, deviation: float, centre: float) -> Floats:
         from gonio_sim.sensor import normals
 
-        if deviation == 0.0:
-            return np.full(1, centre, np.float32)
-        out, key = np.empty(self._size, np.float32), self._world.key(stream)
-        self._in_parts(lambda first, last: normals(key, first, last, deviation, centre, out))
+        out = np.full(self._size, centre, np.float32)
+        if deviation > 0.0:
+            key = self._world.key(stream)
+            self._in_parts(lambda first, last: normals(key, first, last, deviation, centre, out))
         return out
 
     def _in_parts(self, work: Callable[[int, int], None]) -> None:
         """Run `work(first, last)` over all pixels in threads of our own; the kernels release the interpreter's lock."""
+        from gonio_sim.sensor import BLOCK
+
         if THREADS == 1:
             return work(0, self._size)
         if self._pool is None:
             self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="gonio-sim-sensor")
-        edges = [self._size * k // THREADS for k in range(THREADS + 1)]
+        # whole blocks, so that a pixel goes through the same instructions for any number of threads
+        edges = [self._size * k // THREADS // BLOCK * BLOCK for k in range(THREADS)] + [self._size]
         parts = [self._pool.submit(work, first, last) for first, last in pairwise(edges)]
         for done in parts:
             done.result()

@@ -134,7 +134,8 @@ class Renderer:
         from gonio_sim.nodes import sample_function
 
         model, sample = self._model, self._world.sample
-        assert model is not None and sample is not None
+        assert model is not None
+        assert sample is not None
         waves = _wavelengths(band) if sample.integrate_band else [(band.centre_nm, 1.0)]
         radius = (sample.diameter_mm or self._world.description.holder.sample_diameter_mm) / 2
 

@@ -31,6 +31,9 @@ class ServoBus:
                 self.packets += 1
                 self._instruct(packet, [s for s in self.servos if s.answers and s.baud == baud], send)
 
+    def opened(self, send: Send) -> None:
+        """Servos do not notice."""
+
     # ---- one instruction ----
 
     def _instruct(self, packet: p2.Packet, present: list[Servo], send: Send) -> None:
@@ -80,7 +83,7 @@ class ServoBus:
             elif packet.instruction == p2.FACTORY_RESET:
                 if len(data) != 1:
                     raise Refused(p2.LENGTH_ERROR)
-                if broadcast and data[0] == 0xFF:   # not activated (X series, firmware 42 and later)
+                if broadcast and data[0] == 0xFF:  # not activated (X series, firmware 42 and later)
                     return
                 servo.reset(data[0])
             elif packet.instruction == p2.CLEAR:
@@ -178,7 +181,7 @@ class ServoBus:
             try:
                 servo.write(address, data)
             except Refused:
-                return   # nobody is told: a write to several servos has no status packet
+                return  # nobody is told: a write to several servos has no status packet
 
 
 def _word(data: bytes, at: int) -> int:

@@ -21,6 +21,9 @@ BAUD_RATES = {
     if name.startswith("B") and name[1:].isdigit() and name != "B0"
 }
 
+OPENING_MS = 5
+"""How often to look whether a closed port has been opened."""
+
 
 class Device(Protocol):
     """What sits behind the terminal."""
@@ -28,11 +31,14 @@ class Device(Protocol):
     def receive(self, data: bytes, baud: int, send: Callable[[bytes], None]) -> None:
         """Take bytes that arrived at a line speed; answer with `send`."""
 
+    def opened(self, send: Callable[[bytes], None]) -> None:
+        """Somebody has opened the port (told where `tells_opening` is true)."""
+
 
 class SerialPeer:
     """Serves one device on a pseudo-terminal from a thread, until it is closed.
 
-    The slave end is kept open, so that a driver may close and open its port as it likes (`setBaudRate` does).
+    A driver may close and open its port as it likes (`setBaudRate` does).
 
     Parameters
     ----------
@@ -40,10 +46,13 @@ class SerialPeer:
         What answers.
     link
         Where to put a symbolic link to the terminal; removed on closing.
+    tells_opening
+        Tell the device when its port is opened, as the DTR line does.
     """
 
-    def __init__(self, device: Device, link: Path | None = None) -> None:
+    def __init__(self, device: Device, link: Path | None = None, *, tells_opening: bool = False) -> None:
         self.device = device
+        self._tells_opening = tells_opening
         self._link = link
         self._master = self._slave = -1
         self._wake = (-1, -1)
@@ -72,7 +81,8 @@ class SerialPeer:
         if self._thread is not None:
             self._thread.join()
         for descriptor in (self._master, self._slave, *self._wake):
-            os.close(descriptor)
+            if descriptor >= 0:
+                os.close(descriptor)
         if self._link is not None:
             self._link.unlink(missing_ok=True)
         if self.failure is not None and error is None:
@@ -84,16 +94,30 @@ class SerialPeer:
 
     def baud(self) -> int:
         """The line speed that the other side has set; 0 where it is none of the standard ones."""
-        return BAUD_RATES.get(termios.tcgetattr(self._slave)[4], 0)
+        return BAUD_RATES.get(termios.tcgetattr(self._master)[4], 0)
 
     def _serve(self) -> None:
         try:
+            if self._tells_opening:  # the terminal hangs up on its master while nobody has it open
+                os.close(self._slave)
+                self._slave = -1
+            is_open = not self._tells_opening
+            poll = select.poll()
+            poll.register(self._master, select.POLLIN | select.POLLHUP)
+            poll.register(self._wake[0], select.POLLIN)
             while True:
-                ready, _, _ = select.select([self._master, self._wake[0]], [], [])
-                if self._wake[0] in ready:
+                events = dict(poll.poll(None if is_open else OPENING_MS))
+                if self._wake[0] in events:
                     return
-                data = os.read(self._master, 4096)
-                self.device.receive(data, self.baud(), self.send)
+                event = events.get(self._master, 0)
+                if event & select.POLLIN:
+                    self.device.receive(os.read(self._master, 4096), self.baud(), self.send)
+                elif event & select.POLLHUP:
+                    is_open = False
+                    time.sleep(OPENING_MS / 1000)
+                elif not is_open:
+                    is_open = True
+                    self.device.opened(self.send)
         except BaseException as failure:  # shown when the peer is closed: a thread has nobody to raise to
             self.failure = failure
 

@@ -97,9 +97,9 @@ class Reader:
                 return None
             length = stream[5] | stream[6] << 8
             if stream[3] != 0 or stream[4] in (0xFD, 0xFF) or not 3 <= length <= LONGEST - 7:
-                del stream[:3]   # stuffed bytes, or noise that looks like a header
+                del stream[:3]  # stuffed bytes, or noise that looks like a header
                 continue
-            again = stream.find(HEADER + b"\0", 7, 7 + length)   # a header inside: the packet before it was cut short
+            again = stream.find(HEADER + b"\0", 7, 7 + length)  # a header inside: the packet before it was cut short
             if again >= 0:
                 del stream[:again]
                 continue

@@ -238,7 +238,7 @@ class Servo:
         self._put("Registered Instruction", 0)
         self._registered = None
         self._stalled_since = None
-        position = self.shaft()[0] % tables.COUNTS   # whole turns are forgotten
+        position = self.shaft()[0] % tables.COUNTS  # whole turns are forgotten
         self._path = motion.rest(self._clock(), position)
         self._aim = position
         self._put("Goal Position", round(position) + self._offset)
@@ -296,7 +296,7 @@ class Servo:
             if name == goal and abs(value) > self.get(limit):
                 raise Refused(p2.LIMIT_ERROR)
         if name in ("Goal Position", "Goal Velocity", "Goal Current", "Goal PWM") and self.get("Bus Watchdog") == -1:
-            raise Refused(p2.RANGE_ERROR)   # read-only until the watchdog is cleared
+            raise Refused(p2.RANGE_ERROR)  # read-only until the watchdog is cleared
         if name == "Torque Enable" and value == 1 and self._shut_down():
             raise Refused(p2.RESULT_FAIL)
 
