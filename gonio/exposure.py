@@ -29,7 +29,7 @@ STEP = 16.0
 ENOUGH = 0.1
 """A level from which the final exposure can be computed: its noise then changes the result by less than a tenth."""
 MOST_FRAMES = 12
-RESOLUTION_S = 1e-6
+MICROSECONDS = 6
 DARKEST = 100.0
 """The longest dark frame lasts this many times the exposure of a white sample; beyond, the dark rate is scaled."""
 
@@ -140,4 +140,4 @@ def shorter(description: RigDescription, exposure_s: float) -> float:
 def _allowed(description: RigDescription, exposure_s: float) -> float:
     """The nearest exposure that the camera has, in whole microseconds (an exact fraction in the raw file)."""
     shortest, longest = description.camera.exposure_limits_s
-    return round(min(max(exposure_s, shortest), longest) / RESOLUTION_S) * RESOLUTION_S
+    return min(max(round(exposure_s, MICROSECONDS), shortest), longest)

@@ -55,7 +55,7 @@ def build() -> typer.Typer:
     from gonio.cli import measuring, plans, rigs, tables
 
     class InOrder(typer.core.TyperGroup):
-        def list_commands(self, ctx: typer.Context) -> list[str]:
+        def list_commands(self, ctx: Any) -> list[str]:
             names = super().list_commands(ctx)
             return [n for n in ORDER if n in names] + sorted(set(names).difference(ORDER))
 

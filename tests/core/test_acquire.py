@@ -1,0 +1,346 @@
+"""The loop on a rig of numpy: what a run holds, and that stopping it anywhere changes nothing."""
+
+from __future__ import annotations
+
+import hashlib
+import signal
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gonio.acquire import Live, Silent
+from gonio.bench import RigChoice, carry_out, check
+from gonio.description import Reference, RigDescription
+from gonio.errors import ConfigError, DataError, DeviceError, GonioError, Interrupted
+from gonio.frames import read_raw
+from gonio.plan import Plan, load_plan
+from gonio.run import Run, to_toml
+
+from .bench import PLAN, SAMPLE, Bench, Plugin, describe
+
+Measure = Callable[..., Run]
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Plan:
+    (tmp_path / "plan.toml").write_text(PLAN)
+    return load_plan(tmp_path / "plan.toml")
+
+
+@pytest.fixture
+def measure(plan: Plan, tmp_path: Path) -> Measure:
+    """Measure the plan into a folder; `rig` collects the rigs that were opened."""
+
+    def go(out: str, *, rig: Plugin | None = None, description: RigDescription | None = None, **changes: object) -> Run:
+        choice = RigChoice(rig or Plugin(), description or describe(), "numpy")
+        arguments: dict[str, object] = {"plan": plan, "sample": SAMPLE, "seed": 1, "command": "gonio measure ..."}
+        arguments |= changes
+        return carry_out(arguments.pop("plan"), choice, tmp_path / out, **arguments)  # type: ignore[arg-type]
+
+    return go
+
+
+class StopAfter(Silent):
+    """A user who presses Ctrl-C after so many steps (and again after so many more)."""
+
+    def __init__(self, *steps: int) -> None:
+        self.count, self.steps = 0, steps
+
+    def step(self, live: Live) -> None:
+        self.count += 1
+        if self.count in self.steps:
+            signal.raise_signal(signal.SIGINT)
+
+
+def content(run: Run) -> list[dict[str, object]]:
+    """Everything in the steps that depends on the measurement."""
+    return [{k: v for k, v in step.items() if k not in ("n", "wall", "crc")} for step in run.steps()]
+
+
+def test_a_run_holds_what_was_asked_and_what_happened(measure: Measure, tmp_path: Path) -> None:
+    rig = Plugin()
+    run = measure("run", rig=rig)
+    assert run.seed == 1
+    assert run.sample == SAMPLE
+    assert run.description == describe()
+    assert [band.centre_nm for band in run.bands] == [550, 650]
+    assert list(run.plan["flag"]) == ["", "blocked", "", "", "", ""]
+    assert "around retro" in run.plan["reason"][1]
+    assert [event["event"] for event in run.events()] == ["session", *["step"] * 9, "end"]
+    assert [step["kind"] for step in run.steps()] == [
+        *["dark", "reference", "point", "point", "point", "reference", "point", "point", "reference"]
+    ]
+    assert rig.opened[0].log[-2:] == ["off", "park"]
+    assert not rig.opened[0].lit
+
+
+def test_frames_are_those_that_the_journal_names(measure: Measure) -> None:
+    run = measure("run")
+    named = [frame for step in run.steps() for frame in step["frames"]]
+    assert {path.name for path in (run.path / "frames").iterdir()} == {frame["file"] for frame in named}
+    for frame in named:
+        data = run.frame_path(frame["file"]).read_bytes()
+        assert hashlib.sha256(data).hexdigest() == frame["sha256"]
+    point = run.steps()[2]
+    assert [f["file"] for f in point["frames"]] == [
+        *[f"000002-green550-{k:02d}.dng" for k in (1, 2, 3)],
+        *[f"000002-red650-{k:02d}.dng" for k in (1, 2, 3)],
+    ]
+    assert [f["band"] for f in point["frames"]] == ["green, 550"] * 3 + ["red 650"] * 3
+    first, _, short = point["frames"][:3]
+    assert short["exposure_s"] == pytest.approx(first["exposure_s"] / 4, abs=1e-6)  # whole microseconds
+    raw = read_raw(run.frame_path(first["file"]))
+    assert raw.exposure_s == first["exposure_s"]
+    level = (float(np.max(raw.mosaic)) - 64) / (11_000 / 3)
+    assert level == pytest.approx(0.6, abs=0.05)  # photon noise of the brightest pixel in the metering frame
+
+
+def test_darks_are_dark_and_the_lamp_is_lit_for_the_rest(measure: Measure) -> None:
+    for step in measure("run").steps():
+        assert {frame["lamp"] for frame in step["frames"]} == {step["kind"] != "dark"}
+    dark = measure("again").steps()[0]
+    assert len({frame["exposure_s"] for frame in dark["frames"]}) == 2
+    assert len(dark["frames"]) == 4
+
+
+def test_one_seed_gives_one_run(measure: Measure) -> None:
+    first, again, other = measure("a"), measure("b"), measure("c", seed=2)
+    assert content(first) == content(again)
+    assert content(first) != content(other)
+
+
+@pytest.mark.parametrize("stops", [[1], [2], [5], [7], [1, 1, 2]])
+def test_an_interrupted_run_resumes_to_the_same(measure: Measure, stops: list[int]) -> None:
+    whole = content(measure("whole"))
+    for number, after in enumerate(stops):
+        rig = Plugin()
+        with pytest.raises(Interrupted, match="--resume"):
+            measure("cut", rig=rig, resume=bool(number), progress=StopAfter(after))
+        assert rig.opened[0].log[-2:] == ["off", "park"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    run = measure("cut", resume=True)
+    assert content(run) == whole
+    assert [e["event"] for e in run.events()].count("interrupted") == len(stops)
+
+
+def test_a_second_signal_stops_every_axis_at_once(measure: Measure) -> None:
+    class Impatient(Silent):
+        def step(self, live: Live) -> None:
+            signal.raise_signal(signal.SIGTERM)
+            signal.raise_signal(signal.SIGINT)
+
+    rig = Plugin()
+    with pytest.raises(Interrupted, match="at once"):
+        measure("run", rig=rig, progress=Impatient())
+    assert rig.opened[0].log[-3:] == ["stop", "off", "park"]
+    assert content(measure("run", resume=True)) == content(measure("whole"))
+
+
+def test_killed_at_any_byte_of_the_journal_it_resumes_to_the_same(measure: Measure, tmp_path: Path) -> None:
+    whole = measure("whole")
+    expected, data = content(whole), (whole.path / "journal.jsonl").read_bytes()
+    ends = [at + 1 for at, byte in enumerate(data) if byte == ord("\n")]
+    cuts = sorted({0, 1, *(end + d for end in ends for d in (-1, 0, 1)), *range(0, len(data), 1999)})
+    for cut in cuts:
+        journal = tmp_path / "whole" / "journal.jsonl"
+        journal.write_bytes(data[:cut])
+        assert content(measure("whole", resume=True)) == expected
+    assert len(cuts) > 20
+
+
+def test_frames_of_a_step_that_was_cut_short_do_not_stay(measure: Measure) -> None:
+    run = measure("run")
+    (run.path / "frames" / "000099-left-01.dng").write_bytes(b"half")
+    again = measure("run", resume=True)
+    assert not (again.path / "frames" / "000099-left-01.dng").exists()
+
+
+def test_a_failing_device_is_in_the_journal_and_everything_is_dark(measure: Measure) -> None:
+    rig = Plugin(options={"fails_at": 4})
+    with pytest.raises(DeviceError, match="no frame came"):
+        measure("run", rig=rig)
+    assert rig.opened[0].log[-3:] == ["stop", "off", "park"]
+    run = measure("run", resume=True)
+    events = [event["event"] for event in run.events()]
+    assert events[:6] == ["session", "step", "step", "step", "step", "device_error"]
+    assert content(run) == content(measure("whole"))
+
+
+def test_a_laboratory_takes_fresh_darks_and_references(measure: Measure) -> None:
+    with pytest.raises(Interrupted):
+        measure("run", rig=Plugin(options={"repeatable": False}), progress=StopAfter(4))
+    run = measure("run", rig=Plugin(options={"repeatable": False}), resume=True)
+    taken = [(e["step"], e["kind"]) for e in run.events() if e["event"] == "step"]
+    assert taken[5:8] == [(9, "dark"), (10, "reference"), (5, "reference")]
+    assert len(taken) == 11
+    assert len(set(taken)) == 11
+
+
+def test_resuming_a_finished_run_does_nothing(measure: Measure) -> None:
+    before = (measure("run").path / "journal.jsonl").read_bytes()
+    assert (measure("run", resume=True).path / "journal.jsonl").read_bytes() == before
+
+
+def test_a_run_that_has_begun_needs_resume(measure: Measure) -> None:
+    before = (measure("run").path / "journal.jsonl").read_bytes()
+    with pytest.raises(ConfigError, match="--resume"):
+        measure("run")
+    assert (measure("run", resume=True).path / "journal.jsonl").read_bytes() == before
+
+
+@pytest.mark.parametrize("journal", [None, b"", b'{"n":0,"event":"ses'])
+@pytest.mark.parametrize("resume", [True, False])
+def test_without_a_whole_line_it_starts_anew(
+    measure: Measure, tmp_path: Path, journal: bytes | None, resume: bool
+) -> None:
+    out = tmp_path / "run"
+    (out / "frames").mkdir(parents=True)
+    (out / "frames" / "000000-dark-01.dng").write_bytes(b"half")
+    (out / "run.toml").write_text("half")
+    if journal is not None:
+        (out / "journal.jsonl").write_bytes(journal)
+    assert content(measure("run", resume=resume)) == content(measure("other"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"seed": 2}, "seed: 1 in the run, 2 now"),
+        ({"sample": SAMPLE.model_copy(update={"parameters": {"albedo": 0.6}})}, r"sample\.parameters\.albedo: 0\.5"),
+        ({"description": describe(reference=Reference(every=4, frames=2))}, r"rig\.reference\.every: 3 in the run, 4"),
+        ({"plan": "other"}, "plan: "),
+    ],
+    ids=["seed", "sample", "rig", "plan"],
+)
+def test_what_differs_is_named(
+    measure: Measure, plan: Plan, changes: dict[str, object], word: str, tmp_path: Path
+) -> None:
+    measure("run")
+    if "plan" in changes:
+        changes = {"plan": replace(plan, points=plan.points[:-1])}
+    before = (tmp_path / "run" / "journal.jsonl").read_bytes()
+    with pytest.raises(ConfigError, match=word):
+        measure("run", resume=True, **changes)
+    assert (tmp_path / "run" / "journal.jsonl").read_bytes() == before
+
+
+def test_nothing_is_left_of_a_run_that_cannot_be_made(
+    measure: Measure, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("gonio.run._sync_folder", full)
+    with pytest.raises(ConfigError, match="No space left"):
+        measure("deep/er/run")
+    assert not (tmp_path / "deep").exists()
+
+
+def test_a_folder_of_other_things_is_left_alone(measure: Measure, tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "holiday.jpg").write_bytes(b"x")
+    with pytest.raises(ConfigError, match=r"holiday\.jpg"):
+        measure("photos")
+    assert [p.name for p in (tmp_path / "photos").iterdir()] == ["holiday.jpg"]
+    (tmp_path / "file").write_text("x")
+    for out in ("file", "file/run"):
+        with pytest.raises(ConfigError, match="not a folder"):
+            measure(out)
+
+
+def test_no_device_is_opened_before_everything_is_checked(plan: Plan, tmp_path: Path) -> None:
+    rig = Plugin()
+    choice = RigChoice(rig, describe(), "numpy")
+    options = {"seed": 0, "resume": False, "confirm": False}
+    with pytest.raises(ConfigError, match="--sample"):
+        check(plan, choice, tmp_path / "run", sample=None, **options)  # type: ignore[arg-type]
+    check(plan, choice, tmp_path / "run", sample=SAMPLE, **options)  # type: ignore[arg-type]
+    assert all(not opened.inside and not opened.log for opened in rig.opened)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_full_disk_ends_the_run_and_it_can_go_on(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:
+    from gonio import acquire
+
+    write, count = acquire.write_dng, 0
+
+    def fills_up(frame: object, path: Path) -> None:
+        nonlocal count
+        count += 1
+        if count > 12:
+            raise OSError(28, "No space left on device")
+        write(frame, path)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(acquire, "write_dng", fills_up)
+    with pytest.raises(DataError, match="No space left"):
+        measure("run")
+    monkeypatch.undo()
+    assert content(measure("run", resume=True)) == content(measure("whole"))
+
+
+def test_a_camera_s_own_file_is_kept_as_it_is(
+    measure: Measure, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = tmp_path / "IMG_0001.CR2"
+    own.write_bytes(b"the camera's own bytes")
+    capture = Bench.capture
+    monkeypatch.setattr(Bench, "capture", lambda self, exposure_s: replace(capture(self, exposure_s), file=own))
+    run = measure("run")
+    assert run.steps()[0]["frames"][0]["file"] == "000000-dark-01.cr2"
+    assert run.frame_path("000000-dark-01.cr2").read_bytes() == own.read_bytes()
+    assert own.exists()
+
+
+def test_the_reference_s_table_travels_with_the_run(measure: Measure, tmp_path: Path) -> None:
+    table = tmp_path / "spectralon.csv"
+    table.write_text("theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,brdf\n")
+    rig = describe(reference=Reference(every=3, frames=2, table=str(table)))
+    with pytest.raises(Interrupted):
+        measure("run", description=rig, progress=StopAfter(3))
+    run = measure("run", description=rig, resume=True)
+    table.unlink()
+    stored = Run.open(run.path).description.reference.table
+    assert stored == str(run.path / "reference.csv")
+    assert Path(stored).exists()
+    with pytest.raises(ConfigError, match=r"spectralon\.csv"):
+        measure("other", description=rig)
+    assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "damage", "kind"),
+    [
+        ("run.toml", b"", DataError),
+        ("run.toml", b"[run]\n", DataError),
+        ("run.toml", b"\xff\xfe", DataError),
+        ("run.toml", None, ConfigError),
+        ("plan.csv", b"a,b\n1,2\n", DataError),
+        ("plan.csv", None, DataError),
+    ],
+)
+def test_a_damaged_run_is_said_to_be(measure: Measure, name: str, damage: bytes | None, kind: type[GonioError]) -> None:
+    path = measure("run").path
+    if damage is None:
+        (path / name).unlink()
+    else:
+        (path / name).write_bytes(damage)
+    with pytest.raises(kind, match=name):
+        _ = Run.open(path).plan
+
+
+def test_toml_comes_back() -> None:
+    import tomllib
+
+    values = {
+        "a": 1,
+        "b": {
+            "x.y": 'quo"te\n\x7f\\',
+            "list": [1.5, True, "ü"],
+            "deep": {"tables": [{"k": [1, 2]}, {"k": []}], "e": 1e-300},
+        },
+        "empty": {},
+    }
+    assert tomllib.loads(to_toml(values)) == values

@@ -1,0 +1,132 @@
+"""The journal: cut anywhere it loses at most its last line; damaged anywhere it says so."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from gonio.errors import ConfigError, DataError
+from gonio.journal import Journal, decode, encode, read_events
+
+EVENTS = [{"event": "step", "step": k, "pose": {"light": 0.1 * k}, "text": 'crc":"\n'} for k in range(4)]
+
+
+def written(path: Path, events: list[dict[str, object]] = EVENTS) -> bytes:
+    with Journal(path) as journal:
+        for event in events:
+            journal.append(event)
+    return path.read_bytes()
+
+
+def steps(events: list[dict[str, object]]) -> list[object]:
+    return [event["step"] for event in events]
+
+
+def test_lines_are_json_with_number_time_and_checksum(tmp_path: Path) -> None:
+    lines = written(tmp_path / "j").decode().splitlines()
+    assert [json.loads(line)["n"] for line in lines] == [0, 1, 2, 3]
+    assert all({"wall", "crc", "event"} <= set(json.loads(line)) for line in lines)
+
+
+@given(st.dictionaries(st.text(), st.floats(allow_nan=False, allow_infinity=False) | st.text() | st.none()))
+def test_numbers_and_text_come_back_exactly(values: dict[str, object]) -> None:
+    event = {"n": 7, "values": values}
+    assert decode(encode(event), 7) == event
+    assert decode(encode(event), 6) is None
+
+
+def test_cut_at_every_byte_it_keeps_the_whole_lines_and_goes_on(tmp_path: Path) -> None:
+    whole = written(tmp_path / "whole")
+    ends = [at + 1 for at, byte in enumerate(whole) if byte == ord("\n")]
+    path = tmp_path / "cut"
+    for length in range(len(whole) + 1):
+        path.write_bytes(whole[:length])
+        kept = sum(end <= length for end in ends)
+        assert steps(read_events(path)) == list(range(kept))
+        assert path.read_bytes() == whole[:length]  # reading changes nothing
+        with Journal(path) as journal:
+            assert journal.append({"event": "step", "step": 99})["n"] == kept
+        assert steps(read_events(path)) == [*range(kept), 99]
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_damage_before_the_last_line_is_an_error_that_names_the_line(tmp_path: Path, data: st.DataObject) -> None:
+    path = tmp_path / "j"
+    path.unlink(missing_ok=True)
+    whole = bytearray(written(path))
+    intact = bytes(whole)
+    last = whole.rindex(b"\n", 0, len(whole) - 1) + 1
+    at = data.draw(st.integers(0, last - 2))
+    whole[at] ^= data.draw(st.integers(1, 255))
+    path.write_bytes(whole)
+    number = intact.count(b"\n", 0, at) + 1
+    with pytest.raises(DataError, match=rf"line {number} is damaged"):
+        read_events(path)
+    with pytest.raises(DataError, match="damaged"):
+        Journal(path)
+    assert path.read_bytes() == whole
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.binary(max_size=300))
+def test_a_torn_tail_of_any_bytes_is_cut(tmp_path: Path, tail: bytes) -> None:
+    path = tmp_path / "j"
+    path.unlink(missing_ok=True)
+    whole = written(path)
+    path.write_bytes(whole + tail.replace(b"\n", b" "))
+    with Journal(path) as journal:
+        assert steps(journal.events) == [0, 1, 2, 3]
+    assert path.read_bytes() == whole
+
+
+def test_a_lost_or_repeated_line_is_damage(tmp_path: Path) -> None:
+    lines = written(tmp_path / "j").splitlines(keepends=True)
+    for wrong in ([lines[0], *lines[2:]], [lines[0], *lines]):
+        (tmp_path / "j").write_bytes(b"".join(wrong))
+        with pytest.raises(DataError, match="line 2"):
+            read_events(tmp_path / "j")
+
+
+def test_one_writer_at_a_time_across_processes(tmp_path: Path) -> None:
+    script = (
+        "import sys, pathlib; from gonio.journal import Journal; from gonio.errors import ConfigError\n"
+        "try: Journal(pathlib.Path(sys.argv[1]))\n"
+        "except ConfigError as error: print(error)\n"
+    )
+
+    def other() -> str:
+        return subprocess.run(
+            [sys.executable, "-c", script, str(tmp_path / "j")], capture_output=True, text=True, check=True, timeout=60
+        ).stdout
+
+    with Journal(tmp_path / "j"):
+        assert "another process" in other()
+    assert other() == ""
+
+
+def test_an_absent_journal_has_no_events(tmp_path: Path) -> None:
+    assert read_events(tmp_path / "none") == []
+    with pytest.raises(ConfigError, match="cannot be written"):
+        Journal(tmp_path / "no" / "folder")
+
+
+def test_a_full_disk_leaves_no_half_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "j"
+    before = written(path)
+
+    def full(handle: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    with Journal(path) as journal:
+        monkeypatch.setattr("os.fsync", full)
+        with pytest.raises(DataError, match="No space left"):
+            journal.append({"event": "step", "step": 4})
+        assert len(journal.events) == 4
+    assert path.read_bytes() == before
