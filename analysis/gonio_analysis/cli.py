@@ -1,0 +1,197 @@
+"""The commands `gonio demo`, `fit`, `compare` and `report`.
+
+Nothing heavy is imported before a command runs: `gonio --help` has to answer at once.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from gonio_analysis.families import Ior
+    from gonio_analysis.fit import FitResult
+
+IOR_HELP = "Optical constants: a material (Al) or n + ik (0.77+6.08j)."
+WAVELENGTH_HELP = "Wavelength [nm] of a table with several, or the effective one of a broad band."
+
+
+class Norm(str, Enum):
+    """What polar curves are divided by."""
+
+    mirror = "mirror"
+    max = "max"
+    model = "model"
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for everything that is made.")] = Path("gonio-demo"),
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer directions: done in seconds.")] = False,
+) -> None:
+    """Simulate, measure, reduce, fit, compare and report one sample; prints the report's path last."""
+    from gonio_analysis.demo import run_demo
+
+    print(run_demo(out, quick=quick))
+
+
+def fit(
+    table: Annotated[str, typer.Argument(metavar="TABLE", help="A table, a run, or FILE:SAMPLE.", show_default=False)],
+    model: Annotated[str, typer.Option(help="Which model: he-torrance, cook-torrance, ...", show_default=False)],
+    ior: Annotated[str | None, typer.Option(help=IOR_HELP, show_default=False)] = None,
+    fix: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=VALUE", help="Keep a parameter.", show_default=False)
+    ] = None,
+    free: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Fit one more parameter.", show_default=False)
+    ] = None,
+    slopes: Annotated[int, typer.Option(help="Slopes of Cook-Torrance's facets, 1 or 2.")] = 1,
+    wavelength_nm: Annotated[float | None, typer.Option(help=WAVELENGTH_HELP, show_default=False)] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+) -> None:
+    """Fit one model to a measurement, with the table's covariance and through the instrument's cones."""
+    import json
+
+    from gonio import measurement
+    from gonio.errors import ConfigError
+    from gonio_analysis import families
+    from gonio_analysis.fit import fit as run_fit
+
+    index = read_ior(ior)
+    kept = dict(read_fixed(text) for text in fix or [])
+    families.family(model, slopes=slopes, ior=index)
+    samples = measurement.tables(table)
+    if len(samples) > 1:
+        listed = "; ".join(samples)
+        raise ConfigError(f"{table} holds {len(samples)} samples: name one as {table}:SAMPLE, of: {listed}")
+    name, frame = next(iter(samples.items()))
+    result = run_fit(
+        frame, model, ior=index, fix=kept, free=free or (), slopes=slopes, wavelength_nm=wavelength_nm, name=str(table)
+    )
+    if as_json:
+        print(json.dumps({**result.to_json(), "sample": name, "table": table}, indent=1, ensure_ascii=False))
+    else:
+        _print(result, name)
+
+
+def compare(
+    measurements: Annotated[
+        list[str], typer.Argument(metavar="A [B ...]", help="Tables, runs, or FILE:SAMPLE.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option(help="Folder of the report.", show_default=False)],
+    models: Annotated[
+        str, typer.Option(help="Models to fit, with commas between.")
+    ] = "lambert,oren-nayar,cook-torrance,he-torrance",
+    normalise: Annotated[Norm, typer.Option(help="What polar curves are divided by.")] = Norm.mirror,
+    ior: Annotated[str | None, typer.Option(help=IOR_HELP, show_default=False)] = None,
+    wavelength_nm: Annotated[float | None, typer.Option(help=WAVELENGTH_HELP, show_default=False)] = None,
+) -> None:
+    """Fit several models to one or more measurements, and write a report."""
+    chosen = [m.strip() for m in models.split(",") if m.strip()]
+    print(_report(measurements, out, chosen, normalise, ior, wavelength_nm))
+
+
+def report(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a reduced run.", show_default=False)],
+    out: Annotated[Path | None, typer.Option(help="Folder of the report.", show_default="RUN/report")] = None,
+    models: Annotated[
+        str, typer.Option(help="Models to fit, with commas between.")
+    ] = "lambert,oren-nayar,cook-torrance,he-torrance",
+    normalise: Annotated[Norm, typer.Option(help="What polar curves are divided by.")] = Norm.mirror,
+    ior: Annotated[str | None, typer.Option(help=IOR_HELP, show_default=False)] = None,
+    wavelength_nm: Annotated[float | None, typer.Option(help=WAVELENGTH_HELP, show_default=False)] = None,
+) -> None:
+    """Write the report of one run."""
+    from gonio.errors import ConfigError
+
+    if not run.is_dir():
+        raise ConfigError(f"{run}: there is no such folder; gonio report takes a run (for a file: gonio compare)")
+    chosen = [m.strip() for m in models.split(",") if m.strip()]
+    print(_report([str(run)], out or run / "report", chosen, normalise, ior, wavelength_nm))
+
+
+def read_ior(text: str | None) -> Ior:
+    """Optical constants from a command line: a complex number, a material's name, or None.
+
+    Raises
+    ------
+    ConfigError
+        Neither a number nor a known material, or a number that no material has.
+    """
+    if text is None:
+        return None
+    from gonio import materials
+    from gonio.errors import ConfigError
+
+    try:
+        value = complex(text.replace(" ", "").replace("i", "j"))
+    except ValueError:
+        materials.ior(text)
+        return text
+    if not (0 < value.real < 1e4 and 0 <= value.imag < 1e4):
+        raise ConfigError(f"--ior {text}: n is above 0 and k at least 0 (n + ik absorbs with k > 0)")
+    return value
+
+
+def read_fixed(text: str) -> tuple[str, float | str]:
+    """NAME=VALUE from a command line; a value that is no number stays a word.
+
+    Raises
+    ------
+    ConfigError
+        There is no "=", or a side of it is empty, or the number is not finite.
+    """
+    import math
+
+    from gonio.errors import ConfigError
+
+    name, _, value = (part.strip() for part in text.partition("="))
+    if not name or not value:
+        raise ConfigError(f"--fix {text}: NAME=VALUE is needed, as in --fix tau_um=1.77")
+    try:
+        number = float(value)
+    except ValueError:
+        return name, value
+    if not math.isfinite(number):
+        raise ConfigError(f"--fix {text}: the value has to be finite")
+    return name, number
+
+
+def _report(
+    specs: list[str], out: Path, models: list[str], normalise: Norm, ior: str | None, wavelength_nm: float | None
+) -> Path:
+    from gonio.cli import console
+    from gonio.run import command_line
+    from gonio_analysis.compare import check_models
+    from gonio_analysis.report import make
+
+    check_models(models)
+    return make(
+        specs,
+        out,
+        models=models,
+        normalise=normalise.value,
+        ior=read_ior(ior),
+        wavelength_nm=wavelength_nm,
+        command=command_line(),
+        progress=console.note,
+    )
+
+
+def _print(result: FitResult, sample: str) -> None:
+    from gonio.cli import console
+    from gonio_analysis.report.text import number, with_u
+
+    at = f" at {result.wavelength_nm:g} nm" if result.wavelength_nm == result.wavelength_nm else ""
+    rows = console.table("parameter", "value", "", title=f"{result.name} on {sample}: {len(result.data)} values{at}")
+    for name, e in [*result.parameters.items(), *result.derived.items()]:
+        kind = "derived" if name in result.derived else "fixed" if e.fixed else "fitted"
+        value = e.material if e.material is not None else with_u(e.value, 0.0 if e.fixed else e.u)
+        rows.add_row(name, f"{value} {e.unit}".strip(), kind + (f", at its {e.at_bound} bound" if e.at_bound else ""))
+    chi = result.reduced_chi_square
+    verdict = f"reduced chi-square {number(chi)}: {result.verdict}" if chi is not None else result.verdict
+    console.show(rows, verdict)
+    for text in result.notes:
+        console.note(text)

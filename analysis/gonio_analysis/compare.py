@@ -1,0 +1,292 @@
+"""Several models on several measurements: what a comparison report is made from.
+
+Everything that a report shows is computed here; `gonio_analysis.report` only draws and prints it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gonio.errors import ConfigError, DataError
+from gonio_analysis import families
+from gonio_analysis.families import Ior
+from gonio_analysis.fit import FitResult, fit
+from gonio_analysis.metrics import metrics
+from gonio_analysis.observations import Observations, observations
+from gonio_analysis.planes import Curve, Norm, Normalise, curves, norm, selection
+from gonio_analysis.polar import Line
+from gonio_analysis.uncertainty import Floats
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+DEFAULT_MODELS = ("lambert", "oren-nayar", "cook-torrance", "he-torrance")
+MOST_WAVELENGTHS = 40
+"""Parameters are tabulated over the wavelengths of a table that has at most this many."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One in-plane curve with one model, ready to be drawn."""
+
+    curve: Curve
+    norm: Norm
+    label: str
+    theory_angle: Floats
+    theory: Floats
+    """[1/sr], as the instrument would see it."""
+    residual: Floats
+
+    def absolute(self) -> Line:
+        """In 1/sr."""
+        c = self.curve
+        return Line(self.label, self.theory_angle, self.theory, c.angle, c.brdf, c.u, c.parameter, self.residual)
+
+    def normalised(self) -> Line:
+        """Theory and measurement divided by what `norm` says."""
+        c, n = self.curve, self.norm
+        return Line(
+            self.label,
+            self.theory_angle,
+            self.theory / n.theory,
+            c.angle,
+            c.brdf / n.measured,
+            c.u / n.measured,
+            c.parameter,
+            self.residual,
+        )
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One model on one measurement."""
+
+    fit: FitResult
+    metrics: dict[str, float | None]
+    drawn: list[Drawn]
+    series: list[FitResult] = field(default_factory=list)
+    """Fits at every wavelength of the table, where it has several."""
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """One measured sample with every model that was fitted to it."""
+
+    name: str
+    source: str
+    table: pd.DataFrame
+    data: Observations
+    """At the wavelength of the report."""
+    wavelengths: list[float]
+    wavelength_nm: float
+    curves: list[Curve]
+    """The in-plane curves that are drawn."""
+    curves_known: int
+    """How many in-plane curves the data have."""
+    fitted: dict[str, Fitted]
+    skipped: dict[str, str]
+    """Model -> why it was not fitted."""
+    run: dict[str, Any] | None = None
+    """What the run's own record says, for a table that a run made."""
+
+
+def examine(
+    table: pd.DataFrame,
+    models: Sequence[str],
+    *,
+    name: str,
+    source: str = "",
+    normalise: Normalise = "mirror",
+    ior: Ior = None,
+    wavelength_nm: float | None = None,
+    run: dict[str, Any] | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Dataset:
+    """Fit every model to one sample and prepare its curves.
+
+    Parameters
+    ----------
+    table
+        A measurement table of one sample.
+    models
+        Names on the command line.
+    normalise
+        What polar curves are divided by; see `gonio_analysis.planes.norm`.
+    ior
+        Optical constants n + ik or a material, for the models that have any.
+    wavelength_nm
+        The nearest wavelength of the table is reported (550 nm if none is given); in a broad band, the effective
+        wavelength of the models that need one, which are left out without it.
+    progress
+        Called with a line before each fit.
+
+    Raises
+    ------
+    DataError
+        No usable value, or too few for every one of the models.
+    """
+    data = observations(table, name)
+    known = data.wavelengths
+    at, wavelength = data.nearest(wavelength_nm)
+    found = curves(at)
+    shown = selection(found)
+    fitted: dict[str, Fitted] = {}
+    skipped: dict[str, str] = {}
+    for model in models:
+        progress(f"{name}: fitting {model} to {len(at)} values")
+        try:
+            result = fit(
+                data, model, ior=ior if families.needs_ior(model) else None, wavelength_nm=wavelength_nm, name=name
+            )
+        except DataError as error:
+            skipped[model] = str(error)
+            continue
+        except ConfigError as error:
+            if not math.isnan(wavelength):
+                raise
+            skipped[model] = str(error)
+            continue
+        fitted[model] = _fitted(result, shown, normalise, _series(result, data, known, ior, name))
+    if not fitted:
+        raise DataError(f"{name}: no model could be fitted. " + " ".join(dict.fromkeys(skipped.values())))
+    return Dataset(name, source, table, at, known, wavelength, shown, len(found), fitted, skipped, run)
+
+
+def check_models(models: Sequence[str]) -> None:
+    """Raise `ConfigError` for a name that no fit knows, before anything is read."""
+    if not models:
+        raise ConfigError(f"--models names no model; known: {', '.join(families.FAMILIES)}")
+    for model in models:
+        families.family(model)
+    twice = {m for m in models if list(models).count(m) > 1}
+    if twice:
+        raise ConfigError(f"--models names {', '.join(sorted(twice))} twice")
+
+
+def _fitted(result: FitResult, shown: list[Curve], normalise: Normalise, series: list[FitResult]) -> Fitted:
+    data = result.data
+    stated = data.covariance is not None
+    numbers = metrics(
+        result.predicted,
+        data.brdf,
+        np.cos(data.theta_i),
+        data.u if stated else None,
+        result.whitened if stated else None,
+    )
+    twins = len({c.label for c in shown}) < len(shown)
+    drawn = []
+    for curve in shown:
+        angle = _theory_angles(curve, data)
+        residual = result.whitened[curve.rows] if stated else result.predicted[curve.rows] / curve.brdf - 1.0
+        drawn.append(
+            Drawn(
+                curve=curve,
+                norm=norm(curve, normalise, result.model, data),
+                label=curve.label + (f", φi = {np.degrees(curve.phi_i):.0f}°" if twins else ""),
+                theory_angle=angle,
+                theory=curve.theory(result.model, angle, data),
+                residual=residual,
+            )
+        )
+    return Fitted(result, numbers, drawn, series)
+
+
+def _series(result: FitResult, data: Observations, known: list[float], ior: Ior, name: str) -> list[FitResult]:
+    """The same fit at every wavelength, each started from its neighbour's solution."""
+    waves = [w for w in known if not math.isnan(w)]
+    if not 1 < len(waves) <= MOST_WAVELENGTHS:
+        return []
+    middle = waves.index(result.wavelength_nm)
+    out = {middle: result}
+    for k in [*range(middle + 1, len(waves)), *range(middle - 1, -1, -1)]:
+        near = out.get(k - 1 if k > middle else k + 1, result)
+        start = {n: e.value for n, e in near.parameters.items() if e.value is not None}
+        try:
+            out[k] = fit(
+                data.at(waves[k]),
+                result.name,
+                ior=ior if families.needs_ior(result.name) else None,
+                start=start,
+                name=f"{name} at {waves[k]:g} nm",
+            )
+        except DataError:
+            continue  # too few usable values at this wavelength: the series has a gap there
+    return [out[k] for k in sorted(out)]
+
+
+def _theory_angles(curve: Curve, data: Observations) -> Floats:
+    """Signed angles [rad] from -90 to 90 degrees, dense where the instrument resolves a spike, the measured ones included."""
+    from gonio import geometry
+
+    cones = geometry.half_angle_of_cone([data.source_solid_angle_sr, data.receiver_solid_angle_sr])
+    width = float(np.sum(cones))
+    even = np.radians(np.arange(-89.5, 89.51, 1.0))
+    near = curve.parameter + np.radians(np.arange(-8.0, 8.01, 0.25))
+    spike = curve.parameter + 1.5 * width * np.linspace(-1, 1, 61) if width > 0 else np.empty(0)
+    end = np.radians([-89.9, 89.9])
+    angle = np.unique(np.concatenate([even, near, spike, end, [curve.parameter], curve.angle]))
+    return np.asarray(angle[np.abs(angle) < np.radians(89.95)])
+
+
+def run_facts(path: Path) -> dict[str, Any] | None:
+    """What a RUN folder's record says of how its table was made; None for a path that is no run."""
+    folder = path if path.is_dir() else path.parent
+    if path.is_file() and path.name != "brdf.csv":
+        return None
+    if not (folder / "run.toml").is_file():
+        return None
+    from gonio.run import Run
+
+    run = Run.open(folder)
+    settings = run.settings
+    plan = run.plan
+    cannot = plan["flag"].astype(str)
+    rig = settings.rig
+    return {
+        "folder": str(folder),
+        "plan": settings.run.plan,
+        "plan_sha256": settings.run.plan_sha256,
+        "points": len(plan),
+        "points_not_reachable": {str(k): int(v) for k, v in cannot[cannot != ""].value_counts().items()},
+        "created": settings.run.created,
+        "command": settings.run.command,
+        "rig": rig.name,
+        "driver": settings.run.rig,
+        "seed": settings.run.seed,
+        "bands": list(settings.run.bands),
+        "steps": len(run.steps()),
+        "versions": dict(settings.versions),
+        "lamp_half_angle_deg": rig.lamp.half_angle_deg,
+        "lens_half_angle_deg": rig.camera.lens_half_angle_deg,
+        "reference": f"{rig.reference.how}; u = {100 * rig.reference.u_rel:g} %",
+        "sample": None
+        if settings.sample is None
+        else {
+            "name": settings.sample.name,
+            "model": settings.sample.model,
+            "parameters": dict(settings.sample.parameters),
+        },
+    }
+
+
+def budget(data: Observations) -> list[tuple[str, float, float]]:
+    """Uncertainty by cause: (cause, median, 95th percentile) of |u / value|, the combined one first.
+
+    Values within 3 u of zero are left out: relative to them nothing means anything. Empty where nothing is stated.
+    """
+    if data.covariance is None:
+        return []
+    c = data.covariance
+    use = np.abs(data.brdf) > 3 * data.u
+    if not use.any():
+        return []
+    size = np.abs(data.brdf[use])
+    parts = [("combined", c.total[use]), ("random (independent)", c.random[use])]
+    parts += [(cause.replace("_", " "), np.abs(c.common[use, k])) for k, cause in enumerate(c.causes)]
+    return [(label, float(np.median(p / size)), float(np.quantile(p / size, 0.95))) for label, p in parts]

@@ -1,0 +1,131 @@
+"""`gonio demo`: the whole line on one simulated sample, each step a file that can be run again."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import time
+from pathlib import Path
+
+from gonio.errors import ConfigError
+
+SEED = 1
+
+SAMPLE = """\
+# The roughened aluminium of He, Torrance, Sillion and Greenberg (1991), Fig. 8.
+name = "rough aluminium"
+model = "he-torrance"
+[parameters]
+sigma0_um = 0.28
+tau_um = 1.77
+ior = "Al"
+"""
+
+PLAN = """\
+# In the plane of incidence: theta_r is signed, positive on the mirror side.
+name = "aluminium at 500 nm"
+wavelength_nm = [500]
+[[sweep]]
+theta_i_deg = [10, 30, 45, 60, 75]
+theta_r_deg = { start = -80, stop = 85, step = 2.5 }
+"""
+
+QUICK_PLAN = """\
+# In the plane of incidence: theta_r is signed, positive on the mirror side.
+name = "aluminium at 500 nm, quickly"
+wavelength_nm = [500]
+[[sweep]]
+theta_i_deg = [10, 45, 75]
+theta_r_deg = { start = -75, stop = 85, step = 5 }
+"""
+
+MODELS = ("lambert", "oren-nayar", "cook-torrance", "he-torrance")
+QUICK_MODELS = ("lambert", "cook-torrance", "he-torrance")
+OURS = ("sample.toml", "plan.toml", "run")
+
+
+def run_demo(out: Path, *, quick: bool) -> Path:
+    """Measure, reduce, fit, compare and report a simulated aluminium sample.
+
+    Parameters
+    ----------
+    out
+        Folder for the sample file, the plan and the run; an earlier demo in it is replaced.
+    quick
+        Fewer directions and models.
+
+    Returns
+    -------
+    Path
+        Of the report's `index.html`.
+
+    Raises
+    ------
+    ConfigError
+        The folder holds something else, or cannot be written.
+    """
+    from gonio import measurement, radiometry
+    from gonio.bench import carry_out, find_rig, load_sample
+    from gonio.cli import console
+    from gonio.plan import load_plan
+    from gonio.run import check_writable
+    from gonio_analysis.fit import fit
+    from gonio_analysis.report import make
+    from gonio_analysis.report.text import with_u
+
+    began = time.perf_counter()
+    _clear(out)
+    check_writable(out)
+    out.mkdir(parents=True, exist_ok=True)
+    sample, plan, run = out / "sample.toml", out / "plan.toml", out / "run"
+    sample.write_text(SAMPLE, encoding="utf-8")
+    plan.write_text(QUICK_PLAN if quick else PLAN, encoding="utf-8")
+
+    command = f"gonio measure {plan} --rig sim --sample {sample} --seed {SEED} --out {run}"
+    _say(command)
+    with console.progress() as progress:
+        made = carry_out(
+            load_plan(plan),
+            find_rig("sim"),
+            run,
+            sample=load_sample(sample),
+            seed=SEED,
+            command=command,
+            progress=progress,
+        )
+    _say(f"gonio reduce {run}")
+    table = radiometry.reduce(made)
+    measurement.write(table, run / "brdf.csv")
+
+    _say(f"gonio fit {run / 'brdf.csv'} --model he-torrance --ior Al")
+    result = fit(measurement.read(run / "brdf.csv"), "he-torrance", ior="Al")
+    for name, true in (("sigma0_um", 0.28), ("tau_um", 1.77)):
+        e = result.parameters[name]
+        _say(f"  {name} = {with_u(e.value, e.u)} (the sample has {true})", step=False)
+
+    models = QUICK_MODELS if quick else MODELS
+    command = f"gonio report {run} --ior Al --models {','.join(models)}"
+    _say(command)
+    page = make([str(run)], run / "report", models=models, ior="Al", command=command, progress=console.note)
+    _say(f"done in {time.perf_counter() - began:.0f} s; open the report in a browser:", step=False)
+    return page
+
+
+def _clear(out: Path) -> None:
+    """Take an earlier demo away; refuse anything else."""
+    if out.exists() and not out.is_dir():
+        raise ConfigError(f"{out}: is a file; --out names a folder")
+    if not out.is_dir():
+        return
+    entries = sorted(entry.name for entry in out.iterdir())
+    if not entries:
+        return
+    foreign = [name for name in entries if name not in OURS]
+    if foreign or not (out / "sample.toml").is_file() or (out / "sample.toml").read_text(encoding="utf-8") != SAMPLE:
+        what = foreign[0] if foreign else "another sample.toml"
+        raise ConfigError(f"{out}: is not empty and holds {what}; name another folder with --out")
+    shutil.rmtree(out / "run", ignore_errors=True)
+
+
+def _say(text: str, *, step: bool = True) -> None:
+    print(f"$ {text}" if step else text, file=sys.stderr, flush=True)

@@ -1,0 +1,165 @@
+"""What a fit or a plot uses of a measurement table: the rows that count, as arrays in radians, with their covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.errors import ArgumentError, DataError
+from gonio_analysis.uncertainty import Covariance, Floats
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+DEFAULT_WAVELENGTH_NM = 550.0
+SAME_BAND_NM = 1e-6
+
+
+@dataclass(frozen=True)
+class Observations:
+    """The usable values of one sample, in the order of the table.
+
+    Angles are radians; `brdf` and everything of `covariance` are 1/sr. `wavelength_nm` is NaN in a broad band.
+    `covariance` is None where the table states no uncertainty.
+    """
+
+    theta_i: Floats
+    phi_i: Floats
+    theta_r: Floats
+    phi_r: Floats
+    wavelength_nm: Floats
+    brdf: Floats
+    covariance: Covariance | None
+    rows: npt.NDArray[np.intp]
+    """Row of the table that each value comes from."""
+    source_solid_angle_sr: float = 0.0
+    receiver_solid_angle_sr: float = 0.0
+    omitted: Mapping[str, Floats] = field(default_factory=dict)
+    """Why rows of the table are not here -> the wavelengths [nm] of those rows."""
+    notes: tuple[str, ...] = ()
+    """Sentences for a person about what was assumed."""
+
+    def __len__(self) -> int:
+        return int(self.brdf.size)
+
+    @property
+    def left_out(self) -> dict[str, int]:
+        """Why rows of the table are not here, and how many."""
+        return {reason: int(waves.size) for reason, waves in self.omitted.items() if waves.size}
+
+    @property
+    def u(self) -> Floats:
+        """Combined standard uncertainty [1/sr]; NaN where the table states none."""
+        return self.covariance.total if self.covariance is not None else np.full(len(self), np.nan)
+
+    @property
+    def wavelengths(self) -> list[float]:
+        """The wavelengths [nm] that occur, ascending; NaN (last) stands for a broad band."""
+        return [float(w) for w in np.unique(self.wavelength_nm)]
+
+    def take(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> Observations:
+        """Some of the values."""
+        arrays = ("theta_i", "phi_i", "theta_r", "phi_r", "wavelength_nm", "brdf", "rows")
+        covariance = self.covariance.take(rows) if self.covariance is not None else None
+        return replace(self, covariance=covariance, **{name: getattr(self, name)[rows] for name in arrays})
+
+    def at(self, wavelength_nm: float) -> Observations:
+        """The values at one of `wavelengths` (NaN: the broad band)."""
+
+        def here(waves: Floats) -> npt.NDArray[np.bool_]:
+            return np.isnan(waves) if np.isnan(wavelength_nm) else np.abs(waves - wavelength_nm) <= SAME_BAND_NM
+
+        omitted = {reason: waves[here(waves)] for reason, waves in self.omitted.items()}
+        return replace(self.take(here(self.wavelength_nm)), omitted=omitted)
+
+    def nearest(self, wavelength_nm: float | None) -> tuple[Observations, float]:
+        """The values at the wavelength nearest to the one asked for (550 nm if none is), and that wavelength [nm]."""
+        known = [w for w in self.wavelengths if not np.isnan(w)]
+        if not known:
+            return self, float("nan")
+        goal = DEFAULT_WAVELENGTH_NM if wavelength_nm is None else wavelength_nm
+        chosen = min(known, key=lambda w: abs(w - goal))
+        return self.at(chosen), chosen
+
+
+def observations(table: pd.DataFrame, name: str = "the table") -> Observations:
+    """The usable rows of a measurement table.
+
+    Left out, and counted by reason: flagged rows, polarised rows, values that are not finite, directions at or below
+    the horizon, and rows without an uncertainty in a table that states one elsewhere.
+
+    Parameters
+    ----------
+    table
+        A measurement table of one sample (`gonio.measurement`).
+    name
+        What messages call it.
+
+    Raises
+    ------
+    DataError
+        Not one row is usable; the message says why.
+    """
+    from gonio import measurement
+
+    angles = {c: np.radians(table[f"{c}_deg"].to_numpy(np.float64)) for c in ("theta_i", "phi_i", "theta_r", "phi_r")}
+    brdf = table["brdf"].to_numpy(np.float64)
+    flags = table["flag"].fillna("").astype(str).to_numpy()
+    why = np.where(flags == "", "", np.char.add("flagged ", flags.astype(str))).astype(object)
+    why[(why == "") & (table["polarisation"] != "unpolarised").to_numpy()] = "polarised"
+    why[(why == "") & ~np.isfinite(brdf)] = "without a value"
+    horizon = (angles["theta_i"] >= np.pi / 2 - 1e-9) | (angles["theta_r"] >= np.pi / 2 - 1e-9)
+    why[(why == "") & horizon] = "at the horizon"
+
+    random, common, causes = measurement.uncertainty(table)
+    common = np.where(np.isfinite(common), common, 0.0)
+    total = np.sqrt(random**2 + (common**2).sum(axis=1))
+    stated = np.isfinite(total) & (total > 0)
+    notes: list[str] = []
+    if stated[why == ""].any():
+        why[(why == "") & ~stated] = "without an uncertainty"
+    keep = np.flatnonzero(why == "")
+    wavelength = table["wavelength_nm"].to_numpy(np.float64)
+    omitted = {str(reason): wavelength[why == reason] for reason in sorted(set(why) - {""})}
+    if not keep.size:
+        counts = describe_left_out({reason: waves.size for reason, waves in omitted.items()})
+        raise DataError(f"{name}: none of its {len(table)} rows can be used: {counts or 'it is empty'}")
+
+    covariance = None
+    if stated[keep].any():
+        # A value whose independent part is 0 (an ideal rig) would have infinite weight.
+        floor = 1e-6 * total[keep]
+        covariance = Covariance(np.maximum(random[keep], floor), common[keep], tuple(causes))
+    else:
+        notes.append("The table states no uncertainties.")
+    cones = [_solid_angle(table.attrs, key, notes) for key in ("source", "receiver")]
+    return Observations(
+        **{key: value[keep] for key, value in angles.items()},
+        wavelength_nm=wavelength[keep],
+        brdf=brdf[keep],
+        covariance=covariance,
+        rows=keep,
+        source_solid_angle_sr=cones[0],
+        receiver_solid_angle_sr=cones[1],
+        omitted=omitted,
+        notes=tuple(notes),
+    )
+
+
+def describe_left_out(left_out: Mapping[str, int]) -> str:
+    """As in "12 flagged blocked, 3 polarised"."""
+    return ", ".join(f"{count} {reason}" for reason, count in left_out.items())
+
+
+def _solid_angle(attrs: dict[Any, Any], which: str, notes: list[str]) -> float:
+    value = attrs.get(f"{which}_solid_angle_sr")
+    if value is None or not np.isfinite(float(value)):
+        notes.append(f"The solid angle of the {which} is unknown: models are evaluated for a single direction there.")
+        return 0.0
+    if float(value) < 0:
+        raise ArgumentError(f"{which}_solid_angle_sr = {value}: a solid angle is not negative")
+    return float(value)

@@ -1,0 +1,208 @@
+"""Curves in the plane of incidence, and what each is normalised by.
+
+A direction counts as in plane where it lies within `IN_PLANE` of the plane of incidence (the angle between the direction
+and that plane, not an azimuth: near the normal a large azimuth is a small angle). The running angle is signed: negative
+on the retro side, positive on the mirror side.
+
+Usually the detector moves and theta_i is the curve's parameter. Where an instrument holds the detector still and moves
+the source, a curve is what that instrument scanned: its parameter is theta_r, and the source's angle runs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio import geometry
+from gonio_analysis.forward import NO_WAVELENGTH_NM, seen
+from gonio_analysis.observations import Observations
+from gonio_analysis.uncertainty import Floats
+
+Rows = npt.NDArray[np.intp]
+Scanned = Literal["theta_r", "theta_i"]
+Normalise = Literal["mirror", "max", "model"]
+
+IN_PLANE = float(np.radians(1.5))
+"""Largest angle out of the plane of incidence [rad]."""
+SAME_ANGLE = float(np.radians(0.4))
+"""Directions closer than this belong to one curve [rad]: encoders land a little beside their goal."""
+AT_MIRROR = float(np.radians(0.6))
+"""A value counts as measured in the mirror direction within this angle [rad]."""
+MOST_CURVES = 6
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Values in the plane of incidence, by ascending signed angle."""
+
+    scanned: Scanned
+    parameter: float
+    """Mean polar angle of the direction that stands still [rad]."""
+    phi_i: float
+    """Mean azimuth of incidence [rad]."""
+    angle: Floats
+    """Signed angle of the direction that moves [rad]."""
+    rows: Rows
+    """Which of the observations these are."""
+    brdf: Floats
+    u: Floats
+    """Combined standard uncertainties [1/sr], NaN where none are stated."""
+    out_of_plane: float
+    """Largest angle of a value out of the plane of incidence [rad]."""
+
+    @property
+    def label(self) -> str:
+        """As in "θi = 30°"."""
+        return f"{'θi' if self.scanned == 'theta_r' else 'θr'} = {np.degrees(self.parameter):.4g}°".replace(
+            "= -0°", "= 0°"
+        )
+
+    @property
+    def mirror(self) -> int | None:
+        """Index of the value in the mirror direction; None where that was not measured, or is not positive."""
+        k = int(np.argmin(np.abs(self.angle - self.parameter)))
+        return k if abs(self.angle[k] - self.parameter) <= AT_MIRROR and self.brdf[k] > 0 else None
+
+    def theory(self, model: Any, angle: Floats, data: Observations) -> Floats:
+        """The model through the instrument at signed angles [rad] along this curve [1/sr]."""
+        wavelength = data.wavelengths[0]
+        still = np.full(angle.shape, self.parameter)
+        phi_i = np.where((angle < 0) & (self.scanned == "theta_i"), self.phi_i + np.pi, self.phi_i)
+        phi_r = np.where((angle < 0) & (self.scanned == "theta_r"), self.phi_i, self.phi_i + np.pi)
+        theta_i, theta_r = (still, np.abs(angle)) if self.scanned == "theta_r" else (np.abs(angle), still)
+        return seen(
+            model,
+            theta_i,
+            geometry.wrap(phi_i),
+            theta_r,
+            geometry.wrap(phi_r),
+            wavelength_nm=NO_WAVELENGTH_NM if np.isnan(wavelength) else wavelength,
+            cones=(data.source_solid_angle_sr, data.receiver_solid_angle_sr),
+        )
+
+
+@dataclass(frozen=True)
+class Norm:
+    """What a curve is divided by."""
+
+    kind: Normalise
+    measured: float
+    """[1/sr], for the measured values."""
+    theory: float
+    """[1/sr], for the theory."""
+    angle: float
+    """Signed angle [rad] that these values belong to."""
+
+
+NORM_WORDS = {
+    "mirror": "its value in the mirror direction (He et al. 1991, eq. 11)",
+    "max": "its largest in-plane value",
+    "model": "the fitted model's value in the mirror direction",
+}
+
+
+def curves(data: Observations) -> list[Curve]:
+    """The in-plane curves of observations at one wavelength, by their parameter; at least two values each."""
+    dphi = data.phi_r - data.phi_i
+    side = np.abs(np.arcsin(np.clip(np.sin(data.theta_r) * np.sin(dphi), -1, 1)))
+    inside = np.flatnonzero((side <= IN_PLANE) | (data.theta_i < SAME_ANGLE))
+    by_incidence = _groups(data.theta_i, data.phi_i, inside)
+    by_view = _groups(data.theta_r, data.phi_r, inside)
+    if len(by_view) * 3 <= len(by_incidence):  # the source was moved, in steps finer than the detector's
+        return _curves(data, by_view, "theta_i", side)
+    return _curves(data, by_incidence, "theta_r", side)
+
+
+def _curves(data: Observations, groups: list[Rows], scanned: Scanned, side: Floats) -> list[Curve]:
+    still, moving = (data.theta_i, data.theta_r) if scanned == "theta_r" else (data.theta_r, data.theta_i)
+    u = data.u
+    out = []
+    for group in groups:
+        at_normal = bool(data.theta_i[group].max() < SAME_ANGLE)
+        # at normal incidence the azimuth of the source means nothing: one azimuth of the table is taken for all
+        phi_i = _mean_azimuth(data.phi_i[group]) if scanned == "theta_r" else _mean_azimuth(data.phi_r[group]) + np.pi
+        reference = phi_i if at_normal else data.phi_i[group]
+        angle = geometry.in_plane_angle(moving[group], data.phi_r[group] - reference)
+        flat = np.abs(np.sin(data.theta_r[group]) * np.sin(data.phi_r[group] - reference)) <= np.sin(IN_PLANE)
+        group, angle = group[flat], angle[flat]
+        order = np.argsort(angle, kind="stable")
+        if order.size < 2:
+            continue
+        rows = group[order]
+        out.append(
+            Curve(
+                scanned=scanned,
+                parameter=float(still[rows].mean()),
+                phi_i=float(geometry.wrap(phi_i)),
+                angle=angle[order],
+                rows=rows,
+                brdf=data.brdf[rows],
+                u=u[rows],
+                out_of_plane=0.0 if at_normal else float(side[rows].max()),
+            )
+        )
+    return sorted(out, key=lambda c: (round(np.degrees(c.parameter), 1), c.phi_i))
+
+
+def _groups(theta: Floats, phi: Floats, rows: Rows) -> list[Rows]:
+    """Rows of one direction each: chains of nearly equal polar angle, split where azimuths differ by more than 1 degree."""
+    groups: list[Rows] = []
+    if not rows.size:
+        return groups
+    order = rows[np.argsort(theta[rows], kind="stable")]
+    for chain in np.split(order, np.flatnonzero(np.diff(theta[order]) > SAME_ANGLE) + 1):
+        if theta[chain].max() < SAME_ANGLE:
+            groups.append(chain)
+            continue
+        turn = np.exp(1j * phi[chain])
+        while chain.size:
+            near = np.abs(turn - turn[0]) <= np.radians(2.0)
+            groups.append(chain[near])
+            chain, turn = chain[~near], turn[~near]
+    return groups
+
+
+def _mean_azimuth(phi: Floats) -> float:
+    return float(geometry.wrap(np.arctan2(np.sin(phi).mean(), np.cos(phi).mean())))
+
+
+def selection(all_curves: list[Curve], most: int = MOST_CURVES) -> list[Curve]:
+    """At most `most` curves for one figure: those with a measured mirror direction and many values first, spread evenly."""
+    if len(all_curves) <= most:
+        return all_curves
+    enough = max(c.angle.size for c in all_curves) / 2
+    good = [c for c in all_curves if c.mirror is not None and c.angle.size >= enough]
+    pool = good if len(good) >= min(most, 3) else all_curves
+    picks = np.unique(np.round(np.linspace(0, len(pool) - 1, min(most, len(pool)))).astype(int))
+    return [pool[k] for k in picks]
+
+
+def norm(curve: Curve, kind: Normalise, model: Any, data: Observations) -> Norm:
+    """What to divide a measured curve and its theory by.
+
+    Parameters
+    ----------
+    kind
+        "mirror": each by its own value in the measured direction nearest the mirror, and where that was not measured by
+        its own value at the largest in-plane measurement; "max": the latter for all curves; "model": both by the
+        fitted model in the mirror direction.
+    """
+
+    def of_model(angle: float) -> float:
+        return float(curve.theory(model, np.array([angle]), data)[0])
+
+    k = curve.mirror
+    if kind == "model":
+        value = of_model(curve.parameter)
+        if np.isfinite(value) and value > 0:
+            return Norm("model", value, value, curve.parameter)
+    chosen = k if kind == "mirror" and k is not None else int(np.argmax(curve.brdf))
+    angle = float(curve.angle[chosen])
+    measured = float(curve.brdf[chosen])
+    value = of_model(angle)
+    safe = measured if measured > 0 else 1.0
+    found: Normalise = "mirror" if chosen == k and kind == "mirror" else "max"
+    return Norm(found, safe, value if np.isfinite(value) and value > 0 else safe, angle)

@@ -1,0 +1,326 @@
+"""Plots of BRDFs in the plane of incidence: each draws on the `ax` that it is given and returns its artists.
+
+Nothing here shows a window, makes a figure or touches matplotlib's settings. Theory is solid and measurement dashed with
+error bars, as in He et al. 1991; colours are those of Okabe and Ito, and each curve has a marker of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gonio_analysis.uncertainty import Floats
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#B8860B", "#56B4E9")
+MARKERS = ("o", "s", "^", "D", "v", "P")
+INK, FAINT = "#222222", "#c9ced6"
+
+
+@dataclass(frozen=True)
+class Line:
+    """One curve of a plot: theory, measurement, or both, in the unit of the plot.
+
+    Angles are signed and in radians (negative: retro side), values ascending in angle.
+    """
+
+    label: str
+    theory_angle: Floats
+    theory: Floats
+    angle: Floats
+    measured: Floats
+    u: Floats
+    """Standard uncertainties, NaN for none."""
+    mirror: float | None = None
+    """Angle of the mirror direction."""
+    residual: Floats | None = None
+
+
+def style(k: int) -> dict[str, Any]:
+    """Colour and marker of curve number `k`."""
+    return {"color": COLOURS[k % len(COLOURS)], "marker": MARKERS[k % len(MARKERS)]}
+
+
+def radius_of(lines: Sequence[Line], most: float = 2.5) -> float:
+    """A round radius that shows every curve whole, unless one is larger than `most`: that one is cut at the rim."""
+    tops = [max(_top(x.theory), _top(x.measured)) for x in lines]
+    shown = [t for t in tops if t <= most]
+    return _round_up(max([1.0, *shown]) if len(shown) == len(tops) else max([1.2, *shown]))
+
+
+def polar(ax: Any, lines: Sequence[Line], *, radius: float | None = None, radius_label: str = "") -> list[Any]:
+    """Half-disc from -90 (left, retro side) to 90 degrees (right, mirror side), the radius labelled along the base.
+
+    Parameters
+    ----------
+    ax
+        Cartesian axes; their frame is taken away.
+    lines
+        The curves, in the unit of the radius.
+    radius
+        Of the rim; `radius_of(lines)` if it is not given. What lies beyond it is cut, with a note at the rim.
+    radius_label
+        What the radius is, with its unit; below the base.
+
+    Returns
+    -------
+    list of artists
+        Of each curve: the theory line, the measurement line, the error bars and the notes at the rim.
+    """
+    from matplotlib.patches import Wedge
+
+    rim = radius_of(lines) if radius is None else radius
+    _half_disc(ax, rim, radius_label)
+    clip = Wedge((0, 0), rim, 0, 180, transform=ax.transData)
+    artists: list[Any] = []
+    for k, line in enumerate(lines):
+        look = style(k)
+        notes: list[str] = []
+        if line.theory.size:
+            artists += ax.plot(
+                *_xy(line.theory_angle, line.theory), color=look["color"], lw=1.5, label=line.label, zorder=3
+            )
+            artists[-1].set_clip_path(clip)
+            if _top(line.theory) > rim * 1.001:
+                notes.append(f"theory to {_top(line.theory):.3g}")
+        if line.measured.size:
+            shown = np.maximum(line.measured, 0.0)
+            x, y = _xy(line.angle, shown)
+            inside = shown <= rim * 1.0001
+            artists += ax.plot(x, y, color=look["color"], lw=0.9, ls=(0, (4, 2)), zorder=4)
+            artists[-1].set_clip_path(clip)
+            artists += ax.plot(
+                x[inside],
+                y[inside],
+                ls="none",
+                marker=look["marker"],
+                ms=2.6,
+                color=look["color"],
+                zorder=4,
+                clip_on=False,
+            )
+            artists += _radial_bars(ax, line, clip, look["color"])
+            if _top(line.measured) > rim * 1.001:
+                notes.append(f"measured to {_top(line.measured):.3g}")
+        if line.mirror is not None:
+            x, y = _xy(np.array([line.mirror, line.mirror]), np.array([rim, rim * 1.03]))
+            artists += ax.plot(x, y, color=look["color"], lw=2.2, solid_capstyle="butt", clip_on=False, zorder=5)
+        if notes:
+            high = (
+                line.theory_angle[np.argmax(line.theory)]
+                if _top(line.theory) > rim
+                else line.angle[np.argmax(line.measured)]
+            )
+            x, y = _xy(np.array([high]), np.array([rim * 1.05]))
+            side = "left" if x[0] > 0.05 * rim else "right" if x[0] < -0.05 * rim else "center"
+            artists.append(
+                ax.text(x[0], y[0], "\n".join(notes), color=look["color"], fontsize=6.5, ha=side, va="bottom", zorder=6)
+            )
+    return artists
+
+
+def semilog(ax: Any, lines: Sequence[Line], *, unit: str = "BRDF [1/sr]") -> list[Any]:
+    """Absolute values on a logarithmic axis over the signed angle; values at or below 0 cannot be shown.
+
+    Returns
+    -------
+    list of artists
+        The lines and error bars.
+    """
+    artists: list[Any] = []
+    positive = [v[v > 0] for line in lines for v in (line.theory, line.measured) if np.any(v > 0)]
+    for k, line in enumerate(lines):
+        look = style(k)
+        if line.theory.size:
+            value = np.where(line.theory > 0, line.theory, np.nan)
+            artists += ax.plot(
+                np.degrees(line.theory_angle), value, color=look["color"], lw=1.4, label=line.label, zorder=3
+            )
+        shown = line.measured > 0
+        if shown.any():
+            x, y, u = np.degrees(line.angle[shown]), line.measured[shown], np.nan_to_num(line.u[shown])
+            artists.append(
+                ax.errorbar(
+                    x,
+                    y,
+                    yerr=[np.minimum(u, 0.999 * y), u],
+                    ls=(0, (4, 2)),
+                    lw=0.8,
+                    elinewidth=0.8,
+                    ms=2.6,
+                    zorder=4,
+                    **look,
+                )
+            )
+    ax.set_yscale("log")
+    if positive:
+        measured = [line.measured[line.measured > 0] for line in lines if np.any(line.measured > 0)]
+        low = min(float(np.min(v)) for v in (measured or positive))
+        high = max(float(np.max(v)) for v in positive)
+        ax.set_ylim(low / 3, high * 2)
+    _angle_axis(ax)
+    ax.set_ylabel(unit)
+    return artists
+
+
+def residuals(
+    ax: Any, lines: Sequence[Line], *, whitened: bool, others: tuple[Floats, Floats] | None = None
+) -> list[Any]:
+    """Residuals (model - measurement) over the signed angle; whitened ones with the band of 2 standard deviations.
+
+    Parameters
+    ----------
+    others
+        Angles [rad] and residuals of values that belong to no curve (out of plane), in grey.
+    """
+    artists: list[Any] = []
+    if whitened:
+        artists.append(ax.axhspan(-2, 2, color="#e9eef5", zorder=0))
+    artists.append(ax.axhline(0, color=INK, lw=0.7, zorder=1))
+    everything = [line.residual for line in lines if line.residual is not None]
+    if others is not None and others[0].size:
+        artists += ax.plot(np.degrees(others[0]), others[1], ls="none", marker=".", ms=2, color="#9aa3ae", zorder=2)
+        everything.append(others[1])
+    for k, line in enumerate(lines):
+        if line.residual is not None:
+            artists += ax.plot(np.degrees(line.angle), line.residual, ls="none", ms=3, zorder=3, **style(k))
+    top = max((float(np.max(np.abs(r))) for r in everything if r.size), default=1.0)
+    threshold = 3.0 if whitened else 0.3
+    if top > 5 * threshold:
+        ax.set_yscale("symlog", linthresh=threshold)
+        powers = [10.0**p for p in range(0, int(np.ceil(np.log10(top))) + 1) if 10.0**p > threshold]
+        powers = powers[-1:] if len(powers) > 2 else powers
+        ticks = sorted({0.0, threshold, -threshold, *powers, *(-p for p in powers)})
+        ax.set_yticks(ticks, [f"{t:g}" for t in ticks])
+        ax.minorticks_off()
+        ax.set_ylim(-top * 1.6, top * 1.6)
+    else:
+        ax.set_ylim(-max(top * 1.15, threshold), max(top * 1.15, threshold))
+    _angle_axis(ax)
+    ax.set_ylabel("whitened\nresidual" if whitened else "relative\nresidual")
+    return artists
+
+
+def budget(ax: Any, parts: Sequence[tuple[str, float, float]]) -> list[Any]:
+    """Uncertainty budget: a bar for the median of each part relative to the value, with a tick at its 95th percentile.
+
+    Parameters
+    ----------
+    parts
+        (label, median, 95th percentile), relative (1 = 100 %); the first one on top.
+    """
+    y = np.arange(len(parts))[::-1]
+    median = np.array([max(p[1], 0.0) for p in parts]) * 100
+    high = np.array([p[2] for p in parts]) * 100
+    colours = [INK if label.startswith("combined") else "#0072B2" for label, *_ in parts]
+    artists: list[Any] = [ax.barh(y, median, height=0.55, color=colours, zorder=2)]
+    artists += ax.plot(high, y, ls="none", marker="|", ms=12, mew=1.6, color="#D55E00", zorder=3)
+    ax.set_yticks(y, [p[0] for p in parts])
+    smallest = min((m for m in median if m > 0), default=1e-3)
+    if high.max(initial=0.0) > 50 * smallest:
+        ax.set_xscale("log")
+        ax.set_xlim(max(smallest / 3, 1e-5), high.max() * 2)
+        ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    ax.set_xlabel("standard uncertainty relative to the value [%]")
+    ax.grid(axis="x", color=FAINT, lw=0.6)
+    _clean(ax)
+    ax.tick_params(axis="y", length=0)
+    return artists
+
+
+def series(
+    ax: Any, x: Floats, y: Floats, u: Floats, *, x_label: str, y_label: str, colour: str = COLOURS[0]
+) -> list[Any]:
+    """A fitted parameter over wavelength, with standard errors where they are known."""
+    artists = [ax.errorbar(x, y, yerr=np.nan_to_num(u), marker="o", ms=3, lw=1.0, elinewidth=0.8, color=colour)]
+    ax.set_xlabel(x_label)
+    ax.set_ylabel(y_label)
+    ax.grid(color=FAINT, lw=0.5)
+    _clean(ax)
+    return artists
+
+
+def _half_disc(ax: Any, rim: float, label: str) -> None:
+    ax.set_aspect("equal")
+    ax.axis("off")
+    ax.set_xlim(-1.14 * rim, 1.14 * rim)
+    ax.set_ylim(-0.25 * rim, 1.13 * rim)
+    turn = np.linspace(-np.pi / 2, np.pi / 2, 181)
+    ticks = _ticks(rim)
+    for t in ticks[1:]:
+        edge = abs(t - rim) < 1e-9 * rim
+        ax.plot(*_xy(turn, np.full(turn.size, t)), color=INK if edge else FAINT, lw=0.9 if edge else 0.5, zorder=1)
+    if abs(ticks[-1] - rim) > 1e-9 * rim:
+        ax.plot(*_xy(turn, np.full(turn.size, rim)), color=INK, lw=0.9, zorder=1)
+    for degrees in range(-90, 91, 15):
+        x, y = _xy(np.radians([degrees, degrees]), np.array([0.0, rim]))
+        base = abs(degrees) == 90
+        ax.plot(x, y, color=INK if base else FAINT, lw=0.9 if base else 0.5, zorder=1)
+        if degrees % 30 == 0:
+            tx, ty = _xy(np.radians([degrees]), np.array([rim * 1.075]))
+            ax.text(tx[0], ty[0], f"{degrees}°".replace("-", "−"), ha="center", va="center", fontsize=7, color=INK)
+    for t in ticks:
+        for side in (-1, 1) if t else (1,):
+            ax.plot([side * t] * 2, [0, -0.015 * rim], color=INK, lw=0.7, clip_on=False)
+            ax.text(side * t, -0.03 * rim, f"{t:.2g}", ha="center", va="top", fontsize=7, color=INK)
+    ax.text(-rim, -0.12 * rim, "retro side", ha="left", va="top", fontsize=7, color="#5a6472")
+    ax.text(rim, -0.12 * rim, "mirror side", ha="right", va="top", fontsize=7, color="#5a6472")
+    ax.text(0, -0.12 * rim, label, ha="center", va="top", fontsize=7.5, color=INK)
+
+
+def _radial_bars(ax: Any, line: Line, clip: Any, colour: str) -> list[Any]:
+    """Error bars along the radius, drawn where they are long enough to be seen."""
+    from matplotlib.collections import LineCollection
+
+    known = np.isfinite(line.u)
+    if not known.any():
+        return []
+    low = _xy(line.angle[known], np.maximum(line.measured[known] - line.u[known], 0.0))
+    high = _xy(line.angle[known], np.maximum(line.measured[known] + line.u[known], 0.0))
+    segments = np.stack([np.stack(low, axis=1), np.stack(high, axis=1)], axis=1)
+    bars = LineCollection(segments, colors=colour, linewidths=0.9, zorder=4)
+    ax.add_collection(bars, autolim=False)
+    bars.set_clip_path(clip)
+    return [bars]
+
+
+def _xy(angle: Floats, radius: Floats) -> tuple[Floats, Floats]:
+    return radius * np.sin(angle), radius * np.cos(angle)
+
+
+def _top(values: Floats) -> float:
+    return float(np.nanmax(values)) if values.size else 0.0
+
+
+def _round_up(value: float) -> float:
+    power = 10.0 ** np.floor(np.log10(value))
+    steps = (1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+    return float(next(s for s in steps if s * power >= value * 0.999) * power)
+
+
+def _ticks(rim: float) -> list[float]:
+    for step in (0.2, 0.25, 0.5, 1.0):
+        count = rim / step
+        if count <= 6.01 and abs(count - round(count)) < 1e-6:
+            return [float(step * k) for k in range(round(count) + 1)]
+    return [float(rim * k / 4) for k in range(5)]
+
+
+def _angle_axis(ax: Any) -> None:
+    ax.set_xlim(-90, 90)
+    ax.set_xticks(range(-90, 91, 30), [f"{d}°".replace("-", "−") for d in range(-90, 91, 30)])
+    ax.grid(color=FAINT, lw=0.5)
+    _clean(ax)
+
+
+def _clean(ax: Any) -> None:
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        ax.spines[side].set_color("#77808c")
+    ax.tick_params(labelsize=7.5, color="#77808c")
+    ax.xaxis.label.set_size(8)
+    ax.yaxis.label.set_size(8)
+    ax.set_axisbelow(True)

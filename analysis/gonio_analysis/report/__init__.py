@@ -1,0 +1,140 @@
+"""The comparison report: `index.html` (self-contained), `summary.json`, figures as SVG and PNG, tables as CSV."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from gonio_analysis.compare import Dataset, examine, run_facts
+from gonio_analysis.families import Ior
+from gonio_analysis.planes import Normalise
+from gonio_analysis.report import figures, page, tables
+from gonio_analysis.report.files import staged
+from gonio_analysis.report.summary import summarise
+
+__all__ = ["make", "staged", "write"]
+
+
+def make(
+    specs: Sequence[str],
+    out: str | Path,
+    *,
+    models: Sequence[str],
+    normalise: Normalise = "mirror",
+    ior: Ior = None,
+    wavelength_nm: float | None = None,
+    command: str = "",
+    progress: Callable[[str], None] = lambda text: None,
+) -> Path:
+    """Read measurements, fit every model, and write a report: all of it or nothing.
+
+    Parameters
+    ----------
+    specs
+        Tables, RUN folders, or `FILE:SAMPLE`.
+    out
+        Folder of the report; an earlier report there is replaced.
+    models, normalise, ior, wavelength_nm
+        See `gonio_analysis.compare.examine`.
+    command
+        The command line, for the record.
+    progress
+        Called with a line before each step.
+
+    Returns
+    -------
+    Path
+        Of `index.html`.
+
+    Raises
+    ------
+    ConfigError, DataError
+        From reading, fitting and writing; then nothing is left behind.
+    """
+    from gonio import measurement
+
+    with staged(out) as stage:
+        found = []
+        for spec in specs:
+            run = run_facts(Path(spec))
+            many = measurement.tables(spec)
+            for sample, table in many.items():
+                found.append((sample, spec if len(many) == 1 else f"{spec}:{sample}", table, run))
+        names = _distinct([sample for sample, *_ in found], [source for _, source, *_ in found])
+        datasets = [
+            examine(
+                table,
+                models,
+                name=name,
+                source=source,
+                normalise=normalise,
+                ior=ior,
+                wavelength_nm=wavelength_nm,
+                run=run,
+                progress=progress,
+            )
+            for name, (_, source, table, run) in zip(names, found, strict=True)
+        ]
+        title = names[0] if len(names) == 1 else " and ".join(names) if len(names) == 2 else f"{len(names)} samples"
+        write(datasets, stage.work, title=title, normalise=normalise, command=command, progress=progress)
+    return Path(out) / "index.html"
+
+
+def write(
+    datasets: Sequence[Dataset],
+    folder: Path,
+    *,
+    title: str,
+    normalise: Normalise = "mirror",
+    command: str = "",
+    progress: Callable[[str], None] = lambda text: None,
+) -> dict[str, Any]:
+    """Write a report of these measurements into a folder that exists (see `staged`).
+
+    Parameters
+    ----------
+    datasets
+        The measurements with their fitted models, in the order of the page.
+    title
+        Heading of the page.
+    normalise
+        What was asked for the polar plots.
+    command
+        The command line, for the record.
+    progress
+        Called with a line before each step.
+
+    Returns
+    -------
+    dict
+        What `summary.json` holds: every number of the page.
+    """
+    summary = summarise(datasets, title=title, normalise=normalise, command=command)
+    drawn = []
+    for dataset, facts in zip(datasets, summary["datasets"], strict=True):
+        progress(f"{dataset.name}: drawing")
+        drawn.append(figures.draw(dataset, facts))
+    (folder / "figures").mkdir()
+    (folder / "tables").mkdir()
+    for figure in (f for group in drawn for f in group):
+        (folder / "figures" / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
+        (folder / "figures" / f"{figure.name}.png").write_bytes(figure.png)
+    summary["figures"] = [{"name": f.name, "caption": f.caption, "alt": f.alt} for group in drawn for f in group]
+    summary["tables"] = tables.write(datasets, summary, folder / "tables")
+    text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
+    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+    (folder / "index.html").write_text(page.render(summary, drawn), encoding="utf-8")
+    return summary
+
+
+def _distinct(names: Sequence[str], sources: Sequence[str]) -> list[str]:
+    """Names of samples, told apart by their source (or a number) where two are alike."""
+    out: list[str] = []
+    for name, source in zip(names, sources, strict=True):
+        if names.count(name) > 1:
+            label = f"{name} ({source})"
+            name = label if label not in out else f"{label}, {out.count(label) + 1}"
+        out.append(name)
+    return out

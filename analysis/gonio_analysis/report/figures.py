@@ -1,0 +1,256 @@
+"""The figures of a report, each as SVG (inlined into the page, and as a file) and as PNG."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gonio import geometry
+from gonio_analysis import polar
+from gonio_analysis.compare import Dataset, Drawn, Fitted
+from gonio_analysis.planes import NORM_WORDS
+from gonio_analysis.report.text import number
+
+SVG = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "gonio",
+    "font.family": ["sans-serif"],
+    "font.sans-serif": ["DejaVu Sans"],
+}
+FONTS = "'DejaVu Sans', Verdana, 'Segoe UI', sans-serif"
+"""Metrics close to those that matplotlib lays out with, so that labels keep their places."""
+PNG_DPI = 160
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One drawn figure."""
+
+    name: str
+    kind: str
+    """"polar", "absolute", "budget" or "series": the page groups by it."""
+    model: str
+    caption: str
+    alt: str
+    svg: str
+    png: bytes
+
+
+def draw(d: Dataset, facts: dict[str, Any]) -> list[Figure]:
+    """Every figure of one measured sample.
+
+    Parameters
+    ----------
+    d
+        The measurement with its fitted models.
+    facts
+        Its part of the summary.
+    """
+    out = []
+    for model, f in d.fitted.items():
+        if f.drawn:
+            out.append(_polar(d, facts, model, f))
+    for model, f in d.fitted.items():
+        out.append(_absolute(d, facts, model, f))
+    if facts["budget"]:
+        out.append(_budget(d, facts))
+    out += [_series(d, facts, model, f) for model, f in d.fitted.items() if len(f.series) > 1]
+    return out
+
+
+def _polar(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figure:
+    lines = [c.normalised() for c in f.drawn]
+    rim = polar.radius_of(lines)
+
+    def on(figure: Any) -> None:
+        ax = figure.add_axes((0.01, 0.085, 0.98, 0.90))
+        polar.polar(ax, lines, radius=rim, radius_label=_radius_label(f))
+        _legend(figure, f, "lower center")
+
+    words = _norm_words(f)
+    cut = [
+        c.label
+        for c, line in zip(f.drawn, lines, strict=True)
+        if max(_top(line.theory), _top(line.measured)) > 1.001 * rim
+    ]
+    caption = f"{model}: in-plane BRDF divided by {words}. Solid: theory; dashed, with error bars: measurement."
+    if cut:
+        caption += f" Cut at the rim: {', '.join(cut)}."
+    spikes = [s for s in (_spike(c) for c in f.drawn) if s]
+    if spikes:
+        caption += " " + " ".join(spikes)
+    alt = f"Half-disc polar plot for {d.name} and {model}. " + " ".join(
+        f"{c['label']}: measured peak at {c['measured_peak_deg']:.1f}°, theory's at {c['theory_peak_deg']:.1f}°."
+        for c in facts["models"][model]["curves"]
+    )
+    return _figure(f"{facts['slug']}-polar-{model}", "polar", model, caption, alt, (5.6, 3.72), on)
+
+
+def _radius_label(f: Fitted) -> str:
+    kinds = {c.norm.kind for c in f.drawn}
+    if kinds == {"mirror"}:
+        return "BRDF / BRDF in the mirror direction"
+    if kinds == {"max"}:
+        return "BRDF / largest in-plane value"
+    if kinds == {"model"}:
+        return "BRDF / model's BRDF in the mirror direction"
+    return "BRDF / its value in the mirror direction;  * largest in-plane value"
+
+
+def _norm_words(f: Fitted) -> str:
+    kinds = {c.norm.kind for c in f.drawn}
+    if len(kinds) == 1:
+        return NORM_WORDS[kinds.pop()]
+    other = [c.label for c in f.drawn if c.norm.kind != "mirror"]
+    kind = next(k for k in sorted(kinds) if k != "mirror")
+    return f"{NORM_WORDS['mirror']}; {', '.join(other)} (marked *), whose mirror direction was not measured, by {NORM_WORDS[kind]}"
+
+
+def _spike(c: Drawn) -> str:
+    """A sentence for a curve whose spike leaves nothing else to see."""
+    if c.norm.kind == "max" and c.curve.mirror is None:
+        return ""
+    away = np.abs(c.curve.angle - c.curve.parameter) > np.radians(4)
+    rest = c.curve.brdf[away]
+    if not rest.size or c.norm.measured < 15 * rest.max():
+        return ""
+    return f"At {c.label} the spike is {number(c.norm.measured / rest.max())} times the largest value beside it (see the semilog curves)."
+
+
+def _absolute(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figure:
+    lines = [c.absolute() for c in f.drawn]
+    stated = d.data.covariance is not None
+    used = np.concatenate([c.curve.rows for c in f.drawn]) if f.drawn else np.empty(0, dtype=np.intp)
+    rest = np.setdiff1d(np.arange(len(d.data)), used)
+    data = d.data
+    moving = data.theta_i if d.curves and d.curves[0].scanned == "theta_i" else data.theta_r
+    with np.errstate(divide="ignore"):
+        values = f.fit.whitened if stated else f.fit.predicted / data.brdf - 1.0
+    others = (geometry.in_plane_angle(moving[rest], data.phi_r[rest] - data.phi_i[rest]), values[rest])
+
+    def on(figure: Any) -> None:
+        top, low = figure.subplots(2, 1, height_ratios=(2.4, 1), sharex=True)
+        figure.subplots_adjust(0.125, 0.205, 0.985, 0.975, hspace=0.12)
+        if lines:
+            polar.semilog(top, lines)
+        else:
+            top.set_axis_off()
+        top.set_xlabel("")
+        polar.residuals(low, lines, whitened=stated, others=others)
+        running = "θr" if not d.curves or d.curves[0].scanned == "theta_r" else "θi"
+        low.set_xlabel(f"{running}: retro side negative, mirror side positive")
+        figure.align_ylabels([top, low])
+        _legend(figure, f, "lower center", star=False)
+
+    kind = (
+        "Whitened residuals, model minus measurement (band: ±2)"
+        if stated
+        else "Relative residuals, model / measurement − 1"
+    )
+    caption = f"{model}: absolute in-plane BRDF. Below: {kind.lower() if stated else kind}"
+    caption += "; grey: values that belong to no curve shown." if rest.size else "."
+    chi = facts["models"][model]["reduced_chi_square"]
+    alt = f"Semilog curves and residuals for {d.name} and {model}" + (
+        f"; reduced chi-square {number(chi)}." if chi is not None else "."
+    )
+    return _figure(f"{facts['slug']}-absolute-{model}", "absolute", model, caption, alt, (5.6, 4.5), on)
+
+
+def _budget(d: Dataset, facts: dict[str, Any]) -> Figure:
+    parts = [(p["cause"], p["median"], p["p95"]) for p in facts["budget"]]
+
+    def on(figure: Any) -> None:
+        ax = figure.add_subplot()
+        figure.subplots_adjust(0.25, 0.6 / (1.0 + 0.3 * len(parts)), 0.97, 0.97)
+        polar.budget(ax, parts)
+
+    caption = (
+        "Uncertainty budget: standard uncertainty by cause, relative to the value. Bar: median over the values; tick: 95th"
+        " percentile. Values within 3 u of zero are left out."
+    )
+    alt = "Uncertainty by cause. " + " ".join(
+        f"{c}: median {100 * m:.2g} %, 95th percentile {100 * p:.2g} %." for c, m, p in parts
+    )
+    return _figure(f"{facts['slug']}-budget", "budget", "", caption, alt, (5.6, 1.0 + 0.3 * len(parts)), on)
+
+
+def _series(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figure:
+    free = [n for n in f.fit.free if any(not r.parameters[n].fixed for r in f.series)]
+    x = np.array([r.wavelength_nm for r in f.series])
+
+    def on(figure: Any) -> None:
+        axes = figure.subplots(1, len(free), squeeze=False)[0]
+        figure.subplots_adjust(0.1, 0.24, 0.985, 0.94, wspace=0.42)
+        for k, (ax, name) in enumerate(zip(axes, free, strict=True)):
+            y = np.array([r.parameters[name].value for r in f.series], dtype=float)
+            u = np.array([r.parameters[name].u for r in f.series], dtype=float)
+            span = float(np.ptp(y)) or float(np.abs(y).max()) or 1.0
+            u = np.where(np.isfinite(u) & (u < 2 * span), u, 0.0)
+            polar.series(ax, x, y, u, x_label="wavelength [nm]", y_label="", colour=polar.COLOURS[k % 6])
+            ax.set_title(name, fontsize=8, loc="left", color=polar.INK)
+
+    caption = (
+        f"{model}: fitted parameters at each of the {len(f.series)} wavelengths, with standard errors (those wider than the"
+        " panel are not drawn)."
+    )
+    return _figure(f"{facts['slug']}-series-{model}", "series", model, caption, caption, (5.6, 1.9), on)
+
+
+def _legend(figure: Any, f: Fitted, where: str, star: bool = True) -> None:
+    from matplotlib.lines import Line2D
+
+    if not f.drawn:
+        return
+    mixed = star and len({c.norm.kind for c in f.drawn}) > 1
+    handles = []
+    for k, c in enumerate(f.drawn):
+        look = polar.style(k)
+        text = c.label + ("*" if mixed and c.norm.kind != "mirror" else "")
+        handles.append(Line2D([], [], lw=1.5, ms=3.5, label=text, **look))
+    figure.legend(
+        handles=handles,
+        loc=where,
+        ncol=min(len(handles), 6 if max(len(c.label) for c in f.drawn) < 10 else 4 if len(handles) != 6 else 3),
+        fontsize=7.5,
+        frameon=False,
+        handlelength=1.6,
+        columnspacing=1.1,
+        borderpad=0.1,
+    )
+
+
+def _figure(
+    name: str, kind: str, model: str, caption: str, alt: str, inches: tuple[float, float], on: Callable[[Any], None]
+) -> Figure:
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure as Canvas
+
+    with rc_context(SVG):
+        figure = Canvas(figsize=inches)
+        on(figure)
+        png, svg = io.BytesIO(), io.StringIO()
+        figure.savefig(png, format="png", dpi=PNG_DPI, metadata={"Software": "gonio"})
+        figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": "gonio"})
+    return Figure(name, kind, model, caption, alt, _tidy(svg.getvalue(), name), png.getvalue())
+
+
+def _tidy(svg: str, name: str) -> str:
+    """SVG that can stand in an HTML page: no prologue, no fixed size, ids of its own, shorter numbers."""
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
+    svg = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", svg, count=1)
+    svg = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', svg)
+    svg = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", svg)
+    svg = re.sub(r'href="#([^"]+)"', rf'href="#{name}-\1"', svg)
+    svg = re.sub(r"'DejaVu Sans'(, sans-serif)*", FONTS, svg)
+    return re.sub(r"(\d+\.\d{2})\d+", r"\1", svg)
+
+
+def _top(values: Any) -> float:
+    return float(np.nanmax(values)) if len(values) else 0.0

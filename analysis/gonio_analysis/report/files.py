@@ -1,0 +1,99 @@
+"""All of a folder or nothing of it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from gonio.errors import ConfigError
+
+MARKS = ("index.html", "summary.json")
+
+
+@dataclass(frozen=True)
+class Staged:
+    """A folder in the making."""
+
+    work: Path
+    """Where to write now."""
+    final: Path
+    """Where it will be."""
+
+
+@contextmanager
+def staged(folder: str | Path) -> Iterator[Staged]:
+    """A temporary folder beside `folder` that takes its place when the block ends, and vanishes when the block fails.
+
+    An earlier report in `folder` is replaced; anything else there is left alone.
+
+    Raises
+    ------
+    ConfigError
+        The folder cannot be written, or holds something that is not a report.
+    """
+    final = Path(folder).absolute()
+    shown = Path(folder)
+    _check(final, shown)
+    made: list[Path] = []
+    try:
+        for parent in reversed([final.parent, *final.parent.parents]):
+            if not parent.exists():
+                parent.mkdir()
+                made.append(parent)
+        work = Path(tempfile.mkdtemp(prefix=f".{final.name}.", suffix=".part", dir=final.parent))
+    except OSError as error:
+        _remove(made)
+        raise ConfigError(f"{shown}: cannot be written: {error.strerror}") from None
+    try:
+        work.chmod(0o777 & ~_umask())
+        yield Staged(work, final)
+        _put(work, final)
+    except BaseException as error:
+        shutil.rmtree(work, ignore_errors=True)
+        _remove(made)
+        if isinstance(error, OSError) and error.filename is not None and str(work.parent) in str(error.filename):
+            raise ConfigError(f"{shown}: cannot be written: {error.strerror}") from None
+        raise
+
+
+def _check(final: Path, shown: Path) -> None:
+    try:
+        if final.is_dir():
+            entries = {entry.name for entry in final.iterdir()}
+            if entries and not entries.issuperset(MARKS):
+                raise ConfigError(f"{shown}: is not empty and holds no earlier report; choose another folder for --out")
+        elif final.exists():
+            raise ConfigError(f"{shown}: is a file; --out names a folder")
+    except OSError as error:
+        raise ConfigError(f"{shown}: cannot be read: {error.strerror}") from None
+
+
+def _put(work: Path, final: Path) -> None:
+    if not final.exists():
+        os.rename(work, final)
+        return
+    old = Path(tempfile.mkdtemp(prefix=f".{final.name}.", suffix=".old", dir=final.parent))
+    os.rename(final, old / "report")
+    try:
+        os.rename(work, final)
+    except OSError:
+        os.rename(old / "report", final)
+        raise
+    finally:
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def _remove(folders: list[Path]) -> None:
+    for folder in reversed(folders):
+        folder.rmdir()
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

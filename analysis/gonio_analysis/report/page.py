@@ -1,0 +1,368 @@
+"""`index.html`: the summary and the figures as one page that needs no other file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+from importlib.resources import files
+from typing import Any
+
+from gonio_analysis.report.figures import Figure
+from gonio_analysis.report.text import number, percent, with_u
+
+
+def render(summary: dict[str, Any], drawn: Sequence[Sequence[Figure]]) -> str:
+    """The page, as HTML text.
+
+    Parameters
+    ----------
+    summary
+        What `summary.json` holds.
+    drawn
+        The figures of each dataset, in the order of the summary.
+    """
+    css = files("gonio_analysis.report").joinpath("style.css").read_text(encoding="utf-8")
+    datasets = summary["datasets"]
+    body = [_header(summary), _overview(summary) if len(datasets) > 1 else ""]
+    body += [_dataset(summary, d, figures) for d, figures in zip(datasets, drawn, strict=True)]
+    body += [_conventions(summary), _provenance(summary), _footer(summary)]
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(summary['title'])}</title>\n<style>\n{css}</style>\n</head>\n<body>\n<main>\n"
+        + "\n".join(part for part in body if part)
+        + "\n</main>\n</body>\n</html>\n"
+    )
+
+
+def _header(s: dict[str, Any]) -> str:
+    links = [(d["slug"], d["name"]) for d in s["datasets"]] if len(s["datasets"]) > 1 else []
+    links += [("conventions", "Conventions"), ("provenance", "Provenance")]
+    nav = "".join(f'<li><a href="#{slug}">{escape(name)}</a></li>' for slug, name in links)
+    return (
+        f'<header>\n<h1>{escape(s["title"])}</h1>\n<p class="sub">BRDF comparison, {escape(s["created"][:10])}, gonio '
+        f"{escape(s['versions']['gonio'])}. Uncertainties are standard uncertainties (k = 1).</p>\n"
+        f'<nav aria-label="Sections"><ul>{nav}</ul></nav>\n</header>'
+    )
+
+
+def _overview(s: dict[str, Any]) -> str:
+    rows = []
+    for d in s["datasets"]:
+        for name, f in d["models"].items():
+            chi = f["reduced_chi_square"]
+            rows.append(
+                [
+                    f'<a href="#{d["slug"]}">{escape(d["name"])}</a>',
+                    escape(name),
+                    (number(chi) if chi is not None else "none stated"),
+                    percent(f["metrics"]["log_ratio"]),
+                    escape(_short(f)),
+                ]
+            )
+    return "<h2>All samples</h2>\n" + _table(
+        "Every model on every sample.",
+        ["sample", "model", "reduced χ²", "typical difference", "fitted parameters"],
+        rows,
+        right=(2, 3),
+    )
+
+
+def _dataset(s: dict[str, Any], d: dict[str, Any], figures: Sequence[Figure]) -> str:
+    by = {kind: [f for f in figures if f.kind == kind] for kind in ("polar", "absolute", "budget", "series")}
+    out = [f'<section id="{d["slug"]}">', f"<h2>{escape(d['name'])}</h2>"]
+    out.append(f'<p class="lead">{escape(d["conclusion"])}</p>')
+    out += ["<h3>What was measured, and how</h3>", _facts(d)]
+    if d["notes"]:
+        out.append('<ul class="notes">' + "".join(f"<li>{escape(n)}</li>" for n in d["notes"]) + "</ul>")
+    out += ["<h3>Models</h3>", _models(d)]
+    if d["skipped"]:
+        out.append(
+            '<ul class="notes">'
+            + "".join(f"<li><b>{escape(m)}</b> was not fitted: {escape(why)}</li>" for m, why in d["skipped"].items())
+            + "</ul>"
+        )
+    if by["polar"]:
+        out += ["<h3>In the plane of incidence, normalised</h3>", _polar_words(s, d), _grid(by["polar"])]
+    out += ["<h3>In the plane of incidence, absolute, with residuals</h3>", _grid(by["absolute"])]
+    out += ["<h3>Parameters</h3>", _parameters(d)]
+    out += ["<h3>Metrics</h3>", _metrics(s, d)]
+    if by["budget"]:
+        out += ["<h3>Uncertainty</h3>", '<div class="figures">', _figure(by["budget"][0]), _budget(d), "</div>"]
+    else:
+        out.append(
+            "<h3>Uncertainty</h3><p>The table states no uncertainties: there are no error bars and no chi-square, and fits weigh "
+            "every value alike in relative terms.</p>"
+        )
+    if by["series"]:
+        out += ["<h3>Parameters over wavelength</h3>", _grid(by["series"])]
+    out.append("</section>")
+    return "\n".join(out)
+
+
+def _facts(d: dict[str, Any]) -> str:
+    run = d["run"]
+    wavelengths = [w for w in d["wavelengths_nm"] if w is not None]
+    rows: list[tuple[str, str]] = [("source", d["source"] or "–")]
+    if run:
+        rows.append(("rig", f"{run['rig']} ({run['driver']}), seed {run['seed']}"))
+        rows.append(("plan", f"{run['plan']}: {run['points']} points" + _unreachable(run)))
+        if run["sample"]:
+            given = ", ".join(f"{k} = {v}" for k, v in run["sample"]["parameters"].items())
+            rows.append(("simulated sample", f"{run['sample']['name']}: {run['sample']['model']} with {given}"))
+        rows.append(("white reference", run["reference"]))
+    if wavelengths:
+        others = (
+            f", one of {len(wavelengths)} from {wavelengths[0]:g} to {wavelengths[-1]:g} nm"
+            if len(wavelengths) > 1
+            else ""
+        )
+        rows.append(("wavelength", f"{d['wavelength_nm']:g} nm{others}{_width(d)}"))
+    else:
+        rows.append(("band", ", ".join(_band(b) for b in d["bands"]) or "broad; no wavelength stated"))
+    rows.append(("incidences", _angles(d["theta_i_deg"])))
+    used = f"{d['used']} of {d['rows_here']}" + (" at this wavelength" if len(wavelengths) > 1 else "")
+    rows.append(("values used", used + (f"; left out: {d['left_out_words']}" if d["left_out_words"] else "")))
+    rows.append(
+        (
+            "BRDF",
+            f"{number(d['brdf_min'])} to {number(d['brdf_max'])} sr⁻¹"
+            + (f"; {d['negative']} values are negative within the noise" if d["negative"] else ""),
+        )
+    )
+    cones = [("source", d["source_solid_angle_sr"]), ("receiver", d["receiver_solid_angle_sr"])]
+    rows.append(
+        ("solid angles", ", ".join(f"{n} {number(w) + ' sr' if w is not None else 'unknown'}" for n, w in cones))
+    )
+    if d["uncertainty_stated"]:
+        causes = ", ".join(c.replace("_", " ") for c in d["causes"]) or "none"
+        rows.append(("uncertainty", f"median {percent(d['median_u_rel'])}; causes common to all values: {causes}"))
+    else:
+        rows.append(("uncertainty", "none stated"))
+    return _dl(rows)
+
+
+def _models(d: dict[str, Any]) -> str:
+    rows, marks = [], []
+    for name, f in d["models"].items():
+        marks.append("best" if name == d["best"] and len(d["models"]) > 1 else "")
+        rows.append(
+            [
+                escape(name),
+                escape(_short(f)),
+                number(f["reduced_chi_square"]),
+                percent(f["metrics"]["log_ratio"]),
+                escape(f["verdict"]),
+            ]
+        )
+    note = "● marks the model that fits best. Typical difference: rms of ln(model / measured)." if any(marks) else ""
+    return _table(
+        note,
+        ["model", "fitted parameters", "reduced χ²", "typical difference", "verdict"],
+        rows,
+        right=(2, 3),
+        marks=marks,
+    )
+
+
+def _polar_words(s: dict[str, Any], d: dict[str, Any]) -> str:
+    kinds = {c["normalised_by"] for f in d["models"].values() for c in f["curves"]}
+    first = (
+        "The radius is the BRDF divided by its value in the direction of mirror reflection, as in eq. 11 of He, Torrance, "
+        f"Sillion and Greenberg (1991): the measured value nearest the mirror, within {s['mirror_tolerance_deg']:g}°; "
+        "theory is divided by its own value in that direction. "
+        if "mirror" in kinds
+        else ""
+    )
+    if "max" in kinds:
+        first += (
+            "Where that direction was not measured, or the largest value was asked for, the divisor is the largest in-plane value, "
+            "and theory is divided by its own value in that direction. "
+        )
+    if "model" in kinds:
+        first += "Measurement and theory are both divided by the fitted model's value in the mirror direction. "
+    moving = "detector" if d["scanned"] == "theta_r" else "source"
+    return (
+        f"<p>{escape(first)}The {moving} moves from −90° (retro side, left) to 90° (mirror side, right); the short strokes on the rim "
+        f"mark the mirror directions. In plane means within {s['in_plane_tolerance_deg']:g}° of the plane of incidence; the values shown "
+        f"are within {number(d['out_of_plane_deg'], 2) if d['out_of_plane_deg'] > 1e-6 else '0'}°.</p>"
+    )
+
+
+def _parameters(d: dict[str, Any]) -> str:
+    rows = []
+    for name, f in d["models"].items():
+        first = True
+        for p, e in [*f["parameters"].items(), *f["derived"].items()]:
+            label = escape(name) if first else ""
+            kind = "derived" if p in f["derived"] else "fixed" if e["fixed"] else "fitted"
+            value = escape(e["material"]) if e.get("material") else with_u(e["value"], 0.0 if e["fixed"] else e["u"])
+            strong = _strongest(f, p)
+            rows.append(
+                [
+                    label,
+                    f"<code>{escape(p)}</code>",
+                    value,
+                    kind + (f", at its {e['at_bound']} bound" if e.get("at_bound") else ""),
+                    strong,
+                ]
+            )
+            first = False
+    notes = [(m, n) for m, f in d["models"].items() for n in f["notes"] if n not in d["notes"]]
+    listed = "".join(f"<li><b>{escape(m)}</b>: {escape(n)}</li>" for m, n in notes)
+    return _table(
+        "Standard errors are those of least squares with the stated covariance; they are not scaled by χ².",
+        ["model", "parameter", "value", "", "strongest correlation"],
+        rows,
+    ) + (f'<ul class="notes">{listed}</ul>' if listed else "")
+
+
+def _strongest(f: dict[str, Any], parameter: str) -> str:
+    row = {k: v for k, v in f["correlation"].get(parameter, {}).items() if k != parameter and v is not None}
+    if not row:
+        return ""
+    other = max(row, key=lambda k: abs(row[k]))
+    return f"{number(row[other], 2)} with <code>{escape(other)}</code>"
+
+
+def _metrics(s: dict[str, Any], d: dict[str, Any]) -> str:
+    names = list(s["metrics"])
+    rows = [[escape(m), *(number(f["metrics"][n]) for n in names)] for m, f in d["models"].items()]
+    listed = "; ".join(f"<b>{escape(v['label'])}</b>: {escape(v['meaning'])}" for v in s["metrics"].values())
+    return (
+        _table("", ["model", *(s["metrics"][n]["label"] for n in names)], rows, right=tuple(range(1, len(names) + 1)))
+        + f'<p class="note">{listed}.</p>'
+    )
+
+
+def _budget(d: dict[str, Any]) -> str:
+    rows = [[escape(p["cause"]), percent(p["median"]), percent(p["p95"])] for p in d["budget"]]
+    return _table("Relative to the value.", ["cause", "median", "95th percentile"], rows, right=(1, 2))
+
+
+def _conventions(s: dict[str, Any]) -> str:
+    lines: dict[str, list[str]] = {}
+    for d in s["datasets"]:
+        for name, f in d["models"].items():
+            if f["convention"] not in lines.setdefault(name, []):
+                lines[name].append(f["convention"])
+    models = "".join(
+        f"<dt>{escape(n)}</dt><dd>{'<br>'.join(escape(t) for t in texts)}</dd>" for n, texts in lines.items()
+    )
+    return (
+        '<section id="conventions"><h2>Conventions</h2>\n<p>The BRDF is reflected radiance over irradiance, in sr⁻¹. Polar angles count '
+        "from the surface's normal; both directions leave the surface, toward source and detector. In the plane of incidence angles are "
+        "signed: positive on the mirror side, negative on the retro side. Models are averaged over the stated cones of source and receiver "
+        "before they are compared; a specular spike is carried through that average.</p>\n"
+        f'<dl class="facts">{models}</dl></section>'
+    )
+
+
+def _provenance(s: dict[str, Any]) -> str:
+    out = ['<section id="provenance"><h2>Provenance</h2>']
+    rows = [("report made", s["created"]), ("command", s["command"] or "–")]
+    rows.append(("versions", ", ".join(f"{k} {v}" for k, v in s["versions"].items())))
+    out.append(_dl(rows))
+    for d in s["datasets"]:
+        rows = [("file", d["source"] or "–"), ("format", str(d["format"] or "–"))]
+        if d["run"]:
+            r = d["run"]
+            rows += [("measured", r["created"]), ("command", r["command"]), ("plan's SHA-256", r["plan_sha256"])]
+            rows += [("seed", str(r["seed"])), ("steps", str(r["steps"])), ("bands", ", ".join(r["bands"]))]
+            rows.append(("versions", ", ".join(f"{k} {v}" for k, v in r["versions"].items())))
+        rows += list(_flat(d["provenance"]))
+        out += [f"<h3>{escape(d['name'])}</h3>", _dl(rows)]
+    out.append("</section>")
+    return "\n".join(out)
+
+
+def _footer(s: dict[str, Any]) -> str:
+    return (
+        "<footer>Every number on this page is in <code>summary.json</code>; the curves are in <code>tables/</code>, the figures as SVG "
+        "and PNG in <code>figures/</code>.</footer>"
+    )
+
+
+# --- pieces --------------------------------------------------------------------------------------------------------
+
+
+def _short(f: dict[str, Any]) -> str:
+    parts = [f"{n} = {with_u(p['value'], p['u'])}" for n, p in f["parameters"].items() if not p["fixed"]]
+    return ", ".join(parts)
+
+
+def _grid(figures: Sequence[Figure]) -> str:
+    return '<div class="figures">\n' + "\n".join(_figure(f) for f in figures) + "\n</div>"
+
+
+def _figure(f: Figure) -> str:
+    svg = f.svg.replace("<svg", f'<svg role="img" aria-label="{escape(f.alt, quote=True)}"', 1)
+    head, colon, rest = f.caption.partition(":")
+    caption = f"<b>{escape(head)}</b>{colon}{escape(rest)}"
+    return f'<figure id="{f.name}">{svg}<figcaption>{caption}</figcaption></figure>'
+
+
+def _table(
+    caption: str,
+    header: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    right: tuple[int, ...] = (),
+    marks: Sequence[str] = (),
+) -> str:
+    """A table; cells are HTML already, the first one of each row is its heading."""
+    head = "".join(f'<th scope="col"{" class=n" if k in right else ""}>{escape(h)}</th>' for k, h in enumerate(header))
+    body = []
+    for number_of_row, row in enumerate(rows):
+        cells = [f'<th scope="row">{row[0]}</th>']
+        cells += [f"<td{' class=n' if k in right else ''}>{cell}</td>" for k, cell in enumerate(row) if k]
+        mark = marks[number_of_row] if number_of_row < len(marks) else ""
+        body.append(f"<tr{f' class={mark}' if mark else ''}>{''.join(cells)}</tr>")
+    title = f"<caption>{escape(caption)}</caption>" if caption else ""
+    return (
+        f'<div class="scroll"><table>{title}<thead><tr>{head}</tr></thead><tbody>{"".join(body)}</tbody></table></div>'
+    )
+
+
+def _dl(rows: Iterable[tuple[str, str]]) -> str:
+    return '<dl class="facts">' + "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in rows) + "</dl>"
+
+
+def _flat(values: Any, prefix: str = "") -> Iterable[tuple[str, str]]:
+    """Provenance, one line a leaf."""
+    if isinstance(values, dict):
+        for key, value in values.items():
+            yield from _flat(value, f"{prefix}, {key}" if prefix else str(key))
+    elif isinstance(values, list) and any(isinstance(v, dict) for v in values):
+        for k, value in enumerate(values):
+            yield from _flat(value, f"{prefix} {k + 1}" if len(values) > 1 else prefix)
+    else:
+        shown = ", ".join(map(str, values)) if isinstance(values, list) else values
+        yield prefix.replace("_", " "), number(shown, 5) if isinstance(shown, float) else str(shown)
+
+
+def _unreachable(run: dict[str, Any]) -> str:
+    parts = [f"{count} {flag}" for flag, count in run["points_not_reachable"].items()]
+    return f" ({', '.join(parts)})" if parts else ""
+
+
+def _band(b: dict[str, Any]) -> str:
+    if "lower_nm" in b:
+        return f"{b.get('name', '')}, {b['lower_nm']:g} to {b['upper_nm']:g} nm, broad"
+    return f"{b.get('name', '')}, {b.get('centre_nm')} nm, {b.get('fwhm_nm')} nm wide"
+
+
+def _width(d: dict[str, Any]) -> str:
+    here = [b for b in d["bands"] if b.get("centre_nm") == d["wavelength_nm"] and b.get("fwhm_nm")]
+    return f", {here[0]['fwhm_nm']:g} nm wide" if here else ""
+
+
+def _angles(angles: Sequence[float]) -> str:
+    """A list of angles, or its range where it is long (readbacks scatter by a few hundredths of a degree)."""
+    distinct: list[float] = []
+    for a in angles:
+        if not distinct or a - distinct[-1] > 0.4:
+            distinct.append(a)
+    if len(distinct) > 12:
+        return f"{len(distinct)} from {distinct[0]:g}° to {distinct[-1]:g}°"
+    return ", ".join(f"{a:g}°" for a in distinct)

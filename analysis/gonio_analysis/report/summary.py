@@ -1,0 +1,219 @@
+"""Every number and every sentence of a report, as plain JSON: the page is printed from this and from nothing else."""
+
+from __future__ import annotations
+
+import datetime
+import math
+import platform
+import re
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from gonio_analysis.compare import Dataset, Drawn, Fitted, budget
+from gonio_analysis.fit import FitResult, finite
+from gonio_analysis.metrics import BELOW, DESCRIPTIONS
+from gonio_analysis.observations import describe_left_out
+from gonio_analysis.planes import AT_MIRROR, IN_PLANE, NORM_WORDS
+
+VERSIONS = ("gonio", "numpy", "scipy", "numba", "pandas", "matplotlib")
+
+
+def summarise(datasets: Sequence[Dataset], *, title: str, normalise: str, command: str) -> dict[str, Any]:
+    """The summary of a comparison; see `gonio_analysis.report.write`."""
+    slugs: list[str] = []
+    for d in datasets:
+        base = re.sub(r"[^a-z0-9]+", "-", d.name.lower()).strip("-") or "sample"
+        slugs.append(base if base not in slugs else f"{base}-{len(slugs) + 1}")
+    models = list(dict.fromkeys(m for d in datasets for m in [*d.fitted, *d.skipped]))
+    return {
+        "title": title,
+        "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
+        "command": command,
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in VERSIONS}},
+        "normalise": normalise,
+        "models": models,
+        "in_plane_tolerance_deg": math.degrees(IN_PLANE),
+        "mirror_tolerance_deg": math.degrees(AT_MIRROR),
+        "log_metrics_above_u": BELOW,
+        "metrics": {k: {"label": label, "meaning": meaning} for k, (label, meaning) in DESCRIPTIONS.items()},
+        "datasets": [_dataset(d, slug) for d, slug in zip(datasets, slugs, strict=True)],
+    }
+
+
+def _dataset(d: Dataset, slug: str) -> dict[str, Any]:
+    attrs = d.table.attrs
+    stated = d.data.covariance is not None
+    negative = int(np.count_nonzero(d.data.brdf < 0))
+    out: dict[str, Any] = {
+        "name": d.name,
+        "slug": slug,
+        "source": d.source,
+        "format": attrs.get("format"),
+        "quantity": attrs.get("quantity", "brdf"),
+        "rows": len(d.table),
+        "rows_here": len(d.data) + sum(d.data.left_out.values()),
+        "used": len(d.data),
+        "left_out": d.data.left_out,
+        "left_out_words": describe_left_out(d.data.left_out),
+        "negative": negative,
+        "wavelength_nm": finite(d.wavelength_nm),
+        "wavelengths_nm": [finite(w) for w in d.wavelengths],
+        "bands": attrs.get("bands") or [],
+        "source_solid_angle_sr": finite(attrs.get("source_solid_angle_sr")),
+        "receiver_solid_angle_sr": finite(attrs.get("receiver_solid_angle_sr")),
+        "uncertainty_stated": stated,
+        "causes": list(d.data.covariance.causes) if d.data.covariance is not None else [],
+        "theta_i_deg": sorted({round(float(x), 1) for x in np.degrees(d.data.theta_i)}),
+        "brdf_min": float(d.data.brdf.min()),
+        "brdf_max": float(d.data.brdf.max()),
+        "median_u_rel": finite(float(np.median(d.data.u / np.abs(d.data.brdf))))
+        if stated and np.all(d.data.brdf)
+        else None,
+        "budget": [{"cause": c, "median": m, "p95": p} for c, m, p in budget(d.data)],
+        "curves_known": d.curves_known,
+        "scanned": d.curves[0].scanned if d.curves else None,
+        "out_of_plane_deg": math.degrees(max((c.out_of_plane for c in d.curves), default=0.0)),
+        "curves_without_mirror": [_angle(c.parameter) for c in d.curves if c.mirror is None],
+        "notes": _notes(d),
+        "provenance": _plain(attrs.get("provenance") or {}),
+        "run": d.run,
+        "models": {name: _fitted(f) for name, f in d.fitted.items()},
+        "skipped": dict(d.skipped),
+    }
+    out["best"] = _best(d)
+    out["conclusion"] = _conclusion(d, out["best"])
+    return out
+
+
+def _fitted(f: Fitted) -> dict[str, Any]:
+    return {
+        **f.fit.to_json(),
+        "metrics": {k: finite(v) for k, v in f.metrics.items()},
+        "curves": [_curve(drawn) for drawn in f.drawn],
+        "series": [
+            {
+                "wavelength_nm": r.wavelength_nm,
+                "n_points": len(r.data),
+                "reduced_chi_square": finite(r.reduced_chi_square),
+                "parameters": {n: {"value": finite(e.value), "u": finite(e.u)} for n, e in r.parameters.items()},
+            }
+            for r in f.series
+        ],
+    }
+
+
+def _curve(drawn: Drawn) -> dict[str, Any]:
+    c, n = drawn.curve, drawn.norm
+    top = int(np.argmax(drawn.theory))
+    return {
+        "label": drawn.label,
+        "scanned": c.scanned,
+        "parameter_deg": math.degrees(c.parameter),
+        "phi_i_deg": math.degrees(c.phi_i),
+        "points": int(c.angle.size),
+        "normalised_by": n.kind,
+        "normalised_by_words": NORM_WORDS[n.kind],
+        "normalised_at_deg": math.degrees(n.angle),
+        "norm_measured": n.measured,
+        "norm_theory": n.theory,
+        "theory_peak_deg": math.degrees(drawn.theory_angle[top]),
+        "theory_peak": float(drawn.theory[top]),
+        "measured_peak_deg": math.degrees(c.angle[int(np.argmax(c.brdf))]),
+        "measured_peak": float(c.brdf.max()),
+    }
+
+
+def _best(d: Dataset) -> str | None:
+    """The model that the data like best: by chi-square where there is one, else by the logarithmic ratio."""
+
+    def rank(f: Fitted) -> tuple[float, float]:
+        ratio = f.metrics["log_ratio"]
+        chi = f.fit.reduced_chi_square
+        return (chi if chi is not None else 0.0, ratio if ratio is not None else math.inf)
+
+    return min(d.fitted, key=lambda name: rank(d.fitted[name])) if d.fitted else None
+
+
+def _conclusion(d: Dataset, best: str | None) -> str:
+    if best is None:
+        return "No model was fitted."
+    f = d.fitted[best]
+    others = "the best of the models tried" if len(d.fitted) > 1 else "the only model tried"
+    ratio = f.metrics["log_ratio"]
+    typical = "" if ratio is None else f"; model and measurement differ by typically {100 * ratio:.2g} %"
+    chi = f.fit.reduced_chi_square
+    if chi is None:
+        return f"{best} is {others}{typical}. Without stated uncertainties nothing says whether that is good enough."
+    return f"{best} is {others}: reduced chi-square {chi:.3g}, {f.fit.verdict}{typical}."
+
+
+def _notes(d: Dataset) -> list[str]:
+    notes = [_sentence(str(n)) for n in d.table.attrs.get("notes") or []]
+    notes += [n for n in d.data.notes if n not in notes]
+    fits = [f.fit for f in d.fitted.values()]
+    notes += _shared(fits)
+    if math.isnan(d.wavelength_nm) and any(not math.isnan(f.wavelength_nm) for f in fits):
+        notes.append(
+            "Models that need a wavelength are evaluated at the one given with --wavelength-nm, not over the band."
+        )
+    if not d.curves:
+        notes.append("No in-plane curve: fewer than two values of any incidence lie in the plane of incidence.")
+    elif d.curves[0].scanned == "theta_i":
+        notes.append(
+            "The detector stood still and the source moved: each curve has one θr, and the angle along it is θi."
+        )
+    if d.curves_known > len(d.curves):
+        notes.append(f"{len(d.curves)} of {d.curves_known} in-plane curves are drawn; all values are fitted.")
+    without = [c.label for c in d.curves if c.mirror is None]
+    if without:
+        notes.append(
+            f"The mirror direction was not measured (within {math.degrees(AT_MIRROR):.1f}°) for {', '.join(without)}."
+        )
+    sparse = [c.label for c in d.curves if c.angle.size < 20]
+    if sparse:
+        counts = [c.angle.size for c in d.curves if c.angle.size < 20]
+        notes.append(
+            f"Sparse plane: {min(counts)} to {max(counts)} in-plane values for {', '.join(sparse)};"
+            " dashed lines only join neighbours."
+            if min(counts) < max(counts)
+            else f"Sparse plane: {counts[0]} in-plane values for {', '.join(sparse)}; dashed lines only join neighbours."
+        )
+    return notes
+
+
+def _shared(fits: list[FitResult]) -> list[str]:
+    """Notes that every fit makes, which belong to the data."""
+    if not fits:
+        return []
+    return [
+        n
+        for n in fits[0].notes
+        if all(n in f.notes for f in fits[1:]) and len(fits) > 1 and n not in fits[0].data.notes
+    ]
+
+
+def _sentence(text: str) -> str:
+    text = text[:1].upper() + text[1:]
+    return text if text.endswith((".", "!", "?")) else text + "."
+
+
+def _angle(radians: float) -> float:
+    return round(math.degrees(radians), 4)
+
+
+def _plain(value: Any) -> Any:
+    """A value as JSON has it."""
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, bool | str) or value is None:
+        return value
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return finite(float(value))
+    return str(value)

@@ -1,0 +1,117 @@
+"""The tables of a report as CSV files."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gonio_analysis.compare import Dataset
+
+
+def write(datasets: Sequence[Dataset], summary: dict[str, Any], folder: Path) -> list[str]:
+    """Write parameters, metrics, curves, theory, and parameters over wavelength; the names of the files."""
+    facts = summary["datasets"]
+    _csv(
+        folder / "parameters.csv",
+        ("sample", "model", "parameter", "value", "standard_error", "fixed", "at_bound"),
+        (
+            (s["name"], m, n, p["value"], p["u"], p["fixed"], p.get("at_bound", ""))
+            for s in facts
+            for m, f in s["models"].items()
+            for n, p in f["parameters"].items()
+        ),
+    )
+    names = list(summary["metrics"])
+    _csv(
+        folder / "metrics.csv",
+        ("sample", "model", "points", "free_parameters", "reduced_chi_square", "p_value", *names, "n_log"),
+        (
+            (
+                s["name"],
+                m,
+                f["n_points"],
+                f["n_free"],
+                f["reduced_chi_square"],
+                f["p_value"],
+                *(f["metrics"][n] for n in names),
+                f["metrics"]["n_log"],
+            )
+            for s in facts
+            for m, f in s["models"].items()
+        ),
+    )
+    files = ["parameters.csv", "metrics.csv"]
+    for d, s in zip(datasets, facts, strict=True):
+        files += _of_dataset(d, s["slug"], folder)
+        if any(f["series"] for f in s["models"].values()):
+            files.append(f"{s['slug']}-wavelengths.csv")
+            _csv(
+                folder / files[-1],
+                ("model", "wavelength_nm", "points", "reduced_chi_square", "parameter", "value", "standard_error"),
+                (
+                    (m, r["wavelength_nm"], r["n_points"], r["reduced_chi_square"], n, p["value"], p["u"])
+                    for m, f in s["models"].items()
+                    for r in f["series"]
+                    for n, p in r["parameters"].items()
+                ),
+            )
+    return files
+
+
+def _of_dataset(d: Dataset, slug: str, folder: Path) -> list[str]:
+    """Fitted values with every model's prediction, and the plotted curves."""
+    data = d.data
+    angles = [np.degrees(x) for x in (data.theta_i, data.phi_i, data.theta_r, data.phi_r)]
+    models = list(d.fitted)
+    values = [v for f in d.fitted.values() for v in (f.fit.predicted, f.fit.whitened)]
+    _csv(
+        folder / f"{slug}-values.csv",
+        (
+            *("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "brdf", "u_brdf"),
+            *(f"{m} {what}" for m in models for what in ("brdf", "whitened_residual")),
+        ),
+        zip(*angles, data.brdf, data.u, *values, strict=True),
+    )
+    _csv(
+        folder / f"{slug}-curves.csv",
+        ("model", "curve", "kind", "signed_angle_deg", "brdf", "u_brdf", "normalised", "u_normalised", "normalised_by"),
+        (
+            row
+            for m, f in d.fitted.items()
+            for c in f.drawn
+            for row in [
+                *((m, c.label, "measured", *rest, c.norm.kind) for rest in _measured(c)),
+                *((m, c.label, "theory", *rest, c.norm.kind) for rest in _theory(c)),
+            ]
+        ),
+    )
+    return [f"{slug}-values.csv", f"{slug}-curves.csv"]
+
+
+def _measured(c: Any) -> Iterable[tuple[Any, ...]]:
+    n = c.norm.measured
+    k = c.curve
+    return zip(np.degrees(k.angle), k.brdf, k.u, k.brdf / n, k.u / n, strict=True)
+
+
+def _theory(c: Any) -> Iterable[tuple[Any, ...]]:
+    return ((a, t, "", t / c.norm.theory, "") for a, t in zip(np.degrees(c.theory_angle), c.theory, strict=True))
+
+
+def _csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    with open(path, "w", encoding="utf-8", newline="") as stream:
+        out = csv.writer(stream, lineterminator="\n")
+        out.writerow(header)
+        out.writerows([_cell(cell) for cell in row] for row in rows)
+
+
+def _cell(value: Any) -> Any:
+    if value is None:
+        return ""
+    if isinstance(value, float | np.floating):
+        return "" if np.isnan(value) else repr(float(value)) if abs(value) < 1e16 else f"{value:.17g}"
+    return value

@@ -1,0 +1,50 @@
+"""Numbers in words: how a report prints them."""
+
+from __future__ import annotations
+
+import math
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number to a few significant digits, without needless zeros of an exponent; a dash for None."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    if value == 0:
+        return "0"
+    if 1e-4 <= abs(value) < 10**6:
+        decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+        return _minus(f"{value:,.{decimals}f}".replace(",", " "))
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    return _minus(f"{mantissa} × 10{_superscript(int(exponent))}")
+
+
+def with_u(value: float | None, u: float | None) -> str:
+    """value ± u, both rounded to the second significant digit of u."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    if u is None or not math.isfinite(u):
+        return f"{number(value)} (not determined)"
+    if u == 0:
+        return number(value, 5)
+    if u > 100 * max(abs(value), 1e-12) or not 1e-8 < u < 1e7:
+        return f"{number(value)} ± {number(u, 2)}"
+    decimals = 1 - math.floor(math.log10(u))
+    if decimals > 8:
+        return f"{number(value, 6)} ± {number(u, 2)}"
+    if decimals < 0:
+        scale = 10**-decimals
+        return _minus(f"{round(value / scale) * scale:.0f} ± {round(u / scale) * scale:.0f}")
+    return _minus(f"{value:.{decimals}f} ± {u:.{decimals}f}")
+
+
+def percent(value: float | None) -> str:
+    """A fraction in percent, two significant digits."""
+    return "–" if value is None else f"{number(100 * value, 2)} %"
+
+
+def _minus(text: str) -> str:
+    return text.replace("-", "−")
+
+
+def _superscript(power: int) -> str:
+    return str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))

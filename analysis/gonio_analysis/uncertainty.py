@@ -1,0 +1,96 @@
+"""The covariance of a measurement table, and how residuals are whitened with it.
+
+A table states its covariance in factors, C = diag(u_random^2) + S S^T, with one column of S a cause that is common to the
+whole run (reference, lamp drift, the zero of an angle). Everything here costs O(n k^2) for n values and k causes: no n x n
+matrix is ever made.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.errors import ArgumentError
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """C = diag(random^2) + common common^T.
+
+    Parameters
+    ----------
+    random : (n,) array [1/sr]
+        Standard uncertainties of the part that is independent from value to value; above 0.
+    common : (n, k) array [1/sr]
+        One signed column a cause: the change of the values for one standard deviation of that cause.
+    causes : tuple of str
+        The names of the k causes.
+    """
+
+    random: Floats
+    common: Floats
+    causes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.common.shape != (self.random.size, len(self.causes)):
+            raise ArgumentError(
+                f"common has shape {self.common.shape}: {(self.random.size, len(self.causes))} is needed"
+            )
+        if not (np.all(np.isfinite(self.random)) and np.all(self.random > 0) and np.all(np.isfinite(self.common))):
+            raise ArgumentError("random and common have to be finite, and random above 0")
+
+    @cached_property
+    def total(self) -> Floats:
+        """Combined standard uncertainty of each value [1/sr]."""
+        return np.sqrt(self.random**2 + (self.common**2).sum(axis=1))
+
+    @cached_property
+    def _root(self) -> tuple[Floats, Floats]:
+        # With T = diag(1/random) S = U diag(s) V^T:  (1 + T T^T)^(-1/2) = 1 - U diag(1 - 1/sqrt(1 + s^2)) U^T,
+        # the square root of Woodbury's (1 + T T^T)^(-1) = 1 - U diag(s^2 / (1 + s^2)) U^T.
+        left, values, _ = np.linalg.svd(self.common / self.random[:, None], full_matrices=False)
+        root = np.hypot(1.0, values)
+        return left, values**2 / (root * (root + 1.0))  # 1 - 1/root, without cancellation for small s
+
+    def whiten(self, residual: Floats) -> Floats:
+        """W r with W^T W = C^-1, of one residual (n,) or of the columns of (n, p), such as a Jacobian.
+
+        The sum of squares of the result is r^T C^-1 r. W is the symmetric root behind the scaling by 1/random, so that
+        entry i of the result still belongs to value i; without common causes it is r / random.
+        """
+        left, shrink = self._root
+        scaled = (residual.T / self.random).T
+        return np.asarray(scaled - left @ ((left.T @ scaled).T * shrink).T)
+
+    def chi_square(self, residual: Floats) -> float:
+        """r^T C^-1 r."""
+        white = self.whiten(residual)
+        return float(white @ white)
+
+    def scaled(self, factor: Floats) -> Covariance:
+        """The covariance with the common part of value i times `factor[i]`.
+
+        The effect of a common cause is proportional to the true value. Columns that were computed from measured, noisy
+        values pull a fit toward low values (Peelle's puzzle); once a model is fitted, `factor` = fitted / measured
+        takes that pull away.
+        """
+        return Covariance(self.random, self.common * factor[:, None], self.causes)
+
+    def take(self, rows: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Covariance:
+        """The covariance of some of the values."""
+        return Covariance(self.random[rows], self.common[rows], self.causes)
+
+
+def independent(u: Floats) -> Covariance:
+    """A covariance without common causes."""
+    return Covariance(u, np.zeros((u.size, 0)))
+
+
+def dense(covariance: Covariance) -> Floats:
+    """The matrix C itself, (n, n): for small tables and for tests."""
+    return np.diag(covariance.random**2) + covariance.common @ covariance.common.T
