@@ -13,7 +13,17 @@ from pathlib import Path
 from gonio.errors import ConfigError, DataError
 from gonio.formats.base import Format
 
-_MODULES = ("native", "astm", "nist_mueller", "mwir_inplane", "reflectance_factor", "bird_json", "alta", "klems_xml")
+_MODULES = (
+    "native",
+    "astm",
+    "nist_mueller",
+    "mwir_inplane",
+    "reflectance_factor",
+    "bird_json",
+    "alta",
+    "klems_xml",
+    "zemax_bsdf",
+)
 SNIFFED_BYTES = 65536
 
 

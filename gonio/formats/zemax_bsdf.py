@@ -1,0 +1,238 @@
+"""Zemax tabular BSDF (`.bsdf`, Radiant's interchange format): a grid of angles about the mirror direction.
+
+For each sample rotation and angle of incidence a TIS line and a matrix: one row a `ScatterAzimuth`, one column a
+`ScatterRadial` [degrees], values in 1/sr. Radial 0 is the mirror direction and grows outward; azimuth 0 points from
+there toward the normal and grows counter-clockwise. "PlaneSymmetrical" files stop at azimuth 180; they are not mirrored
+here. Zeros stand for directions below the surface, which are dropped, and for what was not measured, which is flagged
+"not_measured". The rotation is taken as the azimuth of incidence. The format states no wavelength (files that we write
+say theirs in a comment), no uncertainty, no solid angle.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gonio.errors import DataError
+from gonio.formats.base import (
+    ANGLES,
+    Floats,
+    Format,
+    Text,
+    integer,
+    number,
+    numbers,
+    single,
+    table,
+    wrap_deg,
+    write_bytes,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_WORDS = {
+    "Source": ("Measured",),
+    "Symmetry": ("PlaneSymmetrical", "ASymmetrical", "ASymmetrical4D", "Asymmetrical", "Asymmetrical4D"),
+    "SpectralContent": ("Monochrome",),
+    "ScatterType": ("BRDF",),
+}
+_LISTS = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
+_LIMITS = {
+    "SampleRotation": (-360.0, 360.0),
+    "AngleOfIncidence": (0.0, 90.0),
+    "ScatterAzimuth": (0.0, 360.0),
+    "ScatterRadial": (0.0, 180.0),
+}
+_OURS = re.compile(r"#\s*wavelength_nm\s+(\S+)")
+
+
+def read(data: bytes, path: Path) -> pd.DataFrame:
+    text = Text(data, path)
+    wavelength = math.nan
+    lines = []
+    for line, content in enumerate(text.lines):
+        match = _OURS.match(content)
+        if match:
+            wavelength = number(match[1], text.where(line), "wavelength_nm")
+        if content.strip() and not content.startswith("#"):
+            lines.append(line)
+    file = _Lines(text, lines)
+    for keyword, allowed in _WORDS.items():
+        file.keyword(keyword, allowed)
+    axes = {name: file.axis(name) for name in _LISTS}
+    file.keyword("Monochrome", ())
+    file.keyword("DataBegin", ())
+    azimuth, radial = axes["ScatterAzimuth"], axes["ScatterRadial"]
+    blocks = []
+    for rotation in axes["SampleRotation"]:
+        for incidence in axes["AngleOfIncidence"]:
+            file.keyword("TIS", None)
+            matrix = np.array([file.row(radial.size) for _ in azimuth])
+            blocks.append(_block(rotation, incidence, azimuth, radial, matrix))
+    file.keyword("DataEnd", ())
+    rows = np.concatenate(blocks)
+    unmeasured = rows[:, 4] == 0
+    notes = ["the format states no uncertainties and no solid angles"]
+    if math.isnan(wavelength):
+        notes.append("the file states no wavelength")
+    if unmeasured.any():
+        notes.append(f'{unmeasured.sum()} of {len(rows)} values are zero: flagged "not_measured"')
+    return table(
+        theta_i_deg=rows[:, 0],
+        phi_i_deg=rows[:, 1],
+        theta_r_deg=rows[:, 2],
+        phi_r_deg=rows[:, 3],
+        wavelength_nm=wavelength,
+        brdf=rows[:, 4],
+        flag=np.where(unmeasured, "not_measured", ""),
+        attrs={"source_file": str(path), "sample": path.stem, "notes": notes},
+    )
+
+
+class _Lines:
+    """The lines of a file that are no comments, taken one after the other."""
+
+    def __init__(self, text: Text, lines: list[int]) -> None:
+        self.text = text
+        self.lines = lines
+        self.next = 0
+
+    def take(self, wanted: str) -> tuple[str, list[str]]:
+        if self.next == len(self.lines):
+            raise DataError(f"{self.text.where(len(self.text.lines) - 1)}: the file ends before {wanted}")
+        line = self.lines[self.next]
+        self.next += 1
+        return self.text.where(line), self.text.lines[line].split()
+
+    def keyword(self, name: str, allowed: tuple[str, ...] | None) -> list[str]:
+        """A line that begins with a keyword; None allows any words after it, () allows none."""
+        where, words = self.take(name)
+        if words[0] != name:
+            raise DataError(f'{where}: "{words[0][:40]}" where {name} is needed')
+        if allowed is not None and words[1:] != [word for word in words[1:2] if word in allowed]:
+            found = " ".join(words[1:])[:40]
+            raise DataError(f'{where}: {name} is "{found}"; read is {", ".join(allowed) or "nothing after it"}')
+        return words[1:]
+
+    def axis(self, name: str) -> Floats:
+        count = self.keyword(name, None)
+        where, words = self.take(f"the angles of {name}")
+        wanted = integer(count[0] if count else "", where, f"the count of {name}", 1, 10_000)
+        if len(words) != wanted:
+            raise DataError(f"{where}: {len(words)} angles, and {name} counts {wanted}")
+        angles = np.array(numbers(words, where, [name] * wanted))
+        low, high = _LIMITS[name]
+        if ((angles < low) | (angles > high)).any() or (np.diff(angles) <= 0).any():
+            raise DataError(f"{where}: {name} has to grow within [{low:g}, {high:g}] degrees")
+        return angles
+
+    def row(self, count: int) -> list[float]:
+        where, words = self.take("the end of its data")
+        if len(words) != count:
+            raise DataError(f"{where}: {len(words)} values, and ScatterRadial counts {count}")
+        return numbers(words, where, [f"value {k + 1}" for k in range(count)])
+
+
+def _frame(incidence_deg: Floats | float) -> tuple[Floats, Floats, Floats]:
+    """The mirror direction, the one from it toward the normal, and their cross product; the source is at azimuth 0."""
+    a = np.deg2rad(np.asarray(incidence_deg, dtype=np.float64))
+    zero = np.zeros_like(a)
+    mirror = np.stack([-np.sin(a), zero, np.cos(a)], axis=-1)
+    inward = np.stack([np.cos(a), zero, np.sin(a)], axis=-1)
+    return mirror, inward, np.cross(mirror, inward)
+
+
+def _block(rotation: float, incidence: float, azimuth: Floats, radial: Floats, matrix: Floats) -> Floats:
+    """theta_i, phi_i, theta_r, phi_r, value of one incidence, without what lies below the surface."""
+    mirror, inward, side = _frame(incidence)
+    alpha, rho = (np.deg2rad(a)[..., np.newaxis] for a in np.meshgrid(azimuth, radial, indexing="ij"))
+    direction = np.cos(rho) * mirror + np.sin(rho) * (np.cos(alpha) * inward + np.sin(alpha) * side)
+    x, y, z = np.moveaxis(direction, -1, 0)
+    # rounded far below any instrument's resolution, so that the plane of incidence is exactly 0 and 180 degrees
+    theta = np.round(np.rad2deg(np.arctan2(np.hypot(x, y), z)), 9)
+    phi = np.where(theta == 0, 180.0, np.round(np.rad2deg(np.arctan2(y, x)), 9))
+    keep = theta <= 90
+    if radial[0] == 0 and (matrix[:, 0] == matrix[0, 0]).all():
+        keep[1:, 0] = False  # the same direction for every azimuth
+    count = int(keep.sum())
+    start = float(wrap_deg(rotation))
+    columns = [np.full(count, incidence), np.full(count, start), theta[keep], wrap_deg(phi[keep] + start), matrix[keep]]
+    return np.column_stack(columns)
+
+
+def write(frame: pd.DataFrame, path: Path) -> None:
+    """A table that is a full grid in these angles, as this reader makes it; what is flagged becomes a zero.
+
+    A grid with holes is refused, because every zero would count as a measured darkness.
+    """
+    single(frame, path, "a Zemax BSDF file")
+    if frame["wavelength_nm"].nunique(dropna=False) != 1:
+        raise DataError(f"{path}: a Zemax BSDF file holds one wavelength, and this table has several")
+    angles = frame[list(ANGLES)].to_numpy(np.float64)
+    mirror, inward, side = _frame(angles[:, 0])
+    theta, phi = np.deg2rad(angles[:, 2]), np.deg2rad(angles[:, 3] - angles[:, 1])
+    direction = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+    along, toward, across = ((direction * axis).sum(axis=-1) for axis in (mirror, inward, side))
+    rho = np.round(np.rad2deg(np.arctan2(np.hypot(toward, across), along)), 6)
+    alpha = np.where(rho == 0, 0.0, np.round(wrap_deg(np.rad2deg(np.arctan2(across, toward))), 6) % 360.0)
+    values = np.where(frame["flag"] == "", frame["brdf"].to_numpy(np.float64), 0.0)
+    axes = [np.unique(column) for column in (angles[:, 1], angles[:, 0], alpha, rho)]
+    if max(axis.size for axis in axes) > 10_000 or math.prod(axis.size for axis in axes) > 8 * len(frame) + 1000:
+        raise DataError(f"{path}: these directions are no grid of angles about the mirror direction")
+    grid = np.full([axis.size for axis in axes], np.nan)
+    grid[
+        tuple(
+            np.searchsorted(axis, column)
+            for axis, column in zip(axes, (angles[:, 1], angles[:, 0], alpha, rho), strict=True)
+        )
+    ] = values
+    if axes[3][0] == 0:
+        grid[..., 0] = grid[:, :, :1, 0]
+    holes = 0
+    for a, incidence in enumerate(axes[1].tolist()):
+        m, i, s = _frame(incidence)
+        al, ro = np.meshgrid(np.deg2rad(axes[2]), np.deg2rad(axes[3]), indexing="ij")
+        z = np.cos(ro) * m[2] + np.sin(ro) * (np.cos(al) * i[2] + np.sin(al) * s[2])
+        below = z < 1e-9
+        holes += int(np.isnan(grid[:, a][:, ~below]).sum())
+        grid[:, a][:, below] = np.nan_to_num(grid[:, a][:, below])
+    if holes:
+        raise DataError(f"{path}: these directions leave {holes} holes in a grid of angles about the mirror direction")
+    symmetric = axes[2][-1] <= 180
+    wavelength = float(frame["wavelength_nm"].iloc[0])
+    lines = [] if math.isnan(wavelength) else [f"# wavelength_nm {wavelength!r}"]
+    lines += ["Source\tMeasured", f"Symmetry\t{'PlaneSymmetrical' if symmetric else 'ASymmetrical'}"]
+    lines += ["SpectralContent\tMonochrome", "ScatterType\tBRDF"]
+    for name, axis in zip(_LISTS, axes, strict=True):
+        lines += [f"{name}\t{axis.size}", "\t".join(f"{angle!r}" for angle in axis.tolist())]
+    lines += ["", "Monochrome", "DataBegin"]
+    for rotation in grid:
+        for incidence, matrix in zip(axes[1].tolist(), rotation, strict=True):
+            lines.append(f"TIS\t{_tis(incidence, axes[2], axes[3], matrix) * (2 if symmetric else 1):.6f}")
+            lines += ["\t".join(repr(value) for value in row) for row in matrix.tolist()]
+    write_bytes(path, ("\n".join([*lines, "DataEnd"]) + "\n").encode())
+
+
+def _tis(incidence: float, azimuth: Floats, radial: Floats, matrix: Floats) -> float:
+    """Integral of brdf cos(theta_r) over the grid, by trapezia."""
+    mirror, inward, side = _frame(incidence)
+    alpha, rho = np.meshgrid(np.deg2rad(azimuth), np.deg2rad(radial), indexing="ij")
+    z = np.cos(rho) * mirror[2] + np.sin(rho) * (np.cos(alpha) * inward[2] + np.sin(alpha) * side[2])
+    inner = np.trapezoid(matrix * np.maximum(z, 0.0) * np.sin(rho), np.deg2rad(radial), axis=1)
+    return float(np.trapezoid(inner, np.deg2rad(azimuth)))
+
+
+FORMAT = Format(
+    name="zemax",
+    title="Zemax tabular BSDF",
+    endings=(".bsdf",),
+    sniff=lambda head: re.search(rb"^Source\s+Measured", head, re.MULTILINE) is not None and b"ScatterRadial" in head,
+    read=read,
+    write=write,
+    carries=frozenset({"flag"}),
+)
