@@ -19,8 +19,11 @@ from numba import njit
 Array = npt.NDArray[np.float64]
 
 TOLERANCE = 1e-4
-"""Largest error of a prediction, relative to the value (and `FLOOR` of the largest value), that ends the refinement."""
+"""Largest error of a prediction, relative to the value, that ends the refinement."""
 FLOOR = 1e-3
+"""Values below this part of the largest one, or below `DARK`, are followed less closely: within TOLERANCE of these."""
+DARK = 1e-4
+"""BRDF [1/sr] of a hundredth of a black plate."""
 FEWEST, MOST = 5, 129
 """Nodes a side. At the finest grid the nodes of a 20 mm sample at 1 m are 0.009 deg apart."""
 
@@ -60,7 +63,7 @@ def sample_function(function: Callable[[Array, Array], Array], left: float, bott
         new[::2, ::2] = False
         x, y = _node_positions(finer.values.shape[0], left, bottom, side)
         error = np.abs(grid.at(x[new], y[new]) - finer.values[new])
-        size = np.abs(finer.values[new]) + FLOOR * np.max(np.abs(finer.values))
+        size = np.abs(finer.values[new]) + FLOOR * np.max(np.abs(finer.values)) + DARK
         grid = finer
         if not np.any(error > TOLERANCE * size):
             break

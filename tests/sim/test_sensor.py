@@ -46,7 +46,7 @@ def electrons(of: Sensor, mean: float | None, exposure_s: float = 1.0, key: int 
 
 @pytest.mark.parametrize("mean", [0.3, 3.0, 11.0, 13.0, 40.0, 99.0, 101.0, 1000.0, 10000.0])
 def test_photon_transfer(mean: float) -> None:
-    """Mean and variance of the charge are equal; rounding a Gaussian to steps of 0.25 e- adds a twelfth of its square."""
+    """Mean and variance of the charge are equal; rounding to 0.25 e- adds a twelfth of its square to a Gaussian."""
     charge = electrons(sensor(photon_noise=True), mean)
     variance = mean + (0.25**2 / 12 if mean >= EXACT_BELOW else 0.0)  # whole electrons fall on whole steps
     assert charge.mean() == pytest.approx(mean, abs=SIGMAS * math.sqrt(mean / PIXELS))
