@@ -1,0 +1,364 @@
+"""What an instrument with a finite source and a finite receiver sees of a model.
+
+Both are circular cones: `theta_i, phi_i` and `theta_r, phi_r` are their axes. The BRDF that such an instrument measures is
+
+    (1/w_r) int_r int_s f cos(theta_s) dw_s dw_r / int_s cos(theta_s) dw_s
+
+for the lobe, and for the specular spike (He1991 eqs. 6, 70) the flux that the source's mirror image sends through the
+receiver's cone. A cone that crosses the horizon is cut there, and averages run over what is left; a solid angle of zero
+is a direction.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio import _caps
+from gonio.errors import ArgumentError
+from gonio.geometry import half_angle_of_cone
+from gonio.models import Geometry, Model, engine, geometry
+from gonio.models._compile import loop
+from gonio.models.base import choice, number
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+Array = npt.NDArray[np.float64]
+Spike = Literal["nominal", "exact"]
+
+TOLERANCE = 1e-7
+"""Relative difference of two successive cubatures at which a lobe's average is taken."""
+PAIRS = 1 << 17  # pairs of directions evaluated at a time: bounds the memory
+CUT_ORDERS = (6, 10, 16)
+
+
+def apparent_brdf(
+    model: Model,
+    theta_i: ArrayLike,
+    phi_i: ArrayLike,
+    theta_r: ArrayLike,
+    phi_r: ArrayLike,
+    *,
+    wavelength_nm: float = 550.0,
+    source_solid_angle_sr: float,
+    receiver_solid_angle_sr: float,
+    spike: Spike = "nominal",
+) -> Any:
+    """BRDF [1/sr] that an instrument with circular source and receiver cones measures: lobe and specular spike.
+
+    Parameters
+    ----------
+    model
+        Any `gonio.models.Model`; one without ``specular_reflectivity`` has no spike.
+    theta_i, phi_i, theta_r, phi_r
+        The cones' axes [rad], as in `Model.brdf`; they broadcast.
+    wavelength_nm
+        Wavelength [nm].
+    source_solid_angle_sr, receiver_solid_angle_sr
+        The cones' solid angles [sr], in [0, 2 pi).
+    spike
+        "nominal": rho_s(theta_i) |cap_s' and cap_r| / (cos(theta_i) w_s w_r), HTSG's eq. 6; "exact": rho_s carried
+        through the integral, with the lobe's denominator, as an instrument measures it.
+
+    Returns
+    -------
+    float64 array of the shape that the angles broadcast to.
+
+    Raises
+    ------
+    ArgumentError
+        An angle, a solid angle or `spike` is outside its domain; it names the argument.
+
+    Notes
+    -----
+    The lobe is averaged to `TOLERANCE` (see `apparent_lobe`); the spike to 1e-8 of itself.
+    """
+    where = geometry(theta_i, phi_i, theta_r, phi_r)
+    cones = _half_angles(source_solid_angle_sr, receiver_solid_angle_sr)
+    kind = choice("spike", spike, ("nominal", "exact"))
+    total = _lobe(model, where, wavelength_nm, *cones)
+    if hasattr(model, "specular_reflectivity"):
+        total = total + _spike(model, where, wavelength_nm, *cones, kind == "exact")
+    return total.reshape(where.shape)[()]
+
+
+def apparent_lobe(
+    model: Model,
+    theta_i: ArrayLike,
+    phi_i: ArrayLike,
+    theta_r: ArrayLike,
+    phi_r: ArrayLike,
+    *,
+    wavelength_nm: float = 550.0,
+    source_solid_angle_sr: float,
+    receiver_solid_angle_sr: float,
+) -> Any:
+    """The part of `apparent_brdf` that is not the spike; arguments and errors as there.
+
+    Notes
+    -----
+    A second-order expansion where its own error estimate holds `TOLERANCE`, else products of two disc rules of growing
+    degree (5, 7, 11, 19, 31, 47) until two agree to `TOLERANCE`, geometry by geometry.
+    """
+    where = geometry(theta_i, phi_i, theta_r, phi_r)
+    cones = _half_angles(source_solid_angle_sr, receiver_solid_angle_sr)
+    return _lobe(model, where, wavelength_nm, *cones).reshape(where.shape)[()]
+
+
+def apparent_spike(
+    model: Model,
+    theta_i: ArrayLike,
+    phi_i: ArrayLike,
+    theta_r: ArrayLike,
+    phi_r: ArrayLike,
+    *,
+    wavelength_nm: float = 550.0,
+    source_solid_angle_sr: float,
+    receiver_solid_angle_sr: float,
+    spike: Spike = "nominal",
+) -> Any:
+    """The spike's part of `apparent_brdf`; arguments and errors as there. 0 for a model without a spike."""
+    where = geometry(theta_i, phi_i, theta_r, phi_r)
+    cones = _half_angles(source_solid_angle_sr, receiver_solid_angle_sr)
+    kind = choice("spike", spike, ("nominal", "exact"))
+    if not hasattr(model, "specular_reflectivity"):
+        return np.zeros(where.shape)[()]
+    return _spike(model, where, wavelength_nm, *cones, kind == "exact").reshape(where.shape)[()]
+
+
+def _half_angles(source_solid_angle_sr: float, receiver_solid_angle_sr: float) -> tuple[float, float]:
+    out = []
+    for name, value in (
+        ("source_solid_angle_sr", source_solid_angle_sr),
+        ("receiver_solid_angle_sr", receiver_solid_angle_sr),
+    ):
+        checked = number(name, value, 0.0, unit="sr")
+        if checked >= 2.0 * math.pi:
+            raise ArgumentError(f"{name} = {checked:g} sr: a cone must be narrower than the hemisphere, 2 pi sr")
+        out.append(float(half_angle_of_cone(checked)))
+    return out[0], out[1]
+
+
+# --- the lobe -----------------------------------------------------------------------------------------------------
+
+
+def _lobe(model: Model, where: Geometry, wavelength_nm: float, source: float, receiver: float) -> Array:
+    """Averages over both caps, flat."""
+    omega_i, omega_r = where.omega_i.reshape(-1, 3), where.omega_r.reshape(-1, 3)
+    if source == 0.0 and receiver == 0.0:
+        return np.asarray(model.brdf_vectors(omega_i, omega_r, wavelength_nm=wavelength_nm)).reshape(-1)
+    out = np.empty(len(omega_i))
+    cut = (omega_i[:, 2] < math.sin(source)) | (omega_r[:, 2] < math.sin(receiver))
+    for index in np.flatnonzero(cut):
+        out[index] = _cut_lobe(model, omega_i[index], omega_r[index], wavelength_nm, source, receiver)
+    left = np.flatnonzero(~cut)
+    if left.size:
+        out[left], error = _second_order(model, omega_i[left], omega_r[left], wavelength_nm, source, receiver)
+        left = left[~(error <= TOLERANCE)]
+    before = None
+    for level in range(_caps.LEVELS):
+        if not left.size:
+            break
+        now = _product_rule(model, omega_i[left], omega_r[left], wavelength_nm, source, receiver, level)
+        out[left] = now
+        if before is not None:
+            rough = ~(np.abs(now - before) <= TOLERANCE * np.abs(now))
+            left, now = left[rough], now[rough]
+        before = now
+    return out
+
+
+def _second_order(
+    model: Model, omega_i: Array, omega_r: Array, wavelength_nm: float, source: float, receiver: float
+) -> tuple[Array, Array]:
+    """f + the second-order terms of each cone alone, and the estimated size of what is left out, both from 13 values.
+
+    With v the largest change of f over either ring and d the second-order terms, all relative to f, the next terms
+    are of order v^4 and d^2.
+    """
+    square, psi, _ = _caps.disc_rule(0)
+    square, psi = square[1:], psi[1:]
+    centre = np.asarray(model.brdf_vectors(omega_i, omega_r, wavelength_nm=wavelength_nm)).reshape(-1)
+    scale = np.where(centre > 0.0, centre, 1.0)
+    change, change2, total = np.zeros_like(centre), np.zeros_like(centre), centre.copy()
+    for axis, other, half, is_source in ((omega_i, omega_r, source, True), (omega_r, omega_i, receiver, False)):
+        if half == 0.0:
+            continue
+        ring = _caps.nodes(axis, half, square, psi)
+        pair = (ring, other[:, None, :]) if is_source else (other[:, None, :], ring)
+        values = np.asarray(model.brdf_vectors(*pair, wavelength_nm=wavelength_nm))
+        if is_source:  # weighted by cos(theta_s): its mean over the ring is that of the axis times cos(rho)
+            mean_cos = np.sum(ring[..., 2], axis=1)
+            mean = np.sum(values * ring[..., 2], axis=1) / mean_cos
+        else:
+            mean = np.mean(values, axis=1)
+        term = 0.75 * (mean - centre)
+        total += term
+        change += np.max(np.abs(values - centre[:, None]), axis=1) / scale
+        change2 += np.abs(term) / scale
+    with np.errstate(over="ignore"):
+        error = np.where(centre > 0.0, change**4 + 4.0 * change2**2, np.inf)
+    return total, error
+
+
+def _product_rule(
+    model: Model, omega_i: Array, omega_r: Array, wavelength_nm: float, source: float, receiver: float, level: int
+) -> Array:
+    out = np.empty(len(omega_i))
+    square, psi, weight = _caps.disc_rule(level)
+    one = np.zeros(1), np.zeros(1), np.ones(1)
+    s_square, s_psi, s_weight = (square, psi, weight) if source > 0.0 else one
+    r_square, r_psi, r_weight = (square, psi, weight) if receiver > 0.0 else one
+    step = max(1, PAIRS // (len(s_weight) * len(r_weight)))
+    for first in range(0, len(out), step):
+        part = slice(first, first + step)
+        from_source = _caps.nodes(omega_i[part], source, s_square, s_psi)
+        to_receiver = _caps.nodes(omega_r[part], receiver, r_square, r_psi)
+        values = np.asarray(
+            model.brdf_vectors(from_source[:, :, None, :], to_receiver[:, None, :, :], wavelength_nm=wavelength_nm)
+        )
+        light = s_weight * from_source[..., 2]
+        out[part] = np.einsum("gsr,gs,r->g", values, light, r_weight) / np.sum(light, axis=1)
+    return out
+
+
+def _cut_lobe(
+    model: Model, omega_i: Array, omega_r: Array, wavelength_nm: float, source: float, receiver: float
+) -> float:
+    """One geometry in which the horizon cuts a cap."""
+    before = math.inf
+    now = 0.0
+    for order in CUT_ORDERS:
+        s, s_weight = _cap_nodes(omega_i, source, order)
+        r, r_weight = _cap_nodes(omega_r, receiver, order)
+        light = s_weight * s[:, 2]
+        total = 0.0
+        step = max(1, PAIRS // len(s))
+        for first in range(0, len(r), step):
+            part = slice(first, first + step)
+            values = np.asarray(model.brdf_vectors(s[:, None, :], r[None, part, :], wavelength_nm=wavelength_nm))
+            total += float(light @ values @ r_weight[part])
+        now = total / (float(np.sum(light)) * float(np.sum(r_weight))) if np.sum(light) > 0.0 else 0.0
+        if abs(now - before) <= 10.0 * TOLERANCE * abs(now):
+            break
+        before = now
+    return now
+
+
+def _cap_nodes(omega: Array, half: float, order: int) -> tuple[Array, Array]:
+    """Nodes and solid angles [sr] of what lies above the horizon of the cap about one axis."""
+    if half == 0.0:
+        return omega[None, :], np.ones(1)
+    if omega[2] < math.sin(half):
+        return _caps.cut_nodes(omega, half, order)
+    square, psi, weight = _caps.disc_rule(CUT_ORDERS.index(order) + 2)
+    return _caps.nodes(omega, half, square, psi), weight * (4.0 * math.pi * math.sin(half / 2.0) ** 2)
+
+
+# --- the spike ----------------------------------------------------------------------------------------------------
+
+
+def _spike(model: Model, where: Geometry, wavelength_nm: float, source: float, receiver: float, exact: bool) -> Array:
+    omega_i, omega_r = where.omega_i.reshape(-1, 3), where.omega_r.reshape(-1, 3)
+    out = np.zeros(len(omega_i))
+    mirrored = omega_i * (-1.0, -1.0, 1.0)
+    chord = mirrored - omega_r
+    near = np.einsum("nk,nk->n", chord, chord) <= (2.0 * math.sin(min(0.5 * (source + receiver), math.pi / 2.0))) ** 2
+    if source == 0.0 or receiver == 0.0:
+        return _spike_of_direction(model, omega_i, omega_r, near, wavelength_nm, source, receiver, exact)
+    cut = near & ((omega_i[:, 2] < math.sin(source)) | (omega_r[:, 2] < math.sin(receiver)))
+    for index in np.flatnonzero(cut):
+        out[index] = _cut_spike(model, omega_i[index], omega_r[index], wavelength_nm, source, receiver, exact)
+    whole = np.flatnonzero(near & ~cut)
+    if not whole.size:
+        return out
+    l, v = np.ascontiguousarray(omega_i[whole]), np.ascontiguousarray(omega_r[whole])  # noqa: E741
+    table, low, per_step, side = _reflectivity_table(model, v[:, 2], l[:, 2], wavelength_nm, source, receiver)
+    x, w = np.polynomial.legendre.leggauss(side)
+    constants = (source, receiver, low, per_step, float(exact))
+    values = np.empty(whole.size)
+    run = loop(_caps.spike_over_vectors, _caps.tabulated, len(constants))
+    engine.in_parts(
+        lambda i, j: run(l.reshape(-1), v.reshape(-1), table, x, w, constants, values, i, j), whole.size, 4096
+    )
+    out[whole] = values
+    return out
+
+
+def _reflectivity(model: Model, cosine: Array, wavelength_nm: float) -> Array:
+    theta = np.arccos(np.clip(cosine, 0.0, 1.0))
+    return np.asarray(cast(Any, model).specular_reflectivity(theta, wavelength_nm=wavelength_nm), dtype=np.float64)
+
+
+def _reflectivity_table(
+    model: Model, z_r: Array, z_i: Array, wavelength_nm: float, source: float, receiver: float
+) -> tuple[Array, float, float, int]:
+    """rho_s at equal steps of cos(theta) over the caps, and how many Gauss nodes a side its change over a cap asks for."""
+    angle_low = math.acos(min(1.0, max(z_r.max(), z_i.max()))) - receiver
+    angle_high = math.acos(max(0.0, min(z_r.min(), z_i.min()))) + receiver
+    low = max(0.0, math.cos(min(math.pi / 2.0, angle_high)))
+    high = 1.0 if angle_low <= 0.0 else math.cos(angle_low)
+    count = max(16, math.ceil((high - low) * 8192))
+    grid = np.linspace(low, high, count + 1)
+    table = _reflectivity(model, grid, wavelength_nm)
+    step = (high - low) / count
+    width = min(count, max(1, math.ceil(2.0 * math.sin(min(source, receiver)) / step)))
+    first, last = table[:-width], table[width:]
+    most = np.maximum(np.maximum(first, last), 1e-30)
+    change = float(np.max(np.abs(last - first) / most))
+    return table, low, 1.0 / step, 2 if change < 0.02 else 4 if change < 0.4 else 8
+
+
+def _spike_of_direction(
+    model: Model,
+    omega_i: Array,
+    omega_r: Array,
+    near: npt.NDArray[np.bool_],
+    wavelength_nm: float,
+    source: float,
+    receiver: float,
+    exact: bool,
+) -> Array:
+    """The limits where one cone is a direction (and where both are: infinite in the mirror direction)."""
+    out = np.zeros(len(omega_i))
+    for index in np.flatnonzero(near):
+        seen = omega_r[index, 2] if exact and receiver == 0.0 else omega_i[index, 2]
+        rho = float(_reflectivity(model, np.array([seen]), wavelength_nm)[0])
+        w_r = float(np.sum(_cap_nodes(omega_r[index], receiver, CUT_ORDERS[-1])[1])) if receiver > 0.0 else 1.0
+        if source > 0.0:
+            s, s_weight = _cap_nodes(omega_i[index], source, CUT_ORDERS[-1])
+            light = float(s_weight @ s[:, 2]) if exact else float(np.sum(s_weight)) * omega_i[index, 2]
+        else:
+            light = omega_i[index, 2]
+        both = source == 0.0 and receiver == 0.0
+        out[index] = 0.0 if rho == 0.0 else math.inf if both or light == 0.0 else rho / (light * w_r)
+    return out
+
+
+def _cut_spike(
+    model: Model, omega_i: Array, omega_r: Array, wavelength_nm: float, source: float, receiver: float, exact: bool
+) -> float:
+    """One geometry in which the horizon cuts a cap: the overlap by summing over the receiver's, to about 1e-3."""
+    s, s_weight = _cap_nodes(omega_i, source, CUT_ORDERS[-1])
+    r, r_weight = (
+        _caps.cut_nodes(omega_r, receiver, 48) if omega_r[2] < math.sin(receiver) else _dense(omega_r, receiver)
+    )
+    chord = r - omega_i * (-1.0, -1.0, 1.0)
+    inside = np.einsum("nk,nk->n", chord, chord) <= (2.0 * math.sin(source / 2.0)) ** 2
+    if exact:
+        flux = float(r_weight[inside] @ _reflectivity(model, r[inside, 2], wavelength_nm)) if inside.any() else 0.0
+        light = float(s_weight @ s[:, 2])
+    else:
+        flux = float(np.sum(r_weight[inside])) * float(_reflectivity(model, omega_i[2:3], wavelength_nm)[0])
+        light = float(np.sum(s_weight)) * float(omega_i[2])
+    return 0.0 if flux == 0.0 else math.inf if light == 0.0 else flux / (light * float(np.sum(r_weight)))
+
+
+def _dense(omega: Array, half: float) -> tuple[Array, Array]:
+    square, psi = np.meshgrid((np.arange(64) + 0.5) / 64.0, (np.arange(128) + 0.5) * (math.pi / 64.0), indexing="ij")
+    weight = np.full(square.size, 4.0 * math.pi * math.sin(half / 2.0) ** 2 / square.size)
+    return _caps.nodes(omega, half, square.ravel(), psi.ravel()), weight
