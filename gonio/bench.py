@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -81,7 +82,7 @@ def carry_out(
     sample: SampleDescription | None = None,
     seed: int = 0,
     resume: bool = False,
-    confirm: bool = False,
+    yes: bool = False,
     command: str = "",
     progress: Progress | None = None,
 ) -> Run:
@@ -97,8 +98,8 @@ def carry_out(
         For a simulated rig.
     resume
         Go on with a run that has begun.
-    confirm
-        Whether somebody sits at a terminal who can confirm a swap of sample and reference.
+    yes
+        Ask for no confirmation when sample and reference are swapped by hand.
     command
         The command line, for the record.
     progress
@@ -122,7 +123,7 @@ def carry_out(
     plan.bands(rig.description)
     points = assess(plan, rig.description)
     steps = schedule(plan, rig.description, points)
-    device = _open(rig, out, sample, seed, resume, confirm)
+    device = _open(rig, out, sample, seed, resume, yes)
     going_on = resume and begun(out)
     request = Request(plan, points, rig.description, sample, seed, command)
     with Stop(progress) as stop, contextlib.ExitStack() as stack:
@@ -137,21 +138,27 @@ def carry_out(
 
 
 def check(
-    plan: Plan, rig: RigChoice, out: Path, *, sample: SampleDescription | None, seed: int, resume: bool, confirm: bool
+    plan: Plan, rig: RigChoice, out: Path, *, sample: SampleDescription | None, seed: int, resume: bool, yes: bool
 ) -> None:
     """Raise what `carry_out` would raise before it touches a device; its parameters."""
     plan.bands(rig.description)
     schedule(plan, rig.description)
-    _open(rig, out, sample, seed, resume, confirm)
+    _open(rig, out, sample, seed, resume, yes)
 
 
-def _open(rig: RigChoice, out: Path, sample: SampleDescription | None, seed: int, resume: bool, confirm: bool) -> Rig:
+def _open(rig: RigChoice, out: Path, sample: SampleDescription | None, seed: int, resume: bool, yes: bool) -> Rig:
     """The rig, built but not entered, after every check that needs no device."""
     from gonio.run import begun, check_new, check_writable
 
-    device = rig.plugin.open(rig.description, sample=sample, seed=seed, confirm=confirm)
+    attended = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
+    device = rig.plugin.open(rig.description, sample=sample, seed=seed, confirm=attended and not yes)
     if sample is None and device.repeatable:
         raise ConfigError(f'the rig "{rig.source}" simulates its sample: name one with --sample S.toml')
+    if rig.description.reference.how == "swap" and not (device.repeatable or attended or yes):
+        raise ConfigError(
+            f'the rig "{rig.source}" has its white reference swapped by hand ([reference] how), and there is no '
+            "terminal to ask for it; --yes measures without asking"
+        )
     if resume and begun(out):
         check_writable(out)
     else:

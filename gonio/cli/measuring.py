@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -31,9 +30,8 @@ def measure(
 
     asked, chosen = load_plan(plan), find_rig(rig)
     described = load_sample(sample) if sample is not None else None
-    confirm = not yes and sys.stdin.isatty() and sys.stderr.isatty()
     if dry_run:
-        check(asked, chosen, out, sample=described, seed=seed, resume=resume, confirm=confirm)
+        check(asked, chosen, out, sample=described, seed=seed, resume=resume, yes=yes)
         plans.describe(asked, chosen)
         console.note("nothing was moved or written (--dry-run)")
         return
@@ -45,7 +43,7 @@ def measure(
             sample=described,
             seed=seed,
             resume=resume,
-            confirm=confirm,
+            yes=yes,
             command=command_line(),
             progress=progress,
         )

@@ -169,10 +169,18 @@ def test_a_failing_device_is_in_the_journal_and_everything_is_dark(measure: Meas
     assert content(run) == content(measure("whole"))
 
 
+def test_a_swap_by_hand_needs_a_terminal_or_yes(measure: Measure, tmp_path: Path) -> None:
+    laboratory = Plugin(options={"repeatable": False})
+    with pytest.raises(ConfigError, match=r"swapped by hand .*--yes"):
+        measure("run", rig=laboratory)  # the tests have no terminal
+    assert not (tmp_path / "run").exists()
+    measure("run", rig=laboratory, yes=True)
+
+
 def test_a_laboratory_takes_fresh_darks_and_references(measure: Measure) -> None:
     with pytest.raises(Interrupted):
-        measure("run", rig=Plugin(options={"repeatable": False}), progress=StopAfter(4))
-    run = measure("run", rig=Plugin(options={"repeatable": False}), resume=True)
+        measure("run", rig=Plugin(options={"repeatable": False}), yes=True, progress=StopAfter(4))
+    run = measure("run", rig=Plugin(options={"repeatable": False}), yes=True, resume=True)
     taken = [(e["step"], e["kind"]) for e in run.events() if e["event"] == "step"]
     assert taken[5:8] == [(9, "dark"), (10, "reference"), (5, "reference")]
     assert len(taken) == 11
@@ -254,7 +262,7 @@ def test_a_folder_of_other_things_is_left_alone(measure: Measure, tmp_path: Path
 def test_no_device_is_opened_before_everything_is_checked(plan: Plan, tmp_path: Path) -> None:
     rig = Plugin()
     choice = RigChoice(rig, describe(), "numpy")
-    options = {"seed": 0, "resume": False, "confirm": False}
+    options = {"seed": 0, "resume": False, "yes": False}
     with pytest.raises(ConfigError, match="--sample"):
         check(plan, choice, tmp_path / "run", sample=None, **options)  # type: ignore[arg-type]
     check(plan, choice, tmp_path / "run", sample=SAMPLE, **options)  # type: ignore[arg-type]
