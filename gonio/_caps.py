@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
+
 import numpy as np
 import numpy.typing as npt
 

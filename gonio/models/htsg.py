@@ -1,0 +1,195 @@
+"""The parts of He, Torrance, Sillion and Greenberg (1991) as functions: series, shadowing, effective roughness.
+
+`HeTorrance` evaluates the same formulas in blocks (`gonio.models._htsg_kernels`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gonio.errors import ArgumentError
+from gonio.models import engine
+from gonio.models._compile import device, loop, template
+from gonio.models._htsg_expansion import full_40_to_120, full_120_to_1500, full_from_1500
+from gonio.models._htsg_kernels import expm1, lambert_w, shadowing_over_cos
+from gonio.models._math import exp, log, sincos_polar
+from gonio.models.base import choice
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+__all__ = ["effective_roughness", "log_series", "shadowing"]
+
+
+def log_series(g: ArrayLike, c: ArrayLike) -> Any:
+    """ln S(g, c), S = sum over m >= 1 of exp(-g) g^m / (m! m) exp(-c/m): the sum of He1991 eq. 78.
+
+    Parameters
+    ----------
+    g
+        Apparent roughness squared, g = (2 pi sigma/lambda)^2 (cos theta_i + cos theta_r)^2, at least 0.
+    c
+        v_xy^2 tau^2 / 4, at least 0.
+
+    Returns
+    -------
+    float64 array of the shape that the arguments broadcast to; -inf at g = 0. Its error is below 1e-13 (1 + |dlnS/dlng| + |dlnS/dlnc|) for
+    g up to 1e8 and c up to 1e10, and S may be far below the smallest double.
+
+    Raises
+    ------
+    ArgumentError
+        An argument is negative, infinite or NaN; it names the argument.
+    """
+    return _over_pairs(_log_series, {"g": g, "c": c}, ())
+
+
+def shadowing(theta: ArrayLike, sigma0: ArrayLike, tau: ArrayLike, form: str = "smith") -> Any:
+    """S_1(theta), the shadowing of one direction (He1991 eqs. 24, 25); S = S_1(theta_i) S_1(theta_r).
+
+    Parameters
+    ----------
+    theta
+        Polar angle [rad], in [0, pi/2].
+    sigma0, tau
+        Rms roughness (at least 0) and correlation length (above 0), in the same unit.
+    form
+        "smith": with the factor exp(-h^2) in eq. 25, as Smith (1967) has it and Monte-Carlo confirms; "paper": as printed.
+
+    Returns
+    -------
+    float64 array of the shape that the arguments broadcast to, in [0, 1]; 0 at exactly grazing for a rough surface.
+
+    Raises
+    ------
+    ArgumentError
+        An argument is outside its range; it names the argument.
+    """
+    printed = float(choice("form", form, ("smith", "paper")) == "paper")
+    angle, rough, length = (
+        engine.real_array(name, value) for name, value in (("theta", theta), ("sigma0", sigma0), ("tau", tau))
+    )
+    for name, array, good, allowed in (
+        ("theta", angle, (angle >= 0.0) & (angle <= engine.HALF_PI), "in [0, pi/2] rad"),
+        ("sigma0", rough, (rough >= 0.0) & np.isfinite(rough), "finite and at least 0"),
+        ("tau", length, (length > 0.0) & np.isfinite(length), "finite and above 0"),
+    ):
+        _require(name, array, good, allowed)
+    with np.errstate(divide="ignore", over="ignore"):
+        slope = np.minimum(length / (2.0 * rough), 1e100)
+    return _over_pairs(_shadowing, {"theta": angle, "slope": slope}, (printed,))
+
+
+def effective_roughness(K: ArrayLike) -> Any:  # noqa: N803 - the paper's letter, part of the interface
+    """sigma / sigma0 = 1/sqrt(1 + W0(K^2/8 pi)): He1991 eqs. 80-83 in closed form.
+
+    Parameters
+    ----------
+    K
+        K_i + K_r, K = tan(theta) erfc(tau cot(theta) / 2 sigma0), at least 0 (infinity allowed).
+
+    Returns
+    -------
+    float64 array of the argument's shape, in [0, 1], to a few units in the last place from 0 to the largest double.
+
+    Raises
+    ------
+    ArgumentError
+        K is negative or NaN.
+    """
+    array = engine.real_array("K", K)
+    _require("K", array, array >= 0.0, "at least 0")
+    return _over_pairs(_effective_roughness, {"K": np.minimum(array, 1.7e308), "zero": 0.0}, ()) * (array < np.inf)
+
+
+def _require(name: str, array: Any, good: Any, allowed: str) -> None:
+    if not np.all(good):
+        worst = array.reshape(-1)[np.flatnonzero(~np.asarray(good).reshape(-1))[0]]
+        raise ArgumentError(f"{name} = {worst:.17g}: must be {allowed}")
+
+
+def _over_pairs(kernel: Any, arguments: dict[str, ArrayLike], constants: tuple[float, ...]) -> Any:
+    arrays = []
+    for name, value in arguments.items():
+        array = engine.real_array(name, value)
+        _require(name, array, (array >= 0.0) & np.isfinite(array), "finite and at least 0")
+        arrays.append(array)
+    try:
+        first, second = np.broadcast_arrays(*arrays)
+    except ValueError:
+        shapes = ", ".join(f"{name} {array.shape}" for name, array in zip(arguments, arrays, strict=True))
+        raise ArgumentError(f"the shapes do not broadcast together: {shapes}") from None
+    out = np.empty(first.shape)
+    a, b, flat = np.ascontiguousarray(first).reshape(-1), np.ascontiguousarray(second).reshape(-1), out.reshape(-1)
+    run = loop(over_pairs, kernel, len(constants) + 1)
+    engine.in_parts(lambda i, j: run(a, b, (*constants, 0.0), flat, i, j), a.size, 4096)
+    return out[()]
+
+
+@template("r1 r1 p w1 i i")
+def over_pairs(first, second, constants, out, start, stop):  # type: ignore[no-untyped-def]
+    for j in range(start, stop):
+        out[j] = kernel(first[j], second[j], constants)  # type: ignore[name-defined]  # noqa: F821
+    return 0
+
+
+@device
+def _shadowing(theta, slope, p):  # type: ignore[no-untyped-def]
+    s, z = sincos_polar(theta)
+    over_cos, _ = shadowing_over_cos(z, s, slope, p[0])
+    return min(z * over_cos, 1.0)
+
+
+@device
+def _effective_roughness(k, zero, p):  # type: ignore[no-untyped-def]
+    if k < 1e140:
+        return 1.0 / math.sqrt(1.0 + lambert_w(k * k * (0.125 / math.pi)))
+    # W0 of a number y by its logarithm: w + ln w = ln y, Newton in w from ln y - ln ln y
+    y = 2.0 * math.log(k) + math.log(0.125 / math.pi)
+    w = y - math.log(y)
+    for _ in range(4):
+        w -= (w + math.log(w) - y) * w / (1.0 + w)
+    return 1.0 / math.sqrt(1.0 + w)
+
+
+@device
+def _log_series(g, c, p):  # type: ignore[no-untyped-def]
+    if g == 0.0:
+        return -math.inf
+    # 2u = W0(2c/g^2), by logarithms where g^2 would underflow
+    if g > 1e-100:
+        u = 0.5 * lambert_w(2.0 * (c / g) / g)
+    else:
+        y = math.log(2.0 * max(c, 1e-300)) - 2.0 * math.log(g)
+        w = y - math.log(max(y, 1.5)) if y > 1.0 else 0.5 * exp(y)
+        for _ in range(6):
+            w = max(w - (w + math.log(w) - y) * w / (1.0 + w), 1e-300) if w > 0.0 else 0.0
+        u = 0.5 * w
+    spread = 1.0 / (1.0 + 2.0 * u)
+    m0 = math.exp(u + math.log(g))
+    if m0 > 40.0 and m0 * spread > 1.9:
+        rise = expm1(u)
+        x = 1.0 / m0
+        bracket = full_from_1500(x, spread)
+        if m0 < 120.0:
+            bracket = full_40_to_120(x, spread)
+        elif m0 < 1500.0:
+            bracket = full_120_to_1500(x, spread)
+        return g * (rise * (1.0 - u) - u) - c / m0 + math.log(math.sqrt(spread) * x * bracket)
+    # terms on both sides of the largest, from their ratios
+    top = max(1.0, math.floor(m0 + 0.5))
+    log_top = top * math.log(g) - g - math.lgamma(top + 1.0) - math.log(top) - c / top
+    total, term, m = 1.0, 1.0, top
+    while term > 1e-18 * total:
+        term *= g * m / ((m + 1.0) * (m + 1.0)) * math.exp(c / (m * (m + 1.0)))
+        m += 1.0
+        total += term
+    term, m = 1.0, top
+    while m > 1.0 and term > 1e-18 * total:
+        term *= m * m / (g * (m - 1.0)) * math.exp(-c / (m * (m - 1.0)))
+        m -= 1.0
+        total += term
+    return log_top + log(total)
