@@ -5,12 +5,32 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from gonio.models import fresnel
+from gonio.models import fresnel, htsg
 from gonio.models.base import Model, build_model
+from gonio.models.blinn import Blinn, Phong
+from gonio.models.cook_torrance import CookTorrance
 from gonio.models.engine import Geometry, geometry
 from gonio.models.he_torrance import HeTorrance
 from gonio.models.lambert import Lambert
+from gonio.models.oren_nayar import OrenNayar
+from gonio.models.sum import Sum
 
-__all__ = ["Geometry", "HeTorrance", "Lambert", "Model", "build", "geometry"]
+__all__ = [
+    "Blinn",
+    "CookTorrance",
+    "Geometry",
+    "HeTorrance",
+    "Lambert",
+    "Model",
+    "OrenNayar",
+    "Phong",
+    "Sum",
+    "build",
+    "fresnel",
+    "geometry",
+    "htsg",
+]
 
 
 def build(name: str, parameters: Mapping[str, Any]) -> Model:

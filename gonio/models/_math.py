@@ -24,6 +24,7 @@ _TWO_OVER_PI = 0.6366197723675814
 _PI2_A = 1.5707963267341256  # pi/2 in three parts, 33 bits + 33 bits + the rest: exact products up to |x| = 1e6
 _PI2_B = 6.077100506303966e-11
 _PI2_C = 2.0222662487959506e-21
+_HALF_PI_REST = 6.123233995736766e-17  # pi/2 less the double nearest to it
 _ONE_BITS = 4607182418800017408
 _SQRT_HALF_BITS = 4604544271217802189  # the bits of sqrt(1/2)
 _MANTISSA = 4503599627370495
@@ -68,30 +69,37 @@ def log(x):  # type: ignore[no-untyped-def]
 
 
 @device
+def _sin_poly(r, z):  # type: ignore[no-untyped-def]
+    """sin r for |r| <= pi/4, z = r^2."""
+    low = -1.66666666666666324348e-01 + z * 8.33333333332248946124e-03
+    mid = -1.98412698298579493134e-04 + z * 2.75573137070700676789e-06
+    top = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10
+    w = z * z
+    return r + r * z * (low + w * (mid + w * top))
+
+
+@device
+def _cos_poly(z):  # type: ignore[no-untyped-def]
+    """cos r for |r| <= pi/4, z = r^2."""
+    low = 4.16666666666666019037e-02 + z * -1.38888888888741095749e-03
+    mid = 2.48015872894767294178e-05 + z * -2.75573143513906633035e-07
+    top = 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11
+    w = z * z
+    half = 0.5 * z
+    one = 1.0 - half
+    return one + (((1.0 - one) - half) + w * (low + w * (mid + w * top)))
+
+
+@device
 def sincos(x):  # type: ignore[no-untyped-def]
     """(sin x, cos x) for |x| <= 1e6."""
     shifted = x * _TWO_OVER_PI + _ROUND
     k = shifted - _ROUND
     quadrant = np.float64(shifted).view(np.int64)
-    first = x - k * _PI2_A
-    second = k * _PI2_B
-    r0 = first - second
-    tail = k * _PI2_C - ((first - r0) - second)
-    r = r0 - tail
-    tail = (r0 - r) - tail
+    r = ((x - k * _PI2_A) - k * _PI2_B) - k * _PI2_C
     z = r * r
-    w = z * z
-    ps = (8.33333333332248946124e-03 + z * (-1.98412698298579493134e-04 + z * 2.75573137070700676789e-06)) + z * w * (
-        -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10
-    )
-    zr = z * r
-    s = r - ((z * (0.5 * tail - zr * ps) - tail) - zr * -1.66666666666666324348e-01)
-    pc = z * (4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03 + z * 2.48015872894767294178e-05)) + w * w * (
-        -2.75573143513906633035e-07 + z * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11)
-    )
-    half = 0.5 * z
-    one = 1.0 - half
-    c = one + (((1.0 - one) - half) + (z * pc - r * tail))
+    s = _sin_poly(r, z)
+    c = _cos_poly(z)
     odd = (quadrant & 1) != 0
     sine = c if odd else s
     cosine = s if odd else c
@@ -103,37 +111,29 @@ def sincos(x):  # type: ignore[no-untyped-def]
 @device
 def sincos_polar(theta):  # type: ignore[no-untyped-def]
     """(sin, cos) of a polar angle in [0, pi/2]; the double nearest pi/2 is taken as exactly grazing, cos = 0."""
-    sine, cosine = sincos(theta)
-    return sine, cosine if theta < HALF_PI else 0.0
+    steep = theta > 0.25 * math.pi
+    r = (HALF_PI - theta) + _HALF_PI_REST if steep else theta
+    z = r * r
+    s = _sin_poly(r, z)
+    c = _cos_poly(z)
+    cosine = s if theta < HALF_PI else 0.0
+    return c if steep else s, cosine if steep else c
 
 
 @device
 def atan_over(z):  # type: ignore[no-untyped-def]
     """arctan(r) / r as a function of z = r^2 in [0, 1]."""
     y = 2.0 * z - 1.0
-    p = 1.293081691790813e-12
-    p = p * y - 4.048723308331434e-12
-    p = p * y + 5.2660952321692814e-12
-    p = p * y - 1.6649704524279563e-11
-    p = p * y + 7.137783789145907e-11
-    p = p * y - 2.2610231886790481e-10
-    p = p * y + 6.919944020431581e-10
-    p = p * y - 2.208281491755967e-09
-    p = p * y + 7.099509212434809e-09
-    p = p * y - 2.285234288746683e-08
-    p = p * y + 7.393952233672895e-08
-    p = p * y - 2.4077722324530413e-07
-    p = p * y + 7.898664992314531e-07
-    p = p * y - 2.614079513157223e-06
-    p = p * y + 8.744938258275806e-06
-    p = p * y - 2.965003947163037e-05
-    p = p * y + 0.00010227656116493796
-    p = p * y - 0.00036098208718017745
-    p = p * y + 0.0013155859496274019
-    p = p * y - 0.005030863660244241
-    p = p * y + 0.020851851207108144
-    p = p * y - 0.10187654235021827
-    return p * y + 0.8704197513671031
+    y2 = y * y
+    y4 = y2 * y2
+    y8 = y4 * y4
+    p0 = (0.8704197513671031 - y * 0.10187654235021827) + y2 * (0.020851851207108144 - y * 0.005030863660244241)
+    p1 = (0.0013155859496274019 - y * 0.00036098208718017745) + y2 * (0.00010227656116493796 - y * 2.965003947163037e-05)
+    p2 = (8.744938258275806e-06 - y * 2.614079513157223e-06) + y2 * (7.898664992314531e-07 - y * 2.4077722324530413e-07)
+    p3 = (7.393952233672895e-08 - y * 2.285234288746683e-08) + y2 * (7.099509212434809e-09 - y * 2.208281491755967e-09)
+    p4 = (6.919944020431581e-10 - y * 2.2610231886790481e-10) + y2 * (7.137783789145907e-11 - y * 1.6649704524279563e-11)
+    p5 = (5.2660952321692814e-12 - y * 4.048723308331434e-12) + y2 * 1.293081691790813e-12
+    return (p0 + y4 * p1) + y8 * ((p2 + y4 * p3) + y8 * (p4 + y4 * p5))
 
 
 @device

@@ -42,14 +42,17 @@ class Model(ABC):
         """The constructor's arguments by name, as reports print them and `gonio.models.build` takes them."""
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(cast(Any, self)) if f.init}
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(f'{key}={value!r}' for key, value in self.parameters.items())})"
+
     @property
     @abstractmethod
     def convention(self) -> str:
         """One sentence for reports: the paper, the form, the normalisation, and what departs from the print."""
 
-    @abstractmethod
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
-        """The kernel and the constants that it is called with at one wavelength."""
+        """The kernel and its constants at one wavelength; a model without one overrides `brdf`, `brdf_vectors` and `at`."""
+        raise NotImplementedError
 
     @property
     def _absolute(self) -> bool:
@@ -134,6 +137,12 @@ def _by_wavelength(evaluate: Callable[..., Any], wavelength_nm: ArrayLike, array
         here = waves == wave
         out[here] = evaluate(positive("wavelength_nm", wave), [part[here] for part in parts])
     return out
+
+
+def store(model: Model, **values: Any) -> None:
+    """Set a frozen model's fields to their checked values while it is being made."""
+    for key, value in values.items():
+        object.__setattr__(model, key, value)
 
 
 # --- parameters ---------------------------------------------------------------------------------------------------

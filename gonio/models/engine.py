@@ -37,16 +37,18 @@ HALF_PI: Final = pi / 2
 # --- the loops: `kernel` is put in by _compile.loop -------------------------------------------------------------
 
 
-@template("r2 i r2 i p w1 i i")
+@template("r1 i r1 i p w1 i i")
 def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop):  # type: ignore[no-untyped-def]
     wrong = 0
     for first in range(start, stop, BLOCK):
         count = min(BLOCK, stop - first)
-        l = omega_i[first * step_i : first * step_i + count]  # noqa: E741
-        v = omega_r[first * step_r : first * step_r + count]
+        l = omega_i[3 * first * step_i : 3 * (first * step_i + count)]  # noqa: E741
+        v = omega_r[3 * first * step_r : 3 * (first * step_r + count)]
         o = out[first : first + count]
         for j in range(count):
-            lx, ly, lz, vx, vy, vz = l[j, 0], l[j, 1], l[j, 2], v[j, 0], v[j, 1], v[j, 2]
+            # flat arrays: with two axes the row length would be unknown when compiling, and the loop stay scalar
+            lx, ly, lz = l[3 * j], l[3 * j + 1], l[3 * j + 2]
+            vx, vy, vz = v[3 * j], v[3 * j + 1], v[3 * j + 2]
             el = lx * lx + ly * ly + (lz * lz - 1.0)
             ev = vx * vx + vy * vy + (vz * vz - 1.0)
             wrong |= 0 if abs(el) <= 2.0 * NORM_TOLERANCE and abs(ev) <= 2.0 * NORM_TOLERANCE else 1
@@ -165,10 +167,10 @@ def _flat(array: NDArray[np.float64], shape: tuple[int, ...], count: int) -> tup
 
 def _flat_vectors(array: NDArray[np.float64], shape: tuple[int, ...], count: int) -> tuple[NDArray[np.float64], int]:
     if array.size == 3 and count != 1:
-        return np.tile(array.reshape(1, 3), (min(BLOCK, count), 1)), 0
+        return np.tile(array.reshape(3), min(BLOCK, count)), 0
     if array.shape[:-1] != shape:
         array = np.broadcast_to(array, (*shape, 3))
-    flat = np.ascontiguousarray(array).reshape(-1, 3)
+    flat = np.ascontiguousarray(array).reshape(-1)
     return (flat if flat.flags.aligned else flat.copy()), 1
 
 
@@ -284,7 +286,7 @@ class Geometry:
     Attributes
     ----------
     omega_i, omega_r
-        Unit vectors toward the source and toward the detector, (n, 3), contiguous.
+        Components of the unit vectors toward the source and toward the detector, three after three.
     shape
         The shape of the result.
     """
@@ -302,7 +304,7 @@ def geometry(theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: Ar
     def vectors(theta: NDArray[np.float64], phi: NDArray[np.float64]) -> NDArray[np.float64]:
         cosine = np.where(theta < HALF_PI, np.cos(theta), 0.0)
         parts = np.broadcast_arrays(np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), cosine)
-        return np.ascontiguousarray(np.broadcast_to(np.stack(parts, axis=-1), (*shape, 3)).reshape(-1, 3))
+        return np.ascontiguousarray(np.broadcast_to(np.stack(parts, axis=-1), (*shape, 3))).reshape(-1)
 
     return Geometry(vectors(arrays[0], arrays[1]), vectors(arrays[2], arrays[3]), shape)
 

@@ -7,7 +7,7 @@ from math import pi
 from typing import ClassVar
 
 from gonio.models._compile import device
-from gonio.models.base import Model, number
+from gonio.models.base import Model, number, store
 from gonio.models.engine import Constants, Kernel
 
 
@@ -17,7 +17,7 @@ def lambert(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     return p[0]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Lambert(Model):
     """A perfect diffuser: brdf = albedo / pi [1/sr].
 
@@ -31,7 +31,7 @@ class Lambert(Model):
     name: ClassVar[str] = "lambert"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "albedo", number("albedo", self.albedo, 0.0, 1.0))
+        store(self, albedo=number("albedo", self.albedo, 0.0, 1.0))
 
     @property
     def convention(self) -> str:

@@ -1,0 +1,111 @@
+"""What the models of mirror facets share: half-vector geometry, V-groove attenuation and Fresnel reflectance.
+
+Every factor is a fraction whose parts are sums of positive terms, so nothing cancels and a model divides once.
+L and V are unit vectors, s = L + V, H = s/|s|, and cos(theta_h) = V.H = |s|/2.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from gonio.models._compile import device
+from gonio.models._math import atan_over, exp, log
+
+# Below this |L + V|^2 the directions are opposite to the last digit: forward grazing, where H is taken as the normal.
+OPPOSITE = 1e-30
+
+
+@device
+def above(z):  # type: ignore[no-untyped-def]
+    """The cosine of a direction, at least 1e-300: at exactly grazing this gives the limit along equal polar angles."""
+    return z if z > 1e-300 else 1e-300
+
+
+@device
+def half(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
+    """(|s_xy|^2, s_z, |s|^2, cos^2(theta_h)) of s = L + V."""
+    sx = lx + vx
+    sy = ly + vy
+    sz = lz + vz
+    flat = sx * sx + sy * sy
+    s2 = flat + sz * sz
+    opposite = s2 < OPPOSITE
+    c2 = 0.25 * s2
+    c2 = c2 if c2 < 1.0 else 1.0
+    return 0.0 if opposite else flat, 1e-15 if opposite else sz, OPPOSITE if opposite else s2, c2
+
+
+@device
+def tan2_alpha(flat, sz):  # type: ignore[no-untyped-def]
+    """tan^2 of the angle between H and the normal, at most 1e150."""
+    t = flat / (sz * sz)
+    return t if t < 1e150 else 1e150
+
+
+@device
+def alpha_squared(flat, sz, s2):  # type: ignore[no-untyped-def]
+    """The square of the angle between H and the normal [rad^2], from its half-angle tangent."""
+    length = sqrt(s2) + sz
+    z = flat / (length * length)
+    a = atan_over(z)
+    return 4.0 * z * a * a
+
+
+@device
+def cos_power(flat, sz, s2, exponent):  # type: ignore[no-untyped-def]
+    """cos^exponent of the angle between H and the normal, with the logarithm of cos^2 = 1 - sin^2 accurate near 0."""
+    sin2 = flat / s2
+    near = sin2 < 0.5
+    u = 1.0 - sin2 if near else sz * sz / s2
+    rest = ((1.0 - u) - sin2) / u if near else 0.0
+    full = log(u) + rest if u > 0.0 else -1e300
+    return exp(0.5 * exponent * full)
+
+
+@device
+def groove(lz, vz, sz, s2):  # type: ignore[no-untyped-def]
+    """Numerator and denominator of G/((N.L)(N.V)), G = min(1, 2 N.H N.V/V.H, 2 N.H N.L/V.H); finite at grazing off the mirror."""
+    low = lz if lz < vz else vz
+    high = vz if lz < vz else lz
+    w = 4.0 * sz  # 2 N.H / V.H = 4 s_z / |s|^2
+    blocked = w * low < s2 and s2 > OPPOSITE
+    return w if blocked else 1.0, s2 * high if blocked else low * high
+
+
+@device
+def groove_over_viewer(lz, vz, sz, s2):  # type: ignore[no-untyped-def]
+    """Numerator and denominator of Blinn's G/(N.E), by his branches: no division by a cosine that G takes out."""
+    masked = vz < lz
+    w = 4.0 * sz
+    blocked = w * (vz if masked else lz) < s2 and s2 > OPPOSITE
+    up = (w if masked else w * lz) if blocked else 1.0
+    down = (s2 if masked else s2 * vz) if blocked else (vz if vz > 1e-300 else 0.0)
+    return up, down
+
+
+@device
+def fresnel(c2, contrast, real, imag):  # type: ignore[no-untyped-def]
+    """Numerator and denominator of the unpolarised Fresnel reflectance at cos^2(theta) = c2, exact for complex index.
+
+    With q = a + ib = sqrt(n~^2 - sin^2), Q = |q|^2: R_s = |n~^2 - 1|^2 / |c + q|^4 and R_p = R_s |c q - sin^2|^2 / |c q + sin^2|^2, whose
+    mean is R_s X/(X + Y) with X = c^2 Q + sin^4 and Y = 2 c a sin^2. `contrast` is |n~^2 - 1|^2, `real` n^2 - k^2 - 1, `imag` n k.
+    """
+    re = real + c2
+    big = sqrt(re * re + 4.0 * imag * imag)
+    ct = sqrt(0.5 * c2 * (big + abs(re)))  # c max(a, b)
+    # c a is ct, or c^2 n k / ct where b is the larger: kept as the fraction up / down
+    use = re >= 0.0 or ct == 0.0
+    up = ct if use else imag * c2
+    down = 1.0 if use else ct
+    sin2 = 1.0 - c2
+    x = down * (c2 * big + sin2 * sin2)
+    y = 2.0 * up * sin2
+    den = down * (c2 + big) + 2.0 * up
+    return contrast * down * down * x, den * den * (x + y)
+
+
+def fresnel_constants(ior: complex) -> tuple[float, float, float]:
+    """What `fresnel` needs of an index n + ik: |n~^2 - 1|^2, n^2 - k^2 - 1 and n k."""
+    n, k = ior.real, ior.imag
+    contrast = ((n - 1.0) ** 2 + k * k) * ((n + 1.0) ** 2 + k * k)
+    return contrast, (n - 1.0) * (n + 1.0) - k * k, n * k

@@ -1,0 +1,338 @@
+"""Blinn, "Models of Light Reflection for Computer Synthesized Pictures", SIGGRAPH 1977: Phong's and Torrance-Sparrow's highlights."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from math import pi
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from gonio.errors import ArgumentError
+from gonio.models import engine
+from gonio.models._compile import device
+from gonio.models._facets import (
+    above,
+    alpha_squared,
+    cos_power,
+    fresnel,
+    fresnel_constants,
+    groove,
+    groove_over_viewer,
+    half,
+)
+from gonio.models._math import exp
+from gonio.models.base import Index, Model, checked_index, choice, index_at, number, positive, store
+from gonio.models.engine import Constants, Kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+DISTRIBUTIONS = ("trowbridge-reitz", "gaussian", "phong")
+
+
+# --- kernels: p is (k_d/pi, k_s/pi, coefficient, then |n~^2 - 1|^2, n^2 - k^2 - 1, n k) ---------------------------
+
+
+@device
+def phong_highlight(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    """s = (N.H)^c1."""
+    flat, sz, s2, _ = half(lx, ly, above(lz), vx, vy, above(vz))
+    return p[1] * cos_power(flat, sz, s2, p[2])
+
+
+@device
+def phong(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    """(k_d + k_s s / cos(theta_i)) / pi."""
+    s = phong_highlight(lx, ly, lz, vx, vy, vz, p)
+    return p[0] + (s / lz if s > 0.0 else 0.0)
+
+
+@device
+def d1(flat, sz, s2, c):  # type: ignore[no-untyped-def]
+    """D1 = cos^c1(alpha)."""
+    return cos_power(flat, sz, s2, c)
+
+
+@device
+def d2(flat, sz, s2, c):  # type: ignore[no-untyped-def]
+    """D2 = exp(-(alpha c2)^2)."""
+    return exp(-alpha_squared(flat, sz, s2) * (c * c))
+
+
+@device
+def d3(flat, sz, s2, c):  # type: ignore[no-untyped-def]
+    """D3 = [c3^2 / (cos^2(alpha) (c3^2 - 1) + 1)]^2, its denominator as sin^2 + c3^2 cos^2: no singularity at c3 = 1."""
+    root = c * c * s2 / (flat + c * c * sz * sz)
+    return root * root
+
+
+@device
+def torrance_sparrow(d, lz, vz, sz, s2, c2, p):  # type: ignore[no-untyped-def]
+    """The BRDF for a value d of the distribution: (k_d + k_s D F G/((N.E)(N.L))) / pi."""
+    f_up, f_down = fresnel(c2, p[3], p[4], p[5])
+    g_up, g_down = groove(lz, vz, sz, s2)
+    up = p[1] * d * f_up * g_up
+    return p[0] + (up / (f_down * g_down) if up > 0.0 else 0.0)
+
+
+@device
+def torrance_sparrow_highlight(d, lz, vz, sz, s2, c2, p):  # type: ignore[no-untyped-def]
+    """s = D F G/(N.E)."""
+    f_up, f_down = fresnel(c2, p[3], p[4], p[5])
+    g_up, g_down = groove_over_viewer(lz, vz, sz, s2)
+    up = p[1] * d * f_up * g_up
+    return up / (f_down * g_down) if up > 0.0 else 0.0
+
+
+@device
+def brdf_d1(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    lz, vz = above(lz), above(vz)
+    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
+    return torrance_sparrow(d1(flat, sz, s2, p[2]), lz, vz, sz, s2, c2, p)
+
+
+@device
+def brdf_d2(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    lz, vz = above(lz), above(vz)
+    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
+    return torrance_sparrow(d2(flat, sz, s2, p[2]), lz, vz, sz, s2, c2, p)
+
+
+@device
+def brdf_d3(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    lz, vz = above(lz), above(vz)
+    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
+    return torrance_sparrow(d3(flat, sz, s2, p[2]), lz, vz, sz, s2, c2, p)
+
+
+@device
+def highlight_d1(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    lz, vz = above(lz), above(vz)
+    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
+    return torrance_sparrow_highlight(d1(flat, sz, s2, p[2]), lz, vz, sz, s2, c2, p)
+
+
+@device
+def highlight_d2(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    lz, vz = above(lz), above(vz)
+    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
+    return torrance_sparrow_highlight(d2(flat, sz, s2, p[2]), lz, vz, sz, s2, c2, p)
+
+
+@device
+def highlight_d3(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    lz, vz = above(lz), above(vz)
+    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
+    return torrance_sparrow_highlight(d3(flat, sz, s2, p[2]), lz, vz, sz, s2, c2, p)
+
+
+_KERNELS: dict[str, tuple[Kernel, Kernel]] = {
+    "phong": (brdf_d1, highlight_d1),
+    "gaussian": (brdf_d2, highlight_d2),
+    "trowbridge-reitz": (brdf_d3, highlight_d3),
+}
+
+
+# --- models -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, repr=False)
+class Phong(Model):
+    """Phong's highlight in Blinn's form over a diffuse base: brdf = (k_d + k_s s / cos(theta_i)) / pi [1/sr], s = (N.H)^exponent.
+
+    The paper gives intensities; dividing by pi and by cos(theta_i) makes k_d an albedo. Not reciprocal, and infinite at grazing
+    incidence where s > 0.
+
+    Parameters
+    ----------
+    k_d
+        Diffuse albedo, in [0, 1].
+    k_s
+        Weight of the highlight, at least 0.
+    exponent
+        Blinn's c1, at least 0.
+
+    Raises
+    ------
+    ArgumentError
+        A parameter is outside its range; the message names it.
+    """
+
+    k_d: float = 0.5
+    k_s: float = 0.5
+    exponent: float = 50.0
+    name: ClassVar[str] = "phong"
+
+    def __post_init__(self) -> None:
+        store(
+            self,
+            k_d=number("k_d", self.k_d, 0.0, 1.0),
+            k_s=number("k_s", self.k_s, 0.0),
+            exponent=number("exponent", self.exponent, 0.0),
+        )
+
+    @property
+    def convention(self) -> str:
+        return "Phong in Blinn's 1977 form, s = (N.H)^c1; brdf = (k_d + k_s s/cos theta_i)/pi: not reciprocal, not normalised."
+
+    def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
+        return phong, (self.k_d / pi, self.k_s / pi, self.exponent)
+
+    def highlight(self, theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: ArrayLike) -> Any:
+        """Blinn's s = (N.H)^c1 without its weight; arguments as `brdf`."""
+        return engine.over_angles(phong_highlight, (0.0, 1.0, self.exponent), theta_i, phi_i, theta_r, phi_r)
+
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "aluminium": {"k_s": 0.4, "k_d": 0.6, "ior": 200.0, "distribution": "trowbridge-reitz", "c": 0.5},
+    "magnesium oxide": {"k_s": 0.667, "k_d": 0.333, "ior": 1.8, "distribution": "trowbridge-reitz", "c": 0.35},
+}
+"""The parameter sets of Blinn's Fig. 7."""
+
+
+@dataclass(frozen=True, init=False, repr=False)
+class Blinn(Model):
+    """Torrance and Sparrow's highlight as Blinn computes it: brdf = (k_d + k_s s / cos(theta_i)) / pi [1/sr], s = D F G/(N.E).
+
+    D1 = cos^c1(a), D2 = exp(-(a c2)^2), D3 = [c3^2/(cos^2(a)(c3^2 - 1) + 1)]^2, all 1 at a = 0. c2 is a reciprocal width: the paper's text
+    calls it a standard deviation. G/(N.E) is taken without dividing by a cosine. The paper gives intensities, and s is not
+    normalised; with the division by cos(theta_i) the BRDF is reciprocal. At exactly grazing the limit along equal polar angles is returned:
+    +inf in the mirror direction.
+
+    Parameters
+    ----------
+    k_d
+        Diffuse albedo, in [0, 1].
+    k_s
+        Weight of the highlight, at least 0.
+    ior
+        Index n + ik (the paper: real), [n, k], a material's name, or a function of wavelength_nm.
+    distribution
+        "phong" (D1), "gaussian" (D2) or "trowbridge-reitz" (D3).
+    c
+        The distribution's coefficient: c1 >= 0, c2 >= 0, or c3 in (0, 1]; 0.5.
+    fresnel
+        "exact", or "1977": Blinn's shortcut as printed, without its factor 1/2 (twice the reflectance).
+    beta_deg
+        Instead of `c`: the angle from the normal where D falls to one half [degrees], in (0, 90).
+
+    Raises
+    ------
+    ArgumentError
+        A parameter is outside its range; the message names it.
+    """
+
+    k_d: float
+    k_s: float
+    ior: Any
+    distribution: str
+    c: float
+    fresnel: str
+    name: ClassVar[str] = "blinn"
+
+    def __init__(
+        self,
+        k_d: float = 0.6,
+        k_s: float = 0.4,
+        ior: Index = 200.0,
+        distribution: str = "trowbridge-reitz",
+        c: float | None = None,
+        fresnel: str = "exact",
+        *,
+        beta_deg: float | None = None,
+    ) -> None:
+        distribution = choice("distribution", distribution, DISTRIBUTIONS)
+        if c is not None and beta_deg is not None:
+            raise ArgumentError("c and beta_deg are both given: beta_deg stands instead of c")
+        if beta_deg is not None:
+            c = coefficient(distribution, math.radians(number("beta_deg", beta_deg, unit="deg")))
+        else:
+            c = 0.5 if c is None else number("c", c, 0.0)
+            if distribution == "trowbridge-reitz":
+                c = number("c", positive("c", c), 1e-50, 1.0)
+        store(
+            self,
+            k_d=number("k_d", k_d, 0.0, 1.0),
+            k_s=number("k_s", k_s, 0.0),
+            ior=checked_index(ior),
+            distribution=distribution,
+            c=c,
+            fresnel=choice("fresnel", fresnel, ("exact", "1977")),
+        )
+
+    @classmethod
+    def preset(cls, preset: str, **changes: Any) -> Blinn:
+        """One of the paper's parameter sets (`PRESETS`: "aluminium", "magnesium oxide"), with changes."""
+        values = {**PRESETS[choice("preset", preset, tuple(PRESETS))], **changes}
+        if "beta_deg" in changes:
+            values.pop("c")
+        return cls(**values)
+
+    @property
+    def convention(self) -> str:
+        halved = "exact Fresnel reflectance" if self.fresnel == "exact" else "the 1977 Fresnel shortcut without its 1/2"
+        return (
+            f"Blinn 1977, {self.distribution} facets, {halved}; brdf = (k_d + k_s s/cos theta_i)/pi with s = D F G/(N.E), "
+            "which is not normalised."
+        )
+
+    def _constants(self, wavelength_nm: float, k_d: float, k_s: float) -> Constants:
+        twice = 2.0 if self.fresnel == "1977" else 1.0
+        return (k_d, k_s * twice, self.c, *fresnel_constants(index_at(self.ior, wavelength_nm)))
+
+    def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
+        return _KERNELS[self.distribution][0], self._constants(wavelength_nm, self.k_d / pi, self.k_s / pi)
+
+    def highlight(
+        self,
+        theta_i: ArrayLike,
+        phi_i: ArrayLike,
+        theta_r: ArrayLike,
+        phi_r: ArrayLike,
+        *,
+        wavelength_nm: float = 550.0,
+    ) -> Any:
+        """Blinn's s = D F G/(N.E) without its weight; arguments as `brdf`."""
+        constants = self._constants(positive("wavelength_nm", wavelength_nm), 0.0, 1.0)
+        return engine.over_angles(_KERNELS[self.distribution][1], constants, theta_i, phi_i, theta_r, phi_r)
+
+    @staticmethod
+    def textured_d3(cos_alpha: ArrayLike, c_min: float, t: ArrayLike) -> Any:
+        """The texture-modulated distribution, D3 = [c_min c3/(cos^2(a)(c3^2 - 1) + 1)]^2 with c3 = c_min + (1 - c_min) t.
+
+        Parameters
+        ----------
+        cos_alpha
+            Cosine of the angle between the half-vector and the normal, in [0, 1].
+        c_min
+            The smallest c3 on the surface, in (0, 1].
+        t
+            The texture's value, in [0, 1]; broadcasts with `cos_alpha`.
+
+        Raises
+        ------
+        ArgumentError
+            An argument is NaN or out of range; the message names it.
+        """
+        least = number("c_min", positive("c_min", c_min), 1e-50, 1.0)
+        cosine, texture = engine.real_array("cos_alpha", cos_alpha), engine.real_array("t", t)
+        for key, array in (("cos_alpha", cosine), ("t", texture)):
+            if not bool(np.all((array >= 0.0) & (array <= 1.0))):
+                raise ArgumentError(f"{key}: must lie in [0, 1]")
+        c3 = least + (1.0 - least) * texture
+        return (least * c3 / ((1.0 - cosine) * (1.0 + cosine) + (c3 * cosine) ** 2)) ** 2
+
+
+def coefficient(distribution: str, beta: float) -> float:
+    """The coefficient c1, c2 or c3 for which a distribution falls to one half at the angle `beta` [rad], in (0, pi/2)."""
+    choice("distribution", distribution, DISTRIBUTIONS)
+    if not 0.0 < beta < pi / 2:
+        raise ArgumentError(f"beta = {math.degrees(beta):g} deg: must lie between 0 and 90 deg")
+    sin2 = math.sin(beta) ** 2
+    if distribution == "phong":
+        return -2.0 * math.log(2.0) / math.log1p(-sin2)
+    if distribution == "gaussian":
+        return math.sqrt(math.log(2.0)) / beta
+    return math.sqrt(sin2 / ((math.sqrt(2.0) - 1.0) + sin2))

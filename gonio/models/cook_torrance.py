@@ -1,0 +1,282 @@
+"""Cook and Torrance, "A Reflectance Model for Computer Graphics", ACM Transactions on Graphics 1 (1982) 7-24."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import pi
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from gonio.errors import ArgumentError
+from gonio.models import engine
+from gonio.models._compile import device
+from gonio.models._facets import above, alpha_squared, fresnel, fresnel_constants, groove, half, tan2_alpha
+from gonio.models._math import exp
+from gonio.models.base import Index, Model, checked_index, choice, index_at, number, positive, store
+from gonio.models.engine import Constants, Kernel
+from gonio.models.fresnel import n_from_f0, reflectance
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+DEFAULT_INDEX = 0.64 + 2.6j
+
+
+
+@device
+def beckmann(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    """p: diffuse BRDF, |n~^2 - 1|^2, n^2 - k^2 - 1, n k; then 1/m^2 and weight of every slope, the scale of R_s in the weights."""
+    lz = above(lz)
+    vz = above(vz)
+    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
+    t = tan2_alpha(flat, sz)
+    d = 0.0
+    for j in range(4, len(p), 2):
+        d += p[j] * p[j + 1] * exp(-t * p[j])  # D = exp(-tan^2/m^2) / (m^2 cos^4)
+    f_up, f_down = fresnel(c2, p[1], p[2], p[3])
+    g_up, g_down = groove(lz, vz, sz, s2)
+    up = d * (1.0 + t) * (1.0 + t) * f_up * g_up
+    return p[0] + (up / (f_down * g_down) if up > 0.0 else 0.0)
+
+
+@device
+def gaussian(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    """As `beckmann`, with D = c exp(-(alpha/m)^2) and c = 1."""
+    lz = above(lz)
+    vz = above(vz)
+    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
+    a2 = alpha_squared(flat, sz, s2)
+    d = 0.0
+    for j in range(4, len(p), 2):
+        d += p[j + 1] * exp(-a2 * p[j])
+    f_up, f_down = fresnel(c2, p[1], p[2], p[3])
+    g_up, g_down = groove(lz, vz, sz, s2)
+    up = d * f_up * g_up
+    return p[0] + (up / (f_down * g_down) if up > 0.0 else 0.0)
+
+
+PRESETS: dict[str, dict[str, Any]] = {
+    # Table I: s, d, m. The paper does not print the materials' reflectances: give `ior` or `f0`.
+    "carbon": {"s": 0.3, "d": 0.7, "slopes": ((0.40, 1.0),)},
+    "rubber": {"s": 0.4, "d": 0.6, "slopes": ((0.30, 1.0),)},
+    "obsidian": {"s": 0.8, "d": 0.2, "slopes": ((0.15, 1.0),)},
+    "lunar dust": {"s": 0.0, "d": 1.0, "slopes": ((1.0, 1.0),)},  # m "not used"
+    "olive drab": {"s": 0.3, "d": 0.7, "slopes": ((0.50, 1.0),)},
+    "rust": {"s": 0.2, "d": 0.8, "slopes": ((0.35, 1.0),)},
+    # Fig. 6: the copper vase, and the copper-coloured plastic one with the Fresnel reflectance of vinyl
+    "copper": {"s": 1.0, "d": 0.0, "slopes": ((0.4, 0.4), (0.2, 0.6)), "ior": "Cu"},
+    "plastic": {"s": 0.1, "d": 0.9, "slopes": ((0.15, 1.0),), "ior": 1.54},
+}
+"""The paper's parameter sets by name. The index 1.54 of vinyl (polyvinyl chloride) is ours: the paper gives none."""
+
+
+@dataclass(frozen=True, init=False, repr=False)
+class CookTorrance(Model):
+    """Mirror facets with V-groove shadowing over a diffuse base: brdf = s R_s + d diffuse_albedo / pi [1/sr].
+
+    R_s = (F/pi) D G / ((N.L)(N.V)) as printed ("paper"), or a quarter of it ("normalised"): with D as defined here the printed form
+    reflects four times what falls on a surface of gentle slopes. D = sum of w_j D(m_j); "beckmann":
+    exp(-(tan a/m)^2)/(m^2 cos^4 a); "gaussian": c exp(-(a/m)^2) with the arbitrary c = 1.
+    G = min(1, 2 N.H N.V/V.H, 2 N.H N.L/V.H). F is the exact unpolarised reflectance for a complex index. m is the total rms slope,
+    sqrt(2) times the one along a line. Reciprocal. At exactly grazing the limit along equal polar angles is returned: +inf in the
+    mirror direction. Accurate to some 1e-15 (1 + the formula's conditioning).
+
+    Parameters
+    ----------
+    s, d
+        Shares of specular and diffuse reflectance, in [0, 1], s + d <= 1.
+    slopes
+        Pairs (rms slope m, weight); weights are at least 0 and sum to 1. A single number is one slope.
+    ior
+        Complex index n + ik, [n, k], a material's name, or a function of wavelength_nm; 0.64 + 2.6i (copper at 550 nm).
+    distribution
+        "beckmann" or "gaussian".
+    diffuse_albedo
+        Albedo of the diffuse part, in [0, 1]: R_d = diffuse_albedo / pi.
+    convention
+        "paper" or "normalised".
+    f0
+        Reflectance at normal incidence, instead of `ior`: n = (1 + sqrt F_0)/(1 - sqrt F_0), k = 0.
+
+    Raises
+    ------
+    ArgumentError
+        A parameter is outside its range; the message names it.
+    """
+
+    s: float
+    d: float
+    slopes: tuple[tuple[float, float], ...]
+    ior: Any
+    distribution: str
+    diffuse_albedo: float
+    normalisation: str
+    name: ClassVar[str] = "cook-torrance"
+
+    def __init__(
+        self,
+        s: float = 1.0,
+        d: float = 0.0,
+        slopes: float | Sequence[Sequence[float]] = ((0.4, 0.4), (0.2, 0.6)),
+        ior: Index | None = None,
+        distribution: str = "beckmann",
+        diffuse_albedo: float = 0.0,
+        convention: str = "paper",
+        *,
+        f0: float | None = None,
+    ) -> None:
+        if f0 is not None and ior is not None:
+            raise ArgumentError("f0 and ior are both given: f0 stands instead of ior")
+        if f0 is not None:
+            ior = n_from_f0(f0)
+        store(
+            self,
+            s=number("s", s, 0.0, 1.0),
+            d=number("d", d, 0.0, 1.0),
+            slopes=_checked_slopes(slopes),
+            ior=checked_index(DEFAULT_INDEX if ior is None else ior),
+            distribution=choice("distribution", distribution, ("beckmann", "gaussian")),
+            diffuse_albedo=number("diffuse_albedo", diffuse_albedo, 0.0, 1.0),
+            normalisation=choice("convention", convention, ("paper", "normalised")),
+        )
+        if self.s + self.d > 1.0 + 1e-12:
+            raise ArgumentError(f"s + d = {self.s + self.d:g}: the shares must not exceed 1")
+
+    @classmethod
+    def preset(cls, preset: str, **changes: Any) -> CookTorrance:
+        """One of the paper's parameter sets (`PRESETS`), with changes.
+
+        The paper gives Table I's materials without their reflectance: pass `ior` or `f0`. Where the set has a diffuse part and no
+        `diffuse_albedo` is given, it is the normal reflectance of the material at 550 nm, as in the paper's figures (R_d = F_0/pi); for the
+        copper-coloured "plastic" that of copper.
+        """
+        chosen = choice("preset", preset, tuple(PRESETS))
+        values = {**PRESETS[chosen], **changes}
+        if "f0" in changes:
+            values.pop("ior", None)
+        if "ior" not in values and "f0" not in values:
+            raise ArgumentError(f'the paper gives no reflectance for "{chosen}": pass ior= or f0=')
+        if values["d"] > 0.0 and "diffuse_albedo" not in values:
+            colour = "Cu" if chosen == "plastic" else values.get("ior")
+            values["diffuse_albedo"] = (
+                values["f0"] if colour is None else float(reflectance(1.0, index_at(checked_index(colour), 550.0)))
+            )
+        return cls(**values)
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        values = super().parameters
+        values["convention"] = values.pop("normalisation")
+        return values
+
+    @property
+    def convention(self) -> str:
+        return (
+            f"Cook and Torrance 1982, {self.distribution} facets, exact Fresnel reflectance for n + ik; "
+            + (
+                "R_s as printed, F D G/(pi N.L N.V), four times the energy-normalised form"
+                if self.normalisation == "paper"
+                else "R_s = F D G/(4 pi N.L N.V), a quarter of the print, which reflects no more than falls on gentle slopes"
+            )
+            + "; m is the total rms slope."
+        )
+
+    def _constants(self, wavelength_nm: float, diffuse: float, scale: float) -> Constants:
+        scale /= pi * (4.0 if self.normalisation == "normalised" else 1.0)
+        slopes = [value for m, w in self.slopes for value in (1.0 / (m * m), scale * w)]
+        return (diffuse, *fresnel_constants(index_at(self.ior, wavelength_nm)), *slopes)
+
+    @property
+    def _kernel(self) -> Kernel:
+        return beckmann if self.distribution == "beckmann" else gaussian
+
+    def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
+        return self._kernel, self._constants(wavelength_nm, self.d * self.diffuse_albedo / pi, self.s)
+
+    def specular(
+        self,
+        theta_i: ArrayLike,
+        phi_i: ArrayLike,
+        theta_r: ArrayLike,
+        phi_r: ArrayLike,
+        *,
+        wavelength_nm: float = 550.0,
+    ) -> Any:
+        """R_s [1/sr] without its share s, in the model's normalisation; arguments as `brdf`."""
+        constants = self._constants(positive("wavelength_nm", wavelength_nm), 0.0, 1.0)
+        return engine.over_angles(self._kernel, constants, theta_i, phi_i, theta_r, phi_r)
+
+    def ambient_reflectance(self, theta_r: float | None = None, *, wavelength_nm: float = 550.0) -> float:
+        """R_a, the reflectance for light that falls in evenly from everywhere.
+
+        Parameters
+        ----------
+        theta_r
+            None: what the paper's figures use, R_a = pi R_d = diffuse_albedo. A polar angle of the viewer [rad]: the
+            hemispherical-directional reflectance, the integral of brdf cos(theta_i) over the hemisphere, by quadrature over the facets' slopes (to
+            1e-3 of its value for m >= 0.01).
+        """
+        if theta_r is None:
+            return self.diffuse_albedo
+        theta = number("theta_r", theta_r, 0.0, pi / 2, "rad")
+        # The facets' normals h carry nearly all of R_s within a few m of the normal: with tan a = m x and dw_i = 4 V.h dw_h, row by row
+        total = self.d * self.diffuse_albedo
+        node, weight = np.polynomial.legendre.leggauss(96)
+        phi = (np.arange(256) + 0.5) * (2.0 * pi / 256)
+        v = np.array([np.sin(theta), 0.0, np.cos(theta)])
+        for m, w in self.slopes:
+            one = CookTorrance(1.0, 0.0, m, self.ior, self.distribution, 0.0, self.normalisation)
+            reach = np.arctan(7.0 * m)  # exp(-49) is left out
+            alpha = 0.5 * reach * (node + 1.0)
+            h = np.stack(
+                np.broadcast_arrays(
+                    np.sin(alpha)[:, None] * np.cos(phi), np.sin(alpha)[:, None] * np.sin(phi), np.cos(alpha)[:, None]
+                ),
+                axis=-1,
+            )
+            vh = h @ v
+            light = 2.0 * vh[..., None] * h - v
+            seen = (vh > 0.0) & (light[..., 2] > 0.0)
+            f = np.zeros(vh.shape)
+            f[seen] = one.brdf_vectors(light[seen], v, wavelength_nm=wavelength_nm) * light[seen][:, 2] * 4.0 * vh[seen]
+            inner = f.mean(axis=1) * 2.0 * pi * np.sin(alpha)
+            total += self.s * w * float(inner @ weight) * 0.5 * reach
+        return float(total)
+
+
+def unblocked_fraction(horizon: ArrayLike) -> float:
+    """f, the share of the illuminating hemisphere that nothing nearby blocks, weighted with N.L (Cook and Torrance 1982).
+
+    f = (1/pi) integral of (N.L) over the unblocked directions = the mean over azimuth of cos^2 of the horizon's elevation.
+
+    Parameters
+    ----------
+    horizon
+        Elevation of what blocks the view, above the plane of the surface [rad], in [0, pi/2], at azimuths equally spaced over 2 pi.
+    """
+    elevation = engine.real_array("horizon", horizon)
+    if elevation.size == 0 or not bool(np.all((elevation >= 0.0) & (elevation <= pi / 2))):
+        raise ArgumentError("horizon: needs elevations in [0, pi/2] rad")
+    return float(np.mean(np.cos(elevation) ** 2))
+
+
+def _checked_slopes(slopes: Any) -> tuple[tuple[float, float], ...]:
+    if isinstance(slopes, (int, float)):
+        slopes = ((slopes, 1.0),)
+    try:
+        pairs = [(m, w) for m, w in slopes]
+    except (TypeError, ValueError):
+        raise ArgumentError(f"slopes = {slopes!r}: must be pairs (rms slope m, weight), or one slope") from None
+    if not pairs:
+        raise ArgumentError("slopes: needs at least one pair (rms slope m, weight)")
+    checked = []
+    for j, (m, w) in enumerate(pairs):
+        slope = positive(f"slopes[{j}] m", m)
+        checked.append((number(f"slopes[{j}] m", slope, 1e-100, 1e6), number(f"slopes[{j}] weight", w, 0.0)))
+    total = math.fsum(w for _, w in checked)
+    if abs(total - 1.0) > 1e-6:
+        raise ArgumentError(f"slopes: the weights sum to {total:g}, and must sum to 1")
+    return tuple(checked)

@@ -1,0 +1,199 @@
+"""Oren and Nayar, "Generalization of Lambert's Reflectance Model", SIGGRAPH 1994, 239-246: V-grooves of Lambertian facets."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from math import pi, sqrt
+from typing import Any, ClassVar
+
+import numpy as np
+
+from gonio.errors import ArgumentError
+from gonio.models._compile import device
+from gonio.models._facets import above
+from gonio.models._groove_integral import gaussian_grooves, isotropic_grooves, parallel_grooves
+from gonio.models._math import atan_over
+from gonio.models.base import Model, choice, number, store
+from gonio.models.engine import SPLIT, Constants, Kernel
+
+FORMS = ("functional", "exact", "qualitative", "single-slope")
+TWO_OVER_PI = 2.0 / pi
+
+
+@device
+def functional(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    """Eqs. 14 to 16; p: rho/pi times C1, times 0.45 s2/(s2 + 0.09), times 0.125 s2/(s2 + 0.09), and 0.17 rho^2/pi s2/(s2 + 0.13)."""
+    ci = above(lz)
+    cr = above(vz)
+    li = lx * lx + ly * ly
+    lr = vx * vx + vy * vy
+    si = sqrt(li)
+    sr = sqrt(lr)
+    dot = lx * vx + ly * vy
+    cross = lx * vy - ly * vx
+    first = ci < cr  # alpha, the larger polar angle, is theta_i
+    sin_a = si if first else sr
+    cos_a = ci if first else cr
+    sin_b = sr if first else si
+    cos_b = cr if first else ci
+    both = si * sr
+    inverse = 1.0 / both if both > 1e-290 else 0.0  # at normal incidence the azimuth has no effect
+    cosine = dot * inverse
+    cosine = cosine if cosine < 1.0 else 1.0
+    cosine = cosine if cosine > -1.0 else -1.0
+    sine = cross * inverse
+    # the complements pi/2 - alpha and pi/2 - beta over pi/2: accurate at grazing
+    share = 1.0 / ((1.0 + sin_a) * (1.0 + sin_b))
+    ra = cos_a * (1.0 + sin_b) * share
+    rb = cos_b * (1.0 + sin_a) * share
+    ua = 2.0 * TWO_OVER_PI * ra * atan_over(ra * ra)
+    ub = 2.0 * TWO_OVER_PI * rb * atan_over(rb * rb)
+    fa = 1.0 - ua  # 2 alpha / pi
+    fb = 1.0 - ub
+    # cos(dphi) tan(beta) {sin(alpha), or sin(alpha) - (2 beta/pi)^3 on the mirror side} = dot/cos(beta) {1, or the braces/sin(alpha)}
+    low = 1.0 / cos_b
+    braces = ub * (3.0 - ub * (3.0 - ub)) - cos_a * cos_a / (1.0 + sin_a)
+    second = dot * low if dot >= 0.0 else cosine * braces * sin_b * low
+    flat = sine * sine
+    aside = flat / (1.0 + abs(cosine)) if flat > 1e-30 else 0.0  # 1 - |cos(dphi)|
+    third = 0.0625 * 4.0 * (fa * fb) * (fa * fb) * aside * (sin_a + sin_b) / (cos_a + cos_b)
+    value = p[0] + p[1] * second + p[2] * third + p[3] * (1.0 - cosine * fb * fb)
+    return value if value < 1e280 else math.inf
+
+
+@device
+def qualitative(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    """Eq. 17, rho/pi (A + B max(0, cos(dphi)) sin(alpha) tan(beta)); p as `functional`."""
+    dot = lx * vx + ly * vy
+    high = lz if lz > vz else vz
+    return p[0] + (p[1] * dot / high if dot > 0.0 and p[1] > 0.0 else 0.0)
+
+
+_KERNELS: dict[str, Kernel] = {"functional": functional, "qualitative": qualitative, "exact": gaussian_grooves}
+
+
+@dataclass(frozen=True, init=False, repr=False)
+class OrenNayar(Model):
+    """Lambertian facets in V-grooves, with shadowing, masking and light that goes twice.
+
+    "exact": the integral over facets (eqs. 4 to 13) with two bounces, its relative error at most 1e-8. "functional": the paper's fit to it
+    (eqs. 14 to 16). "qualitative": the fit without its minor terms (eq. 17, without interreflection). "single-slope": facets of one slope,
+    in every direction (eq. 12) or, with `groove_azimuth_deg`, in parallel grooves (sec. 3.1). All are reciprocal and give Lambert's law for
+    sigma = 0.
+
+    The functional form is the paper's, and negative near forward grazing for sigma above about 42 degrees. Where both directions are
+    exactly grazing the limit along equal polar angles is returned; it is infinite except in the forward direction.
+
+    Parameters
+    ----------
+    albedo
+        Albedo of the facets, in [0, 1].
+    sigma_deg
+        Standard deviation of the facets' angles [degrees], in [0, 90); not used by "single-slope".
+    form
+        "functional", "exact", "qualitative" or "single-slope".
+    slope_deg
+        Angle between the facets and the surface [degrees], in [0, 90): "single-slope" only, and required there.
+    groove_azimuth_deg
+        Azimuth of the facets' normals, across the grooves [degrees] (the paper's phi_a); None for grooves in every direction.
+    interreflections
+        Whether light that goes twice counts.
+
+    Raises
+    ------
+    ArgumentError
+        A parameter is outside its range, or does not belong to the form; the message names it.
+    """
+
+    albedo: float
+    sigma_deg: float
+    form: str
+    slope_deg: float | None
+    groove_azimuth_deg: float | None
+    interreflections: bool
+    name: ClassVar[str] = "oren-nayar"
+
+    def __init__(
+        self,
+        albedo: float = 0.9,
+        sigma_deg: float = 30.0,
+        form: str = "functional",
+        *,
+        slope_deg: float | None = None,
+        groove_azimuth_deg: float | None = None,
+        interreflections: bool = True,
+    ) -> None:
+        form = choice("form", form, FORMS)
+        for key, value in (("slope_deg", slope_deg), ("groove_azimuth_deg", groove_azimuth_deg)):
+            if value is not None and form != "single-slope":
+                raise ArgumentError(f'{key} belongs to form="single-slope", not to "{form}"')
+        if form == "single-slope" and slope_deg is None:
+            raise ArgumentError('form="single-slope" needs slope_deg')
+        if not isinstance(interreflections, (bool, np.bool_)):
+            raise ArgumentError(f"interreflections = {interreflections!r}: must be true or false")
+        store(
+            self,
+            albedo=number("albedo", albedo, 0.0, 1.0),
+            sigma_deg=number("sigma_deg", sigma_deg, 0.0, math.nextafter(90.0, 0.0), unit="deg"),
+            form=form,
+            slope_deg=None if slope_deg is None else number("slope_deg", slope_deg, 0.0, 89.9999, unit="deg"),
+            groove_azimuth_deg=None
+            if groove_azimuth_deg is None
+            else number("groove_azimuth_deg", groove_azimuth_deg, -1e6, 1e6, unit="deg"),
+            interreflections=bool(interreflections),
+        )
+
+    @property
+    def convention(self) -> str:
+        what = {
+            "exact": "exact V-groove integral (eqs. 4 to 13)",
+            "functional": "functional approximation (eqs. 14 to 16)",
+            "qualitative": "qualitative model (eq. 17)",
+            "single-slope": "facets of one slope (sec. 3.1 and eq. 12)",
+        }[self.form]
+        twice = "with" if self.interreflections and self.form != "qualitative" else "without"
+        return f"Oren and Nayar 1994, {what}, {twice} interreflection; sigma in radians in the formulas, C1 with 0.33."
+
+    @property
+    def grain(self) -> int:  # type: ignore[override]
+        """How many evaluations are worth a thread of their own."""
+        return SPLIT if self.form in ("functional", "qualitative") else 64
+
+    @property
+    def _absolute(self) -> bool:
+        return self.groove_azimuth_deg is not None
+
+    def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
+        once = self.albedo / pi
+        twice = once if self.interreflections else 0.0
+        if self.form == "single-slope":
+            assert self.slope_deg is not None
+            slope = math.radians(self.slope_deg)
+            if self.groove_azimuth_deg is None:
+                return isotropic_grooves, (once, twice, math.tan(slope), math.cos(slope))
+            azimuth = math.radians(self.groove_azimuth_deg)
+            return parallel_grooves, (once, twice, math.tan(slope), math.cos(slope), math.cos(azimuth), math.sin(azimuth))
+        sigma = math.radians(self.sigma_deg)
+        if self.form == "exact":
+            if sigma < 1e-9:  # flat to the last digit
+                return isotropic_grooves, (once, twice, 0.0, 1.0)
+            norm, reach = _gaussian(sigma)
+            return gaussian_grooves, (once, twice, 0.5 / (sigma * sigma), norm, reach)
+        s2 = sigma * sigma
+        narrow = s2 / (s2 + 0.09)
+        return _KERNELS[self.form], (
+            once * (1.0 - 0.5 * s2 / (s2 + 0.33)),
+            once * 0.45 * narrow,
+            once * 0.125 * narrow,
+            0.17 * self.albedo * twice * s2 / (s2 + 0.13),
+        )
+
+
+def _gaussian(sigma: float) -> tuple[float, float]:
+    """c of the slope-area distribution (its integral with sin(theta_a) is 1), and the angle beyond which it is below 1e-13."""
+    reach = min(pi / 2, sigma * sqrt(2.0 * math.log(1e13)))
+    node, weight = np.polynomial.legendre.leggauss(48)
+    theta = 0.5 * reach * (node + 1.0)
+    total = float(weight @ (np.exp(-0.5 * (theta / sigma) ** 2) * np.sin(theta))) * 0.5 * reach
+    return 1.0 / total, reach

@@ -1,0 +1,93 @@
+"""Weighted sums of models, as Oren and Nayar's rough diffuse base under Torrance and Sparrow's highlight (their eq. 18)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from gonio.errors import ArgumentError
+from gonio.models.base import Model, number
+from gonio.models.engine import Geometry
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+
+class Sum(Model):
+    """A weighted sum of models: brdf = sum of weight times brdf [1/sr].
+
+    It has ``specular_reflectivity`` when one of its terms has.
+
+    Parameters
+    ----------
+    terms
+        Pairs (model, weight), weights at least 0.
+
+    Raises
+    ------
+    ArgumentError
+        There is no term, or a term is not a model with a weight.
+    """
+
+    name: ClassVar[str] = "sum"
+
+    def __init__(self, *terms: tuple[Model, float]) -> None:
+        if not terms:
+            raise ArgumentError("terms: a sum needs at least one pair (model, weight)")
+        checked = []
+        for j, term in enumerate(terms):
+            if not (isinstance(term, (tuple, list)) and len(term) == 2 and isinstance(term[0], Model)):
+                raise ArgumentError(f"terms[{j}] = {term!r}: must be a pair (model, weight)")
+            checked.append((term[0], number(f"terms[{j}] weight", term[1], 0.0)))
+        self.terms: tuple[tuple[Model, float], ...] = tuple(checked)
+        """The pairs (model, weight)."""
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sum) and self.terms == other.terms
+
+    def __hash__(self) -> int:
+        return hash(self.terms)
+
+    def __repr__(self) -> str:
+        return f"Sum({', '.join(f'({model!r}, {weight!r})' for model, weight in self.terms)})"
+
+    def __getattr__(self, name: str) -> Any:
+        spiked = [(m, w) for m, w in self.__dict__.get("terms", ()) if hasattr(m, "specular_reflectivity")]
+        if name != "specular_reflectivity" or not spiked:
+            raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'")
+
+        def specular_reflectivity(theta_i: ArrayLike, *, wavelength_nm: ArrayLike = 550.0) -> Any:
+            return sum(w * m.specular_reflectivity(theta_i, wavelength_nm=wavelength_nm) for m, w in spiked)
+
+        return specular_reflectivity
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        return {f"{model.name} {j + 1}": {"weight": weight, **model.parameters} for j, (model, weight) in enumerate(self.terms)}
+
+    @property
+    def convention(self) -> str:
+        return "Sum of: " + " ".join(f"{weight:g} times {model.convention}" for model, weight in self.terms)
+
+    def brdf(
+        self,
+        theta_i: ArrayLike,
+        phi_i: ArrayLike,
+        theta_r: ArrayLike,
+        phi_r: ArrayLike,
+        *,
+        wavelength_nm: ArrayLike = 550.0,
+    ) -> Any:
+        return sum(_weighted(w, m.brdf(theta_i, phi_i, theta_r, phi_r, wavelength_nm=wavelength_nm)) for m, w in self.terms)
+
+    def brdf_vectors(self, omega_i: ArrayLike, omega_r: ArrayLike, *, wavelength_nm: float = 550.0) -> Any:
+        return sum(_weighted(w, m.brdf_vectors(omega_i, omega_r, wavelength_nm=wavelength_nm)) for m, w in self.terms)
+
+    def at(self, geometry: Geometry, *, wavelength_nm: float = 550.0) -> Any:
+        return sum(_weighted(w, m.at(geometry, wavelength_nm=wavelength_nm)) for m, w in self.terms)
+
+
+def _weighted(weight: float, value: Any) -> Any:
+    """weight times value; nothing is left of a term of weight 0, even where it is infinite."""
+    return weight * value if weight > 0.0 else np.zeros_like(value)
