@@ -118,14 +118,14 @@ def threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def in_parts(work: Callable[[int, int], int], count: int, split: int = SPLIT) -> int:
+def in_parts(work: Callable[[int, int], int | None], count: int, split: int = SPLIT) -> int:
     """Run ``work(start, stop)`` over [0, count), split over threads where each gets at least `split`; the largest result.
 
     `work` must release the GIL. Safe from several Python threads at once.
     """
     parts = 1 if count < 2 * split else min(threads(), count // split)
     if parts <= 1:
-        return work(0, count)
+        return work(0, count) or 0
     global _pool
     with _pool_lock:
         if _pool is None:
@@ -134,7 +134,7 @@ def in_parts(work: Callable[[int, int], int], count: int, split: int = SPLIT) ->
     edges = [count * part // parts for part in range(parts + 1)]
     waiting = [pool.submit(work, edges[part], edges[part + 1]) for part in range(1, parts)]
     worst = work(edges[0], edges[1])
-    return max([worst, *(future.result() for future in waiting)])
+    return max(result or 0 for result in [worst, *(future.result() for future in waiting)])
 
 
 # --- arguments ----------------------------------------------------------------------------------------------------
