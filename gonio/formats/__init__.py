@@ -23,6 +23,7 @@ _MODULES = (
     "alta",
     "klems_xml",
     "zemax_bsdf",
+    "rt300s",
 )
 SNIFFED_BYTES = 65536
 

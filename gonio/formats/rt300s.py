@@ -1,0 +1,109 @@
+"""Raw files of an RT-300S goniometer as LOFT (University of Arizona) writes them: Excel 97 workbooks.
+
+Column 0 of each worksheet holds labels, each further column one measurement: `Azimuth` A, `Incidence` I, signed
+`Receive` R [degrees], and the signal `RT` of a red laser (650 nm). The laboratory's own evaluation is
+
+    RT - RT of the blank at the same angles,  minus the smallest such difference,  brdf = that / (pi cos R)
+
+The blank is a workbook `blank*.xls` beside the sample's: of several, the last one that is not dated after the sample.
+The mirror half-plane is A = -90 with R > 0, and A = +90 with R < 0: dphi = 90 - A for positive R. Around retro the
+receiver stands in the beam: within 10 degrees in R and 30 in azimuth, as the laboratory leaves out, rows are "blocked".
+Directions measured twice are both there. The file states no uncertainties and no solid angles.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gonio.errors import DataError
+from gonio.formats._xls import MAGIC, worksheets
+from gonio.formats.base import MAX_BYTES, Floats, Format, fold, table
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_LABELS = ("Azimuth", "Incidence", "Receive", "RT")
+_LIMITS = (360.0, 89.0, 89.0, math.inf)
+
+
+def read(data: bytes, path: Path) -> pd.DataFrame:
+    rows = _measurements(data, path)
+    notes = ["wavelength: 650 nm, the instrument's laser; the file does not state it"]
+    blank = _blank_beside(path)
+    signal = rows[:, 3].copy()
+    if blank is None:
+        notes.append("no blank measurement (blank*.xls) lies beside the file: none was subtracted")
+    else:
+        with open(blank, "rb") as stream:
+            dark = {tuple(row[:3]): row[3] for row in _measurements(stream.read(MAX_BYTES), blank).tolist()}
+        for k, row in enumerate(rows.tolist()):
+            if tuple(row[:3]) not in dark:
+                asked = f"azimuth {row[0]:g}, incidence {row[1]:g}, receive {row[2]:g}"
+                raise DataError(f"{path}: its blank {blank.name} was not measured at {asked}")
+            signal[k] -= dark[tuple(row[:3])]
+        notes.append(f"blank subtracted: {blank.name}")
+    notes.append("the smallest signal of the file is taken as zero, as the laboratory does")
+    notes.append("the file states no uncertainties and no solid angles")
+    azimuth, incidence, receive = rows[:, :3].T
+    theta_i, phi_i = fold(incidence, 0.0)
+    theta_r, phi_r = fold(receive, 90.0 - azimuth)
+    from_retro = np.minimum(phi_r, 360.0 - phi_r)
+    blocked = (from_retro <= 30.0) & (np.abs(theta_r - theta_i) <= 10.0)
+    return table(
+        theta_i_deg=theta_i,
+        phi_i_deg=phi_i,
+        theta_r_deg=theta_r,
+        phi_r_deg=phi_r,
+        wavelength_nm=650.0,
+        brdf=(signal - signal.min()) / (np.pi * np.cos(np.deg2rad(receive))),
+        flag=np.where(blocked, "blocked", ""),
+        attrs={"source_file": str(path), "sample": path.stem, "notes": notes},
+    )
+
+
+def _measurements(data: bytes, path: Path) -> Floats:
+    """Azimuth, incidence, receive [degrees] and RT of each measurement, over all worksheets."""
+    rows = []
+    for number, sheet in enumerate(worksheets(data, path), start=1):
+        labels = {text.strip(): row for (row, column), text in sheet.items() if column == 0 and isinstance(text, str)}
+        if not all(label in labels for label in _LABELS):
+            if sheet:
+                missing = ", ".join(label for label in _LABELS if label not in labels)
+                raise DataError(f"{path}, worksheet {number}: column 0 has no label {missing}")
+            continue
+        for column in sorted({column for _, column in sheet if column > 0}):
+            values = [sheet.get((labels[label], column)) for label in _LABELS]
+            for label, value, limit in zip(_LABELS, values, _LIMITS, strict=True):
+                if not isinstance(value, float) or not math.isfinite(value) or abs(value) > limit:
+                    raise DataError(f"{path}, worksheet {number}, column {column}: {label} is {repr(value)[:40]}")
+            rows.append(values)
+    if not rows:
+        raise DataError(f"{path}: the workbook holds no measurement")
+    return np.array(rows, dtype=np.float64)
+
+
+def _blank_beside(path: Path) -> Path | None:
+    if path.name.lower().startswith("blank"):
+        return None
+    blanks = [p for p in path.parent.glob("*.xls") if p.name.lower().startswith("blank")]
+    earlier = [p for p in blanks if _date(p) <= _date(path)]
+    return max(earlier or blanks, key=lambda p: (_date(p), p.name), default=None)
+
+
+def _date(path: Path) -> str:
+    found = re.findall(r"(?<!\d)20\d{6}(?!\d)", path.stem)
+    return found[-1] if found else ""
+
+
+FORMAT = Format(
+    name="rt300s",
+    title="RT-300S workbook (LOFT)",
+    endings=(".xls",),
+    sniff=lambda head: head.startswith(MAGIC),
+    read=read,
+)

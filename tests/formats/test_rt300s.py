@@ -1,0 +1,155 @@
+"""RT-300S workbooks: the Excel 97 file written here record by record, the laboratory's evaluation, its blank."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gonio import measurement
+from gonio.errors import DataError
+
+LABELS = (" Method", " Azimuth", " Incidence", " Receive", " RT")
+
+
+def record(kind: int, body: bytes) -> bytes:
+    return struct.pack("<2H", kind, len(body)) + body
+
+
+def workbook(sheets: Sequence[Sequence[Sequence[float]]], *, split: bool = False) -> bytes:
+    """A compound file with worksheets of measurements (azimuth, incidence, receive, RT), after [MS-CFB], [MS-XLS]."""
+    texts = [*LABELS, "BRDF_LD"]
+    body = struct.pack("<2I", 100, len(texts))
+    blocks = [body]
+    for text in texts:
+        if split and text == LABELS[3]:  # a text that goes on in a CONTINUE record, there in two bytes a letter
+            blocks[-1] += struct.pack("<HB", len(text), 0) + text[:4].encode("latin-1")
+            blocks.append(b"\x01" + text[4:].encode("utf-16-le"))
+        else:
+            blocks[-1] += struct.pack("<HB", len(text), 0) + text.encode("latin-1")
+    strings = record(0x00FC, blocks[0]) + b"".join(record(0x003C, block) for block in blocks[1:])
+    bodies = []
+    for measurements in sheets:
+        rows = record(0x0809, struct.pack("<2H", 0x0600, 0x0010) + bytes(12))
+        for row in range(len(LABELS)):
+            rows += record(0x00FD, struct.pack("<3HI", row, 0, 0, row))
+        for column, values in enumerate(measurements, start=1):
+            rows += record(0x00FD, struct.pack("<3HI", 0, column, 0, len(LABELS)))
+            for row, value in enumerate(values, start=1):
+                if row == 1:  # an RK integer
+                    rows += record(0x027E, struct.pack("<3HI", row, column, 0, (int(value) << 2 & 0xFFFFFFFC) | 2))
+                elif row == 2:  # an RK integer over 100, in a MULRK
+                    rows += record(0x00BD, struct.pack("<3HIH", row, column, 0, int(value * 100) << 2 | 3, column))
+                else:
+                    rows += record(0x0203, struct.pack("<3Hd", row, column, 0, value))
+        bodies.append(rows + record(0x000A, b""))
+    names = [struct.pack("<BB", 1, 0) + b"S" for _ in bodies]
+    head = record(0x0809, struct.pack("<2H", 0x0600, 0x0005) + bytes(12))
+    size = len(head) + len(strings) + sum(4 + 6 + len(n) for n in names) + 4
+    starts = [size + sum(map(len, bodies[:k])) for k in range(len(bodies))]
+    bound = b"".join(record(0x0085, struct.pack("<IH", s, 0) + n) for s, n in zip(starts, names, strict=True))
+    stream = head + bound + strings + record(0x000A, b"") + b"".join(bodies)
+    stream += bytes(max(0, 4096 - len(stream)))
+    return compound(stream)
+
+
+def compound(stream: bytes) -> bytes:
+    count = -(-len(stream) // 512)
+    table = [0xFFFFFFFD, 0xFFFFFFFE, *range(3, 2 + count), 0xFFFFFFFE]
+    assert len(table) <= 128
+    table += [0xFFFFFFFF] * (128 - len(table))
+    header = bytes.fromhex("d0cf11e0a1b11ae1") + bytes(16) + struct.pack("<5H", 0x3E, 3, 0xFFFE, 9, 6) + bytes(10)
+    header += struct.pack("<9I", 1, 1, 0, 4096, 0xFFFFFFFE, 0, 0xFFFFFFFE, 0, 0)[:32]
+    header += struct.pack("<109I", 0, *[0xFFFFFFFF] * 108)
+
+    def entry(name: str, kind: int, first: int, size: int) -> bytes:
+        text = (name + "\0").encode("utf-16-le")
+        fields = struct.pack("<HBB3I", len(text), kind, 1, 0xFFFFFFFF, 0xFFFFFFFF, 1 if kind == 5 else 0xFFFFFFFF)
+        return (text.ljust(64, b"\0") + fields + bytes(36) + struct.pack("<3I", first, size, 0)).ljust(128, b"\0")
+
+    directory = entry("Root Entry", 5, 0xFFFFFFFE, 0) + entry("Workbook", 2, 2, len(stream))
+    return header + struct.pack("<128I", *table) + directory.ljust(512, b"\0") + stream.ljust(512 * count, b"\0")
+
+
+SAMPLE = [
+    [(-90, 30.0, 60.0, 1.25), (90, 30.0, -60.0, 1.0), (0, 30.0, 60.0, 0.5)],
+    [(-90, 30.0, -35.0, 0.25), (90, 30.0, 0.0, 0.75)],
+]
+
+
+def test_directions_values_and_the_blocked_zone() -> None:
+    frame = measurement.parse(workbook(SAMPLE), Path("nowhere/tile.xls"))
+    assert frame["theta_r_deg"].tolist() == [60, 60, 60, 35, 0]
+    # both half-turns of the instrument see the mirror side; azimuth 0 stands across the plane of incidence
+    assert frame["phi_r_deg"].tolist()[:4] == [180, 180, 90, 0]
+    expected = (np.array([1.25, 1.0, 0.5, 0.25, 0.75]) - 0.25) / (math.pi * np.cos(np.deg2rad([60, 60, 60, 35, 0])))
+    np.testing.assert_allclose(frame["brdf"], expected, rtol=1e-14)
+    assert frame["flag"].tolist() == ["", "", "", "blocked", ""]
+    assert any("no blank" in note for note in frame.attrs["notes"])
+
+
+def test_the_blank_beside_is_subtracted(tmp_path: Path) -> None:
+    (tmp_path / "tile_20251115.xls").write_bytes(workbook(SAMPLE, split=True))
+    for name, offset in (("blank_20240101", 9.0), ("blank_v2_20250911", 0.125), ("blank_20260101", 9.0)):
+        dark = [[(*row[:3], offset * (k + 1)) for k, row in enumerate(sheet)] for sheet in SAMPLE]
+        (tmp_path / f"{name}.xls").write_bytes(workbook(dark))
+    frame = measurement.read(tmp_path / "tile_20251115.xls")
+    net = np.array([1.25, 1.0, 0.5, 0.25, 0.75]) - 0.125 * np.array([1, 2, 3, 1, 2])
+    expected = (net - net.min()) / (math.pi * np.cos(np.deg2rad([60, 60, 60, 35, 0])))
+    np.testing.assert_allclose(frame["brdf"], expected, rtol=1e-12)
+    assert any("blank_v2_20250911" in note for note in frame.attrs["notes"])
+    (tmp_path / "blank_v2_20250911.xls").write_bytes(workbook(SAMPLE[:1]))
+    with pytest.raises(DataError, match="was not measured at azimuth -90, incidence 30, receive -35"):
+        measurement.read(tmp_path / "tile_20251115.xls")
+
+
+@pytest.mark.parametrize(
+    ("data", "told"),
+    [
+        (workbook(SAMPLE)[:3000], "lies beyond the end of the file"),
+        (workbook([[(-90, 30.0, 95.0, 1.0)]]), "worksheet 1, column 1: Receive is 95.0"),
+        (workbook(SAMPLE).replace(b" RT", b" XX"), "column 0 has no label RT"),
+        (workbook([[]]), "holds no measurement"),
+        (
+            workbook(SAMPLE).replace(struct.pack("<2I", 0xFFFFFFFD, 0xFFFFFFFE), struct.pack("<2I", 0xFFFFFFFD, 1)),
+            "does not end",
+        ),
+    ],
+)
+def test_damage_is_named(data: bytes, told: str) -> None:
+    with pytest.raises(DataError) as caught:
+        measurement.parse(data, Path("nowhere/tile.xls"))
+    assert "tile.xls" in str(caught.value)
+    assert told in str(caught.value)
+
+
+def test_damaged_files(survives: Callable[..., None]) -> None:
+    survives(workbook(SAMPLE, split=True), "nowhere/tile.xls", format="rt300s")
+
+
+def test_the_laboratorys_own_results(shared: Path) -> None:
+    """The laboratory published means of the two half-turns, without the zone around retro."""
+    folder = shared / "loft_rt300s"
+    frame = measurement.read(folder / "raw" / "ANOPLATE_AnoBlack_EC1_Alum6061_v1o0_20251115.xls")
+    assert len(frame) == 2508
+    usable = frame[frame["flag"] == ""]
+    ours = usable.groupby(["theta_i_deg", "theta_r_deg", "phi_r_deg"])["brdf"].mean()
+    lines = (folder / "processed_fred" / "AnoBlackEC1onAlum.txt").read_text().splitlines()[2:]
+    theta_i, compared = 0.0, 0
+    for words in (line.split() for line in lines):
+        if len(words) == 2:
+            theta_i = float(words[0])
+            continue
+        theta_r, phi, published = map(float, words)
+        if theta_r == 0:
+            continue  # the mean over all azimuths
+        pair = [ours.get((theta_i, theta_r, (180.0 + turn * phi) % 360.0)) for turn in (1, -1)]
+        found = [value for value in pair if value is not None]
+        assert found, (theta_i, theta_r, phi)
+        assert np.mean(found) == pytest.approx(published, abs=1.1e-6 if published < 1 else 1e-5)  # six decimals
+        compared += 1
+    assert compared > 1000
