@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from gonio.errors import ConfigError, GonioError
 
-Group = Literal["gonio.rigs", "gonio.models", "gonio.commands"]
+Group = Literal["gonio.rigs", "gonio.cameras", "gonio.models", "gonio.commands"]
 
 
 def available(group: Group) -> dict[str, EntryPoint]:

@@ -13,13 +13,13 @@ import logging
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from types import TracebackType
-from typing import Self
+from typing import NoReturn, Self
 
 from gonio.description import Axis, RigDescription
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig import Pose
+from gonio.rig import Pose, Target
 from gonio_drivers import dynamixel, settings
 from gonio_drivers.dynamixel import Bus, Item
 
@@ -29,6 +29,8 @@ COUNTS = 4096
 VELOCITY_UNIT_DEG_S = 0.229 * 6
 ACCELERATION_UNIT_DEG_S2 = 214.577 * 360 / 3600
 POSITION_MODE = 3
+AXES = tuple(field.name for field in fields(Pose))
+STILL_COUNTS = 3
 POLL_S = 0.020
 STALL_S = 0.5
 """An axis that has neither moved nor landed for this long is stuck."""
@@ -66,12 +68,19 @@ class Joint:
     full_current: int = 0
     profile: bytes = b""
     health: Health | None = None
+    stood_at: int | None = None
+    """Count that was read where it landed."""
     landed_at: int | None = None
     """Goal [counts] that the axis stands at, reached from below; None where it may have been moved since."""
 
     @property
     def id(self) -> int:
         return self.servo.id
+
+    @property
+    def key(self) -> str:
+        """The table of the rig file that describes it."""
+        return "devices.servos.changer" if self.name == "changer" else f"devices.servos.axes.{self.name}"
 
     @property
     def counts_per_deg(self) -> float:
@@ -152,9 +161,13 @@ class ServoArms:
             name: _joint(description, name, limits, servos.axes[name], self._approach_deg)  # type: ignore[index]
             for name, limits in settings.axis_limits_deg(description).items()
         }
+        if servos.changer is not None:
+            self.joints["changer"] = _changer(servos.changer, self._approach_deg)
         self.last: Reading | None = None
         self.faulted = False
         """An axis has failed: nothing moves any more until the rig is opened again."""
+        self.stopped = False
+        """Somebody has called `stop` since the last move."""
         self._by_id = {joint.id: joint for joint in self.joints.values()}
 
     # ---- opening and leaving ----
@@ -203,15 +216,24 @@ class ServoArms:
         DeviceError
             An axis does not land, or a servo is unwell; every axis has been stopped.
         """
-        goals = self._checked(goal)
+        return self._move(self._checked(goal))
+
+    def _move(self, goals: Mapping[str, float]) -> Pose:
         if self.faulted:
             raise DeviceError("the arms have been stopped after a failure; open the rig again")
+        self.stopped = False
         try:
             self._approach(goals)
-            return self._readback().pose
-        except BaseException as failure:
+            reading = self._readback()
+            for name, count in reading.counts.items():
+                self.joints[name].stood_at = count
+            return reading.pose
+        except DeviceError:
             self.stop()
-            self.faulted = isinstance(failure, DeviceError)
+            self.faulted = True
+            raise
+        except BaseException:
+            self.stop()
             raise
 
     def read(self) -> Pose:
@@ -220,9 +242,10 @@ class ServoArms:
 
     def stop(self) -> None:
         """Stop every axis where it is: hold what answers, and take the torque from what does not. Never raises."""
+        self.stopped = True
         silent = []
         for joint in self.joints.values():
-            joint.landed_at = None
+            joint.landed_at = joint.stood_at = None
             try:
                 here = joint.table["Present Position"]
                 position = here.decode(self.bus.read(joint.id, here.address, here.size), here.address)
@@ -243,11 +266,35 @@ class ServoArms:
         goals |= {n: j.servo.park_deg for n, j in self.joints.items() if j.servo.park_deg is not None}
         self.move(Pose(**{name: math.radians(angle) for name, angle in goals.items()}))
 
+    def change(self, target: Target) -> None:
+        """Put sample or white reference into the beam, by the servo of the changer."""
+        changer = self._servos.changer
+        if changer is None:
+            raise ConfigError("devices.servos.changer is missing: the rig has no servo that changes the sample")
+        self._move({"changer": changer.sample_deg if target == "sample" else changer.reference_deg})
+
+    def still(self) -> None:
+        """Raise `DeviceError` where an axis has left the place where it landed, or has let go of its torque."""
+        for name, report in self._reports().items():
+            joint = self.joints[name]
+            if joint.stood_at is not None and abs(report.position - joint.stood_at) > STILL_COUNTS:
+                self._fail(
+                    f"axis {name} has moved by itself, from {joint.to_deg(joint.stood_at):.2f} to "
+                    f"{joint.to_deg(report.position):.2f} deg"
+                )
+            if report.profile != joint.profile:
+                self._fail(f"axis {name}: servo id {joint.id} has restarted by itself")
+
+    def _fail(self, message: str) -> NoReturn:
+        self.stop()
+        self.faulted = True
+        raise DeviceError(f"{message}; all axes are stopped")
+
     # ---- setting up ----
 
     def _identify(self, joint: Joint) -> None:
         """The servo with this id must answer, and be of the model that the file says."""
-        where = f"devices.servos.axes.{joint.name}"
+        where = joint.key
         try:
             number, _ = self.bus.ping(joint.id)
         except dynamixel.BusError:
@@ -309,7 +356,7 @@ class ServoArms:
                 f"axis {joint.name} stands at count {position}, outside the servo's limits, {joint.count_limits[0]} "
                 f"to {joint.count_limits[1]}; turn it by hand to where it may stand, then try again"
             )
-        self._write(joint, "Goal Position", position)   # goal = present, so that torque moves nothing
+        self._write(joint, "Goal Position", position)  # goal = present, so that torque moves nothing
         self._write(joint, "Torque Enable", 1)
         if self._get(joint, "Torque Enable") != 1:
             raise DeviceError(f"axis {joint.name}: servo id {joint.id} does not take its torque")
@@ -322,7 +369,7 @@ class ServoArms:
                 f"axis {joint.name}: limits {joint.limits_deg[0]:g} to {joint.limits_deg[1]:g} deg, approached from "
                 f"{self._approach_deg:g} deg below, need counts {min(ends):.0f} to {max(ends):.0f}, and servo id "
                 f"{joint.id} allows {joint.count_limits[0]} to {joint.count_limits[1]}; narrow the limits, or change "
-                f"devices.servos.axes.{joint.name}.zero_count or the servo's position limits"
+                f"{joint.key}.zero_count or the servo's position limits"
             )
 
     # ---- moving ----
@@ -330,7 +377,7 @@ class ServoArms:
     def _checked(self, goal: Pose) -> dict[str, float]:
         """Goals [deg] by axis, or `ConfigError`."""
         out = {}
-        for name in Pose.__dataclass_fields__:
+        for name in AXES:
             angle = math.degrees(getattr(goal, name))
             if not math.isfinite(angle):
                 raise ConfigError(f"{name} = {angle}: a goal must be a finite angle")
@@ -359,7 +406,7 @@ class ServoArms:
             if joint.to_deg(reports[name].position) > joint.to_deg(start) + self._tolerance:
                 below[name] = start
         for name in ups:
-            self.joints[name].landed_at = None
+            self.joints[name].landed_at = self.joints[name].stood_at = None
         if below:
             self._land(below, exact=False)
         if ups:
@@ -415,7 +462,7 @@ class ServoArms:
                 landing.done = True
                 return
             small = error <= LARGEST_CORRECTION_DEG and landing.corrections < CORRECTIONS
-            if small and still > STARTING_S:   # right after a goal, standing still means nothing
+            if small and still > STARTING_S:  # right after a goal, standing still means nothing
                 self._correct(joint, landing, report, now, exact=exact)
                 return
         if still > STALL_S:
@@ -496,7 +543,8 @@ class ServoArms:
         reports = self._reports()
         after = time.monotonic()
         counts = {name: report.position for name, report in reports.items()}
-        pose = Pose(**{name: math.radians(self.joints[name].to_deg(count)) for name, count in counts.items()})
+        axes = {name: math.radians(self.joints[name].to_deg(count)) for name, count in counts.items() if name in AXES}
+        pose = Pose(**axes)
         self.last = Reading(pose, (before + after) / 2, counts)
         return self.last
 
@@ -570,6 +618,21 @@ def _joint(
             f"axis {name}: limits {limits[0]:g} to {limits[1]:g} deg, approached from {approach_deg:g} deg below, need "
             f"counts {ends[0]:.0f} to {ends[1]:.0f}; a servo in Position mode has 0 to {COUNTS - 1}: narrow the limits "
             f"or change devices.servos.axes.{name}.zero_count or gear_ratio"
+        )
+    return joint
+
+
+def _changer(changer: settings.Changer, approach_deg: float) -> Joint:
+    """The joint of the sample changer, which is no axis of a pose."""
+    ends = sorted((changer.sample_deg, changer.reference_deg))
+    axis = Axis(speed_deg_per_s=changer.speed_deg_per_s)
+    table = dynamixel.control_table(changer.model)
+    joint = Joint("changer", changer, axis, (ends[0], ends[1]), table)
+    counts = sorted((joint.to_count(ends[0] - approach_deg), joint.to_count(ends[1])))
+    if counts[0] < 0 or counts[1] > COUNTS - 1:
+        raise ConfigError(
+            f"devices.servos.changer: its places need counts {counts[0]:.0f} to {counts[1]:.0f}; a servo in Position "
+            f"mode has 0 to {COUNTS - 1}"
         )
     return joint
 

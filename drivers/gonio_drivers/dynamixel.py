@@ -237,7 +237,7 @@ class Bus:
         with self._lock:
             try:
                 self._calm(0.0)
-                found, _ = self._packets.broadcastPing(self._port)   # empty, or damaged where replies collided
+                found, _ = self._packets.broadcastPing(self._port)  # empty, or damaged where replies collided
             except (serial.SerialException, OSError) as error:
                 raise ports.lost(self.port, error, f"{self.key}.port") from None
             finally:
@@ -344,7 +344,7 @@ class Bus:
                 try:
                     blocks[reply[4]] = self._data(reply[4], reply, size)
                 except BusError:
-                    return blocks   # the caller reads the rest one by one
+                    return blocks  # the caller reads the rest one by one
         return blocks
 
     def _calm(self, quiet_s: float) -> None:

@@ -61,5 +61,5 @@ def _holder(port: str) -> str:
                 name = (process / "comm").read_text().strip()
                 return f" by process {process.name} ({name})"
         except OSError:
-            continue   # another user's process, or one that has just ended
+            continue  # another user's process, or one that has just ended
     return ""

@@ -31,6 +31,14 @@ class ServoAxis(Strict):
     """In the servo's own units (2.69 mA for the 430 models); None leaves what is in the servo."""
 
 
+class Changer(ServoAxis):
+    """The servo of a sample changer, and where it stands for what."""
+
+    sample_deg: float
+    reference_deg: float
+    speed_deg_per_s: Positive = 30.0
+
+
 class Servos(Strict):
     """The servos of all axes, on one port."""
 
@@ -42,13 +50,15 @@ class Servos(Strict):
     """A landing is good within this distance of the goal."""
     settle_s: NonNegative = 0.1
     """How long an axis must stand still before it has landed."""
+    changer: Changer | None = None
+    """A servo that puts sample or white reference into the beam (`reference.how = "axis"`)."""
     on_exit: Literal["torque-off", "hold"] = "torque-off"
 
     @model_validator(mode="after")
     def _distinct(self) -> Servos:
-        ids = [axis.id for axis in self.axes.values()]
+        ids = [axis.id for axis in self.axes.values()] + ([self.changer.id] if self.changer else [])
         if len(set(ids)) < len(ids):
-            raise ValueError(f"two axes have the same servo id; ids given: {ids}")
+            raise ValueError(f"two servos have the same id; ids given: {ids}")
         return self
 
 
@@ -99,7 +109,7 @@ class FolderCamera(Strict):
     exposure_tolerance: Annotated[float, Field(gt=0, lt=1)] = 0.05
     """Largest relative deviation of the exposure in the file from what was asked."""
     keep: bool = False
-    """Leave the files in the folder after they have been taken over."""
+    """Never delete the files that were used; without it they are deleted once the run has its copies."""
 
 
 class UvcCamera(Strict):
@@ -147,6 +157,11 @@ def check_axes(servos: Servos, description: RigDescription) -> None:
     for name in limits:
         if name not in servos.axes:
             raise ConfigError(f"devices.servos.axes.{name} is missing: the rig has this axis, and no servo turns it")
+    if (description.reference.how == "axis") != (servos.changer is not None):
+        raise ConfigError(
+            f'reference.how = "{description.reference.how}": "axis" needs a table devices.servos.changer, and no other '
+            "way of reaching the reference has one"
+        )
     for name in servos.axes:
         if name not in limits:
             raise ConfigError(f"devices.servos.axes.{name}: the rig has no axis {name}; it has {', '.join(limits)}")

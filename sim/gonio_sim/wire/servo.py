@@ -7,6 +7,7 @@ the bus watchdog, which belong to the wire, run on wall time.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from gonio_sim.wire import motion, tables
@@ -30,6 +31,8 @@ class Mechanics:
 
     short_counts: float = 0.0
     """Friction: without I gain the shaft stops this far before its goal, and does not leave for less [counts]."""
+    within: Callable[[], float] = lambda: 0.0
+    """Where in a count it stops, -1/2 to 1/2."""
     noise_counts: float = 0.0
     """Amplitude of the readback's flicker at rest [counts]."""
 
@@ -80,6 +83,8 @@ class Servo:
         self._stalled_since: float | None = None
         self._back_at: float | None = None
         self._watched = 0.0
+        self.leaving: Callable[[], None] = lambda: None
+        """Called before the shaft sets out for a new goal: what hangs on it has followed until now."""
         self.powered = True
         self.temperature_c = AMBIENT_C
         self.supply_dv = SUPPLY_DV
@@ -323,6 +328,7 @@ class Servo:
 
     def _drive(self) -> None:
         """Make for what the goal registers say."""
+        self.leaving()
         now = self._clock()
         position, velocity = self._path.at(now)
         mode = self.get("Operating Mode")
@@ -333,7 +339,7 @@ class Servo:
             if abs(goal - position) <= short and velocity == 0:
                 self._path = motion.rest(now, position)
             else:
-                there = goal - math.copysign(short, goal - position)
+                there = goal - math.copysign(short, goal - position) + self.mechanics.within()
                 self._path = motion.to_position(now, position, velocity, there, speed, acceleration)
         elif mode == 1:
             self._path = motion.to_speed(now, position, velocity, self.get("Goal Velocity") * tables.RPM, acceleration)

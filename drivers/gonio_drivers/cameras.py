@@ -1,0 +1,74 @@
+"""Cameras by name: entry points of the group `gonio.cameras`, ours and a stranger's alike.
+
+An entry point names a callable `(description, settings) -> camera`: the rig's description, and what stands in the table
+`[devices.camera]` beside `driver`. It returns a context manager that opens the camera, with the method `capture` of
+`gonio.rig.CameraDevice`; it touches no device before it is entered. docs/writing_a_driver.md shows one.
+"""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Any, Protocol, Self, TypeVar
+
+from gonio import plugins
+from gonio.config import Strict, parse
+from gonio.description import RigDescription
+from gonio.errors import ConfigError
+from gonio.rig import Frame
+from gonio_drivers import settings
+
+SOURCE = "[devices.camera]"
+Table = TypeVar("Table", bound=Strict)
+
+
+class OpenableCamera(Protocol):
+    """A `CameraDevice` that is opened as a context."""
+
+    def capture(self, exposure_s: float) -> Frame: ...
+    def __enter__(self) -> Self: ...
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+def build(description: RigDescription, table: dict[str, Any]) -> OpenableCamera:
+    """The camera that the table `[devices.camera]` describes.
+
+    Raises
+    ------
+    ConfigError
+        There is no such driver, or one of its keys is wrong.
+    """
+    rest = dict(table)
+    driver = rest.pop("driver", None)
+    if not isinstance(driver, str):
+        raise ConfigError(
+            f"{SOURCE}: the key driver is missing; installed: {', '.join(plugins.available('gonio.cameras'))}"
+        )
+    camera: OpenableCamera = plugins.load("gonio.cameras", driver)(description, rest)
+    return camera
+
+
+def folder(description: RigDescription, table: dict[str, Any]) -> OpenableCamera:
+    """RAW files from a watched folder."""
+    from gonio_drivers.folder_camera import FolderCamera
+
+    return FolderCamera(description, _parsed(settings.FolderCamera, table))
+
+
+def uvc(description: RigDescription, table: dict[str, Any]) -> OpenableCamera:
+    """A USB video camera."""
+    from gonio_drivers.uvc import UvcCamera
+
+    return UvcCamera(description, _parsed(settings.UvcCamera, table))
+
+
+def sequence(description: RigDescription, table: dict[str, Any]) -> OpenableCamera:
+    """Images from a folder."""
+    from gonio_drivers.sequence_camera import SequenceCamera
+
+    return SequenceCamera(description, _parsed(settings.SequenceCamera, table))
+
+
+def _parsed(model: type[Table], values: dict[str, Any]) -> Table:
+    return parse(model, values, SOURCE)

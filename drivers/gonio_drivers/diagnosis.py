@@ -1,0 +1,106 @@
+"""What `gonio rig check` says of a laboratory rig's devices, beyond the checks that every rig goes through."""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from gonio.rig import Pose
+
+if TYPE_CHECKING:
+    from gonio_drivers.arms import Joint, ServoArms
+    from gonio_drivers.lab import LabRig
+
+Row = tuple[str, str, bool]
+
+READINGS = 50
+LANDINGS = 4
+SLOW_MS = 5.0
+NOISE_DEG = 0.1
+STEP_DEG = 3.0
+
+
+def rows(rig: LabRig) -> list[Row]:
+    """Servos (version, temperature, voltage), bus latency, readback noise, repeatability, lamp."""
+    out = [_servo(rig.arms, joint) for joint in rig.arms.joints.values()]
+    out += _bus(rig.arms)
+    out += _repeatability(rig.arms)
+    rig.light.check()
+    reading = rig.light.monitor()
+    monitor = "" if reading is None else f", monitor {reading:g}"
+    out.append(("lamp", f"{rig.light}, dark{monitor}", not rig.light.lit))
+    return out
+
+
+def _servo(arms: ServoArms, joint: Joint) -> Row:
+    number, firmware = arms.bus.ping(joint.id)
+    health = joint.health
+    assert health is not None
+    low, high = joint.voltage_limits_v
+    good = health.temperature_c < joint.max_temperature_c - 10 and low <= health.voltage_v <= high
+    return (
+        f"{joint.name} servo",
+        f"id {joint.id}, {joint.servo.model} ({number}), firmware {firmware}, {health.temperature_c} C, "
+        f"{health.voltage_v:.1f} V, current {health.current}",
+        good,
+    )
+
+
+def _bus(arms: ServoArms) -> list[Row]:
+    """How long a reading of all servos takes, and how much it scatters at rest."""
+    before = arms.bus.recovered
+    times, counts = [], []
+    for _ in range(READINGS):
+        start = time.perf_counter()
+        arms.read()
+        times.append(1e3 * (time.perf_counter() - start))
+        assert arms.last is not None
+        counts.append(arms.last.counts)
+    typical, worst = statistics.median(times), max(times)
+    lost = arms.bus.recovered - before
+    remedy = "" if typical <= SLOW_MS else "; set the adapter's latency timer to 1 ms (docs/lab_setup.md)"
+    noise = max(
+        statistics.pstdev([c[name] for c in counts]) / abs(joint.counts_per_deg) for name, joint in arms.joints.items()
+    )
+    latency = f"{typical:.1f} ms for all servos, at most {worst:.1f} ms, {lost} of {READINGS} repeated{remedy}"
+    return [
+        ("bus latency", latency, typical <= SLOW_MS and lost == 0),
+        ("readback noise", f"at most {noise:.3f} deg (standard deviation at rest)", noise <= NOISE_DEG),
+    ]
+
+
+def _repeatability(arms: ServoArms) -> list[Row]:
+    """Spread of landings on the same goal, away from it and back."""
+    here = arms.read()
+    landed: dict[str, list[float]] = {name: [] for name in _axes(here, arms)}
+    away = replace(here, **{n: _aside(getattr(here, n), arms.joints[n]) for n in landed})
+    for _ in range(LANDINGS):
+        arms.move(away)
+        pose = arms.move(here_inside(here, arms))
+        for name, angles in landed.items():
+            angles.append(math.degrees(getattr(pose, name)))
+    worst = max(max(angles) - min(angles) for angles in landed.values())
+    return [("repeatability", f"{LANDINGS} landings within {worst:.3f} deg", worst <= 0.2)]
+
+
+def here_inside(here: Pose, arms: ServoArms) -> Pose:
+    """A pose that was read, moved into the limits where the reading lies a little outside."""
+    inside = {}
+    for name in _axes(here, arms):
+        lower, upper = arms.joints[name].limits_deg
+        inside[name] = math.radians(min(max(math.degrees(getattr(here, name)), lower), upper))
+    return replace(here, **inside)
+
+
+def _axes(here: Pose, arms: ServoArms) -> list[str]:
+    return [name for name in arms.joints if hasattr(here, name)]
+
+
+def _aside(angle: float, joint: Joint) -> float:
+    """A little away from an angle, toward the middle of the axis's range [rad]."""
+    middle = sum(joint.limits_deg) / 2
+    at = math.degrees(angle)
+    return math.radians(at + STEP_DEG if at < middle else at - STEP_DEG)

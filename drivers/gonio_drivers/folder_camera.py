@@ -1,0 +1,253 @@
+"""A tethered camera: a program or a release makes it expose, and RAW files appear in a folder.
+
+The file says what was exposed: exposure and levels come from it, and an exposure that differs from what was asked is
+not used. Files are matched to exposures by count and order. A file that is late is waited for before the next exposure,
+so that it cannot be taken for that one; one that comes twice is recognised by its bytes. Files that have been used move
+into the subfolder `taken`, where the last of them stay until the run has copied them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import subprocess
+import time
+from collections import deque
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import serial
+
+from gonio.description import RigDescription
+from gonio.errors import ConfigError, DataError, DeviceError
+from gonio.frames import read_raw
+from gonio.rig import Frame
+from gonio_drivers import ports, settings
+
+log = logging.getLogger("gonio.devices")
+
+POLL_S = 0.01
+WHOLE_S = 0.3
+"""A file that does not grow for this long, and still cannot be read, is damaged."""
+TRIES = 3
+REMEMBERED = 64
+"""Frames that a run may still have to copy are far fewer."""
+TAKEN = "taken"
+
+
+class FolderCamera:
+    """RAW files from a watched folder, as a `CameraDevice`.
+
+    Parameters
+    ----------
+    description
+        The rig: size of the frame and limits of the exposure.
+    camera
+        Folder, trigger, tolerances.
+    """
+
+    def __init__(self, description: RigDescription, camera: settings.FolderCamera) -> None:
+        self._camera = camera
+        self._folder = Path(camera.folder).expanduser()
+        self._limits_s = description.camera.exposure_limits_s
+        self._shape = description.camera.height, description.camera.width
+        self._release: serial.Serial | None = None
+        self._seen: set[tuple[str, int]] = set()
+        self._known: deque[str] = deque(maxlen=REMEMBERED)
+        self._taken: deque[Path] = deque()
+        self._owed = 0
+        """Exposures that were triggered and whose files have not come."""
+
+    def __enter__(self) -> Self:
+        if not self._folder.is_dir():
+            raise ConfigError(f'devices.camera.folder = "{self._folder}": there is no such folder')
+        trigger = self._camera.trigger
+        if trigger.how == "serial":
+            try:
+                self._release = serial.Serial(
+                    trigger.port, int(trigger.baud), timeout=0.5, write_timeout=1.0, exclusive=True
+                )
+            except (serial.SerialException, OSError) as error:
+                raise ports.unopened(trigger.port, error, "devices.camera.trigger.port") from None
+        self._seen = {self._name(path) for path in self._files()}
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._release is not None:
+            self._release.close()
+            self._release = None
+        self._forget(0)
+
+    def capture(self, exposure_s: float) -> Frame:
+        """One frame that was exposed wholly after this call.
+
+        Raises
+        ------
+        ConfigError
+            The exposure is outside the camera's limits.
+        DeviceError
+            No usable file came, after several attempts.
+        """
+        shortest, longest = self._limits_s
+        if not shortest * (1 - 1e-9) <= exposure_s <= longest * (1 + 1e-9):
+            raise ConfigError(
+                f"an exposure of {exposure_s:g} s is outside camera.exposure_limits_s, {shortest:g} to {longest:g} s"
+            )
+        last: DeviceError | DataError | None = None
+        for attempt in range(TRIES):
+            self._await_stragglers(exposure_s)
+            try:
+                self._trigger(exposure_s)
+                frame = self._frame(exposure_s)
+            except (NoFile, BadFile, DataError) as failure:
+                log.warning("camera: %s; exposed again", failure)
+                last = failure
+                continue
+            if attempt:
+                log.warning("camera: a good file at attempt %d", attempt + 1)
+            return frame
+        raise DeviceError(f"camera: {last}; {TRIES} attempts failed")
+
+    # ---- one exposure ----
+
+    def _trigger(self, exposure_s: float) -> None:
+        trigger = self._camera.trigger
+        self._owed += 1
+        if trigger.how == "serial":
+            self._press(exposure_s)
+        elif trigger.how == "command":
+            filled = [part.format(exposure_s=f"{exposure_s:.6g}", folder=self._folder) for part in trigger.command]
+            try:
+                done = subprocess.run(
+                    filled, capture_output=True, text=True, timeout=exposure_s + self._camera.timeout_s, check=False
+                )
+            except FileNotFoundError:
+                raise ConfigError(f'devices.camera.trigger.command: there is no program "{filled[0]}"') from None
+            except subprocess.TimeoutExpired:
+                raise NoFile(f'the tethering program "{filled[0]}" did not end in time') from None
+            if done.returncode != 0:
+                self._owed -= 1
+                raise NoFile(
+                    f'the tethering program "{filled[0]}" ended with {done.returncode}: {done.stderr.strip()[-200:]}'
+                )
+        else:  # exposes by itself: the next file may have begun before this call
+            self._take(exposure_s + self._camera.timeout_s)
+
+    def _press(self, exposure_s: float) -> None:
+        """Ask the release box for an exposure; it answers OK when the shutter opens."""
+        assert self._release is not None
+        port = self._camera.trigger.port
+        try:
+            self._release.reset_input_buffer()
+            self._release.write(f"EXPOSE {exposure_s:.9g}\n".encode())
+            reply = self._release.readline().decode("ascii", "replace").strip()
+        except (serial.SerialException, OSError) as error:
+            raise ports.lost(port, error, "devices.camera.trigger.port") from None
+        if reply != "OK":
+            self._owed -= 1 if reply else 0
+            raise NoFile(f'the release on {port} answers "{reply}" instead of OK')
+
+    def _frame(self, exposure_s: float) -> Frame:
+        path, frame = self._take(exposure_s + self._camera.timeout_s)
+        if isinstance(frame, DataError):
+            raise BadFile(str(frame))
+        if frame.mosaic.shape != self._shape:
+            raise DeviceError(
+                f"{path}: the frame has {frame.mosaic.shape[1]} x {frame.mosaic.shape[0]} pixels; the rig file says "
+                f"camera.width = {self._shape[1]}, camera.height = {self._shape[0]}"
+            )
+        deviation = frame.exposure_s / exposure_s - 1
+        if abs(deviation) > self._camera.exposure_tolerance:
+            raise BadFile(f"{path}: was exposed {frame.exposure_s:g} s, and {exposure_s:g} s were asked")
+        return replace(frame, file=self._put_away(path))
+
+    def _take(self, timeout_s: float) -> tuple[Path, Frame | DataError]:
+        """The next new file; one whose bytes have come before is passed over."""
+        end = time.monotonic() + timeout_s
+        while True:
+            for path in self._new():
+                self._seen.add(self._name(path))
+                digest, frame = self._whole(path)
+                if digest in self._known:
+                    log.warning("camera: %s holds an exposure that has come before; passed over", path)
+                    self._put_away(path)
+                    continue
+                self._known.append(digest)
+                self._owed = max(0, self._owed - 1)
+                return path, frame
+            if time.monotonic() > end:
+                raise NoFile(f"no new file in {self._folder} within {timeout_s:.1f} s after the exposure was asked")
+            time.sleep(POLL_S)
+
+    def _await_stragglers(self, exposure_s: float) -> None:
+        """Files of earlier exposures that may still come must not be taken for the next one."""
+        end = time.monotonic() + exposure_s + self._camera.timeout_s
+        while self._owed and time.monotonic() < end:
+            try:
+                path, _ = self._take(max(0.0, end - time.monotonic()))
+            except NoFile:
+                break
+            log.warning("camera: %s came late; passed over", path)
+        self._owed = 0
+        for path in self._new():  # put there by somebody else
+            self._seen.add(self._name(path))
+
+    # ---- files ----
+
+    def _files(self) -> list[Path]:
+        try:
+            there = [p for p in self._folder.iterdir() if p.suffix.lower() in self._camera.suffixes]
+        except OSError as error:
+            raise DeviceError(f"{self._folder}: cannot be looked into: {error.strerror}") from None
+        return sorted((p for p in there if not p.name.startswith(".")), key=lambda p: p.name)
+
+    @staticmethod
+    def _name(path: Path) -> tuple[str, int]:
+        return path.name, path.stat().st_ino
+
+    def _new(self) -> list[Path]:
+        return [path for path in self._files() if self._name(path) not in self._seen]
+
+    @staticmethod
+    def _whole(path: Path) -> tuple[str, Frame | DataError]:
+        """Digest and frame of a file once it is whole: some programs write under the final name."""
+        size, since = -1, time.monotonic()
+        while True:
+            data = path.read_bytes()
+            if len(data) != size:
+                size, since = len(data), time.monotonic()
+            try:
+                frame: Frame | DataError = read_raw(path, data)
+            except DataError as damage:
+                frame = damage
+                if time.monotonic() - since < WHOLE_S:
+                    time.sleep(POLL_S)
+                    continue
+            return hashlib.sha256(data).hexdigest(), frame
+
+    def _put_away(self, path: Path) -> Path:
+        """Move a file out of the watched folder; where it lies then."""
+        folder = self._folder / TAKEN
+        folder.mkdir(exist_ok=True)
+        moved = folder / f"{path.stem}-{time.time_ns()}{path.suffix}"
+        path.replace(moved)
+        self._taken.append(moved)
+        self._forget(REMEMBERED)
+        return moved
+
+    def _forget(self, keep: int) -> None:
+        """Delete all but the last files that were put away; a run has copied the others long since."""
+        while not self._camera.keep and len(self._taken) > keep:
+            self._taken.popleft().unlink(missing_ok=True)
+
+
+class NoFile(DeviceError):
+    """No file came."""
+
+
+class BadFile(DeviceError):
+    """A file came that is not what was asked."""

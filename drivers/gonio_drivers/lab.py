@@ -1,0 +1,190 @@
+"""The laboratory rig: servo arms, a lamp on a serial port and a camera, put together from a rig file.
+
+Entering opens the lamp first and darkens it. Leaving, however that happens, darkens the lamp, then parks the arms; arms
+that have failed, or that somebody has stopped, are left where they stand.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import signal
+import sys
+import threading
+import time
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+from gonio.config import Strict, parse
+from gonio.description import RigDescription, SampleDescription
+from gonio.errors import DeviceError, GonioError, Interrupted
+from gonio.rig import Frame, Step, Target
+from gonio_drivers import cameras, diagnosis
+from gonio_drivers.arms import ServoArms
+from gonio_drivers.light import LampReset, SerialLight
+from gonio_drivers.settings import Devices
+
+log = logging.getLogger("gonio.devices")
+
+PROMPTS = {
+    "reference": "Put the white reference into the holder, then press Enter: ",
+    "sample": "Put the sample back into the holder, then press Enter: ",
+}
+RETAKES = 3
+
+
+class GuardedCamera:
+    """The camera of a laboratory rig: a frame counts only if lamp and arms were as they should be when it was over."""
+
+    def __init__(self, camera: cameras.OpenableCamera, light: SerialLight, arms: ServoArms) -> None:
+        self._camera = camera
+        self._light = light
+        self._arms = arms
+
+    def capture(self, exposure_s: float) -> Frame:
+        """One frame that was exposed wholly after this call; its time is the start of its exposure, on the rig's clock.
+
+        Raises
+        ------
+        DeviceError
+            The camera fails, an axis has moved by itself, or the lamp does not stay as it is meant to be.
+        """
+        for _ in range(RETAKES):
+            begun = time.time()
+            frame = self._camera.capture(exposure_s)
+            self._arms.still()
+            try:
+                self._light.check()
+            except LampReset as reset:
+                log.warning("%s during an exposure; the frame is taken again", reset)
+                continue
+            return replace(frame, time_s=begun)
+        raise DeviceError(f"the lamp on {self._light} does not stay as it is set, over {RETAKES} exposures")
+
+
+class LabRig:
+    """A goniometer of servos, lamp and camera.
+
+    Parameters
+    ----------
+    description, devices
+        The rig file, and its table `[devices]`.
+    confirm
+        Ask on the terminal when sample and reference have to be swapped by hand.
+    """
+
+    repeatable = False
+
+    def __init__(self, description: RigDescription, devices: Devices, *, confirm: bool) -> None:
+        self.description = description
+        self.light = SerialLight(description, devices.light)
+        self.arms = ServoArms(description, devices.servos)
+        self._camera = cameras.build(description, devices.camera)
+        self.camera = GuardedCamera(self._camera, self.light, self.arms)
+        self._confirm = confirm
+        self._target: Target = "sample"
+        self._stack = contextlib.ExitStack()
+
+    def begin(self, step: Step) -> None:
+        """Nothing to prepare: a laboratory takes every step as it comes."""
+
+    def present(self, target: Target) -> None:
+        """Put the sample or the white reference into the beam: by the changer's servo, or by the user's hand."""
+        how = self.description.reference.how
+        if how == "axis":
+            self.arms.change(target)
+        elif how == "swap" and self._confirm and target != self._target:
+            print(PROMPTS[target], end="", file=sys.stderr, flush=True)
+            if not sys.stdin.readline():
+                raise DeviceError(f"the {target} must be put into the holder, and there is no terminal to confirm it")
+        self._target = target
+
+    def time_s(self) -> float:
+        """Seconds since 1970, so that the sittings of one run share a clock."""
+        return time.time()
+
+    def diagnose(self) -> list[tuple[str, str, bool]]:
+        """What `gonio rig check` reports of the devices: what, what was found, whether that is good."""
+        return diagnosis.rows(self)
+
+    def __enter__(self) -> Self:
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(_signals())
+            stack.enter_context(self.light)
+            stack.enter_context(self.arms)
+            stack.enter_context(self._camera)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        failure: GonioError | None = None
+        try:
+            self.light.off()
+        except GonioError as dark:
+            failure = dark
+        try:
+            if not self.arms.faulted and not (isinstance(error, Interrupted) and self.arms.stopped):
+                self.arms.park()
+        except GonioError as stuck:
+            failure = failure or stuck
+        finally:
+            self._stack.__exit__(kind, error, trace)
+        if failure is not None:
+            if error is None:
+                raise failure
+            log.error("while leaving: %s", failure)
+
+
+@contextlib.contextmanager
+def _signals() -> Any:
+    """While nobody else listens, let SIGTERM and SIGHUP leave the rig in order: lamp dark, arms parked."""
+
+    def leave(number: int, frame: FrameType | None) -> None:
+        raise Interrupted(f"stopped by {signal.Signals(number).name}")
+
+    mine = []
+    if threading.current_thread() is threading.main_thread():
+        mine = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is signal.SIG_DFL]
+    for number in mine:
+        signal.signal(number, leave)
+    try:
+        yield
+    finally:
+        for number in mine:
+            signal.signal(number, signal.SIG_DFL)
+
+
+class _File(Strict):
+    """The part of the rig file that is the drivers' own, so that messages name keys in full."""
+
+    devices: Devices
+
+
+@dataclass(frozen=True, slots=True)
+class LabPlugin:
+    """The entry point `lab` of the group `gonio.rigs`."""
+
+    @property
+    def toml(self) -> str:
+        """The shipped rig file."""
+        return (files("gonio_drivers") / "lab.toml").read_text(encoding="utf-8")
+
+    def open(
+        self, description: RigDescription, *, sample: SampleDescription | None, seed: int, confirm: bool
+    ) -> LabRig:
+        """Build the rig; what lies in the holder is the user's to know, so `sample` and `seed` change nothing.
+
+        Raises
+        ------
+        ConfigError
+            A key of `[devices]` is wrong.
+        """
+        table = parse(_File, {"devices": description.devices}, f'rig "{description.name}"')
+        return LabRig(description, table.devices, confirm=confirm)
+
+
+LAB = LabPlugin()

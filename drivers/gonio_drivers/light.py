@@ -1,0 +1,442 @@
+"""A lamp on a serial port: one driver, and the language of its controller as data.
+
+Nothing is believed that was not read back: every setting is followed by its query, and the lamp counts as dark or lit
+only when its controller says so. It is darkened when the port is opened, when it is left, and after every failure.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import time
+from importlib.resources import files
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import serial
+from pydantic import field_validator
+
+from gonio import config
+from gonio.config import Strict
+from gonio.description import Band, NonNegative, Positive, RigDescription
+from gonio.errors import ConfigError, DeviceError
+from gonio_drivers import ports, settings
+
+log = logging.getLogger("gonio.devices")
+
+TRIES = 3
+WAVELENGTH_STEP_NM = 0.1
+DIALECTS = ("scpi", "mightex", "arduino")
+
+
+class Dialect(Strict):
+    """How a lamp controller is spoken to. Patterns are regular expressions for a whole reply."""
+
+    name: str
+    baud: Positive
+    send_ending: str = "\n"
+    reply_ending: str = "\n"
+    timeout_s: Positive = 0.5
+    banner: str | None = None
+    """What the controller says when it has started; some restart whenever their port is opened."""
+    banner_s: Positive = 4.0
+    start: tuple[str, ...] = ()
+    """Commands that put the line into its usual state; their replies are not looked at."""
+    identify: str
+    identity: str
+    on: str
+    off: str
+    state: str
+    state_on: str
+    state_off: str
+    set: str
+    get: str
+    got: str
+    """With one group: the number."""
+    full_scale: Positive
+    """Setting for level 1."""
+    resolution: NonNegative
+    """Step of the setting, in its own unit: a readback within one step is the same."""
+    acknowledge: str | None = None
+    refuse: str | None = None
+    error_query: str | None = None
+    no_error: str = "0.*"
+    select: str | None = None
+    """Choose a wavelength, for tunable sources."""
+    selected: str | None = None
+    selected_got: str = r"([-+.\deE]+)"
+    monitor: str | None = None
+    """Ask a monitor photodiode; its reading is proportional to the output."""
+    monitor_got: str = r"([-+.\deE]+)"
+
+    @field_validator(
+        "banner", "identity", "state_on", "state_off", "got", "acknowledge", "refuse", "no_error", "selected_got",
+        "monitor_got",
+    )  # fmt: skip
+    @classmethod
+    def _pattern(cls, pattern: str | None) -> str | None:
+        if pattern is not None:
+            try:
+                re.compile(pattern)
+            except re.error as error:
+                raise ValueError(f"is not a regular expression: {error}") from None
+        return pattern
+
+
+def dialect(name: str) -> Dialect:
+    """A shipped dialect by name, or one from a TOML file.
+
+    Raises
+    ------
+    ConfigError
+        There is neither, or the file is wrong.
+    """
+    if name in DIALECTS:
+        text = files("gonio_drivers") / "dialects" / f"{name}.toml"
+        return config.load(Dialect, Path(str(text)))
+    if name.endswith(".toml"):
+        return config.load(Dialect, name)
+    raise ConfigError(
+        f'devices.light.dialect = "{name}": shipped are {", ".join(DIALECTS)}; or give the path of a .toml file'
+    )
+
+
+class Nak(DeviceError):
+    """The controller refuses a command."""
+
+
+class SerialLight:
+    """A lamp, as a `LightDevice`; dark whenever it is not asked to shine.
+
+    Parameters
+    ----------
+    description
+        The rig: its bands, and the lamp's warm-up time.
+    light
+        Port, dialect, level, channels.
+    """
+
+    def __init__(self, description: RigDescription, light: settings.Light) -> None:
+        self._light = light
+        self._dialect = dialect(light.dialect)
+        self._bands = description.bands.all()
+        self._warm_up_s = description.lamp.warm_up_s
+        self._port: serial.Serial | None = None
+        self._channel = light.channel
+        self._band: Band | None = None
+        self._lit_since: float | None = None
+        self._monitored: float | None = None
+        self._warmed = False
+        self.identity = ""
+        self.lit = False
+        """Whether the lamp is meant to shine."""
+        for name in light.channels:
+            if name not in {band.name for band in self._bands}:
+                known = ", ".join(band.name for band in self._bands[:8])
+                raise ConfigError(f'devices.light.channels."{name}": the rig has no such band; it has {known}')
+
+    def __enter__(self) -> Self:
+        try:
+            self._port = serial.Serial(
+                self._light.port,
+                int(self._light.baud or self._dialect.baud),
+                timeout=self._dialect.timeout_s,
+                write_timeout=1.0,
+                exclusive=True,
+            )
+        except (serial.SerialException, OSError) as error:
+            raise ports.unopened(self._light.port, error, "devices.light.port") from None
+        try:
+            self._wake()
+            self.off()
+        except BaseException:
+            self._close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self.off()
+        finally:
+            self._close()
+
+    # ---- LightDevice ----
+
+    def select(self, band: Band) -> None:
+        """Choose the spectral band: a wavelength, or the channel of its emitter."""
+        if band not in self._bands:
+            raise ConfigError(f'the rig has no band "{band.name}"')
+        if band == self._band:
+            return
+        channel = self._light.channels.get(band.name, self._light.channel)
+        d = self._dialect
+        if channel != self._channel and self.lit:
+            self._off()
+            self._channel = channel
+            self._shine()
+            time.sleep(self._light.settle_s)
+        self._channel = channel
+        if d.select is not None and d.selected is not None:
+            wanted = band.centre_nm
+            self._set(
+                d.select.format(wavelength_nm=wanted, channel=channel),
+                d.selected,
+                d.selected_got,
+                wanted,
+                WAVELENGTH_STEP_NM,
+            )
+            if self.lit:
+                time.sleep(self._light.settle_s)
+        self._band = band
+
+    def on(self) -> None:
+        """Light up at the level of the rig file, and wait until the lamp has settled."""
+        try:
+            self._shine()
+        except BaseException:
+            self.off()
+            raise
+        self._settle()
+
+    def off(self) -> None:
+        """Darken.
+
+        Raises
+        ------
+        DeviceError
+            The controller does not say that the lamp is dark.
+        """
+        self.lit, self._lit_since = False, None
+        try:
+            self._off()
+        except DeviceError as failure:
+            raise DeviceError(f"{failure}; the lamp may still be lit: switch it off by hand") from None
+
+    def check(self) -> None:
+        """Ask the controller whether the lamp is as it is meant to be; light it again where it has gone dark.
+
+        Raises
+        ------
+        LampReset
+            It was not; what has been exposed since the last look is worth nothing.
+        """
+        d = self._dialect
+        answer = self._ask(d.state.format(channel=self._channel))
+        is_on = re.fullmatch(d.state_on, answer) is not None
+        if is_on == self.lit and (not self.lit or (self._level_kept() and self._band_kept())):
+            return
+        if not self.lit:
+            self.off()
+            raise LampReset("the lamp was lit when it should have been dark; darkened")
+        log.warning("lamp on %s: it has gone dark, or lost its settings, by itself; lit again", self._light.port)
+        band, self._band = self._band, None
+        if band is not None:
+            self.select(band)
+        self._shine()
+        time.sleep(self._light.settle_s)
+        raise LampReset("the lamp went dark, or lost its settings, by itself")
+
+    def monitor(self) -> float | None:
+        """Reading of the monitor photodiode in its own unit; None where the controller has none."""
+        d = self._dialect
+        if d.monitor is None:
+            return None
+        return self._number(self._ask(d.monitor.format(channel=self._channel)), d.monitor_got)
+
+    def __str__(self) -> str:
+        return f"{self.identity or self._dialect.name} on {self._light.port}"
+
+    # ---- inside ----
+
+    def _wake(self) -> None:
+        d = self._dialect
+        if d.banner is not None:
+            end = time.monotonic() + d.banner_s
+            while not re.fullmatch(d.banner, line := self._line()):
+                if time.monotonic() > end and not line:
+                    log.warning("lamp on %s: no banner within %g s; asking anyway", self._light.port, d.banner_s)
+                    break
+        for command in d.start:
+            self._send(command)
+            self._line()
+        try:
+            self.identity = self._ask(d.identify)
+        except DeviceError as failure:
+            raise DeviceError(
+                f'{failure}; is it on, is devices.light.dialect = "{d.name}" its language, and '
+                f"{self._light.baud or d.baud} its line speed?"
+            ) from None
+        if not re.fullmatch(d.identity, self.identity):
+            raise DeviceError(
+                f'the lamp on {self._light.port} says it is "{self.identity}", which is no {d.name} controller; '
+                "correct devices.light.dialect or devices.light.port"
+            )
+        self._drain_errors()
+
+    def _shine(self) -> None:
+        d = self._dialect
+        value = self._light.level * d.full_scale
+        command = d.set.format(value=value, channel=self._channel)
+        self._set(command, d.get.format(channel=self._channel), d.got, value, d.resolution)
+        self._switch(d.on, d.state_on, self._channel)
+        self.lit = True
+
+    def _off(self) -> None:
+        channels = sorted({self._light.channel, *self._light.channels.values()})
+        for channel in channels if "{channel}" in self._dialect.off else channels[:1]:
+            self._switch(self._dialect.off, self._dialect.state_off, channel)
+
+    def _switch(self, command: str, wanted: str, channel: int) -> None:
+        d = self._dialect
+        for _ in range(TRIES):
+            self._order(command.format(channel=channel))
+            state = self._ask(d.state.format(channel=channel))
+            if re.fullmatch(wanted, state):
+                return
+            log.warning('lamp on %s: after "%s" its state is "%s"; repeated', self._light.port, command, state)
+        raise DeviceError(f'the lamp on {self._light.port} does not obey "{command}": its state is "{state}"')
+
+    def _set(self, command: str, query: str, pattern: str, value: float, resolution: float) -> None:
+        """A setting, read back; `resolution` is the largest difference that is none."""
+        for _ in range(TRIES):
+            self._order(command)
+            got = self._number(self._ask(query.format(channel=self._channel)), pattern)
+            if abs(got - value) <= resolution:
+                return
+            log.warning('lamp on %s: after "%s" it reads back %g; repeated', self._light.port, command, got)
+        raise DeviceError(f'the lamp on {self._light.port} does not obey "{command}": it reads back {got:g}')
+
+    def _level_kept(self) -> bool:
+        d = self._dialect
+        got = self._number(self._ask(d.get.format(channel=self._channel)), d.got)
+        kept = abs(got - self._light.level * d.full_scale) <= d.resolution
+        if kept and self._light.monitor_tolerance is not None and (seen := self.monitor()) is not None:
+            first = self._monitored = self._monitored or seen
+            if abs(seen / first - 1) > self._light.monitor_tolerance:
+                raise DeviceError(
+                    f"the lamp's monitor reads {seen:g}, and read {first:g} after lighting up: more than "
+                    f"devices.light.monitor_tolerance = {self._light.monitor_tolerance:g} apart"
+                )
+        return kept
+
+    def _band_kept(self) -> bool:
+        d = self._dialect
+        if d.selected is None or self._band is None:
+            return True
+        return abs(self._number(self._ask(d.selected), d.selected_got) - self._band.centre_nm) <= WAVELENGTH_STEP_NM
+
+    def _settle(self) -> None:
+        now = time.monotonic()
+        first = self._lit_since is None
+        if self._lit_since is None:
+            self._lit_since = now
+        wait = self._light.settle_s
+        if first and not self._warmed:
+            wait = max(wait, self._warm_up_s)
+            self._warmed = True
+        time.sleep(wait)
+        self._monitored = self.monitor() if self._light.monitor_tolerance is not None else None
+
+    # ---- the line ----
+
+    def _order(self, command: str) -> None:
+        """A command that changes something: acknowledged, or followed by a look into the error queue."""
+        d = self._dialect
+        last: DeviceError | None = None
+        for attempt in range(TRIES):
+            try:
+                self._send(command)
+                if d.acknowledge is not None:
+                    reply = self._line()
+                    if not re.fullmatch(d.acknowledge, reply):
+                        raise self._disappointment(command, reply)
+                if d.error_query is not None:
+                    error = self._ask(d.error_query)
+                    if not re.fullmatch(d.no_error, error):
+                        raise Nak(f'the lamp on {self._light.port} refuses "{command}": {error}')
+            except DeviceError as failure:
+                last = failure
+                self._calm()
+                continue
+            if attempt:
+                log.warning("lamp on %s: %s; obeyed at attempt %d", self._light.port, last, attempt + 1)
+            return
+        assert last is not None
+        raise last
+
+    def _ask(self, query: str) -> str:
+        """A query and its reply."""
+        last: DeviceError | None = None
+        for attempt in range(TRIES):
+            self._send(query)
+            reply = self._line()
+            if reply and not any(p and re.fullmatch(p, reply) for p in (self._dialect.refuse, self._dialect.banner)):
+                if attempt:
+                    log.warning("lamp on %s: %s; answered at attempt %d", self._light.port, last, attempt + 1)
+                return reply
+            last = self._disappointment(query, reply)
+            self._calm()
+        assert last is not None
+        raise last
+
+    def _disappointment(self, command: str, reply: str) -> DeviceError:
+        if not reply:
+            return DeviceError(f'the lamp on {self._light.port} does not answer "{command}"')
+        return Nak(f'the lamp on {self._light.port} answers "{command}" with "{reply}"')
+
+    def _number(self, reply: str, pattern: str) -> float:
+        found = re.fullmatch(pattern, reply)
+        try:
+            return float(found.group(1))  # type: ignore[union-attr]
+        except (AttributeError, ValueError):
+            raise DeviceError(f'the lamp on {self._light.port} answers "{reply}" where a number was expected') from None
+
+    def _send(self, command: str) -> None:
+        if self._port is None:
+            raise DeviceError(f"the lamp on {self._light.port} is not open: enter the rig first")
+        try:
+            self._port.reset_input_buffer()
+            self._port.write((command + self._dialect.send_ending).encode())
+        except (serial.SerialException, OSError) as error:
+            raise ports.lost(self._light.port, error, "devices.light.port") from None
+
+    def _line(self) -> str:
+        """One line of reply without its ending; empty where none comes in time."""
+        assert self._port is not None
+        try:
+            while True:
+                raw = self._port.read_until(self._dialect.reply_ending.encode())
+                text = str(raw, "ascii", "replace").strip()
+                if text or not raw:
+                    return text
+        except (serial.SerialException, OSError) as error:
+            raise ports.lost(self._light.port, error, "devices.light.port") from None
+
+    def _calm(self) -> None:
+        """Let what is still on its way arrive, and drop it."""
+        time.sleep(0.05)
+        if self._port is not None:
+            try:
+                self._port.reset_input_buffer()
+            except (serial.SerialException, OSError) as error:
+                raise ports.lost(self._light.port, error, "devices.light.port") from None
+
+    def _drain_errors(self) -> None:
+        d = self._dialect
+        if d.error_query is not None:
+            for _ in range(20):
+                if re.fullmatch(d.no_error, self._ask(d.error_query)):
+                    return
+            raise DeviceError(f"the lamp on {self._light.port} has an error queue that does not end")
+
+    def _close(self) -> None:
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+
+class LampReset(DeviceError):
+    """The lamp was not in the state that it was meant to be in."""

@@ -1,0 +1,166 @@
+"""A USB video camera through OpenCV and V4L2.
+
+A video camera is a poor radiometer: its exposure may silently stay what it was, frames queue up, and gamma and white
+balance bend its response. So every setting is read back, queued frames are thrown away until one was surely exposed
+after the call, and without a response calibration the camera does not open for measurements.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.description import RigDescription
+from gonio.errors import ConfigError, DeviceError
+from gonio.rig import Frame
+from gonio_drivers import settings
+
+EXPOSURE_UNIT_S = 1e-4
+"""V4L2 counts exposure in units of 100 us."""
+MANUAL, AUTOMATIC = 1, 3
+"""V4L2's codes for the mode of the exposure; switching through automatic makes stubborn cameras listen."""
+WHITE = 65535.0
+
+
+class UvcCamera:
+    """A UVC camera, as a `CameraDevice` that gives linear frames.
+
+    Parameters
+    ----------
+    description
+        The rig: size of the frame, pattern.
+    camera
+        Device, response calibration, gain.
+    capture
+        What opens the device; OpenCV's `VideoCapture` by default.
+    """
+
+    def __init__(
+        self, description: RigDescription, camera: settings.UvcCamera, capture: Callable[..., Any] | None = None
+    ) -> None:
+        self._camera = camera
+        self._description = description.camera
+        self._open = capture
+        self._capture: Any = None
+        self._exposure_s = 0.0
+        if camera.response is None:
+            raise ConfigError(
+                "devices.camera.response is missing: a video camera is not linear until its response was calibrated "
+                '(docs/lab_setup.md, "Response of a video camera"); give the CSV of the calibration'
+            )
+        self._response = read_response(Path(camera.response))
+
+    def __enter__(self) -> Self:
+        import cv2
+
+        opener = self._open or cv2.VideoCapture
+        self._capture = opener(self._camera.device, cv2.CAP_V4L2)
+        if not self._capture.isOpened():
+            self._capture = None
+            raise DeviceError(
+                f'devices.camera.device = "{self._camera.device}": no video camera opens there through V4L2 (is it '
+                "plugged in, used by another program, and are you in the group video?)"
+            )
+        self._require("width", cv2.CAP_PROP_FRAME_WIDTH, self._description.width)
+        self._require("height", cv2.CAP_PROP_FRAME_HEIGHT, self._description.height)
+        self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)  # Y16 would become 8 bit
+        self._require("automatic white balance", cv2.CAP_PROP_AUTO_WB, 0)
+        if self._camera.gain is not None:
+            self._require("gain", cv2.CAP_PROP_GAIN, self._camera.gain)
+        self._capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, AUTOMATIC)
+        self._require("automatic exposure", cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._capture is not None:
+            self._capture.release()
+            self._capture = None
+
+    def capture(self, exposure_s: float) -> Frame:
+        """One frame that was exposed wholly after this call, made linear by the response calibration."""
+        import cv2
+
+        if self._capture is None:
+            raise DeviceError("the video camera is not open: enter the rig first")
+        shortest, longest = self._description.exposure_limits_s
+        units = round(exposure_s / EXPOSURE_UNIT_S)
+        if units < 1 or not shortest * (1 - 1e-9) <= exposure_s <= longest * (1 + 1e-9):
+            raise ConfigError(
+                f"an exposure of {exposure_s:g} s is outside camera.exposure_limits_s, {shortest:g} to {longest:g} s, "
+                f"or below the {EXPOSURE_UNIT_S:g} s that a video camera counts in"
+            )
+        self._require("exposure", cv2.CAP_PROP_EXPOSURE, units)
+        image = self._fresh(units * EXPOSURE_UNIT_S)
+        linear = self._response[image] if image.dtype == np.uint8 else image.astype(np.uint16)
+        return Frame(np.ascontiguousarray(linear), units * EXPOSURE_UNIT_S, 0.0, WHITE, self._description.pattern)
+
+    def _fresh(self, exposure_s: float) -> npt.NDArray[Any]:
+        """A frame that began after now: queued ones are dropped by count and by time."""
+        import cv2
+
+        begin = time.monotonic()
+        stamped = float(self._capture.get(cv2.CAP_PROP_POS_MSEC))
+        for _ in range(self._camera.drop):
+            if not self._capture.grab():
+                raise DeviceError(f"the video camera {self._camera.device} gives no frames")
+        while True:
+            good, image = self._capture.read()
+            if not good or image is None:
+                raise DeviceError(f"the video camera {self._camera.device} gives no frames")
+            # V4L2 stamps frames with the monotonic clock; where a camera has no stamps, the time of arrival must do
+            stamp = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1e3
+            arrived = stamp if stamp > 0 and stamp * 1e3 != stamped else time.monotonic()
+            if arrived - exposure_s >= begin:
+                break
+            if time.monotonic() - begin > 10 * exposure_s + 5.0:
+                raise DeviceError(f"the video camera {self._camera.device} gives only old frames")
+        grey = image if image.ndim == 2 else image[..., 1]
+        if grey.shape != (self._description.height, self._description.width):
+            raise DeviceError(
+                f"the video camera gives {grey.shape[1]} x {grey.shape[0]} pixels; the rig file says "
+                f"{self._description.width} x {self._description.height}"
+            )
+        return np.asarray(grey)
+
+    def _require(self, what: str, property_: int, value: float) -> None:
+        """Set something, and read it back: cameras ignore settings without a word."""
+        self._capture.set(property_, value)
+        got = self._capture.get(property_)
+        if abs(got - value) > 1e-6 + 1e-3 * abs(value):
+            raise DeviceError(
+                f"the video camera {self._camera.device} does not take {what} = {value:g}: it stays at {got:g}"
+            )
+
+
+def read_response(path: Path) -> npt.NDArray[np.uint16]:
+    """Linear level for every 8-bit value, from a CSV with the columns `dn` and `relative_exposure`.
+
+    Returns
+    -------
+    array of 256 uint16, 0 where nothing shone and 65535 at full scale
+
+    Raises
+    ------
+    ConfigError
+        The file is missing or its values do not grow.
+    """
+    try:
+        table = np.genfromtxt(path, delimiter=",", names=True, dtype=float, encoding="utf-8")
+        dn, exposure = np.atleast_1d(table["dn"]), np.atleast_1d(table["relative_exposure"])
+    except OSError:
+        raise ConfigError(f'devices.camera.response = "{path}": there is no such file') from None
+    except (ValueError, IndexError, TypeError):
+        raise ConfigError(f"{path}: a response has the columns dn, relative_exposure") from None
+    if dn.size < 2 or np.any(np.diff(dn) <= 0) or np.any(np.diff(exposure) <= 0) or not np.isfinite(exposure).all():
+        raise ConfigError(f"{path}: dn and relative_exposure must both grow from row to row")
+    curve = np.interp(np.arange(256), dn, exposure)
+    scaled = (curve - curve[0]) / (curve[-1] - curve[0]) * WHITE
+    return np.asarray(np.round(scaled), dtype=np.uint16)

@@ -1,0 +1,308 @@
+"""A whole laboratory of twins: servos, lamp and camera of a rig file, around one simulated world.
+
+The lamp tells the world whether it shines, and in which band; the servos' shafts, through backlash and zero errors, are
+where the axes really stand; and the camera renders what the world looks like when its shutter opens.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from gonio.description import RigDescription, SampleDescription
+from gonio.errors import ConfigError
+from gonio.rig import Frame, Pose, Target
+from gonio_sim.camera import SimulatedCamera
+from gonio_sim.render import Renderer
+from gonio_sim.wire import faults as fault_names
+from gonio_sim.wire.bus import ServoBus
+from gonio_sim.wire.faults import Faults
+from gonio_sim.wire.lamps import LAMPS, Lamp, Shine
+from gonio_sim.wire.peer import Clock, Device, SerialPeer, scaled_clock
+from gonio_sim.wire.servo import Mechanics, Servo
+from gonio_sim.wire.tether import TetheredCamera
+from gonio_sim.world import World, axes
+
+COUNTS = 4096
+START_DEG = {"light": -40.0, "camera": 40.0}
+"""Where the arms hang when the power comes."""
+TARGET_FILE = "target"
+
+
+class _Loose(BaseModel):
+    """A part of the table `[devices]`: a twin reads only what it needs; the drivers check the whole."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+
+class _Axis(_Loose):
+    id: int
+    model: str
+    direction: Literal[1, -1] = 1
+    gear_ratio: float = 1.0
+    zero_count: int = 2048
+
+
+class _Changer(_Axis):
+    sample_deg: float
+    reference_deg: float
+
+
+class _Servos(_Loose):
+    baud: int = 57_600
+    axes: dict[str, _Axis]
+    changer: _Changer | None = None
+
+
+class _Light(_Loose):
+    dialect: str = "scpi"
+    level: float = 1.0
+
+
+class _Trigger(_Loose):
+    how: str = "none"
+
+
+class _Camera(_Loose):
+    driver: str
+    trigger: _Trigger = _Trigger()
+
+
+class _Devices(_Loose):
+    servos: _Servos
+    light: _Light
+    camera: _Camera
+
+
+class WireWorld(World):
+    """A world whose clock runs by itself, and in which every frame has random numbers of its own."""
+
+    def __init__(self, description: RigDescription, sample: SampleDescription | None, seed: int, clock: Clock) -> None:
+        super().__init__(description, sample, seed)
+        self._clock = clock
+        self.brightness = 1.0
+        """Of the lamp, relative to the level that the rig file asks for."""
+
+    def now_s(self) -> float:
+        """Seconds on the twins' clock."""
+        return self.description.lamp.warm_up_s + self._clock()
+
+    def spend(self, seconds: float) -> None:
+        """Time passes without help."""
+
+    def lamp_level(self) -> float:
+        """Relative output of the lamp."""
+        return super().lamp_level() * self.brightness
+
+
+@dataclass(slots=True)
+class Follower:
+    """The arm behind a servo: gear, play, and a zero that is not quite where it was thought to be."""
+
+    servo: Servo
+    built: _Axis
+    backlash: float
+    offset: float
+    zero_error: float
+    arm: float = math.nan
+
+    def encoder(self) -> float:
+        """Angle of the axis that the servo's shaft stands for [rad]."""
+        per_turn = self.built.direction * self.built.gear_ratio
+        return (self.servo.shaft()[0] - self.built.zero_count) / COUNTS / per_turn * math.tau
+
+    def follow(self) -> None:
+        """Let the shaft push the arm along."""
+        encoder = self.encoder()
+        arm = encoder + self.backlash if math.isnan(self.arm) else self.arm
+        self.arm = min(max(arm, encoder), encoder + self.backlash)
+
+    def true(self) -> float:
+        """Where the arm is [rad]."""
+        self.follow()
+        return self.arm - self.offset - self.zero_error
+
+
+class Bench:
+    """The twins of one rig file; a context that serves them.
+
+    Parameters
+    ----------
+    description
+        The rig file of a laboratory rig, with its table `[devices]`.
+    sample, seed
+        As in `World`.
+    folder
+        Where links to the ports and the camera's folder are made.
+    scale
+        How many times faster than wall time motion, exposures and the lamp's drift run.
+    short_counts
+        How far friction stops a servo before its goal.
+
+    Raises
+    ------
+    ConfigError
+        The table `[devices]` has no twin, or the sample cannot be rendered.
+    """
+
+    def __init__(
+        self,
+        description: RigDescription,
+        sample: SampleDescription | None,
+        seed: int,
+        *,
+        folder: Path,
+        scale: float = 50.0,
+        short_counts: float = 4.0,
+    ) -> None:
+        if not scale > 0:
+            raise ConfigError(f"--time-scale {scale:g}: must be positive")
+        self._devices = _parsed(description)
+        self._folder = folder
+        self.scale = scale
+        self.faults = Faults()
+        clock = scaled_clock(scale)
+        self.world = WireWorld(description, sample, seed, clock)
+        self._render = SimulatedCamera(self.world, Renderer(self.world))
+        self._looking = threading.Lock()
+        servos = self._devices.servos
+        rng = np.random.default_rng([seed, 77])
+        built: dict[str, _Axis] = dict(servos.axes)
+        if servos.changer is not None:
+            built["changer"] = servos.changer
+        known = axes(description)
+        self.servos: dict[str, Servo] = {}
+        self.followers: dict[str, Follower] = {}
+        for name, axis in built.items():
+            start = axis.zero_count + START_DEG.get(name, 1.0) / 360 * COUNTS * axis.direction * axis.gear_ratio
+            mechanics = Mechanics(short_counts=short_counts, within=lambda: float(rng.uniform(-0.5, 0.5)))
+            self.servos[name] = Servo(
+                axis.id, clock, model=axis.model, baud=servos.baud, position=start, mechanics=mechanics
+            )
+            if name in known:
+                body = known[name]
+                follower = Follower(
+                    self.servos[name], axis, math.radians(body.backlash_deg), math.radians(body.zero_offset_deg),
+                    float(self.world.zero_error[name]),
+                )  # fmt: skip
+                self.followers[name] = follower
+                self.servos[name].leaving = follower.follow
+        self.bus = ServoBus(self.servos.values(), self.faults)
+        self.lamp: Lamp = LAMPS[self._devices.light.dialect](description.bands.all(), self._shine, self.faults)
+        self.camera = TetheredCamera(self._expose, folder / "frames", scale=scale, faults=self.faults)
+        self.peers: dict[str, SerialPeer] = {}
+        self._stack = contextlib.ExitStack()
+
+    def __enter__(self) -> Self:
+        try:
+            (self._folder / "frames").mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"{self._folder}: cannot be made: {error.strerror}") from None
+        self.world.open = True
+        with contextlib.ExitStack() as stack:
+            devices: dict[str, Device] = {"servos": self.bus, "lamp": self.lamp, "release": self.camera}
+            for name, device in devices.items():
+                tells = name == "lamp" and self.lamp.resets_on_open
+                peer = SerialPeer(device, self._folder / name, tells_opening=tells)
+                self.peers[name] = stack.enter_context(peer)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self._stack.__exit__(kind, error, trace)
+        finally:
+            self._render.close()
+            self.world.open = False
+
+    @property
+    def description(self) -> RigDescription:
+        """The rig file with its cables plugged into the twins, and with waits that suit their clock."""
+        original = self.world.description
+        devices = {name: dict(table) for name, table in original.devices.items()}
+        devices["servos"]["port"] = str(self._folder / "servos")
+        devices["light"]["port"] = str(self._folder / "lamp")
+        devices["light"]["settle_s"] = devices["light"].get("settle_s", 0.5) / self.scale
+        devices["servos"]["settle_s"] = max(0.03, devices["servos"].get("settle_s", 0.1) / self.scale)
+        devices["camera"]["folder"] = str(self._folder / "frames")
+        devices["camera"]["trigger"] = {"how": "serial", "port": str(self._folder / "release")}
+        lamp = original.lamp.model_copy(update={"warm_up_s": original.lamp.warm_up_s / self.scale})
+        return original.model_copy(update={"devices": devices, "lamp": lamp})
+
+    def inject(self, fault: str, *, axis: str | None = None, times: int = 1) -> None:
+        """Let a fault happen at its next occasion; of one axis, where `axis` names it (see `faults.NAMES`).
+
+        Raises
+        ------
+        ConfigError
+            There is no such fault or axis.
+        """
+        if axis is not None and axis not in self.servos:
+            raise ConfigError(f'the bench has no axis "{axis}"; it has {", ".join(self.servos)}')
+        servo = None if axis is None or fault in fault_names.LAMP + fault_names.CAMERA else self.servos[axis].id
+        self.faults.arm(fault, servo=servo, times=times)
+
+    @property
+    def quiet(self) -> bool:
+        """Whether nothing turns and the lamp is dark."""
+        return not self.lamp.shine.lit and not any(servo.powered and servo.moves() for servo in self.servos.values())
+
+    # ---- what the devices tell the world ----
+
+    def _shine(self, shine: Shine) -> None:
+        with self._looking:
+            self.world.lamp_on = shine.lit and shine.level > 0 and shine.band is not None
+            self.world.band = shine.band
+            self.world.brightness = shine.level / self._devices.light.level
+
+    def _expose(self, exposure_s: float) -> Frame:
+        with self._looking:
+            self.world.target = self._target()
+            self.world.pose = Pose(**{name: follower.true() for name, follower in self.followers.items()})
+            return self._render.capture(exposure_s)
+
+    def _target(self) -> Target:
+        """What lies in the beam: where the changer stands, or what a person has written into the file `target`."""
+        changer = self._devices.servos.changer
+        if changer is None:
+            with contextlib.suppress(OSError):
+                if (self._folder / TARGET_FILE).read_text().strip() == "reference":
+                    return "reference"
+            return "sample"
+        per_turn = changer.direction * changer.gear_ratio
+        at = (self.servos["changer"].shaft()[0] - changer.zero_count) / COUNTS / per_turn * 360
+        return "reference" if abs(at - changer.reference_deg) < abs(at - changer.sample_deg) else "sample"
+
+
+def _parsed(description: RigDescription) -> _Devices:
+    try:
+        devices = _Devices.model_validate(description.devices)
+    except ValidationError as error:
+        item = error.errors()[0]
+        where = ".".join(str(part) for part in item["loc"])
+        raise ConfigError(f'rig "{description.name}": devices.{where}: {item["msg"]}') from None
+    if devices.light.dialect not in LAMPS:
+        raise ConfigError(
+            f'devices.light.dialect = "{devices.light.dialect}" has no twin; twins speak {", ".join(LAMPS)}'
+        )
+    if devices.camera.driver != "folder":
+        raise ConfigError(f'devices.camera.driver = "{devices.camera.driver}" has no twin; only "folder" has one')
+    missing = [name for name in axes(description) if name not in devices.servos.axes]
+    if missing:
+        raise ConfigError(f"devices.servos.axes.{missing[0]} is missing: the rig has this axis, and no servo turns it")
+    return devices
+
+
+def plug(description: RigDescription) -> dict[str, Any]:
+    """The tables of a rig file, as they are written to disk."""
+    return description.model_dump(mode="json", exclude_none=True)

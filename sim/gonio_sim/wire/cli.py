@@ -1,0 +1,66 @@
+"""`gonio sim serve`: the twins of a laboratory rig, for rehearsal without hardware."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(help="Twins of laboratory devices.", no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    """Twins of laboratory devices."""
+
+
+@app.command()
+def serve(
+    rig: Annotated[str, typer.Option(help="A laboratory rig's file, or its name.", show_default=False)],
+    sample: Annotated[
+        Path | None, typer.Option(help="What lies in the holder: a sample.toml.", show_default=False)
+    ] = None,
+    time_scale: Annotated[float, typer.Option(help="How many times faster than real motion and exposures run.")] = 1.0,
+    out: Annotated[Path, typer.Option(help="Folder for ports, frames and the rig file to use.")] = Path("twin"),
+    seed: Annotated[int, typer.Option(min=0, help="Seed of what is drawn at random.")] = 0,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(help='Inject a fault by name, or "NAME:AXIS"; "list" names them.', show_default=False),
+    ] = None,
+    after: Annotated[float, typer.Option(min=0.0, help="Seconds from the start until the faults happen.")] = 0.0,
+) -> None:
+    """Serve a twin of every device of a rig file on pseudo-terminals, until Ctrl-C."""
+    import signal
+    import threading
+
+    from gonio.bench import find_rig, load_sample
+    from gonio.errors import ConfigError
+    from gonio.run import to_toml
+    from gonio_sim.wire import faults
+    from gonio_sim.wire.bench import Bench, plug
+
+    wanted = fault or []
+    if "list" in wanted:
+        print("\n".join(faults.NAMES))
+        return
+    for name in wanted:
+        if name.partition(":")[0] not in faults.NAMES:
+            raise ConfigError(f"--fault {name}: there is no such fault; known: {', '.join(faults.NAMES)}")
+    choice = find_rig(rig)
+    described = load_sample(sample) if sample is not None else None
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: stop.set())
+    with Bench(choice.description, described, seed, folder=out.absolute(), scale=time_scale) as bench:
+        path = out / "rig.toml"
+        path.write_text(to_toml(plug(bench.description)), encoding="utf-8")
+        print(f"twins of {rig} are running, {time_scale:g} times as fast; Ctrl-C ends them")
+        print(f"  gonio rig check --rig {path}")
+        print(f"  gonio measure PLAN --rig {path} --out RUN --yes", flush=True)
+        if not stop.wait(after):
+            for name in wanted:
+                what, _, axis = name.partition(":")
+                bench.inject(what, axis=axis or None)
+                print(f"  fault armed: {name}", flush=True)
+            stop.wait()

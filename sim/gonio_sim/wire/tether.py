@@ -1,0 +1,86 @@
+"""A tethered camera: a release box on a serial port, and a program that puts DNG files into a folder.
+
+`EXPOSE seconds` is answered with OK when the shutter opens. After the exposure the file is written under a temporary
+name and renamed, as a careful tethering program does.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from gonio.errors import ConfigError
+from gonio.frames import write_dng
+from gonio.rig import Frame
+from gonio_sim.wire.faults import CAMERA, FILE_LATE_S, Faults
+
+Send = Callable[[bytes], None]
+
+
+class TetheredCamera:
+    """The peer behind the release box.
+
+    Parameters
+    ----------
+    expose
+        Takes a frame of an exposure [s] of what the world looks like now.
+    folder
+        Where the files go.
+    scale
+        How many times faster than wall time an exposure is over.
+    """
+
+    def __init__(
+        self, expose: Callable[[float], Frame], folder: Path, *, scale: float = 1.0, faults: Faults | None = None
+    ) -> None:
+        self._expose = expose
+        self._folder = folder
+        self._scale = scale
+        self.faults = faults or Faults()
+        self._buffer = b""
+        self._number = 0
+
+    def receive(self, data: bytes, baud: int, send: Send) -> None:
+        """Take bytes from the line."""
+        self._buffer += data
+        while b"\n" in self._buffer:
+            line, _, self._buffer = self._buffer.partition(b"\n")
+            word, _, argument = line.decode("ascii", "replace").strip().partition(" ")
+            try:
+                exposure_s = float(argument)
+                if word != "EXPOSE" or not exposure_s > 0:
+                    raise ValueError
+            except ValueError:
+                send(b"ERR\n")
+                continue
+            send(b"OK\n")
+            self._shoot(exposure_s)
+
+    def opened(self, send: Send) -> None:
+        """The box does not care."""
+
+    def _shoot(self, exposure_s: float) -> None:
+        fault = self.faults.take(*CAMERA)
+        time.sleep(exposure_s / self._scale)
+        try:
+            frame = self._expose(2 * exposure_s if fault == "wrong-exposure" else exposure_s)
+        except ConfigError:
+            return  # the camera cannot expose that long: no file
+        self._number += 1
+        path = self._folder / f"IMG_{self._number:06d}.DNG"
+        if fault == "file-missing":
+            return
+        if fault == "file-late":
+            time.sleep(FILE_LATE_S)
+        if fault == "file-truncated":
+            whole = self._folder / f".{path.name}.whole"
+            write_dng(frame, whole)
+            path.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+            whole.unlink()
+            return
+        write_dng(frame, path)
+        if fault == "file-duplicate":
+            again = self._folder / f".{path.name}.again"
+            write_dng(frame, again)
+            again.rename(self._folder / f"IMG_{self._number:06d}_1.DNG")
