@@ -38,6 +38,8 @@ GRAZING = math.radians(89.99)
 """Nodes of a grid beyond this polar angle take the BRDF at it; pixels there see next to nothing."""
 KEPT = 2
 """Scenes kept: the sample's and the reference's."""
+BRIGHTEST = 1e30
+"""Electrons a second that stand for infinitely many."""
 BAND_NODES = 5
 """Wavelengths that the integral over a band is made of."""
 
@@ -92,8 +94,8 @@ class Renderer:
             disc.fill(seen, scene, inside, brdf)
         rate = (math.pi * description.camera.responsivity_e_per_s) * seen.weight * brdf
         rate[~of_channel(description.camera.pattern, band.channel, seen.rows, seen.cols)] = 0.0
-        # a model may be negative where its formula is bad (Oren-Nayar near grazing); light is not
-        return np.maximum(rate, 0.0).astype(np.float32)
+        # a model may be negative where its formula is bad (Oren-Nayar near grazing), or infinite; light is not
+        return np.clip(rate, 0.0, BRIGHTEST).astype(np.float32)
 
     def _discs(self, band: Band, target: Target) -> Iterator[Disc]:
         """The round surfaces in view."""
@@ -142,9 +144,10 @@ class Renderer:
         def fill(seen: PixelMap, scene: View, inside: Mask, brdf: Array) -> None:
             def lobe(x: Array, y: Array) -> Array:
                 angles = _angles_at(scene, x, y)
-                return sum(
-                    share * instrument.lobe(model, *angles, wavelength_nm=wave, **self._cones) for wave, share in waves
-                )
+                out = np.zeros(x.shape)
+                for wave, share in waves:
+                    out += share * instrument.apparent_lobe(model, *angles, wavelength_nm=wave, **self._cones)
+                return out
 
             sample_function(lobe, -radius, -radius, 2 * radius).fill(seen.x_mm, seen.y_mm, inside, brdf)
             if not hasattr(model, "specular_reflectivity"):
@@ -152,7 +155,8 @@ class Renderer:
             mirrored = inside & self._sees_lamp(seen)
             angles = _angles_at(scene, seen.x_mm[mirrored], seen.y_mm[mirrored])
             for wave, share in waves:
-                brdf[mirrored] += share * instrument.spike(model, *angles, wavelength_nm=wave, **self._cones)
+                spike = instrument.apparent_spike(model, *angles, wavelength_nm=wave, spike="exact", **self._cones)
+                brdf[mirrored] += share * spike
 
         return fill
 
