@@ -72,7 +72,7 @@ def parse(data: bytes, path: Path, *, format: str | None = None) -> pd.DataFrame
     if chosen.name != "gonio":  # whose reader has checked, with line numbers
         check(frame, lambda row: f"{path}, row {row + 1} of the table")
     if "sample" in frame.columns:
-        frame.attrs["samples"] = list(dict.fromkeys(frame["sample"]))
+        frame.attrs["samples"] = frame["sample"].unique().tolist()
     return frame
 
 

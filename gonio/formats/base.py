@@ -220,7 +220,7 @@ def table(
     u_random: npt.ArrayLike = math.nan,
     polarisation: str | Sequence[str] = "unpolarised",
     flag: str | Sequence[str] | npt.NDArray[Any] = "",
-    sample: Sequence[str] | None = None,
+    sample: Sequence[str] | npt.NDArray[Any] | None = None,
     attrs: Mapping[str, Any],
 ) -> pd.DataFrame:
     """A measurement table, its columns in order; arguments broadcast to one length, attributes get their defaults."""
@@ -242,9 +242,7 @@ def table(
 
 
 def _words(words: str | Sequence[str] | npt.NDArray[Any], count: int) -> npt.NDArray[Any]:
-    out = np.empty(count, dtype=object)
-    out[:] = words if isinstance(words, str) else list(words)
-    return out
+    return np.full(count, words, dtype=object) if isinstance(words, str) else np.asarray(words, dtype=object)
 
 
 def attributes(**known: Any) -> dict[str, Any]:

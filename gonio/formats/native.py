@@ -7,6 +7,7 @@ import io
 import itertools
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -104,11 +105,8 @@ def check(frame: pd.DataFrame, where: Any) -> None:
     wavelength = frame["wavelength_nm"].to_numpy(np.float64)
     known = (wavelength > 0) & np.isfinite(wavelength)
     demand(np.isnan(wavelength) | known, "wavelength_nm", "a positive number, or NaN for a broad band")
-    demand(
-        [value in POLARISATIONS for value in frame["polarisation"]],
-        "polarisation",
-        f"one of {', '.join(POLARISATIONS)}",
-    )
+    words = _one_of(frame["polarisation"], lambda word: word in POLARISATIONS)
+    demand(words, "polarisation", f"one of {', '.join(POLARISATIONS)}")
     value = frame["brdf"].to_numpy(np.float64)
     demand(np.isfinite(value) | flagged, "brdf", "a row without a flag needs a finite value [1/sr]")
     for column in ("u_brdf", "u_random"):
@@ -121,7 +119,13 @@ def check(frame: pd.DataFrame, where: Any) -> None:
             demand(np.isfinite(s) | flagged, column, "a row without a flag needs a finite value [1/sr]")
     for column in ("flag", "sample"):
         if column in frame.columns:
-            demand([isinstance(value, str) for value in frame[column]], column, "text is needed")
+            demand(_one_of(frame[column], lambda word: isinstance(word, str)), column, "text is needed")
+
+
+def _one_of(words: pd.Series[Any], allowed: Callable[[Any], bool]) -> Any:
+    """Which rows have an allowed word; each different word is looked at once."""
+    bad = [word for word in words.unique() if not allowed(word)]
+    return ~words.isin(bad) if bad else np.ones(len(words), dtype=bool)
 
 
 def _floats(cells: tuple[str, ...], name: str, path: Path, line: int) -> Floats:

@@ -1,0 +1,118 @@
+"""MERL's binary BRDFs (Matusik et al. 2003): three colours of an isotropic BRDF in half and difference angles.
+
+Three little-endian int32 (90, 90, 180: cells in theta_h, theta_d, phi_d), then the red, green and blue cubes as
+float64, to be multiplied by 1/1500, 1.15/1500 and 1.66/1500 for 1/sr. A cell stands for its centre: theta_h is
+90 ((i + 1/2)/90)^2 degrees (cells are narrow near the mirror), theta_d and phi_d are even over 90 and 180 degrees.
+Cells in which either direction lies
+below the surface are no directions and are dropped; a negative value is what MERL writes where it has no data, and is
+flagged "not_measured". Each colour is a sample named "<file> red", "green", "blue"; their bands have no stated limits.
+There are neither uncertainties nor solid angles.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gonio.errors import DataError
+from gonio.formats.base import ANGLES, Floats, Format, table, wrap_deg, write_bytes
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_SHAPE = (90, 90, 180)
+_HEADER = struct.pack("<3i", *_SHAPE)
+_CELLS = math.prod(_SHAPE)
+_COLOURS = {"red": 1 / 1500, "green": 1.15 / 1500, "blue": 1.66 / 1500}
+
+
+def read(data: bytes, path: Path) -> pd.DataFrame:
+    if data[:12] != _HEADER:
+        shape = struct.unpack_from("<3i", data) if len(data) >= 12 else "cut"
+        raise DataError(f"{path}, byte 0: the cells are {shape}, and a MERL file has {_SHAPE}")
+    wanted = 12 + 3 * 8 * _CELLS
+    if len(data) != wanted:
+        raise DataError(
+            f"{path}, byte {min(len(data), wanted)}: the file has {len(data)} bytes, and MERL's have {wanted}"
+        )
+    cubes = np.frombuffer(data, "<f8", offset=12).reshape(3, _CELLS)
+    cell, angles = _directions()
+    values = cubes[:, cell]
+    wrong = np.flatnonzero(~np.isfinite(values.ravel()))
+    if wrong.size:
+        colour, k = divmod(int(wrong[0]), cell.size)
+        raise DataError(f"{path}, byte {12 + 8 * (colour * _CELLS + int(cell[k]))}: the value is not finite")
+    missing = values < 0
+    scaled = values * np.array(list(_COLOURS.values()))[:, np.newaxis]
+    names = [f"{path.stem} {colour}" for colour in _COLOURS]
+    notes = ["broad bands without stated limits (red, green, blue); no uncertainties and no solid angles"]
+    if missing.any():
+        notes.append(f'{missing.sum()} of {missing.size} values are negative: flagged "not_measured"')
+    columns = np.tile(angles, (3, 1)).T
+    return table(
+        theta_i_deg=columns[0],
+        phi_i_deg=columns[1],
+        theta_r_deg=columns[2],
+        phi_r_deg=columns[3],
+        wavelength_nm=math.nan,
+        brdf=scaled.ravel(),
+        flag=np.array(["", "not_measured"], dtype=object)[missing.ravel().astype(np.intp)],
+        sample=np.repeat(np.array(names, dtype=object), cell.size),
+        attrs={"source_file": str(path), "bands": [{"name": colour} for colour in _COLOURS], "notes": notes},
+    )
+
+
+@cache
+def _directions() -> tuple[np.ndarray[tuple[int], np.dtype[np.intp]], Floats]:
+    """The cells whose directions lie above the surface, and these (n, 4) [degrees], incidence at azimuth 0."""
+    i, j, k = (a.ravel() for a in np.indices(_SHAPE))
+    theta_h, theta_d = np.pi / 2 * ((i + 0.5) / 90) ** 2, np.pi / 2 * (j + 0.5) / 90
+    phi_d = np.pi * (k + 0.5) / 180
+    # Rusinkiewicz 1998: the half vector in the xz plane, the difference vector turned with it
+    x, y, z = np.sin(theta_d) * np.cos(phi_d), np.sin(theta_d) * np.sin(phi_d), np.cos(theta_d)
+    c, s = np.cos(theta_h), np.sin(theta_h)
+    incident = np.stack([c * x + s * z, y, -s * x + c * z])
+    half = np.stack([s, np.zeros_like(s), c])
+    outgoing = 2 * (incident * half).sum(axis=0) * half - incident
+    above = np.flatnonzero((incident[2] > 1e-9) & (outgoing[2] > 1e-9))
+    theta, phi = zip(*(_polar(v[:, above]) for v in (incident, outgoing)), strict=True)
+    dphi = wrap_deg(phi[1] - phi[0])
+    return above, np.column_stack([theta[0], np.zeros(above.size), theta[1], dphi])
+
+
+def _polar(v: Floats) -> tuple[Floats, Floats]:
+    return np.rad2deg(np.arctan2(np.hypot(v[0], v[1]), v[2])), np.rad2deg(np.arctan2(v[1], v[0]))
+
+
+def write(frame: pd.DataFrame, path: Path) -> None:
+    """A table that holds every cell of the three colours, in this reader's order; -1 where one is flagged."""
+    cell, angles = _directions()
+    names = frame["sample"].unique().tolist() if "sample" in frame.columns else []
+    colours = [str(name).rpartition(" ")[2] for name in names]
+    if colours != list(_COLOURS) or len(frame) != 3 * cell.size or (frame["polarisation"] != "unpolarised").any():
+        raise DataError(
+            f"{path}: a MERL file needs samples named red, green and blue, each with its {cell.size} directions"
+        )
+    cubes = np.full((3, _CELLS), -1.0)
+    for k, (cube, scale) in enumerate(zip(cubes, _COLOURS.values(), strict=True)):
+        part = frame.iloc[k * cell.size : (k + 1) * cell.size]
+        if not np.allclose(part[list(ANGLES)].to_numpy(np.float64), angles, rtol=0, atol=1e-6):
+            raise DataError(f"{path}: the directions of {names[k]} are not the cells of a MERL file, in their order")
+        cube[cell] = np.where(part["flag"].to_numpy() == "", part["brdf"].to_numpy(np.float64) / scale, -1.0)
+    write_bytes(path, _HEADER + cubes.astype("<f8").tobytes())
+
+
+FORMAT = Format(
+    name="merl",
+    title="MERL binary",
+    endings=(".binary",),
+    sniff=lambda head: head.startswith(_HEADER),
+    read=read,
+    write=write,
+    carries=frozenset({"flag"}),
+)

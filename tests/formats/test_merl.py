@@ -1,0 +1,88 @@
+"""MERL's cubes: one value in one cell has to come out at that cell's pair of directions."""
+
+from __future__ import annotations
+
+import math
+import struct
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from gonio import measurement
+from gonio.errors import DataError
+
+SCALES = (1 / 1500, 1.15 / 1500, 1.66 / 1500)
+
+
+def cubes() -> np.ndarray:
+    """A Lambertian of albedo 0.3, 0.5 and 0.7."""
+    return np.stack(
+        [np.full((90, 90, 180), albedo / math.pi / s) for albedo, s in zip((0.3, 0.5, 0.7), SCALES, strict=True)]
+    )
+
+
+def file(values: np.ndarray) -> bytes:
+    return struct.pack("<3i", 90, 90, 180) + values.astype("<f8").tobytes()
+
+
+def test_cells_scales_and_round_trip(tmp_path: Path) -> None:
+    values = cubes()
+    values[0, 0, 45, 90] = 1500.0  # theta_h 0.5^2 / 90 degrees, theta_d 45.5, phi_d 90.5: 1/sr in red
+    values[1, 30, 20, 10] = -1.0
+    frame = measurement.parse(file(values), Path("paint.binary"))
+    count = len(frame) // 3
+    red, green, blue = (frame.iloc[k * count : (k + 1) * count] for k in range(3))
+    assert frame.attrs["samples"] == ["paint red", "paint green", "paint blue"]
+    for part, albedo in ((green, 0.5), (blue, 0.7)):
+        np.testing.assert_allclose(part.loc[part["flag"] == "", "brdf"], albedo / math.pi, rtol=1e-14)
+    spike = red.loc[red["brdf"].idxmax()]
+    # half vector at the normal (within 0.003 degrees): the mirror of 45.5 degrees
+    assert spike["brdf"] == pytest.approx(1.0, rel=1e-14)
+    assert spike["theta_i_deg"] == pytest.approx(45.5, abs=0.01)
+    assert spike["theta_r_deg"] == pytest.approx(45.5, abs=0.01)
+    assert spike["phi_r_deg"] == pytest.approx(180.0, abs=0.01)
+    (missing,) = np.flatnonzero(green["flag"] == "not_measured")
+    # its half vector has MERL's theta_h = 90 (30.5/90)^2 and the angle between source and half vector is theta_d = 20.5
+    row = green.iloc[missing]
+    i, r, dphi = np.deg2rad([row["theta_i_deg"], row["theta_r_deg"], row["phi_r_deg"]])
+    cosine = math.cos(i) * math.cos(r) + math.sin(i) * math.sin(r) * math.cos(dphi)
+    assert math.degrees(math.acos(cosine)) / 2 == pytest.approx(20.5, abs=1e-9)
+    theta_h = math.degrees(math.acos((math.cos(i) + math.cos(r)) / 2 / math.cos(math.radians(20.5))))
+    assert theta_h == pytest.approx(90 * (30.5 / 90) ** 2, abs=1e-9)
+
+    measurement.write(frame, tmp_path / "paint.binary")
+    back = measurement.read(tmp_path / "paint.binary")
+    assert list(back.columns) == list(frame.columns)
+    for column in ("theta_i_deg", "theta_r_deg", "phi_r_deg"):
+        assert (back[column] == frame[column]).all()
+    used = (frame["flag"] == "").to_numpy()
+    np.testing.assert_allclose(back["brdf"][used], frame["brdf"][used], rtol=1e-15)  # divided by the scale and back
+
+
+@pytest.mark.parametrize(
+    ("data", "told"),
+    [
+        (file(np.zeros(3))[:12], "byte 12: the file has 12 bytes"),
+        (struct.pack("<3i", 90, 90, 360) + bytes(80), r"byte 0: the cells are \(90, 90, 360\)"),
+        (b"\x5a\x00", "byte 0: the cells are cut"),
+    ],
+)
+def test_damage_is_located(data: bytes, told: str) -> None:
+    with pytest.raises(DataError, match=told):
+        measurement.parse(data, Path("paint.binary"))
+
+
+def test_a_value_that_is_not_finite_is_located() -> None:
+    values = cubes()
+    values[2, 5, 6, 7] = np.nan
+    byte = 12 + 8 * (2 * 90 * 90 * 180 + (5 * 90 + 6) * 180 + 7)
+    with pytest.raises(DataError, match=f"byte {byte}: the value is not finite"):
+        measurement.parse(file(values), Path("paint.binary"))
+
+
+def test_other_tables_are_refused(tmp_path: Path, small: pd.DataFrame) -> None:
+    with pytest.raises(DataError, match="red, green and blue"):
+        measurement.write(small, tmp_path / "a.binary")
+    assert list(tmp_path.iterdir()) == []
