@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import logging
 import os
 import re
 import shutil
@@ -81,7 +82,10 @@ class Stop:
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
-            self._before = {number: signal.signal(number, self._request) for number in self.SIGNALS}
+            wanted = list(self.SIGNALS)
+            if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # under nohup a lost terminal means nothing
+                wanted.remove(signal.SIGHUP)
+            self._before = {number: signal.signal(number, self._request) for number in wanted}
         return self
 
     def __exit__(
@@ -130,11 +134,11 @@ def measure(rig: Rig, run: Run, steps: list[Step], progress: Progress, stop: Sto
         left = _fresh(steps, done) + left
     run.append({"event": "session", "rig": rig.description.name, "steps": len(steps), "left": len(left)})
     progress.start(len(done) + len(left), len(done))
-    with _Session(rig, run, progress) as session:
+    with _Session(rig, run, progress) as session, _remarks(run, progress):
         try:
             for step in left:
                 if stop.requested:
-                    raise Interrupted("stopped between two steps")
+                    raise Interrupted("stopped")
                 session.take(step)
             session.finish()
         except (Interrupted, DeviceError) as error:
@@ -144,10 +148,8 @@ def measure(rig: Rig, run: Run, steps: list[Step], progress: Progress, stop: Sto
             kind = "interrupted" if isinstance(error, Interrupted) else "device_error"
             run.append({"event": kind, "message": str(error)})
             if isinstance(error, Interrupted):
-                count = len(run.steps())
-                raise Interrupted(
-                    f"{error}, after {count} of {len(done) + len(left)} steps; go on with --resume"
-                ) from None
+                where = f"after {len(run.steps())} of {len(done) + len(left)} steps"
+                raise Interrupted(f"{error} {where}; arms parked, lamp dark; go on with --resume") from None
             raise
     run.append({"event": "end", "steps": len(run.steps())})
 
@@ -378,6 +380,31 @@ def _slugs(bands: tuple[Band, ...]) -> dict[str, str]:
         slug = re.sub(r"[^A-Za-z0-9_]+", "", band.name) or "band"
         out[band.name] = slug if slug not in out.values() else f"{slug}_{len(out)}"
     return out
+
+
+class _Remarks(logging.Handler):
+    """What a driver says of its device while a run is measured: a repetition, a recovery."""
+
+    def __init__(self, run: Run, progress: Progress) -> None:
+        super().__init__(logging.WARNING)
+        self._run, self._progress = run, progress
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write it into the journal, and tell whoever watches."""
+        message = record.getMessage()
+        self._run.append({"event": "remark", "message": message})
+        self._progress.say(message)
+
+
+@contextlib.contextmanager
+def _remarks(run: Run, progress: Progress) -> Iterator[None]:
+    """Keep in the journal what drivers log on `gonio.devices`."""
+    log, handler = logging.getLogger("gonio.devices"), _Remarks(run, progress)
+    log.addHandler(handler)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
 
 
 @contextlib.contextmanager
