@@ -311,3 +311,51 @@ def test_a_lamp_that_flickers_more_than_the_rig_file_says_is_noticed(tmp_path: P
         maker = Maker(tmp_path, description, glossy, rng, lamp=lambda t: 1.0 + 0.005 * rng.standard_normal())
         table = radiometry.reduce(maker.make(POINTS, (0.25, 0.25, 0.0625)))
         assert any("u_random is too small" in note for note in table.attrs["notes"]) is noted
+
+
+def test_a_reference_beside_the_sample(tmp_path: Path) -> None:
+    """It is nearer to the lamp on one side, and seen by other pixels: both are in the geometry."""
+    beside = {"how": "beside", "offset_mm": (-3.5, 2.0), "theta_i_deg": 40.0, "theta_r_deg": 0.0, "diameter_mm": 4.0}
+    description = describe(reference=beside, acquisition={"roi_radius_mm": 1.5})
+    table = radiometry.reduce(Maker(tmp_path, description, glossy).make(POINTS, (0.25,)))
+    np.testing.assert_allclose(table["brdf"], truth(table, glossy), rtol=2e-4)  # whole DN of 1000
+
+
+def test_a_reference_known_by_a_table(tmp_path: Path) -> None:
+    """40 % brighter toward the normal than at the visits' angle: the value at the visits' angle counts."""
+    rows = pd.DataFrame(
+        [(0.0, 0.0, float(r), 180.0, 0.45 - 0.003 * r) for r in range(0, 81, 10)],
+        columns=[*radiometry.ANGLES, "brdf"],
+    )
+    rows = rows.assign(wavelength_nm=550.0, polarisation="unpolarised", u_brdf=np.nan, u_random=np.nan, flag="")
+    measurement.write(rows[list(measurement.COLUMNS)], tmp_path / "white.csv")
+    description = describe()
+    run = Maker(tmp_path, description, glossy).make(POINTS, (0.25,))
+    table = {"albedo": None, "table": str(tmp_path / "white.csv")}
+    run.description = describe(reference=table)
+    found = radiometry.reduce(run)
+    at_visit = 0.45 - 0.003 * 45
+    np.testing.assert_allclose(found["brdf"], truth(found, glossy) * at_visit / (0.99 / math.pi), rtol=1e-4)  # whole DN
+    assert found.attrs["provenance"]["reference"][0]["brdf"] == pytest.approx(at_visit, rel=1e-9)
+
+
+def test_a_zero_that_the_reference_feels_too_cancels(tmp_path: Path) -> None:
+    """Sample and reference at one angle of incidence: the light's zero changes both alike."""
+    arms = Arms(light=ArmAxis(zero_u_deg=0.05), camera=ArmAxis())
+    description = describe(arms=arms, reference={"theta_i_deg": 60.0, "theta_r_deg": 0.0})
+    points = [in_plane(i, r) for i in (30.0, 60.0) for r in (-20.0, 0.0, 20.0)]
+    table = radiometry.reduce(Maker(tmp_path, description, lambda d: 0.2).make(points, (0.5,)))
+    expected = [math.tan(math.radians(t)) - math.tan(math.radians(60)) for t in (30, 60)]
+    relative = table["s_theta_i_zero"] / table["brdf"] / math.radians(0.05)
+    # 1e-3: whole DN in the curves' slopes
+    np.testing.assert_allclose(np.abs(relative), np.abs(np.repeat(expected, 3)), atol=2e-3)
+
+
+def test_dark_frames_of_one_exposure_take_the_data_sheet_s_dark_current(tmp_path: Path) -> None:
+    class OneExposure(Maker):
+        def darks(self) -> dict[str, Any]:
+            return self.event("dark", None, Pose(), [self.frame(None, "dark", 0.5) for _ in range(4)])
+
+    description = describe(camera={"dark_current_e_per_s": 300.0})
+    table = radiometry.reduce(OneExposure(tmp_path, description, glossy).make(POINTS, (0.25, 0.0625)))
+    np.testing.assert_allclose(table["brdf"], truth(table, glossy), rtol=3e-4)  # whole DN, three roundings
