@@ -18,7 +18,8 @@ Row = tuple[str, str, bool]
 
 READINGS = 50
 LANDINGS = 4
-SLOW_MS = 5.0
+SLOW_MS = 12.0
+"""An adapter with the usual latency timer of 16 ms takes longer than this."""
 NOISE_DEG = 0.1
 STEP_DEG = 3.0
 
@@ -67,7 +68,7 @@ def _bus(arms: ServoArms) -> list[Row]:
     )
     latency = f"{typical:.1f} ms for all servos, at most {worst:.1f} ms, {lost} of {READINGS} repeated{remedy}"
     return [
-        ("bus latency", latency, typical <= SLOW_MS and lost == 0),
+        ("bus latency", latency, typical <= SLOW_MS and lost <= 1),
         ("readback noise", f"at most {noise:.3f} deg (standard deviation at rest)", noise <= NOISE_DEG),
     ]
 

@@ -193,7 +193,8 @@ class FolderCamera:
                 break
             log.warning("camera: %s came late; passed over", path)
         self._owed = 0
-        for path in self._new():  # put there by somebody else
+        for path in self._new():
+            log.warning("camera: %s was not asked for; passed over", path)
             self._seen.add(self._name(path))
 
     # ---- files ----

@@ -1,4 +1,4 @@
-"""`gonio rig list | show | check`."""
+"""`gonio rig list | show | check | park`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from gonio.bench import RigChoice
     from gonio.rig import Rig
 
-app = typer.Typer(help="List, show and check rigs.", no_args_is_help=True)
+app = typer.Typer(help="List, show, check and park rigs.", no_args_is_help=True)
 
 Row = tuple[str, str, bool]
 LITTLE_DEG = 2.0
@@ -57,6 +57,7 @@ def check(
 ) -> None:
     """Open a rig, move every axis a little, switch the lamp, take a dark and a lit frame; exit 3 if any is bad."""
     from rich.markup import escape
+    from rich.text import Text
 
     from gonio.bench import find_rig
     from gonio.cli import console
@@ -66,13 +67,27 @@ def check(
     rows = checks(choice)
     table = console.table("check", "found", "verdict", title=choice.description.name)
     for what, found, good in rows:
-        table.add_row(*map(escape, (what, found)), "good" if good else "[bold red]BAD[/]")
+        table.add_row(*map(escape, (what, found)), "good" if good else Text("BAD", style="bold red"))
     console.show(table)
     bad = [what for what, _, good in rows if not good]
     if bad:
         raise DeviceError(
             f'rig "{choice.description.name}": {len(bad)} of {len(rows)} checks are bad: {"; ".join(bad)}'
         )
+
+
+@app.command()
+def park(
+    rig: Annotated[str, typer.Option(help="A rig's name, or a rig file.", show_default=False)],
+) -> None:
+    """Darken the lamp, and drive every axis to its rest position."""
+    from gonio.bench import find_rig
+    from gonio.cli import console
+
+    choice = find_rig(rig)
+    with choice.plugin.open(choice.description, sample=None, seed=0, confirm=False):
+        pass   # leaving a rig parks it
+    console.note(f"{choice.description.name}: lamp dark, arms parked")
 
 
 def checks(choice: RigChoice) -> list[Row]:
@@ -84,6 +99,7 @@ def checks(choice: RigChoice) -> list[Row]:
     try:
         with rig:
             rows.append(("devices open, lamp dark", "yes", True))
+            rows.extend(getattr(rig, "diagnose", list)())   # what a rig knows of its own devices, if it tells
             _check_devices(rig, rows)
         rows.append(("arms parked, lamp dark", "yes", True))
     except DeviceError as error:
