@@ -96,17 +96,18 @@ def apparent_lobe(
     wavelength_nm: float = 550.0,
     source_solid_angle_sr: float,
     receiver_solid_angle_sr: float,
+    tolerance: float = TOLERANCE,
 ) -> Any:
     """The part of `apparent_brdf` that is not the spike; arguments and errors as there.
 
     Notes
     -----
-    A second-order expansion where its own error estimate holds `TOLERANCE`, else products of two disc rules of growing
-    degree (5, 7, 11, 19, 31, 47) until two agree to `TOLERANCE`, geometry by geometry.
+    A second-order expansion where its own error estimate holds `tolerance`, else products of two disc rules of growing
+    degree (5, 7, 11, 19, 31, 47) until two agree to `tolerance`, geometry by geometry.
     """
     where = geometry(theta_i, phi_i, theta_r, phi_r)
     cones = _half_angles(source_solid_angle_sr, receiver_solid_angle_sr)
-    return _lobe(model, where, wavelength_nm, *cones).reshape(where.shape)[()]
+    return _lobe(model, where, wavelength_nm, *cones, tolerance).reshape(where.shape)[()]
 
 
 def apparent_spike(
@@ -146,7 +147,9 @@ def _half_angles(source_solid_angle_sr: float, receiver_solid_angle_sr: float) -
 # --- the lobe -----------------------------------------------------------------------------------------------------
 
 
-def _lobe(model: Model, where: Geometry, wavelength_nm: float, source: float, receiver: float) -> Array:
+def _lobe(
+    model: Model, where: Geometry, wavelength_nm: float, source: float, receiver: float, tolerance: float = TOLERANCE
+) -> Array:
     """Averages over both caps, flat."""
     omega_i, omega_r = where.omega_i.reshape(-1, 3), where.omega_r.reshape(-1, 3)
     if source == 0.0 and receiver == 0.0:
@@ -154,11 +157,11 @@ def _lobe(model: Model, where: Geometry, wavelength_nm: float, source: float, re
     out = np.empty(len(omega_i))
     cut = (omega_i[:, 2] < math.sin(source)) | (omega_r[:, 2] < math.sin(receiver))
     for index in np.flatnonzero(cut):
-        out[index] = _cut_lobe(model, omega_i[index], omega_r[index], wavelength_nm, source, receiver)
+        out[index] = _cut_lobe(model, omega_i[index], omega_r[index], wavelength_nm, source, receiver, tolerance)
     left = np.flatnonzero(~cut)
     if left.size:
         out[left], error = _second_order(model, omega_i[left], omega_r[left], wavelength_nm, source, receiver)
-        left = left[~(error <= TOLERANCE)]
+        left = left[~(error <= tolerance)]
     before = None
     for level in range(_caps.LEVELS):
         if not left.size:
@@ -166,7 +169,7 @@ def _lobe(model: Model, where: Geometry, wavelength_nm: float, source: float, re
         now = _product_rule(model, omega_i[left], omega_r[left], wavelength_nm, source, receiver, level)
         out[left] = now
         if before is not None:
-            rough = ~(np.abs(now - before) <= TOLERANCE * np.abs(now))
+            rough = ~(np.abs(now - before) <= tolerance * np.abs(now))
             left, now = left[rough], now[rough]
         before = now
     return out
@@ -227,7 +230,13 @@ def _product_rule(
 
 
 def _cut_lobe(
-    model: Model, omega_i: Array, omega_r: Array, wavelength_nm: float, source: float, receiver: float
+    model: Model,
+    omega_i: Array,
+    omega_r: Array,
+    wavelength_nm: float,
+    source: float,
+    receiver: float,
+    tolerance: float,
 ) -> float:
     """One geometry in which the horizon cuts a cap."""
     before = math.inf
@@ -243,7 +252,7 @@ def _cut_lobe(
             values = np.asarray(model.brdf_vectors(s[:, None, :], r[None, part, :], wavelength_nm=wavelength_nm))
             total += float(light @ values @ r_weight[part])
         now = total / (float(np.sum(light)) * float(np.sum(r_weight))) if np.sum(light) > 0.0 else 0.0
-        if abs(now - before) <= 10.0 * TOLERANCE * abs(now):
+        if abs(now - before) <= 10.0 * tolerance * abs(now):
             break
         before = now
     return now

@@ -25,7 +25,7 @@ FLOOR = 1e-3
 DARK = 1e-4
 """BRDF [1/sr] of a hundredth of a black plate."""
 FEWEST, MOST = 5, 129
-"""Nodes a side. At the finest grid the nodes of a 20 mm sample at 1 m are 0.009 deg apart."""
+"""Nodes a side."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,13 +51,16 @@ class NodeGrid:
         return out
 
 
-def sample_function(function: Callable[[Array, Array], Array], left: float, bottom: float, side: float) -> NodeGrid:
+def sample_function(
+    function: Callable[[Array, Array], Array], left: float, bottom: float, side: float, finest: float = 0.0
+) -> NodeGrid:
     """A grid that follows `function(x, y)` (arrays of one shape in, one value each out) over a square.
 
-    A function with features below `MOST` nodes a side is followed as well as the finest grid can.
+    Below a spacing of `finest`, and beyond `MOST` nodes a side, it is not refined: a function with finer features is
+    followed as well as that grid can.
     """
     grid = _evaluate(function, None, FEWEST, left, bottom, side)
-    while grid.values.shape[0] < MOST:
+    while grid.values.shape[0] < MOST and side / (grid.values.shape[0] - 1) >= 2.0 * finest:
         finer = _evaluate(function, grid, 2 * grid.values.shape[0] - 1, left, bottom, side)
         new = np.ones(finer.values.shape, dtype=bool)
         new[::2, ::2] = False

@@ -36,6 +36,10 @@ Mask = npt.NDArray[np.bool_]
 
 GRAZING = math.radians(89.99)
 """Nodes of a grid beyond this polar angle take the BRDF at it; pixels there see next to nothing."""
+LOBE_TOLERANCE = 1e-5
+"""Relative error of a lobe's average over the cones."""
+DETAIL = 16.0
+"""Nodes in the width of the cones, at the finest grid."""
 KEPT = 2
 """Scenes kept: the sample's and the reference's."""
 BRIGHTEST = 1e30
@@ -70,6 +74,10 @@ class Renderer:
             "source_solid_angle_sr": float(geometry.solid_angle_of_cone(math.radians(lamp.half_angle_deg))),
             "receiver_solid_angle_sr": float(geometry.solid_angle_of_cone(math.radians(camera.lens_half_angle_deg))),
         }
+        # averaged over the cones, a lobe has no finer detail than they; a spot's mirror direction turns twice with the spot
+        distance = min(world.description.geometry.light_distance_mm, world.description.geometry.camera_distance_mm)
+        cones = math.radians(lamp.half_angle_deg + camera.lens_half_angle_deg)
+        self._finest_mm = 0.5 * cones * distance / DETAIL
         self._scenes: dict[tuple[Pose, Band, Target], Floats] = {}
 
     def rate(self, band: Band) -> Floats:
@@ -142,14 +150,18 @@ class Renderer:
         radius = (sample.diameter_mm or self._world.description.holder.sample_diameter_mm) / 2
 
         def fill(seen: PixelMap, scene: View, inside: Mask, brdf: Array) -> None:
-            def lobe(x: Array, y: Array) -> Array:
+            def lobes(x: Array, y: Array) -> Array:
                 angles = _angles_at(scene, x, y)
                 out = np.zeros(x.shape)
                 for wave, share in waves:
-                    out += share * instrument.apparent_lobe(model, *angles, wavelength_nm=wave, **self._cones)
+                    lobe = instrument.apparent_lobe(
+                        model, *angles, wavelength_nm=wave, tolerance=LOBE_TOLERANCE, **self._cones
+                    )
+                    out += share * lobe
                 return out
 
-            sample_function(lobe, -radius, -radius, 2 * radius).fill(seen.x_mm, seen.y_mm, inside, brdf)
+            grid = sample_function(lobes, -radius, -radius, 2 * radius, self._finest_mm)
+            grid.fill(seen.x_mm, seen.y_mm, inside, brdf)
             if not hasattr(model, "specular_reflectivity"):
                 return
             mirrored = inside & self._sees_lamp(seen)
