@@ -221,17 +221,20 @@ def _series(result: FitResult, data: Observations, known: list[float], ior: Ior,
 
 
 def _theory_angles(curve: Curve, data: Observations) -> Floats:
-    """Signed angles [rad] from -90 to 90 degrees, dense where the instrument resolves a spike, the measured ones included."""
+    """Signed angles [rad] of a theory curve: dense where the instrument resolves a spike, the measured ones included.
+
+    They end where a cone would touch the horizon.
+    """
     from gonio import geometry
 
     cones = geometry.half_angle_of_cone([data.source_solid_angle_sr, data.receiver_solid_angle_sr])
     width = float(np.sum(cones))
-    even = np.radians(np.arange(-89.5, 89.51, 1.0))
-    near = curve.parameter + np.radians(np.arange(-8.0, 8.01, 0.25))
+    end = np.pi / 2 - max(float(cones.max()), 1e-3) - 1e-6
+    even = np.radians(np.arange(-89.0, 89.1, 1.0))
+    near = curve.parameter + np.radians(np.arange(-6.0, 6.01, 0.25))
     spike = curve.parameter + 1.5 * width * np.linspace(-1, 1, 61) if width > 0 else np.empty(0)
-    end = np.radians([-89.9, 89.9])
-    angle = np.unique(np.concatenate([even, near, spike, end, [curve.parameter], curve.angle]))
-    return np.asarray(angle[np.abs(angle) < np.radians(89.95)])
+    angle = np.concatenate([even, near, spike, [-end, end, curve.parameter], curve.angle])
+    return np.unique(angle[np.abs(angle) <= end])
 
 
 def run_facts(path: Path) -> dict[str, Any] | None:

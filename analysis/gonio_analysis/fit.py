@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gonio import plugins
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio_analysis import families
 from gonio_analysis.families import Family, Ior, Values
@@ -218,15 +219,16 @@ def fit(
     notes += problem.notes
 
     weights, weighting = _weights(data)
-    if start is None:
-        vector, cost = _search(problem, data, weights)
-    else:
-        vector, cost = _refine(problem, data, weights, problem.vector(dict(start)))
-    if data.covariance is not None and data.covariance.causes:
-        predicted = apparent(problem.model(vector), data)
-        weights = data.covariance.scaled(_ratio(predicted, data))
-        vector, cost = _refine(problem, data, weights, vector)
-
+    # common causes come in once there is a model to scale them by: see Covariance.scaled
+    alone = independent(weights.random)
+    vector = (
+        _search(problem, data, alone)
+        if start is None
+        else _refine(problem, data, alone, problem.vector(dict(start)), quick=True)[0]
+    )
+    if data.covariance is not None and weights.causes:
+        weights = data.covariance.scaled(_ratio(apparent(problem.model(vector), data, quick=True), data))
+    vector, cost = _refine(problem, data, weights, vector)
     built = problem.model(vector)
     predicted = apparent(built, data)
     white = weights.whiten(predicted - data.brdf)
@@ -260,6 +262,8 @@ class _Problem:
     """Which numbers move, on which scale, and the model that they make."""
 
     family: Family
+    kind: Any
+    """The model's class, looked up once: a search builds hundreds of models."""
     free: tuple[str, ...]
     fixed: Values
     words: dict[str, str]
@@ -292,9 +296,9 @@ class _Problem:
         return np.array([values[n] if self.family.parameter(n).scale == "log" else 1.0 for n in self.free])
 
     def model(self, vector: Floats) -> Any:
-        from gonio.models import build
+        from gonio.models.base import build_model
 
-        return build(self.family.name, {**self.family.arguments(self.values(vector)), **self.words})
+        return build_model(self.kind, self.family.name, {**self.family.arguments(self.values(vector)), **self.words})
 
 
 def _problem(model: str, ior: Ior, fix: dict[str, float | str], free: tuple[str, ...], slopes: int) -> _Problem:
@@ -326,7 +330,15 @@ def _problem(model: str, ior: Ior, fix: dict[str, float | str], free: tuple[str,
     fixed = {**family.fixed, **numbers}
     if ior is None and "ior" in moving and families.needs_ior(model) and not fixed.get("k") and "k" not in moving:
         notes.append("No optical constants were given (--ior): a real refractive index n is fitted, with k = 0.")
-    return _Problem(family, moving, {n: v for n, v in fixed.items() if n not in moving}, words, ior, notes)
+    return _Problem(
+        family,
+        plugins.load("gonio.models", model),
+        moving,
+        {n: v for n, v in fixed.items() if n not in moving},
+        words,
+        ior,
+        notes,
+    )
 
 
 def _one_wavelength(
@@ -370,27 +382,24 @@ def _ratio(predicted: Floats, data: Observations) -> Floats:
     return np.clip(np.where(seen, predicted / np.where(seen, data.brdf, 1.0), 1.0), 0.5, 2.0)
 
 
-def _search(problem: _Problem, data: Observations, weights: Covariance) -> tuple[Floats, float]:
-    """The best point of several searches, the first part of each with softened weights."""
+def _search(problem: _Problem, data: Observations, weights: Covariance) -> Floats:
+    """The best point of several searches with the quick forward model, the first part of each with softened weights."""
     rows = np.arange(len(data))
     few = data if len(data) <= GRID_POINTS else data.take(rows[:: -(-len(data) // GRID_POINTS)])
-    soft_few = independent(np.hypot(_plain_u(few), COARSE_U * np.abs(few.brdf)))
+    soft = independent(np.hypot(_plain_u(few), COARSE_U * np.abs(few.brdf)))
     known = {n: v for n, v in problem.family.fixed.items() if n in problem.free and v}
     candidates: list[tuple[float, Floats]] = []
     for start in problem.family.starts(data):
         vector = problem.vector({"k": 1.0, **start, **known})
-        residual = soft_few.whiten(apparent(problem.model(vector), few) - few.brdf)
+        residual = soft.whiten(apparent(problem.model(vector), few, quick=True) - few.brdf)
         # large residuals count by their logarithm: a lobe in the right place must win over one that is merely low
         candidates.append((float(np.log1p(np.minimum(residual**2, 1e12)).sum()), vector))
     candidates.sort(key=lambda c: c[0])
-    coarse: list[tuple[float, Floats]] = []
-    for _, vector in candidates[:STARTS]:
-        moved, cost = _refine(problem, few, soft_few, vector, limit=25)
-        coarse.append((cost, moved))
-    coarse.sort(key=lambda c: c[0])
-    chosen = [coarse[0]] + [c for c in coarse[1:2] if np.abs(c[1] - coarse[0][1]).max() > 0.05]
-    final = [_refine(problem, data, weights, vector) for _, vector in chosen]
-    return min(final, key=lambda f: f[1])
+    coarse = [_refine(problem, few, soft, vector, quick=True, limit=25) for _, vector in candidates[:STARTS]]
+    coarse.sort(key=lambda c: c[1])
+    chosen = [coarse[0]] + [c for c in coarse[1:] if np.abs(c[0] - coarse[0][0]).max() > 0.05][:1]
+    final = [_refine(problem, data, weights, vector, quick=True) for vector, _ in chosen]
+    return min(final, key=lambda f: f[1])[0]
 
 
 def _plain_u(data: Observations) -> Floats:
@@ -399,7 +408,13 @@ def _plain_u(data: Observations) -> Floats:
 
 
 def _refine(
-    problem: _Problem, data: Observations, weights: Covariance, start: Floats, limit: int = 60
+    problem: _Problem,
+    data: Observations,
+    weights: Covariance,
+    start: Floats,
+    *,
+    quick: bool = False,
+    limit: int = 60,
 ) -> tuple[Floats, float]:
     """Trust-region least squares from one start; the point and half its sum of squares."""
     from scipy.optimize import least_squares
@@ -407,9 +422,9 @@ def _refine(
     lower, upper = problem.bounds
     margin = 1e-9 * (upper - lower)
     result = least_squares(
-        lambda x: weights.whiten(apparent(problem.model(x), data) - data.brdf),
+        lambda x: weights.whiten(apparent(problem.model(x), data, quick=quick) - data.brdf),
         np.clip(start, lower + margin, upper - margin),
-        jac=lambda x: weights.whiten(_jacobian(problem, data, x)),
+        jac=lambda x: weights.whiten(_jacobian(problem, data, x, quick=quick)),
         bounds=(lower, upper),
         x_scale="jac",
         xtol=1e-9,
@@ -420,7 +435,7 @@ def _refine(
     return np.asarray(result.x), float(result.cost)
 
 
-def _jacobian(problem: _Problem, data: Observations, vector: Floats) -> Floats:
+def _jacobian(problem: _Problem, data: Observations, vector: Floats, *, quick: bool = False) -> Floats:
     """d(model)/d(search scale), (n, p), by central differences (one-sided at a bound)."""
     lower, upper = problem.bounds
     columns = []
@@ -428,7 +443,8 @@ def _jacobian(problem: _Problem, data: Observations, vector: Floats) -> Floats:
         up, down = vector.copy(), vector.copy()
         up[k] = min(vector[k] + STEP, upper[k])
         down[k] = max(vector[k] - STEP, lower[k])
-        columns.append((apparent(problem.model(up), data) - apparent(problem.model(down), data)) / (up[k] - down[k]))
+        high, low = (apparent(problem.model(x), data, quick=quick) for x in (up, down))
+        columns.append((high - low) / (up[k] - down[k]))
     return np.stack(columns, axis=1)
 
 

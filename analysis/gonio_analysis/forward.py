@@ -13,12 +13,12 @@ NO_WAVELENGTH_NM = 550.0
 """Given to models whose value does not depend on it, in a broad band."""
 
 
-def apparent(model: Any, at: Observations) -> Floats:
+def apparent(model: Any, at: Observations, *, quick: bool = False) -> Floats:
     """The BRDF [1/sr] that the instrument of a table sees of `model` in its directions.
 
     Averaged over the cones of source and receiver, the specular spike carried through the integral
     (`gonio.instrument.apparent_brdf`, spike "exact"). In a broad band (wavelength NaN) the model has to be one whose
-    value does not depend on the wavelength.
+    value does not depend on the wavelength. `quick` takes the lobe at the centre of the cones, for searches.
     """
     out = np.empty(len(at))
     for wavelength in at.wavelengths:
@@ -31,6 +31,7 @@ def apparent(model: Any, at: Observations) -> Floats:
             at.phi_r[rows],
             wavelength_nm=NO_WAVELENGTH_NM if np.isnan(wavelength) else wavelength,
             cones=(at.source_solid_angle_sr, at.receiver_solid_angle_sr),
+            quick=quick,
         )
     return out
 
@@ -44,16 +45,19 @@ def seen(
     *,
     wavelength_nm: float,
     cones: tuple[float, float],
+    quick: bool = False,
 ) -> Floats:
     """As `apparent`, in the directions [rad] given, through cones of (source, receiver) solid angle [sr].
 
     Without a cone on either side a specular spike has no finite value: then the model without its spike is returned.
     """
-    if cones == (0.0, 0.0):
-        return np.asarray(model.brdf(theta_i, phi_i, theta_r, phi_r, wavelength_nm=wavelength_nm), dtype=np.float64)
-    from gonio.instrument import apparent_brdf
+    centre = cones == (0.0, 0.0) or quick
+    lobe = np.asarray(model.brdf(theta_i, phi_i, theta_r, phi_r, wavelength_nm=wavelength_nm)) if centre else None
+    if lobe is not None and (cones == (0.0, 0.0) or not hasattr(model, "specular_reflectivity")):
+        return lobe
+    from gonio.instrument import apparent_brdf, apparent_spike
 
-    value = apparent_brdf(
+    value = (apparent_brdf if lobe is None else apparent_spike)(
         model,
         theta_i,
         phi_i,
@@ -64,4 +68,4 @@ def seen(
         receiver_solid_angle_sr=cones[1],
         spike="exact",
     )
-    return np.asarray(value, dtype=np.float64)
+    return np.asarray(value, dtype=np.float64) + (0.0 if lobe is None else lobe)

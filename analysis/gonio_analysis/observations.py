@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio.errors import ArgumentError, DataError
+from gonio.errors import DataError
 from gonio_analysis.uncertainty import Covariance, Floats
 
 if TYPE_CHECKING:
@@ -136,15 +136,21 @@ def observations(table: pd.DataFrame, name: str = "the table") -> Observations:
         covariance = Covariance(np.maximum(random[keep], floor), common[keep], tuple(causes))
     else:
         notes.append("The table states no uncertainties.")
-    cones = [_solid_angle(table.attrs, key, notes) for key in ("source", "receiver")]
+    cones = {which: _solid_angle(table.attrs, which) for which in ("source", "receiver")}
+    unknown = [which for which, cone in cones.items() if cone is None]
+    if unknown:
+        notes.append(
+            f"The solid angle of the {' and of the '.join(unknown)} is unknown: models are evaluated for a single"
+            " direction there."
+        )
     return Observations(
         **{key: value[keep] for key, value in angles.items()},
         wavelength_nm=wavelength[keep],
         brdf=brdf[keep],
         covariance=covariance,
         rows=keep,
-        source_solid_angle_sr=cones[0],
-        receiver_solid_angle_sr=cones[1],
+        source_solid_angle_sr=cones["source"] or 0.0,
+        receiver_solid_angle_sr=cones["receiver"] or 0.0,
         omitted=omitted,
         notes=tuple(notes),
     )
@@ -155,11 +161,10 @@ def describe_left_out(left_out: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {reason}" for reason, count in left_out.items())
 
 
-def _solid_angle(attrs: dict[Any, Any], which: str, notes: list[str]) -> float:
+def _solid_angle(attrs: dict[Any, Any], which: str) -> float | None:
     value = attrs.get(f"{which}_solid_angle_sr")
     if value is None or not np.isfinite(float(value)):
-        notes.append(f"The solid angle of the {which} is unknown: models are evaluated for a single direction there.")
-        return 0.0
+        return None
     if float(value) < 0:
-        raise ArgumentError(f"{which}_solid_angle_sr = {value}: a solid angle is not negative")
+        raise DataError(f"{which}_solid_angle_sr = {value} in the table: a solid angle is not negative")
     return float(value)

@@ -55,10 +55,8 @@ class Curve:
 
     @property
     def label(self) -> str:
-        """As in "θi = 30°"."""
-        return f"{'θi' if self.scanned == 'theta_r' else 'θr'} = {np.degrees(self.parameter):.4g}°".replace(
-            "= -0°", "= 0°"
-        )
+        """As in "θi = 30°", to a tenth of a degree."""
+        return f"{'θi' if self.scanned == 'theta_r' else 'θr'} = {round(np.degrees(self.parameter), 1):g}°"
 
     @property
     def mirror(self) -> int | None:

@@ -75,6 +75,7 @@ def polar(ax: Any, lines: Sequence[Line], *, radius: float | None = None, radius
     _half_disc(ax, rim, radius_label)
     clip = Wedge((0, 0), rim, 0, 180, transform=ax.transData)
     artists: list[Any] = []
+    beyond: list[tuple[str, str]] = []
     for k, line in enumerate(lines):
         look = style(k)
         notes: list[str] = []
@@ -108,16 +109,10 @@ def polar(ax: Any, lines: Sequence[Line], *, radius: float | None = None, radius
             x, y = _xy(np.array([line.mirror, line.mirror]), np.array([rim, rim * 1.03]))
             artists += ax.plot(x, y, color=look["color"], lw=2.2, solid_capstyle="butt", clip_on=False, zorder=5)
         if notes:
-            high = (
-                line.theory_angle[np.argmax(line.theory)]
-                if _top(line.theory) > rim
-                else line.angle[np.argmax(line.measured)]
-            )
-            x, y = _xy(np.array([high]), np.array([rim * 1.05]))
-            side = "left" if x[0] > 0.05 * rim else "right" if x[0] < -0.05 * rim else "center"
-            artists.append(
-                ax.text(x[0], y[0], "\n".join(notes), color=look["color"], fontsize=6.5, ha=side, va="bottom", zorder=6)
-            )
+            beyond.append((f"{line.label}: {' and '.join(notes)}", look["color"]))
+    for k, (text, colour) in enumerate(beyond):
+        at = (-1.12 * rim, (1.08 - 0.055 * k) * rim)
+        artists.append(ax.text(*at, text, color=colour, fontsize=6.5, ha="left", va="center", zorder=6))
     return artists
 
 
@@ -159,7 +154,15 @@ def semilog(ax: Any, lines: Sequence[Line], *, unit: str = "BRDF [1/sr]") -> lis
         measured = [line.measured[line.measured > 0] for line in lines if np.any(line.measured > 0)]
         low = min(float(np.min(v)) for v in (measured or positive))
         high = max(float(np.max(v)) for v in positive)
-        ax.set_ylim(low / 3, high * 2)
+        low, high = low / 1.5, high * 1.5
+        ax.set_ylim(low, high)
+        if high < 100 * low:  # few decades: label the steps between them too
+            from matplotlib.ticker import FixedLocator, NullLocator
+
+            steps = [m * 10.0**p for p in range(-9, 9) for m in (1, 2, 5) if low <= m * 10.0**p <= high]
+            ax.yaxis.set_major_locator(FixedLocator(steps))
+            ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+            ax.yaxis.set_minor_locator(NullLocator())
     _angle_axis(ax)
     ax.set_ylabel(unit)
     return artists
@@ -182,6 +185,7 @@ def residuals(
     everything = [line.residual for line in lines if line.residual is not None]
     if others is not None and others[0].size:
         artists += ax.plot(np.degrees(others[0]), others[1], ls="none", marker=".", ms=2, color="#9aa3ae", zorder=2)
+        artists[-1].set_rasterized(others[0].size > 1000)  # an SVG element a point would be megabytes
         everything.append(others[1])
     for k, line in enumerate(lines):
         if line.residual is not None:

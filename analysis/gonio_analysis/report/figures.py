@@ -13,7 +13,6 @@ import numpy as np
 from gonio import geometry
 from gonio_analysis import polar
 from gonio_analysis.compare import Dataset, Drawn, Fitted
-from gonio_analysis.planes import NORM_WORDS
 from gonio_analysis.report.text import number
 
 SVG = {
@@ -72,13 +71,8 @@ def _polar(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figure:
         polar.polar(ax, lines, radius=rim, radius_label=_radius_label(f))
         _legend(figure, f, "lower center")
 
-    words = _norm_words(f)
-    cut = [
-        c.label
-        for c, line in zip(f.drawn, lines, strict=True)
-        if max(_top(line.theory), _top(line.measured)) > 1.001 * rim
-    ]
-    caption = f"{model}: in-plane BRDF divided by {words}. Solid: theory; dashed, with error bars: measurement."
+    cut = [c.label for c, x in zip(f.drawn, lines, strict=True) if max(_top(x.theory), _top(x.measured)) > 1.001 * rim]
+    caption = f"{model}: normalised {_norm_words(f)}. Solid: theory; dashed, with error bars: measurement."
     if cut:
         caption += f" Cut at the rim: {', '.join(cut)}."
     spikes = [s for s in (_spike(c) for c in f.drawn) if s]
@@ -103,12 +97,16 @@ def _radius_label(f: Fitted) -> str:
 
 
 def _norm_words(f: Fitted) -> str:
+    words = {
+        "mirror": "at the mirror direction (eq. 11)",
+        "max": "at the largest in-plane value",
+        "model": "by the fitted model at the mirror direction",
+    }
     kinds = {c.norm.kind for c in f.drawn}
     if len(kinds) == 1:
-        return NORM_WORDS[kinds.pop()]
-    other = [c.label for c in f.drawn if c.norm.kind != "mirror"]
-    kind = next(k for k in sorted(kinds) if k != "mirror")
-    return f"{NORM_WORDS['mirror']}; {', '.join(other)} (marked *), whose mirror direction was not measured, by {NORM_WORDS[kind]}"
+        return words[kinds.pop()]
+    other = next(k for k in sorted(kinds) if k != "mirror")
+    return f"{words['mirror']}; curves marked * {words[other]}, because their mirror direction was not measured"
 
 
 def _spike(c: Drawn) -> str:
@@ -135,7 +133,7 @@ def _absolute(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figur
 
     def on(figure: Any) -> None:
         top, low = figure.subplots(2, 1, height_ratios=(2.4, 1), sharex=True)
-        figure.subplots_adjust(0.125, 0.205, 0.985, 0.975, hspace=0.12)
+        figure.subplots_adjust(0.135, 0.205, 0.985, 0.975, hspace=0.12)
         if lines:
             polar.semilog(top, lines)
         else:
@@ -185,7 +183,7 @@ def _series(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figure:
 
     def on(figure: Any) -> None:
         axes = figure.subplots(1, len(free), squeeze=False)[0]
-        figure.subplots_adjust(0.1, 0.24, 0.985, 0.94, wspace=0.42)
+        figure.subplots_adjust(0.1, 0.26, 0.985, 0.87, wspace=0.42)
         for k, (ax, name) in enumerate(zip(axes, free, strict=True)):
             y = np.array([r.parameters[name].value for r in f.series], dtype=float)
             u = np.array([r.parameters[name].u for r in f.series], dtype=float)

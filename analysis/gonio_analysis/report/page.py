@@ -70,7 +70,7 @@ def _overview(s: dict[str, Any]) -> str:
 
 def _dataset(s: dict[str, Any], d: dict[str, Any], figures: Sequence[Figure]) -> str:
     by = {kind: [f for f in figures if f.kind == kind] for kind in ("polar", "absolute", "budget", "series")}
-    out = [f'<section id="{d["slug"]}">', f"<h2>{escape(d['name'])}</h2>"]
+    out = [f'<section id="{d["slug"]}">', f"<h2>{escape(d['name'])}</h2>" if len(s["datasets"]) > 1 else ""]
     out.append(f'<p class="lead">{escape(d["conclusion"])}</p>')
     out += ["<h3>What was measured, and how</h3>", _facts(d)]
     if d["notes"]:

@@ -152,7 +152,10 @@ def _conclusion(d: Dataset, best: str | None) -> str:
 
 def _notes(d: Dataset) -> list[str]:
     notes = [_sentence(str(n)) for n in d.table.attrs.get("notes") or []]
-    notes += [n for n in d.data.notes if n not in notes]
+    known = " ".join(notes)
+    notes += [
+        n for n in d.data.notes if n not in notes and not ("no uncertainties" in n and "no uncertainties" in known)
+    ]
     fits = [f.fit for f in d.fitted.values()]
     notes += _shared(fits)
     if math.isnan(d.wavelength_nm) and any(not math.isnan(f.wavelength_nm) for f in fits):

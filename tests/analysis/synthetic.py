@@ -1,0 +1,65 @@
+"""Measurement tables made from a model, with noise whose covariance is known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from gonio.formats.base import table
+from gonio_analysis.forward import seen
+
+Floats = npt.NDArray[np.float64]
+
+
+def measure(
+    model: Any,
+    *,
+    incidences: tuple[float, ...] = (10.0, 30.0, 60.0),
+    views: Floats | None = None,
+    seed: int = 0,
+    noise: float = 0.01,
+    floor: float = 1e-4,
+    reference: float = 0.0,
+    cone_sr: float = 0.0,
+    wavelength_nm: float = 550.0,
+    name: str = "synthetic",
+) -> pd.DataFrame:
+    """An in-plane sweep of `model`: independent noise of `noise` f and `floor`, and one common relative error `reference`."""
+    rng = np.random.default_rng(seed)
+    signed = np.arange(-80.0, 81.0, 5.0) if views is None else views
+    theta_i, signed = (a.ravel() for a in np.meshgrid(incidences, signed, indexing="ij"))
+    phi_r = np.where(signed >= 0, 180.0, 0.0)
+    theta_r = np.abs(signed)
+    true = seen(
+        model,
+        np.radians(theta_i),
+        np.zeros(theta_i.size),
+        np.radians(theta_r),
+        np.radians(phi_r),
+        wavelength_nm=550.0 if np.isnan(wavelength_nm) else wavelength_nm,
+        cones=(cone_sr, cone_sr),
+    )
+    random = np.hypot(noise * true, floor)
+    measured = true * (1 + reference * rng.normal()) + random * rng.normal(size=true.size)
+    frame = table(
+        theta_i_deg=theta_i,
+        phi_i_deg=0.0,
+        theta_r_deg=theta_r,
+        phi_r_deg=phi_r,
+        wavelength_nm=wavelength_nm,
+        brdf=measured,
+        u_brdf=np.hypot(random, reference * measured),
+        u_random=random,
+        attrs={
+            "source_solid_angle_sr": cone_sr or None,
+            "receiver_solid_angle_sr": cone_sr or None,
+            "sample": name,
+            "source_file": f"{name}.csv",
+        },
+    )
+    if reference:
+        frame.insert(frame.columns.get_loc("flag"), "s_reference", reference * measured)
+    return frame
