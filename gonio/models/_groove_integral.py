@@ -13,19 +13,16 @@ Between kinks everything is analytic, and Gauss-Legendre rules are used in varia
 
 from __future__ import annotations
 
-from math import acos, atan2, cos, exp, hypot, log, pi, sin, sqrt, tanh
+from math import acos, atan2, cos, hypot, pi, sin, sqrt, tan
 
 import numpy as np
 
 from gonio.models._compile import device
-from gonio.models._math import sincos
+from gonio.models._math import exp, log, sincos
 
-_SMALL = np.polynomial.legendre.leggauss(10)
-_LARGE = np.polynomial.legendre.leggauss(20)
-_SLOPE = np.polynomial.legendre.leggauss(14)
-SMALL_X, SMALL_W = (np.ascontiguousarray(part) for part in _SMALL)
-LARGE_X, LARGE_W = (np.ascontiguousarray(part) for part in _LARGE)
-SLOPE_X, SLOPE_W = (np.ascontiguousarray(part) for part in _SLOPE)
+_RULES = [np.polynomial.legendre.leggauss(4 * k) for k in range(1, 17)]
+# Gauss-Legendre nodes and weights of all the rules, one after the other: the rule of 4k nodes begins at 2k(k - 1)
+NODES, WEIGHTS = (np.concatenate(parts) for parts in zip(*_RULES, strict=True))
 STEEPEST = 1e15  # the largest tangent of a direction: at exactly grazing the limit is reached to the last digits
 RATIO = 10.0  # intervals of theta_a that span a larger ratio are divided
 
@@ -61,25 +58,60 @@ def groove_point(s, v, c, second):  # type: ignore[no-untyped-def]
 
 
 @device
-def arc(low, high, a, b, delta, c, second, x, w):  # type: ignore[no-untyped-def]
-    """The integral over one arc of phi_a without kinks; nodes crowd to both ends as far as the steepness asks."""
-    half = 0.5 * (high - low)
-    mid = 0.5 * (high + low)
-    reach = 0.5 * log(1.0 + 4.0 * max(a, b) * half)
-    scale = tanh(reach)
+def twice_over_arc(half, sm, cm, smd, cmd, a, b, ti, tr, sine, c, work):  # type: ignore[no-untyped-def]
+    """The integral of min(S', 2) min(V, 2) J over one arc around an azimuth m, from sin and cos of m and of m - Delta.
+
+    Nodes crowd to both ends, t = tanh(reach x / 2), as far as the steepness asks. Where only one facet is cut, J has the closed form
+    V J = pi (1 - c + sin(theta_a) (sqrt(1 + w^2) - w)), w = tan(theta_r) cos(phi_a - Delta), and S' is a plain cosine.
+    """
+    lit_cut = 1.0 - a * cm > 2.0
+    seen_cut = 1.0 + b * cmd > 2.0
+    one = lit_cut != seen_cut
+    # `one`: (u, du) is the tangent of the cut direction about the arc's middle, (1 + p cos - q sin) the uncut facet's cosine
+    uc, us = (tr * cmd, tr * smd) if seen_cut else (-ti * cm, -ti * sm)
+    pc, ps = (-a * cm, -a * sm) if seen_cut else (b * cmd, b * smd)
+    steep = (b if seen_cut else a) if one else max(a, b)
+    spread = 1.0 + 4.0 * steep * half
+    reach = log(spread)
+    k = min(int(reach * 1.1 + 1.5), 16)
+    x = NODES[2 * k * (k - 1) : 2 * k * (k + 1)]
+    weight = WEIGHTS[2 * k * (k - 1) : 2 * k * (k + 1)]
+    stretch = half * (spread + 1.0) / (spread - 1.0)
+    if one:
+        for j in range(x.size):
+            e = exp(reach * x[j])
+            t = (e - 1.0) / (e + 1.0)
+            sj, cj = sincos(stretch * t)
+            u = uc * cj - us * sj
+            u = u if u > 0.0 else 0.0
+            work[j] = weight[j] * (1.0 - t * t) * (1.0 + pc * cj - ps * sj) * (1.0 - c + sine / (sqrt(1.0 + u * u) + u))
+    else:
+        for j in range(x.size):
+            e = exp(reach * x[j])
+            t = (e - 1.0) / (e + 1.0)
+            sj, cj = sincos(stretch * t)
+            opposite = 1.0 - a * (cm * cj - sm * sj)
+            v = 1.0 + b * (cmd * cj - smd * sj)
+            ms = 2.0 / opposite if opposite > 2.0 else 1.0
+            mv = 2.0 / v if v > 2.0 else 1.0
+            work[j] = weight[j] * (1.0 - t * t) * (4.0 / pi) * mean_exchange(ms, mv, c)
     total = 0.0
     for j in range(x.size):
-        e = exp(2.0 * reach * x[j])
-        t = (e - 1.0) / (e + 1.0)
-        phi = mid + half * t / scale
-        s = 1.0 + a * sincos(phi)[1]
-        v = 1.0 + b * sincos(phi - delta)[1]
-        total += w[j] * (1.0 - t * t) * groove_point(s, v, c, second)
-    return total * half * reach / scale
+        total += work[j]
+    return total * pi * 0.5 * reach * stretch
 
 
 @device
-def around(ti, tr, delta, turns, tangent, c, second, edges):  # type: ignore[no-untyped-def]
+def sine_less(h):  # type: ignore[no-untyped-def]
+    """sin h - h."""
+    z = h * h
+    if h < 0.4:
+        return h * z * (-1.0 / 6.0 + z * (1.0 / 120.0 + z * (-1.0 / 5040.0 + z * (1.0 / 362880.0 - z / 39916800.0))))
+    return sincos(h)[0] - h
+
+
+@device
+def around(ti, tr, delta, turns, tangent, c, second, edges, work):  # type: ignore[no-untyped-def]
     """The mean over phi_a for grooves of one slope, without cos(theta_a)."""
     a = ti * tangent
     b = tr * tangent
@@ -88,21 +120,26 @@ def around(ti, tr, delta, turns, tangent, c, second, edges):  # type: ignore[no-
         return 1.0 + cross + second * pi * (1.0 - c) * (1.0 - cross)
     count = 0
     if a > 1.0:
-        open_ = acos(1.0 / a)
-        for edge in (open_, -open_, pi - open_, open_ - pi):
-            edges[count] = edge
-            count += 1
+        wide = acos(1.0 / a)
+        edges[0], edges[1], edges[2], edges[3] = wide, -wide, pi - wide, wide - pi
+        count = 4
     if b > 1.0:
-        open_ = acos(1.0 / b)
-        for edge in (open_, -open_, pi - open_, open_ - pi):
-            edges[count] = edge + delta
-            count += 1
-    for turn in turns:
-        edges[count] = turn
-        edges[count + 1] = turn + pi
-        count += 2
+        wide = acos(1.0 / b)
+        edges[count], edges[count + 1], edges[count + 2], edges[count + 3] = (
+            delta + wide,
+            delta - wide,
+            delta + pi - wide,
+            delta + wide - pi,
+        )
+        count += 4
+    if a > 1.0 and b > 1.0:  # V and S, or V and S', can be equal above 2
+        for turn in turns:
+            edges[count], edges[count + 1] = turn, turn + pi
+            count += 2
     for j in range(count):  # into [0, 2 pi), sorted
-        edge = edges[j] - 2.0 * pi * np.floor(edges[j] / (2.0 * pi))
+        edge = edges[j]
+        edge = edge + 2.0 * pi if edge < 0.0 else edge
+        edge = edge - 2.0 * pi if edge >= 2.0 * pi else edge
         k = j
         while k > 0 and edges[k - 1] > edge:
             edges[k] = edges[k - 1]
@@ -112,15 +149,30 @@ def around(ti, tr, delta, turns, tangent, c, second, edges):  # type: ignore[no-
     for j in range(count):
         low = edges[j]
         high = edges[j + 1] if j + 1 < count else edges[0] + 2.0 * pi
-        if high - low < 1e-15:
+        half = 0.5 * (high - low)
+        if half < 1e-16:
             continue
         mid = 0.5 * (low + high)
-        if 1.0 + b * cos(mid - delta) <= 0.0:
+        smd, cmd = sincos(mid - delta)
+        v = 1.0 + b * cmd
+        if v <= 0.0:
             continue
-        if max(a, b) * (high - low) < 4.0:
-            total += arc(low, high, a, b, delta, c, second, SMALL_X, SMALL_W)
+        sm, cm = sincos(mid)
+        s = 1.0 + a * cm
+        if second > 0.0 and s < 2.0 and (v > 2.0 or s < 0.0):
+            total += second * twice_over_arc(half, sm, cm, smd, cmd, a, b, ti, tr, tangent * c, c, work)
+        if s <= 0.0:
+            continue
+        # integrals over the arc from the values at its middle: no difference of large terms
+        less = sine_less(half)
+        over_v = 2.0 * (half * v + b * cmd * less)
+        if s <= 2.0 and v <= 2.0:
+            square = -0.5 * sine_less(2.0 * half)  # of sin^2; of (1 - cos)^2: -4 less - square
+            product = 2.0 * half * s * v + 2.0 * less * (s * b * cmd + v * a * cm)
+            product += a * b * (cm * cmd * (-4.0 * less - square) + sm * smd * square)
+            total += product + second * pi * (1.0 - c) * (2.0 * over_v - product)
         else:
-            total += arc(low, high, a, b, delta, c, second, LARGE_X, LARGE_W)
+            total += 2.0 * (over_v if v < s else 2.0 * (half * s + a * cm * less))
     return total / (2.0 * pi)
 
 
@@ -140,7 +192,8 @@ def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     """The BRDF for P(theta_a) = c exp(-theta_a^2/(2 sigma^2)); p: rho/pi, rho/pi of the second bounce, 1/(2 sigma^2), c, the largest theta_a."""
     ti, tr, delta, turns = directions(lx, ly, lz, vx, vy, vz)
     edges = np.empty(16)
-    knots = np.empty(64)
+    work = np.empty(64)
+    knots = np.empty(8)
     knots[0] = 0.0
     count = 1
     for tangent in (ti, tr, ti * abs(cos(turns[0])), ti * abs(cos(turns[1]))):
@@ -153,6 +206,7 @@ def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
             knots[k] = knot
             count += 1
     knots[count] = p[4]
+    steep = max(ti, tr)
     total = 0.0
     for j in range(count):
         low = knots[j]
@@ -160,12 +214,16 @@ def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
             high = knots[j + 1] if low == 0.0 else min(knots[j + 1], RATIO * low)
             half = 0.5 * (high - low)
             if half > 1e-16:
-                for k in range(SLOPE_X.size):
-                    u = SLOPE_X[k]
-                    theta = low + half * (1.0 + 0.5 * u * (3.0 - u * u))
-                    weight = half * SLOPE_W[k] * 1.5 * (1.0 - u * u) * exp(-theta * theta * p[2])
-                    c = cos(theta)
-                    total += weight * sin(theta) * c * around(ti, tr, delta, turns, sin(theta) / c, c, p[1], edges)
+                smooth = steep * tan(low + half) <= 1.0
+                wide = half * sqrt(8.0 * p[2])  # the interval in units of sigma
+                rule = min(int((2.5 if smooth else 3.0) + 0.9 * wide), 16)
+                for k in range(2 * rule * (rule - 1), 2 * rule * (rule + 1)):
+                    u = NODES[k]
+                    weight = half * WEIGHTS[k] * (1.0 if smooth else 1.5 * (1.0 - u * u))
+                    theta = low + half * (1.0 + (u if smooth else 0.5 * u * (3.0 - u * u)))
+                    sine, c = sincos(theta)
+                    ring = around(ti, tr, delta, turns, sine / c, c, p[1], edges, work)
+                    total += weight * exp(-theta * theta * p[2]) * sine * c * ring
             low = high
     value = p[0] * p[3] * total
     return value if value < 1e13 else np.inf
@@ -175,7 +233,7 @@ def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
 def isotropic_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     """The BRDF for grooves of one slope in every direction (eq. 12); p: rho/pi, rho/pi of the second bounce, tan, cos of theta_a."""
     ti, tr, delta, turns = directions(lx, ly, lz, vx, vy, vz)
-    value = p[0] * p[3] * around(ti, tr, delta, turns, p[2], p[3], p[1], np.empty(16))
+    value = p[0] * p[3] * around(ti, tr, delta, turns, p[2], p[3], p[1], np.empty(16), np.empty(64))
     return value if value < 1e13 else np.inf
 
 

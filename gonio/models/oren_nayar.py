@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from math import pi, sqrt
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from gonio.models._groove_integral import gaussian_grooves, isotropic_grooves, p
 from gonio.models._math import atan_over
 from gonio.models.base import Model, choice, number, store
 from gonio.models.engine import SPLIT, Constants, Kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 FORMS = ("functional", "exact", "qualitative", "single-slope")
 TWO_OVER_PI = 2.0 / pi
@@ -57,7 +61,7 @@ def functional(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     second = dot * low if dot >= 0.0 else cosine * braces * sin_b * low
     flat = sine * sine
     aside = flat / (1.0 + abs(cosine)) if flat > 1e-30 else 0.0  # 1 - |cos(dphi)|
-    third = 0.0625 * 4.0 * (fa * fb) * (fa * fb) * aside * (sin_a + sin_b) / (cos_a + cos_b)
+    third = (fa * fb) * (fa * fb) * aside * (sin_a + sin_b) / (cos_a + cos_b)
     value = p[0] + p[1] * second + p[2] * third + p[3] * (1.0 - cosine * fb * fb)
     return value if value < 1e280 else math.inf
 
@@ -190,10 +194,16 @@ class OrenNayar(Model):
         )
 
 
+@functools.lru_cache(maxsize=64)
 def _gaussian(sigma: float) -> tuple[float, float]:
-    """c of the slope-area distribution (its integral with sin(theta_a) is 1), and the angle beyond which it is below 1e-13."""
-    reach = min(pi / 2, sigma * sqrt(2.0 * math.log(1e13)))
-    node, weight = np.polynomial.legendre.leggauss(48)
+    """c of the slope-area distribution (its integral with sin(theta_a) is 1), and the angle beyond which it is below 1e-11."""
+    reach = min(pi / 2, sigma * sqrt(2.0 * math.log(1e11)))
+    node, weight = _rule()
     theta = 0.5 * reach * (node + 1.0)
     total = float(weight @ (np.exp(-0.5 * (theta / sigma) ** 2) * np.sin(theta))) * 0.5 * reach
     return 1.0 / total, reach
+
+
+@functools.cache
+def _rule() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return np.polynomial.legendre.leggauss(48)
