@@ -9,7 +9,11 @@ import numpy as np
 from numba import njit
 
 
-@njit(cache=True, error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
+# No term may be moved between operations (reassoc), and NaN must live: it marks pixels that see nothing.
+FAST = {"contract", "arcp", "nsz"}
+
+
+@njit(cache=True, error_model="numpy", nogil=True, fastmath=FAST)  # type: ignore[untyped-decorator]
 def spots(
     by_row: Any,
     by_col: Any,
@@ -22,27 +26,34 @@ def spots(
     cos_r: Any,
     factor: Any,
 ) -> None:
-    """Fill x, y, cos(theta_i), cos(theta_r) and (distance/d)^2 for lines of sight by_row[i] + by_col[j] from `eye`.
+    """Fill x, y, cos(theta_i), cos(theta_r) and (distance/d)^2 for lines of sight by_row[i] + by_col[:, j] from `eye`.
 
-    A line that does not meet the plane z = 0 in front of the camera gives NaN, NaN, 0, 0, 0.
+    A line that does not meet the plane z = 0 in front of the camera gives NaN, NaN, 0, 0, 0. The loop has no
+    branches, so that it runs on vectors.
     """
+    up = max(source[2], 0.0)
+    height_squared = source[2] * source[2]
+    distance_squared = distance * distance
+    above = eye[2] > 0.0
     for i in range(by_row.shape[0]):
-        for j in range(by_col.shape[0]):
-            a = by_row[i, 0] + by_col[j, 0]
-            b = by_row[i, 1] + by_col[j, 1]
-            c = by_row[i, 2] + by_col[j, 2]
-            meets = c < 0.0 and eye[2] > 0.0
-            t = -eye[2] / c if meets else np.nan
+        row_a, row_b, row_c = by_row[i, 0], by_row[i, 1], by_row[i, 2]
+        x_i, y_i, cos_i_i, cos_r_i, factor_i = x[i], y[i], cos_i[i], cos_r[i], factor[i]
+        for j in range(by_col.shape[1]):
+            a = row_a + by_col[0, j]
+            b = row_b + by_col[1, j]
+            c = row_c + by_col[2, j]
+            t = -eye[2] / c
             u = eye[0] + t * a
             v = eye[1] + t * b
             to_x = source[0] - u
             to_y = source[1] - v
-            square = to_x * to_x + to_y * to_y + source[2] * source[2]
-            x[i, j] = u
-            y[i, j] = v
-            cos_i[i, j] = max(source[2], 0.0) / math.sqrt(square) if meets else 0.0
-            cos_r[i, j] = -c / math.sqrt(a * a + b * b + c * c) if meets else 0.0
-            factor[i, j] = distance * distance / square if meets else 0.0
+            inverse = 1.0 / (to_x * to_x + to_y * to_y + height_squared)
+            meets = above and c < 0.0
+            x_i[j] = u if meets else np.nan
+            y_i[j] = v if meets else np.nan
+            cos_i_i[j] = up * math.sqrt(inverse) if meets else 0.0
+            cos_r_i[j] = -c / math.sqrt(a * a + b * b + c * c) if meets else 0.0
+            factor_i[j] = distance_squared * inverse if meets else 0.0
 
 
 @njit(cache=True, error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]

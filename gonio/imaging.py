@@ -64,14 +64,14 @@ class PixelMap:
         u = (np.arange(self.cols.start, self.cols.stop) - 0.5 * (camera.width - 1)) * scale
         v = (np.arange(self.rows.start, self.rows.stop) - 0.5 * (camera.height - 1)) * scale
         axis = -self._camera / np.linalg.norm(self._camera)
-        self._by_col = u[:, None] * np.asarray(view.image_x, dtype=float)
+        self._by_col = np.asarray(view.image_x, dtype=float)[:, None] * u
         self._by_row = axis + v[:, None] * np.asarray(view.image_y, dtype=float)
 
     @cached_property
     def _spots(self) -> tuple[Array, Array, Array, Array, Array]:
         from gonio._pixels import spots
 
-        out = np.empty((5, self._by_row.shape[0], self._by_col.shape[0]))
+        out = np.empty((5, self._by_row.shape[0], self._by_col.shape[1]))
         spots(self._by_row, self._by_col, self._camera, self._source, self._distance_mm, *out)
         return out[0], out[1], out[2], out[3], out[4]
 

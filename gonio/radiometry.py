@@ -18,7 +18,7 @@ import numpy.typing as npt
 import gonio
 from gonio import geometry, kinematics, level, sensitivity
 from gonio.description import Axis, Band, RigDescription
-from gonio.errors import DataError
+from gonio.errors import ConfigError, DataError
 from gonio.kinematics import Directions
 from gonio.plan import ANGLES
 from gonio.rates import Bench, Merged, in_threads
@@ -59,7 +59,7 @@ def reduce(run: Run) -> pd.DataFrame:
         There are no dark frames or no usable visit to the white reference, or a frame is missing, damaged or not
         the one that the journal names.
     ConfigError
-        The reference's table is missing.
+        The reference's table is missing, or neither a table nor an albedo is given.
     """
     bench = Bench(run)
     return _assemble(run, [_reduce_band(bench, band) for band in run.bands])
@@ -151,7 +151,10 @@ def _reference_brdf(bench: Bench, directions: Directions, band: Band) -> float:
 
         return level.brdf_of_table(measurement.read(reference.table), directions, band.centre_nm)
     if not reference.albedo:
-        raise DataError("the rig file gives neither reference.albedo (above 0) nor reference.table")
+        raise ConfigError(
+            f"{bench.run.path / 'run.toml'}: the rig has neither reference.albedo (above 0) nor reference.table: "
+            "nothing says how bright the white reference is"
+        )
     return reference.albedo / math.pi
 
 
