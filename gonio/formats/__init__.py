@@ -25,6 +25,7 @@ _MODULES = (
     "zemax_bsdf",
     "rt300s",
     "merl",
+    "rgl",
 )
 SNIFFED_BYTES = 65536
 

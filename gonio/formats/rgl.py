@@ -1,0 +1,280 @@
+"""RGL's measured BRDFs (`.bsdf`, EPFL; Dupuy & Jakob 2018): an adaptive parameterisation in a `tensor_file` container.
+
+The file holds a microfacet distribution (`ndf`), its projected area (`sigma`), the density of visible normals (`vndf`)
+by incidence, and the measured values (`rgb`, or `spectra` by wavelength) on the unit square that the density's
+cumulative distribution maps the half vector to. With u_m and u_i the half vector and the incidence on unit squares,
+
+    brdf cos(theta_r) = value(warp(u_m)) ndf(u_m) / (4 sigma(u_i))
+
+Nothing in the file lies on a plane that a goniometer would measure: the table is this interpolation on a grid of 5
+degrees in theta_i and theta_r (to 85) and 15 degrees in phi_r; anisotropic materials at eight phi_i. Colours are
+samples named "<name> red" and so on, broad bands without stated limits; spectra have wavelengths. A row whose nearest
+node the laboratory extrapolated is flagged "extrapolated". There are neither uncertainties nor solid angles.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.errors import DataError
+from gonio.formats.base import Floats, Format, table
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_MAGIC = b"tensor_file\0"
+_KINDS = {1: "u1", 2: "i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4", 7: "<u8", 8: "<i8", 9: "<f2", 10: "<f4", 11: "<f8"}
+_COLOURS = ("red", "green", "blue")
+
+
+def tensors(data: bytes, path: Path) -> dict[str, npt.NDArray[Any]]:
+    """The arrays of a `tensor_file` by name.
+
+    Raises
+    ------
+    DataError
+        The container is damaged (with the byte offset).
+    """
+    if data[:12] != _MAGIC or len(data) < 18 or data[12] != 1:
+        raise DataError(f"{path}, byte 0: is not a tensor_file of version 1")
+    (count,) = struct.unpack_from("<I", data, 14)
+    out: dict[str, npt.NDArray[Any]] = {}
+    at = 18
+    for _ in range(count):
+        start = at
+        try:
+            (length,) = struct.unpack_from("<H", data, at)
+            name = data[at + 2 : at + 2 + length].decode("latin-1")
+            at += 2 + length
+            dimensions, kind, offset = struct.unpack_from("<HBQ", data, at)
+            at += 11
+            shape = struct.unpack_from(f"<{dimensions}Q", data, at)
+            at += 8 * dimensions
+        except struct.error:
+            raise DataError(f"{path}, byte {start}: the list of fields is cut") from None
+        size = math.prod(shape)
+        if kind not in _KINDS or dimensions > 8 or size < 1:
+            raise DataError(f"{path}, byte {start}: the field {name[:40]!r} has no type or shape of this format")
+        dtype = np.dtype(_KINDS[kind])
+        if offset + size * dtype.itemsize > len(data):
+            raise DataError(f"{path}, byte {start}: the field {name[:40]!r} reaches beyond the end of the file")
+        out[name] = np.frombuffer(data, dtype, size, offset).reshape(shape)
+    return out
+
+
+class Measured:
+    """An RGL file, to be evaluated at any pair of directions."""
+
+    def __init__(self, data: bytes, path: Path) -> None:
+        self.path = path
+        fields = tensors(data, path)
+        values = "spectra" if "spectra" in fields else "rgb"
+        self.wavelengths_nm = self._take(fields, "wavelengths", 1) if values == "spectra" else None
+        self.phi_i, self.theta_i = self._take(fields, "phi_i", 1), self._take(fields, "theta_i", 1)
+        self.ndf, self.sigma = self._take(fields, "ndf", 2), self._take(fields, "sigma", 2)
+        self.vndf, self.values = self._take(fields, "vndf", 4), self._take(fields, values, 5)
+        grid = (self.phi_i.size, self.theta_i.size)
+        channels = 3 if self.wavelengths_nm is None else self.wavelengths_nm.size
+        if channels > 1000:
+            raise DataError(f"{path}: the file has {channels} wavelengths; at most 1000 are read")
+        if self.vndf.shape[:2] != grid or self.values.shape[:3] != (*grid, channels):
+            raise DataError(f"{path}: the shapes of vndf and {values} do not fit phi_i, theta_i and their channels")
+        if min(self.ndf.shape + self.sigma.shape + self.vndf.shape[2:] + self.values.shape[3:]) < 2:
+            raise DataError(f"{path}: a table of the file has fewer than two nodes along a side")
+        for name, axis in (("phi_i", self.phi_i), ("theta_i", self.theta_i)):
+            if (np.diff(axis) <= 0).any():
+                raise DataError(f"{path}: the nodes of {name} do not grow")
+        if (self.vndf < 0).any() or (self.sigma <= 0).any() or (self.ndf < 0).any():
+            raise DataError(f"{path}: a density in the file is negative")
+        self.isotropic = self.phi_i.size <= 2
+        self.cumulative, self.marginal = self._distribution()
+        nodes = math.prod(grid) * math.prod(self.values.shape[3:])
+        valid = fields.get("valid")
+        self.valid = None
+        if valid is not None and valid.dtype == np.uint8 and valid.size == -(-nodes // 8):
+            bits = np.unpackbits(valid.ravel())[:nodes]
+            self.valid = bits.reshape(*grid, *self.values.shape[3:]).astype(bool)
+        text = fields.get("description")
+        self.name = (
+            bytes(text.tobytes()).decode("utf-8", "replace").strip("\0 ")[:80] if text is not None else path.stem
+        )
+
+    def _take(self, fields: dict[str, npt.NDArray[Any]], name: str, dimensions: int) -> Floats:
+        if name not in fields:
+            raise DataError(f"{self.path}: the field {name} is missing")
+        found = np.asarray(fields[name], dtype=np.float64)
+        if found.ndim != dimensions or not np.isfinite(found).all():
+            raise DataError(f"{self.path}: the field {name} needs {dimensions} dimensions and finite values")
+        return found
+
+    def _distribution(self) -> tuple[Floats, Floats]:
+        """Cumulative distributions of the visible normals along x in each row, and along y; they end at one."""
+        steps = 0.5 * (self.vndf[..., 1:] + self.vndf[..., :-1])
+        rows = np.concatenate([np.zeros((*steps.shape[:-1], 1)), np.cumsum(steps, axis=-1)], axis=-1)
+        totals = 0.5 * (rows[..., 1:, -1] + rows[..., :-1, -1])
+        marginal = np.concatenate([np.zeros((*totals.shape[:-1], 1)), np.cumsum(totals, axis=-1)], axis=-1)
+        sums = marginal[..., -1]
+        if (sums <= 0).any():
+            raise DataError(f"{self.path}: the density of visible normals is zero for an incidence")
+        self.vndf = self.vndf / sums[..., np.newaxis, np.newaxis]
+        return rows / sums[..., np.newaxis, np.newaxis], marginal / sums[..., np.newaxis]
+
+    def brdf(
+        self, theta_i: Floats, phi_i: Floats, theta_r: Floats, phi_r: Floats
+    ) -> tuple[Floats, npt.NDArray[np.bool_]]:
+        """BRDF (n, channels) [1/sr] at n pairs of directions [rad], and which of them were measured."""
+        incident, outgoing = _vector(theta_i, phi_i), _vector(theta_r, phi_r)
+        if not self.isotropic:
+            self._into_measured_sector(incident, outgoing)
+        half = incident + outgoing
+        theta_m = np.arctan2(np.hypot(half[0], half[1]), half[2])
+        phi_i, phi_m = np.arctan2(incident[1], incident[0]), np.arctan2(half[1], half[0])
+        turn = (phi_m - phi_i if self.isotropic else phi_m) / (2 * np.pi) + 0.5
+        u_m = np.sqrt(theta_m * 2 / np.pi), turn - np.floor(turn)
+        u_i = np.sqrt(theta_i * 2 / np.pi), phi_i / (2 * np.pi) + 0.5
+        slices = self._slices(phi_i, theta_i)
+        x, y = self._warp(*u_m, slices)
+        values = np.zeros((theta_i.size, self.values.shape[2]))
+        for p, t, weight in slices:
+            values += weight[:, np.newaxis] * _bilinear(self.values, x, y, lead=(p, t))
+        scale = _bilinear(self.ndf, *u_m) / (4 * _bilinear(self.sigma, *u_i) * np.cos(theta_r))
+        measured = np.ones(theta_i.size, dtype=bool)
+        if self.valid is not None:
+            p, t = _nearest(slices)
+            height, width = self.valid.shape[2:]
+            measured = self.valid[p, t, np.rint(y * (height - 1)).astype(int), np.rint(x * (width - 1)).astype(int)]
+        return np.maximum(values, 0.0) * scale[:, np.newaxis], measured
+
+    def _into_measured_sector(self, incident: Floats, outgoing: Floats) -> None:
+        """Mirror both directions into the half or quarter of the azimuths that a symmetric sample was measured in."""
+        reduction = round(2 * math.pi / float(self.phi_i[-1] - self.phi_i[0]))
+        if reduction >= 2:
+            flip_y = np.where(incident[1] > 0, -1.0, 1.0)
+            flip_x = np.where(incident[0] > 0, -1.0, 1.0) if reduction == 4 else flip_y
+            for v in (incident, outgoing):
+                v[0] *= flip_x
+                v[1] *= flip_y
+
+    def _slices(self, phi: Floats, theta: Floats) -> list[tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], Floats]]:
+        """The up to four incidences of the file around each one asked for, and their weights."""
+        out = []
+        for p, wp in _around(self.phi_i, phi):
+            out += [(p, t, wp * wt) for t, wt in _around(self.theta_i, theta)]
+        return out
+
+    def _warp(self, u: Floats, v: Floats, slices: list[tuple[Any, Any, Floats]]) -> tuple[Floats, Floats]:
+        """From the half vector to the unit square of the values, by the distribution of a bilinear density."""
+        height, width = self.vndf.shape[2:]
+        column, x = _cell(u, width)
+        row, y = _cell(v, height)
+
+        def mix(array: Floats, *index: Any) -> Floats:
+            return np.asarray(sum(w * array[(p, t, *index)] for p, t, w in slices))
+
+        left = (1 - y) * mix(self.vndf, row, column) + y * mix(self.vndf, row + 1, column)
+        right = (1 - y) * mix(self.vndf, row, column + 1) + y * mix(self.vndf, row + 1, column + 1)
+        before = (1 - y) * mix(self.cumulative, row, column) + y * mix(self.cumulative, row + 1, column)
+        low, high = mix(self.cumulative, row, width - 1), mix(self.cumulative, row + 1, width - 1)
+        whole = (1 - y) * low + y * high
+        inside = before + x * (left + 0.5 * x * (right - left))
+        out_x = np.divide(inside, whole, out=np.zeros_like(inside), where=whole > 0)
+        out_y = mix(self.marginal, row) + y * (low + 0.5 * y * (high - low))
+        return np.clip(out_x, 0.0, 1.0), np.clip(out_y, 0.0, 1.0)
+
+
+def _vector(theta: Floats, phi: Floats) -> Floats:
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+
+
+def _cell(u: Floats, nodes: int) -> tuple[npt.NDArray[np.intp], Floats]:
+    position = np.clip(u, 0.0, 1.0) * (nodes - 1)
+    index = np.minimum(position.astype(np.intp), nodes - 2)
+    return index, position - index
+
+
+def _around(axis: Floats, value: Floats) -> list[tuple[npt.NDArray[np.intp], Floats]]:
+    zero = np.zeros(value.size, dtype=np.intp)
+    if axis.size == 1:
+        return [(zero, np.ones(value.size))]
+    index = np.clip(np.searchsorted(axis, value, side="right") - 1, 0, axis.size - 2)
+    weight = np.clip((value - axis[index]) / (axis[index + 1] - axis[index]), 0.0, 1.0)
+    return [(index, 1 - weight), (index + 1, weight)]
+
+
+def _nearest(slices: list[tuple[Any, Any, Floats]]) -> tuple[Any, Any]:
+    """Of the incidences around each one asked for, the one with the largest weight."""
+    best = np.argmax([w for _, _, w in slices], axis=0)
+    rows = np.arange(best.size)
+    return np.stack([p for p, _, _ in slices])[best, rows], np.stack([t for _, t, _ in slices])[best, rows]
+
+
+def _bilinear(array: Floats, u: Floats, v: Floats, lead: tuple[Any, Any] | None = None) -> Floats:
+    """Bilinear interpolation over the last two axes (v, u); with `lead`, of the slices (p, t, every channel)."""
+    column, x = _cell(u, array.shape[-1])
+    row, y = _cell(v, array.shape[-2])
+
+    def at(r: Any, c: Any) -> Floats:
+        return array[r, c] if lead is None else array[lead[0], lead[1], :, r, c]
+
+    if lead is not None:
+        x, y = x[:, np.newaxis], y[:, np.newaxis]
+    low = (1 - x) * at(row, column) + x * at(row, column + 1)
+    high = (1 - x) * at(row + 1, column) + x * at(row + 1, column + 1)
+    return (1 - y) * low + y * high
+
+
+def read(data: bytes, path: Path) -> pd.DataFrame:
+    measured = Measured(data, path)
+    theta = np.arange(0.0, 86.0, 5.0)
+    phi_i = np.zeros(1) if measured.isotropic else np.arange(0.0, 360.0, 45.0)
+    grid = np.meshgrid(theta, phi_i, theta, np.arange(0.0, 360.0, 15.0), indexing="ij")
+    theta_i, phi_in, theta_r, dphi = (a.ravel() for a in grid)
+    once = (theta_r > 0) | (dphi == 0)  # the normal is one direction
+    theta_i, phi_in, theta_r = theta_i[once], phi_in[once], theta_r[once]
+    phi_r = np.mod(phi_in + dphi[once], 360.0)
+    brdf, valid = measured.brdf(*(np.deg2rad(a) for a in (theta_i, phi_in, theta_r, phi_r)))
+    if not np.isfinite(brdf).all():
+        raise DataError(f"{path}: the file's tables give values that are not finite")
+    channels = brdf.shape[1]
+    nm = measured.wavelengths_nm
+    sample = None
+    if nm is None:
+        names = [f"{measured.name or path.stem} {colour}" for colour in _COLOURS]
+        sample = np.repeat(np.array(names, dtype=object), theta_i.size)
+    elif (nm <= 0).any():
+        raise DataError(f"{path}: a wavelength is not positive")
+    flag = np.array(["extrapolated", ""], dtype=object)[np.tile(valid, channels).astype(np.intp)]
+    return table(
+        theta_i_deg=np.tile(theta_i, channels),
+        phi_i_deg=np.tile(phi_in, channels),
+        theta_r_deg=np.tile(theta_r, channels),
+        phi_r_deg=np.tile(phi_r, channels),
+        wavelength_nm=math.nan if nm is None else np.repeat(nm, theta_i.size),
+        brdf=brdf.T.ravel(),
+        flag=flag,
+        sample=sample,
+        attrs={
+            "source_file": str(path),
+            "sample": measured.name or path.stem,
+            "bands": [{"name": colour} for colour in _COLOURS] if nm is None else [],
+            "notes": [
+                "interpolated from the file's adaptive grid by its own formula, at 5 degrees in theta and 15 in phi",
+                "the file states no uncertainties and no solid angles",
+            ],
+        },
+    )
+
+
+FORMAT = Format(
+    name="rgl",
+    title="RGL adaptive BSDF",
+    endings=(".bsdf",),
+    sniff=lambda head: head.startswith(_MAGIC),
+    read=read,
+)
