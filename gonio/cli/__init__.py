@@ -65,7 +65,8 @@ def build() -> typer.Typer:
         no_args_is_help=True,
         add_completion=False,
         pretty_exceptions_enable=False,
-        context_settings={"help_option_names": ["-h", "--help"]},
+        rich_markup_mode=None,  # plain help: a coloured one costs twice the time until it shows
+        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     )
     app.add_typer(rigs.app, name="rig")
     app.add_typer(plans.app, name="plan")

@@ -28,11 +28,11 @@ def show(*things: RenderableType) -> None:
 def table(*headings: str, title: str | None = None) -> Table:
     """An empty table in the style of all commands; headings and title are plain text."""
     from rich import box
-    from rich.markup import escape
     from rich.table import Table
+    from rich.text import Text
 
-    plain = escape(title) if title is not None else None
-    return Table(*map(escape, headings), title=plain, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    heading = Text(title) if title is not None else None
+    return Table(*headings, title=heading, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
 
 
 def note(text: str) -> None:

@@ -9,7 +9,7 @@ import typer
 
 
 def measure(
-    plan: Annotated[Path, typer.Argument(help="What to measure: a plan.toml.", show_default=False)],
+    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="What to measure: a plan.toml.", show_default=False)],
     rig: Annotated[str, typer.Option(help="A rig's name (gonio rig list), or a rig file.", show_default=False)],
     out: Annotated[Path, typer.Option(help="Folder of the run; made if it is absent.", show_default=False)],
     sample: Annotated[
@@ -56,7 +56,7 @@ def measure(
 
 
 def reduce(
-    run: Annotated[Path, typer.Argument(help="Folder of a run.", show_default=False)],
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.", show_default=False)],
 ) -> None:
     """Reduce the frames of a run to BRDF with uncertainty: RUN/brdf.csv."""
     from gonio import measurement, radiometry

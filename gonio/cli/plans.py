@@ -23,7 +23,7 @@ def _group() -> None:
 
 @app.command()
 def show(
-    plan: Annotated[Path, typer.Argument(help="A plan.toml.", show_default=False)],
+    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="A plan.toml.", show_default=False)],
     rig: Annotated[
         str | None, typer.Option(help="The rig that shall measure it: a name or a rig file.", show_default=False)
     ] = None,

@@ -22,8 +22,6 @@ LITTLE_DEG = 2.0
 @app.command("list")
 def list_rigs() -> None:
     """List the rigs that are installed; a broken one with its error."""
-    from rich.markup import escape
-
     from gonio import plugins
     from gonio.cli import console
     from gonio.errors import GonioError
@@ -35,7 +33,7 @@ def list_rigs() -> None:
             remark = "ready" if shipped else f'needs a rig file with rig = "{name}"'
         except GonioError as error:
             remark = str(error)
-        table.add_row(*map(escape, (name, point.dist.name if point.dist is not None else point.value, remark)))
+        table.add_row(name, point.dist.name if point.dist is not None else point.value, remark)
     console.show(table)
 
 
@@ -56,7 +54,6 @@ def check(
     rig: Annotated[str, typer.Option(help="A rig's name, or a rig file.", show_default=False)],
 ) -> None:
     """Open a rig, move every axis a little, switch the lamp, take a dark and a lit frame; exit 3 if any is bad."""
-    from rich.markup import escape
     from rich.text import Text
 
     from gonio.bench import find_rig
@@ -67,7 +64,7 @@ def check(
     rows = checks(choice)
     table = console.table("check", "found", "verdict", title=choice.description.name)
     for what, found, good in rows:
-        table.add_row(*map(escape, (what, found)), "good" if good else Text("BAD", style="bold red"))
+        table.add_row(what, found, "good" if good else Text("BAD", style="bold red"))
     console.show(table)
     bad = [what for what, _, good in rows if not good]
     if bad:
@@ -86,7 +83,7 @@ def park(
 
     choice = find_rig(rig)
     with choice.plugin.open(choice.description, sample=None, seed=0, confirm=False):
-        pass   # leaving a rig parks it
+        pass  # leaving a rig parks it
     console.note(f"{choice.description.name}: lamp dark, arms parked")
 
 
@@ -99,7 +96,7 @@ def checks(choice: RigChoice) -> list[Row]:
     try:
         with rig:
             rows.append(("devices open, lamp dark", "yes", True))
-            rows.extend(getattr(rig, "diagnose", list)())   # what a rig knows of its own devices, if it tells
+            rows.extend(getattr(rig, "diagnose", list)())  # what a rig knows of its own devices, if it tells
             _check_devices(rig, rows)
         rows.append(("arms parked, lamp dark", "yes", True))
     except DeviceError as error:
