@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +29,8 @@ from gonio.rig import Pose, Target
 from gonio_sim.world import World
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from gonio.models.base import Model
 
 Array = npt.NDArray[np.float64]
@@ -74,10 +77,13 @@ class Renderer:
             "source_solid_angle_sr": float(geometry.solid_angle_of_cone(math.radians(lamp.half_angle_deg))),
             "receiver_solid_angle_sr": float(geometry.solid_angle_of_cone(math.radians(camera.lens_half_angle_deg))),
         }
-        # averaged over the cones, a lobe has no finer detail than they; a spot's mirror direction turns twice with the spot
-        distance = min(world.description.geometry.light_distance_mm, world.description.geometry.camera_distance_mm)
+        distances = world.description.geometry
+        # how fast the chord of `_apart` can change along the plane [1/mm], and how long it is where a spike ends
+        self._turn = 1.0 / distances.light_distance_mm + 1.0 / distances.camera_distance_mm
         cones = math.radians(lamp.half_angle_deg + camera.lens_half_angle_deg)
-        self._finest_mm = 0.5 * cones * distance / DETAIL
+        self._spike_reach = 2.0 * math.sin(0.5 * cones)
+        # averaged over the cones, a lobe has no detail much finer than they are
+        self._finest_mm = cones / self._turn / DETAIL
         self._scenes: dict[tuple[Pose, Band, Target], Floats] = {}
 
     def rate(self, band: Band) -> Floats:
@@ -123,20 +129,27 @@ class Renderer:
 
     def _reference(self, band: Band) -> Callable[[PixelMap, View, Mask, Array], None]:
         """The white reference: its certificate times its true error; a table is read at the centre of the frame."""
-        description, scale = self._world.description, self._world.reference_scale
-        reference, pose = description.reference, self._world.pose
+        reference = self._world.description.reference
+        if reference.table is None:
+            certified = (reference.albedo or 0.0) / math.pi
+        else:
+            from gonio.level import brdf_of_table
+
+            at_centre = directions(self._world.description, self._world.pose)
+            certified = brdf_of_table(self._table, at_centre, band.centre_nm)
 
         def fill(seen: PixelMap, scene: View, inside: Mask, brdf: Array) -> None:
-            if reference.table is not None:
-                from gonio.level import brdf_of_table
-                from gonio.measurement import read
-
-                certified = brdf_of_table(read(reference.table), directions(description, pose), band.centre_nm)
-            else:
-                certified = (reference.albedo or 0.0) / math.pi
-            brdf[inside] = scale * certified
+            brdf[inside] = self._world.reference_scale * certified
 
         return fill
+
+    @cached_property
+    def _table(self) -> pd.DataFrame:
+        """The certificate, where it is a table."""
+        from gonio.measurement import read
+
+        assert self._world.description.reference.table is not None
+        return read(self._world.description.reference.table)
 
     def _sample(self, band: Band) -> Callable[[PixelMap, View, Mask, Array], None]:
         """The sample: its model's lobe on a grid of nodes, and its spike pixel by pixel."""
@@ -164,22 +177,27 @@ class Renderer:
             grid.fill(seen.x_mm, seen.y_mm, inside, brdf)
             if not hasattr(model, "specular_reflectivity"):
                 return
-            mirrored = inside & self._sees_lamp(seen)
-            angles = _angles_at(scene, seen.x_mm[mirrored], seen.y_mm[mirrored])
+            reach = self._spike_reach
+            if _apart(scene, np.zeros(1), np.zeros(1))[0] > reach + radius * self._turn:
+                return  # no spot of the sample shows the lamp's mirror image to the lens
+            rows, cols = np.nonzero(inside)
+            near = _apart(scene, seen.x_mm[rows, cols], seen.y_mm[rows, cols]) <= reach
+            rows, cols = rows[near], cols[near]
+            angles = _angles_at(scene, seen.x_mm[rows, cols], seen.y_mm[rows, cols])
             for wave, share in waves:
                 spike = instrument.apparent_spike(model, *angles, wavelength_nm=wave, spike="exact", **self._cones)
-                brdf[mirrored] += share * spike
+                brdf[rows, cols] += share * spike
 
         return fill
 
-    def _sees_lamp(self, seen: PixelMap) -> Mask:
-        """Pixels whose lens pupil meets the mirror image of the lamp's disc."""
-        description = self._world.description
-        reach = math.radians(description.lamp.half_angle_deg + description.camera.lens_half_angle_deg)
-        # chord between the direction to the camera and the mirrored direction to the source
-        apart = seen.omega_r - seen.omega_i * (-1.0, -1.0, 1.0)
-        out: Mask = np.einsum("...k,...k->...", apart, apart) <= (2.0 * math.sin(reach / 2.0)) ** 2
-        return out
+
+def _apart(scene: View, x: Array, y: Array) -> Array:
+    """Chord between the direction to the camera and the mirrored direction to the source, at spots of the plane."""
+    (sx, sy, sz), (cx, cy, cz) = scene.source_mm, scene.camera_mm
+    to_source = np.sqrt((sx - x) ** 2 + (sy - y) ** 2 + sz**2)
+    to_camera = np.sqrt((cx - x) ** 2 + (cy - y) ** 2 + cz**2)
+    across = ((cx - x) / to_camera + (sx - x) / to_source) ** 2 + ((cy - y) / to_camera + (sy - y) / to_source) ** 2
+    return np.sqrt(across + (cz / to_camera - sz / to_source) ** 2)
 
 
 def _angles_at(scene: View, x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
