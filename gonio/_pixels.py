@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-
 # No term may be moved between operations (reassoc), and NaN must live: it marks pixels that see nothing.
 FAST = {"contract", "arcp", "nsz"}
 
