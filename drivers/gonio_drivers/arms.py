@@ -180,29 +180,33 @@ class ServoArms:
             for joint in self.joints.values():
                 self._prepare(joint)
             self.read()
-        except BaseException:
-            self.stop()
-            self.bus.__exit__(None, None, None)
+        except BaseException as error:
+            self.__exit__(type(error), error, error.__traceback__)
             raise
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        failures: list[DeviceError] = []
         try:
-            if self._servos.on_exit == "torque-off":
-                for joint in self.joints.values():
-                    try:
-                        self._write(joint, "Torque Enable", 0)
-                    except DeviceError as failure:
-                        failures.append(failure)
+            failures = self._release() if self._servos.on_exit == "torque-off" else []
         finally:
             self.bus.__exit__(kind, error, trace)
-        for each in failures:
-            if error is None:
-                raise each
-            log.error("while leaving: %s", each)
+        for failure in failures:
+            if error is None and not self.faulted:
+                raise failure
+            log.error("while leaving: %s", failure)
+
+    def _release(self) -> list[DeviceError]:
+        """Take the torque from every servo that has been prepared; what failed."""
+        failures = []
+        for joint in self.joints.values():
+            if joint.profile:
+                try:
+                    self._write(joint, "Torque Enable", 0)
+                except DeviceError as failure:
+                    failures.append(failure)
+        return failures
 
     # ---- ArmsDevice ----
 
@@ -312,11 +316,11 @@ class ServoArms:
         if here:
             return f"{said}; found there: {_listed(here)}; correct the id, or set it with the Dynamixel Wizard"
         self.bus.__exit__(None, None, None)
-        others = dynamixel.scan(self.bus.port)
+        elsewhere = dynamixel.scan(self.bus.port, without=self.bus.baud)
         self.bus.__enter__()
-        if others:
-            heard = "; ".join(f"at {baud} baud: {_listed(found)}" for baud, found in others.items())
-            return f"{said}, but {heard}; set devices.servos.baud to that speed"
+        if elsewhere is not None:
+            baud, found = elsewhere
+            return f"{said}, but at {baud} baud: {_listed(found)}; set devices.servos.baud to that speed"
         return f"{said}, nor does any servo at another speed; is the servo power on, and the cable in?"
 
     def _prepare(self, joint: Joint) -> None:

@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Self
 
 import serial
 from dynamixel_easy_sdk.control_table import ControlTable
@@ -51,7 +51,7 @@ QUIET_S = 0.060
 """How long the line is left alone after a failure: the SDK gives up after 34 ms, and replies have come 40 ms late."""
 TRIES = 4
 WAIT_S = 0.002
-BAUD_RATES = (57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 9_600)
+BAUD_RATES = (57_600, 1_000_000, 115_200, 2_000_000, 3_000_000, 4_000_000)
 
 ERRORS = {
     1: "failed to carry out the instruction (result fail)",
@@ -161,9 +161,6 @@ class ExclusivePort(PortHandler):  # type: ignore[misc]
         return bytes(self.ser.read(length))
 
 
-Answer = TypeVar("Answer")
-
-
 class Bus:
     """The servos on one port.
 
@@ -206,7 +203,7 @@ class Bus:
             if not self._port.setBaudRate(baud):
                 known = ", ".join(map(str, BAUD_RATES))
                 raise ConfigError(f"{self.key}.baud = {baud}: the SDK has no such line speed; it has {known}")
-        except (serial.SerialException, OSError) as error:
+        except ports.FAILURES as error:
             raise ports.unopened(self.port, error, f"{self.key}.port") from None
 
     # ---- one servo ----
@@ -238,7 +235,7 @@ class Bus:
             try:
                 self._calm(0.0)
                 found, _ = self._packets.broadcastPing(self._port)  # empty, or damaged where replies collided
-            except (serial.SerialException, OSError) as error:
+            except ports.FAILURES as error:
                 raise ports.lost(self.port, error, f"{self.key}.port") from None
             finally:
                 self._port.is_using = False
@@ -250,7 +247,7 @@ class Bus:
         with self._lock:
             try:
                 blocks = self._sync_read(wanted, address, size)
-            except (serial.SerialException, OSError) as error:
+            except ports.FAILURES as error:
                 raise ports.lost(self.port, error, f"{self.key}.port") from None
             finally:
                 self._port.is_using = False
@@ -276,7 +273,7 @@ class Bus:
             try:
                 self._port.is_using = False
                 self._packets.syncWriteTxOnly(self._port, address, size, list(parameters), len(parameters))
-            except (serial.SerialException, OSError) as error:
+            except ports.FAILURES as error:
                 raise ports.lost(self.port, error, f"{self.key}.port") from None
             finally:
                 self._port.is_using = False
@@ -308,7 +305,7 @@ class Bus:
         try:
             self._port.is_using = False
             reply, result, _ = self._packets.txRxPacket(self._port, request)
-        except (serial.SerialException, OSError) as error:
+        except ports.FAILURES as error:
             raise ports.lost(self.port, error, f"{self.key}.port") from None
         finally:
             self._port.is_using = False
@@ -355,7 +352,7 @@ class Bus:
             while self._port.readPort(1024):
                 time.sleep(WAIT_S)
             self._port.clearPort()
-        except (serial.SerialException, OSError) as error:
+        except ports.FAILURES as error:
             raise ports.lost(self.port, error, f"{self.key}.port") from None
 
     def _confirm(self, identity: int) -> None:
@@ -381,12 +378,15 @@ def hardware_error(byte: int) -> str:
     return ", ".join(text for bit, text in HARDWARE_ERRORS.items() if byte & 1 << bit) or f"hardware error {byte:#04x}"
 
 
-def scan(port: str, *, key: str = "devices.servos") -> dict[int, dict[int, Any]]:
-    """Servos by line speed: what answers a broadcast ping at each speed (about a second a speed)."""
-    found: dict[int, dict[int, Any]] = {}
-    for baud in BAUD_RATES[:-1]:
-        with Bus(port, baud, key=key) as bus:
-            servos = bus.discover()
-        if servos:
-            found[baud] = servos
-    return found
+def scan(port: str, *, without: int, key: str = "devices.servos") -> tuple[int, dict[int, tuple[int, int]]] | None:
+    """The first line speed, other than `without`, at which servos answer a broadcast ping, and those servos.
+
+    Takes about a second a speed; factory settings (57600 baud) come first.
+    """
+    for baud in BAUD_RATES:
+        if baud != without:
+            with Bus(port, baud, key=key) as bus:
+                servos = bus.discover()
+            if servos:
+                return baud, servos
+    return None

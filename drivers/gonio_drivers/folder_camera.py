@@ -67,9 +67,9 @@ class FolderCamera:
         if trigger.how == "serial":
             try:
                 self._release = serial.Serial(
-                    trigger.port, int(trigger.baud), timeout=0.5, write_timeout=1.0, exclusive=True
+                    trigger.port, int(trigger.baud), timeout=2.0, write_timeout=1.0, exclusive=True
                 )
-            except (serial.SerialException, OSError) as error:
+            except ports.FAILURES as error:
                 raise ports.unopened(trigger.port, error, "devices.camera.trigger.port") from None
         self._seen = {self._name(path) for path in self._files()}
         return self
@@ -145,7 +145,7 @@ class FolderCamera:
             self._release.reset_input_buffer()
             self._release.write(f"EXPOSE {exposure_s:.9g}\n".encode())
             reply = self._release.readline().decode("ascii", "replace").strip()
-        except (serial.SerialException, OSError) as error:
+        except ports.FAILURES as error:
             raise ports.lost(port, error, "devices.camera.trigger.port") from None
         if reply != "OK":
             self._owed -= 1 if reply else 0

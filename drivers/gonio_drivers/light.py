@@ -145,7 +145,7 @@ class SerialLight:
                 write_timeout=1.0,
                 exclusive=True,
             )
-        except (serial.SerialException, OSError) as error:
+        except ports.FAILURES as error:
             raise ports.unopened(self._light.port, error, "devices.light.port") from None
         try:
             self._wake()
@@ -400,7 +400,7 @@ class SerialLight:
         try:
             self._port.reset_input_buffer()
             self._port.write((command + self._dialect.send_ending).encode())
-        except (serial.SerialException, OSError) as error:
+        except ports.FAILURES as error:
             raise ports.lost(self._light.port, error, "devices.light.port") from None
 
     def _line(self) -> str:
@@ -412,7 +412,7 @@ class SerialLight:
                 text = str(raw, "ascii", "replace").strip()
                 if text or not raw:
                     return text
-        except (serial.SerialException, OSError) as error:
+        except ports.FAILURES as error:
             raise ports.lost(self._light.port, error, "devices.light.port") from None
 
     def _calm(self) -> None:
@@ -421,7 +421,7 @@ class SerialLight:
         if self._port is not None:
             try:
                 self._port.reset_input_buffer()
-            except (serial.SerialException, OSError) as error:
+            except ports.FAILURES as error:
                 raise ports.lost(self._light.port, error, "devices.light.port") from None
 
     def _drain_errors(self) -> None:

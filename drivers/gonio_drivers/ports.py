@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import errno
 import os
+import termios
 from pathlib import Path
 
+import serial
+
 from gonio.errors import DeviceError
+
+FAILURES = (serial.SerialException, OSError, termios.error)
+"""What a serial port raises that does not open, or goes away."""
 
 
 def unopened(port: str, error: Exception, key: str) -> DeviceError:

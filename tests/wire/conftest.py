@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import pytest
 from dynamixel_sdk import PacketHandler, PortHandler
-
 from gonio_sim.wire.bus import ServoBus
 from gonio_sim.wire.faults import Faults
 from gonio_sim.wire.peer import SerialPeer, scaled_clock

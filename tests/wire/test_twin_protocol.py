@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 from pathlib import Path
 
 import pytest
 from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, GroupBulkRead, GroupBulkWrite, GroupSyncRead, GroupSyncWrite
-from hypothesis import given
-from hypothesis import strategies as st
-
 from gonio_sim.wire import motion
 from gonio_sim.wire import protocol2 as p2
+from hypothesis import given
+from hypothesis import strategies as st
 
 ROOT = Path(__file__).resolve().parents[2]
 SHARED = Path(os.environ.get("GONIO_SHARED_DATA", ROOT / ".." / "shared" / "data"))
@@ -69,7 +69,7 @@ def test_a_profile_ends_at_its_goal_and_keeps_its_limits(x: float, v: float, goa
     # 1e-6 counts/s: rounding of the phases' closed forms
     assert max(abs(s[1]) for s in states) <= max(top, abs(v)) + 1e-6
     step = path.end_s / 200
-    for (x0, v0), (x1, v1) in zip(states, states[1:], strict=False):
+    for (x0, v0), (x1, v1) in itertools.pairwise(states):
         assert abs(v1 - v0) <= a * step + 1e-6 * (1 + abs(v0))
         # continuity: no jump beyond what speed and acceleration allow in one step; 1e-6 of rounding at 2000 counts
         assert abs(x1 - x0) <= (max(abs(v0), abs(v1)) + a * step) * step + 1e-6 * (1 + abs(x0))

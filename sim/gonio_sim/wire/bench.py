@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from gonio.description import RigDescription, SampleDescription
 from gonio.errors import ConfigError
+from gonio.frames import encode_dng
 from gonio.rig import Frame, Pose, Target
 from gonio_sim.camera import SimulatedCamera
 from gonio_sim.render import Renderer
@@ -207,6 +208,9 @@ class Bench:
         except OSError as error:
             raise ConfigError(f"{self._folder}: cannot be made: {error.strerror}") from None
         self.world.open = True
+        encode_dng(
+            self._expose(self.world.description.camera.exposure_limits_s[0])
+        )  # loads compiled code: no late frames
         with contextlib.ExitStack() as stack:
             devices: dict[str, Device] = {"servos": self.bus, "lamp": self.lamp, "release": self.camera}
             for name, device in devices.items():

@@ -1,0 +1,286 @@
+"""Cameras: RAW files from a folder with everything that can go wrong, a video camera, an image sequence."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from gonio_drivers import cameras, settings
+from gonio_drivers.uvc import UvcCamera
+from gonio_sim.wire import tether
+from gonio_sim.wire.faults import Faults
+from gonio_sim.wire.peer import SerialPeer
+from gonio_sim.wire.tether import TetheredCamera
+from gonio_sim.wire.uvc import VideoStandIn
+
+from gonio.description import Band, Bands, Camera, RigDescription
+from gonio.errors import ConfigError, DataError, DeviceError
+from gonio.frames import write_dng
+from gonio.rig import Frame
+
+SIZE = (48, 64)
+DESCRIPTION = RigDescription(
+    rig="lab",
+    name="bench",
+    bands=Bands(list=(Band(name="green", centre_nm=550, fwhm_nm=10),)),
+    camera=Camera(width=SIZE[1], height=SIZE[0], pattern="RGGB", exposure_limits_s=(1e-4, 1.0)),
+)
+
+
+@dataclass
+class Tether:
+    """A tethered camera whose frames are numbered by their first pixel."""
+
+    folder: Path
+    port: str
+    faults: Faults
+    exposed: list[float]
+
+    def driver(self, **changes: object) -> cameras.OpenableCamera:
+        table = {
+            "driver": "folder",
+            "folder": str(self.folder),
+            "timeout_s": 1.0,
+            "trigger": {"how": "serial", "port": self.port},
+        }
+        return cameras.build(DESCRIPTION, table | changes)
+
+
+@pytest.fixture
+def tethered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Tether]:
+    monkeypatch.setattr("gonio.frames.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
+    monkeypatch.setattr(tether, "FILE_LATE_S", 1.4)  # later than the driver waits
+    exposed: list[float] = []
+
+    def expose(exposure_s: float) -> Frame:
+        exposed.append(exposure_s)
+        mosaic = np.full(SIZE, 100, np.uint16)
+        mosaic[0, 0] = len(exposed)
+        return Frame(mosaic, exposure_s, 64.0, 4095.0, "RGGB", time_s=float(len(exposed)))
+
+    write_dng(expose(0.01), tmp_path / "warm-up.dng")  # compiled code is loaded once, and not while a driver waits
+    (tmp_path / "warm-up.dng").unlink()
+    exposed.clear()
+    faults = Faults()
+    twin = TetheredCamera(expose, tmp_path, scale=50.0, faults=faults)
+    with SerialPeer(twin) as peer:
+        yield Tether(tmp_path, peer.port, faults, exposed)
+
+
+def number(frame: Frame) -> int:
+    return int(frame.mosaic[0, 0])
+
+
+def test_frames_come_in_order_with_the_exposure_and_levels_of_their_files(tethered: Tether) -> None:
+    with tethered.driver() as camera:
+        for k, exposure_s in enumerate((0.01, 0.5, 1 / 3), 1):
+            frame = camera.capture(exposure_s)
+            assert number(frame) == k
+            # the file holds the exposure as a rational of 32-bit integers
+            assert frame.exposure_s == pytest.approx(exposure_s, rel=1e-9)
+            assert (frame.black_level_dn, frame.white_level_dn, frame.pattern) == (64.0, 4095.0, "RGGB")
+            assert frame.file is not None
+            assert frame.file.exists()
+
+
+def test_used_files_are_deleted_on_leaving_unless_they_are_to_be_kept(tethered: Tether) -> None:
+    with tethered.driver() as camera:
+        camera.capture(0.01)
+    assert list((tethered.folder / "taken").iterdir()) == []
+    with tethered.driver(keep=True) as camera:
+        camera.capture(0.01)
+    assert len(list((tethered.folder / "taken").iterdir())) == 1
+
+
+@pytest.mark.parametrize("fault", ["file-late", "file-truncated", "wrong-exposure", "file-missing"])
+def test_a_bad_file_is_exposed_again(tethered: Tether, fault: str) -> None:
+    with tethered.driver() as camera:
+        first = camera.capture(0.01)
+        tethered.faults.arm(fault)
+        second = camera.capture(0.02)
+        third = camera.capture(0.03)
+    assert number(first) == 1
+    assert number(second) == 3  # the second exposure is the bad one
+    assert number(third) == 4
+    assert [f.exposure_s for f in (first, second, third)] == pytest.approx([0.01, 0.02, 0.03], rel=1e-9)
+    assert tethered.faults.fired == [fault]
+
+
+def test_a_duplicate_is_not_the_next_frame(tethered: Tether) -> None:
+    with tethered.driver() as camera:
+        tethered.faults.arm("file-duplicate")
+        frames = [camera.capture(0.01) for _ in range(3)]
+    assert [number(frame) for frame in frames] == [1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("file-missing", "no new file in"),
+        ("file-truncated", "truncated|damaged"),
+        ("wrong-exposure", r"was exposed 0\.02 s, and 0\.01 s were asked"),
+    ],
+)
+def test_a_fault_that_stays_ends_in_an_error(tethered: Tether, fault: str, message: str) -> None:
+    tethered.faults.arm(fault, times=100)
+    with tethered.driver(timeout_s=0.3) as camera, pytest.raises(DeviceError, match=message):
+        camera.capture(0.01)
+
+
+def test_files_that_are_there_already_are_left_alone(tethered: Tether) -> None:
+    old = tethered.folder / "OLD.DNG"
+    write_dng(Frame(np.full(SIZE, 7, np.uint16), 0.01, 64.0, 4095.0, "RGGB"), old)
+    with tethered.driver() as camera:
+        assert number(camera.capture(0.01)) == 1
+    assert old.exists()
+
+
+def test_a_tethering_program_is_run(tmp_path: Path) -> None:
+    good = tmp_path / "shoot.py"
+    good.write_text(
+        "import sys, numpy as np\nfrom gonio.frames import write_dng\nfrom gonio.rig import Frame\n"
+        f"mosaic = np.full({SIZE}, 9, np.uint16)\n"
+        "write_dng(Frame(mosaic, float(sys.argv[1]), 64.0, 4095.0, 'RGGB'), sys.argv[2] + '/a.dng')\n"
+    )
+    table = {"driver": "folder", "folder": str(tmp_path), "timeout_s": 10.0}
+    command = [sys.executable, str(good), "{exposure_s}", "{folder}"]
+    with cameras.build(DESCRIPTION, table | {"trigger": {"how": "command", "command": command}}) as camera:
+        assert number(camera.capture(0.25)) == 9
+    command = [sys.executable, "-c", "import sys; sys.exit('the camera is asleep')"]
+    asleep = cameras.build(DESCRIPTION, table | {"trigger": {"how": "command", "command": command}})
+    with asleep as camera, pytest.raises(DeviceError, match="ended with 1: the camera is asleep"):
+        camera.capture(0.25)
+    absent = cameras.build(DESCRIPTION, table | {"trigger": {"how": "command", "command": ["no-such-tool"]}})
+    with absent as camera, pytest.raises(ConfigError, match='no program "no-such-tool"'):
+        camera.capture(0.25)
+
+
+def test_settings_are_refused_with_their_key(tethered: Tether, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r'\[devices\.camera\]: unknown key foldr; did you mean "folder"'):
+        tethered.driver(foldr="x")
+    with pytest.raises(ConfigError, match='there is no camera named "foldr"'):
+        cameras.build(DESCRIPTION, {"driver": "foldr"})
+    with pytest.raises(ConfigError, match="the key driver is missing"):
+        cameras.build(DESCRIPTION, {})
+    with pytest.raises(ConfigError, match="there is no such folder"), tethered.driver(folder=str(tmp_path / "no")):
+        pass
+    unplugged = tethered.driver(trigger={"how": "serial", "port": "/dev/no-release"})
+    with pytest.raises(DeviceError, match=r"devices\.camera\.trigger\.port"), unplugged:
+        pass
+
+
+def test_exposures_outside_the_limits(tethered: Tether) -> None:
+    with tethered.driver() as camera, pytest.raises(ConfigError, match=r"exposure of 2 s is outside .* 0\.0001 to 1 s"):
+        camera.capture(2.0)
+
+
+def test_a_frame_of_another_size(tethered: Tether) -> None:
+    bigger = DESCRIPTION.model_copy(update={"camera": DESCRIPTION.camera.model_copy(update={"width": 128})})
+    table = {"folder": str(tethered.folder), "trigger": {"how": "serial", "port": tethered.port}}
+    with (
+        cameras.folder(bigger, table) as camera,
+        pytest.raises(DeviceError, match=r"64 x 48 pixels; the rig file says"),
+    ):
+        camera.capture(0.01)
+
+
+# ---- video ----
+
+
+@pytest.fixture
+def response(tmp_path: Path) -> str:
+    path = tmp_path / "response.csv"
+    levels = np.arange(0, 256, 15)
+    rows = "\n".join(f"{dn},{(dn / 255) ** 2.2:.9f}" for dn in levels)
+    path.write_text("dn,relative_exposure\n" + rows + "\n")
+    return str(path)
+
+
+def video(stand_in: VideoStandIn, response: str | None, **changes: object) -> UvcCamera:
+    table = {"device": "/dev/video0", "response": response} | changes
+    return UvcCamera(DESCRIPTION, settings.UvcCamera.model_validate(table), stand_in)
+
+
+def images(exposure_s: float) -> np.ndarray:
+    return np.full(SIZE, min(255, round(25_500 * exposure_s)), np.uint8)
+
+
+def test_a_video_camera_without_response_refuses() -> None:
+    with pytest.raises(ConfigError, match=r"devices\.camera\.response is missing"):
+        video(VideoStandIn(images), None)
+
+
+def test_a_video_frame_is_fresh_manual_and_linear(response: str) -> None:
+    stand_in = VideoStandIn(images)
+    with video(stand_in, response) as camera:
+        frame = camera.capture(0.006)
+        assert stand_in.opened_with == ("/dev/video0", cv2.CAP_V4L2)
+        assert stand_in.get(cv2.CAP_PROP_AUTO_EXPOSURE) == 1
+        assert stand_in.get(cv2.CAP_PROP_EXPOSURE) == 60
+        assert stand_in.get(cv2.CAP_PROP_CONVERT_RGB) == 0
+    dn = round(25_500 * 0.006)
+    # the calibration is interpolated between points 15 DN apart: second derivative times 15^2 / 8 is 0.32 %
+    assert frame.mosaic[0, 0] == pytest.approx(65_535 * (dn / 255) ** 2.2, rel=4e-3)
+    assert frame.exposure_s == pytest.approx(0.006)
+
+
+@pytest.mark.parametrize(
+    ("stubborn", "what"),
+    [(cv2.CAP_PROP_EXPOSURE, "exposure = 60"), (cv2.CAP_PROP_AUTO_EXPOSURE, "automatic exposure"),
+     (cv2.CAP_PROP_AUTO_WB, "automatic white balance"), (cv2.CAP_PROP_GAIN, "gain")],
+)  # fmt: skip
+def test_settings_that_are_ignored_are_noticed(response: str, stubborn: int, what: str) -> None:
+    def use() -> None:
+        with video(VideoStandIn(images, stubborn=[stubborn]), response, gain=2.0) as camera:
+            camera.capture(0.006)
+
+    with pytest.raises(DeviceError, match=f"does not take {what}"):
+        use()
+
+
+def test_no_video_camera(response: str) -> None:
+    absent = video(VideoStandIn(images, present=False), response)
+    with pytest.raises(DeviceError, match="no video camera opens there"), absent:
+        pass
+
+
+def test_a_bad_response(tmp_path: Path) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text("dn,relative_exposure\n0,0\n10,5\n20,5\n")
+    with pytest.raises(ConfigError, match="must both grow"):
+        video(VideoStandIn(images), str(path))
+    with pytest.raises(ConfigError, match="there is no such file"):
+        video(VideoStandIn(images), str(tmp_path / "none.csv"))
+
+
+# ---- sequence ----
+
+
+def test_a_sequence_keeps_16_bits_and_ends(tmp_path: Path) -> None:
+    for k in range(2):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), np.full(SIZE, 40_000 + k, np.uint16))
+    with cameras.build(DESCRIPTION, {"driver": "sequence", "folder": str(tmp_path)}) as camera:
+        assert [number(camera.capture(0.01)) for _ in range(2)] == [40_000, 40_001]
+        with pytest.raises(DeviceError, match="has ended"):
+            camera.capture(0.01)
+
+
+def test_a_sequence_of_raw_files_insists_on_the_exposure(tmp_path: Path) -> None:
+    write_dng(Frame(np.full(SIZE, 7, np.uint16), 0.02, 64.0, 4095.0, "RGGB"), tmp_path / "a.dng")
+    camera = cameras.build(DESCRIPTION, {"driver": "sequence", "folder": str(tmp_path)})
+    with camera, pytest.raises(DeviceError, match=r"was exposed 0\.02 s, and 0\.01 s were asked"):
+        camera.capture(0.01)
+
+
+def test_a_damaged_or_empty_sequence(tmp_path: Path) -> None:
+    camera = cameras.build(DESCRIPTION, {"driver": "sequence", "folder": str(tmp_path)})
+    with pytest.raises(ConfigError, match="holds no frames"), camera:
+        pass
+    (tmp_path / "a.png").write_bytes(b"no image")
+    with camera, pytest.raises(DataError, match="no image that OpenCV reads"):
+        camera.capture(0.01)

@@ -1,0 +1,211 @@
+"""The lamp driver against a twin in each dialect: exchanges, readback, faults, and darkness whatever happens."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from gonio_drivers import settings
+from gonio_drivers.light import DIALECTS, LampReset, SerialLight, dialect
+from gonio_sim.wire import lamps
+from gonio_sim.wire.faults import Faults
+from gonio_sim.wire.peer import SerialPeer
+
+from gonio.description import Band, Bands, Lamp, RigDescription
+from gonio.errors import ConfigError, DeviceError
+
+BANDS = (Band(name="blue", centre_nm=460, fwhm_nm=20), Band(name="red", centre_nm=630, fwhm_nm=20))
+DESCRIPTION = RigDescription(rig="lab", name="bench", bands=Bands(list=BANDS), lamp=Lamp())
+
+
+@dataclass
+class Plugged:
+    """A lamp at the end of a cable, and everything that was said on the cable."""
+
+    name: str
+    twin: lamps.Lamp
+    port: str
+    heard: list[str]
+
+    def driver(self, **changes: object) -> SerialLight:
+        channels = {} if self.name == "scpi" else {"blue": 1, "red": 2}
+        table = {"port": self.port, "dialect": self.name, "level": 0.8, "settle_s": 0.0, "channels": channels}
+        light = SerialLight(DESCRIPTION, settings.Light.model_validate(table | changes))
+        light._dialect = light._dialect.model_copy(update={"timeout_s": 0.25})
+        return light
+
+
+@pytest.fixture(params=DIALECTS)
+def lamp(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Plugged]:
+    monkeypatch.setattr(lamps, "RESET_S", 0.05)
+    twin = lamps.LAMPS[request.param](BANDS, faults=Faults())
+    heard: list[str] = []
+    real = twin.command
+
+    def command(line: str) -> str | None:
+        heard.append(line)
+        return real(line)
+
+    monkeypatch.setattr(twin, "command", command)
+    with SerialPeer(twin, tells_opening=twin.resets_on_open) as peer:
+        yield Plugged(request.param, twin, peer.port, heard)
+
+
+EXCHANGES = {
+    "scpi": ["OUTP OFF", "SOUR:WAV 630.0", "SOUR:LEV 80.00", "OUTP ON", "OUTP OFF"],
+    "mightex": ["ECHOOFF", "MODE 1 0", "MODE 2 0", "NORMAL 2 1000 800", "MODE 2 1", "MODE 1 0", "MODE 2 0"],
+    "arduino": ["OFF", "SET 2 0.8000", "ON 2", "OFF"],
+}
+
+
+def test_dark_at_construction_lit_when_asked_dark_on_leaving(lamp: Plugged) -> None:
+    lamp.twin.shine.lit = True
+    with lamp.driver() as light:
+        assert not lamp.twin.shine.lit
+        light.select(BANDS[1])
+        assert not lamp.twin.shine.lit
+        light.on()
+        assert (lamp.twin.shine.lit, lamp.twin.shine.level) == (True, 0.8)
+        assert lamp.twin.shine.band == BANDS[1]
+        light.check()
+    assert not lamp.twin.shine.lit
+    orders = [line for line in lamp.heard if "?" not in line and not line.startswith(("GET", "STATE", "ID", "DEVICE"))]
+    assert orders == EXCHANGES[lamp.name]
+
+
+def test_dark_after_an_exception(lamp: Plugged) -> None:
+    def fail(light: SerialLight) -> None:
+        light.select(BANDS[0])
+        light.on()
+        raise RuntimeError
+
+    with pytest.raises(RuntimeError), lamp.driver() as light:
+        fail(light)
+    assert not lamp.twin.shine.lit
+
+
+def test_a_band_changes_while_the_lamp_is_lit(lamp: Plugged) -> None:
+    with lamp.driver() as light:
+        for band in (*BANDS, BANDS[0]):
+            light.select(band)
+            light.on()
+            light.check()
+            assert (lamp.twin.shine.lit, lamp.twin.shine.level, lamp.twin.shine.band) == (True, 0.8, band)
+
+
+@pytest.mark.parametrize("fault", ["lamp-nak", "lamp-silent", "lamp-reset"])
+@pytest.mark.parametrize("when", range(0, 9, 2))
+def test_a_fault_at_any_exchange_is_mended_or_told(lamp: Plugged, fault: str, when: int) -> None:
+    """Whichever exchange it hits: afterwards the lamp shines as asked, or an error says that it does not."""
+    with lamp.driver() as light:
+        lamp.twin.faults = Later(when, fault)
+        light.select(BANDS[1])
+        light.on()
+        try:
+            light.check()
+        except LampReset:
+            light.check()  # it has been lit again
+        if light.lit:
+            assert (lamp.twin.shine.lit, lamp.twin.shine.level) == (True, 0.8)
+            assert lamp.twin.shine.band == BANDS[1]
+    assert not lamp.twin.shine.lit
+
+
+class Later(Faults):
+    """A fault that waits for the n-th exchange."""
+
+    def __init__(self, when: int, fault: str) -> None:
+        super().__init__()
+        self._when, self._fault = when, fault
+
+    def take(self, *names: str, servo: int | None = None) -> str | None:
+        self._when -= 1
+        return self._fault if self._when == -1 else None
+
+
+def test_a_lamp_that_resets_while_it_shines_is_lit_again_and_told(lamp: Plugged) -> None:
+    with lamp.driver() as light:
+        light.select(BANDS[1])
+        light.on()
+        lamp.twin.reset(lambda data: None)
+        with pytest.raises(LampReset):
+            light.check()
+        light.check()
+        assert (lamp.twin.shine.lit, lamp.twin.shine.level, lamp.twin.shine.band) == (True, 0.8, BANDS[1])
+
+
+def test_a_lamp_that_stays_silent(lamp: Plugged) -> None:
+    lamp.twin.faults.arm("lamp-silent", times=10_000)
+    with pytest.raises(DeviceError, match=r"does not answer .*is it on, is devices\.light\.dialect"), lamp.driver():
+        pass
+
+
+def test_a_lamp_that_falls_silent_while_lit_is_an_error_that_says_to_switch_it_off(lamp: Plugged) -> None:
+    light = lamp.driver()
+    light.__enter__()
+    light.select(BANDS[0])
+    light.on()
+    lamp.twin.faults.arm("lamp-silent", times=10_000)
+    with pytest.raises(DeviceError, match="switch it off by hand"):
+        light.__exit__(None, None, None)
+
+
+def test_another_language(lamp: Plugged) -> None:
+    other = "mightex" if lamp.name != "mightex" else "scpi"
+    wrong = lamp.driver(dialect=other, channels={}, baud=lamp.twin.bauds[0])
+    with pytest.raises(DeviceError, match=rf"devices\.light\.dialect|is no {other} controller"), wrong:
+        pass
+
+
+def test_monitor(lamp: Plugged) -> None:
+    with lamp.driver(monitor_tolerance=0.01) as light:
+        light.select(BANDS[0])
+        dark = light.monitor()
+        light.on()
+        lit = light.monitor()
+        light.check()
+        assert (dark is None) == (lamp.name == "mightex")
+        if lit is not None and dark is not None:
+            assert lit > dark == 0
+
+
+def test_settings_are_refused_with_their_key(lamp: Plugged) -> None:
+    with pytest.raises(ConfigError, match=r'devices\.light\.channels\."green"'):
+        lamp.driver(channels={"green": 3})
+    with pytest.raises(ConfigError, match=r'devices\.light\.dialect = "klingon": shipped are'):
+        lamp.driver(dialect="klingon")
+
+
+def test_missing_port() -> None:
+    light = SerialLight(DESCRIPTION, settings.Light(port="/dev/no-lamp-here"))
+    with pytest.raises(DeviceError, match=r'devices\.light\.port = "/dev/no-lamp-here": there is no such port'), light:
+        pass
+
+
+def test_a_dialect_from_a_file(tmp_path: Path) -> None:
+    text = (Path(lamps.__file__).parents[3] / "drivers/gonio_drivers/dialects/arduino.toml").read_text()
+    path = tmp_path / "mine.toml"
+    path.write_text(text.replace('name = "arduino"', 'name = "mine"'))
+    assert dialect(str(path)).name == "mine"
+    path.write_text(text + 'colour = "green"\n')
+    with pytest.raises(ConfigError, match=r"mine\.toml: unknown key colour"):
+        dialect(str(path))
+    path.write_text(text.replace("'OK'", "'(OK'"))
+    with pytest.raises(ConfigError, match=r"mine\.toml: acknowledge = .*regular expression"):
+        dialect(str(path))
+
+
+def test_warm_up_is_waited_for_once(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
+    waits: list[float] = []
+    monkeypatch.setattr("gonio_drivers.light.time.sleep", waits.append)
+    light = SerialLight(
+        DESCRIPTION.model_copy(update={"lamp": Lamp(warm_up_s=900.0)}),
+        settings.Light.model_validate({"port": lamp.port, "dialect": lamp.name, "settle_s": 0.25}),
+    )
+    with light:
+        light.on()
+        light.off()
+        light.on()
+    assert [wait for wait in waits if wait > 0.1] == [900.0, 0.25]
