@@ -81,7 +81,7 @@ def run_demo(out: Path, *, quick: bool) -> Path:
     sample.write_text(SAMPLE, encoding="utf-8")
     plan.write_text(QUICK_PLAN if quick else PLAN, encoding="utf-8")
 
-    command = f"gonio measure {plan} --rig sim --sample {sample} --seed {SEED} --out {run}"
+    command = f"gonio measure {plan} --rig sim --sample {sample} --seed {SEED} --out {run} --yes"
     _say(command)
     with console.progress() as progress:
         made = carry_out(
@@ -90,6 +90,7 @@ def run_demo(out: Path, *, quick: bool) -> Path:
             run,
             sample=load_sample(sample),
             seed=SEED,
+            yes=True,
             command=command,
             progress=progress,
         )
