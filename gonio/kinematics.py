@@ -193,10 +193,10 @@ def _with_azimuth(description: RigDescription, d: Directions) -> list[Pose]:
     poses = []
     for light_side in (0.0, math.pi):
         # the light stands at the azimuth 0 or pi of the lab, and phi_i = that azimuth - spin
-        spin = _half_turns(light_side - d.phi_i) if d.theta_i > IN_PLANE else 0.0
+        spin = _half_turns(light_side - d.phi_i) if d.theta_i > PARALLEL else 0.0
         light = d.theta_i if light_side == 0.0 else -d.theta_i
         for camera_side in (0.0, math.pi):
-            azimuth = _half_turns(d.phi_r + spin - camera_side) if d.theta_r > IN_PLANE else 0.0
+            azimuth = _half_turns(d.phi_r + spin - camera_side) if d.theta_r > PARALLEL else 0.0
             camera = d.theta_r if camera_side == 0.0 else -d.theta_r
             poses.append(Pose(light=light, camera=camera, spin=spin, azimuth=azimuth))
     return poses if "spin" in description.holder.axes else _without_spin(poses, d)
