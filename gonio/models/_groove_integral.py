@@ -20,7 +20,7 @@ import numpy as np
 from gonio.models._compile import device
 from gonio.models._math import exp, log, sincos
 
-_RULES = [np.polynomial.legendre.leggauss(4 * k) for k in range(1, 17)]
+_RULES = [np.polynomial.legendre.leggauss(4 * k) for k in range(1, 21)]
 # Gauss-Legendre nodes and weights of all the rules, one after the other: the rule of 4k nodes begins at 2k(k - 1)
 NODES, WEIGHTS = (np.concatenate(parts) for parts in zip(*_RULES, strict=True))
 STEEPEST = 1e15  # the largest tangent of a direction: at exactly grazing the limit is reached to the last digits
@@ -70,10 +70,12 @@ def twice_over_arc(half, sm, cm, smd, cmd, a, b, ti, tr, sine, c, work):  # type
     # `one`: (u, du) is the tangent of the cut direction about the arc's middle, (1 + p cos - q sin) the uncut facet's cosine
     uc, us = (tr * cmd, tr * smd) if seen_cut else (-ti * cm, -ti * sm)
     pc, ps = (-a * cm, -a * sm) if seen_cut else (b * cmd, b * smd)
-    steep = (b if seen_cut else a) if one else max(a, b)
+    # cut on both sides, J has a ridge along S' = V as narrow as the smaller of 1/B and tan(theta_r)
+    steep = (b if seen_cut else a) if one else max(a, b) + 1.0 / max(ti, tr)
     spread = 1.0 + 4.0 * steep * half
     reach = log(spread)
-    k = min(int(reach * 1.1 + 1.5), 16)
+    ridge = not one and abs(a * cm + b * cmd) < 0.5 * (b * cmd - a * cm)
+    k = min(int(reach * 1.1 + (4.5 if ridge else 1.5)), 20)
     x = NODES[2 * k * (k - 1) : 2 * k * (k + 1)]
     weight = WEIGHTS[2 * k * (k - 1) : 2 * k * (k + 1)]
     stretch = half * (spread + 1.0) / (spread - 1.0)
@@ -192,7 +194,7 @@ def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     """The BRDF for P(theta_a) = c exp(-theta_a^2/(2 sigma^2)); p: rho/pi, rho/pi of the second bounce, 1/(2 sigma^2), c, the largest theta_a."""
     ti, tr, delta, turns = directions(lx, ly, lz, vx, vy, vz)
     edges = np.empty(16)
-    work = np.empty(64)
+    work = np.empty(80)
     knots = np.empty(8)
     knots[0] = 0.0
     count = 1
@@ -217,6 +219,8 @@ def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
                 smooth = steep * tan(low + half) <= 1.0
                 wide = half * sqrt(8.0 * p[2])  # the interval in units of sigma
                 rule = min(int((2.5 if smooth else 3.0) + 0.9 * wide), 16)
+                if high > 1.5 and high * high * p[2] < 7.0:  # S and V grow without bound toward 90 degrees
+                    rule += 8 if smooth else 2 if high * high * p[2] > 2.5 else 4
                 for k in range(2 * rule * (rule - 1), 2 * rule * (rule + 1)):
                     u = NODES[k]
                     weight = half * WEIGHTS[k] * (1.0 if smooth else 1.5 * (1.0 - u * u))
@@ -233,7 +237,7 @@ def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
 def isotropic_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     """The BRDF for grooves of one slope in every direction (eq. 12); p: rho/pi, rho/pi of the second bounce, tan, cos of theta_a."""
     ti, tr, delta, turns = directions(lx, ly, lz, vx, vy, vz)
-    value = p[0] * p[3] * around(ti, tr, delta, turns, p[2], p[3], p[1], np.empty(16), np.empty(64))
+    value = p[0] * p[3] * around(ti, tr, delta, turns, p[2], p[3], p[1], np.empty(16), np.empty(80))
     return value if value < 1e13 else np.inf
 
 

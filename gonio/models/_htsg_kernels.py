@@ -19,37 +19,54 @@ from gonio.models._htsg_expansion import (
     LIMITS_MICRO,
     LIMITS_NANO,
     TERMS,
-    erfcx,
+    exp2_full,
+    exp2_micro,
     full_40_to_120,
     full_120_to_1500,
     full_from_1500,
+    lambert_start,
     micro_18_to_100,
     micro_from_100,
     nano_28_to_150,
     nano_from_150,
+    rough_log1p,
+    scaled_erfcx,
 )
-from gonio.models._math import exp, log, sincos, sincos_polar
+from gonio.models._math import (
+    _LN2_HIGH,
+    _LN2_LOW,
+    _LOG2_E,
+    _MANTISSA,
+    _ONE_BITS,
+    _ROUND,
+    _ROUND_BITS,
+    _SQRT_HALF_BITS,
+    _TWO_52,
+    _TWO_52_BITS,
+    exp,
+    log,
+    sincos,
+    sincos_polar,
+)
 from gonio.models.engine import HALF_PI, NORM_TOLERANCE, PHI_LIMIT
 
-BLOCK = 512  # pairs sorted at a time: their state stays in the cache
+BLOCK = 1024  # pairs sorted at a time: their state stays in the cache
 LANES = 32  # pairs summed at a time: their exponentials stay in the cache
 SUMS = len(TERMS)
 NOTHING = SUMS + 3
 _COUNTS = np.array(TERMS)
 _RECIPROCALS = np.concatenate([[0.0], 1.0 / np.arange(1, max(TERMS) + 1)])
 _SQRT_PI = math.sqrt(math.pi)
-_LOG2_E = 1.4426950408889634
-_ROUND = 6755399441055744.0
-_ROUND_BITS = 4843621399236968448
-_LN2_HIGH = 0.6931471803691238
-_LN2_LOW = 1.9082149292705877e-10
 
 # m0 up to which each class serves: so many terms, then the three (two) expansions of a tolerance.
 _LIMITS = np.array(
     [
-        [min(limit, 40.0) for limit in LIMITS_FULL[:-1]] + [40.0, 120.0, 1500.0],
-        [min(limit, 28.0) for limit in LIMITS_NANO[:-1]] + [28.0, 150.0, np.inf],
-        [min(limit, 18.0) for limit in LIMITS_MICRO[:-1]] + [18.0, 100.0, np.inf],
+        [min(limit, top) for limit in limits[:-1]] + [top, switch, end]
+        for limits, top, switch, end in (
+            (LIMITS_FULL, 40.0, 120.0, 1500.0),
+            (LIMITS_NANO, 28.0, 150.0, np.inf),
+            (LIMITS_MICRO, 18.0, 100.0, np.inf),
+        )
     ]
 )
 TIERS = (1e-12, 1e-9, 1e-6)
@@ -81,31 +98,48 @@ def expm1(x):  # type: ignore[no-untyped-def]
 
 @device
 def lambert_w(x):  # type: ignore[no-untyped-def]
-    """W0(x) for x >= 0: one step of Fritsch, Shafer and Crowley (1973) from a rational start within 1e-4."""
-    x = min(max(x, 1e-300), 1e300)
-    y = log(1.0 + x)
+    """(W0(x), 1/(1 + W0(x))) for x in [0, 1e280]: a rational start, one step of Fritsch, Shafer and Crowley (1973)."""
+    x = max(x, 1e-30)
+    bits = np.float64(1.0 + x).view(np.int64) + (_ONE_BITS - _SQRT_HALF_BITS)
+    exponent = np.int64((bits >> 52) + _TWO_52_BITS).view(np.float64) - (_TWO_52 + 1023.0)
+    y = exponent * _LN2_HIGH + rough_log1p(np.int64((bits & _MANTISSA) + _SQRT_HALF_BITS).view(np.float64) - 1.0)
     y = x if x < 1e-4 else y
-    w = y * (1.0 + y * (1.08250148 + y * (0.23181226 + y * (0.05815897 + y * 0.00200958))))
-    w = w / (1.0 + y * (1.58004159 + y * (0.37723673 + y * (0.06811385 + y * 0.00202011))))
-    z = log(x / w) - w
+    above, below = lambert_start(y)
+    above *= y
+    r = 1.0 / (above * below)
+    w = above * (above * r)
+    z = log(x * below * (below * r)) - w
     q = 2.0 * (1.0 + w) * (1.0 + w + z * (2.0 / 3.0))
-    return w * (1.0 + z * (q - z) / ((1.0 + w) * (q - 2.0 * z)))
+    d = q - 2.0 * z
+    below = (1.0 + w) * d
+    above = w * (below + z * (q - z))
+    r = 1.0 / (below * (below + above))
+    return above * (below + above) * r, below * below * r
 
 
 @device
-def shadowing_over_cos(z, s, a, printed):  # type: ignore[no-untyped-def]
-    """(S_1 / cos theta, K) for cos theta = z, sin theta = s, a = tau / (2 sigma0); regular at grazing and normal.
+def shadowing(z_i, s_i, z_r, s_r, a, printed):  # type: ignore[no-untyped-def]
+    """(lit_i, all_i, lit_r, all_r, K_i + K_r) with S_1/cos(theta) = lit/all.
 
-    S_1 = 1 / (1 + exp(-h^2) / (sqrt(pi) h erfc(-h))), h = a z / s: He1991 eqs. 24 and 25 with the factor exp(-h^2)
-    that the print lacks (`printed` = 1: as the print has it). K is eq. 82.
+    For cosines z, sines s and a = tau/(2 sigma0). S_1 = 1 / (1 + exp(-h^2) / (sqrt(pi) h erfc(-h))), h = a z/s:
+    He1991 eqs. 24 and 25 with the factor exp(-h^2) that the print lacks (`printed` = 1: as the print has it); K is
+    eq. 82. Regular at grazing and at normal incidence. One division serves both directions.
     """
-    h = a * z / max(s, 1e-300)
-    near = min(h, 6.5)  # beyond it erfc(h) and exp(-h^2) are below 4e-20
-    e = exp(-near * near)
-    e = e if h <= 6.5 else 0.0
-    erfc = e * erfcx(near)
-    lit = _SQRT_PI * a * (2.0 - erfc)
-    return lit / (z * lit + s * (printed + (1.0 - printed) * e)), min(s * erfc / max(z, 1e-300), 1e140)
+    below_i, below_r = max(s_i, 1e-140), max(s_r, 1e-140)
+    r = 1.0 / (below_i * below_r)
+    h_i, h_r = a * z_i * (below_r * r), a * z_r * (below_i * r)
+    n_i, n_r = min(h_i, 6.5), min(h_r, 6.5)  # beyond, erfc(h) and exp(-h^2) are below 4e-20
+    e_i, e_r = exp(-n_i * n_i), exp(-n_r * n_r)
+    e_i, e_r = e_i if h_i <= 6.5 else 0.0, e_r if h_r <= 6.5 else 0.0
+    ti, tr, ui, ur = n_i + 3.0, n_r + 3.0, 1.0 + 2.0 * n_i, 1.0 + 2.0 * n_r
+    r = 1.0 / (ti * ui * (tr * ur))
+    erfc_i = e_i * scaled_erfcx((n_i - 3.0) * (ui * r * (tr * ur))) * (ti * r * (tr * ur))
+    erfc_r = e_r * scaled_erfcx((n_r - 3.0) * (ur * r * (ti * ui))) * (tr * r * (ti * ui))
+    lit_i, lit_r = _SQRT_PI * a * (2.0 - erfc_i), _SQRT_PI * a * (2.0 - erfc_r)
+    dark_i, dark_r = s_i * (printed + (1.0 - printed) * e_i), s_r * (printed + (1.0 - printed) * e_r)
+    y_i, y_r = max(z_i, 1e-140), max(z_r, 1e-140)
+    k = (s_i * erfc_i * y_r + s_r * erfc_r * y_i) / (y_i * y_r)
+    return lit_i, z_i * lit_i + dark_i, lit_r, z_r * lit_r + dark_r, min(k, 1e139)
 
 
 @device
@@ -118,49 +152,68 @@ def lobe_state(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     hx, hy, hz = lx + vx, ly + vy, lz + vz
     h2 = hx * hx + hy * hy
     hh = h2 + hz * hz
-    s_i, k_i = shadowing_over_cos(lz, math.sqrt(lx * lx + ly * ly), p[4], p[5])
-    s_r, k_r = shadowing_over_cos(vz, math.sqrt(vx * vx + vy * vy), p[4], p[5])
-    k = k_i + k_r
-    narrowing = 1.0 / (1.0 + lambert_w(k * k * (0.125 / math.pi)))  # (sigma/sigma0)^2, He1991 eqs. 80-83 solved
+    s_i, s_r = math.sqrt(lx * lx + ly * ly), math.sqrt(vx * vx + vy * vy)
+    lit_i, all_i, lit_r, all_r, k = shadowing(lz, s_i, vz, s_r, p[4], p[5])
+    _, narrowing = lambert_w(k * k * (0.125 / math.pi))  # (sigma/sigma0)^2, He1991 eqs. 80-83 solved
     up, down = fresnel(min(0.25 * hh, 1.0), p[6], p[7], p[8]) if p[6] >= 0.0 else (1.0, 1.0)
-    factor = p[1] * narrowing * (up / down) * (hh * hh) * s_i * s_r
-    g = max(p[2] * narrowing * hz * hz, 1e-290)
+    factor = p[1] * narrowing * (hh * hh) * (up * lit_i * lit_r) / (down * all_i * all_r)
+    g = max(p[2] * narrowing * hz * hz, 1e-135)
     c = p[3] * h2
-    u = 0.5 * lambert_w(min(2.0 * (c / g), 1e300) / g)
+    twice, spread = lambert_w(min(2.0 * c / (g * g), 1e280))
+    u = 0.5 * twice
     rise = expm1(u)
     m0 = g + g * rise
-    phi = g * (rise * (1.0 - u) - u) - c / m0
-    return (factor if lz > 0.0 and vz > 0.0 else 0.0), g, c, 1.0 / (1.0 + 2.0 * u), m0, phi
+    return (factor if lz > 0.0 and vz > 0.0 else 0.0), g, c, spread, m0, saddle_exponent(g, c, u, rise, m0)
 
 
 @device
-def sum_terms(terms, n, g, c, total, powers):  # type: ignore[no-untyped-def]
-    """T(g, c) = sum over m = 1..terms of exp(-g) g^(m-1)/(m! m) exp(-c/m), for n <= LANES pairs.
+def saddle_exponent(g, c, u, rise, m0):  # type: ignore[no-untyped-def]
+    """phi = m0 (1 - u) - g - c/m0 with m0 = g + g rise: stationary in u, and without cancellation for small u."""
+    return g * (rise * (1.0 - u) - u) - c / m0
 
-    Only the upper half of the exponentials is computed: exp(-c/m) = exp(-c/2m)^2.
+
+@device
+def sum_terms(terms, n, quick, g, c, total, powers):  # type: ignore[no-untyped-def]
+    """T(g, c) = sum over m = 1..terms of exp(-g) g^(m-1)/(m! m) exp(-c/m), for n <= LANES pairs; c in units of ln 2.
+
+    Only the upper half of the exponentials is computed: exp(-c/m) = exp(-c/2m)^2. `quick`: to 1e-7.
     """
     for m in range(terms // 2 + 1, terms + 1):
-        r = _RECIPROCALS[m]
-        for i in range(n):
-            powers[m, i] = exp(-c[i] * r)
+        r = -_RECIPROCALS[m]
+        row = powers[m]
+        if quick:
+            for i in range(n):
+                t = max(c[i] * r, -1021.0)
+                shifted = t + _ROUND
+                scale = np.int64((np.float64(shifted).view(np.int64) - _ROUND_BITS + 1023) << 52).view(np.float64)
+                row[i] = scale * exp2_micro(t - (shifted - _ROUND))
+        else:
+            for i in range(n):
+                t = max(c[i] * r, -1021.0)
+                shifted = t + _ROUND
+                scale = np.int64((np.float64(shifted).view(np.int64) - _ROUND_BITS + 1023) << 52).view(np.float64)
+                row[i] = scale * exp2_full(t - (shifted - _ROUND))
     for m in range(terms // 2, 0, -1):
+        row, twice = powers[m], powers[2 * m]
         for i in range(n):
-            powers[m, i] = powers[2 * m, i] * powers[2 * m, i]
+            row[i] = twice[i] * twice[i]
+    weight, row = powers[0], powers[1]
     for i in range(n):
-        powers[0, i] = exp(-g[i])
-        total[i] = powers[0, i] * powers[1, i]
+        weight[i] = exp(-g[i])
+        total[i] = weight[i] * row[i]
     for m in range(2, terms + 1):
         r = _RECIPROCALS[m]
+        row = powers[m]
         for i in range(n):
-            weight = powers[0, i] * (g[i] * r)
-            powers[0, i] = weight
-            total[i] += weight * r * powers[m, i]
+            w = weight[i] * (g[i] * r)
+            weight[i] = w
+            total[i] += w * r * row[i]
 
 
 @device
 def finish(n, tier, state, out, order, key, work, powers):  # type: ignore[no-untyped-def]
     """out = factor * T(g, c) for a block of n states, class by class."""
-    factor, g, c, p, m0, phi = state[0], state[1], state[2], state[3], state[4], state[5]
+    factor, g, c, spread, m0, phi = state[0], state[1], state[2], state[3], state[4], state[5]
     limits = _LIMITS[tier]
     for i in range(n):
         kind = np.int64(0)
@@ -183,20 +236,24 @@ def finish(n, tier, state, out, order, key, work, powers):  # type: ignore[no-un
     for kind in range(SUMS):
         for first in range(starts[kind], starts[kind + 1], LANES):
             count = min(LANES, starts[kind + 1] - first)
+            whole = (count + 7) // 8 * 8  # whole vectors: the last pair is repeated
+            for j in range(whole):
+                i = order[first + min(j, count - 1)]
+                a[j], b[j] = g[i], c[i] * _LOG2_E
+            sum_terms(_COUNTS[kind], whole, tier == 2, a, b, total, powers)
             for j in range(count):
-                a[j], b[j] = g[order[first + j]], c[order[first + j]]
-            sum_terms(_COUNTS[kind], count, a, b, total, powers)
-            for j in range(count):
-                out[order[first + j]] = factor[order[first + j]] * total[j]
+                i = order[first + j]
+                out[i] = factor[i] * total[j]
     for kind in range(SUMS, NOTHING):
         first, count = starts[kind], starts[kind + 1] - starts[kind]
         if count == 0:
             continue
         for j in range(count):
             i = order[first + j]
-            a[j], b[j], q[j], total[j] = 1.0 / m0[i], phi[i], p[i], factor[i] / g[i]
+            r = 1.0 / (m0[i] * g[i])
+            a[j], b[j], q[j], total[j] = g[i] * r, phi[i], spread[i], factor[i] * r
         for j in range(count):
-            total[j] *= exp(b[j]) * math.sqrt(q[j]) * a[j]
+            total[j] *= exp(b[j]) * math.sqrt(q[j])
         if tier == 0 and kind == SUMS:
             for j in range(count):
                 total[j] *= full_40_to_120(a[j], q[j])
@@ -297,10 +354,10 @@ lobe_state.__dict__.update(_over_vectors=_over_vectors, _over_angles=_over_angle
 def spike_reflectivity(theta, p):  # type: ignore[no-untyped-def]
     """rho_s = |F|^2 exp(-g) S at the mirror direction (He1991 eq. 73)."""
     s, z = sincos_polar(theta)
-    shadow, k = shadowing_over_cos(z, s, p[4], p[5])
-    narrowing = 1.0 / (1.0 + lambert_w(k * k * (0.5 / math.pi)))
+    lit, whole, _, _, k = shadowing(z, s, z, s, p[4], p[5])
+    _, narrowing = lambert_w(k * k * (0.125 / math.pi))
     up, down = fresnel(z * z, p[6], p[7], p[8])
-    return (up / down) * exp(-4.0 * p[2] * narrowing * z * z) * (z * shadow) ** 2
+    return (up / down) * exp(-4.0 * p[2] * narrowing * z * z) * (z * lit / whole) ** 2
 
 
 @template("r1 p w1 i i")

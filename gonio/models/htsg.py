@@ -14,7 +14,8 @@ from gonio.errors import ArgumentError
 from gonio.models import engine
 from gonio.models._compile import device, loop, template
 from gonio.models._htsg_expansion import full_40_to_120, full_120_to_1500, full_from_1500
-from gonio.models._htsg_kernels import expm1, lambert_w, shadowing_over_cos
+from gonio.models._htsg_kernels import expm1, lambert_w, saddle_exponent
+from gonio.models._htsg_kernels import shadowing as pair_shadowing
 from gonio.models._math import exp, log, sincos_polar
 from gonio.models.base import choice
 
@@ -139,14 +140,14 @@ def over_pairs(first, second, constants, out, start, stop):  # type: ignore[no-u
 @device
 def _shadowing(theta, slope, p):  # type: ignore[no-untyped-def]
     s, z = sincos_polar(theta)
-    over_cos, _ = shadowing_over_cos(z, s, slope, p[0])
-    return min(z * over_cos, 1.0)
+    lit, whole, _, _, _ = pair_shadowing(z, s, z, s, slope, p[0])
+    return min(z * lit / whole, 1.0)
 
 
 @device
 def _effective_roughness(k, zero, p):  # type: ignore[no-untyped-def]
-    if k < 1e140:
-        return 1.0 / math.sqrt(1.0 + lambert_w(k * k * (0.125 / math.pi)))
+    if k < 1e139:
+        return math.sqrt(lambert_w(k * k * (0.125 / math.pi))[1])
     # W0 of a number y by its logarithm: w + ln w = ln y, Newton in w from ln y - ln ln y
     y = 2.0 * math.log(k) + math.log(0.125 / math.pi)
     w = y - math.log(y)
@@ -161,7 +162,7 @@ def _log_series(g, c, p):  # type: ignore[no-untyped-def]
         return -math.inf
     # 2u = W0(2c/g^2), by logarithms where g^2 would underflow
     if g > 1e-100:
-        u = 0.5 * lambert_w(2.0 * (c / g) / g)
+        u = 0.5 * lambert_w(2.0 * c / (g * g))[0]
     else:
         y = math.log(2.0 * max(c, 1e-300)) - 2.0 * math.log(g)
         w = y - math.log(max(y, 1.5)) if y > 1.0 else 0.5 * exp(y)
@@ -178,7 +179,7 @@ def _log_series(g, c, p):  # type: ignore[no-untyped-def]
             bracket = full_40_to_120(x, spread)
         elif m0 < 1500.0:
             bracket = full_120_to_1500(x, spread)
-        return g * (rise * (1.0 - u) - u) - c / m0 + math.log(math.sqrt(spread) * x * bracket)
+        return saddle_exponent(g, c, u, rise, m0) + math.log(math.sqrt(spread) * x * bracket)
     # terms on both sides of the largest, from their ratios
     top = max(1.0, math.floor(m0 + 0.5))
     log_top = top * math.log(g) - g - math.lgamma(top + 1.0) - math.log(top) - c / top
