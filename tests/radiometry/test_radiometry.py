@@ -78,7 +78,7 @@ def test_whole_numbers_of_a_raw_file_cost_what_the_budget_says(tmp_path: Path) -
     error = table["brdf"].to_numpy() - truth(table, glossy)
     # half a DN is 1.73 standard deviations of a rounding error; point and reference together at most 1.73 sqrt(2)
     assert np.all(abs(error) < 2.5 * table["u_brdf"])
-    assert np.all(table["u_brdf"] < 1e-4 * table["brdf"])
+    assert np.all(table["u_brdf"] < 4e-4 * table["brdf"])  # 0.29 DN of 1000
 
 
 def test_the_table_is_a_valid_measurement_table_in_the_plan_s_order(tmp_path: Path) -> None:
