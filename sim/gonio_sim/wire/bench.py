@@ -243,8 +243,10 @@ class Bench:
         lamp = original.lamp.model_copy(update={"warm_up_s": original.lamp.warm_up_s / self.scale})
         return original.model_copy(update={"devices": devices, "lamp": lamp})
 
-    def inject(self, fault: str, *, axis: str | None = None, times: int = 1) -> None:
-        """Let a fault happen at its next occasion; of one axis, where `axis` names it (see `faults.NAMES`).
+    def inject(self, fault: str, *, axis: str | None = None, times: int = 1, skip: int = 0) -> None:
+        """Let a fault happen at its next `times` occasions, after `skip` others; of one axis, where `axis` names it.
+
+        `faults.NAMES` has the names.
 
         Raises
         ------
@@ -254,7 +256,7 @@ class Bench:
         if axis is not None and axis not in self.servos:
             raise ConfigError(f'the bench has no axis "{axis}"; it has {", ".join(self.servos)}')
         servo = None if axis is None or fault in fault_names.LAMP + fault_names.CAMERA else self.servos[axis].id
-        self.faults.arm(fault, servo=servo, times=times)
+        self.faults.arm(fault, servo=servo, times=times, skip=skip)
 
     @property
     def quiet(self) -> bool:

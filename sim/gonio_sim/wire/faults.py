@@ -33,6 +33,7 @@ class Armed:
     name: str
     servo: int | None
     times: int
+    skip: int
 
 
 class Faults:
@@ -43,8 +44,8 @@ class Faults:
         self._lock = threading.Lock()
         self.fired: list[str] = []
 
-    def arm(self, name: str, *, servo: int | None = None, times: int = 1) -> None:
-        """Let a fault happen at its next `times` events (of one servo, where `servo` gives its id).
+    def arm(self, name: str, *, servo: int | None = None, times: int = 1, skip: int = 0) -> None:
+        """Let a fault happen at its next `times` events, after `skip` others; of one servo, where `servo` gives its id.
 
         Raises
         ------
@@ -54,13 +55,16 @@ class Faults:
         if name not in NAMES:
             raise ConfigError(f'there is no fault "{name}"; known: {", ".join(NAMES)}')
         with self._lock:
-            self._armed.append(Armed(name, servo, times))
+            self._armed.append(Armed(name, servo, times, skip))
 
     def take(self, *names: str, servo: int | None = None) -> str | None:
         """The first armed fault among `names` that concerns this event; it is spent."""
         with self._lock:
             for armed in self._armed:
                 if armed.name in names and (armed.servo is None or servo is None or armed.servo == servo):
+                    if armed.skip > 0:
+                        armed.skip -= 1
+                        continue
                     armed.times -= 1
                     if armed.times <= 0:
                         self._armed.remove(armed)
