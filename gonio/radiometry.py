@@ -81,81 +81,87 @@ class _BandResult:
 
 
 def _reduce_band(bench: Bench, band: Band) -> _BandResult:
-    run, description = bench.run, bench.description
     merged = list(in_threads(lambda step: bench.merge(step, band), bench.steps))
     points = [m for m in merged if isinstance(m, Merged) and m.point is not None]
     visits = [m for m in merged if isinstance(m, Merged) and m.point is None]
-    kept = [(s, m) for s, m in zip(bench.steps, merged, strict=True) if isinstance(m, str) and s["kind"] == "point"]
-    flags = bench.flags | {int(step["point"]): flag for step, flag in kept}
+    without = [(s, m) for s, m in zip(bench.steps, merged, strict=True) if isinstance(m, str) and s["kind"] == "point"]
+    fitted, reference_brdf = _level(bench, visits, band)
+    columns = _columns(bench, points, visits[0], fitted, bench.reference[band.channel].count)
+    rows = {
+        int(point.point): _angle_columns(point.directions) | {name: float(c[k]) for name, c in columns.items()}
+        for k, point in enumerate(points)
+        if point.point is not None
+    }
+    freedom = sum(step.frames - 1 for step in (*points, *visits))
+    return _BandResult(
+        band=band,
+        rows=rows,
+        flags=bench.flags | {int(step["point"]): flag for step, flag in without},
+        level=fitted,
+        reference_brdf=reference_brdf,
+        visits=len(visits),
+        scatter=sum(step.chi_square for step in (*points, *visits)) / max(freedom, 1),
+        freedom=freedom,
+    )
+
+
+def _level(bench: Bench, visits: list[Merged], band: Band) -> tuple[level.Level, float]:
+    """The signal per unit BRDF over time, and the reference's BRDF [1/sr], mean over the visits."""
+    run, description, reference = bench.run, bench.description, bench.description.reference
     if not visits:
         raise DataError(f"{run.path}: no usable visit to the white reference in band {band.name}; see its frames")
-    known = np.array([_reference_brdf(bench, visit.directions, band) for visit in visits])
-    at_reference = visits[0]
-    encoder, zeros = _encoder_steps(description), _zeros(description)
-    landing = sum(_change_of_cosine(description, at_reference, axis, u)[0] ** 2 for axis, u in encoder.items())
     rates = np.array([visit.rate for visit in visits])
     if rates.min() <= 0:
         raise DataError(f"{run.path}: a visit to the white reference in band {band.name} saw no light; see its frames")
-    variances = np.array([visit.variance for visit in visits]) + landing * rates**2
-    fitted = level.fit(np.array([visit.time_s for visit in visits]), rates / known, variances / known**2)
+    if reference.table is not None:
+        from gonio import measurement
 
+        table = measurement.read(reference.table)
+        known = np.array([level.brdf_of_table(table, visit.directions, band.centre_nm) for visit in visits])
+    elif reference.albedo:
+        known = np.full(len(visits), reference.albedo / math.pi)
+    else:
+        raise ConfigError(
+            f"{run.path / 'run.toml'}: the rig has neither reference.albedo (above 0) nor reference.table: "
+            "nothing says how bright the white reference is"
+        )
+    encoder = _encoder_steps(description)
+    landing = sum(_change_of_cosine(description, visits[0], axis, u) ** 2 for axis, u in encoder.items())
+    variances = np.array([visit.variance for visit in visits]) + landing * rates**2
+    times = np.array([visit.time_s for visit in visits])
+    return level.fit(times, rates / known, variances / known**2), float(known.mean())
+
+
+def _columns(
+    bench: Bench, points: list[Merged], visit: Merged, fitted: level.Level, reference_pixels: int
+) -> dict[str, Array]:
+    """BRDF and its uncertainties for the measured points of a band (docs/radiometry.md, "The budget")."""
+    description = bench.description
+    encoder, zeros = _encoder_steps(description), _zeros(description)
     times = np.array([point.time_s for point in points])
     k = fitted.at(times)
     brdf = np.array([point.rate for point in points]) / k
-    random = np.sqrt(np.array([point.variance for point in points])) / k
-    reference_pixels = bench.reference[band.channel].count
+    noise = np.array([point.variance for point in points]) / k**2
     prnu = np.array([_prnu(description, point, reference_pixels) for point in points])
-    random = np.sqrt(random**2 + (brdf * prnu) ** 2 + (brdf * fitted.extra(times) / k) ** 2)
+    independent = noise + (brdf * prnu) ** 2 + (brdf * fitted.extra(times) / k) ** 2
     common = {
         "s_reference": brdf * description.reference.u_rel,
         "s_reference_noise": -brdf * fitted.noise(times) / k,
         "s_lamp_drift": -brdf * fitted.drift(times) / k,
-    } | {name: np.zeros(len(points)) for name in (CAUSES[axis] for axis in zeros)}
-    nominal = np.radians(run.plan[list(ANGLES)].to_numpy(dtype=float))
+    }
+    nominal = np.radians(bench.run.plan[list(ANGLES)].to_numpy(dtype=float))
     goals = [Directions(*nominal[point.point].tolist()) for point in points if point.point is not None]
     cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
-    curves = sensitivity.Curves(goals, [point.directions for point in points], brdf, random, cones)
-    for index, point in enumerate(points):
-        variance = 0.0
-        for axis, u in encoder.items():
-            odd, even = _effects(description, curves, index, point, axis, u)
-            variance += odd**2 + even**2
-        for axis, u in zeros.items():
-            odd, even = _effects(description, curves, index, point, axis, u)
-            variance += even**2
-            same = _change_of_cosine(description, at_reference, axis, u)[0]
-            common[CAUSES[axis]][index] = odd - brdf[index] * same
-        random[index] = math.sqrt(random[index] ** 2 + variance)
-    freedom = sum(step.frames - 1 for step in (*points, *visits))
-    scatter = sum(step.chi_square for step in (*points, *visits)) / max(freedom, 1)
-    combined = np.sqrt(random**2 + sum(column**2 for column in common.values()))
-    rows = {
-        int(point.point): {
-            **_angle_columns(point.directions),
-            "brdf": brdf[index],
-            "u_brdf": combined[index],
-            "u_random": random[index],
-            **{name: column[index] for name, column in common.items()},
-        }
-        for index, point in enumerate(points)
-        if point.point is not None
-    }
-    return _BandResult(band, rows, flags, fitted, float(known.mean()), len(visits), scatter, freedom)
-
-
-def _reference_brdf(bench: Bench, directions: Directions, band: Band) -> float:
-    """What the certificate says [1/sr]."""
-    reference = bench.description.reference
-    if reference.table is not None:
-        from gonio import measurement
-
-        return level.brdf_of_table(measurement.read(reference.table), directions, band.centre_nm)
-    if not reference.albedo:
-        raise ConfigError(
-            f"{bench.run.path / 'run.toml'}: the rig has neither reference.albedo (above 0) nor reference.table: "
-            "nothing says how bright the white reference is"
-        )
-    return reference.albedo / math.pi
+    curves = sensitivity.Curves(goals, [point.directions for point in points], brdf, np.sqrt(independent), cones)
+    for axis, u in encoder.items():
+        odd, even = _effects(description, curves, points, axis, u)
+        independent = independent + odd**2 + even**2
+    for axis, u in zeros.items():
+        odd, even = _effects(description, curves, points, axis, u)
+        independent = independent + even**2
+        common[CAUSES[axis]] = odd - brdf * _change_of_cosine(description, visit, axis, u)
+    combined = np.sqrt(independent + sum(column**2 for column in common.values()))
+    return {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent)} | common
 
 
 def _axes(description: RigDescription) -> dict[str, Axis]:
@@ -186,20 +192,21 @@ def _moved(description: RigDescription, pose: Pose, axis: str, by: float) -> Dir
 
 
 def _effects(
-    description: RigDescription, curves: sensitivity.Curves, index: int, point: Merged, axis: str, u: float
-) -> tuple[float, float]:
-    """Odd and even change [1/sr] of a value when an axis truly stands +-u [rad] from where it is read."""
-    if u == 0:
-        return 0.0, 0.0
-    plus, minus = (_moved(description, point.pose, axis, by) for by in (u, -u))
-    return curves.effects(index, point.directions, plus, minus)
+    description: RigDescription, curves: sensitivity.Curves, points: list[Merged], axis: str, u: float
+) -> tuple[Array, Array]:
+    """Odd and even change [1/sr] of every value when an axis truly stands +-u [rad] from where it is read."""
+    out = np.zeros((2, len(points)))
+    if u > 0:
+        for k, point in enumerate(points):
+            plus, minus = (_moved(description, point.pose, axis, by) for by in (u, -u))
+            out[:, k] = curves.effects(k, point.directions, plus, minus)
+    return out[0], out[1]
 
 
-def _change_of_cosine(description: RigDescription, visit: Merged, axis: str, u: float) -> tuple[float, float]:
-    """Relative odd and even change of the light on the reference when an axis truly stands +-u [rad] off."""
-    here = math.cos(visit.directions.theta_i)
-    up, down = (math.cos(_moved(description, visit.pose, axis, by).theta_i) / here - 1.0 for by in (u, -u))
-    return 0.5 * (up - down), 0.5 * (up + down)
+def _change_of_cosine(description: RigDescription, visit: Merged, axis: str, u: float) -> float:
+    """Relative change (odd part) of the light on the reference when an axis truly stands u [rad] off."""
+    up, down = (math.cos(_moved(description, visit.pose, axis, by).theta_i) for by in (u, -u))
+    return 0.5 * (up - down) / math.cos(visit.directions.theta_i)
 
 
 def _prnu(description: RigDescription, point: Merged, reference_pixels: int) -> float:
@@ -252,7 +259,7 @@ def _assemble(run: Run, results: list[_BandResult]) -> pd.DataFrame:
             "seed": run.seed,
             "reference": [_account(result) for result in results],
         },
-        notes=[note for result in results for note in _notes(result)],
+        notes=_notes_on_zeros(description) + [note for result in results for note in _notes(result)],
     )
     return frame
 
@@ -272,6 +279,14 @@ def _account(result: _BandResult) -> dict[str, Any]:
         "straight": fitted.straight,
         "frame_scatter": result.scatter,
     }
+
+
+def _notes_on_zeros(description: RigDescription) -> list[str]:
+    return [
+        f"the zero of the {kinematics.NAMES[name]} is not known (zero_offset_known = false): its error is not in u_brdf"
+        for name, axis in _axes(description).items()
+        if not axis.zero_offset_known
+    ]
 
 
 def _notes(result: _BandResult) -> list[str]:

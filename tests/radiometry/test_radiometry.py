@@ -359,3 +359,16 @@ def test_dark_frames_of_one_exposure_take_the_data_sheet_s_dark_current(tmp_path
     description = describe(camera={"dark_current_e_per_s": 300.0})
     table = radiometry.reduce(OneExposure(tmp_path, description, glossy).make(POINTS, (0.25, 0.0625)))
     np.testing.assert_allclose(table["brdf"], truth(table, glossy), rtol=3e-4)  # whole DN, three roundings
+
+
+def test_a_run_without_a_single_usable_point_is_all_flags(tmp_path: Path) -> None:
+    maker = Maker(tmp_path, describe(camera={"full_well_e": 60_000.0}), lambda d: 100.0)
+    table = radiometry.reduce(maker.make(POINTS[:3], (0.5,)))
+    assert list(table["flag"]) == ["saturated"] * 3
+    assert table["brdf"].isna().all()
+
+
+def test_a_zero_that_nobody_knows_is_said(tmp_path: Path) -> None:
+    arms = Arms(light=ArmAxis(zero_offset_known=False), camera=ArmAxis())
+    table = radiometry.reduce(Maker(tmp_path, describe(arms=arms), glossy).make(POINTS[:2], (0.25,)))
+    assert table.attrs["notes"][0].startswith("the zero of the light arm is not known")
