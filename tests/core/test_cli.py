@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from gonio import plugins
+
 from .bench import PLAN
 
 
@@ -82,7 +84,7 @@ def test_rig_check_of_the_simulated_rig_is_good(tmp_path: Path) -> None:
 
 
 def test_a_dark_lamp_fails_the_check(tmp_path: Path) -> None:
-    shown = gonio(tmp_path, "rig", "show", "sim").stdout
+    shown = plugins.load("gonio.rigs", "sim").toml
     (tmp_path / "dark.toml").write_text(
         shown.replace("exposure_limits_s = [1e-5, 60.0]", "exposure_limits_s = [1e-5, 1e-4]")
     )
@@ -117,7 +119,7 @@ def test_usage_and_configuration_end_with_2(tmp_path: Path, arguments: tuple[str
     (tmp_path / "plan.toml").write_text(PLAN)
     (tmp_path / "sample.toml").write_text('name = "s"\nmodel = "lambert"\n[parameters]\nalbdo = 1\n')
     (tmp_path / "good.toml").write_text('name = "s"\nmodel = "lambert"\n[parameters]\nalbedo = 1\n')
-    (tmp_path / "other.toml").write_text(gonio(tmp_path, "rig", "show", "sim").stdout.replace('"sim"', '"nobody"'))
+    (tmp_path / "other.toml").write_text(plugins.load("gonio.rigs", "sim").toml.replace('"sim"', '"nobody"'))
     before = sorted(path.name for path in tmp_path.iterdir())
     done = gonio(tmp_path, *arguments)
     assert done.returncode == 2, done.stdout + done.stderr
