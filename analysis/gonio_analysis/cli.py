@@ -188,7 +188,7 @@ def _print(result: FitResult, sample: str) -> None:
     rows = console.table("parameter", "value", "", title=f"{result.name} on {sample}: {len(result.data)} values{at}")
     for name, e in [*result.parameters.items(), *result.derived.items()]:
         kind = "derived" if name in result.derived else "fixed" if e.fixed else "fitted"
-        value = e.material if e.material is not None else with_u(e.value, 0.0 if e.fixed else e.u)
+        value = with_u(e.value, 0.0 if e.fixed else e.u) + (f" ({e.material})" if e.material else "")
         rows.add_row(name, f"{value} {e.unit}".strip(), kind + (f", at its {e.at_bound} bound" if e.at_bound else ""))
     chi = result.reduced_chi_square
     verdict = f"reduced chi-square {number(chi)}: {result.verdict}" if chi is not None else result.verdict

@@ -206,7 +206,7 @@ def _series(result: FitResult, data: Observations, known: list[float], ior: Ior,
     out = {middle: result}
     for k in [*range(middle + 1, len(waves)), *range(middle - 1, -1, -1)]:
         near = out.get(k - 1 if k > middle else k + 1, result)
-        start = {n: e.value for n, e in near.parameters.items() if e.value is not None}
+        start = {n: e.value for n, e in near.parameters.items()}
         try:
             out[k] = fit(
                 data.at(waves[k]),

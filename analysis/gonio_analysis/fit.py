@@ -46,8 +46,7 @@ STEP = 1e-4
 class Estimate:
     """One parameter of a fitted model."""
 
-    value: float | None
-    """None for optical constants that a material gives, wavelength by wavelength."""
+    value: float
     u: float | None
     """Standard error; 0 where the value was fixed, None where the data do not determine it."""
     fixed: bool
@@ -55,6 +54,7 @@ class Estimate:
     at_bound: str = ""
     """ "lower" or "upper" where the search ended on a bound."""
     material: str | None = None
+    """Where the value is that of a named material at the fitted wavelength."""
 
 
 @dataclass(frozen=True)
@@ -228,11 +228,11 @@ def fit(
     )
     if data.covariance is not None and weights.causes:
         weights = data.covariance.scaled(_ratio(apparent(problem.model(vector), data, quick=True), data))
-    vector, cost = _refine(problem, data, weights, vector)
+    vector, jacobian = _settle(problem, data, weights, _refine(problem, data, weights, vector)[0])
     built = problem.model(vector)
     predicted = apparent(built, data)
     white = weights.whiten(predicted - data.brdf)
-    jacobian = weights.whiten(_jacobian(problem, data, vector))
+    cost = 0.5 * float(white @ white)
     covariance, condition = _covariance(jacobian)
     if data.covariance is None:
         covariance = covariance * (2 * cost / (len(data) - len(names)))
@@ -240,7 +240,7 @@ def fit(
     result = FitResult(
         name=model,
         model=built,
-        parameters=_estimates(problem, vector, covariance),
+        parameters=_estimates(problem, vector, covariance, wavelength),
         free=names,
         covariance=covariance * np.outer(problem.slope(vector), problem.slope(vector)),
         derived=_derived(problem, vector, covariance),
@@ -416,23 +416,62 @@ def _refine(
     quick: bool = False,
     limit: int = 60,
 ) -> tuple[Floats, float]:
-    """Trust-region least squares from one start; the point and half its sum of squares."""
+    """Trust-region least squares from one start; the point and half its sum of squares.
+
+    Derivatives are those of the quick forward model, scaled to the full one; `_settle` takes the last step with the
+    derivatives of the full one.
+    """
     from scipy.optimize import least_squares
 
     lower, upper = problem.bounds
     margin = 1e-9 * (upper - lower)
+    latest = np.empty(len(data))
+
+    def residual(x: Floats) -> Floats:
+        latest[:] = apparent(problem.model(x), data, quick=quick)
+        return weights.whiten(latest - data.brdf)
+
+    def jacobian(x: Floats) -> Floats:
+        columns = _jacobian(problem, data, x, quick=True)
+        if not quick:
+            near = apparent(problem.model(x), data, quick=True)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                columns = columns * np.nan_to_num(np.clip(latest / near, 0.2, 5.0), nan=1.0)[:, None]
+        return weights.whiten(columns)
+
     result = least_squares(
-        lambda x: weights.whiten(apparent(problem.model(x), data, quick=quick) - data.brdf),
+        residual,
         np.clip(start, lower + margin, upper - margin),
-        jac=lambda x: weights.whiten(_jacobian(problem, data, x, quick=quick)),
+        jac=jacobian,
         bounds=(lower, upper),
         x_scale="jac",
         xtol=1e-9,
-        ftol=1e-10,
+        ftol=1e-10 if quick else 1e-8,
         gtol=1e-12,
         max_nfev=limit,
     )
     return np.asarray(result.x), float(result.cost)
+
+
+def _settle(problem: _Problem, data: Observations, weights: Covariance, vector: Floats) -> tuple[Floats, Floats]:
+    """One Gauss-Newton step with the full derivatives, if it helps; the point and the whitened Jacobian there.
+
+    A parameter whose last step stays at a bound is put onto it.
+    """
+    lower, upper = problem.bounds
+    residual = weights.whiten(apparent(problem.model(vector), data) - data.brdf)
+    jacobian = weights.whiten(_jacobian(problem, data, vector))
+    margin = 1e-6 * np.minimum(upper - lower, 1.0)
+    inside = (vector > lower + margin) & (vector < upper - margin)
+    step = np.zeros(vector.size)
+    if inside.any():
+        size = np.maximum(np.linalg.norm(jacobian[:, inside], axis=0), 1e-300)
+        step[inside] = np.linalg.lstsq(jacobian[:, inside] / size, -residual, rcond=1e-10)[0] / size
+    moved = np.clip(vector + np.clip(step, -0.1, 0.1), lower, upper)
+    moved = np.where(moved <= lower + margin, lower, np.where(moved >= upper - margin, upper, moved))
+    after = weights.whiten(apparent(problem.model(moved), data) - data.brdf)
+    # a bound that is put on exactly may cost the last digits of the sum
+    return (moved, jacobian) if after @ after <= (residual @ residual) * (1 + 1e-9) else (vector, jacobian)
 
 
 def _jacobian(problem: _Problem, data: Observations, vector: Floats, *, quick: bool = False) -> Floats:
@@ -466,7 +505,12 @@ def _covariance(jacobian: Floats) -> tuple[Floats, float]:
     return out, float(values[0] / values[-1]) if seen.all() else math.inf
 
 
-def _estimates(problem: _Problem, vector: Floats, covariance: Floats) -> dict[str, Estimate]:
+def _estimates(problem: _Problem, vector: Floats, covariance: Floats, wavelength_nm: float) -> dict[str, Estimate]:
+    index = None
+    if isinstance(problem.ior, str):
+        from gonio import materials
+
+        index = complex(materials.ior(problem.ior)(wavelength_nm))
     values, slope = problem.values(vector), problem.slope(vector)
     u = dict(zip(problem.free, np.sqrt(np.diag(covariance)) * slope, strict=True))
     lower, upper = problem.bounds
@@ -480,8 +524,10 @@ def _estimates(problem: _Problem, vector: Floats, covariance: Floats) -> dict[st
         if p.name in values:
             error = float(u[p.name]) if p.name in u else 0.0
             out[p.name] = Estimate(values[p.name], error, p.name not in u, p.unit, edge.get(p.name, ""))
-        elif isinstance(problem.ior, str):
-            out[p.name] = Estimate(None, 0.0, True, p.unit, material=problem.ior)
+        elif isinstance(problem.ior, str) and index is not None:
+            out[p.name] = Estimate(
+                index.real if p.name == "ior" else index.imag, 0.0, True, p.unit, material=problem.ior
+            )
     return out
 
 
@@ -516,10 +562,13 @@ def _identifiability(problem: _Problem, result: FitResult) -> list[str]:
     names = result.free
     pairs = [(a, b, c[i, j]) for i, a in enumerate(names) for j, b in enumerate(names) if i < j and abs(c[i, j]) > 0.98]
     for a, b, r in pairs:
-        text = f"{a} and {b} can hardly be told apart by these data (correlation {r:+.4f})"
+        poor = any((result.parameters[n].u or 0.0) > 0.05 * abs(result.parameters[n].value) for n in (a, b))
+        text = f"{a} and {b} " + ("can hardly be told apart by these data" if poor else "are strongly correlated")
+        text += f" (correlation {r:+.4f})"
         m = result.derived.get("slope_m")
-        if {a, b} == {"sigma0_um", "tau_um"} and m is not None and m.value is not None and m.u is not None:
-            text += f"; what they determine is the slope 2 sigma0/tau = {m.value:.4g} ± {m.u:.2g}"
+        if {a, b} == {"sigma0_um", "tau_um"} and m is not None and m.u is not None:
+            known = "what they determine is" if poor else "better known than either is"
+            text += f"; {known} the slope 2 sigma0/tau = {m.value:.4g} ± {m.u:.2g}"
         notes.append(text + ".")
     if not pairs and result.condition > 1e3:
         notes.append(f"The parameters are poorly determined together (condition number {result.condition:.2g}).")

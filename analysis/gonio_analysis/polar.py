@@ -159,7 +159,8 @@ def semilog(ax: Any, lines: Sequence[Line], *, unit: str = "BRDF [1/sr]") -> lis
         if high < 100 * low:  # few decades: label the steps between them too
             from matplotlib.ticker import FixedLocator, NullLocator
 
-            steps = [m * 10.0**p for p in range(-9, 9) for m in (1, 2, 5) if low <= m * 10.0**p <= high]
+            digits = (1, 1.5, 2, 3, 4, 5, 6, 8) if high < 10 * low else (1, 2, 5)
+            steps = [m * 10.0**p for p in range(-9, 9) for m in digits if low <= m * 10.0**p <= high]
             ax.yaxis.set_major_locator(FixedLocator(steps))
             ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
             ax.yaxis.set_minor_locator(NullLocator())
@@ -300,14 +301,14 @@ def _top(values: Floats) -> float:
 
 def _round_up(value: float) -> float:
     power = 10.0 ** np.floor(np.log10(value))
-    steps = (1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+    steps = (1.0, 1.2, 1.4, 1.6, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
     return float(next(s for s in steps if s * power >= value * 0.999) * power)
 
 
 def _ticks(rim: float) -> list[float]:
     for step in (0.2, 0.25, 0.5, 1.0):
         count = rim / step
-        if count <= 6.01 and abs(count - round(count)) < 1e-6:
+        if count <= 8.01 and abs(count - round(count)) < 1e-6:
             return [float(step * k) for k in range(round(count) + 1)]
     return [float(rim * k / 4) for k in range(5)]
 

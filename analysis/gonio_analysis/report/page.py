@@ -8,7 +8,7 @@ from importlib.resources import files
 from typing import Any
 
 from gonio_analysis.report.figures import Figure
-from gonio_analysis.report.text import number, percent, with_u
+from gonio_analysis.report.text import difference, number, percent, with_u
 
 
 def render(summary: dict[str, Any], drawn: Sequence[Sequence[Figure]]) -> str:
@@ -56,7 +56,7 @@ def _overview(s: dict[str, Any]) -> str:
                     f'<a href="#{d["slug"]}">{escape(d["name"])}</a>',
                     escape(name),
                     (number(chi) if chi is not None else "none stated"),
-                    percent(f["metrics"]["log_ratio"]),
+                    difference(f["metrics"]["log_ratio"]),
                     escape(_short(f)),
                 ]
             )
@@ -151,7 +151,7 @@ def _models(d: dict[str, Any]) -> str:
                 escape(name),
                 escape(_short(f)),
                 number(f["reduced_chi_square"]),
-                percent(f["metrics"]["log_ratio"]),
+                difference(f["metrics"]["log_ratio"]),
                 escape(f["verdict"]),
             ]
         )
@@ -196,7 +196,8 @@ def _parameters(d: dict[str, Any]) -> str:
         for p, e in [*f["parameters"].items(), *f["derived"].items()]:
             label = escape(name) if first else ""
             kind = "derived" if p in f["derived"] else "fixed" if e["fixed"] else "fitted"
-            value = escape(e["material"]) if e.get("material") else with_u(e["value"], 0.0 if e["fixed"] else e["u"])
+            value = with_u(e["value"], 0.0 if e["fixed"] else e["u"])
+            value += f" ({escape(e['material'])})" if e.get("material") else ""
             strong = _strongest(f, p)
             rows.append(
                 [

@@ -17,6 +17,7 @@ from gonio_analysis.fit import FitResult, finite
 from gonio_analysis.metrics import BELOW, DESCRIPTIONS
 from gonio_analysis.observations import describe_left_out
 from gonio_analysis.planes import AT_MIRROR, IN_PLANE, NORM_WORDS
+from gonio_analysis.report.text import difference
 
 VERSIONS = ("gonio", "numpy", "scipy", "numba", "pandas", "matplotlib")
 
@@ -143,11 +144,16 @@ def _conclusion(d: Dataset, best: str | None) -> str:
     f = d.fitted[best]
     others = "the best of the models tried" if len(d.fitted) > 1 else "the only model tried"
     ratio = f.metrics["log_ratio"]
-    typical = "" if ratio is None else f"; model and measurement differ by typically {100 * ratio:.2g} %"
+    typical = "" if ratio is None else f"; model and measurement differ typically by {_spoken(ratio)}"
     chi = f.fit.reduced_chi_square
     if chi is None:
         return f"{best} is {others}{typical}. Without stated uncertainties nothing says whether that is good enough."
     return f"{best} is {others}: reduced chi-square {chi:.3g}, {f.fit.verdict}{typical}."
+
+
+def _spoken(ratio: float) -> str:
+    words = difference(ratio)
+    return f"a {words}" if words.startswith("factor") else words
 
 
 def _notes(d: Dataset) -> list[str]:

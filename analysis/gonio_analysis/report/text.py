@@ -37,6 +37,16 @@ def with_u(value: float | None, u: float | None) -> str:
     return _minus(f"{value:.{decimals}f} ± {u:.{decimals}f}")
 
 
+def difference(rms_of_logarithm: float | None) -> str:
+    """A typical relative difference: in percent, or as a factor where percent would mislead."""
+    if rms_of_logarithm is None:
+        return "–"
+    if rms_of_logarithm < 0.3:
+        return percent(rms_of_logarithm)
+    factor = math.exp(min(rms_of_logarithm, 230.0))
+    return f"factor {number(factor, 2)}"
+
+
 def percent(value: float | None) -> str:
     """A fraction in percent, two significant digits."""
     return "–" if value is None else f"{number(100 * value, 2)} %"
