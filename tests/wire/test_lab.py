@@ -143,7 +143,7 @@ def test_campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             folder.mkdir()
             with Bench(small(), SAMPLE, k, folder=folder / "twin", scale=SCALE) as bench:
                 axis = rng.choice(list(bench.servos))
-                most = 25 if fault in faults.CAMERA else 130 if fault in faults.LAMP else 250
+                most = 25 if fault in faults.CAMERA else 130 if fault in faults.LAMP else 150
                 bench.inject(fault, axis=axis, skip=rng.randrange(most))
                 begun, outcome = time.monotonic(), "recovered"
                 try:
