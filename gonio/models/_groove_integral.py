@@ -75,7 +75,7 @@ def twice_over_arc(half, sm, cm, smd, cmd, a, b, ti, tr, sine, c, work):  # type
     spread = 1.0 + 4.0 * steep * half
     reach = log(spread)
     ridge = not one and abs(a * cm + b * cmd) < 0.5 * (b * cmd - a * cm)
-    k = min(int(reach * 1.1 + (4.5 if ridge else 1.5)), 20)
+    k = min(int(reach * 1.1 + (5.5 if ridge else 1.5)), 20)
     x = NODES[2 * k * (k - 1) : 2 * k * (k + 1)]
     weight = WEIGHTS[2 * k * (k - 1) : 2 * k * (k + 1)]
     stretch = half * (spread + 1.0) / (spread - 1.0)
@@ -219,7 +219,7 @@ def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
                 smooth = steep * tan(low + half) <= 1.0
                 wide = half * sqrt(8.0 * p[2])  # the interval in units of sigma
                 rule = min(int((2.5 if smooth else 3.0) + 0.9 * wide), 16)
-                if high > 1.5 and high * high * p[2] < 7.0:  # S and V grow without bound toward 90 degrees
+                if high > 1.2 and high * high * p[2] < 7.0:  # S and V grow without bound toward 90 degrees
                     rule += 8 if smooth else 2 if high * high * p[2] > 2.5 else 4
                 for k in range(2 * rule * (rule - 1), 2 * rule * (rule + 1)):
                     u = NODES[k]

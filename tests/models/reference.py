@@ -1,0 +1,13 @@
+"""Access to the reference vectors in tests/reference (see its README): exact inputs, outputs as strings of up to 30 digits."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+FOLDER = Path(__file__).resolve().parents[1] / "reference"
+
+
+def cases(name: str) -> list[dict[str, Any]]:
+    return json.loads((FOLDER / f"{name}_public.json").read_text())["cases"]
