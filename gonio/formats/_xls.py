@@ -14,7 +14,7 @@ from gonio.errors import DataError
 
 MAGIC = bytes.fromhex("d0cf11e0a1b11ae1")
 _END, _FREE = 0xFFFFFFFE, 0xFFFFFFFA
-_MAX_CELLS = 5_000_000
+_MAX_CELLS = 1_000_000
 
 Cell = float | str
 
@@ -72,11 +72,12 @@ class _Compound:
         return block.ljust(self.size, b"\0")
 
     def _chain(self, first: int, named_at: int) -> bytes:
-        parts = []
+        parts: list[bytes] = []
         number = first
+        most = len(self.data) // self.size + 1
         while number < _FREE:
             parts.append(self._sector(number, named_at))
-            if number >= len(self.table) or len(parts) > len(self.table):
+            if number >= len(self.table) or len(parts) > most:
                 raise DataError(f"{self.path}, byte {named_at}: a chain of sectors does not end")
             number = self.table[number]
         return b"".join(parts)

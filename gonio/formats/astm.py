@@ -115,15 +115,15 @@ def write(frame: pd.DataFrame, path: Path) -> None:
 def _header(text: Text) -> tuple[dict[str, str], int]:
     """The keyword lines, and the index of the line after VARS."""
     keywords: dict[str, str] = {}
+    key = ""
     for line, content in enumerate(text.lines):
-        key, _, value = content.strip().partition(" ")
-        if key and not re.fullmatch(r"[A-Z][A-Z0-9_]*", key):
-            raise DataError(
-                f'{text.where(line)}: "{key[:40]}" is not a keyword of ASTM E1392, and VARS has not come yet'
-            )
-        if key:
-            keywords[key] = value.strip()
-        if key == "VARS":
+        word, *value = content.split(maxsplit=1)[:2] or [""]
+        if re.fullmatch(r"[A-Z][A-Z0-9_]*", word):
+            key = word
+            keywords[key] = value[0].strip() if value else ""
+        elif word and key:  # a long comment goes on
+            keywords[key] = f"{keywords[key]} {content.strip()}"[:10_000]
+        if word == "VARS":
             return keywords, line + 1
     raise DataError(f"{text.path}: there is no line VARS, which names the columns of an ASTM E1392 file")
 

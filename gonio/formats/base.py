@@ -32,8 +32,9 @@ ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 COLUMNS = (*ANGLES, "wavelength_nm", "polarisation", "brdf", "u_brdf", "u_random", "flag")
 POLARISATIONS = ("unpolarised", "ss", "sp", "ps", "pp", "s", "p")
 """Incident, then reflected; "s" and "p" alone: polarised incidence, and a receiver that takes both."""
-MAX_BYTES = 2**30
-"""No file above this size is opened."""
+MAX_BYTES = 2**28
+"""No file above this size is opened; formats whose readers need many bytes of memory a byte have less."""
+MAX_LINES = 5_000_000
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,7 @@ class Format:
     read: Callable[[bytes, Path], pd.DataFrame]
     """The table in a file's bytes; the path is for messages and for what lies beside the file."""
     write: Callable[[pd.DataFrame, Path], None] | None = None
+    max_bytes: int = MAX_BYTES
     carries: frozenset[str] = frozenset()
     """What it has room for besides angles and values: "uncertainty", "flag"."""
 
@@ -71,11 +73,13 @@ def decode(data: bytes, path: Path) -> str:
     Raises
     ------
     DataError
-        The bytes hold control characters, so they are no text at all.
+        The bytes hold control characters, so they are no text at all; or far too many lines.
     """
     bad = re.search(rb"[\x00-\x08\x0e-\x1f\x7f]", data)
     if bad:
         raise DataError(f"{path}: byte {bad.start()} is {bad.group()[0]:#04x}: not a text file, or a damaged one")
+    if sum(data.count(end) for end in (b"\n", b"\r", b"\v", b"\f", b"\x85", b"\xe2\x80")) > 2 * MAX_LINES:
+        raise DataError(f"{path}: has more than {MAX_LINES} lines, the most that are read")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:

@@ -345,5 +345,6 @@ FORMAT = Format(
     ),
     read=read,
     write=write,
+    max_bytes=64 * 2**20,
     carries=frozenset({"uncertainty", "flag"}),
 )

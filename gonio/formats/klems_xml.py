@@ -258,4 +258,5 @@ FORMAT = Format(
     sniff=lambda head: b"<WindowElement" in head,
     read=read,
     write=write,
+    max_bytes=16 * 2**20,
 )

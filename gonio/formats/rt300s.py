@@ -106,4 +106,5 @@ FORMAT = Format(
     endings=(".xls",),
     sniff=lambda head: head.startswith(MAGIC),
     read=read,
+    max_bytes=64 * 2**20,
 )

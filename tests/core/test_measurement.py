@@ -271,3 +271,13 @@ def test_a_table_longer_than_a_chunk_of_the_reader() -> None:
     frame.loc[44_321, "theta_r_deg"] = 91.0
     with pytest.raises(DataError, match=r"big\.csv, line 44323: theta_r_deg = 91"):
         measurement.parse(frame.to_csv(index=False).encode(), Path("big.csv"))
+
+
+def test_sizes_are_bounded_before_anything_is_built(monkeypatch: pytest.MonkeyPatch) -> None:
+    from gonio.formats import base
+
+    monkeypatch.setattr(base, "MAX_LINES", 100)
+    with pytest.raises(DataError, match=r"x\.csv: has more than 100 lines"):
+        measurement.parse(b"theta_i_deg,u_brdf\n" + b"\n" * 300, Path("x.csv"))
+    with pytest.raises(DataError, match="larger than 16 MiB, the largest Klems XML"):
+        measurement.parse(b"<WindowElement>" + b" " * 2**24, Path("x.xml"))

@@ -14,6 +14,8 @@ from gonio import measurement
 from gonio.errors import DataError
 
 ASTM = """LAB_NAME A laboratory
+LAB_COMMENTS first line,
+second line
 SAMPLE_NAME Tile "7"; grey
 NUM_POINTS 4
 VARS theta_i,phi_i,theta_s,phi_s,500nm,650.5nm
@@ -52,6 +54,7 @@ def test_astm_angles_values_and_clamped_zeros() -> None:
     # only an exact zero is missing: a small value and a negative one are data
     assert frame["flag"].tolist() == ["", "", "clamped", "", "", "", "", "clamped"]
     assert frame["u_brdf"].isna().all()
+    assert frame.attrs["provenance"]["LAB_COMMENTS"] == "first line, second line"
     assert frame.attrs["sample"] == 'Tile "7"; grey'
     assert any("uncertaint" in note for note in frame.attrs["notes"])
 
@@ -79,13 +82,13 @@ def test_astm_says_what_it_has_no_room_for(tmp_path: Path, small: pd.DataFrame) 
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("0.785398,", "45.0,", "line 8: theta_i = 45; a polar angle in radians"),
-        ("-0.392699", "-22.5", "line 8: phi_s = -22.5; an azimuth in radians"),
-        ("-0.000200", "-0.0002x", 'line 7: 650.5nm is "-0.0002x"'),
-        (",-0.000200", "", "line 7: 5 values, and VARS names 6"),
-        ("NUM_POINTS 4", "NUM_POINTS 9", "line 9: the file ends after 4 points, and NUM_POINTS is 9"),
-        ("500nm", "blue", 'line 4: VARS names "blue"'),
-        ("theta_i,phi_i,theta_s,phi_s,500nm,650.5nm", "theta_i,phi_i,x,y,1nm", "line 4: VARS begins with"),
+        ("0.785398,", "45.0,", "line 10: theta_i = 45; a polar angle in radians"),
+        ("-0.392699", "-22.5", "line 10: phi_s = -22.5; an azimuth in radians"),
+        ("-0.000200", "-0.0002x", 'line 9: 650.5nm is "-0.0002x"'),
+        (",-0.000200", "", "line 9: 5 values, and VARS names 6"),
+        ("NUM_POINTS 4", "NUM_POINTS 9", "line 11: the file ends after 4 points, and NUM_POINTS is 9"),
+        ("500nm", "blue", 'line 6: VARS names "blue"'),
+        ("theta_i,phi_i,theta_s,phi_s,500nm,650.5nm", "theta_i,phi_i,x,y,1nm", "line 6: VARS begins with"),
     ],
 )
 def test_astm_damage_is_located(old: str, new: str, told: str) -> None:
