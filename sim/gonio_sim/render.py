@@ -197,7 +197,8 @@ def _apart(scene: View, x: Array, y: Array) -> Array:
     to_source = np.sqrt((sx - x) ** 2 + (sy - y) ** 2 + sz**2)
     to_camera = np.sqrt((cx - x) ** 2 + (cy - y) ** 2 + cz**2)
     across = ((cx - x) / to_camera + (sx - x) / to_source) ** 2 + ((cy - y) / to_camera + (sy - y) / to_source) ** 2
-    return np.sqrt(across + (cz / to_camera - sz / to_source) ** 2)
+    chord: Array = np.sqrt(across + (cz / to_camera - sz / to_source) ** 2)
+    return chord
 
 
 def _angles_at(scene: View, x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
