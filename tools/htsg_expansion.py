@@ -26,15 +26,15 @@ X_NODES = 14
 # name, smallest m0, largest m0, largest absolute error of the fit
 RANGES = [
     ("full_40_to_120", 40, 120, 3e-14),
-    ("full_120_to_1500", 120, 1500, 1e-14),
-    ("full_from_1500", 1500, None, 1e-14),
-    ("nano_28_to_150", 28, 150, 2e-10),
-    ("nano_from_150", 150, None, 1e-10),
-    ("micro_18_to_100", 18, 100, 2e-7),
-    ("micro_from_100", 100, None, 1e-7),
+    ("full_120_to_1536", 120, 1536, 1e-14),
+    ("full_from_1536", 1536, None, 1e-14),
+    ("nano_28_to_160", 28, 160, 2e-10),
+    ("nano_from_160", 160, None, 1e-10),
+    ("micro_18_to_104", 18, 104, 2e-7),
+    ("micro_from_104", 104, None, 1e-7),
 ]
-TERMS = (8, 16, 24, 32, 48, 64, 80, 104)
-TERM_TOLERANCES = {"full": 3e-15, "nano": 1e-10, "micro": 1e-7}
+TERMS = (6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 36, 40, 48, 56, 64, 72, 80, 88, 96, 104)
+TERM_TOLERANCES = {"full": 1e-14, "nano": 1e-10, "micro": 1e-7}
 
 
 def laplace_coefficients(p: mp.mpf, orders: int) -> list[mp.mpf]:
@@ -115,9 +115,7 @@ def fit_range(
     in_p = chebyshev_transform(P_NODES)
     in_x = chebyshev_transform(X_NODES)
     partial = [[sum(w * v for w, v in zip(row, line, strict=True)) for row in in_p] for line in values]
-    two = [
-        [sum(in_x[a][i] * partial[i][b] for i in range(X_NODES)) for b in range(P_NODES)] for a in range(X_NODES)
-    ]
+    two = [[sum(in_x[a][i] * partial[i][b] for i in range(X_NODES)) for b in range(P_NODES)] for a in range(X_NODES)]
     kept = []
     for line in two:
         large = [b for b, value in enumerate(line) if abs(value) * x_high > tolerance / 12]
@@ -161,6 +159,70 @@ def series_limit(terms: int, tolerance: float) -> float:
     return low
 
 
+def lambert_start(degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Powers 1..degree of numerator and denominator of W0(e^y - 1)/y for y in [0, 90] (Sanathanan and Koerner)."""
+    y = np.concatenate([np.linspace(1e-6, 1, 200), np.linspace(1, 10, 400), np.geomspace(10, 90, 300)])
+    ratio = np.array([float(mp.lambertw(mp.expm1(v)).real / v) for v in y])
+    powers = y[:, None] ** np.arange(1, degree + 1)
+    weight = np.ones_like(y)
+    for _ in range(60):
+        matrix = np.hstack([powers, -ratio[:, None] * powers]) * (weight / ratio)[:, None]
+        found = np.linalg.lstsq(matrix, (ratio - 1.0) * weight / ratio, rcond=None)[0]
+        weight = 1.0 / np.abs(1.0 + powers @ found[degree:])
+    return found[:degree], found[degree:]
+
+
+def elementary() -> list[str]:
+    """The functions of one variable that the kernels need beside those of gonio.models._math."""
+    top, k = mp.mpf("6.5"), mp.mpf(3)
+    t_top = (top - k) / (top + k)
+
+    def scaled_erfcx(s: mp.mpf) -> mp.mpf:
+        t = -1 + (t_top + 1) * (s + 1) / 2
+        h = k * (1 + t) / (1 - t)
+        return (1 + 2 * h) * mp.exp(h * h) * mp.erfc(h)
+
+    middle, half = 3 * mp.sqrt(2) / 4 - 1, mp.sqrt(2) / 4  # of the interval from sqrt(1/2) - 1 to sqrt(2) - 1
+    erfcx = fit_chebyshev(scaled_erfcx, 40, 1e-17)
+    log_powers = fit_chebyshev(lambda s: mp.log1p(middle + half * s) / (middle + half * s), 24, 4e-6)
+    above, below = lambert_start(4)
+    lines = [
+        "",
+        "",
+        "@device",
+        "def scaled_erfcx(t):  # type: ignore[no-untyped-def]",
+        '    """(1 + 2h) exp(h^2) erfc(h) for t = (h - 3)/(h + 3), 0 <= h <= 6.5, within 3e-16 of itself."""',
+        f"    s = (t + 1.0) * {float(2 / (t_top + 1))!r} - 1.0",
+        f"    return {horner(erfcx, 's')}",
+        "",
+        "",
+        "@device",
+        "def rough_log1p(f):  # type: ignore[no-untyped-def]",
+        '    """ln(1 + f) for f in [sqrt(1/2) - 1, sqrt(2) - 1], within 1e-5 of itself."""',
+        f"    s = (f - {float(middle)!r}) * {float(1 / half)!r}",
+        f"    return f * ({horner(log_powers, 's')})",
+        "",
+        "",
+        "@device",
+        "def lambert_start(y):  # type: ignore[no-untyped-def]",
+        '    """Numerator and denominator of W0(e^y - 1)/y, within 1e-4 for y in [0, 90]."""',
+        f"    above = {horner([mp.mpf(1), *above], 'y')}",
+        f"    return above, {horner([mp.mpf(1), *below], 'y')}",
+    ]
+    for name, tolerance in (("full", 1e-17), ("micro", 3e-9)):
+        powers = fit_chebyshev(lambda s: mp.mpf(2) ** (s / 2), 24, tolerance)
+        powers = [value * 2**i for i, value in enumerate(powers)]
+        lines += [
+            "",
+            "",
+            "@device",
+            f"def exp2_{name}(f):  # type: ignore[no-untyped-def]",
+            f'    """2^f for f in [-1/2, 1/2], within {10 * tolerance:g} of itself."""',
+            f"    return {horner(powers, 'f')}",
+        ]
+    return lines
+
+
 def main() -> None:
     mp.mp.dps = 50
     nodes = [(1 + t) / 2 for t in chebyshev_nodes(P_NODES)]
@@ -195,24 +257,7 @@ def main() -> None:
         for a in range(len(rows) - 2, -1, -1):
             nest = f"r{a} + y * ({nest})"
         lines.append(f"    return 1.0 + x * ({nest})")
-    top, k = mp.mpf("6.5"), mp.mpf(3)
-    t_top = (top - k) / (top + k)
-
-    def scaled_erfcx(s: mp.mpf) -> mp.mpf:
-        t = -1 + (t_top + 1) * (s + 1) / 2
-        h = k * (1 + t) / (1 - t)
-        return (1 + 2 * h) * mp.exp(h * h) * mp.erfc(h)
-
-    powers = fit_chebyshev(scaled_erfcx, 40, 1e-17)
-    lines += [
-        "",
-        "",
-        "@device",
-        "def erfcx(h):  # type: ignore[no-untyped-def]",
-        '    """exp(h^2) erfc(h) for 0 <= h <= 6.5, within 3e-16 of itself."""',
-        f"    s = ((h - 3.0) / (h + 3.0) + 1.0) * {float(2 / (t_top + 1))!r} - 1.0",
-        f"    return ({horner(powers, 's')}) / (1.0 + 2.0 * h)",
-    ]
+    lines += elementary()
     OUT.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

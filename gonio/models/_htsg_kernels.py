@@ -1,7 +1,7 @@
-"""Kernels of He, Torrance, Sillion and Greenberg (1991): what every pair of directions needs, and the series in classes.
+"""Kernels of He, Torrance, Sillion and Greenberg (1991): what every pair needs, then the series in classes.
 
-Pairs are worked through in blocks. A first pass computes, without branches, Fresnel, geometry, shadowing, effective
-roughness and the place m0 of the series' largest term. A second sorts the pairs by how their series is best summed,
+Pairs are worked through in blocks. First passes compute, without branches, Fresnel, geometry and shadowing, effective
+roughness, and the place m0 of the series' largest term. The last sorts the pairs by how their series is best summed,
 and sums each class with loops over pairs that vectorise: so many terms from m = 1 for small m0, Laplace's expansion
 about m0 above (tools/htsg_expansion.py derives it and writes its polynomials).
 """
@@ -22,13 +22,13 @@ from gonio.models._htsg_expansion import (
     exp2_full,
     exp2_micro,
     full_40_to_120,
-    full_120_to_1500,
-    full_from_1500,
+    full_120_to_1536,
+    full_from_1536,
     lambert_start,
-    micro_18_to_100,
-    micro_from_100,
-    nano_28_to_150,
-    nano_from_150,
+    micro_18_to_104,
+    micro_from_104,
+    nano_28_to_160,
+    nano_from_160,
     rough_log1p,
     scaled_erfcx,
 )
@@ -58,15 +58,23 @@ _COUNTS = np.array(TERMS)
 _RECIPROCALS = np.concatenate([[0.0], 1.0 / np.arange(1, max(TERMS) + 1)])
 _SQRT_PI = math.sqrt(math.pi)
 
-# m0 up to which each class serves: so many terms, then the three (two) expansions of a tolerance.
-_LIMITS = np.array(
+_FIRST_KIND = int(np.array(2.0**-7).view(np.int64)) >> 49
+
+
+def _kinds(limits: tuple[float, ...], *switches: float) -> list[int]:
+    """The class of each eighth of an octave of m0 from 2^-7 to 2^11: sums up to the first switch, then expansions."""
+    edges = np.outer(2.0 ** np.arange(-7, 11), 1.0 + np.arange(8) / 8.0).ravel()
+    upper = np.append(edges[1:], 2.0**11)
+    sums = np.searchsorted(limits, upper)
+    expansions = SUMS - 1 + sum((edges >= switch).astype(int) for switch in switches)
+    return [int(b if low >= switches[0] else a) for low, a, b in zip(edges, sums, expansions, strict=True)]
+
+
+_KINDS = np.array(
     [
-        [min(limit, top) for limit in limits[:-1]] + [top, switch, end]
-        for limits, top, switch, end in (
-            (LIMITS_FULL, 40.0, 120.0, 1500.0),
-            (LIMITS_NANO, 28.0, 150.0, np.inf),
-            (LIMITS_MICRO, 18.0, 100.0, np.inf),
-        )
+        _kinds(LIMITS_FULL, 40.0, 120.0, 1536.0),
+        _kinds(LIMITS_NANO, 28.0, 160.0),
+        _kinds(LIMITS_MICRO, 18.0, 104.0),
     ]
 )
 TIERS = (1e-12, 1e-9, 1e-6)
@@ -144,7 +152,7 @@ def shadowing(z_i, s_i, z_r, s_r, a, printed):  # type: ignore[no-untyped-def]
 
 @device
 def lobe_state(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    """(factor, g, c, p, m0, phi) of a pair: its lobe is factor * T(g, c), with T = S(g, c)/g.
+    """(factor, K, c, g_0) of a pair: its lobe is factor * N * T(N g_0, c), with N = (sigma/sigma0)^2 and T = S(g, c)/g.
 
     He1991 eq. 71 with G = |L+V|^4/(L+V)_z^2 (eq. 76 without its singularities), where g cancels (L+V)_z^2: with both
     directions grazing the product stays finite. `p` is what `HeTorrance` puts together.
@@ -154,16 +162,10 @@ def lobe_state(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     hh = h2 + hz * hz
     s_i, s_r = math.sqrt(lx * lx + ly * ly), math.sqrt(vx * vx + vy * vy)
     lit_i, all_i, lit_r, all_r, k = shadowing(lz, s_i, vz, s_r, p[4], p[5])
-    _, narrowing = lambert_w(k * k * (0.125 / math.pi))  # (sigma/sigma0)^2, He1991 eqs. 80-83 solved
-    up, down = fresnel(min(0.25 * hh, 1.0), p[6], p[7], p[8]) if p[6] >= 0.0 else (1.0, 1.0)
-    factor = p[1] * narrowing * (hh * hh) * (up * lit_i * lit_r) / (down * all_i * all_r)
-    g = max(p[2] * narrowing * hz * hz, 1e-135)
-    c = p[3] * h2
-    twice, spread = lambert_w(min(2.0 * c / (g * g), 1e280))
-    u = 0.5 * twice
-    rise = expm1(u)
-    m0 = g + g * rise
-    return (factor if lz > 0.0 and vz > 0.0 else 0.0), g, c, spread, m0, saddle_exponent(g, c, u, rise, m0)
+    up, down = fresnel(min(0.25 * hh, 1.0), p[6], p[7], p[8])
+    up, down = up if p[10] == 0.0 else 1.0, down if p[10] == 0.0 else 1.0
+    factor = p[1] * (hh * hh) * (up * lit_i * lit_r) / (down * all_i * all_r)
+    return (factor if lz > 0.0 and vz > 0.0 else 0.0), k, p[3] * h2, p[2] * hz * hz
 
 
 @device
@@ -213,12 +215,22 @@ def sum_terms(terms, n, quick, g, c, total, powers):  # type: ignore[no-untyped-
 @device
 def finish(n, tier, state, out, order, key, work, powers):  # type: ignore[no-untyped-def]
     """out = factor * T(g, c) for a block of n states, class by class."""
-    factor, g, c, spread, m0, phi = state[0], state[1], state[2], state[3], state[4], state[5]
-    limits = _LIMITS[tier]
+    factor, g, c, spread, m0, phi = state[0], state[3], state[2], state[1], state[4], state[5]
     for i in range(n):
-        kind = np.int64(0)
-        for k in range(SUMS + 2):
-            kind += np.int64(m0[i] > limits[k])
+        k = spread[i]
+        _, narrowing = lambert_w(k * k * (0.125 / math.pi))  # He1991 eqs. 80-83 solved
+        factor[i] *= narrowing
+        g[i] = max(narrowing * g[i], 1e-135)
+    for i in range(n):
+        twice, spread[i] = lambert_w(min(2.0 * c[i] / (g[i] * g[i]), 1e280))
+        u = 0.5 * twice
+        rise = expm1(u)
+        m0[i] = g[i] + g[i] * rise
+        phi[i] = saddle_exponent(g[i], c[i], u, rise, m0[i])
+    kinds = _KINDS[tier]
+    for i in range(n):
+        place = (np.float64(m0[i]).view(np.int64) >> 49) - _FIRST_KIND
+        kind = kinds[min(max(place, 0), kinds.size - 1)]
         key[i] = kind if factor[i] > 0.0 and max(phi[i], -c[i]) > -705.0 else NOTHING
     starts = np.zeros(NOTHING + 2, np.int64)
     for i in range(n):
@@ -259,22 +271,22 @@ def finish(n, tier, state, out, order, key, work, powers):  # type: ignore[no-un
                 total[j] *= full_40_to_120(a[j], q[j])
         elif tier == 0 and kind == SUMS + 1:
             for j in range(count):
-                total[j] *= full_120_to_1500(a[j], q[j])
+                total[j] *= full_120_to_1536(a[j], q[j])
         elif tier == 0:
             for j in range(count):
-                total[j] *= full_from_1500(a[j], q[j])
+                total[j] *= full_from_1536(a[j], q[j])
         elif tier == 1 and kind == SUMS:
             for j in range(count):
-                total[j] *= nano_28_to_150(a[j], q[j])
+                total[j] *= nano_28_to_160(a[j], q[j])
         elif tier == 1:
             for j in range(count):
-                total[j] *= nano_from_150(a[j], q[j])
+                total[j] *= nano_from_160(a[j], q[j])
         elif kind == SUMS:
             for j in range(count):
-                total[j] *= micro_18_to_100(a[j], q[j])
+                total[j] *= micro_18_to_104(a[j], q[j])
         else:
             for j in range(count):
-                total[j] *= micro_from_100(a[j], q[j])
+                total[j] *= micro_from_104(a[j], q[j])
         for j in range(count):
             out[order[first + j]] = total[j]
 
@@ -289,7 +301,7 @@ def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop)
     state, work = np.empty((6, BLOCK)), np.empty((4, BLOCK))
     order, key = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
     powers = np.empty((_RECIPROCALS.size, LANES))
-    s0, s1, s2, s3, s4, s5 = state[0], state[1], state[2], state[3], state[4], state[5]
+    s0, s1, s2, s3 = state[0], state[1], state[2], state[3]
     for first in range(start, stop, BLOCK):
         count = min(BLOCK, stop - first)
         l = omega_i[3 * first * step_i : 3 * (first * step_i + count)]  # noqa: E741
@@ -303,7 +315,7 @@ def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop)
             wrong |= 0 if abs(el) <= 2.0 * NORM_TOLERANCE and abs(ev) <= 2.0 * NORM_TOLERANCE else 1
             fl = 1.0 - el * (0.5 - 0.375 * el)
             fv = 1.0 - ev * (0.5 - 0.375 * ev)
-            s0[j], s1[j], s2[j], s3[j], s4[j], s5[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
+            s0[j], s1[j], s2[j], s3[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
                 lx * fl, ly * fl, max(lz * fl, 0.0), vx * fv, vy * fv, max(vz * fv, 0.0), constants
             )
         finish(count, tier, state, o, order, key, work, powers)
@@ -319,7 +331,7 @@ def _over_angles(theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step
     state, work = np.empty((6, BLOCK)), np.empty((4, BLOCK))
     order, key = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
     powers = np.empty((_RECIPROCALS.size, LANES))
-    s0, s1, s2, s3, s4, s5 = state[0], state[1], state[2], state[3], state[4], state[5]
+    s0, s1, s2, s3 = state[0], state[1], state[2], state[3]
     for first in range(start, stop, BLOCK):
         count = min(BLOCK, stop - first)
         ti = theta_i[first * step_ti : first * step_ti + count]
@@ -335,7 +347,7 @@ def _over_angles(theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step
             sin_i, cos_i = sincos_polar(a)
             sin_r, cos_r = sincos_polar(b)
             sin_d, cos_d = sincos(q - p)  # in the frame of the source's azimuth
-            s0[j], s1[j], s2[j], s3[j], s4[j], s5[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
+            s0[j], s1[j], s2[j], s3[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
                 sin_i, 0.0, cos_i, sin_r * cos_d, sin_r * sin_d, cos_r, constants
             )
         finish(count, tier, state, o, order, key, work, powers)
@@ -411,7 +423,7 @@ def jones(sin_i, cos_i, sin_r, cos_r, sin_d, cos_d, rise, loss):  # type: ignore
 
 @device
 def mueller_matrix(a, b, c, d, factor, out):  # type: ignore[no-untyped-def]
-    """Sixteen numbers from J = [[a, b], [c, d]]: I = |Es|^2 + |Ep|^2, Q = |Es|^2 - |Ep|^2, U = 2 Re Es Ep*, V = -2 Im Es Ep*."""
+    """Sixteen numbers from J = [[a, b], [c, d]], for I, Q = |Es|^2 +- |Ep|^2, U = 2 Re Es Ep*, V = -2 Im Es Ep*."""
     half = 0.5 * factor
     aa, bb = half * (a[0] * a[0] + a[1] * a[1]), half * (b[0] * b[0] + b[1] * b[1])
     cc, dd = half * (c[0] * c[0] + c[1] * c[1]), half * (d[0] * d[0] + d[1] * d[1])

@@ -91,6 +91,7 @@ class HeTorrance(Model):
             float(self.shadowing == "paper"),
             *index,
             float(tier),
+            0.0,  # 1: without Fresnel
         )
 
     # --- the specular spike -------------------------------------------------------------------------------------
@@ -168,7 +169,7 @@ class HeTorrance(Model):
             As `brdf`.
         """
         constants = self._constants(positive("wavelength_nm", wavelength_nm, "nm"))
-        bare = (0.0, *constants[1:6], -1.0, *constants[7:])  # the lobe without Fresnel
+        bare = (0.0, *constants[1:10], 1.0)  # the lobe without Fresnel
         lobe = np.asarray(
             engine.over_angles(kernels.lobe_state, bare, theta_i, phi_i, theta_r, phi_r, split=self.grain)
         )

@@ -13,7 +13,7 @@ import numpy as np
 from gonio.errors import ArgumentError
 from gonio.models import engine
 from gonio.models._compile import device, loop, template
-from gonio.models._htsg_expansion import full_40_to_120, full_120_to_1500, full_from_1500
+from gonio.models._htsg_expansion import full_40_to_120, full_120_to_1536, full_from_1536
 from gonio.models._htsg_kernels import expm1, lambert_w, saddle_exponent
 from gonio.models._htsg_kernels import shadowing as pair_shadowing
 from gonio.models._math import exp, log, sincos_polar
@@ -174,11 +174,11 @@ def _log_series(g, c, p):  # type: ignore[no-untyped-def]
     if m0 > 40.0 and m0 * spread > 1.9:
         rise = expm1(u)
         x = 1.0 / m0
-        bracket = full_from_1500(x, spread)
+        bracket = full_from_1536(x, spread)
         if m0 < 120.0:
             bracket = full_40_to_120(x, spread)
-        elif m0 < 1500.0:
-            bracket = full_120_to_1500(x, spread)
+        elif m0 < 1536.0:
+            bracket = full_120_to_1536(x, spread)
         return saddle_exponent(g, c, u, rise, m0) + math.log(math.sqrt(spread) * x * bracket)
     # terms on both sides of the largest, from their ratios
     top = max(1.0, math.floor(m0 + 0.5))
