@@ -22,7 +22,7 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Protocol, Self
 
-from gonio import exposure
+from gonio import __version__, exposure
 from gonio.description import Band
 from gonio.errors import DataError, DeviceError, Interrupted
 from gonio.frames import write_dng
@@ -97,7 +97,9 @@ class Stop:
     def _request(self, number: int, frame: FrameType | None) -> None:
         self.requested += 1
         if self.requested == 1:
-            self._progress.say("finishing this step, then parking; once more stops every axis at once")
+            # from a thread: the signal may have come in the middle of a line that is being printed
+            text = "finishing this step, then parking; once more stops every axis at once"
+            threading.Thread(target=self._progress.say, args=(text,), daemon=True).start()
         elif self.requested == 2:
             raise Interrupted("stopped at once, in the middle of a step")
 
@@ -132,7 +134,7 @@ def measure(rig: Rig, run: Run, steps: list[Step], progress: Progress, stop: Sto
         return
     if done and not rig.repeatable:
         left = _fresh(steps, done) + left
-    run.append({"event": "session", "rig": rig.description.name, "steps": len(steps), "left": len(left)})
+    run.append({"event": "session", "gonio": __version__, "steps": len(steps), "left": len(left)})
     progress.start(len(done) + len(left), len(done))
     with _Session(rig, run, progress) as session, _remarks(run, progress):
         try:
@@ -149,7 +151,8 @@ def measure(rig: Rig, run: Run, steps: list[Step], progress: Progress, stop: Sto
             run.append({"event": kind, "message": str(error)})
             if isinstance(error, Interrupted):
                 where = f"after {len(run.steps())} of {len(done) + len(left)} steps"
-                raise Interrupted(f"{error} {where}; arms parked, lamp dark; go on with --resume") from None
+                now = "axes stopped" if stop.requested > 1 else "arms parked"
+                raise Interrupted(f"{error} {where}; {now}, lamp dark; go on with --resume") from None
             raise
     run.append({"event": "end", "steps": len(run.steps())})
 

@@ -127,11 +127,14 @@ class Journal:
             if self._file.write(line) != len(line):
                 raise OSError(28, "no space left on the device")
             os.fsync(self._file.fileno())
-        except OSError as error:
+            self.events.append(event)
+        except BaseException as error:  # a signal too: file and events must not tell different stories
+            del self.events[event["n"] :]
             with contextlib.suppress(OSError):  # the next writer cuts what cannot be cut now
                 self._file.truncate(before)
-            raise DataError(f"{self.path}: cannot be written: {error.strerror}") from None
-        self.events.append(event)
+            if isinstance(error, OSError):
+                raise DataError(f"{self.path}: cannot be written: {error.strerror}") from None
+            raise
         return event
 
     def close(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -130,3 +131,25 @@ def test_a_full_disk_leaves_no_half_line(tmp_path: Path, monkeypatch: pytest.Mon
             journal.append({"event": "step", "step": 4})
         assert len(journal.events) == 4
     assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("when", ["fsync", "after it"])
+def test_a_signal_while_a_line_is_written_leaves_file_and_events_alike(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, when: str
+) -> None:
+    sync = os.fsync
+
+    def interrupted(handle: int) -> None:
+        if when == "after it":
+            sync(handle)
+        raise KeyboardInterrupt
+
+    path = tmp_path / "j"
+    with Journal(path) as journal:
+        journal.append({"event": "step", "step": 0})
+        monkeypatch.setattr("os.fsync", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            journal.append({"event": "step", "step": 1})
+        monkeypatch.undo()
+        journal.append({"event": "interrupted", "step": -1})
+    assert steps(read_events(path)) == [0, -1]
