@@ -107,10 +107,10 @@ def test_interpolated_scene_equals_a_direct_evaluation_at_every_pixel(what: Samp
 def test_a_smooth_sample_shows_the_mirror_image_of_the_lamp() -> None:
     """Its place, size and radiance: rho_s times the lamp's.
 
-    Source and camera lie at the same distance d. From a spot that is dx off the mirror point they are seen in directions
-    that turn by dx cos(theta)/d each, against each other once mirrored; across the plane of incidence by dy/d. So the
-    lamp's half-angle a is seen up to dx = a d / (2 cos(theta)) and dy = a d / 2. A lamp of radiance L gives the irradiance
-    L w_s cos(theta), and R stands for a white surface under L w_s: so the rate is R pi rho_s / w_s.
+    Source and camera lie at the same distance d. From a spot that is dx off the mirror point they are seen in
+    directions that turn by dx cos(theta)/d each, against each other once mirrored; across the plane of incidence by
+    dy/d. So the lamp's half-angle a is seen up to dx = a d / (2 cos(theta)) and dy = a d / 2. A lamp of radiance L
+    gives the irradiance L w_s cos(theta), and R stands for a white surface under L w_s: the rate is R pi rho_s / w_s.
     """
     theta, half = math.radians(30), math.radians(0.5)
     description = describe("sim-ideal", camera=BARE | {"lens_half_angle_deg": 0.01}, holder={"holder_albedo": 0.0})
