@@ -36,6 +36,8 @@ STALL_S = 0.5
 """An axis that has neither moved nor landed for this long is stuck."""
 STARTING_S = 0.06
 """A servo has begun to follow a new goal by then."""
+GRACE_S = 3.0
+"""A move may take twice its time, and this."""
 CORRECTIONS = 4
 LARGEST_CORRECTION_DEG = 2.0
 HOT_MARGIN_C = 3
@@ -340,10 +342,8 @@ class ServoArms:
             for name, value in wrong.items():
                 self._write(joint, name, value)
         joint.max_temperature_c = self._get(joint, "Temperature Limit")
-        joint.voltage_limits_v = (
-            self._get(joint, "Min Voltage Limit") / 10,
-            self._get(joint, "Max Voltage Limit") / 10,
-        )
+        low, high = self._get(joint, "Min Voltage Limit"), self._get(joint, "Max Voltage Limit")
+        joint.voltage_limits_v = low / 10, high / 10
         joint.count_limits = self._get(joint, "Min Position Limit"), self._get(joint, "Max Position Limit")
         joint.full_current = self._get(joint, "Current Limit") if "Current Limit" in joint.table else 1000
         self._check_reach(joint)
@@ -351,7 +351,7 @@ class ServoArms:
         rate = self._servos.acceleration_deg_per_s2 * joint.servo.gear_ratio / ACCELERATION_UNIT_DEG_S2
         acceleration = joint.table["Profile Acceleration"].encode(max(1, int(rate)))
         joint.profile = acceleration + joint.table["Profile Velocity"].encode(
-            min(speed, self._get(joint, "Velocity Limit"))
+            min(speed, max(1, self._get(joint, "Velocity Limit")))
         )
         self.bus.write(joint.id, joint.table["Profile Acceleration"].address, joint.profile)
         position = self._get(joint, "Present Position")
@@ -433,7 +433,7 @@ class ServoArms:
         landings = {name: Landing(goal, goal, since=start) for name, goal in goals.items()}
         self._send({name: landing.sent for name, landing in landings.items()})
         allowed = max(self._duration(name, before[name].position, goal) for name, goal in goals.items())
-        deadline = start + 2 * allowed + 3.0
+        deadline = start + 2 * allowed + GRACE_S
         while not all(landing.done for landing in landings.values()):
             time.sleep(POLL_S)
             reports = self._reports()

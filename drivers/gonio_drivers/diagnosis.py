@@ -24,11 +24,12 @@ NOISE_DEG = 0.1
 STEP_DEG = 3.0
 
 
-def rows(rig: LabRig) -> list[Row]:
-    """Servos (version, temperature, voltage), bus latency, readback noise, repeatability, lamp."""
+def rows(rig: LabRig, *, move: bool) -> list[Row]:
+    """Servos (version, temperature, voltage), bus latency, readback noise, repeatability (where it may move), lamp."""
     out = [_servo(rig.arms, joint) for joint in rig.arms.joints.values()]
     out += _bus(rig.arms)
-    out += _repeatability(rig.arms)
+    if move:
+        out += _repeatability(rig.arms)
     rig.light.check()
     reading = rig.light.monitor()
     monitor = "" if reading is None else f", monitor {reading:g}"

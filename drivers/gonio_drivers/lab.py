@@ -105,9 +105,9 @@ class LabRig:
         """Seconds since 1970, so that the sittings of one run share a clock."""
         return time.time()
 
-    def diagnose(self) -> list[tuple[str, str, bool]]:
+    def diagnose(self, *, move: bool) -> list[tuple[str, str, bool]]:
         """What `gonio rig check` reports of the devices: what, what was found, whether that is good."""
-        return diagnosis.rows(self)
+        return diagnosis.rows(self, move=move)
 
     def __enter__(self) -> Self:
         with contextlib.ExitStack() as stack:
@@ -127,7 +127,8 @@ class LabRig:
         except GonioError as dark:
             failure = dark
         try:
-            if not self.arms.faulted and not (isinstance(error, Interrupted) and self.arms.stopped):
+            stopped = self.arms.stopped and not isinstance(error, DeviceError)  # by somebody, and not after a failure
+            if not self.arms.faulted and not stopped:
                 self.arms.park()
         except GonioError as stuck:
             failure = failure or stuck

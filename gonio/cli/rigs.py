@@ -52,6 +52,7 @@ def show(
 @app.command()
 def check(
     rig: Annotated[str, typer.Option(help="A rig's name, or a rig file.", show_default=False)],
+    move: Annotated[bool, typer.Option(help="Move the axes a little, and light the lamp.")] = True,
 ) -> None:
     """Open a rig, move every axis a little, switch the lamp, take a dark and a lit frame; exit 3 if any is bad."""
     from rich.text import Text
@@ -61,7 +62,7 @@ def check(
     from gonio.errors import DeviceError
 
     choice = find_rig(rig)
-    rows = checks(choice)
+    rows = checks(choice, move=move)
     table = console.table("check", "found", "verdict", title=choice.description.name)
     for what, found, good in rows:
         table.add_row(what, found, "good" if good else Text("BAD", style="bold red"))
@@ -87,7 +88,7 @@ def park(
     console.note(f"{choice.description.name}: lamp dark, arms parked")
 
 
-def checks(choice: RigChoice) -> list[Row]:
+def checks(choice: RigChoice, *, move: bool = True) -> list[Row]:
     """What is checked, what was found, and whether that is good; stops at the first device that fails."""
     from gonio.errors import DeviceError
 
@@ -96,9 +97,13 @@ def checks(choice: RigChoice) -> list[Row]:
     try:
         with rig:
             rows.append(("devices open, lamp dark", "yes", True))
-            rows.extend(getattr(rig, "diagnose", list)())  # what a rig knows of its own devices, if it tells
-            _check_devices(rig, rows)
-        rows.append(("arms parked, lamp dark", "yes", True))
+            if hasattr(rig, "diagnose"):   # what a rig knows of its own devices, if it tells
+                rows.extend(rig.diagnose(move=move))
+            if move:
+                _check_devices(rig, rows)
+            else:
+                rig.arms.stop()   # a rig whose arms were stopped does not park them
+        rows.append(("arms parked, lamp dark" if move else "lamp dark", "yes", True))
     except DeviceError as error:
         rows.append(("device", str(error), False))
     return rows
