@@ -1,14 +1,13 @@
 """Fitting a reflectance model to a measurement table.
 
-Weighted least squares with the table's whole covariance: residuals are whitened (`gonio_analysis.uncertainty`), the model
-is evaluated through the cones of the instrument (`gonio_analysis.forward`), and the search starts from the best points of
-a coarse grid, because the shapes of these models are multi-modal in their roughness. Parameters are searched on their
-natural scale (logarithmic for lengths, widths and indices) inside bounds.
+Weighted least squares with the table's whole covariance: residuals are whitened (`gonio_analysis.uncertainty`), the
+model is evaluated through the cones of the instrument (`gonio_analysis.forward`), and the search starts from the best
+points of a coarse grid (`gonio_analysis.search`).
 
 Standard errors are those of linearised least squares with the stated covariance, and are not scaled by the reduced
 chi-square: where that is far from 1, the model or the stated uncertainties are wrong, and no scaling mends either.
-Without stated uncertainties every point weighs by 1/(|f| + 5 % of the median |f|), errors come from the scatter of
-the residuals, and there is no chi-square.
+Without stated uncertainties the fit is logarithmic (`gonio_analysis.objective`), errors come from the scatter of the
+residuals, and there is no chi-square.
 """
 
 from __future__ import annotations
@@ -22,24 +21,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gonio import plugins
 from gonio.errors import ArgumentError, ConfigError, DataError
-from gonio_analysis import families
-from gonio_analysis.families import Family, Ior, Values
+from gonio_analysis.families import Family, Ior
 from gonio_analysis.forward import apparent
+from gonio_analysis.objective import alone, scaled_to
 from gonio_analysis.observations import Observations, observations
-from gonio_analysis.uncertainty import Covariance, Floats, independent
+from gonio_analysis.search import STEP, Problem, covariance, pose, refine, search, settle
+from gonio_analysis.uncertainty import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
-
-GRID_POINTS = 250
-"""Values that a start is judged by."""
-STARTS = 4
-COARSE_U = 0.15
-"""Relative uncertainty added while the start is sought, so that a steep flank does not hide the right valley."""
-STEP = 1e-4
-"""Central differences, on the search scale: an error of 1e-8 relative, far above the rounding of the models."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +63,7 @@ class FitResult:
     predicted: Floats
     """The model through the instrument, in the directions of `data` [1/sr]."""
     whitened: Floats
-    """Residuals model - measurement, whitened; relative ones where no uncertainty is stated."""
+    """Residuals model - measurement, whitened; logarithmic ones where no uncertainty is stated."""
     weighting: str
     chi_square: float | None
     wavelength_nm: float
@@ -208,7 +199,7 @@ def fit(
         Fewer values than free parameters, or no usable value.
     """
     began = time.perf_counter()
-    problem = _problem(model, ior, dict(fix or {}), tuple(free), slopes)
+    problem = pose(model, ior, fix or {}, free, slopes)
     data = table if isinstance(table, Observations) else observations(table, name)
     data, wavelength, notes = _one_wavelength(data, wavelength_nm, problem.family, name)
     names = problem.free
@@ -218,127 +209,38 @@ def fit(
         )
     notes += problem.notes
 
-    weights, weighting = _weights(data)
-    # common causes come in once there is a model to scale them by: see Covariance.scaled
-    alone = independent(weights.random)
-    vector = (
-        _search(problem, data, alone)
-        if start is None
-        else _refine(problem, data, alone, problem.vector(dict(start)), quick=True)[0]
-    )
-    if data.covariance is not None and weights.causes:
-        weights = data.covariance.scaled(_ratio(apparent(problem.model(vector), data, quick=True), data))
-    vector, jacobian = _settle(problem, data, weights, _refine(problem, data, weights, vector)[0])
+    if start is None:
+        vector = search(problem, data)
+    else:
+        vector, _ = refine(problem, data, alone(data), problem.vector(dict(start)), quick=True)
+    goal = scaled_to(data, apparent(problem.model(vector), data, quick=True))
+    vector, jacobian = settle(problem, data, goal, refine(problem, data, goal, vector)[0])
     built = problem.model(vector)
     predicted = apparent(built, data)
-    white = weights.whiten(predicted - data.brdf)
-    cost = 0.5 * float(white @ white)
-    covariance, condition = _covariance(jacobian)
+    white = goal.residual(predicted)
+    total = float(white @ white)
+    spread, condition = covariance(jacobian)
     if data.covariance is None:
-        covariance = covariance * (2 * cost / (len(data) - len(names)))
+        spread = spread * (total / (len(data) - len(names)))
         notes.append("Standard errors come from the scatter of the residuals; there is no chi-square.")
     result = FitResult(
         name=model,
         model=built,
-        parameters=_estimates(problem, vector, covariance, wavelength),
+        parameters=_estimates(problem, vector, spread, wavelength),
         free=names,
-        covariance=covariance * np.outer(problem.slope(vector), problem.slope(vector)),
-        derived=_derived(problem, vector, covariance),
+        covariance=spread * np.outer(problem.slope(vector), problem.slope(vector)),
+        derived=_derived(problem, vector, spread),
         data=data,
         predicted=predicted,
         whitened=white,
-        weighting=weighting,
-        chi_square=None if data.covariance is None else 2 * cost,
+        weighting=goal.words,
+        chi_square=None if data.covariance is None else total,
         wavelength_nm=wavelength,
         condition=condition,
         wall_s=0.0,
     )
     notes += _identifiability(problem, result)
     return replace(result, notes=[*data.notes, *notes], wall_s=time.perf_counter() - began)
-
-
-@dataclass(frozen=True)
-class _Problem:
-    """Which numbers move, on which scale, and the model that they make."""
-
-    family: Family
-    kind: Any
-    """The model's class, looked up once: a search builds hundreds of models."""
-    free: tuple[str, ...]
-    fixed: Values
-    words: dict[str, str]
-    ior: Ior
-    notes: list[str]
-
-    @property
-    def bounds(self) -> tuple[Floats, Floats]:
-        rows = [self.family.parameter(n) for n in self.free]
-        lower = [math.log(p.lower) if p.scale == "log" else p.lower for p in rows]
-        upper = [math.log(p.upper) if p.scale == "log" else p.upper for p in rows]
-        return np.array(lower), np.array(upper)
-
-    def values(self, vector: Floats) -> Values:
-        """All parameters by name, for a point of the search."""
-        out = dict(self.fixed)
-        for n, x in zip(self.free, vector, strict=True):
-            p = self.family.parameter(n)
-            out[n] = p.inside(math.exp(x) if p.scale == "log" else float(x))
-        return out
-
-    def vector(self, values: Values) -> Floats:
-        """The point of the search that has these values, brought inside the bounds."""
-        rows = [(self.family.parameter(n), values[n]) for n in self.free]
-        return np.array([math.log(p.inside(v)) if p.scale == "log" else p.inside(v) for p, v in rows])
-
-    def slope(self, vector: Floats) -> Floats:
-        """d(value)/d(search scale) of the free parameters."""
-        values = self.values(vector)
-        return np.array([values[n] if self.family.parameter(n).scale == "log" else 1.0 for n in self.free])
-
-    def model(self, vector: Floats) -> Any:
-        from gonio.models.base import build_model
-
-        return build_model(self.kind, self.family.name, {**self.family.arguments(self.values(vector)), **self.words})
-
-
-def _problem(model: str, ior: Ior, fix: dict[str, float | str], free: tuple[str, ...], slopes: int) -> _Problem:
-    notes: list[str] = []
-    if isinstance(fix.get("ior"), str) and ior is None:
-        ior = str(fix.pop("ior"))
-    if ior is not None and not families.needs_ior(model) and model in families.FAMILIES:
-        ior = None
-        notes.append(f"The optical constants are not used: {model} has none.")
-    family = families.family(model, slopes=slopes, ior=ior)
-    words = {k: v for k, v in fix.items() if isinstance(v, str)}
-    numbers = {k: float(v) for k, v in fix.items() if not isinstance(v, str)}
-    for n, value in numbers.items():
-        p = family.parameter(n)
-        if not p.lower <= value <= p.upper:
-            raise ConfigError(f"--fix {n}={value:g}: {n} of {model} lies between {p.lower:g} and {p.upper:g}")
-    for n in free:
-        family.parameter(n)
-        if n in numbers:
-            raise ConfigError(f"{n} is given to --fix and to --free")
-        if isinstance(ior, str) and n in ("ior", "k"):
-            raise ConfigError(
-                f"--free {n}: with --ior {ior} the material fixes n + ik; give numbers (as 1.5+2j) to start from"
-            )
-    names = tuple(p.name for p in family.parameters)
-    moving = tuple(n for n in names if (n in family.free or n in free) and n not in numbers)
-    if not moving:
-        raise ConfigError(f"every parameter of {model} is fixed: there is nothing to fit")
-    fixed = {**family.fixed, **numbers}
-    if ior is None and "ior" in moving and families.needs_ior(model) and not fixed.get("k") and "k" not in moving:
-        notes.append("No optical constants were given (--ior): a real refractive index n is fitted, with k = 0.")
-    return _Problem(
-        family,
-        plugins.load("gonio.models", model),
-        moving,
-        {n: v for n, v in fixed.items() if n not in moving},
-        words,
-        ior,
-        notes,
-    )
 
 
 def _one_wavelength(
@@ -368,153 +270,17 @@ def _one_wavelength(
     return filled, float(wavelength_nm), [f"The broad band is evaluated at {wavelength_nm:g} nm alone."]
 
 
-def _weights(data: Observations) -> tuple[Covariance, str]:
-    if data.covariance is not None:
-        causes = ", ".join(data.covariance.causes)
-        return data.covariance, "the table's covariance" + (f", with the common causes {causes}" if causes else "")
-    size = np.abs(data.brdf)
-    return independent(size + 0.05 * max(float(np.median(size)), 1e-300)), "relative: 1/(|f| + 5 % of the median |f|)"
-
-
-def _ratio(predicted: Floats, data: Observations) -> Floats:
-    """Fitted / measured where that ratio means something, for `Covariance.scaled`."""
-    seen = data.brdf > 3 * data.u
-    return np.clip(np.where(seen, predicted / np.where(seen, data.brdf, 1.0), 1.0), 0.5, 2.0)
-
-
-def _search(problem: _Problem, data: Observations, weights: Covariance) -> Floats:
-    """The best point of several searches with the quick forward model, the first part of each with softened weights."""
-    rows = np.arange(len(data))
-    few = data if len(data) <= GRID_POINTS else data.take(rows[:: -(-len(data) // GRID_POINTS)])
-    soft = independent(np.hypot(_plain_u(few), COARSE_U * np.abs(few.brdf)))
-    known = {n: v for n, v in problem.family.fixed.items() if n in problem.free and v}
-    candidates: list[tuple[float, Floats]] = []
-    for start in problem.family.starts(data):
-        vector = problem.vector({"k": 1.0, **start, **known})
-        residual = soft.whiten(apparent(problem.model(vector), few, quick=True) - few.brdf)
-        # large residuals count by their logarithm: a lobe in the right place must win over one that is merely low
-        candidates.append((float(np.log1p(np.minimum(residual**2, 1e12)).sum()), vector))
-    candidates.sort(key=lambda c: c[0])
-    coarse = [_refine(problem, few, soft, vector, quick=True, limit=25) for _, vector in candidates[:STARTS]]
-    coarse.sort(key=lambda c: c[1])
-    chosen = [coarse[0]] + [c for c in coarse[1:] if np.abs(c[0] - coarse[0][0]).max() > 0.05][:1]
-    final = [_refine(problem, data, weights, vector, quick=True) for vector, _ in chosen]
-    return min(final, key=lambda f: f[1])[0]
-
-
-def _plain_u(data: Observations) -> Floats:
-    size = np.abs(data.brdf)
-    return data.u if data.covariance is not None else 0.05 * np.full(size.size, max(float(np.median(size)), 1e-300))
-
-
-def _refine(
-    problem: _Problem,
-    data: Observations,
-    weights: Covariance,
-    start: Floats,
-    *,
-    quick: bool = False,
-    limit: int = 60,
-) -> tuple[Floats, float]:
-    """Trust-region least squares from one start; the point and half its sum of squares.
-
-    Derivatives are those of the quick forward model, scaled to the full one; `_settle` takes the last step with the
-    derivatives of the full one.
-    """
-    from scipy.optimize import least_squares
-
-    lower, upper = problem.bounds
-    margin = 1e-9 * (upper - lower)
-    latest = np.empty(len(data))
-
-    def residual(x: Floats) -> Floats:
-        latest[:] = apparent(problem.model(x), data, quick=quick)
-        return weights.whiten(latest - data.brdf)
-
-    def jacobian(x: Floats) -> Floats:
-        columns = _jacobian(problem, data, x, quick=True)
-        if not quick:
-            near = apparent(problem.model(x), data, quick=True)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                columns = columns * np.nan_to_num(np.clip(latest / near, 0.2, 5.0), nan=1.0)[:, None]
-        return weights.whiten(columns)
-
-    result = least_squares(
-        residual,
-        np.clip(start, lower + margin, upper - margin),
-        jac=jacobian,
-        bounds=(lower, upper),
-        x_scale="jac",
-        xtol=1e-9,
-        ftol=1e-10 if quick else 1e-8,
-        gtol=1e-12,
-        max_nfev=limit,
-    )
-    return np.asarray(result.x), float(result.cost)
-
-
-def _settle(problem: _Problem, data: Observations, weights: Covariance, vector: Floats) -> tuple[Floats, Floats]:
-    """One Gauss-Newton step with the full derivatives, if it helps; the point and the whitened Jacobian there.
-
-    A parameter whose last step stays at a bound is put onto it.
-    """
-    lower, upper = problem.bounds
-    residual = weights.whiten(apparent(problem.model(vector), data) - data.brdf)
-    jacobian = weights.whiten(_jacobian(problem, data, vector))
-    margin = 1e-6 * np.minimum(upper - lower, 1.0)
-    inside = (vector > lower + margin) & (vector < upper - margin)
-    step = np.zeros(vector.size)
-    if inside.any():
-        size = np.maximum(np.linalg.norm(jacobian[:, inside], axis=0), 1e-300)
-        step[inside] = np.linalg.lstsq(jacobian[:, inside] / size, -residual, rcond=1e-10)[0] / size
-    moved = np.clip(vector + np.clip(step, -0.1, 0.1), lower, upper)
-    moved = np.where(moved <= lower + margin, lower, np.where(moved >= upper - margin, upper, moved))
-    after = weights.whiten(apparent(problem.model(moved), data) - data.brdf)
-    # a bound that is put on exactly may cost the last digits of the sum
-    return (moved, jacobian) if after @ after <= (residual @ residual) * (1 + 1e-9) else (vector, jacobian)
-
-
-def _jacobian(problem: _Problem, data: Observations, vector: Floats, *, quick: bool = False) -> Floats:
-    """d(model)/d(search scale), (n, p), by central differences (one-sided at a bound)."""
-    lower, upper = problem.bounds
-    columns = []
-    for k in range(vector.size):
-        up, down = vector.copy(), vector.copy()
-        up[k] = min(vector[k] + STEP, upper[k])
-        down[k] = max(vector[k] - STEP, lower[k])
-        high, low = (apparent(problem.model(x), data, quick=quick) for x in (up, down))
-        columns.append((high - low) / (up[k] - down[k]))
-    return np.stack(columns, axis=1)
-
-
-def _covariance(jacobian: Floats) -> tuple[Floats, float]:
-    """(J^T J)^-1 on the search scale, and the condition number of J with columns of unit length.
-
-    A column of zeros (a parameter without any effect) gets an infinite variance.
-    """
-    size = np.linalg.norm(jacobian, axis=0)
-    seen = size > 0
-    out = np.full((size.size, size.size), 0.0)
-    out[~seen, ~seen] = np.inf
-    if not seen.any():
-        return out, math.inf
-    _, values, right = np.linalg.svd(jacobian[:, seen] / size[seen], full_matrices=False)
-    values = np.maximum(values, 1e-12 * values[0])
-    inner = (right.T / values**2) @ right / np.outer(size[seen], size[seen])
-    out[np.ix_(seen, seen)] = inner
-    return out, float(values[0] / values[-1]) if seen.all() else math.inf
-
-
-def _estimates(problem: _Problem, vector: Floats, covariance: Floats, wavelength_nm: float) -> dict[str, Estimate]:
+def _estimates(problem: Problem, vector: Floats, spread: Floats, wavelength_nm: float) -> dict[str, Estimate]:
     index = None
     if isinstance(problem.ior, str):
         from gonio import materials
 
         index = complex(materials.ior(problem.ior)(wavelength_nm))
     values, slope = problem.values(vector), problem.slope(vector)
-    u = dict(zip(problem.free, np.sqrt(np.diag(covariance)) * slope, strict=True))
+    u = dict(zip(problem.free, np.sqrt(np.diag(spread)) * slope, strict=True))
     lower, upper = problem.bounds
-    close = 1e-2 * np.minimum(np.sqrt(np.diag(covariance)), 1.0) + 1e-7
+    wide = {n for n, e, span in zip(problem.free, np.sqrt(np.diag(spread)), upper - lower, strict=True) if e > span}
+    close = 1e-2 * np.minimum(np.sqrt(np.diag(spread)), 1.0) + 1e-7
     edge = {
         n: "lower" if x - low <= c else "upper" if high - x <= c else ""
         for n, x, low, high, c in zip(problem.free, vector, lower, upper, close, strict=True)
@@ -522,7 +288,9 @@ def _estimates(problem: _Problem, vector: Floats, covariance: Floats, wavelength
     out = {}
     for p in problem.family.parameters:
         if p.name in values:
-            error = float(u[p.name]) if p.name in u else 0.0
+            error: float | None = float(u[p.name]) if p.name in u else 0.0
+            if p.name in wide:
+                error = None
             out[p.name] = Estimate(values[p.name], error, p.name not in u, p.unit, edge.get(p.name, ""))
         elif isinstance(problem.ior, str) and index is not None:
             out[p.name] = Estimate(
@@ -531,7 +299,7 @@ def _estimates(problem: _Problem, vector: Floats, covariance: Floats, wavelength
     return out
 
 
-def _derived(problem: _Problem, vector: Floats, covariance: Floats) -> dict[str, Estimate]:
+def _derived(problem: Problem, vector: Floats, spread: Floats) -> dict[str, Estimate]:
     base = problem.family.derived(problem.values(vector))
     gradients: dict[str, list[float]] = {n: [] for n in base}
     for k in range(vector.size):
@@ -545,19 +313,22 @@ def _derived(problem: _Problem, vector: Floats, covariance: Floats) -> dict[str,
     for n, value in base.items():
         g = np.array(gradients[n])
         used = g != 0
-        variance = g[used] @ covariance[np.ix_(used, used)] @ g[used] if used.any() else 0.0
+        variance = g[used] @ spread[np.ix_(used, used)] @ g[used] if used.any() else 0.0
         out[n] = Estimate(value, math.sqrt(max(float(variance), 0.0)), not used.any())
     return out
 
 
-def _identifiability(problem: _Problem, result: FitResult) -> list[str]:
+def _identifiability(problem: Problem, result: FitResult) -> list[str]:
     """What these data cannot tell, in words."""
     notes = []
     for n, e in result.parameters.items():
         if e.at_bound:
-            notes.append(f"{n} ended on its {e.at_bound} bound ({e.value:g}): its standard error is formal.")
-        elif not e.fixed and (e.u is None or not math.isfinite(e.u)):
-            notes.append(f"{n} has no effect on these data: it is not determined.")
+            notes.append(
+                f"{n} ended on its {e.at_bound} bound ({e.value:g})"
+                + (": its standard error is formal." if e.u is not None else ", where the data do not determine it.")
+            )
+        elif not e.fixed and e.u is None:
+            notes.append(f"{n} is not determined by these data.")
     c = result.correlation
     names = result.free
     pairs = [(a, b, c[i, j]) for i, a in enumerate(names) for j, b in enumerate(names) if i < j and abs(c[i, j]) > 0.98]

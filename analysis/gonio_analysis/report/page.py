@@ -209,7 +209,7 @@ def _parameters(d: dict[str, Any]) -> str:
                 ]
             )
             first = False
-    notes = [(m, n) for m, f in d["models"].items() for n in f["notes"] if n not in d["notes"]]
+    notes = [(m, n) for m, f in d["models"].items() for n in f["notes"] if n not in d["notes"] + d["data_notes"]]
     listed = "".join(f"<li><b>{escape(m)}</b>: {escape(n)}</li>" for m, n in notes)
     return _table(
         "Standard errors are those of least squares with the stated covariance; they are not scaled by χ².",

@@ -79,6 +79,7 @@ def _dataset(d: Dataset, slug: str) -> dict[str, Any]:
         "out_of_plane_deg": math.degrees(max((c.out_of_plane for c in d.curves), default=0.0)),
         "curves_without_mirror": [_angle(c.parameter) for c in d.curves if c.mirror is None],
         "notes": _notes(d),
+        "data_notes": list(d.data.notes),
         "provenance": _plain(attrs.get("provenance") or {}),
         "run": d.run,
         "models": {name: _fitted(f) for name, f in d.fitted.items()},

@@ -1,0 +1,238 @@
+"""The search for the best parameters: a coarse grid, several short searches, one long one.
+
+The shapes of these models are multi-modal in their roughness, so a search that starts anywhere ends anywhere. Parameters move
+on their natural scale (logarithmic for lengths, widths and indices) inside bounds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gonio import plugins
+from gonio.errors import ConfigError
+from gonio_analysis import families
+from gonio_analysis.families import Family, Ior, Values
+from gonio_analysis.forward import apparent
+from gonio_analysis.objective import Objective, alone, softened
+from gonio_analysis.observations import Observations
+from gonio_analysis.uncertainty import Floats
+
+GRID_POINTS = 250
+"""Values that a start is judged by."""
+STARTS = 4
+COARSE_U = 0.15
+"""Relative uncertainty added while the start is sought."""
+STEP = 1e-4
+"""Central differences, on the search scale: an error of 1e-8 relative, far above the rounding of the models."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Which numbers move, on which scale, and the model that they make."""
+
+    family: Family
+    kind: Any
+    """The model's class, looked up once: a search builds hundreds of models."""
+    free: tuple[str, ...]
+    fixed: Values
+    words: dict[str, str]
+    ior: Ior
+    notes: list[str]
+
+    @property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Lower and upper bounds on the search scale."""
+        rows = [self.family.parameter(n) for n in self.free]
+        lower = [math.log(p.lower) if p.scale == "log" else p.lower for p in rows]
+        upper = [math.log(p.upper) if p.scale == "log" else p.upper for p in rows]
+        return np.array(lower), np.array(upper)
+
+    def values(self, vector: Floats) -> Values:
+        """All parameters by name, for a point of the search."""
+        out = dict(self.fixed)
+        for n, x in zip(self.free, vector, strict=True):
+            p = self.family.parameter(n)
+            out[n] = p.inside(math.exp(x) if p.scale == "log" else float(x))
+        return out
+
+    def vector(self, values: Values) -> Floats:
+        """The point of the search that has these values, brought inside the bounds."""
+        rows = [(self.family.parameter(n), values[n]) for n in self.free]
+        return np.array([math.log(p.inside(v)) if p.scale == "log" else p.inside(v) for p, v in rows])
+
+    def slope(self, vector: Floats) -> Floats:
+        """d(value)/d(search scale) of the free parameters."""
+        values = self.values(vector)
+        return np.array([values[n] if self.family.parameter(n).scale == "log" else 1.0 for n in self.free])
+
+    def model(self, vector: Floats) -> Any:
+        """The model at a point of the search."""
+        from gonio.models.base import build_model
+
+        return build_model(self.kind, self.family.name, {**self.family.arguments(self.values(vector)), **self.words})
+
+
+def pose(model: str, ior: Ior, fix: Mapping[str, float | str], free: Sequence[str], slopes: int) -> Problem:
+    """What to fit, from what a user asks for; see `gonio_analysis.fit.fit`.
+
+    Raises
+    ------
+    ConfigError
+        Unknown model, parameter or option, or nothing is left to fit.
+    """
+    notes: list[str] = []
+    if ior is not None and not families.needs_ior(model) and model in families.FAMILIES:
+        ior = None
+        notes.append(f"The optical constants are not used: {model} has none.")
+    family = families.family(model, slopes=slopes, ior=ior)
+    words = {k: v for k, v in fix.items() if isinstance(v, str)}
+    numbers = {k: float(v) for k, v in fix.items() if not isinstance(v, str)}
+    for n, value in numbers.items():
+        p = family.parameter(n)
+        if not p.lower <= value <= p.upper:
+            raise ConfigError(f"--fix {n}={value:g}: {n} of {model} lies between {p.lower:g} and {p.upper:g}")
+    for n in free:
+        family.parameter(n)
+        if n in numbers:
+            raise ConfigError(f"{n} is given to --fix and to --free")
+        if isinstance(ior, str) and n in ("ior", "k"):
+            raise ConfigError(
+                f"--free {n}: with --ior {ior} the material fixes n + ik; give numbers (as 1.5+2j) to start from"
+            )
+    names = tuple(p.name for p in family.parameters)
+    moving = tuple(n for n in names if (n in family.free or n in free) and n not in numbers)
+    if not moving:
+        raise ConfigError(f"every parameter of {model} is fixed: there is nothing to fit")
+    fixed = {**family.fixed, **numbers}
+    if ior is None and "ior" in moving and families.needs_ior(model) and not fixed.get("k") and "k" not in moving:
+        notes.append("No optical constants were given (--ior): a real refractive index n is fitted, with k = 0.")
+    return Problem(
+        family,
+        plugins.load("gonio.models", model),
+        moving,
+        {n: v for n, v in fixed.items() if n not in moving},
+        words,
+        ior,
+        notes,
+    )
+
+
+def search(problem: Problem, data: Observations) -> Floats:
+    """The best point of several searches with the quick forward model, the first part of each with softened weights.
+
+    Only the independent part of the covariance counts here: common causes need a model to be scaled by.
+    """
+    rows = np.arange(len(data))
+    few = data if len(data) <= GRID_POINTS else data.take(rows[:: -(-len(data) // GRID_POINTS)])
+    soft = softened(few, COARSE_U)
+    known = {n: v for n, v in problem.family.fixed.items() if n in problem.free and v}
+    candidates: list[tuple[float, Floats]] = []
+    for start in problem.family.starts(data):
+        vector = problem.vector({"k": 1.0, **start, **known})
+        residual = soft.residual(apparent(problem.model(vector), few, quick=True))
+        # large residuals count by their logarithm: a lobe in the right place must win over one that is merely low
+        candidates.append((float(np.log1p(np.minimum(residual**2, 1e12)).sum()), vector))
+    candidates.sort(key=lambda c: c[0])
+    coarse = [refine(problem, few, soft, vector, quick=True, limit=25) for _, vector in candidates[:STARTS]]
+    coarse.sort(key=lambda c: c[1])
+    chosen = [coarse[0]] + [c for c in coarse[1:] if np.abs(c[0] - coarse[0][0]).max() > 0.05][:1]
+    final = [refine(problem, data, alone(data), vector, quick=True) for vector, _ in chosen]
+    return min(final, key=lambda f: f[1])[0]
+
+
+def refine(
+    problem: Problem, data: Observations, goal: Objective, start: Floats, *, quick: bool = False, limit: int = 60
+) -> tuple[Floats, float]:
+    """Trust-region least squares from one start; the point and half its sum of squares.
+
+    Derivatives are those of the quick forward model, scaled to the full one; `settle` takes the last step with the
+    derivatives of the full one.
+    """
+    from scipy.optimize import least_squares
+
+    lower, upper = problem.bounds
+    margin = 1e-9 * (upper - lower)
+    latest = np.empty(len(data))
+
+    def residual(x: Floats) -> Floats:
+        latest[:] = apparent(problem.model(x), data, quick=quick)
+        return goal.residual(latest)
+
+    def jacobian(x: Floats) -> Floats:
+        columns = derivatives(problem, data, x, quick=True)
+        if not quick:
+            near = apparent(problem.model(x), data, quick=True)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                columns = columns * np.nan_to_num(np.clip(latest / near, 0.2, 5.0), nan=1.0)[:, None]
+        return goal.jacobian(latest, columns)
+
+    result = least_squares(
+        residual,
+        np.clip(start, lower + margin, upper - margin),
+        jac=jacobian,
+        bounds=(lower, upper),
+        x_scale="jac",
+        xtol=1e-9,
+        ftol=1e-10 if quick else 1e-8,
+        gtol=1e-12,
+        max_nfev=limit,
+    )
+    return np.asarray(result.x), float(result.cost)
+
+
+def settle(problem: Problem, data: Observations, goal: Objective, vector: Floats) -> tuple[Floats, Floats]:
+    """One Gauss-Newton step with the full derivatives, if it helps; the point, and the Jacobian of the residuals there.
+
+    A parameter that stays at a bound is put onto it.
+    """
+    lower, upper = problem.bounds
+    predicted = apparent(problem.model(vector), data)
+    residual = goal.residual(predicted)
+    jacobian = goal.jacobian(predicted, derivatives(problem, data, vector))
+    margin = 1e-6 * np.minimum(upper - lower, 1.0)
+    inside = (vector > lower + margin) & (vector < upper - margin)
+    step = np.zeros(vector.size)
+    if inside.any():
+        size = np.maximum(np.linalg.norm(jacobian[:, inside], axis=0), 1e-300)
+        step[inside] = np.linalg.lstsq(jacobian[:, inside] / size, -residual, rcond=1e-10)[0] / size
+    moved = np.clip(vector + np.clip(step, -0.1, 0.1), lower, upper)
+    moved = np.where(moved <= lower + margin, lower, np.where(moved >= upper - margin, upper, moved))
+    after = goal.residual(apparent(problem.model(moved), data))
+    # a bound that is put on exactly may cost the last digits of the sum
+    return (moved, jacobian) if after @ after <= (residual @ residual) * (1 + 1e-9) else (vector, jacobian)
+
+
+def derivatives(problem: Problem, data: Observations, vector: Floats, *, quick: bool = False) -> Floats:
+    """d(model)/d(search scale), (n, p), by central differences (one-sided at a bound)."""
+    lower, upper = problem.bounds
+    columns = []
+    for k in range(vector.size):
+        up, down = vector.copy(), vector.copy()
+        up[k] = min(vector[k] + STEP, upper[k])
+        down[k] = max(vector[k] - STEP, lower[k])
+        high, low = (apparent(problem.model(x), data, quick=quick) for x in (up, down))
+        columns.append((high - low) / (up[k] - down[k]))
+    return np.stack(columns, axis=1)
+
+
+def covariance(jacobian: Floats) -> tuple[Floats, float]:
+    """(J^T J)^-1 on the search scale, and the condition number of J with columns of unit length.
+
+    A column of zeros (a parameter without any effect) gets an infinite variance.
+    """
+    size = np.linalg.norm(jacobian, axis=0)
+    seen = size > 0
+    out = np.full((size.size, size.size), 0.0)
+    out[~seen, ~seen] = np.inf
+    if not seen.any():
+        return out, math.inf
+    _, values, right = np.linalg.svd(jacobian[:, seen] / size[seen], full_matrices=False)
+    values = np.maximum(values, 1e-12 * values[0])
+    inner = (right.T / values**2) @ right / np.outer(size[seen], size[seen])
+    out[np.ix_(seen, seen)] = inner
+    return out, float(values[0] / values[-1]) if seen.all() else math.inf
