@@ -4,6 +4,8 @@ Directions are unit vectors, a cap is its axis and its half-angle. The disc rule
 (radius^2 proportional to 1 - cos rho), on which a uniform solid angle is a uniform area.
 """
 
+# mypy: allow-untyped-defs, allow-untyped-calls
+
 from __future__ import annotations
 
 import functools
@@ -19,9 +21,10 @@ Array = npt.NDArray[np.float64]
 
 @functools.cache
 def disc_rule(level: int) -> tuple[Array, Array, Array]:
-    """(radius^2, azimuth, weight) of a rule on the unit disc, weights summing to 1; exact to degree 5, 7, 11, 19, 31, 47.
+    """(radius^2, azimuth, weight) of a rule on the unit disc, weights summing to 1.
 
-    Level 0 is the centre and a hexagon; the others are Gauss in radius^2 times equally spaced azimuths.
+    Level 0 is the centre and a hexagon; the others are Gauss in radius^2 times equally spaced azimuths. They are exact
+    to degree 5, 7, 11, 19, 31, 47.
     """
     if level == 0:
         ring = np.arange(6) * (math.pi / 3.0)
@@ -60,11 +63,12 @@ def nodes(omega: Array, half_angle: float, square: Array, psi: Array) -> Array:
     away, across = frame(omega)
     drop = square * (2.0 * math.sin(half_angle / 2.0) ** 2)  # 1 - cos rho
     sine = np.sqrt(drop * (2.0 - drop))
-    return (
+    out: Array = (
         omega[..., None, :] * (1.0 - drop)[:, None]
         + away[..., None, :] * (sine * np.cos(psi))[:, None]
         + across[..., None, :] * (sine * np.sin(psi))[:, None]
     )
+    return out
 
 
 def cut_nodes(omega: Array, half_angle: float, order: int) -> tuple[Array, Array]:
@@ -99,7 +103,7 @@ def cut_nodes(omega: Array, half_angle: float, order: int) -> tuple[Array, Array
 
 
 @device
-def overlap_area(d, a, b):  # type: ignore[no-untyped-def]
+def overlap_area(d, a, b):
     """Solid angle [sr] that two caps of half-angles a and b share, their axes d apart.
 
     Two sectors less the two triangles between axes and corners, by half-angle formulas: nothing cancels but in a thin
@@ -120,7 +124,7 @@ def overlap_area(d, a, b):  # type: ignore[no-untyped-def]
 
 
 @device
-def tabulated(z, table, low, per_step):  # type: ignore[no-untyped-def]
+def tabulated(z, table, low, per_step):
     """A function of cos theta from equally spaced values, by cubics through four of them."""
     t = (z - low) * per_step
     k = min(max(int(t) - 1, 0), table.size - 4)
@@ -135,7 +139,7 @@ def tabulated(z, table, low, per_step):  # type: ignore[no-untyped-def]
 
 
 @device
-def overlap_mean(d, a, b, vz, e1z, e2z, table, low, per_step, x, w):  # type: ignore[no-untyped-def]
+def overlap_mean(d, a, b, vz, e1z, e2z, table, low, per_step, x, w):
     """Mean of a tabulated function of cos theta over the overlap of the cap b about v and the cap a, d away along e1.
 
     In the stereographic projection from -v both caps are discs, cut in two at the line through their corners; each
@@ -173,7 +177,7 @@ def overlap_mean(d, a, b, vz, e1z, e2z, table, low, per_step, x, w):  # type: ig
 
 
 @template("r1 r1 r1 r1 r1 p w1 i i")
-def spike_over_vectors(omega_i, omega_r, table, x, w, constants, out, start, stop):  # type: ignore[no-untyped-def]
+def spike_over_vectors(omega_i, omega_r, table, x, w, constants, out, start, stop):
     """Spike of caps that stay above the horizon: constants are a, b, the table's low end, 1/step, and 1 for "exact"."""
     a, b, low, per_step, exact = constants
     reach = (2.0 * math.sin(min(0.5 * (a + b), 0.5 * math.pi))) ** 2

@@ -1,6 +1,6 @@
 """What an instrument with a finite source and a finite receiver sees of a model.
 
-Both are circular cones: `theta_i, phi_i` and `theta_r, phi_r` are their axes. The BRDF that such an instrument measures is
+Both are circular cones: `theta_i, phi_i` and `theta_r, phi_r` are their axes. The BRDF that it measures is
 
     (1/w_r) int_r int_s f cos(theta_s) dw_s dw_r / int_s cos(theta_s) dw_s
 
@@ -306,7 +306,7 @@ def _reflectivity(model: Model, cosine: Array, wavelength_nm: float) -> Array:
 def _reflectivity_table(
     model: Model, z_r: Array, z_i: Array, wavelength_nm: float, source: float, receiver: float
 ) -> tuple[Array, float, float, int]:
-    """rho_s at equal steps of cos(theta) over the caps, and how many Gauss nodes a side its change over a cap asks for."""
+    """rho_s at equal steps of cos(theta) over the caps; how many Gauss nodes a side its change over a cap asks for."""
     angle_low = math.acos(min(1.0, max(z_r.max(), z_i.max()))) - receiver
     angle_high = math.acos(max(0.0, min(z_r.min(), z_i.min()))) + receiver
     low = max(0.0, math.cos(min(math.pi / 2.0, angle_high)))

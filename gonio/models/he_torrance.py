@@ -211,7 +211,8 @@ class HeTorrance(Model):
         out = np.empty((*shape, 2, 2, 2))
         run = loop(kernels.jones_over_angles, kernels.jones, len(constants))
         run(angles[0], angles[2], angles[3] - angles[1], constants, out.reshape(-1), 0, angles.shape[1])
-        return out.view(np.complex128)[..., 0]
+        joined: NDArray[np.complex128] = out.view(np.complex128)[..., 0]
+        return joined
 
     # --- energy -------------------------------------------------------------------------------------------------
 
