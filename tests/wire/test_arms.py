@@ -275,7 +275,7 @@ def test_an_axis_that_takes_too_long_stops_every_axis(
     monkeypatch.setattr("gonio_drivers.arms.GRACE_S", 0.2)
     monkeypatch.setattr(arms, "_duration", lambda *_: 0.1)  # this servo creeps
     line.servos[1]._limits = lambda: (5.0, 1e6)
-    with pytest.raises(DeviceError, match="no landing within 0.4 s: axis light"):
+    with pytest.raises(DeviceError, match=r"no landing within 0\.4 s: axis light"):
         arms.move(pose(80, 0, 0))
     assert at_rest(line)
 
