@@ -20,10 +20,10 @@ import numpy as np
 from gonio.models._compile import device
 from gonio.models._math import exp, log, sincos
 
-_RULES = [np.polynomial.legendre.leggauss(4 * k) for k in range(1, 21)]
+_RULES = [np.polynomial.legendre.leggauss(4 * k) for k in range(1, 37)]
 # Gauss-Legendre nodes and weights of all the rules, one after the other: the rule of 4k nodes begins at 2k(k - 1)
 NODES, WEIGHTS = (np.concatenate(parts) for parts in zip(*_RULES, strict=True))
-STEEPEST = 1e15  # the largest tangent of a direction: at exactly grazing the limit is reached to the last digits
+STEEPEST = 1e12  # the largest tangent of a direction: at exactly grazing the limit is reached to 1e-11
 RATIO = 10.0  # intervals of theta_a that span a larger ratio are divided
 
 
@@ -75,7 +75,7 @@ def twice_over_arc(half, sm, cm, smd, cmd, a, b, ti, tr, sine, c, work):  # type
     spread = 1.0 + 4.0 * steep * half
     reach = log(spread)
     ridge = not one and abs(a * cm + b * cmd) < 0.5 * (b * cmd - a * cm)
-    k = min(int(reach * 1.1 + (5.5 if ridge else 1.5)), 20)
+    k = min(int(reach * 1.1 + (5.5 if ridge else 1.5)), 36)
     x = NODES[2 * k * (k - 1) : 2 * k * (k + 1)]
     weight = WEIGHTS[2 * k * (k - 1) : 2 * k * (k + 1)]
     stretch = half * (spread + 1.0) / (spread - 1.0)
@@ -194,7 +194,7 @@ def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     """The BRDF for P(theta_a) = c exp(-theta_a^2/(2 sigma^2)); p: rho/pi, rho/pi of the second bounce, 1/(2 sigma^2), c, the largest theta_a."""
     ti, tr, delta, turns = directions(lx, ly, lz, vx, vy, vz)
     edges = np.empty(16)
-    work = np.empty(80)
+    work = np.empty(144)
     knots = np.empty(8)
     knots[0] = 0.0
     count = 1
@@ -230,15 +230,15 @@ def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
                     total += weight * exp(-theta * theta * p[2]) * sine * c * ring
             low = high
     value = p[0] * p[3] * total
-    return value if value < 1e13 else np.inf
+    return np.inf if lz <= 0.0 and vz <= 0.0 and value > 1e6 else value
 
 
 @device
 def isotropic_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     """The BRDF for grooves of one slope in every direction (eq. 12); p: rho/pi, rho/pi of the second bounce, tan, cos of theta_a."""
     ti, tr, delta, turns = directions(lx, ly, lz, vx, vy, vz)
-    value = p[0] * p[3] * around(ti, tr, delta, turns, p[2], p[3], p[1], np.empty(16), np.empty(80))
-    return value if value < 1e13 else np.inf
+    value = p[0] * p[3] * around(ti, tr, delta, turns, p[2], p[3], p[1], np.empty(16), np.empty(144))
+    return np.inf if lz <= 0.0 and vz <= 0.0 and value > 1e6 else value
 
 
 @device
@@ -252,4 +252,4 @@ def parallel_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     b = min(max(b, -STEEPEST), STEEPEST)
     value = groove_point(1.0 + a, 1.0 + b, p[3], p[1]) + groove_point(1.0 - a, 1.0 - b, p[3], p[1])
     value = 0.5 * p[0] * p[3] * value
-    return value if value < 1e13 else np.inf
+    return np.inf if lz <= 0.0 and vz <= 0.0 and value > 1e6 else value

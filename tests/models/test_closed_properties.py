@@ -1,0 +1,204 @@
+"""Properties that the models promise for every geometry and parameter: reciprocity, sign, rotation, energy, and their limits."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gonio.models import Blinn, CookTorrance, Lambert, Model, OrenNayar, Phong, Sum, fresnel
+from gonio.models.blinn import DISTRIBUTIONS
+
+PI = math.pi
+thetas = st.floats(0.0, PI / 2)
+phis = st.floats(-2 * PI, 2 * PI)
+shares = st.floats(0.0, 1.0)
+indices = st.builds(complex, st.floats(0.1, 10.0), st.floats(0.0, 10.0))
+slopes = st.floats(0.02, 1.0)
+
+lamberts = st.builds(Lambert, shares)
+phongs = st.builds(Phong, shares, shares, st.floats(0.0, 500.0))
+blinns = st.one_of(
+    st.builds(Blinn, shares, shares, indices, st.sampled_from(DISTRIBUTIONS), beta_deg=st.floats(1.0, 89.0)),
+    st.builds(Blinn, shares, shares, indices, st.just("trowbridge-reitz"), c=st.floats(0.01, 1.0)),
+)
+cooks = st.builds(
+    lambda s, m, n, dist, albedo, form: CookTorrance(s, 1.0 - s, m, n, dist, albedo, form),
+    shares,
+    slopes,
+    indices,
+    st.sampled_from(["beckmann", "gaussian"]),
+    shares,
+    st.sampled_from(["paper", "normalised"]),
+)
+closed_orens = st.builds(OrenNayar, shares, st.floats(0.0, 40.0), st.sampled_from(["functional", "qualitative"]))
+slow_orens = st.one_of(
+    st.builds(OrenNayar, shares, st.floats(0.0, 60.0), st.just("exact")),
+    st.builds(OrenNayar, shares, form=st.just("single-slope"), slope_deg=st.floats(0.0, 85.0)),
+    st.builds(OrenNayar, shares, form=st.just("single-slope"), slope_deg=st.floats(0.0, 85.0), groove_azimuth_deg=st.floats(0.0, 360.0)),
+)
+reciprocal = st.one_of(lamberts, blinns, cooks, closed_orens)
+
+
+@given(reciprocal, thetas, phis, thetas, phis)
+def test_reciprocity(model: Model, theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> None:
+    there, back = float(model.brdf(theta_i, phi_i, theta_r, phi_r)), float(model.brdf(theta_r, phi_r, theta_i, phi_i))
+    # the same sums in another order: a few roundings, but values that underflow
+    assert there == pytest.approx(back, rel=1e-13, abs=1e-290)
+
+
+@settings(max_examples=60, deadline=None)
+@given(slow_orens, thetas, phis, thetas, phis)
+def test_reciprocity_of_the_groove_integrals(model: Model, theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> None:
+    there, back = float(model.brdf(theta_i, phi_i, theta_r, phi_r)), float(model.brdf(theta_r, phi_r, theta_i, phi_i))
+    # exchanging the directions turns phi_a by pi, which the quadrature sees as another set of arcs: its error, 1e-8, either way
+    assert there == pytest.approx(back, rel=2e-8)
+
+
+def test_phong_is_not_reciprocal() -> None:
+    model = Phong(k_d=0.0)
+    assert model.brdf(0.2, 0.0, 1.0, PI) != pytest.approx(float(model.brdf(1.0, 0.0, 0.2, PI)), rel=0.1)
+
+
+@given(st.one_of(lamberts, phongs, blinns, cooks), thetas, phis, thetas, phis)
+def test_never_negative_and_never_nan(model: Model, theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> None:
+    assert float(model.brdf(theta_i, phi_i, theta_r, phi_r)) >= 0.0
+
+
+@settings(max_examples=60, deadline=None)
+@given(slow_orens, thetas, phis, thetas, phis)
+def test_groove_integrals_are_never_negative(model: Model, theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> None:
+    assert float(model.brdf(theta_i, phi_i, theta_r, phi_r)) >= 0.0
+
+
+@given(
+    st.one_of(lamberts, phongs, blinns, cooks, closed_orens),
+    st.floats(0.0, 1.5),
+    phis,
+    st.floats(0.0, 1.5),
+    phis,
+    st.floats(-3.0, 3.0),
+)
+def test_turning_the_sample_about_its_normal(model: Model, theta_i: float, phi_i: float, theta_r: float, phi_r: float, turn: float) -> None:
+    one = float(model.brdf(theta_i, phi_i, theta_r, phi_r))
+    other = float(model.brdf(theta_i, phi_i + turn, theta_r, phi_r + turn))
+    # azimuths are rounded by up to 1e-15 rad; a lobe of width 0.02 rad or more magnifies that by less than (pi/0.02)^2
+    assert other == pytest.approx(one, rel=1e-10, abs=1e-100)
+
+
+@given(reciprocal, st.floats(0.0, 1.56), phis, st.floats(0.0, 1.56), phis)
+def test_angles_and_vectors_agree(model: Model, theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> None:
+    def vector(theta: float, phi: float) -> list[float]:
+        return [math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta)]
+
+    by_angles = float(model.brdf(theta_i, phi_i, theta_r, phi_r))
+    by_vectors = float(model.brdf_vectors(vector(theta_i, phi_i), vector(theta_r, phi_r)))
+    # components are rounded by 1e-16; cosines down to 0.01 and lobes down to 0.02 rad magnify that by less than 1e5
+    assert by_vectors == pytest.approx(by_angles, rel=1e-10, abs=1e-100)
+
+
+@settings(max_examples=30, deadline=None)
+@given(slopes, indices, st.floats(0.0, 1.4))
+def test_normalised_beckmann_facets_reflect_no_more_than_falls_on_them(m: float, index: complex, theta_i: float) -> None:
+    model = CookTorrance(slopes=m, ior=index, convention="normalised")
+    # reciprocity makes the hemispherical-directional integral the directional-hemispherical one; its quadrature is good to 1e-3
+    assert model.ambient_reflectance(theta_i) <= 1.0 + 1e-3
+
+
+def test_the_printed_normalisation_of_cook_torrance_is_four_times_too_large() -> None:
+    # erratum: for F = 1 and normal incidence the printed form reflects 4.0000 (m = 0.05 to 0.2) and 3.190 (m = 0.6)
+    for m, expected in ((0.05, 4.0), (0.2, 4.0), (0.6, 3.190)):
+        mirror = 1e7 + 1e7j  # reflects all but 1e-7
+        assert CookTorrance(slopes=m, ior=mirror).ambient_reflectance(0.0) == pytest.approx(expected, rel=1e-3)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.floats(0.0, 1.3), st.floats(5.0, 60.0))
+def test_exact_oren_nayar_conserves_energy(theta_i: float, sigma_deg: float) -> None:
+    node, weight = np.polynomial.legendre.leggauss(24)
+    theta = PI / 4 * (node + 1.0)
+    phi = np.linspace(0.0, 2 * PI, 32, endpoint=False)
+    f = OrenNayar(1.0, sigma_deg, "exact").brdf(theta_i, 0.0, theta[:, None], phi)
+    rho = float((f.mean(axis=1) * 2 * PI * np.sin(theta) * np.cos(theta)) @ weight * PI / 4)
+    # white facets: what leaves the groove after one or two bounces, at most all of it; the quadrature over kinks is good to 2e-3
+    assert 0.6 < rho <= 1.0 + 2e-3
+
+
+@given(shares, st.sampled_from(["functional", "qualitative"]), thetas, phis, thetas, phis)
+def test_oren_nayar_without_roughness_is_lambert(
+    albedo: float, form: str, theta_i: float, phi_i: float, theta_r: float, phi_r: float
+) -> None:
+    got = float(OrenNayar(albedo, 0.0, form).brdf(theta_i, phi_i, theta_r, phi_r))
+    assert got == pytest.approx(albedo / PI, rel=1e-15)
+
+
+@given(st.floats(0.2, 5.0), st.floats(0.0, 1.5), st.floats(0.0, 1.5), phis)
+def test_the_limit_of_no_absorption(n: float, theta_i: float, theta_r: float, phi: float) -> None:
+    dielectric, metal = (CookTorrance(ior=complex(n, k)).brdf(theta_i, 0.0, theta_r, phi) for k in (0.0, 1e-14))
+    # F changes by some k/n, and beyond the critical angle by sqrt(k): 1e-7
+    assert float(metal) == pytest.approx(float(dielectric), rel=1e-5, abs=1e-290)
+
+
+@given(st.floats(0.0, 1.0), indices)
+def test_reflectance_is_between_0_and_1(cosine: float, index: complex) -> None:
+    assert -1e-15 <= fresnel.reflectance(cosine, index) <= 1.0 + 1e-14
+
+
+@given(st.floats(1.0, 50.0))
+def test_normal_reflectance_and_index_are_inverse(n: float) -> None:
+    f0 = float(fresnel.reflectance(1.0, n))
+    # 1 - sqrt(f0) = 2/(n + 1): an error of eps in f0 becomes n eps; at n = 1 the root magnifies it further
+    assert fresnel.n_from_f0(f0) == pytest.approx(n, rel=1e-13)
+
+
+def test_blinn_1977_shortcut_is_twice_the_reflectance() -> None:
+    # erratum: the shortcut lacks the factor 1/2
+    angles = (0.7, 0.0, 0.4, 2.5)
+    exact, printed = (Blinn(ior=1.8, fresnel=form).highlight(*angles) for form in ("exact", "1977"))
+    assert printed == pytest.approx(2.0 * float(exact), rel=1e-15)
+
+
+def test_sum_of_rough_base_and_highlight() -> None:
+    base, gloss = OrenNayar(0.8, 20.0), CookTorrance(ior=1.5, convention="normalised")
+    both = Sum((base, 0.7), (gloss, 0.3))
+    theta = np.linspace(0.0, 1.5, 7)
+    expected = 0.7 * base.brdf(0.4, 0.0, theta, PI) + 0.3 * gloss.brdf(0.4, 0.0, theta, PI)
+    np.testing.assert_array_equal(both.brdf(0.4, 0.0, theta, PI), expected)
+    assert not hasattr(both, "specular_reflectivity")
+
+
+def test_sum_passes_the_specular_spike_on() -> None:
+    from gonio.models import HeTorrance
+
+    smooth = HeTorrance(sigma0_um=0.05)
+    both = Sum((Lambert(), 0.5), (smooth, 0.25))
+    assert both.specular_reflectivity(0.3) == pytest.approx(0.25 * float(smooth.specular_reflectivity(0.3)), rel=1e-15)
+
+
+def test_unblocked_fraction() -> None:
+    from gonio.models.cook_torrance import unblocked_fraction
+
+    assert unblocked_fraction([0.0]) == 1.0
+    # a straight wall of infinite height hides half of the hemisphere, also when weighted with N.L
+    assert unblocked_fraction(np.repeat([0.0, PI / 2], 180)) == pytest.approx(0.5, abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("preset", "expected"), [("carbon", (0.3, 0.7, 0.40)), ("rubber", (0.4, 0.6, 0.30)), ("obsidian", (0.8, 0.2, 0.15)), ("rust", (0.2, 0.8, 0.35))]
+)
+def test_cook_torrance_table_1(preset: str, expected: Any) -> None:
+    model = CookTorrance.preset(preset, f0=0.05)
+    assert (model.s, model.d, model.slopes[0][0]) == expected
+    assert model.diffuse_albedo == 0.05  # R_d = F_0/pi in the paper's figures
+
+
+def test_presets_that_name_their_material() -> None:
+    copper = CookTorrance.preset("copper")
+    assert (copper.s, copper.d, copper.slopes) == (1.0, 0.0, ((0.4, 0.4), (0.2, 0.6)))
+    assert CookTorrance.preset("plastic").diffuse_albedo == pytest.approx(0.6, abs=0.1)  # copper reflects some 60 % at 550 nm
+    oxide = Blinn.preset("magnesium oxide")
+    assert (oxide.k_s, oxide.k_d, oxide.ior, oxide.c) == (0.667, 0.333, 1.8, 0.35)

@@ -1,0 +1,234 @@
+"""Arguments, shapes, threads and start-up of the evaluation engine, on models whose digits other tests hold."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+from gonio.errors import ArgumentError
+from gonio.models import Blinn, CookTorrance, Lambert, OrenNayar, Phong, build, engine, geometry
+
+MODEL = CookTorrance()
+RNG = np.random.default_rng(5)
+
+
+def pairs(n: int) -> tuple[np.ndarray, np.ndarray]:
+    w = RNG.normal(size=(2, n, 3))
+    w[..., 2] = np.abs(w[..., 2])
+    w /= np.linalg.norm(w, axis=-1, keepdims=True)
+    return w[0], w[1]
+
+
+def test_scalars_give_scalars_and_shapes_broadcast() -> None:
+    assert isinstance(MODEL.brdf(0.1, 0.0, 0.2, 1.0), np.float64)
+    assert MODEL.brdf(np.zeros((3, 1)), 0.0, np.zeros(4), 1.0).shape == (3, 4)
+    assert MODEL.brdf(np.zeros((2, 1)), np.zeros((1, 3)), 0.1, np.zeros((4, 1, 1))).shape == (4, 2, 3)
+    light, view = pairs(6)
+    assert MODEL.brdf_vectors(light[0], view).shape == (6,)
+    assert MODEL.brdf_vectors(light.reshape(2, 3, 3), view[0]).shape == (2, 3)
+    assert isinstance(MODEL.brdf_vectors(light[0], view[0]), np.float64)
+
+
+def test_broadcasting_changes_no_digit() -> None:
+    theta, phi = np.linspace(0.0, 1.5, 7), np.linspace(0.0, 6.0, 5)
+    grid = MODEL.brdf(theta[:, None], 0.2, 0.4, phi)
+    one_by_one = [[MODEL.brdf(t, 0.2, 0.4, p) for p in phi] for t in theta]
+    # a vector loop and its remainder contract products differently: one unit in the last place a factor
+    np.testing.assert_allclose(grid, one_by_one, rtol=1e-14)
+
+
+@pytest.mark.parametrize("shape", [(0,), (3, 0), (0, 4)])
+def test_empty_arrays(shape: tuple[int, ...]) -> None:
+    assert MODEL.brdf(np.zeros(shape), 0.0, 0.1, 0.2).shape == shape
+    assert MODEL.brdf_vectors(np.zeros((*shape, 3)), [0.0, 0.0, 1.0]).shape == shape
+    with pytest.raises(ArgumentError, match="theta_r"):
+        MODEL.brdf(np.zeros(shape), 0.0, 9.0, 0.2)
+
+
+def test_kinds_of_arrays() -> None:
+    light, view = pairs(500)
+    expected = MODEL.brdf_vectors(light, view)
+    frozen = light.copy()
+    frozen.flags.writeable = False
+    unaligned = np.frombuffer(b"x" + light.tobytes(), dtype=np.uint8)[1:].view(np.float64).reshape(-1, 3)
+    for other in (frozen, np.asfortranarray(light), np.repeat(light, 2, axis=0)[::2], light[::-1][::-1], light.astype(">f8"), unaligned):
+        np.testing.assert_array_equal(MODEL.brdf_vectors(other, view), expected)
+    single = light.astype(np.float32)
+    # float32 components are computed in float64 after taking their length out: the result for the rounded directions
+    exact = single.astype(np.float64)
+    exact /= np.linalg.norm(exact, axis=1, keepdims=True)
+    np.testing.assert_allclose(MODEL.brdf_vectors(single, view), MODEL.brdf_vectors(exact, view), rtol=1e-9)
+    assert MODEL.brdf(np.float32(0.5), 0, 1, 2).dtype == np.float64
+    np.testing.assert_array_equal(MODEL.brdf([0, 1], 0, 1, 2), MODEL.brdf(np.array([0.0, 1.0]), 0.0, 1.0, 2.0))
+
+
+def test_large_arrays_are_split_over_threads_without_a_trace(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "threads", lambda: 3)
+    monkeypatch.setattr(engine, "_pool", None)
+    light, view = pairs(3 * engine.SPLIT + 17)
+    whole = MODEL.brdf_vectors(light, view)
+    np.testing.assert_array_equal(whole[-40:], MODEL.brdf_vectors(light[-40:], view[-40:]))
+    light[-1] = np.nan  # in the last thread's part
+    with pytest.raises(ArgumentError, match="omega_i"):
+        MODEL.brdf_vectors(light, view)
+
+
+def test_several_python_threads_at_once() -> None:
+    light, view = pairs(3 * engine.SPLIT)
+    expected = MODEL.brdf_vectors(light, view)
+    results: list[np.ndarray] = []
+    workers = [threading.Thread(target=lambda: results.append(MODEL.brdf_vectors(light, view))) for _ in range(4)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    assert len(results) == 4
+    for result in results:
+        np.testing.assert_array_equal(result, expected)
+
+
+THREADS = """
+import os, threading
+import numpy as np
+from gonio.models import Blinn
+model, theta = Blinn(), np.linspace(0.0, 1.5, 400_000)
+out = []
+workers = [threading.Thread(target=lambda: out.append(model.brdf(theta, 0.0, 0.3, 2.0))) for _ in range(3)]
+[w.start() for w in workers]; [w.join() for w in workers]
+assert len(out) == 3 and all(np.array_equal(o, out[0]) for o in out)
+if hasattr(os, "fork"):
+    child = os.fork()
+    if child == 0:
+        os._exit(0 if np.array_equal(model.brdf(theta, 0.0, 0.3, 2.0), out[0]) else 9)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+"""
+
+
+@pytest.mark.parametrize("layer", ["workqueue", "default"])
+def test_threads_and_a_fork_under_any_numba_threading_layer(layer: str) -> None:
+    import os
+
+    # Python 3.12 warns about a fork of a threaded process: it is what is tested
+    environment = {**os.environ, "NUMBA_THREADING_LAYER": layer, "PYTHONWARNINGS": "ignore"}
+    done = subprocess.run([sys.executable, "-c", THREADS], env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+
+
+def test_importing_the_models_imports_no_numba() -> None:
+    code = "import sys, gonio.models; assert not {'numba', 'scipy', 'pandas', 'matplotlib'} & set(sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+BAD_ANGLES = [
+    ("theta_i", (float("nan"), 0.0, 0.1, 0.0)),
+    ("theta_i", (-1e-9, 0.0, 0.1, 0.0)),
+    ("theta_r", (0.1, 0.0, [0.1, 1.6], 0.0)),
+    ("phi_i", (0.1, float("inf"), 0.1, 0.0)),
+    ("phi_r", (0.1, 0.0, 0.1, [0.0, float("nan")])),
+    ("theta_i", (1j, 0.0, 0.1, 0.0)),
+    ("theta_i", ("steep", 0.0, 0.1, 0.0)),
+    ("theta_i", (None, 0.0, 0.1, 0.0)),
+    ("theta_i", ([[0.1], [0.1, 0.2]], 0.0, 0.1, 0.0)),
+    ("theta_i", (np.zeros(3), np.zeros(2), 0.1, 0.0)),
+]
+
+
+@pytest.mark.parametrize(("name", "angles"), BAD_ANGLES)
+def test_bad_angles_are_named(name: str, angles: tuple) -> None:
+    for model in (MODEL, OrenNayar(form="exact"), OrenNayar(form="single-slope", slope_deg=20, groove_azimuth_deg=0)):
+        with pytest.raises(ArgumentError, match=name):
+            model.brdf(*angles)
+    with pytest.raises(ArgumentError, match=name):
+        geometry(*angles)
+
+
+def test_bad_vectors_are_named() -> None:
+    up = [0.0, 0.0, 1.0]
+    for bad in ([0.0, 0.0, 1.001], [0.0, 0.0, 0.0], [np.nan, 0.0, 1.0], [0.0, 1.0], 1.0, [[0.0, 0.0, 1.0], [0.0, 0.0, 2.0]]):
+        with pytest.raises(ArgumentError, match="omega_i"):
+            MODEL.brdf_vectors(bad, up)
+        with pytest.raises(ArgumentError, match="omega_r"):
+            MODEL.brdf_vectors(up, bad)
+
+
+def test_below_the_surface_nothing_is_reflected() -> None:
+    for model in (MODEL, Lambert(), Phong(), Blinn(), OrenNayar(), OrenNayar(form="exact")):
+        below = model.brdf_vectors([[0.6, 0.0, -0.8], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], [[0.0, 0.0, 1.0], [0.6, 0.0, -0.8], [0.0, 0.0, -1.0]])
+        np.testing.assert_array_equal(below, 0.0)
+
+
+def test_a_checked_geometry_gives_the_same_values() -> None:
+    theta = np.linspace(0.0, np.pi / 2, 9)
+    where = geometry(theta[:, None], 0.0, theta, [[0.3]])
+    for m in (0.1, 0.5):
+        model = CookTorrance(slopes=m)
+        # directions are rounded on the way: some 1e-15 times tan(theta)/m, theta to 79 degrees
+        np.testing.assert_allclose(model.at(where)[:-1, :-1], model.brdf(theta[:, None], 0.0, theta, 0.3)[:-1, :-1], rtol=1e-11)
+    assert model.at(geometry(0.1, 0.0, 0.2, 0.3)) == pytest.approx(float(model.brdf(0.1, 0.0, 0.2, 0.3)), rel=1e-14)
+
+
+def test_wavelengths_broadcast() -> None:
+    model = CookTorrance(ior=lambda nm: complex(nm / 400.0, 1.0))
+    waves = np.array([400.0, 500.0, 400.0])
+    expected = [model.brdf(0.3, 0.0, 0.4, 2.0, wavelength_nm=w) for w in waves]
+    np.testing.assert_allclose(model.brdf(0.3, 0.0, 0.4, 2.0, wavelength_nm=waves), expected, rtol=1e-15)
+    with pytest.raises(ArgumentError, match="wavelength_nm"):
+        model.brdf(0.3, 0.0, 0.4, 2.0, wavelength_nm=-1.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "said"),
+    [
+        ("lambert", {"albedo": 1.5}, "albedo"),
+        ("lambert", {"albdo": 0.5}, 'did you mean "albedo"'),
+        ("lambert", {"albedo": "white"}, "albedo"),
+        ("phong", {"exponent": -1}, "exponent"),
+        ("phong", {"k_d": float("nan")}, "k_d"),
+        ("blinn", {"distribution": "gausian"}, 'did you mean "gaussian"'),
+        ("blinn", {"c": 0.0}, "c = 0"),
+        ("blinn", {"c": 1.5}, "c = 1.5"),
+        ("blinn", {"c": 0.5, "beta_deg": 10}, "beta_deg"),
+        ("blinn", {"beta_deg": 90}, "beta"),
+        ("blinn", {"fresnel": "schlick"}, "fresnel"),
+        ("cook-torrance", {"slopes": [[-0.1, 1.0]]}, "slopes"),
+        ("cook-torrance", {"slopes": []}, "slopes"),
+        ("cook-torrance", {"slopes": [[0.1, 0.5]]}, "weights"),
+        ("cook-torrance", {"ior": -1.0}, "ior"),
+        ("cook-torrance", {"ior": [1.0, -1.0]}, "ior"),
+        ("cook-torrance", {"ior": "Unobtainium"}, "Unobtainium"),
+        ("cook-torrance", {"f0": 1.0}, "f0"),
+        ("cook-torrance", {"f0": 0.04, "ior": 1.5}, "f0"),
+        ("cook-torrance", {"s": 0.8, "d": 0.3}, r"s \+ d"),
+        ("cook-torrance", {"convention": "printed"}, "convention"),
+        ("oren-nayar", {"sigma_deg": -1}, "sigma_deg"),
+        ("oren-nayar", {"form": "single-slope"}, "slope_deg"),
+        ("oren-nayar", {"slope_deg": 20}, "slope_deg"),
+        ("oren-nayar", {"form": "approximate"}, "form"),
+    ],
+)
+def test_bad_parameters_are_named(name: str, parameters: dict, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        build(name, parameters)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        Lambert(0.3),
+        Phong(),
+        Blinn(distribution="gaussian", beta_deg=20),
+        CookTorrance(f0=0.04, convention="normalised"),
+        CookTorrance(ior="Cu"),
+        OrenNayar(form="single-slope", slope_deg=20, groove_azimuth_deg=30),
+    ],
+    ids=repr,
+)
+def test_a_model_is_rebuilt_from_its_parameters(model: object) -> None:
+    assert build(model.name, model.parameters) == model
+    assert model.convention.endswith(".")
+    assert repr(model).startswith(type(model).__name__)
