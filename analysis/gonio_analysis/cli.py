@@ -5,7 +5,7 @@ Nothing heavy is imported before a command runs: `gonio --help` has to answer at
 
 from __future__ import annotations
 
-from enum import Enum
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,7 +19,7 @@ IOR_HELP = "Optical constants: a material (Al) or n + ik (0.77+6.08j)."
 WAVELENGTH_HELP = "Wavelength [nm] of a table with several, or the effective one of a broad band."
 
 
-class Norm(str, Enum):
+class Norm(StrEnum):
     """What polar curves are divided by."""
 
     mirror = "mirror"

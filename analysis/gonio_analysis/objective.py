@@ -1,4 +1,4 @@
-"""What a fit makes small: residuals of a model, on the scale that the data's uncertainties give, or on a logarithmic one."""
+"""What a fit makes small: residuals, whitened by the data's uncertainties or, without any, of logarithms."""
 
 from __future__ import annotations
 

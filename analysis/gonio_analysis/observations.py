@@ -1,4 +1,4 @@
-"""What a fit or a plot uses of a measurement table: the rows that count, as arrays in radians, with their covariance."""
+"""What a fit or a plot uses of a table: the rows that count, as arrays in radians, with their covariance."""
 
 from __future__ import annotations
 

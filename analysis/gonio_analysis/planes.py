@@ -1,8 +1,8 @@
 """Curves in the plane of incidence, and what each is normalised by.
 
-A direction counts as in plane where it lies within `IN_PLANE` of the plane of incidence (the angle between the direction
-and that plane, not an azimuth: near the normal a large azimuth is a small angle). The running angle is signed: negative
-on the retro side, positive on the mirror side.
+A direction counts as in plane where it lies within `IN_PLANE` of the plane of incidence (the angle between the
+direction and that plane, not an azimuth: near the normal a large azimuth is a small angle). The running angle is
+signed: negative on the retro side, positive on the mirror side.
 
 Usually the detector moves and theta_i is the curve's parameter. Where an instrument holds the detector still and moves
 the source, a curve is what that instrument scanned: its parameter is theta_r, and the source's angle runs.
@@ -146,7 +146,7 @@ def _curves(data: Observations, groups: list[Rows], scanned: Scanned, side: Floa
 
 
 def _groups(theta: Floats, phi: Floats, rows: Rows) -> list[Rows]:
-    """Rows of one direction each: chains of nearly equal polar angle, split where azimuths differ by more than 1 degree."""
+    """Rows of one direction each: chains of nearly equal polar angle, split where azimuths differ by 2 degrees."""
     groups: list[Rows] = []
     if not rows.size:
         return groups
@@ -168,7 +168,7 @@ def _mean_azimuth(phi: Floats) -> float:
 
 
 def selection(all_curves: list[Curve], most: int = MOST_CURVES) -> list[Curve]:
-    """At most `most` curves for one figure: those with a measured mirror direction and many values first, spread evenly."""
+    """At most `most` curves for one figure, spread evenly; those with a mirror direction and many values first."""
     if len(all_curves) <= most:
         return all_curves
     enough = max(c.angle.size for c in all_curves) / 2

@@ -1,7 +1,7 @@
 """Plots of BRDFs in the plane of incidence: each draws on the `ax` that it is given and returns its artists.
 
-Nothing here shows a window, makes a figure or touches matplotlib's settings. Theory is solid and measurement dashed with
-error bars, as in He et al. 1991; colours are those of Okabe and Ito, and each curve has a marker of its own.
+Nothing here shows a window, makes a figure or touches matplotlib's settings. Theory is solid and measurement dashed
+with error bars, as in He et al. 1991; colours are those of Okabe and Ito, and each curve has a marker of its own.
 """
 
 from __future__ import annotations
@@ -285,7 +285,7 @@ def _radial_bars(ax: Any, line: Line, clip: Any, colour: str) -> list[Any]:
     low = _xy(line.angle[known], np.maximum(line.measured[known] - line.u[known], 0.0))
     high = _xy(line.angle[known], np.maximum(line.measured[known] + line.u[known], 0.0))
     segments = np.stack([np.stack(low, axis=1), np.stack(high, axis=1)], axis=1)
-    bars = LineCollection(segments, colors=colour, linewidths=0.9, zorder=4)
+    bars = LineCollection(list(segments), colors=colour, linewidths=0.9, zorder=4)
     ax.add_collection(bars, autolim=False)
     bars.set_clip_path(clip)
     return [bars]

@@ -1,7 +1,7 @@
 """The search for the best parameters: a coarse grid, several short searches, one long one.
 
-The shapes of these models are multi-modal in their roughness, so a search that starts anywhere ends anywhere. Parameters move
-on their natural scale (logarithmic for lengths, widths and indices) inside bounds.
+The shapes of these models are multi-modal in their roughness, so a search that starts anywhere ends anywhere.
+Parameters move on their natural scale (logarithmic for lengths, widths and indices) inside bounds.
 """
 
 from __future__ import annotations
@@ -140,7 +140,8 @@ def search(problem: Problem, data: Observations) -> Floats:
     candidates.sort(key=lambda c: c[0])
     coarse = [refine(problem, few, soft, vector, quick=True, limit=25) for _, vector in candidates[:STARTS]]
     coarse.sort(key=lambda c: c[1])
-    chosen = [coarse[0]] + [c for c in coarse[1:] if np.abs(c[0] - coarse[0][0]).max() > 0.05][:1]
+    others = [c for c in coarse[1:] if np.abs(c[0] - coarse[0][0]).max() > 0.05]
+    chosen = [coarse[0], *others[:1]]
     final = [refine(problem, data, alone(data), vector, quick=True) for vector, _ in chosen]
     return min(final, key=lambda f: f[1])[0]
 

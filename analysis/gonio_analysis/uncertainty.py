@@ -1,8 +1,8 @@
 """The covariance of a measurement table, and how residuals are whitened with it.
 
-A table states its covariance in factors, C = diag(u_random^2) + S S^T, with one column of S a cause that is common to the
-whole run (reference, lamp drift, the zero of an angle). Everything here costs O(n k^2) for n values and k causes: no n x n
-matrix is ever made.
+A table states its covariance in factors, C = diag(u_random^2) + S S^T, with one column of S a cause that is common to
+the whole run (reference, lamp drift, the zero of an angle). Everything here costs O(n k^2) for n values and k causes:
+no n x n matrix is ever made.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Covariance:
     @cached_property
     def total(self) -> Floats:
         """Combined standard uncertainty of each value [1/sr]."""
-        return np.sqrt(self.random**2 + (self.common**2).sum(axis=1))
+        return np.asarray(np.sqrt(self.random**2 + (self.common**2).sum(axis=1)))
 
     @cached_property
     def _root(self) -> tuple[Floats, Floats]:

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+from gonio_analysis.forward import seen
 
 from gonio.formats.base import table
-from gonio_analysis.forward import seen
 
 Floats = npt.NDArray[np.float64]
 
@@ -27,7 +27,7 @@ def measure(
     wavelength_nm: float = 550.0,
     name: str = "synthetic",
 ) -> pd.DataFrame:
-    """An in-plane sweep of `model`: independent noise of `noise` f and `floor`, and one common relative error `reference`."""
+    """An in-plane sweep: independent noise of `noise` f and `floor`, and one common relative error `reference`."""
     rng = np.random.default_rng(seed)
     signed = np.arange(-80.0, 81.0, 5.0) if views is None else views
     theta_i, signed = (a.ravel() for a in np.meshgrid(incidences, signed, indexing="ij"))

@@ -7,12 +7,12 @@ import math
 
 import numpy as np
 import pytest
-
-from gonio.errors import ConfigError, DataError
-from gonio.models import build
 from gonio_analysis.fit import fit
 from gonio_analysis.observations import observations
 from gonio_analysis.search import derivatives, pose
+
+from gonio.errors import ConfigError, DataError
+from gonio.models import build
 
 from .synthetic import measure
 
@@ -40,7 +40,7 @@ def test_pulls_with_a_common_cause_have_unit_width() -> None:
         r = fit(measure(MATTE, seed=seed, noise=0.02, reference=0.01), "lambert")
         z += pulls("lambert", r, {"albedo": 0.5})
         chi.append(r.reduced_chi_square)
-    # 60 pulls: the standard deviation of their standard deviation is 1/sqrt(120) = 0.09, of their mean 0.13; 3.3 of them
+    # 60 pulls: their standard deviation is known to 1/sqrt(120) = 0.09, their mean to 0.13; 3.3 of these
     assert np.std(z) == pytest.approx(1.0, abs=0.3)
     assert abs(np.mean(z)) < 0.43
     # 60 x 98 degrees of freedom: 1 +- sqrt(2/5880) = 0.018

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from gonio_analysis.uncertainty import Covariance, dense, independent
 
 from gonio.errors import ArgumentError
-from gonio_analysis.uncertainty import Covariance, dense, independent
 
 
 def some(seed: int, size: int = 30, causes: int = 3, strength: float = 1.0) -> Covariance:

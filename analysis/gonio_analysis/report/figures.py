@@ -117,7 +117,8 @@ def _spike(c: Drawn) -> str:
     rest = c.curve.brdf[away]
     if not rest.size or c.norm.measured < 15 * rest.max():
         return ""
-    return f"At {c.label} the spike is {number(c.norm.measured / rest.max())} times the largest value beside it (see the semilog curves)."
+    times = number(c.norm.measured / rest.max())
+    return f"At {c.label} the spike is {times} times the largest value beside it (see the semilog curves)."
 
 
 def _absolute(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figure:
@@ -168,8 +169,8 @@ def _budget(d: Dataset, facts: dict[str, Any]) -> Figure:
         polar.budget(ax, parts)
 
     caption = (
-        "Uncertainty budget: standard uncertainty by cause, relative to the value. Bar: median over the values; tick: 95th"
-        " percentile. Values within 3 u of zero are left out."
+        "Uncertainty budget: standard uncertainty by cause, relative to the value. Bar: median over the values; tick:"
+        " 95th percentile. Values within 3 u of zero are left out."
     )
     alt = "Uncertainty by cause. " + " ".join(
         f"{c}: median {100 * m:.2g} %, 95th percentile {100 * p:.2g} %." for c, m, p in parts
@@ -193,8 +194,8 @@ def _series(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figure:
             ax.set_title(name, fontsize=8, loc="left", color=polar.INK)
 
     caption = (
-        f"{model}: fitted parameters at each of the {len(f.series)} wavelengths, with standard errors (those wider than the"
-        " panel are not drawn)."
+        f"{model}: fitted parameters at each of the {len(f.series)} wavelengths, with standard errors (those wider"
+        " than the panel are not drawn)."
     )
     return _figure(f"{facts['slug']}-series-{model}", "series", model, caption, caption, (5.6, 1.9), on)
 

@@ -91,8 +91,8 @@ def _dataset(s: dict[str, Any], d: dict[str, Any], figures: Sequence[Figure]) ->
         out += ["<h3>Uncertainty</h3>", '<div class="figures">', _figure(by["budget"][0]), _budget(d), "</div>"]
     else:
         out.append(
-            "<h3>Uncertainty</h3><p>The table states no uncertainties: there are no error bars and no chi-square, and fits weigh "
-            "every value alike in relative terms.</p>"
+            "<h3>Uncertainty</h3><p>The table states no uncertainties: there are no error bars and no chi-square, and "
+            "fits compare logarithms, every value alike.</p>"
         )
     if by["series"]:
         out += ["<h3>Parameters over wavelength</h3>", _grid(by["series"])]
@@ -168,24 +168,26 @@ def _models(d: dict[str, Any]) -> str:
 def _polar_words(s: dict[str, Any], d: dict[str, Any]) -> str:
     kinds = {c["normalised_by"] for f in d["models"].values() for c in f["curves"]}
     first = (
-        "The radius is the BRDF divided by its value in the direction of mirror reflection, as in eq. 11 of He, Torrance, "
-        f"Sillion and Greenberg (1991): the measured value nearest the mirror, within {s['mirror_tolerance_deg']:g}°; "
+        "The radius is the BRDF divided by its value in the direction of mirror reflection, as in eq. 11 of He, "
+        f"Torrance, Sillion and Greenberg (1991): the measured value nearest the mirror, within "
+        f"{s['mirror_tolerance_deg']:g}°; "
         "theory is divided by its own value in that direction. "
         if "mirror" in kinds
         else ""
     )
     if "max" in kinds:
         first += (
-            "Where that direction was not measured, or the largest value was asked for, the divisor is the largest in-plane value, "
-            "and theory is divided by its own value in that direction. "
+            "Where that direction was not measured, or the largest value was asked for, the divisor is the largest "
+            "in-plane value, and theory is divided by its own value in that direction. "
         )
     if "model" in kinds:
         first += "Measurement and theory are both divided by the fitted model's value in the mirror direction. "
     moving = "detector" if d["scanned"] == "theta_r" else "source"
     return (
-        f"<p>{escape(first)}The {moving} moves from −90° (retro side, left) to 90° (mirror side, right); the short strokes on the rim "
-        f"mark the mirror directions. In plane means within {s['in_plane_tolerance_deg']:g}° of the plane of incidence; the values shown "
-        f"are within {number(d['out_of_plane_deg'], 2) if d['out_of_plane_deg'] > 1e-6 else '0'}°.</p>"
+        f"<p>{escape(first)}The {moving} moves from −90° (retro side, left) to 90° (mirror side, right); the short "
+        "strokes on the rim mark the mirror directions. In plane means within "
+        f"{s['in_plane_tolerance_deg']:g}° of the plane of incidence; the values shown are within "
+        f"{number(d['out_of_plane_deg'], 2) if d['out_of_plane_deg'] > 1e-6 else '0'}°.</p>"
     )
 
 
@@ -251,10 +253,11 @@ def _conventions(s: dict[str, Any]) -> str:
         f"<dt>{escape(n)}</dt><dd>{'<br>'.join(escape(t) for t in texts)}</dd>" for n, texts in lines.items()
     )
     return (
-        '<section id="conventions"><h2>Conventions</h2>\n<p>The BRDF is reflected radiance over irradiance, in sr⁻¹. Polar angles count '
-        "from the surface's normal; both directions leave the surface, toward source and detector. In the plane of incidence angles are "
-        "signed: positive on the mirror side, negative on the retro side. Models are averaged over the stated cones of source and receiver "
-        "before they are compared; a specular spike is carried through that average.</p>\n"
+        '<section id="conventions"><h2>Conventions</h2>\n<p>The BRDF is reflected radiance over irradiance, in sr⁻¹. '
+        "Polar angles count from the surface's normal; both directions leave the surface, toward source and detector. "
+        "In the plane of incidence angles are signed: positive on the mirror side, negative on the retro side. Models "
+        "are averaged over the stated cones of source and receiver before they are compared; a specular spike is "
+        "carried through that average.</p>\n"
         f'<dl class="facts">{models}</dl></section>'
     )
 
@@ -279,8 +282,8 @@ def _provenance(s: dict[str, Any]) -> str:
 
 def _footer(s: dict[str, Any]) -> str:
     return (
-        "<footer>Every number on this page is in <code>summary.json</code>; the curves are in <code>tables/</code>, the figures as SVG "
-        "and PNG in <code>figures/</code>.</footer>"
+        "<footer>Every number on this page is in <code>summary.json</code>; the curves are in <code>tables/</code>, "
+        "the figures as SVG and PNG in <code>figures/</code>.</footer>"
     )
 
 

@@ -184,13 +184,10 @@ def _notes(d: Dataset) -> list[str]:
         )
     sparse = [c.label for c in d.curves if c.angle.size < 20]
     if sparse:
-        counts = [c.angle.size for c in d.curves if c.angle.size < 20]
-        notes.append(
-            f"Sparse plane: {min(counts)} to {max(counts)} in-plane values for {', '.join(sparse)};"
-            " dashed lines only join neighbours."
-            if min(counts) < max(counts)
-            else f"Sparse plane: {counts[0]} in-plane values for {', '.join(sparse)}; dashed lines only join neighbours."
-        )
+        counts = sorted({c.angle.size for c in d.curves if c.angle.size < 20})
+        many = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
+        where = "every curve" if len(sparse) == len(d.curves) else ", ".join(sparse)
+        notes.append(f"Sparse plane: {many} in-plane values for {where}; dashed lines only join neighbours.")
     return notes
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from gonio_analysis.compare import Dataset
+from gonio_analysis.uncertainty import Floats
 
 
 def write(datasets: Sequence[Dataset], summary: dict[str, Any], folder: Path) -> list[str]:
@@ -65,7 +66,7 @@ def write(datasets: Sequence[Dataset], summary: dict[str, Any], folder: Path) ->
 def _of_dataset(d: Dataset, slug: str, folder: Path) -> list[str]:
     """Fitted values with every model's prediction, and the plotted curves."""
     data = d.data
-    angles = [np.degrees(x) for x in (data.theta_i, data.phi_i, data.theta_r, data.phi_r)]
+    angles = [_degrees(x) for x in (data.theta_i, data.phi_i, data.theta_r, data.phi_r)]
     models = list(d.fitted)
     values = [v for f in d.fitted.values() for v in (f.fit.predicted, f.fit.whitened)]
     _csv(
@@ -95,11 +96,16 @@ def _of_dataset(d: Dataset, slug: str, folder: Path) -> list[str]:
 def _measured(c: Any) -> Iterable[tuple[Any, ...]]:
     n = c.norm.measured
     k = c.curve
-    return zip(np.degrees(k.angle), k.brdf, k.u, k.brdf / n, k.u / n, strict=True)
+    return zip(_degrees(k.angle), k.brdf, k.u, k.brdf / n, k.u / n, strict=True)
 
 
 def _theory(c: Any) -> Iterable[tuple[Any, ...]]:
-    return ((a, t, "", t / c.norm.theory, "") for a, t in zip(np.degrees(c.theory_angle), c.theory, strict=True))
+    return ((a, t, "", t / c.norm.theory, "") for a, t in zip(_degrees(c.theory_angle), c.theory, strict=True))
+
+
+def _degrees(angle: Floats) -> Floats:
+    """Radians in degrees, without the rounding of the way there and back."""
+    return np.asarray(np.round(np.degrees(angle), 10))
 
 
 def _csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
@@ -109,9 +115,9 @@ def _csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> No
         out.writerows([_cell(cell) for cell in row] for row in rows)
 
 
-def _cell(value: Any) -> Any:
+def _cell(value: object) -> object:
     if value is None:
         return ""
     if isinstance(value, float | np.floating):
-        return "" if np.isnan(value) else repr(float(value)) if abs(value) < 1e16 else f"{value:.17g}"
+        return "" if np.isnan(value) else repr(float(value))
     return value

@@ -1,0 +1,79 @@
+"""Plot functions draw on the axes that they are given and leave matplotlib's settings alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pytest
+from gonio_analysis import polar
+from gonio_analysis.polar import Line
+from matplotlib.artist import Artist
+from matplotlib.figure import Figure
+
+
+def line(label: str = "θi = 30°", top: float = 1.0, negative: bool = False) -> Line:
+    angle = np.radians(np.linspace(-80, 80, 33))
+    value = top * np.cos(angle - 0.5) ** 2
+    if negative:
+        value[:4] = -0.01
+    return Line(label, angle, np.abs(value), angle, value, np.full(33, 0.02), 0.5, np.linspace(-3, 3, 33))
+
+
+def axes() -> Any:
+    return Figure(figsize=(5, 4)).add_subplot()
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda ax: polar.polar(ax, [line(), line("θi = 60°", 1.6)], radius_label="f / f(mirror)"),
+        lambda ax: polar.semilog(ax, [line(), line(negative=True)]),
+        lambda ax: polar.residuals(ax, [line()], whitened=True),
+        lambda ax: polar.residuals(ax, [line()], whitened=False, others=(np.zeros(2), np.array([50.0, -3.0]))),
+        lambda ax: polar.budget(ax, [("combined", 0.01, 0.03), ("reference", 0.002, 0.002)]),
+        lambda ax: polar.series(ax, np.arange(3.0), np.ones(3), np.full(3, np.nan), x_label="x", y_label="y"),
+    ],
+)
+def test_returns_artists_and_touches_no_settings(draw: Any) -> None:
+    before = dict(matplotlib.rcParams)
+    ax = axes()
+    artists = draw(ax)
+    assert artists
+    for artist in artists:
+        for one in artist if isinstance(artist, tuple) else (artist,):
+            if isinstance(one, Artist):
+                assert one.figure is ax.figure
+    ax.figure.canvas.draw()
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_half_disc_has_the_retro_side_left_and_the_mirror_side_right() -> None:
+    ax = axes()
+    angle = np.radians([-60.0, 60.0])
+    artists = polar.polar(ax, [Line("", np.empty(0), np.empty(0), angle, np.array([0.2, 1.0]), np.full(2, np.nan))])
+    x, y = artists[0].get_data()
+    np.testing.assert_allclose(x, [-0.2 * np.sin(np.radians(60)), np.sin(np.radians(60))])
+    np.testing.assert_allclose(y, [0.1, 0.5])
+
+
+def test_radius_shows_ordinary_curves_whole() -> None:
+    assert polar.radius_of([line(top=1.0)]) == 1.0
+    assert polar.radius_of([line(top=1.3)]) == pytest.approx(1.4)
+
+
+def test_a_curve_beyond_the_rim_is_cut_with_a_note() -> None:
+    lines = [line(top=1.0), line("θi = 75°", 40.0)]
+    rim = polar.radius_of(lines)
+    assert rim < 2
+    texts = [a.get_text() for a in polar.polar(axes(), lines, radius=rim) if hasattr(a, "get_text")]
+    assert texts == ["θi = 75°: theory to 40 and measured to 40"]
+
+
+def test_error_bars_have_the_length_of_u() -> None:
+    from matplotlib.collections import LineCollection
+
+    bars = next(a for a in polar.polar(axes(), [line()]) if isinstance(a, LineCollection))
+    segment = bars.get_segments()[16]  # at the normal, where the radius is y
+    assert segment[1][1] - segment[0][1] == pytest.approx(0.04)
