@@ -144,22 +144,28 @@ def _columns(
     noise = np.array([point.variance for point in points]) / k**2
     prnu = np.array([_prnu(description, point, reference_pixels) for point in points])
     independent = noise + (brdf * prnu) ** 2 + (brdf * fitted.extra(times) / k) ** 2
+    nominal = np.radians(bench.run.plan[list(ANGLES)].to_numpy(dtype=float))
+    goals = [Directions(*nominal[point.point].tolist()) for point in points if point.point is not None]
+    cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
+    shares = _shares(description, points, [*encoder.items(), *zeros.items()], cones)
+    read = [point.directions for point in points]
+    curves = sensitivity.Curves(goals, read, brdf, np.sqrt(independent), cones, shares)
+    brdf = brdf + curves.correction
     common = {
         "s_reference": brdf * description.reference.u_rel,
         "s_reference_noise": -brdf * fitted.noise(times) / k,
         "s_lamp_drift": -brdf * fitted.drift(times) / k,
     }
-    nominal = np.radians(bench.run.plan[list(ANGLES)].to_numpy(dtype=float))
-    goals = [Directions(*nominal[point.point].tolist()) for point in points if point.point is not None]
-    cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
-    curves = sensitivity.Curves(goals, [point.directions for point in points], brdf, np.sqrt(independent), cones)
+    said, even_parts = np.zeros(len(points)), np.zeros(len(points))
     for axis, u in encoder.items():
         odd, even = _effects(description, curves, points, axis, u)
-        independent = independent + odd**2 + even**2
+        said, even_parts, independent = said + odd**2, even_parts + even**2, independent + odd**2
     for axis, u in zeros.items():
         odd, even = _effects(description, curves, points, axis, u)
-        independent = independent + even**2
+        said, even_parts = said + odd**2, even_parts + even**2
         common[CAUSES[axis]] = odd - brdf * _change_of_cosine(description, visit, axis, u)
+    rest = np.maximum(curves.spike_variance - said, 0.0)
+    independent = independent + np.where(curves.spike != 0, rest, even_parts)
     combined = np.sqrt(independent + sum(column**2 for column in common.values()))
     return {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent)} | common
 
@@ -201,6 +207,19 @@ def _effects(
             plus, minus = (_moved(description, point.pose, axis, by) for by in (u, -u))
             out[:, k] = curves.effects(k, point.directions, plus, minus)
     return out[0], out[1]
+
+
+def _shares(
+    description: RigDescription, points: list[Merged], errors: list[tuple[str, float]], cones: tuple[float, float]
+) -> Array:
+    """Mean and variance of the overlap of the lamp's mirror image with the lens at each point, shape (n, 2)."""
+    out = np.zeros((len(points), 2))
+    for k, point in enumerate(points):
+        # beyond six standard deviations of any error nothing of the mirror image is seen
+        if sensitivity.mirror_offset(point.directions) < sum(cones) + 6.0 * sum(u for _, u in errors):
+            moved = [_moved(description, point.pose, axis, u) for axis, u in errors]
+            out[k] = sensitivity.blurred_overlap(point.directions, moved, cones)
+    return out
 
 
 def _change_of_cosine(description: RigDescription, visit: Merged, axis: str, u: float) -> float:

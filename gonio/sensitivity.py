@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +32,9 @@ TOGETHER = 1e-4
 """Points whose nominal angles of incidence differ by less [rad] belong to one curve."""
 NARROWEST = math.radians(0.2)
 """Points closer than this do not tell a slope: encoder steps and noise would."""
+QUANTILES = np.array([NormalDist().inv_cdf((k + 0.5) / 41) for k in range(41)])
+QUANTILES /= QUANTILES.std()
+"""Equally probable values of a standard normal number."""
 NORMAL = math.radians(1.0)
 """Below this angle of incidence the plane of incidence is not a direction that f could depend on."""
 
@@ -52,12 +56,41 @@ def overlap(offset: npt.ArrayLike, half_angle_1: float, half_angle_2: float) -> 
     return np.where(d <= large - small, 1.0, np.where(d >= large + small, 0.0, lens / (np.pi * small**2)))
 
 
+def from_mirror(d: Directions) -> tuple[float, float, float]:
+    """Unit vector to the detector less that of the mirror direction."""
+    return (
+        math.sin(d.theta_r) * math.cos(d.phi_r) + math.sin(d.theta_i) * math.cos(d.phi_i),
+        math.sin(d.theta_r) * math.sin(d.phi_r) + math.sin(d.theta_i) * math.sin(d.phi_i),
+        math.cos(d.theta_r) - math.cos(d.theta_i),
+    )
+
+
 def mirror_offset(d: Directions) -> float:
     """Angle [rad] between the mirror direction and the detector, for angles small or large."""
-    x = math.sin(d.theta_r) * math.cos(d.phi_r) + math.sin(d.theta_i) * math.cos(d.phi_i)
-    y = math.sin(d.theta_r) * math.sin(d.phi_r) + math.sin(d.theta_i) * math.sin(d.phi_i)
-    z = math.cos(d.theta_r) - math.cos(d.theta_i)
-    return 2.0 * math.asin(min(0.5 * math.sqrt(x * x + y * y + z * z), 1.0))
+    return 2.0 * math.asin(min(0.5 * math.hypot(*from_mirror(d)), 1.0))
+
+
+def blurred_overlap(
+    read: Directions, moved: Sequence[Directions], half_angles: tuple[float, float]
+) -> tuple[float, float]:
+    """Mean and variance of the overlap at directions whose true place is uncertain.
+
+    Parameters
+    ----------
+    read
+        The directions that were read.
+    moved
+        The directions for one standard deviation of each independent error; together they are taken for normal.
+    half_angles
+        Of the lamp and of the lens [rad].
+    """
+    centre = np.array(from_mirror(read))
+    shifts = np.array([from_mirror(d) for d in moved]).reshape(-1, 3) - centre
+    values, vectors = np.linalg.eigh(shifts.T @ shifts)
+    first, second = (math.sqrt(max(values[k], 0.0)) * vectors[:, k] for k in (2, 1))
+    place = centre + QUANTILES[:, None, None] * first + QUANTILES[None, :, None] * second
+    share = overlap(np.sqrt(np.einsum("abk,abk->ab", place, place)), *half_angles)
+    return float(share.mean()), float(share.var())
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +126,8 @@ class Curves:
         Values and their independent standard uncertainties [1/sr].
     half_angles
         Of the lamp and of the lens [rad].
+    shares
+        Mean and variance of the overlap at each point (`blurred_overlap`), shape (n, 2).
     """
 
     def __init__(
@@ -102,6 +137,7 @@ class Curves:
         brdf: Array,
         u: Array,
         half_angles: tuple[float, float],
+        shares: Array,
     ) -> None:
         self._half_angles = half_angles
         self._azimuth = [goal.phi_i for goal in goals]
@@ -118,21 +154,25 @@ class Curves:
         self._lines = [line[np.argsort(self._x[line])] for line in self._lines]
         self.lobe, self.spike = brdf.astype(float), np.zeros(len(brdf))
         for line in self._lines:
-            self._split(line, u)
+            self._split(line, u, shares[:, 0])
+        at_read = overlap(self._offset, *half_angles)
+        self.correction = np.where(self.spike != 0, self.spike * (at_read - shares[:, 0]), 0.0)
+        """What the values lack on average [1/sr], because every error leads down from the top of a spike."""
+        self.spike_variance = self.spike**2 * shares[:, 1]
+        """Variance [1/sr^2] of the spike's part, from all errors of the angles together."""
         self.slope = np.zeros((len(brdf), 3))
         for k, group in enumerate(self._groups):
             self._slopes_of(k, group, in_plane)
 
-    def _split(self, line: npt.NDArray[np.intp], u: Array) -> None:
+    def _split(self, line: npt.NDArray[np.intp], u: Array, shares: Array) -> None:
         """Take a spike out of an in-plane curve; `spike` holds its amplitude at full overlap for the curve's points."""
-        share = overlap(self._offset[line], *self._half_angles)
         reach = sum(self._half_angles)
         outside = line[self._offset[line] > reach + np.radians(0.05)]
         inside = line[self._offset[line] <= reach + np.radians(0.05)]
-        if inside.size == 0 or outside.size < 4 or reach <= 0 or np.sum(share**2) < 0.01:
+        if inside.size == 0 or outside.size < 4 or reach <= 0 or np.sum(shares[line] ** 2) < 0.01:
             return
         lobe = np.array([_cubic(self._x[k], self._x[outside], self.lobe[outside]) for k in inside])
-        excess, ratio = self.lobe[inside] - lobe, overlap(self._offset[inside], *self._half_angles)
+        excess, ratio = self.lobe[inside] - lobe, shares[inside]
         weight = float(np.sum(ratio**2))
         amplitude, u_amplitude = float(np.sum(excess * ratio)) / weight, float(np.sum((u[inside] * ratio) ** 2)) ** 0.5
         u_amplitude /= weight

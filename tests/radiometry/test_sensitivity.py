@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gonio.kinematics import Directions
-from gonio.sensitivity import Curves, mirror_offset, overlap
+from gonio.sensitivity import Curves, blurred_overlap, mirror_offset, overlap
 
 HALF = math.radians(0.5)
 Function = Callable[[Directions], float]
@@ -23,7 +23,12 @@ def at(theta_i: float, theta_r: float, dphi: float = 180.0) -> Directions:
 
 def curves(function: Function, goals: list[Directions], half: float = HALF, noise: float = 1e-6) -> Curves:
     values = np.array([function(d) for d in goals])
-    return Curves(goals, goals, values, noise * abs(values) + 1e-12, (half, half))
+    return Curves(goals, goals, values, noise * abs(values) + 1e-12, (half, half), sharp(goals, half))
+
+
+def sharp(goals: list[Directions], half: float = HALF) -> np.ndarray:
+    """Shares of the lamp's mirror image for angles that are known exactly."""
+    return np.array([(float(overlap(mirror_offset(d), half, half)), 0.0) for d in goals])
 
 
 def moved(d: Directions, i: float = 0.0, r: float = 0.0) -> Directions:
@@ -107,7 +112,7 @@ def test_normal_incidence_has_no_preferred_plane() -> None:
         return math.exp(-((d.theta_r / 0.5) ** 2))
 
     f = np.array([value(d) for d in goals])
-    model, u = Curves(goals, read, f, 1e-6 * f, (HALF, HALF)), math.radians(0.02)
+    model, u = Curves(goals, read, f, 1e-6 * f, (HALF, HALF), sharp(read)), math.radians(0.02)
     for k in range(2, len(goals) - 2):
         if goals[k].theta_r == 0:
             continue
@@ -186,7 +191,39 @@ def test_repeated_readings_are_no_slope() -> None:
     goals = [at(30.0, 40.0 + 0.01 * k) for k in range(60)]
     read = [at(30.0, round((40.0 + 0.01 * k) / 0.088) * 0.088) for k in range(60)]
     f = 0.2 + 1e-3 * np.random.default_rng(0).standard_normal(60)
-    model, u = Curves(goals, read, f, np.full(60, 1e-3), (0.0, 0.0)), math.radians(0.025)
+    model, u = Curves(goals, read, f, np.full(60, 1e-3), (0.0, 0.0), np.zeros((60, 2))), math.radians(0.025)
     effects = [model.effects(k, d, moved(d, r=u), moved(d, r=-u))[0] for k, d in enumerate(read)]
     # differences over at least 0.2 deg of noise of 1e-3: 0.025/0.2 of it
     assert np.max(np.abs(effects)) < 1e-3
+
+
+@pytest.mark.parametrize("offset_deg", [0.0, 0.03, 0.4, 1.0])
+def test_a_blurred_overlap_against_drawn_errors(offset_deg: float) -> None:
+    """Both arms 0.03 deg, the tilt 0.02 deg, each drawn and put into vectors one by one."""
+    u, tilt = math.radians(0.03), math.radians(0.02)
+    read = at(40.0, 40.0 + offset_deg)
+    across = 2 * tilt * math.cos(read.theta_i)
+    turned = Directions(read.theta_i, 0.0, read.theta_r, read.phi_r + across / math.sin(read.theta_r))
+    mean, variance = blurred_overlap(read, [moved(read, i=u), moved(read, r=u), turned], (HALF, HALF))
+    rng = np.random.default_rng(3)
+    along = math.radians(offset_deg) + u * (rng.standard_normal(200_000) + rng.standard_normal(200_000))
+    drawn = overlap(np.hypot(along, across * rng.standard_normal(200_000)), HALF, HALF)
+    # 41 quantiles a direction stand for the normal distribution within 1 % of its effect
+    assert mean == pytest.approx(drawn.mean(), abs=0.02 * float(drawn.std()) + 1e-5)
+    assert math.sqrt(variance) == pytest.approx(float(drawn.std()), rel=0.03)
+
+
+def test_what_a_spike_s_top_lacks_on_average_is_given_back() -> None:
+    """Values measured with the mean overlap: the correction restores those at the read directions."""
+    u = math.radians(0.04)
+    shares = np.array([blurred_overlap(d, [moved(d, i=u), moved(d, r=u)], (HALF, HALF)) for d in SPIKED])
+    exact = np.array([spiked(d) for d in SPIKED])
+    at_read = np.array([float(overlap(mirror_offset(d), HALF, HALF)) for d in SPIKED])
+    steep = np.array([d.theta_i > 1.2 for d in SPIKED])
+    measured = exact + np.where(steep, 40.0 * (shares[:, 0] - at_read), 0.0)
+    model = Curves(SPIKED, SPIKED, measured, 1e-6 * measured, (HALF, HALF), shares)
+    # 1e-3 of the spike: the cubic under it
+    np.testing.assert_allclose(measured + model.correction, exact, atol=0.01)
+    top = int(np.argmax(exact))
+    assert model.correction[top] > 1.5
+    assert math.sqrt(model.spike_variance[top]) < model.correction[top]
