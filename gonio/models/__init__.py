@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from gonio.models import fresnel
 from gonio.models import fresnel, htsg
 from gonio.models.base import Model, build_model
 from gonio.models.blinn import Blinn, Phong

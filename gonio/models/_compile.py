@@ -1,8 +1,8 @@
 """How a plain Python function becomes machine code: marked here, compiled at its first evaluation, kept on disk.
 
-A *kernel* is an ordinary function of floats, marked with `device`. Nothing is compiled when a module is imported, and numba
-itself is imported by the first call of `jit`. Functions that a kernel calls are compiled with it and inlined, so that
-a loop over it vectorises.
+A *kernel* is an ordinary function of floats, marked with `device`. Nothing is compiled when a module is imported, and
+numba itself is imported by the first call of `jit`. Functions that a kernel calls are compiled with it and inlined,
+so that a loop over it vectorises.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from typing import Any, Final, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-# Contraction, reciprocals and the sign of zero change no digit that matters. Reassociation would fold two-part constants
-# and compensated sums; "nnan" and "ninf" would break the limits at grazing.
+# Contraction, reciprocals and the sign of zero change no digit that matters. Reassociation would fold two-part
+# constants and compensated sums; "nnan" and "ninf" would break the limits at grazing.
 FASTMATH: Final = frozenset({"contract", "arcp", "nsz"})
 
 _lock = threading.RLock()
 _ready: dict[tuple[Callable[..., Any], Callable[..., Any], int], Any] = {}
 
 
-def device(function: F) -> F:
+def device(function: Callable[..., Any]) -> Callable[..., Any]:
     """Mark a function of floats that kernels may call and that `jit` compiles; globals it uses must be plain names."""
     function.__dict__["__device__"] = True
     return function
@@ -36,12 +36,14 @@ def _clone(function: Callable[..., Any], names: dict[str, Any]) -> Any:
     assert isinstance(function, FunctionType)
     called = {}
     for name in function.__code__.co_names:
-        value = names.get(name, function.__globals__.get(name))
+        value: Any = names.get(name, function.__globals__.get(name))
         if getattr(value, "__device__", False):
             called[name] = jit(value)
         elif name in names:
             called[name] = value
-    clone = FunctionType(function.__code__, {**function.__globals__, **called}, function.__name__, function.__defaults__)
+    clone = FunctionType(
+        function.__code__, {**function.__globals__, **called}, function.__name__, function.__defaults__
+    )
     clone.__qualname__ = function.__qualname__
     clone.__module__ = function.__module__
     return clone
@@ -72,8 +74,8 @@ def jit(function: Callable[..., Any]) -> Any:
 def template(layout: str) -> Callable[[F], F]:
     """Mark a loop over a kernel, with the kinds of its arguments in order.
 
-    ``r1``, ``r2``: arrays of 1 or 2 axes that are read (they may be read-only); ``w1``, ``w2``: arrays that are written; ``i``: an
-    integer; ``p``: the tuple of the kernel's constants. All arrays are float64 and contiguous.
+    ``r1``, ``r2``: arrays of 1 or 2 axes that are read (they may be read-only); ``w1``, ``w2``: arrays that are
+    written; ``i``: an integer; ``p``: the tuple of the kernel's constants. All arrays are float64 and contiguous.
     """
 
     def mark(function: F) -> F:

@@ -64,7 +64,10 @@ def cos_power(flat, sz, s2, exponent):  # type: ignore[no-untyped-def]
 
 @device
 def groove(lz, vz, sz, s2):  # type: ignore[no-untyped-def]
-    """Numerator and denominator of G/((N.L)(N.V)), G = min(1, 2 N.H N.V/V.H, 2 N.H N.L/V.H); finite at grazing off the mirror."""
+    """Numerator and denominator of G/((N.L)(N.V)), finite at grazing off the mirror.
+
+    G = min(1, 2 N.H N.V/V.H, 2 N.H N.L/V.H).
+    """
     low = lz if lz < vz else vz
     high = vz if lz < vz else lz
     w = 4.0 * sz  # 2 N.H / V.H = 4 s_z / |s|^2
@@ -87,8 +90,9 @@ def groove_over_viewer(lz, vz, sz, s2):  # type: ignore[no-untyped-def]
 def fresnel(c2, contrast, real, imag):  # type: ignore[no-untyped-def]
     """Numerator and denominator of the unpolarised Fresnel reflectance at cos^2(theta) = c2, exact for complex index.
 
-    With q = a + ib = sqrt(n~^2 - sin^2), Q = |q|^2: R_s = |n~^2 - 1|^2 / |c + q|^4 and R_p = R_s |c q - sin^2|^2 / |c q + sin^2|^2, whose
-    mean is R_s X/(X + Y) with X = c^2 Q + sin^4 and Y = 2 c a sin^2. `contrast` is |n~^2 - 1|^2, `real` n^2 - k^2 - 1, `imag` n k.
+    With q = a + ib = sqrt(n~^2 - sin^2), Q = |q|^2: R_s = |n~^2 - 1|^2 / |c + q|^4 and R_p = R_s |c q - sin^2|^2 / |c
+    q + sin^2|^2, whose mean is R_s X/(X + Y) with X = c^2 Q + sin^4 and Y = 2 c a sin^2. `contrast` is |n~^2 - 1|^2,
+    `real` n^2 - k^2 - 1, `imag` n k.
     """
     re = real + c2
     big = sqrt(re * re + 4.0 * imag * imag)

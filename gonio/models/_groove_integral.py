@@ -1,14 +1,16 @@
 """Oren and Nayar's V-groove integral (their eqs. 4 to 13): one bounce with shadowing and masking, and two bounces.
 
-In S = 1 + A cos(phi_a), A = tan(theta_i) tan(theta_a), and V = 1 + B cos(phi_a - Delta), B = tan(theta_r) tan(theta_a), what a facet and its
-opposite (S' = 2 - S) contribute to the BRDF of a groove of slope theta_a is, before averaging over phi_a,
+In S = 1 + A cos(phi_a), A = tan(theta_i) tan(theta_a), and V = 1 + B cos(phi_a - Delta), B = tan(theta_r)
+tan(theta_a), what a facet and its opposite (S' = 2 - S) contribute to the BRDF of a groove of slope theta_a is,
+before averaging over phi_a,
 
     rho/pi cos(theta_a) min(S V, 2 V, 2 S)                                    where S > 0 and V > 0
     (rho/pi)^2 cos(theta_a) min(S', 2) min(V, 2) J(m_s, m_v)                  where S' > 0 and V > 0
 
-with m_s = min(1, 2/S') the lit part of one facet, m_v = min(1, 2/V) the visible part of the other, and J the mean of the kernel K' (eq. 8) over
-them. Kinks in phi_a lie where S or V is 0 or 2 and where A cos(phi_a) = +-B cos(phi_a - Delta); kinks in theta_a where such lines meet.
-Between kinks everything is analytic, and Gauss-Legendre rules are used in variables that crowd their nodes toward the ends.
+with m_s = min(1, 2/S') the lit part of one facet, m_v = min(1, 2/V) the visible part of the other, and J the mean of
+the kernel K' (eq. 8) over them. Kinks in phi_a lie where S or V is 0 or 2 and where A cos(phi_a) = +-B cos(phi_a -
+Delta); kinks in theta_a where such lines meet. Between kinks everything is analytic, and Gauss-Legendre rules are
+used in variables that crowd their nodes toward the ends.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ RATIO = 10.0  # intervals of theta_a that span a larger ratio are divided
 def mean_exchange(ms, mv, c):  # type: ignore[no-untyped-def]
     """J, the mean of K' over the lit part m_s and the visible part m_v of the facets of a groove with cos(theta_a) = c.
 
-    Oren1994 eq. 11, the second difference of d(x, y) = sqrt((x - y)^2 + 4 x y c^2), with every difference of roots rationalised.
+    Oren1994 eq. 11, the second difference of d(x, y) = sqrt((x - y)^2 + 4 x y c^2), with every difference of roots
+    rationalised.
     """
     f = 4.0 * c * c
     d11 = 2.0 * c
@@ -61,13 +64,14 @@ def groove_point(s, v, c, second):  # type: ignore[no-untyped-def]
 def twice_over_arc(half, sm, cm, smd, cmd, a, b, ti, tr, sine, c, work):  # type: ignore[no-untyped-def]
     """The integral of min(S', 2) min(V, 2) J over one arc around an azimuth m, from sin and cos of m and of m - Delta.
 
-    Nodes crowd to both ends, t = tanh(reach x / 2), as far as the steepness asks. Where only one facet is cut, J has the closed form
-    V J = pi (1 - c + sin(theta_a) (sqrt(1 + w^2) - w)), w = tan(theta_r) cos(phi_a - Delta), and S' is a plain cosine.
+    Nodes crowd to both ends, t = tanh(reach x / 2), as far as the steepness asks. Where only one facet is cut, J has
+    the closed form V J = pi (1 - c + sin(theta_a) (sqrt(1 + w^2) - w)), w = tan(theta_r) cos(phi_a - Delta), and S'
+    is a plain cosine.
     """
     lit_cut = 1.0 - a * cm > 2.0
     seen_cut = 1.0 + b * cmd > 2.0
     one = lit_cut != seen_cut
-    # `one`: (u, du) is the tangent of the cut direction about the arc's middle, (1 + p cos - q sin) the uncut facet's cosine
+    # with one side cut: w = uc cos(t) - us sin(t), and the uncut side is 1 + pc cos(t) - ps sin(t)
     uc, us = (tr * cmd, tr * smd) if seen_cut else (-ti * cm, -ti * sm)
     pc, ps = (-a * cm, -a * sm) if seen_cut else (b * cmd, b * smd)
     # cut on both sides, J has a ridge along S' = V as narrow as the smaller of 1/B and tan(theta_r)
@@ -191,7 +195,10 @@ def directions(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
 
 @device
 def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    """The BRDF for P(theta_a) = c exp(-theta_a^2/(2 sigma^2)); p: rho/pi, rho/pi of the second bounce, 1/(2 sigma^2), c, the largest theta_a."""
+    """The BRDF for P(theta_a) = c exp(-theta_a^2/(2 sigma^2)), eq. 13.
+
+    p: rho/pi, rho/pi of the second bounce, 1/(2 sigma^2), c, the largest theta_a.
+    """
     ti, tr, delta, turns = directions(lx, ly, lz, vx, vy, vz)
     edges = np.empty(16)
     work = np.empty(144)
@@ -235,7 +242,10 @@ def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
 
 @device
 def isotropic_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    """The BRDF for grooves of one slope in every direction (eq. 12); p: rho/pi, rho/pi of the second bounce, tan, cos of theta_a."""
+    """The BRDF for grooves of one slope in every direction, eq. 12.
+
+    p: rho/pi, rho/pi of the second bounce, tan and cos of theta_a.
+    """
     ti, tr, delta, turns = directions(lx, ly, lz, vx, vy, vz)
     value = p[0] * p[3] * around(ti, tr, delta, turns, p[2], p[3], p[1], np.empty(16), np.empty(144))
     return np.inf if lz <= 0.0 and vz <= 0.0 and value > 1e6 else value
@@ -243,7 +253,10 @@ def isotropic_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def
 
 @device
 def parallel_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    """The BRDF for parallel grooves of one slope (sec. 3.1): the mean of the two facets; p as above, then cos and sin of the facets' azimuth."""
+    """The BRDF for parallel grooves of one slope, the mean of their two facets (sec. 3.1).
+
+    p: as `isotropic_grooves`, then cos and sin of the facets' azimuth.
+    """
     li = (lx * p[4] + ly * p[5]) * p[2]
     lr = (vx * p[4] + vy * p[5]) * p[2]
     a = li / max(lz, 1e-300)

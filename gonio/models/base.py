@@ -28,8 +28,8 @@ Index = complex | str | Sequence[float] | Callable[[float], complex]
 class Model(ABC):
     """A reflectance model with its parameters.
 
-    Subclasses are frozen dataclasses whose fields are the constructor's arguments; they name a compiled kernel and the constants
-    that it needs at a wavelength. A model with a specular delta also has ``specular_reflectivity``.
+    Subclasses are frozen dataclasses whose fields are the constructor's arguments; they name a compiled kernel and
+    the constants that it needs at a wavelength. A model with a specular delta also has ``specular_reflectivity``.
     """
 
     name: ClassVar[str]
@@ -51,7 +51,10 @@ class Model(ABC):
         """One sentence for reports: the paper, the form, the normalisation, and what departs from the print."""
 
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
-        """The kernel and its constants at one wavelength; a model without one overrides `brdf`, `brdf_vectors` and `at`."""
+        """The kernel and its constants at one wavelength.
+
+        A model without a kernel of its own overrides `brdf`, `brdf_vectors` and `at`.
+        """
         raise NotImplementedError
 
     @property
@@ -73,10 +76,11 @@ class Model(ABC):
         Parameters
         ----------
         theta_i, theta_r
-            Polar angles of the directions toward the source and the detector [rad], in [0, pi/2]. The double nearest pi/2 is exactly
-            grazing, and the formula's limit is returned there.
+            Polar angles of the directions toward the source and the detector [rad], in [0, pi/2]. The double nearest
+            pi/2 is exactly grazing, and the formula's limit is returned there.
         phi_i, phi_r
-            Their azimuths from the sample's x axis [rad]; phi_r - phi_i is 0 in retro-reflection and pi in the mirror half-plane.
+            Their azimuths from the sample's x axis [rad]; phi_r - phi_i is 0 in retro-reflection and pi in the mirror
+            half-plane.
         wavelength_nm
             Wavelength [nm] of models whose index of refraction depends on it.
 
@@ -87,7 +91,8 @@ class Model(ABC):
         Raises
         ------
         ArgumentError
-            An angle is NaN or out of range, an argument is not real, or the shapes do not broadcast; it names the argument.
+            An angle is NaN or out of range, an argument is not real, or the shapes do not broadcast; it names the
+            argument.
         """
         if isinstance(wavelength_nm, (int, float)) or np.ndim(wavelength_nm) == 0:
             kernel, constants = self._evaluation(positive("wavelength_nm", wavelength_nm))
@@ -104,14 +109,15 @@ class Model(ABC):
         Parameters
         ----------
         omega_i, omega_r
-            Vectors (..., 3) in the sample's frame, z its normal, both leaving the surface. Their lengths may differ from 1 by 1e-6
-            (float32) and are taken out to second order; beyond that they are refused.
+            Vectors (..., 3) in the sample's frame, z its normal, both leaving the surface. Their lengths may differ
+            from 1 by 1e-6 (float32) and are taken out to second order; beyond that they are refused.
         wavelength_nm
             Wavelength [nm] of models whose index of refraction depends on it.
 
         Returns
         -------
-        float64 array of the shape that the arguments broadcast to without the last axis; 0 where either vector is below the surface.
+        float64 array of the shape that the arguments broadcast to without the last axis; 0 where either vector is
+        below the surface.
 
         Raises
         ------
@@ -123,11 +129,13 @@ class Model(ABC):
 
     def at(self, geometry: Geometry, *, wavelength_nm: float = 550.0) -> Any:
         """BRDF [1/sr] at directions that `gonio.models.geometry` has checked: the fast way to try many parameters."""
-        kernel, constants = self._evaluation(wavelength_nm)
+        kernel, constants = self._evaluation(positive("wavelength_nm", wavelength_nm))
         return engine.at_geometry(kernel, constants, geometry, split=self.grain)
 
 
-def _by_wavelength(evaluate: Callable[..., Any], wavelength_nm: ArrayLike, arrays: list[Any], shape: tuple[int, ...]) -> Any:
+def _by_wavelength(
+    evaluate: Callable[..., Any], wavelength_nm: ArrayLike, arrays: list[Any], shape: tuple[int, ...]
+) -> Any:
     waves = engine.real_array("wavelength_nm", wavelength_nm)
     whole = engine._shape(("the angles", "wavelength_nm"), [shape, waves.shape])
     waves = np.broadcast_to(waves, whole)
@@ -150,7 +158,9 @@ def store(model: Model, **values: Any) -> None:
 
 def number(name: str, value: Any, low: float = -math.inf, high: float = math.inf, unit: str = "") -> float:
     """A real parameter in [low, high]; raises `ArgumentError` naming it otherwise."""
-    if type(value) is not float and (isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating))):
+    if type(value) is not float and (
+        isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating))
+    ):
         try:
             value = np.asarray(value).item() if isinstance(value, np.ndarray) and value.dtype.kind in "fiu" else None
         except ValueError:
@@ -181,7 +191,9 @@ def choice(name: str, value: Any, allowed: Sequence[str]) -> str:
         return str(value)
     near = difflib.get_close_matches(str(value), allowed, n=1)
     listed = ", ".join(f'"{option}"' for option in allowed)
-    raise ArgumentError(f"{name} = {value!r}: must be one of {listed}" + (f'; did you mean "{near[0]}"?' if near else ""))
+    raise ArgumentError(
+        f"{name} = {value!r}: must be one of {listed}" + (f'; did you mean "{near[0]}"?' if near else "")
+    )
 
 
 @functools.lru_cache(maxsize=64)

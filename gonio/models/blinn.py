@@ -1,4 +1,7 @@
-"""Blinn, "Models of Light Reflection for Computer Synthesized Pictures", SIGGRAPH 1977: Phong's and Torrance-Sparrow's highlights."""
+"""Blinn, "Models of Light Reflection for Computer Synthesized Pictures", SIGGRAPH 1977.
+
+Phong's and Torrance and Sparrow's highlights.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +66,7 @@ def d2(flat, sz, s2, c):  # type: ignore[no-untyped-def]
 
 @device
 def d3(flat, sz, s2, c):  # type: ignore[no-untyped-def]
-    """D3 = [c3^2 / (cos^2(alpha) (c3^2 - 1) + 1)]^2, its denominator as sin^2 + c3^2 cos^2: no singularity at c3 = 1."""
+    """D3 = [c3^2 / (cos^2(alpha) (c3^2 - 1) + 1)]^2, its denominator as sin^2 + c3^2 cos^2."""
     root = c * c * s2 / (flat + c * c * sz * sz)
     return root * root
 
@@ -140,10 +143,10 @@ _KERNELS: dict[str, tuple[Kernel, Kernel]] = {
 
 @dataclass(frozen=True, repr=False)
 class Phong(Model):
-    """Phong's highlight in Blinn's form over a diffuse base: brdf = (k_d + k_s s / cos(theta_i)) / pi [1/sr], s = (N.H)^exponent.
+    """Phong's highlight in Blinn's form over a diffuse base.
 
-    The paper gives intensities; dividing by pi and by cos(theta_i) makes k_d an albedo. Not reciprocal, and infinite at grazing
-    incidence where s > 0.
+    brdf = (k_d + k_s s / cos(theta_i)) / pi [1/sr], s = (N.H)^exponent. The paper gives intensities; dividing by pi
+    and by cos(theta_i) makes k_d an albedo. Not reciprocal, and infinite at grazing incidence where s > 0.
 
     Parameters
     ----------
@@ -175,7 +178,10 @@ class Phong(Model):
 
     @property
     def convention(self) -> str:
-        return "Phong in Blinn's 1977 form, s = (N.H)^c1; brdf = (k_d + k_s s/cos theta_i)/pi: not reciprocal, not normalised."
+        return (
+            "Phong in Blinn's 1977 form, s = (N.H)^c1; brdf = (k_d + k_s s/cos theta_i)/pi, "
+            "neither reciprocal nor normalised."
+        )
 
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
         return phong, (self.k_d / pi, self.k_s / pi, self.exponent)
@@ -194,12 +200,13 @@ PRESETS: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True, init=False, repr=False)
 class Blinn(Model):
-    """Torrance and Sparrow's highlight as Blinn computes it: brdf = (k_d + k_s s / cos(theta_i)) / pi [1/sr], s = D F G/(N.E).
+    """Torrance and Sparrow's highlight as Blinn computes it, over a diffuse base.
 
-    D1 = cos^c1(a), D2 = exp(-(a c2)^2), D3 = [c3^2/(cos^2(a)(c3^2 - 1) + 1)]^2, all 1 at a = 0. c2 is a reciprocal width: the paper's text
-    calls it a standard deviation. G/(N.E) is taken without dividing by a cosine. The paper gives intensities, and s is not
-    normalised; with the division by cos(theta_i) the BRDF is reciprocal. At exactly grazing the limit along equal polar angles is returned:
-    +inf in the mirror direction.
+    brdf = (k_d + k_s s / cos(theta_i)) / pi [1/sr], s = D F G/(N.E). D1 = cos^c1(a), D2 = exp(-(a c2)^2), D3 =
+    [c3^2/(cos^2(a)(c3^2 - 1) + 1)]^2, all 1 at a = 0. c2 is a reciprocal width: the paper's text calls it a standard
+    deviation. G/(N.E) is taken without dividing by a cosine. The paper gives intensities, and s is not normalised;
+    with the division by cos(theta_i) the BRDF is reciprocal. At exactly grazing the limit along equal polar angles is
+    returned: +inf in the mirror direction.
 
     Parameters
     ----------
@@ -274,7 +281,7 @@ class Blinn(Model):
     def convention(self) -> str:
         halved = "exact Fresnel reflectance" if self.fresnel == "exact" else "the 1977 Fresnel shortcut without its 1/2"
         return (
-            f"Blinn 1977, {self.distribution} facets, {halved}; brdf = (k_d + k_s s/cos theta_i)/pi with s = D F G/(N.E), "
+            f"Blinn 1977, {self.distribution} facets, {halved}; brdf = (k_d + k_s s/cos theta_i)/pi, s = D F G/(N.E), "
             "which is not normalised."
         )
 
@@ -300,7 +307,9 @@ class Blinn(Model):
 
     @staticmethod
     def textured_d3(cos_alpha: ArrayLike, c_min: float, t: ArrayLike) -> Any:
-        """The texture-modulated distribution, D3 = [c_min c3/(cos^2(a)(c3^2 - 1) + 1)]^2 with c3 = c_min + (1 - c_min) t.
+        """The distribution with a texture in c3 = c_min + (1 - c_min) t.
+
+        D3 = [c_min c3/(cos^2(a)(c3^2 - 1) + 1)]^2, in which c_min^2 keeps one scale for the whole surface.
 
         Parameters
         ----------
@@ -326,7 +335,7 @@ class Blinn(Model):
 
 
 def coefficient(distribution: str, beta: float) -> float:
-    """The coefficient c1, c2 or c3 for which a distribution falls to one half at the angle `beta` [rad], in (0, pi/2)."""
+    """The coefficient c1, c2 or c3 for which a distribution falls to one half at `beta` [rad], in (0, pi/2)."""
     choice("distribution", distribution, DISTRIBUTIONS)
     if not 0.0 < beta < pi / 2:
         raise ArgumentError(f"beta = {math.degrees(beta):g} deg: must lie between 0 and 90 deg")

@@ -25,17 +25,19 @@ if TYPE_CHECKING:
 DEFAULT_INDEX = 0.64 + 2.6j
 
 
-
 @device
 def beckmann(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    """p: diffuse BRDF, |n~^2 - 1|^2, n^2 - k^2 - 1, n k; then 1/m^2 and weight of every slope, the scale of R_s in the weights."""
+    """The BRDF with D = exp(-tan^2/m^2) / (m^2 cos^4).
+
+    p: diffuse BRDF, |n~^2 - 1|^2, n^2 - k^2 - 1, n k; then 1/m^2 and the weight, with the scale of R_s, of every slope.
+    """
     lz = above(lz)
     vz = above(vz)
     flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
     t = tan2_alpha(flat, sz)
     d = 0.0
     for j in range(4, len(p), 2):
-        d += p[j] * p[j + 1] * exp(-t * p[j])  # D = exp(-tan^2/m^2) / (m^2 cos^4)
+        d += p[j] * p[j + 1] * exp(-t * p[j])
     f_up, f_down = fresnel(c2, p[1], p[2], p[3])
     g_up, g_down = groove(lz, vz, sz, s2)
     up = d * (1.0 + t) * (1.0 + t) * f_up * g_up
@@ -77,11 +79,11 @@ PRESETS: dict[str, dict[str, Any]] = {
 class CookTorrance(Model):
     """Mirror facets with V-groove shadowing over a diffuse base: brdf = s R_s + d diffuse_albedo / pi [1/sr].
 
-    R_s = (F/pi) D G / ((N.L)(N.V)) as printed ("paper"), or a quarter of it ("normalised"): with D as defined here the printed form
-    reflects four times what falls on a surface of gentle slopes. D = sum of w_j D(m_j); "beckmann":
-    exp(-(tan a/m)^2)/(m^2 cos^4 a); "gaussian": c exp(-(a/m)^2) with the arbitrary c = 1.
-    G = min(1, 2 N.H N.V/V.H, 2 N.H N.L/V.H). F is the exact unpolarised reflectance for a complex index. m is the total rms slope,
-    sqrt(2) times the one along a line. Reciprocal. At exactly grazing the limit along equal polar angles is returned: +inf in the
+    R_s = (F/pi) D G / ((N.L)(N.V)) as printed ("paper"), or a quarter of it ("normalised"): with D as defined here
+    the printed form reflects four times what falls on a surface of gentle slopes. D = sum of w_j D(m_j); "beckmann":
+    exp(-(tan a/m)^2)/(m^2 cos^4 a); "gaussian": c exp(-(a/m)^2) with the arbitrary c = 1. G = min(1, 2 N.H N.V/V.H, 2
+    N.H N.L/V.H). F is the exact unpolarised reflectance for a complex index. m is the total rms slope, sqrt(2) times
+    the one along a line. Reciprocal. At exactly grazing the limit along equal polar angles is returned: +inf in the
     mirror direction. Accurate to some 1e-15 (1 + the formula's conditioning).
 
     Parameters
@@ -149,9 +151,9 @@ class CookTorrance(Model):
     def preset(cls, preset: str, **changes: Any) -> CookTorrance:
         """One of the paper's parameter sets (`PRESETS`), with changes.
 
-        The paper gives Table I's materials without their reflectance: pass `ior` or `f0`. Where the set has a diffuse part and no
-        `diffuse_albedo` is given, it is the normal reflectance of the material at 550 nm, as in the paper's figures (R_d = F_0/pi); for the
-        copper-coloured "plastic" that of copper.
+        The paper gives Table I's materials without their reflectance: pass `ior` or `f0`. Where the set has a diffuse
+        part and no `diffuse_albedo` is given, it is the normal reflectance of the material at 550 nm, as in the
+        paper's figures (R_d = F_0/pi); for the copper-coloured "plastic" that of copper.
         """
         chosen = choice("preset", preset, tuple(PRESETS))
         values = {**PRESETS[chosen], **changes}
@@ -179,7 +181,7 @@ class CookTorrance(Model):
             + (
                 "R_s as printed, F D G/(pi N.L N.V), four times the energy-normalised form"
                 if self.normalisation == "paper"
-                else "R_s = F D G/(4 pi N.L N.V), a quarter of the print, which reflects no more than falls on gentle slopes"
+                else "R_s = F D G/(4 pi N.L N.V), a quarter of the print: no more than falls on gentle slopes"
             )
             + "; m is the total rms slope."
         )
@@ -216,13 +218,13 @@ class CookTorrance(Model):
         ----------
         theta_r
             None: what the paper's figures use, R_a = pi R_d = diffuse_albedo. A polar angle of the viewer [rad]: the
-            hemispherical-directional reflectance, the integral of brdf cos(theta_i) over the hemisphere, by quadrature over the facets' slopes (to
-            1e-3 of its value for m >= 0.01).
+            hemispherical-directional reflectance, the integral of brdf cos(theta_i) over the hemisphere, by
+            quadrature over the facets' slopes (to 1e-3 of its value for m >= 0.01).
         """
         if theta_r is None:
             return self.diffuse_albedo
         theta = number("theta_r", theta_r, 0.0, pi / 2, "rad")
-        # The facets' normals h carry nearly all of R_s within a few m of the normal: with tan a = m x and dw_i = 4 V.h dw_h, row by row
+        # over the facets' normals h, which lie within a few m of N: dw_i = 4 V.h dw_h
         total = self.d * self.diffuse_albedo
         node, weight = np.polynomial.legendre.leggauss(96)
         phi = (np.arange(256) + 0.5) * (2.0 * pi / 256)
@@ -248,14 +250,16 @@ class CookTorrance(Model):
 
 
 def unblocked_fraction(horizon: ArrayLike) -> float:
-    """f, the share of the illuminating hemisphere that nothing nearby blocks, weighted with N.L (Cook and Torrance 1982).
+    """f, the share of the illuminating hemisphere that nothing nearby blocks, weighted with N.L.
 
-    f = (1/pi) integral of (N.L) over the unblocked directions = the mean over azimuth of cos^2 of the horizon's elevation.
+    f = (1/pi) integral of (N.L) over the unblocked directions = the mean over azimuth of cos^2 of the horizon's
+    elevation.
 
     Parameters
     ----------
     horizon
-        Elevation of what blocks the view, above the plane of the surface [rad], in [0, pi/2], at azimuths equally spaced over 2 pi.
+        Elevation of what blocks the view, above the plane of the surface [rad], in [0, pi/2], at azimuths equally
+        spaced over 2 pi.
     """
     elevation = engine.real_array("horizon", horizon)
     if elevation.size == 0 or not bool(np.all((elevation >= 0.0) & (elevation <= pi / 2))):

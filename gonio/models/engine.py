@@ -1,8 +1,8 @@
 """Evaluating one compiled kernel over arrays: checks, broadcasting, blocks and threads.
 
-A kernel maps the components of two unit vectors and a tuple of constants to a BRDF. The loops below are the only ones: over
-vectors, over angles (turned into vectors inside), and over an already checked `Geometry`. Arguments are checked in the same
-pass that evaluates them, into a private array that is thrown away when a check fails.
+A kernel maps the components of two unit vectors and a tuple of constants to a BRDF. The loops below are the only
+ones: over vectors, over angles (turned into vectors inside), and over an already checked `Geometry`. Arguments are
+checked in the same pass that evaluates them, into a private array that is thrown away when a check fails.
 """
 
 from __future__ import annotations
@@ -71,7 +71,9 @@ def _over_angles(theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step
         o = out[first : first + count]
         for j in range(count):
             a, b, p, q = ti[j], tr[j], pi_[j], pr[j]
-            wrong |= 0 if 0.0 <= a <= HALF_PI and 0.0 <= b <= HALF_PI and abs(p) <= PHI_LIMIT and abs(q) <= PHI_LIMIT else 1
+            wrong |= (
+                0 if 0.0 <= a <= HALF_PI and 0.0 <= b <= HALF_PI and abs(p) <= PHI_LIMIT and abs(q) <= PHI_LIMIT else 1
+            )
             sin_i, cos_i = sincos_polar(a)
             sin_r, cos_r = sincos_polar(b)
             sin_d, cos_d = sincos(q - p)  # in the frame of the source's azimuth
@@ -119,7 +121,7 @@ def threads() -> int:
 
 
 def in_parts(work: Callable[[int, int], int | None], count: int, split: int = SPLIT) -> int:
-    """Run ``work(start, stop)`` over [0, count), split over threads where each gets at least `split`; the largest result.
+    """Run ``work(start, stop)`` over [0, count), split over threads of at least `split` each; the largest result.
 
     `work` must release the GIL. Safe from several Python threads at once.
     """
@@ -268,7 +270,9 @@ def over_vectors(
     count = prod(shape)
     out = np.empty(shape)
     if count == 0:
-        if any(not bool(np.all(np.abs(np.einsum("...k,...k->...", a, a) - 1.0) <= 2.0 * NORM_TOLERANCE)) for a in arrays):
+        if any(
+            not bool(np.all(np.abs(np.einsum("...k,...k->...", a, a) - 1.0) <= 2.0 * NORM_TOLERANCE)) for a in arrays
+        ):
             raise _explain_vectors(arrays)
         return out
     run = loop(_over_vectors, kernel, len(constants))

@@ -1,4 +1,4 @@
-"""Fresnel reflection at a smooth surface: exact amplitudes, and what Cook and Torrance make of the normal reflectance."""
+"""Fresnel reflection at a smooth surface, and what Cook and Torrance make of the normal reflectance."""
 
 from __future__ import annotations
 
@@ -32,8 +32,9 @@ def _index(ior: ArrayLike) -> NDArray[np.complex128]:
 def amplitudes(cos_theta: ArrayLike, ior: ArrayLike) -> tuple[Any, Any]:
     """Amplitude reflection coefficients (F_s, F_p) from the air side.
 
-    With q = sqrt(n~^2 - sin^2), Im q >= 0: F_s = (cos - q)/(cos + q) and F_p = (n~^2 cos - q)/(n~^2 cos + q), both rearranged so that nothing
-    cancels as n~ approaches 1 (He et al. 1991 sign convention: F_p = -F_s at normal incidence; fields go as exp(-i omega t)).
+    With q = sqrt(n~^2 - sin^2), Im q >= 0: F_s = (cos - q)/(cos + q) and F_p = (n~^2 cos - q)/(n~^2 cos + q), both
+    rearranged so that nothing cancels as n~ approaches 1 (He et al. 1991 sign convention: F_p = -F_s at normal
+    incidence; fields go as exp(-i omega t)).
 
     Parameters
     ----------
@@ -66,7 +67,7 @@ def reflectance(cos_theta: ArrayLike, ior: ArrayLike) -> Any:
 
 
 def n_from_f0(f0: float) -> float:
-    """The real index whose reflectance at normal incidence is `f0`, n = (1 + sqrt F_0)/(1 - sqrt F_0) (Cook and Torrance 1982).
+    """The real index whose reflectance at normal incidence is `f0`, n = (1 + sqrt F_0)/(1 - sqrt F_0).
 
     Parameters
     ----------
@@ -85,7 +86,8 @@ def n_from_f0(f0: float) -> float:
 def colour_shift(cos_theta: ArrayLike, f0: float, colour_0: ArrayLike, colour_90: ArrayLike) -> Any:
     """The colour of a reflection between normal and grazing incidence, interpolated as in Cook and Torrance (1982).
 
-    C = C_0 + (C_90 - C_0) max(0, F - F_0)/(1 - F_0), with F for the real index that the average normal reflectance gives.
+    C = C_0 + (C_90 - C_0) max(0, F - F_0)/(1 - F_0), with F for the real index that the average normal reflectance
+    gives.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Oren and Nayar, "Generalization of Lambert's Reflectance Model", SIGGRAPH 1994, 239-246: V-grooves of Lambertian facets."""
+"""Oren and Nayar, "Generalization of Lambert's Reflectance Model", SIGGRAPH 1994: V-grooves of Lambertian facets."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import functools
 import math
 from dataclasses import dataclass
 from math import pi, sqrt
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -27,7 +27,10 @@ TWO_OVER_PI = 2.0 / pi
 
 @device
 def functional(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    """Eqs. 14 to 16; p: rho/pi times C1, times 0.45 s2/(s2 + 0.09), times 0.125 s2/(s2 + 0.09), and 0.17 rho^2/pi s2/(s2 + 0.13)."""
+    """Eqs. 14 to 16, with s2 = sigma^2.
+
+    p: rho/pi times C1, times 0.45 s2/(s2 + 0.09), times 0.125 s2/(s2 + 0.09), and 0.17 rho^2/pi s2/(s2 + 0.13).
+    """
     ci = above(lz)
     cr = above(vz)
     li = lx * lx + ly * ly
@@ -55,7 +58,7 @@ def functional(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     ub = 2.0 * TWO_OVER_PI * rb * atan_over(rb * rb)
     fa = 1.0 - ua  # 2 alpha / pi
     fb = 1.0 - ub
-    # cos(dphi) tan(beta) {sin(alpha), or sin(alpha) - (2 beta/pi)^3 on the mirror side} = dot/cos(beta) {1, or the braces/sin(alpha)}
+    # cos(dphi) tan(beta) times sin(alpha), or times `braces` = sin(alpha) - (2 beta/pi)^3 on the mirror side
     low = 1.0 / cos_b
     braces = ub * (3.0 - ub * (3.0 - ub)) - cos_a * cos_a / (1.0 + sin_a)
     second = dot * low if dot >= 0.0 else cosine * braces * sin_b * low
@@ -81,13 +84,14 @@ _KERNELS: dict[str, Kernel] = {"functional": functional, "qualitative": qualitat
 class OrenNayar(Model):
     """Lambertian facets in V-grooves, with shadowing, masking and light that goes twice.
 
-    "exact": the integral over facets (eqs. 4 to 13) with two bounces, its relative error at most 1e-8. "functional": the paper's fit to it
-    (eqs. 14 to 16). "qualitative": the fit without its minor terms (eq. 17, without interreflection). "single-slope": facets of one slope,
-    in every direction (eq. 12) or, with `groove_azimuth_deg`, in parallel grooves (sec. 3.1). All are reciprocal and give Lambert's law for
-    sigma = 0.
+    "exact": the integral over facets (eqs. 4 to 13) with two bounces, its relative error at most 1e-8. "functional":
+    the paper's fit to it (eqs. 14 to 16). "qualitative": the fit without its minor terms (eq. 17, without
+    interreflection). "single-slope": facets of one slope, in every direction (eq. 12) or, with `groove_azimuth_deg`,
+    in parallel grooves (sec. 3.1). All are reciprocal and give Lambert's law for sigma = 0.
 
-    The functional form is the paper's, and negative near forward grazing for sigma above about 42 degrees. Where both directions are
-    exactly grazing the limit along equal polar angles is returned; it is infinite except in the forward direction.
+    The functional form is the paper's, and negative near forward grazing for sigma above about 42 degrees. Where both
+    directions are exactly grazing the limit along equal polar angles is returned; it is infinite except in the
+    forward direction.
 
     Parameters
     ----------
@@ -100,7 +104,8 @@ class OrenNayar(Model):
     slope_deg
         Angle between the facets and the surface [degrees], in [0, 90): "single-slope" only, and required there.
     groove_azimuth_deg
-        Azimuth of the facets' normals, across the grooves [degrees] (the paper's phi_a); None for grooves in every direction.
+        Azimuth of the facets' normals, across the grooves [degrees] (the paper's phi_a); None for grooves in every
+        direction.
     interreflections
         Whether light that goes twice counts.
 
@@ -177,7 +182,14 @@ class OrenNayar(Model):
             if self.groove_azimuth_deg is None:
                 return isotropic_grooves, (once, twice, math.tan(slope), math.cos(slope))
             azimuth = math.radians(self.groove_azimuth_deg)
-            return parallel_grooves, (once, twice, math.tan(slope), math.cos(slope), math.cos(azimuth), math.sin(azimuth))
+            return parallel_grooves, (
+                once,
+                twice,
+                math.tan(slope),
+                math.cos(slope),
+                math.cos(azimuth),
+                math.sin(azimuth),
+            )
         sigma = math.radians(self.sigma_deg)
         if self.form == "exact":
             if sigma < 1e-9:  # flat to the last digit
@@ -196,7 +208,7 @@ class OrenNayar(Model):
 
 @functools.lru_cache(maxsize=64)
 def _gaussian(sigma: float) -> tuple[float, float]:
-    """c of the slope-area distribution (its integral with sin(theta_a) is 1), and the angle beyond which it is below 1e-11."""
+    """c, for which the distribution's integral with sin(theta_a) is 1, and the angle beyond which it is below 1e-11."""
     reach = min(pi / 2, sigma * sqrt(2.0 * math.log(1e11)))
     node, weight = _rule()
     theta = 0.5 * reach * (node + 1.0)

@@ -1,4 +1,4 @@
-"""Weighted sums of models, as Oren and Nayar's rough diffuse base under Torrance and Sparrow's highlight (their eq. 18)."""
+"""Weighted sums of models, as a rough diffuse base under a highlight (Oren and Nayar 1994, eq. 18)."""
 
 from __future__ import annotations
 
@@ -64,7 +64,10 @@ class Sum(Model):
 
     @property
     def parameters(self) -> dict[str, Any]:
-        return {f"{model.name} {j + 1}": {"weight": weight, **model.parameters} for j, (model, weight) in enumerate(self.terms)}
+        return {
+            f"{model.name} {j + 1}": {"weight": weight, **model.parameters}
+            for j, (model, weight) in enumerate(self.terms)
+        }
 
     @property
     def convention(self) -> str:
@@ -79,7 +82,9 @@ class Sum(Model):
         *,
         wavelength_nm: ArrayLike = 550.0,
     ) -> Any:
-        return sum(_weighted(w, m.brdf(theta_i, phi_i, theta_r, phi_r, wavelength_nm=wavelength_nm)) for m, w in self.terms)
+        return sum(
+            _weighted(w, m.brdf(theta_i, phi_i, theta_r, phi_r, wavelength_nm=wavelength_nm)) for m, w in self.terms
+        )
 
     def brdf_vectors(self, omega_i: ArrayLike, omega_r: ArrayLike, *, wavelength_nm: float = 550.0) -> Any:
         return sum(_weighted(w, m.brdf_vectors(omega_i, omega_r, wavelength_nm=wavelength_nm)) for m, w in self.terms)

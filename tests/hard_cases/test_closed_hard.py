@@ -1,7 +1,8 @@
-"""The hard cases of the closed-form models: right digits, no NaN, no warning, infinite only where the formula's own limit is.
+"""The hard cases of the closed-form models: right digits, no NaN, no warning, infinite only where the formula's own
+limit is.
 
-Digits are held against the papers' formulas in 60 digits (tests/models/oracles.py) at 1e-13 (1 + conditioning) relative, and values
-below 1e-290 count as 0.
+Digits are held against the papers' formulas in 60 digits (tests/models/oracles.py) at 1e-13 (1 + conditioning)
+relative, and values below 1e-290 count as 0.
 """
 
 from __future__ import annotations
@@ -73,7 +74,14 @@ def test_cook_torrance(angles: tuple[float, float, float, float], index: complex
 @pytest.mark.parametrize("angles", GEOMETRIES.values(), ids=GEOMETRIES.keys())
 @pytest.mark.parametrize(
     ("distribution", "c"),
-    [("phong", 50.0), ("phong", 1e4), ("gaussian", 5.0), ("trowbridge-reitz", 0.35), ("trowbridge-reitz", 1e-3), ("trowbridge-reitz", 1.0)],
+    [
+        ("phong", 50.0),
+        ("phong", 1e4),
+        ("gaussian", 5.0),
+        ("trowbridge-reitz", 0.35),
+        ("trowbridge-reitz", 1e-3),
+        ("trowbridge-reitz", 1.0),
+    ],
 )
 def test_blinn(angles: tuple[float, float, float, float], distribution: str, c: float) -> None:
     for index in (200.0, 1.8, 0.6667):
@@ -94,7 +102,9 @@ def test_oren_nayar_functional_is_negative_near_forward_grazing_as_in_the_paper(
     assert value == pytest.approx(-0.0028, abs=5e-5)
 
 
-@pytest.mark.parametrize("model", [CookTorrance(), CookTorrance(distribution="gaussian"), Blinn(), Blinn(distribution="phong"), Phong()])
+@pytest.mark.parametrize(
+    "model", [CookTorrance(), CookTorrance(distribution="gaussian"), Blinn(), Blinn(distribution="phong"), Phong()]
+)
 def test_exactly_grazing_the_mirror_direction_is_infinite(model: Model) -> None:
     assert model.brdf(PI / 2, 0.0, PI / 2, PI) == math.inf
     assert model.brdf(PI / 2, 0.7, PI / 2, 0.7 + PI) == math.inf
@@ -102,7 +112,16 @@ def test_exactly_grazing_the_mirror_direction_is_infinite(model: Model) -> None:
 
 
 @pytest.mark.parametrize(
-    "model", [Lambert(), CookTorrance(), CookTorrance(distribution="gaussian"), Blinn(), Blinn(distribution="gaussian"), OrenNayar()], ids=repr
+    "model",
+    [
+        Lambert(),
+        CookTorrance(),
+        CookTorrance(distribution="gaussian"),
+        Blinn(),
+        Blinn(distribution="gaussian"),
+        OrenNayar(),
+    ],
+    ids=repr,
 )
 @pytest.mark.parametrize(("theta_r", "dphi"), [(0.0, 0.0), (0.4, 1.0), (1.2, PI), (1.2, 0.0)])
 def test_exactly_grazing_off_the_mirror_is_the_limit(model: Model, theta_r: float, dphi: float) -> None:
@@ -129,9 +148,9 @@ def test_cook_torrance_as_the_slope_vanishes(m: float) -> None:
     assert model.brdf(0.5, 0.0, 0.6, PI) == pytest.approx(0.0, abs=1e-300)
     # in the mirror direction D = 1/m^2, G = 1
     expected = fresnel.reflectance(math.cos(0.5), 1.5) / (PI * m * m * math.cos(0.5) ** 2)
-    assert model.brdf_vectors([math.sin(0.5), 0.0, math.cos(0.5)], [-math.sin(0.5), 0.0, math.cos(0.5)]) == pytest.approx(
-        expected, rel=1e-14
-    )
+    assert model.brdf_vectors(
+        [math.sin(0.5), 0.0, math.cos(0.5)], [-math.sin(0.5), 0.0, math.cos(0.5)]
+    ) == pytest.approx(expected, rel=1e-14)
 
 
 def test_index_1_reflects_nothing() -> None:
@@ -155,7 +174,9 @@ def test_oren_nayar_exact_as_sigma_vanishes(sigma_deg: float) -> None:
     theta_i[:3] = [0.0, 1.5, 0.2]
     # a facet tilted by sigma changes the BRDF by sigma tan(theta) at most, with tan below 60 here
     np.testing.assert_allclose(
-        OrenNayar(0.8, sigma_deg, "exact").brdf(theta_i, 0.0, theta_r, 2.0), 0.8 / PI, rtol=1e-12 + 60 * math.radians(sigma_deg)
+        OrenNayar(0.8, sigma_deg, "exact").brdf(theta_i, 0.0, theta_r, 2.0),
+        0.8 / PI,
+        rtol=1e-12 + 60 * math.radians(sigma_deg),
     )
 
 

@@ -1,7 +1,7 @@
 """The papers' formulas as they stand, in 60 digits: slow, readable, and written without a look at the kernels.
 
-Angles and vectors are taken as the exact values of their doubles. `conditioning` says how much a relative error of the arguments is
-magnified, so that tolerances can be stated as c eps (1 + conditioning).
+Angles and vectors are taken as the exact values of their doubles. `conditioning` says how much a relative error of
+the arguments is magnified, so that tolerances can be stated as c eps (1 + conditioning).
 """
 
 from __future__ import annotations
@@ -43,7 +43,13 @@ def attenuation(nl: Any, nv: Any, nh: Any, vh: Any) -> Any:
 
 
 def cook_torrance(
-    theta_i: Any, phi_i: Any, theta_r: Any, phi_r: Any, slopes: Sequence[tuple[float, float]], ior: complex, distribution: str
+    theta_i: Any,
+    phi_i: Any,
+    theta_r: Any,
+    phi_r: Any,
+    slopes: Sequence[tuple[float, float]],
+    ior: complex,
+    distribution: str,
 ) -> Any:
     """R_s as printed: (F/pi) D G/((N.L)(N.V))."""
     nl, nv, nh, vh = halfway(theta_i, phi_i, theta_r, phi_r)
@@ -59,7 +65,15 @@ def cook_torrance(
 
 
 def blinn(
-    theta_i: Any, phi_i: Any, theta_r: Any, phi_r: Any, c: float, ior: complex, distribution: str, k_d: float = 0.0, k_s: float = 1.0
+    theta_i: Any,
+    phi_i: Any,
+    theta_r: Any,
+    phi_r: Any,
+    c: float,
+    ior: complex,
+    distribution: str,
+    k_d: float = 0.0,
+    k_s: float = 1.0,
 ) -> Any:
     """The BRDF (k_d + k_s s/(N.L))/pi with s = D G F/(N.E)."""
     nl, ne, nh, eh = halfway(theta_i, phi_i, theta_r, phi_r)
@@ -90,7 +104,9 @@ def oren_nayar(theta_i: Any, phi_i: Any, theta_r: Any, phi_r: Any, albedo: float
 
 
 def conditioning(formula: Callable[..., Any], angles: Sequence[float]) -> float:
-    """Sum over the angles of |d ln f / d ln angle|, by a relative step of 1e-20 either way (the larger: formulas have kinks)."""
+    """Sum over the angles of |d ln f / d ln angle|, by a relative step of 1e-20 either way (the larger: formulas have
+    kinks).
+    """
     value = formula(*[mp.mpf(a) for a in angles])
     if value == 0:
         return 0.0

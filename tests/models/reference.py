@@ -1,4 +1,6 @@
-"""Access to the reference vectors in tests/reference (see its README): exact inputs, outputs as strings of up to 30 digits."""
+"""Access to the reference vectors in tests/reference (see its README): exact inputs, outputs as strings of up to 30
+digits.
+"""
 
 from __future__ import annotations
 

@@ -51,8 +51,12 @@ def atan_over(z: Any) -> Any:
 
 HALF_PI = math.pi / 2
 PHASES = np.concatenate([RNG.uniform(-13, 13, 600), RNG.uniform(-1e6, 1e6, 400), np.arange(-20, 21) * HALF_PI])
-POLAR = np.concatenate([RNG.uniform(0, HALF_PI, 600), HALF_PI - 10 ** RNG.uniform(-15, -1, 200), 10 ** RNG.uniform(-15, -1, 200)])
-POSITIVE = np.concatenate([10 ** RNG.uniform(-307, 307, 500), 1 + RNG.uniform(-1, 1, 500) * 10 ** RNG.uniform(-15, 0, 500)])
+POLAR = np.concatenate(
+    [RNG.uniform(0, HALF_PI, 600), HALF_PI - 10 ** RNG.uniform(-15, -1, 200), 10 ** RNG.uniform(-15, -1, 200)]
+)
+POSITIVE = np.concatenate(
+    [10 ** RNG.uniform(-307, 307, 500), 1 + RNG.uniform(-1, 1, 500) * 10 ** RNG.uniform(-15, 0, 500)]
+)
 UNIT = np.concatenate([RNG.random(600), 10 ** RNG.uniform(-18, 0, 200), [0.0, 1.0]])
 
 
@@ -69,7 +73,9 @@ UNIT = np.concatenate([RNG.random(600), 10 ** RNG.uniform(-18, 0, 200), [0.0, 1.
     ],
     ids=["exp", "log", "sin", "cos", "polar sin", "polar cos", "atan"],
 )
-def test_within_units_of_the_last_place(function: Callable[..., Any], reference: Any, values: Any, allowed: float) -> None:
+def test_within_units_of_the_last_place(
+    function: Callable[..., Any], reference: Any, values: Any, allowed: float
+) -> None:
     got = evaluate(function, values)
     for x, value in zip(values, got, strict=True):
         exact = reference(mp.mpf(float(x)))
@@ -84,7 +90,8 @@ def evaluate(function: Callable[..., Any], values: Any) -> Any:
 
 def test_ends_of_the_ranges() -> None:
     np.testing.assert_array_equal(
-        evaluate(_math.exp, [-math.inf, -1e300, -709.0, 0.0, 710.0, 1e300, math.inf]), [0.0, 0.0, 0.0, 1.0] + [math.inf] * 3
+        evaluate(_math.exp, [-math.inf, -1e300, -709.0, 0.0, 710.0, 1e300, math.inf]),
+        [0.0, 0.0, 0.0, 1.0] + [math.inf] * 3,
     )
     np.testing.assert_array_equal(evaluate(_math.log, [0.0, 1.0]), [-math.inf, 0.0])
     np.testing.assert_array_equal(evaluate(polar_cosine, [0.0, HALF_PI]), [1.0, 0.0])

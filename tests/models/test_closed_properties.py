@@ -1,4 +1,6 @@
-"""Properties that the models promise for every geometry and parameter: reciprocity, sign, rotation, energy, and their limits."""
+"""Properties that the models promise for every geometry and parameter: reciprocity, sign, rotation, energy, and their
+limits.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,13 @@ closed_orens = st.builds(OrenNayar, shares, st.floats(0.0, 40.0), st.sampled_fro
 slow_orens = st.one_of(
     st.builds(OrenNayar, shares, st.floats(0.0, 60.0), st.just("exact")),
     st.builds(OrenNayar, shares, form=st.just("single-slope"), slope_deg=st.floats(0.0, 85.0)),
-    st.builds(OrenNayar, shares, form=st.just("single-slope"), slope_deg=st.floats(0.0, 85.0), groove_azimuth_deg=st.floats(0.0, 360.0)),
+    st.builds(
+        OrenNayar,
+        shares,
+        form=st.just("single-slope"),
+        slope_deg=st.floats(0.0, 85.0),
+        groove_azimuth_deg=st.floats(0.0, 360.0),
+    ),
 )
 reciprocal = st.one_of(lamberts, blinns, cooks, closed_orens)
 
@@ -53,9 +61,12 @@ def test_reciprocity(model: Model, theta_i: float, phi_i: float, theta_r: float,
 
 @settings(max_examples=60, deadline=None)
 @given(slow_orens, thetas, phis, thetas, phis)
-def test_reciprocity_of_the_groove_integrals(model: Model, theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> None:
+def test_reciprocity_of_the_groove_integrals(
+    model: Model, theta_i: float, phi_i: float, theta_r: float, phi_r: float
+) -> None:
     there, back = float(model.brdf(theta_i, phi_i, theta_r, phi_r)), float(model.brdf(theta_r, phi_r, theta_i, phi_i))
-    # exchanging the directions turns phi_a by pi, which the quadrature sees as another set of arcs: its error, 1e-8, either way
+    # exchanging the directions turns phi_a by pi, which the quadrature sees as another set of arcs: its error, 1e-8,
+    # either way
     assert there == pytest.approx(back, rel=2e-8)
 
 
@@ -71,7 +82,9 @@ def test_never_negative_and_never_nan(model: Model, theta_i: float, phi_i: float
 
 @settings(max_examples=60, deadline=None)
 @given(slow_orens, thetas, phis, thetas, phis)
-def test_groove_integrals_are_never_negative(model: Model, theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> None:
+def test_groove_integrals_are_never_negative(
+    model: Model, theta_i: float, phi_i: float, theta_r: float, phi_r: float
+) -> None:
     assert float(model.brdf(theta_i, phi_i, theta_r, phi_r)) >= 0.0
 
 
@@ -83,7 +96,9 @@ def test_groove_integrals_are_never_negative(model: Model, theta_i: float, phi_i
     phis,
     st.floats(-3.0, 3.0),
 )
-def test_turning_the_sample_about_its_normal(model: Model, theta_i: float, phi_i: float, theta_r: float, phi_r: float, turn: float) -> None:
+def test_turning_the_sample_about_its_normal(
+    model: Model, theta_i: float, phi_i: float, theta_r: float, phi_r: float, turn: float
+) -> None:
     one = float(model.brdf(theta_i, phi_i, theta_r, phi_r))
     other = float(model.brdf(theta_i, phi_i + turn, theta_r, phi_r + turn))
     # azimuths are rounded by up to 1e-15 rad; a lobe of width 0.02 rad or more magnifies that by less than (pi/0.02)^2
@@ -103,9 +118,12 @@ def test_angles_and_vectors_agree(model: Model, theta_i: float, phi_i: float, th
 
 @settings(max_examples=30, deadline=None)
 @given(slopes, indices, st.floats(0.0, 1.4))
-def test_normalised_beckmann_facets_reflect_no_more_than_falls_on_them(m: float, index: complex, theta_i: float) -> None:
+def test_normalised_beckmann_facets_reflect_no_more_than_falls_on_them(
+    m: float, index: complex, theta_i: float
+) -> None:
     model = CookTorrance(slopes=m, ior=index, convention="normalised")
-    # reciprocity makes the hemispherical-directional integral the directional-hemispherical one; its quadrature is good to 1e-3
+    # reciprocity makes the hemispherical-directional integral the directional-hemispherical one; its quadrature is
+    # good to 1e-3
     assert model.ambient_reflectance(theta_i) <= 1.0 + 1e-3
 
 
@@ -124,7 +142,8 @@ def test_exact_oren_nayar_conserves_energy(theta_i: float, sigma_deg: float) -> 
     phi = np.linspace(0.0, 2 * PI, 32, endpoint=False)
     f = OrenNayar(1.0, sigma_deg, "exact").brdf(theta_i, 0.0, theta[:, None], phi)
     rho = float((f.mean(axis=1) * 2 * PI * np.sin(theta) * np.cos(theta)) @ weight * PI / 4)
-    # white facets: what leaves the groove after one or two bounces, at most all of it; the quadrature over kinks is good to 2e-3
+    # white facets: what leaves the groove after one or two bounces, at most all of it; the quadrature over kinks is
+    # good to 2e-3
     assert 0.6 < rho <= 1.0 + 2e-3
 
 
@@ -188,7 +207,13 @@ def test_unblocked_fraction() -> None:
 
 
 @pytest.mark.parametrize(
-    ("preset", "expected"), [("carbon", (0.3, 0.7, 0.40)), ("rubber", (0.4, 0.6, 0.30)), ("obsidian", (0.8, 0.2, 0.15)), ("rust", (0.2, 0.8, 0.35))]
+    ("preset", "expected"),
+    [
+        ("carbon", (0.3, 0.7, 0.40)),
+        ("rubber", (0.4, 0.6, 0.30)),
+        ("obsidian", (0.8, 0.2, 0.15)),
+        ("rust", (0.2, 0.8, 0.35)),
+    ],
 )
 def test_cook_torrance_table_1(preset: str, expected: Any) -> None:
     model = CookTorrance.preset(preset, f0=0.05)
@@ -199,6 +224,8 @@ def test_cook_torrance_table_1(preset: str, expected: Any) -> None:
 def test_presets_that_name_their_material() -> None:
     copper = CookTorrance.preset("copper")
     assert (copper.s, copper.d, copper.slopes) == (1.0, 0.0, ((0.4, 0.4), (0.2, 0.6)))
-    assert CookTorrance.preset("plastic").diffuse_albedo == pytest.approx(0.6, abs=0.1)  # copper reflects some 60 % at 550 nm
+    assert CookTorrance.preset("plastic").diffuse_albedo == pytest.approx(
+        0.6, abs=0.1
+    )  # copper reflects some 60 % at 550 nm
     oxide = Blinn.preset("magnesium oxide")
     assert (oxide.k_s, oxide.k_d, oxide.ior, oxide.c) == (0.667, 0.333, 1.8, 0.35)

@@ -1,6 +1,7 @@
 """The closed-form models against 50-digit reference vectors.
 
-Tolerance: 100 eps (1 + cond), cond being the file's own condition number; values below 1e-290 count as 0 (the files' README).
+Tolerance: 100 eps (1 + cond), cond being the file's own condition number; values below 1e-290 count as 0 (the files'
+README).
 """
 
 from __future__ import annotations
@@ -158,7 +159,10 @@ def test_oren_nayar_single_slope(case: dict[str, Any]) -> None:
     one = float(OrenNayar(i["rho"], groove_azimuth_deg=across, **once).brdf(*angles)) * cosine
     # degrees and back, and tan(theta_a) up to 6: 2e-14
     assert one == pytest.approx(float(out["uni_L1"]), rel=2e-14)
-    both = float(OrenNayar(i["rho"], form="single-slope", slope_deg=slope, groove_azimuth_deg=across).brdf(*angles)) * cosine
+    both = (
+        float(OrenNayar(i["rho"], form="single-slope", slope_deg=slope, groove_azimuth_deg=across).brdf(*angles))
+        * cosine
+    )
     assert both == pytest.approx(float(out["uni_L1"]) + float(out["uni_L2"]), rel=2e-14)
     around = float(OrenNayar(i["rho"], **once).brdf(*angles)) * cosine
     assert around == pytest.approx(float(out["isotropic_L1"]), rel=2e-14)

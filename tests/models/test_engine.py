@@ -55,7 +55,14 @@ def test_kinds_of_arrays() -> None:
     frozen = light.copy()
     frozen.flags.writeable = False
     unaligned = np.frombuffer(b"x" + light.tobytes(), dtype=np.uint8)[1:].view(np.float64).reshape(-1, 3)
-    for other in (frozen, np.asfortranarray(light), np.repeat(light, 2, axis=0)[::2], light[::-1][::-1], light.astype(">f8"), unaligned):
+    for other in (
+        frozen,
+        np.asfortranarray(light),
+        np.repeat(light, 2, axis=0)[::2],
+        light[::-1][::-1],
+        light.astype(">f8"),
+        unaligned,
+    ):
         np.testing.assert_array_equal(MODEL.brdf_vectors(other, view), expected)
     single = light.astype(np.float32)
     # float32 components are computed in float64 after taking their length out: the result for the rounded directions
@@ -149,7 +156,14 @@ def test_bad_angles_are_named(name: str, angles: tuple) -> None:
 
 def test_bad_vectors_are_named() -> None:
     up = [0.0, 0.0, 1.0]
-    for bad in ([0.0, 0.0, 1.001], [0.0, 0.0, 0.0], [np.nan, 0.0, 1.0], [0.0, 1.0], 1.0, [[0.0, 0.0, 1.0], [0.0, 0.0, 2.0]]):
+    for bad in (
+        [0.0, 0.0, 1.001],
+        [0.0, 0.0, 0.0],
+        [np.nan, 0.0, 1.0],
+        [0.0, 1.0],
+        1.0,
+        [[0.0, 0.0, 1.0], [0.0, 0.0, 2.0]],
+    ):
         with pytest.raises(ArgumentError, match="omega_i"):
             MODEL.brdf_vectors(bad, up)
         with pytest.raises(ArgumentError, match="omega_r"):
@@ -158,7 +172,9 @@ def test_bad_vectors_are_named() -> None:
 
 def test_below_the_surface_nothing_is_reflected() -> None:
     for model in (MODEL, Lambert(), Phong(), Blinn(), OrenNayar(), OrenNayar(form="exact")):
-        below = model.brdf_vectors([[0.6, 0.0, -0.8], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], [[0.0, 0.0, 1.0], [0.6, 0.0, -0.8], [0.0, 0.0, -1.0]])
+        below = model.brdf_vectors(
+            [[0.6, 0.0, -0.8], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], [[0.0, 0.0, 1.0], [0.6, 0.0, -0.8], [0.0, 0.0, -1.0]]
+        )
         np.testing.assert_array_equal(below, 0.0)
 
 
@@ -168,7 +184,9 @@ def test_a_checked_geometry_gives_the_same_values() -> None:
     for m in (0.1, 0.5):
         model = CookTorrance(slopes=m)
         # directions are rounded on the way: some 1e-15 times tan(theta)/m, theta to 79 degrees
-        np.testing.assert_allclose(model.at(where)[:-1, :-1], model.brdf(theta[:, None], 0.0, theta, 0.3)[:-1, :-1], rtol=1e-11)
+        np.testing.assert_allclose(
+            model.at(where)[:-1, :-1], model.brdf(theta[:, None], 0.0, theta, 0.3)[:-1, :-1], rtol=1e-11
+        )
     assert model.at(geometry(0.1, 0.0, 0.2, 0.3)) == pytest.approx(float(model.brdf(0.1, 0.0, 0.2, 0.3)), rel=1e-14)
 
 
