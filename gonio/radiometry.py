@@ -213,12 +213,18 @@ def _shares(
     description: RigDescription, points: list[Merged], errors: list[tuple[str, float]], cones: tuple[float, float]
 ) -> Array:
     """Mean and variance of the overlap of the lamp's mirror image with the lens at each point, shape (n, 2)."""
+    g = description.geometry
     out = np.zeros((len(points), 2))
     for k, point in enumerate(points):
-        # beyond six standard deviations of any error nothing of the mirror image is seen
-        if sensitivity.mirror_offset(point.directions) < sum(cones) + 6.0 * sum(u for _, u in errors):
+        # beyond six standard deviations of the errors nothing of the mirror image is seen
+        blur = 6.0 * sum(u for _, u in errors)
+        blur += description.acquisition.roi_radius_mm * (1.0 / g.light_distance_mm + 1.0 / g.camera_distance_mm)
+        if sensitivity.mirror_offset(point.directions) < sum(cones) + blur:
             moved = [_moved(description, point.pose, axis, u) for axis, u in errors]
-            out[k] = sensitivity.blurred_overlap(point.directions, moved, cones)
+            patch = sensitivity.over_patch(
+                point.directions, description.acquisition.roi_radius_mm, g.light_distance_mm, g.camera_distance_mm
+            )
+            out[k] = sensitivity.blurred_overlap(point.directions, moved, cones, patch)
     return out
 
 

@@ -22,6 +22,7 @@ from statistics import NormalDist
 import numpy as np
 import numpy.typing as npt
 
+from gonio.geometry import direction
 from gonio.kinematics import Directions
 
 Array = npt.NDArray[np.float64]
@@ -70,10 +71,24 @@ def mirror_offset(d: Directions) -> float:
     return 2.0 * math.asin(min(0.5 * math.hypot(*from_mirror(d)), 1.0))
 
 
+def over_patch(d: Directions, radius_mm: float, light_mm: float, camera_mm: float) -> Array:
+    """What `from_mirror` changes by at 24 places spread evenly over a round patch, shape (24, 3).
+
+    A spot x sees source and camera turned by -(x - (x . w) w) / distance, to first order.
+    """
+    turn = (np.arange(24) + 0.5) * math.pi * (3.0 - math.sqrt(5.0))  # Vogel's spiral
+    radius = radius_mm * np.sqrt((np.arange(24) + 0.5) / 24)
+    x = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(24)], axis=1)
+    source, detector = direction(d.theta_i, d.phi_i), direction(d.theta_r, d.phi_r)
+    to_source = -(x - (x @ source)[:, None] * source) / light_mm
+    to_detector = -(x - (x @ detector)[:, None] * detector) / camera_mm
+    return np.asarray(to_detector - to_source * (-1.0, -1.0, 1.0))
+
+
 def blurred_overlap(
-    read: Directions, moved: Sequence[Directions], half_angles: tuple[float, float]
+    read: Directions, moved: Sequence[Directions], half_angles: tuple[float, float], patch: Array | None = None
 ) -> tuple[float, float]:
-    """Mean and variance of the overlap at directions whose true place is uncertain.
+    """Mean and variance of the overlap, averaged over a patch, at directions whose true place is uncertain.
 
     Parameters
     ----------
@@ -83,13 +98,16 @@ def blurred_overlap(
         The directions for one standard deviation of each independent error; together they are taken for normal.
     half_angles
         Of the lamp and of the lens [rad].
+    patch
+        What `from_mirror` changes by at places of the patch, shape (n, 3); none for a point.
     """
     centre = np.array(from_mirror(read))
     shifts = np.array([from_mirror(d) for d in moved]).reshape(-1, 3) - centre
     values, vectors = np.linalg.eigh(shifts.T @ shifts)
     first, second = (math.sqrt(max(values[k], 0.0)) * vectors[:, k] for k in (2, 1))
     place = centre + QUANTILES[:, None, None] * first + QUANTILES[None, :, None] * second
-    share = overlap(np.sqrt(np.einsum("abk,abk->ab", place, place)), *half_angles)
+    spots = np.zeros((1, 3)) if patch is None else patch
+    share = np.mean([overlap(np.linalg.norm(place + spot, axis=-1), *half_angles) for spot in spots], axis=0)
     return float(share.mean()), float(share.var())
 
 

@@ -8,8 +8,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from gonio.geometry import angles, direction
 from gonio.kinematics import Directions
-from gonio.sensitivity import Curves, blurred_overlap, mirror_offset, overlap
+from gonio.sensitivity import Curves, blurred_overlap, from_mirror, mirror_offset, over_patch, overlap
 
 HALF = math.radians(0.5)
 Function = Callable[[Directions], float]
@@ -227,3 +228,21 @@ def test_what_a_spike_s_top_lacks_on_average_is_given_back() -> None:
     top = int(np.argmax(exact))
     assert model.correction[top] > 1.5
     assert math.sqrt(model.spike_variance[top]) < model.correction[top]
+
+
+def test_a_patch_turns_the_mirror_direction() -> None:
+    """Against source and camera at their places, seen from each spot; and the spots fill the disc evenly."""
+    d = at(50.0, 50.3)
+    patch = over_patch(d, 0.8, 1000.0, 700.0)
+    source, eye = 1000.0 * direction(d.theta_i, d.phi_i), 700.0 * direction(d.theta_r, d.phi_r)
+    turn = (np.arange(24) + 0.5) * math.pi * (3 - math.sqrt(5))
+    radius = 0.8 * np.sqrt((np.arange(24) + 0.5) / 24)
+    for k in range(24):
+        spot = radius[k] * np.array([math.cos(turn[k]), math.sin(turn[k]), 0.0])
+        (ti, pi), (tr, pr) = angles(source - spot), angles(eye - spot)
+        there = from_mirror(Directions(float(ti), float(pi), float(tr), float(pr)))
+        # second order in 0.8 / 700
+        np.testing.assert_allclose(np.array(there) - from_mirror(d), patch[k], atol=2e-6)
+    # of an even disc: <r^2> = R^2 / 2; in y nothing is foreshortened
+    expected = 0.8 / 2 * (1 / 1000 + 1 / 700)
+    assert float(np.sqrt(np.mean(patch[:, 1] ** 2))) == pytest.approx(expected, rel=0.03)
