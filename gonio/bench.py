@@ -28,6 +28,15 @@ class RigChoice:
     description: RigDescription
     source: str
 
+    def open(self, *, sample: SampleDescription | None = None, seed: int = 0, confirm: bool = False) -> Rig:
+        """The rig, built but not entered; see `RigPlugin.open`. Messages name the rig file."""
+        try:
+            return self.plugin.open(self.description, sample=sample, seed=seed, confirm=confirm)
+        except ConfigError as error:
+            if Path(self.source).is_file():
+                raise ConfigError(f"{self.source}: {error}") from None
+            raise
+
 
 def find_rig(name: str) -> RigChoice:
     """A rig by the name of its entry point, or by the path of a rig file whose key `rig` names the entry point.
@@ -151,7 +160,7 @@ def _open(rig: RigChoice, out: Path, sample: SampleDescription | None, seed: int
     from gonio.run import begun, check_new, check_writable
 
     attended = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
-    device = rig.plugin.open(rig.description, sample=sample, seed=seed, confirm=attended and not yes)
+    device = rig.open(sample=sample, seed=seed, confirm=attended and not yes)
     if sample is None and device.repeatable:
         raise ConfigError(f'the rig "{rig.source}" simulates its sample: name one with --sample S.toml')
     if rig.description.reference.how == "swap" and not (device.repeatable or attended or yes):

@@ -250,6 +250,10 @@ class ServoArms:
         """Stop every axis where it is: hold what answers, and take the torque from what does not. Never raises."""
         self.stopped = True
         silent = []
+        try:
+            self._freeze()
+        except DeviceError as failure:
+            log.error("stopping: %s", failure)
         for joint in self.joints.values():
             joint.landed_at = joint.stood_at = None
             try:
@@ -265,6 +269,18 @@ class ServoArms:
                 self.bus.write_all(torque.address, {joint.id: b"\x00"})
         except DeviceError as failure:
             log.error("stopping: %s", failure)
+
+    def _freeze(self) -> None:
+        """Tell all servos that answer at once to stay where they are, before anybody waits for one that does not."""
+        groups: dict[tuple[int, int], list[Joint]] = {}
+        for joint in self.joints.values():
+            item = joint.table["Present Position"]
+            groups.setdefault((item.address, item.size), []).append(joint)
+        for (address, size), joints in groups.items():
+            blocks = self.bus.glance([joint.id for joint in joints], address, size)
+            here = {j.name: j.table["Present Position"].decode(blocks[j.id], address) for j in joints if j.id in blocks}
+            if here:
+                self._send(here)
 
     def park(self) -> None:
         """Drive to the rest position."""

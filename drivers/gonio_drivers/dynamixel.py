@@ -47,8 +47,10 @@ from gonio_drivers import ports
 log = logging.getLogger("gonio.devices")
 
 ALERT = 0x80
+PATIENCE_MS = 50.0
+"""Added to the SDK's timeout of 34 ms: a busy computer or a slow adapter is no fault."""
 QUIET_S = 0.060
-"""How long the line is left alone after a failure: the SDK gives up after 34 ms, and replies have come 40 ms late."""
+"""How long the line is left alone after a failure, for replies that are still on their way."""
 TRIES = 4
 WAIT_S = 0.002
 BAUD_RATES = (57_600, 1_000_000, 115_200, 2_000_000, 3_000_000, 4_000_000)
@@ -134,6 +136,7 @@ class ExclusivePort(PortHandler):  # type: ignore[misc]
     """The SDK's port, locked for one owner, and sleeping while it waits for bytes."""
 
     is_open: bool
+    packet_timeout: float
 
     def setupPort(self, cflag_baud: int) -> bool:
         """Open the port (again) at a line speed, with the lock taken again."""
@@ -151,6 +154,11 @@ class ExclusivePort(PortHandler):  # type: ignore[misc]
         self.ser.reset_input_buffer()
         self.tx_time_per_byte = 1000.0 / cflag_baud * 10.0
         return True
+
+    def setPacketTimeout(self, packet_length: int) -> None:
+        """Start to wait for a packet."""
+        super().setPacketTimeout(packet_length)
+        self.packet_timeout += PATIENCE_MS
 
     def readPort(self, length: int) -> bytes:
         """Bytes that are there, after a short wait where there are none."""
@@ -260,6 +268,16 @@ class Bus:
                 self.recovered += 1
                 log.warning("servo bus %s: sync read without an answer of id %s; repeated", self.port, missing)
             return blocks
+
+    def glance(self, ids: Iterable[int], address: int, size: int) -> dict[int, bytes]:
+        """The same block of those servos that answer at once; nothing is repeated, and silence raises nothing."""
+        with self._lock:
+            try:
+                return self._sync_read(list(ids), address, size)
+            except ports.FAILURES as error:
+                raise ports.lost(self.port, error, f"{self.key}.port") from None
+            finally:
+                self._port.is_using = False
 
     def write_all(self, address: int, data: Mapping[int, bytes]) -> None:
         """Change several servos at once, by one sync write; no servo answers it: read back what matters."""

@@ -83,7 +83,7 @@ def park(
     from gonio.cli import console
 
     choice = find_rig(rig)
-    with choice.plugin.open(choice.description, sample=None, seed=0, confirm=False):
+    with choice.open():
         pass  # leaving a rig parks it
     console.note(f"{choice.description.name}: lamp dark, arms parked")
 
@@ -92,7 +92,7 @@ def checks(choice: RigChoice, *, move: bool = True) -> list[Row]:
     """What is checked, what was found, and whether that is good; stops at the first device that fails."""
     from gonio.errors import DeviceError
 
-    rig = choice.plugin.open(choice.description, sample=None, seed=0, confirm=False)
+    rig = choice.open()
     rows: list[Row] = []
     try:
         with rig:

@@ -487,5 +487,5 @@ def test_an_absent_servo_costs_little_cpu(line: Line) -> None:
         before = time.thread_time()
         with pytest.raises(dynamixel.BusError):
             bus.ping(9)
-        # four attempts and pings of 34 ms each, during which the SDK alone would spin
-        assert time.thread_time() - before < 0.1
+        # four attempts and as many pings of 84 ms, during which the SDK alone would spin
+        assert time.thread_time() - before < 0.2

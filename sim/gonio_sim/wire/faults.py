@@ -21,8 +21,8 @@ LAMP = ("lamp-nak", "lamp-silent", "lamp-reset")
 CAMERA = ("file-late", "file-truncated", "wrong-exposure", "file-duplicate", "file-missing")
 NAMES = WIRE + SERVO + LAMP + CAMERA
 
-LATE_S = 0.040
-"""A late reply comes after the SDK has given up (34 ms) and before a careless driver has asked again."""
+LATE_S = 0.100
+"""A late reply comes after the SDK has given up (34 ms), and after a patient driver has (84 ms)."""
 FILE_LATE_S = 1.5
 
 
