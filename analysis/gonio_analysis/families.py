@@ -74,7 +74,7 @@ class Family:
         raise ConfigError(f'{self.name} has no parameter "{name}" that can be fitted or fixed; {hint}')
 
 
-_ALBEDO = Parameter("albedo", 0.0, 1.0)
+_ALBEDO = Parameter("albedo", 1e-6, 1.0)
 _DIFFUSE = Parameter("diffuse_albedo", 0.0, 1.0)
 _N = Parameter("ior", 1.001, 200.0, "log")
 _K = Parameter("k", 0.0, 100.0)

@@ -341,6 +341,11 @@ def _identifiability(problem: Problem, result: FitResult) -> list[str]:
             known = "what they determine is" if poor else "better known than either is"
             text += f"; {known} the slope 2 sigma0/tau = {m.value:.4g} ± {m.u:.2g}"
         notes.append(text + ".")
+    if result.reduced_chi_square is not None and result.reduced_chi_square > 25:
+        notes.append(
+            "The data reject this model so clearly that its parameters describe little: the values with the smallest"
+            " uncertainties decide them, and the standard errors mean nothing."
+        )
     if not pairs and result.condition > 1e3:
         notes.append(f"The parameters are poorly determined together (condition number {result.condition:.2g}).")
     return notes
