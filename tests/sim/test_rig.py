@@ -121,7 +121,7 @@ def test_a_step_repeats_whatever_went_before(rig: Build) -> None:
 
 
 def test_clock_runs_on_through_steps(rig: Build) -> None:
-    description = describe("sim")
+    description = describe("sim", camera={"width": 64, "height": 48})
     times = []
     with rig(description) as sim:
         for n in range(105):
@@ -135,7 +135,7 @@ def test_clock_runs_on_through_steps(rig: Build) -> None:
 
 
 def test_clock_waits_where_a_step_is_too_long(rig: Build) -> None:
-    description = describe("sim")
+    description = describe("sim", camera={"width": 64, "height": 48})
     with rig(description) as sim:
         sim.begin(step(2))
         times = [sim.camera.capture(20.0).time_s for _ in range(4)]
