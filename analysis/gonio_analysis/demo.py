@@ -65,7 +65,7 @@ def run_demo(out: Path, *, quick: bool) -> Path:
         The folder holds something else, or cannot be written.
     """
     from gonio import measurement, radiometry
-    from gonio.bench import carry_out, find_rig, load_sample
+    from gonio.session import carry_out, find_rig, load_sample
     from gonio.cli import console
     from gonio.plan import load_plan
     from gonio.run import check_writable

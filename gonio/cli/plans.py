@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from gonio.bench import RigChoice
+    from gonio.session import RigChoice
     from gonio.plan import Assessed, Plan, Point
 
 app = typer.Typer(help="Look at plans.", no_args_is_help=True)
@@ -29,7 +29,7 @@ def show(
     ] = None,
 ) -> None:
     """Show the points of a plan; with a rig also what it cannot reach and why, and how long it takes."""
-    from gonio.bench import find_rig
+    from gonio.session import find_rig
     from gonio.plan import load_plan
 
     describe(load_plan(plan), find_rig(rig) if rig is not None else None)

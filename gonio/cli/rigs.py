@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from gonio.bench import RigChoice
+    from gonio.session import RigChoice
     from gonio.rig import Rig
 
 app = typer.Typer(help="List, show, check and park rigs.", no_args_is_help=True)
@@ -42,7 +42,7 @@ def show(
     rig: Annotated[str, typer.Argument(metavar="R", help="A rig's name, or a rig file.", show_default=False)],
 ) -> None:
     """Print a rig's file, to copy and to change."""
-    from gonio.bench import find_rig
+    from gonio.session import find_rig
 
     choice = find_rig(rig)
     path = Path(rig)
@@ -57,7 +57,7 @@ def check(
     """Open a rig, move every axis a little, switch the lamp, take a dark and a lit frame; exit 3 if any is bad."""
     from rich.text import Text
 
-    from gonio.bench import find_rig
+    from gonio.session import find_rig
     from gonio.cli import console
     from gonio.errors import DeviceError
 
@@ -79,7 +79,7 @@ def park(
     rig: Annotated[str, typer.Option(help="A rig's name, or a rig file.", show_default=False)],
 ) -> None:
     """Darken the lamp, and drive every axis to its rest position."""
-    from gonio.bench import find_rig
+    from gonio.session import find_rig
     from gonio.cli import console
 
     choice = find_rig(rig)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from gonio.acquire import Live, Silent
-from gonio.bench import RigChoice, carry_out, check
+from gonio.session import RigChoice, carry_out, check
 from gonio.description import Reference, RigDescription
 from gonio.errors import ConfigError, DataError, DeviceError, GonioError, Interrupted
 from gonio.frames import read_raw

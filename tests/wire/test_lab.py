@@ -21,7 +21,7 @@ from gonio_sim.wire.bench import Bench
 
 from gonio import radiometry
 from gonio.acquire import Silent
-from gonio.bench import RigChoice, carry_out, find_rig
+from gonio.session import RigChoice, carry_out, find_rig
 from gonio.cli.rigs import checks
 from gonio.config import parse
 from gonio.description import RigDescription, SampleDescription

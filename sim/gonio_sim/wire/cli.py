@@ -34,7 +34,7 @@ def serve(
     import signal
     import threading
 
-    from gonio.bench import find_rig, load_sample
+    from gonio.session import find_rig, load_sample
     from gonio.errors import ConfigError
     from gonio.run import to_toml
     from gonio_sim.wire import faults
