@@ -371,7 +371,9 @@ def spike_reflectivity(theta, p):
     lit, whole, _, _, k = shadowing(z, s, z, s, p[4], p[5])
     _, narrowing = lambert_w(k * k * (0.125 / math.pi))
     up, down = fresnel(z * z, p[6], p[7], p[8])
-    return (up / down) * exp(-4.0 * p[2] * narrowing * z * z) * (z * lit / whole) ** 2
+    power = up / down if down > 0.0 else 0.0  # n = 1 at grazing
+    shadow = z * lit / whole if p[2] > 0.0 else 1.0
+    return power * exp(-4.0 * p[2] * narrowing * z * z) * shadow * shadow
 
 
 @template("r1 p w1 i i")

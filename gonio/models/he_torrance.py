@@ -236,7 +236,8 @@ class HeTorrance(Model):
     def _hemispherical(self, theta: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
         constants = self._constants(wavelength_nm)
         lobe = np.array([self._lobe_hemispherical(t, (0.0, *constants[1:])) for t in theta])
-        return self._spike(theta, wavelength_nm) + lobe + self.diffuse_albedo
+        total: NDArray[np.float64] = self._spike(theta, wavelength_nm) + lobe + self.diffuse_albedo
+        return total
 
     def _lobe_hemispherical(self, theta: float, constants: Constants) -> float:
         """The integral of lobe * cos(theta_r), to 1e-9 of itself.
