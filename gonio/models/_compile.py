@@ -31,6 +31,13 @@ def device(function: Callable[..., Any]) -> Callable[..., Any]:
     return function
 
 
+def table(function: Callable[[], Any]) -> Any:
+    """Mark a function without arguments whose value, an array, takes its place in kernels when they are compiled."""
+    cached = functools.cache(function)
+    cached.__dict__["__table__"] = True
+    return cached
+
+
 def _clone(function: Callable[..., Any], names: dict[str, Any]) -> Any:
     """The same code with the marked functions that it calls replaced by compiled ones."""
     assert isinstance(function, FunctionType)
@@ -39,6 +46,8 @@ def _clone(function: Callable[..., Any], names: dict[str, Any]) -> Any:
         value: Any = names.get(name, function.__globals__.get(name))
         if getattr(value, "__device__", False):
             called[name] = jit(value)
+        elif getattr(value, "__table__", False):
+            called[name] = value()
         elif name in names:
             called[name] = value
     clone = FunctionType(

@@ -16,15 +16,34 @@ used in variables that crowd their nodes toward the ends.
 from __future__ import annotations
 
 from math import acos, atan2, cos, hypot, pi, sin, sqrt, tan
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gonio.models._compile import device
+from gonio.models._compile import device, table
 from gonio.models._math import exp, log, sincos
 
-_RULES = [np.polynomial.legendre.leggauss(4 * k) for k in range(1, 37)]
-# Gauss-Legendre nodes and weights of all the rules, one after the other: the rule of 4k nodes begins at 2k(k - 1)
-NODES, WEIGHTS = (np.concatenate(parts) for parts in zip(*_RULES, strict=True))
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+def _rules(which: int) -> NDArray[np.float64]:
+    """Gauss-Legendre nodes (0) or weights (1) of 4, 8, ..., 144 points, one rule after the other."""
+    return np.concatenate([np.polynomial.legendre.leggauss(4 * k)[which] for k in range(1, 37)])
+
+
+@table
+def NODES() -> NDArray[np.float64]:
+    """The nodes of all the rules: those of the rule of 4k points begin at 2k(k - 1)."""
+    return _rules(0)
+
+
+@table
+def WEIGHTS() -> NDArray[np.float64]:
+    """The weights of all the rules."""
+    return _rules(1)
+
+
 STEEPEST = 1e12  # the largest tangent of a direction: at exactly grazing the limit is reached to 1e-11
 RATIO = 10.0  # intervals of theta_a that span a larger ratio are divided
 

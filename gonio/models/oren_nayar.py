@@ -60,11 +60,13 @@ def functional(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     fb = 1.0 - ub
     # cos(dphi) tan(beta) times sin(alpha), or times `braces` = sin(alpha) - (2 beta/pi)^3 on the mirror side
     low = 1.0 / cos_b
-    braces = ub * (3.0 - ub * (3.0 - ub)) - cos_a * cos_a / (1.0 + sin_a)
+    braces = ub * (3.0 - ub * (3.0 - ub)) - cos_a * ra  # 1 - sin(alpha) = cos_a ra
     second = dot * low if dot >= 0.0 else cosine * braces * sin_b * low
     flat = sine * sine
-    aside = flat / (1.0 + abs(cosine)) if flat > 1e-30 else 0.0  # 1 - |cos(dphi)|
-    third = (fa * fb) * (fa * fb) * aside * (sin_a + sin_b) / (cos_a + cos_b)
+    flat = flat if flat > 1e-30 else 0.0
+    # (1 - |cos(dphi)|) tan((alpha + beta)/2)
+    aside = flat * (sin_a + sin_b) / ((1.0 + abs(cosine)) * (cos_a + cos_b))
+    third = (fa * fb) * (fa * fb) * aside
     value = p[0] + p[1] * second + p[2] * third + p[3] * (1.0 - cosine * fb * fb)
     return value if value < 1e280 else math.inf
 
