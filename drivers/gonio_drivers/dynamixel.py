@@ -286,6 +286,7 @@ class Bus:
             raise ValueError("a sync write takes the same number of bytes for every servo")
         (size,) = sizes
         parameters = b"".join(bytes([identity]) + d for identity, d in data.items())
+        self._require_open()
         _unstuffed(parameters)
         with self._lock:
             try:
@@ -297,6 +298,10 @@ class Bus:
                 self._port.is_using = False
 
     # ---- transactions ----
+
+    def _require_open(self) -> None:
+        if not self._port.is_open:
+            raise DeviceError(f"the servo bus on {self.port} is not open: enter the rig first")
 
     def _repeat(self, identity: int, ask: Callable[[], bytes]) -> bytes:
         """Ask until there is a good answer; before a repetition the line falls silent and the servo answers a ping."""
@@ -317,6 +322,7 @@ class Bus:
 
     def _transact(self, identity: int, instruction: int, parameters: bytes, expected: int) -> bytes:
         """One request and its reply; `expected` is the number of data bytes in a good reply."""
+        self._require_open()
         _unstuffed(parameters)
         length = len(parameters) + 3
         request = [0, 0, 0, 0, identity, length & 0xFF, length >> 8, instruction, *parameters, 0, 0]
@@ -350,6 +356,7 @@ class Bus:
         return data
 
     def _sync_read(self, ids: list[int], address: int, size: int) -> dict[int, bytes]:
+        self._require_open()
         self._port.is_using = False
         result = self._packets.syncReadTx(self._port, address, size, ids, len(ids), False)
         blocks: dict[int, bytes] = {}
@@ -364,6 +371,7 @@ class Bus:
 
     def _calm(self, quiet_s: float) -> None:
         """Let late replies come, and drop them."""
+        self._require_open()
         self._port.is_using = False
         try:
             time.sleep(quiet_s)

@@ -12,6 +12,7 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from types import FrameType, TracebackType
@@ -38,8 +39,11 @@ RETAKES = 3
 class GuardedCamera:
     """The camera of a laboratory rig: a frame counts only if lamp and arms were as they should be when it was over."""
 
-    def __init__(self, camera: cameras.OpenableCamera, light: SerialLight, arms: ServoArms) -> None:
+    def __init__(
+        self, camera: cameras.OpenableCamera, light: SerialLight, arms: ServoArms, clock: Callable[[], float]
+    ) -> None:
         self._camera = camera
+        self._clock = clock
         self._light = light
         self._arms = arms
 
@@ -52,7 +56,7 @@ class GuardedCamera:
             The camera fails, an axis has moved by itself, or the lamp does not stay as it is meant to be.
         """
         for _ in range(RETAKES):
-            begun = time.time()
+            begun = self._clock()
             frame = self._camera.capture(exposure_s)
             self._arms.still()
             try:
@@ -82,7 +86,8 @@ class LabRig:
         self.light = SerialLight(description, devices.light)
         self.arms = ServoArms(description, devices.servos)
         self._camera = cameras.build(description, devices.camera)
-        self.camera = GuardedCamera(self._camera, self.light, self.arms)
+        self._clock_starts = time.time() - time.monotonic()
+        self.camera = GuardedCamera(self._camera, self.light, self.arms, self.time_s)
         self._confirm = confirm
         self._target: Target = "sample"
         self._stack = contextlib.ExitStack()
@@ -102,8 +107,8 @@ class LabRig:
         self._target = target
 
     def time_s(self) -> float:
-        """Seconds since 1970, so that the sittings of one run share a clock."""
-        return time.time()
+        """Seconds since 1970, so that the sittings of one run share a clock; it does not jump within a sitting."""
+        return self._clock_starts + time.monotonic()
 
     def diagnose(self, *, move: bool) -> list[tuple[str, str, bool]]:
         """What `gonio rig check` reports of the devices: what, what was found, whether that is good."""

@@ -232,6 +232,13 @@ def test_every_landing_is_within_the_tolerance_and_reached_from_below(arms: Serv
     assert at_rest(line)
 
 
+def test_before_it_is_opened(line: Line) -> None:
+    arms = ServoArms(describe(), servos(line.port))
+    arms.stop()  # never raises
+    with pytest.raises(DeviceError, match="is not open: enter the rig first"):
+        arms.read()
+
+
 def test_a_repeated_goal_moves_nothing(arms: ServoArms, line: Line) -> None:
     first = arms.move(pose(10, 10, 10))
     told = []

@@ -21,7 +21,6 @@ from gonio_sim.wire.bench import Bench
 
 from gonio import radiometry
 from gonio.acquire import Silent
-from gonio.session import RigChoice, carry_out, find_rig
 from gonio.cli.rigs import checks
 from gonio.config import parse
 from gonio.description import RigDescription, SampleDescription
@@ -29,6 +28,7 @@ from gonio.errors import ConfigError, DeviceError, Interrupted
 from gonio.plan import load_plan
 from gonio.rig import Pose, Step
 from gonio.run import Run
+from gonio.session import RigChoice, carry_out, find_rig
 
 SCALE = 50.0
 ALBEDO = 0.5
