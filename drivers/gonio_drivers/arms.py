@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import logging
 import math
+import statistics
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -31,6 +32,8 @@ ACCELERATION_UNIT_DEG_S2 = 214.577 * 360 / 3600
 POSITION_MODE = 3
 AXES = tuple(field.name for field in fields(Pose))
 STILL_COUNTS = 3
+"""Readings this close are the same place: encoders flicker by a count."""
+AVERAGED = 5
 POLL_S = 0.020
 STALL_S = 0.5
 """An axis that has neither moved nor landed for this long is stuck."""
@@ -123,9 +126,10 @@ class Landing:
     """What the servo was told, with the corrections so far."""
     corrections: int = 0
     resent: int = 0
-    position: int | None = None
     since: float = 0.0
     """When it was last seen to move."""
+    seen: list[int] = field(default_factory=list)
+    """Positions since then."""
     done: bool = False
 
 
@@ -473,25 +477,27 @@ class ServoArms:
         if report.goal != landing.sent:
             self._send_again(joint, landing)
             return
-        if landing.position is None or abs(report.position - landing.position) > 2 or report.moving:
-            landing.position, landing.since = report.position, now
-        error = self._error_deg(joint, landing.goal, report.position)
+        if not landing.seen or abs(report.position - landing.seen[0]) > STILL_COUNTS or report.moving:
+            landing.seen, landing.since = [], now
+        landing.seen.append(report.position)
+        position = round(statistics.fmean(landing.seen[-AVERAGED:]))
+        error = self._error_deg(joint, landing.goal, position)
         still = now - landing.since
         if not report.moving and still >= self._servos.settle_s:
             if error <= self._tolerance if exact else error <= self._approach_deg / 2:
                 landing.done = True
                 return
-            small = error <= LARGEST_CORRECTION_DEG and landing.corrections < CORRECTIONS
-            if small and still > STARTING_S:  # right after a goal, standing still means nothing
-                self._correct(joint, landing, report, now, exact=exact)
+            small = error + self._error_deg(joint, landing.goal, landing.sent) <= LARGEST_CORRECTION_DEG
+            if small and landing.corrections < CORRECTIONS and still > STARTING_S:  # it has had time to set out
+                self._correct(joint, landing, position, now, exact=exact)
                 return
         if still > STALL_S:
             raise DeviceError(f"{self._state(joint.name, landing, report)}: it is stuck; all axes are stopped")
 
-    def _correct(self, joint: Joint, landing: Landing, report: Report, now: float, *, exact: bool) -> None:
+    def _correct(self, joint: Joint, landing: Landing, position: int, now: float, *, exact: bool) -> None:
         """A new goal that makes up for what is missing; from below again where the axis went too far."""
         landing.corrections += 1
-        miss = landing.goal - report.position
+        miss = landing.goal - position
         short = miss * joint.counts_per_deg > 0
         landing.sent += miss
         lower, upper = joint.count_limits
@@ -501,7 +507,7 @@ class ServoArms:
             back = landing.sent - round(self._approach_deg * joint.counts_per_deg)
             self._land({joint.name: max(lower, min(upper, back))}, exact=False)
         self._send({joint.name: landing.sent})
-        landing.position, landing.since = None, now
+        landing.seen, landing.since = [], now
 
     def _send(self, counts: Mapping[str, int]) -> None:
         """Give goals to several servos at the same moment; reports show whether they arrived."""
@@ -520,7 +526,7 @@ class ServoArms:
             raise DeviceError(f"axis {joint.name}: servo id {joint.id} does not keep its goal; all axes are stopped")
         log.warning("axis %s: the goal did not arrive; sent again", joint.name)
         self._write(joint, "Goal Position", landing.sent)
-        landing.position, landing.since = None, time.monotonic()
+        landing.seen, landing.since = [], time.monotonic()
 
     def _duration(self, name: str, position: int, goal: int) -> float:
         """How long a way should take at the axis's speed and acceleration [s]."""
