@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -68,9 +69,26 @@ def _sources() -> str:
 
 
 @functools.cache
-def _jit(function: Callable[..., Any]) -> Any:
-    import numba
+def _numba() -> Any:
+    """numba, told to use the whole width of the vector registers.
 
+    LLVM halves 512-bit vectors on Intel processors, to spare mixed code a lower clock; these loops are all vectors.
+    Left as it is where the user has chosen (NUMBA_CPU_FEATURES) or numba was imported before.
+    """
+    fresh = "numba" not in sys.modules
+    import numba
+    from numba.core.codegen import get_host_cpu_features
+
+    if fresh and numba.config.CPU_FEATURES is None:
+        features = get_host_cpu_features()
+        if "+avx512f" in features.split(","):
+            numba.config.CPU_FEATURES = f"{features},-prefer-256-bit"
+    return numba
+
+
+@functools.cache
+def _jit(function: Callable[..., Any]) -> Any:
+    numba = _numba()
     return numba.njit(fastmath=set(FASTMATH), error_model="numpy", forceinline=True)(_clone(function, {}))
 
 
@@ -95,8 +113,8 @@ def template(layout: str) -> Callable[[F], F]:
 
 
 def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int) -> Any:
-    import numba
-    from numba import types
+    numba = _numba()
+    types = numba.types
 
     def kind(code: str) -> Any:
         if code == "i":
