@@ -65,10 +65,10 @@ def run_demo(out: Path, *, quick: bool) -> Path:
         The folder holds something else, or cannot be written.
     """
     from gonio import measurement, radiometry
-    from gonio.session import carry_out, find_rig, load_sample
     from gonio.cli import console
     from gonio.plan import load_plan
     from gonio.run import check_writable
+    from gonio.session import carry_out, find_rig, load_sample
     from gonio_analysis.fit import fit
     from gonio_analysis.report import make
     from gonio_analysis.report.text import with_u

@@ -12,7 +12,7 @@ import numpy as np
 
 from gonio import geometry
 from gonio_analysis import polar
-from gonio_analysis.compare import Dataset, Drawn, Fitted
+from gonio_analysis.compare import Dataset, Fitted
 from gonio_analysis.report.text import number
 
 SVG = {
@@ -75,9 +75,7 @@ def _polar(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figure:
     caption = f"{model}: normalised {_norm_words(f)}. Solid: theory; dashed, with error bars: measurement."
     if cut:
         caption += f" Cut at the rim: {', '.join(cut)}."
-    spikes = [s for s in (_spike(c) for c in f.drawn) if s]
-    if spikes:
-        caption += " " + " ".join(spikes)
+    caption += _spikes(f)
     alt = f"Half-disc polar plot for {d.name} and {model}. " + " ".join(
         f"{c['label']}: measured peak at {c['measured_peak_deg']:.1f}°, theory's at {c['theory_peak_deg']:.1f}°."
         for c in facts["models"][model]["curves"]
@@ -109,16 +107,23 @@ def _norm_words(f: Fitted) -> str:
     return f"{words['mirror']}; curves marked * {words[other]}, because their mirror direction was not measured"
 
 
-def _spike(c: Drawn) -> str:
-    """A sentence for a curve whose spike leaves nothing else to see."""
-    if c.norm.kind == "max" and c.curve.mirror is None:
+def _spikes(f: Fitted) -> str:
+    """A sentence on the curves whose spike leaves nothing else to see."""
+    found: dict[str, float] = {}
+    for c in f.drawn:
+        rest = c.curve.brdf[np.abs(c.curve.angle - c.curve.parameter) > np.radians(4)]
+        if c.norm.kind == "mirror" and rest.size and c.norm.measured > 15 * max(float(rest.max()), 0.0) > 0:
+            found[c.label] = c.norm.measured / float(rest.max())
+    if not found:
         return ""
-    away = np.abs(c.curve.angle - c.curve.parameter) > np.radians(4)
-    rest = c.curve.brdf[away]
-    if not rest.size or c.norm.measured < 15 * rest.max():
-        return ""
-    times = number(c.norm.measured / rest.max())
-    return f"At {c.label} the spike is {times} times the largest value beside it (see the semilog curves)."
+    low, high = number(min(found.values()), 2), number(max(found.values()), 2)
+    times = low if low == high else f"{low} to {high}"
+    where = (
+        "every incidence"
+        if len(found) == len(f.drawn) > 1 and f.drawn[0].curve.scanned == "theta_r"
+        else ", ".join(found)
+    )
+    return f" The spike at {where} is {times} times the largest value beside it: see the semilog curves."
 
 
 def _absolute(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figure:

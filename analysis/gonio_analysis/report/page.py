@@ -54,12 +54,15 @@ def _overview(s: dict[str, Any]) -> str:
             rows.append(
                 [
                     f'<a href="#{d["slug"]}">{escape(d["name"])}</a>',
-                    escape(name),
+                    f"<b>{escape(name)}</b>",
                     (number(chi) if chi is not None else "none stated"),
                     difference(f["metrics"]["log_ratio"]),
                     escape(_short(f)),
                 ]
             )
+        for name in d["skipped"]:
+            link = f'<a href="#{d["slug"]}">{escape(d["name"])}</a>'
+            rows.append([link, f"<b>{escape(name)}</b>", "–", "–", "not fitted: see there"])
     return "<h2>All samples</h2>\n" + _table(
         "Every model on every sample.",
         ["sample", "model", "reduced χ²", "typical difference", "fitted parameters"],
