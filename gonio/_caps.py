@@ -19,6 +19,10 @@ from gonio.models._compile import device, template
 Array = npt.NDArray[np.float64]
 
 
+RINGS = (1, 2, 3, 5, 8, 12)
+LEVELS = len(RINGS)
+
+
 @functools.cache
 def disc_rule(level: int) -> tuple[Array, Array, Array]:
     """(radius^2, azimuth, weight) of a rule on the unit disc, weights summing to 1.
@@ -33,16 +37,13 @@ def disc_rule(level: int) -> tuple[Array, Array, Array]:
             np.concatenate([[0.0], ring]),
             np.concatenate([[0.25], np.full(6, 0.125)]),
         )
-    rings = (2, 3, 5, 8, 12)[level - 1]
+    rings = RINGS[level]
     spokes = 4 * rings
     x, w = np.polynomial.legendre.leggauss(rings)
     azimuth = (np.arange(spokes) + 0.5) * (2.0 * math.pi / spokes)
     square, psi = np.meshgrid(0.5 * (1.0 + x), azimuth, indexing="ij")
     weight = np.repeat(0.5 * w / spokes, spokes)
     return square.ravel(), psi.ravel(), weight
-
-
-LEVELS = 6
 
 
 def frame(omega: Array) -> tuple[Array, Array]:
@@ -100,6 +101,45 @@ def cut_nodes(omega: Array, half_angle: float, order: int) -> tuple[Array, Array
     )
     directions[:, 2] = np.maximum(directions[:, 2], 0.0)
     return directions, weight
+
+
+def focused_nodes(axis: Array, half_angle: float, focus: Array) -> tuple[Array, Array]:
+    """Nodes (k, n, 3) and solid angles (k, n) [sr] in one cap, crowded toward each of k directions in or out of it.
+
+    In polar coordinates about the focus, on whose rays the cap is an interval; its Gauss panels shrink threefold
+    toward the focus (or toward the edge nearest to it) down to 2e-5 of the interval: a peak there of any width is
+    integrated.
+    """
+    along = focus @ axis
+    toward = axis - along[:, None] * focus
+    sine = np.linalg.norm(toward, axis=1)
+    first, second = frame(focus)
+    unit = np.where(sine[:, None] > 1e-12, toward / np.maximum(sine, 1e-300)[:, None], first)
+    aside = np.where(sine[:, None] > 1e-12, np.cross(focus, unit), second)
+    inside = along >= math.cos(half_angle)
+    x, w = np.polynomial.legendre.leggauss(16)
+    panels = np.linspace(-math.pi, math.pi, 5)
+    around = (0.5 * (panels[:-1] + panels[1:])[:, None] + math.pi / 4 * x).ravel()
+    # from outside, rays meet the cap within beta of its axis, and leave it like a square root at the ends
+    beta = np.arcsin(np.minimum(1.0, math.sin(half_angle) / np.maximum(sine, 1e-300)))[:, None]
+    turn = 0.5 * around
+    psi = np.where(inside[:, None], around, beta * np.sin(turn))
+    psi_weight = np.tile(math.pi / 4 * w, 4) * np.where(inside[:, None], 1.0, 0.5 * beta * np.cos(turn))
+    ray = np.cos(psi)[..., None] * unit[:, None] + np.sin(psi)[..., None] * aside[:, None]
+    across = np.cos(psi) * sine[:, None]  # ray . axis
+    size = np.hypot(along[:, None], across)
+    middle = np.arctan2(across, along[:, None])
+    reach = np.arccos(np.minimum(1.0, math.cos(half_angle) / size))
+    low = np.where(inside[:, None], 0.0, np.maximum(middle - reach, 0.0))
+    length = np.maximum(middle + reach - low, 0.0)
+    x, w = np.polynomial.legendre.leggauss(9)
+    edges = np.concatenate([[0.0], 3.0 ** np.arange(-10.0, 1.0)])
+    step = 0.5 * np.diff(edges)[:, None]
+    place, part = (edges[:-1, None] + step * (1.0 + x)).ravel(), (step * w).ravel()
+    rho = low[..., None] + length[..., None] * place
+    weight = psi_weight[..., None] * length[..., None] * part * np.sin(rho)
+    out = np.cos(rho)[..., None] * focus[:, None, None] + np.sin(rho)[..., None] * ray[:, :, None]
+    return out.reshape(len(focus), -1, 3), weight.reshape(len(focus), -1)
 
 
 @device
