@@ -225,7 +225,7 @@ def test_json_has_the_agreed_keys_and_is_json() -> None:
     [
         ({"model": "lambret"}, 'did you mean "lambert"'),
         ({"model": "lambert", "fix": {"albdo": 0.5}}, 'did you mean "albedo"'),
-        ({"model": "lambert", "fix": {"albedo": 1.5}}, "between 0 and 1"),
+        ({"model": "lambert", "fix": {"albedo": 1.5}}, "between 1e-06 and 1"),
         ({"model": "lambert", "fix": {"albedo": 0.5}}, "nothing to fit"),
         ({"model": "cook-torrance", "slopes": 3}, "1 or 2"),
         ({"model": "lambert", "slopes": 2}, "only cook-torrance"),
