@@ -80,7 +80,7 @@ def _polar(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figure:
         f"{c['label']}: measured peak at {c['measured_peak_deg']:.1f}°, theory's at {c['theory_peak_deg']:.1f}°."
         for c in facts["models"][model]["curves"]
     )
-    return _figure(f"{facts['slug']}-polar-{model}", "polar", model, caption, alt, (5.6, 3.72), on)
+    return rendered(f"{facts['slug']}-polar-{model}", "polar", model, caption, alt, (5.6, 3.72), on)
 
 
 def _radius_label(f: Fitted) -> str:
@@ -162,7 +162,7 @@ def _absolute(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figur
     alt = f"Semilog curves and residuals for {d.name} and {model}" + (
         f"; reduced chi-square {number(chi)}." if chi is not None else "."
     )
-    return _figure(f"{facts['slug']}-absolute-{model}", "absolute", model, caption, alt, (5.6, 4.5), on)
+    return rendered(f"{facts['slug']}-absolute-{model}", "absolute", model, caption, alt, (5.6, 4.5), on)
 
 
 def _budget(d: Dataset, facts: dict[str, Any]) -> Figure:
@@ -180,7 +180,7 @@ def _budget(d: Dataset, facts: dict[str, Any]) -> Figure:
     alt = "Uncertainty by cause. " + " ".join(
         f"{c}: median {100 * m:.2g} %, 95th percentile {100 * p:.2g} %." for c, m, p in parts
     )
-    return _figure(f"{facts['slug']}-budget", "budget", "", caption, alt, (5.6, 1.0 + 0.3 * len(parts)), on)
+    return rendered(f"{facts['slug']}-budget", "budget", "", caption, alt, (5.6, 1.0 + 0.3 * len(parts)), on)
 
 
 def _series(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figure:
@@ -202,7 +202,7 @@ def _series(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figure:
         f"{model}: fitted parameters at each of the {len(f.series)} wavelengths, with standard errors (those wider"
         " than the panel are not drawn)."
     )
-    return _figure(f"{facts['slug']}-series-{model}", "series", model, caption, caption, (5.6, 1.9), on)
+    return rendered(f"{facts['slug']}-series-{model}", "series", model, caption, caption, (5.6, 1.9), on)
 
 
 def _legend(figure: Any, f: Fitted, where: str, star: bool = True) -> None:
@@ -228,7 +228,7 @@ def _legend(figure: Any, f: Fitted, where: str, star: bool = True) -> None:
     )
 
 
-def _figure(
+def rendered(
     name: str, kind: str, model: str, caption: str, alt: str, inches: tuple[float, float], on: Callable[[Any], None]
 ) -> Figure:
     from matplotlib import rc_context

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from html import escape
-from importlib.resources import files
 from typing import Any
 
+from gonio_analysis.report import html
 from gonio_analysis.report.figures import Figure
 from gonio_analysis.report.text import difference, number, percent, with_u
 
@@ -21,18 +21,11 @@ def render(summary: dict[str, Any], drawn: Sequence[Sequence[Figure]]) -> str:
     drawn
         The figures of each dataset, in the order of the summary.
     """
-    css = files("gonio_analysis.report").joinpath("style.css").read_text(encoding="utf-8")
     datasets = summary["datasets"]
     body = [_header(summary), _overview(summary) if len(datasets) > 1 else ""]
     body += [_dataset(summary, d, figures) for d, figures in zip(datasets, drawn, strict=True)]
     body += [_conventions(summary), _provenance(summary), _footer(summary)]
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(summary['title'])}</title>\n<style>\n{css}</style>\n</head>\n<body>\n<main>\n"
-        + "\n".join(part for part in body if part)
-        + "\n</main>\n</body>\n</html>\n"
-    )
+    return html.document(summary["title"], body)
 
 
 def _header(s: dict[str, Any]) -> str:
@@ -63,7 +56,7 @@ def _overview(s: dict[str, Any]) -> str:
         for name in d["skipped"]:
             link = f'<a href="#{d["slug"]}">{escape(d["name"])}</a>'
             rows.append([link, f"<b>{escape(name)}</b>", "–", "–", "not fitted: see there"])
-    return "<h2>All samples</h2>\n" + _table(
+    return "<h2>All samples</h2>\n" + html.table(
         "Every model on every sample.",
         ["sample", "model", "reduced χ²", "typical difference", "fitted parameters"],
         rows,
@@ -86,19 +79,19 @@ def _dataset(s: dict[str, Any], d: dict[str, Any], figures: Sequence[Figure]) ->
             + "</ul>"
         )
     if by["polar"]:
-        out += ["<h3>In the plane of incidence, normalised</h3>", _polar_words(s, d), _grid(by["polar"])]
-    out += ["<h3>In the plane of incidence, absolute, with residuals</h3>", _grid(by["absolute"])]
+        out += ["<h3>In the plane of incidence, normalised</h3>", _polar_words(s, d), html.grid(by["polar"])]
+    out += ["<h3>In the plane of incidence, absolute, with residuals</h3>", html.grid(by["absolute"])]
     out += ["<h3>Parameters</h3>", _parameters(d)]
     out += ["<h3>Metrics</h3>", _metrics(s, d)]
     if by["budget"]:
-        out += ["<h3>Uncertainty</h3>", '<div class="figures">', _figure(by["budget"][0]), _budget(d), "</div>"]
+        out += ["<h3>Uncertainty</h3>", '<div class="figures">', html.figure(by["budget"][0]), _budget(d), "</div>"]
     else:
         out.append(
             "<h3>Uncertainty</h3><p>The table states no uncertainties: there are no error bars and no chi-square, and "
             "fits compare logarithms, every value alike.</p>"
         )
     if by["series"]:
-        out += ["<h3>Parameters over wavelength</h3>", _grid(by["series"])]
+        out += ["<h3>Parameters over wavelength</h3>", html.grid(by["series"])]
     out.append("</section>")
     return "\n".join(out)
 
@@ -142,7 +135,7 @@ def _facts(d: dict[str, Any]) -> str:
         rows.append(("uncertainty", f"median {percent(d['median_u_rel'])}; causes common to all values: {causes}"))
     else:
         rows.append(("uncertainty", "none stated"))
-    return _dl(rows)
+    return html.facts(rows)
 
 
 def _models(d: dict[str, Any]) -> str:
@@ -159,7 +152,7 @@ def _models(d: dict[str, Any]) -> str:
             ]
         )
     note = "● marks the model that fits best. Typical difference: rms of ln(model / measured)." if any(marks) else ""
-    return _table(
+    return html.table(
         note,
         ["model", "fitted parameters", "reduced χ²", "typical difference", "verdict"],
         rows,
@@ -216,7 +209,7 @@ def _parameters(d: dict[str, Any]) -> str:
             first = False
     notes = [(m, n) for m, f in d["models"].items() for n in f["notes"] if n not in d["notes"] + d["data_notes"]]
     listed = "".join(f"<li><b>{escape(m)}</b>: {escape(n)}</li>" for m, n in notes)
-    return _table(
+    return html.table(
         "Standard errors are those of least squares with the stated covariance; they are not scaled by χ².",
         ["model", "parameter", "value", "", "strongest correlation"],
         rows,
@@ -236,14 +229,16 @@ def _metrics(s: dict[str, Any], d: dict[str, Any]) -> str:
     rows = [[escape(m), *(number(f["metrics"][n]) for n in names)] for m, f in d["models"].items()]
     listed = "; ".join(f"<b>{escape(v['label'])}</b>: {escape(v['meaning'])}" for v in s["metrics"].values())
     return (
-        _table("", ["model", *(s["metrics"][n]["label"] for n in names)], rows, right=tuple(range(1, len(names) + 1)))
+        html.table(
+            "", ["model", *(s["metrics"][n]["label"] for n in names)], rows, right=tuple(range(1, len(names) + 1))
+        )
         + f'<p class="note">{listed}.</p>'
     )
 
 
 def _budget(d: dict[str, Any]) -> str:
     rows = [[escape(p["cause"]), percent(p["median"]), percent(p["p95"])] for p in d["budget"]]
-    return _table("Relative to the value.", ["cause", "median", "95th percentile"], rows, right=(1, 2))
+    return html.table("Relative to the value.", ["cause", "median", "95th percentile"], rows, right=(1, 2))
 
 
 def _conventions(s: dict[str, Any]) -> str:
@@ -269,7 +264,7 @@ def _provenance(s: dict[str, Any]) -> str:
     out = ['<section id="provenance"><h2>Provenance</h2>']
     rows = [("report made", s["created"]), ("command", s["command"] or "–")]
     rows.append(("versions", ", ".join(f"{k} {v}" for k, v in s["versions"].items())))
-    out.append(_dl(rows))
+    out.append(html.facts(rows))
     for d in s["datasets"]:
         rows = [("file", d["source"] or "–"), ("format", str(d["format"] or "–"))]
         if d["run"]:
@@ -278,7 +273,7 @@ def _provenance(s: dict[str, Any]) -> str:
             rows += [("seed", str(r["seed"])), ("steps", str(r["steps"])), ("bands", ", ".join(r["bands"]))]
             rows.append(("versions", ", ".join(f"{k} {v}" for k, v in r["versions"].items())))
         rows += list(_flat(d["provenance"]))
-        out += [f"<h3>{escape(d['name'])}</h3>", _dl(rows)]
+        out += [f"<h3>{escape(d['name'])}</h3>", html.facts(rows)]
     out.append("</section>")
     return "\n".join(out)
 
@@ -296,43 +291,6 @@ def _footer(s: dict[str, Any]) -> str:
 def _short(f: dict[str, Any]) -> str:
     parts = [f"{n} = {with_u(p['value'], p['u'])}" for n, p in f["parameters"].items() if not p["fixed"]]
     return ", ".join(parts)
-
-
-def _grid(figures: Sequence[Figure]) -> str:
-    return '<div class="figures">\n' + "\n".join(_figure(f) for f in figures) + "\n</div>"
-
-
-def _figure(f: Figure) -> str:
-    svg = f.svg.replace("<svg", f'<svg role="img" aria-label="{escape(f.alt, quote=True)}"', 1)
-    head, colon, rest = f.caption.partition(":")
-    caption = f"<b>{escape(head)}</b>{colon}{escape(rest)}"
-    return f'<figure id="{f.name}">{svg}<figcaption>{caption}</figcaption></figure>'
-
-
-def _table(
-    caption: str,
-    header: Sequence[str],
-    rows: Iterable[Sequence[str]],
-    *,
-    right: tuple[int, ...] = (),
-    marks: Sequence[str] = (),
-) -> str:
-    """A table; cells are HTML already, the first one of each row is its heading."""
-    head = "".join(f'<th scope="col"{" class=n" if k in right else ""}>{escape(h)}</th>' for k, h in enumerate(header))
-    body = []
-    for number_of_row, row in enumerate(rows):
-        cells = [f'<th scope="row">{row[0]}</th>']
-        cells += [f"<td{' class=n' if k in right else ''}>{cell}</td>" for k, cell in enumerate(row) if k]
-        mark = marks[number_of_row] if number_of_row < len(marks) else ""
-        body.append(f"<tr{f' class={mark}' if mark else ''}>{''.join(cells)}</tr>")
-    title = f"<caption>{escape(caption)}</caption>" if caption else ""
-    return (
-        f'<div class="scroll"><table>{title}<thead><tr>{head}</tr></thead><tbody>{"".join(body)}</tbody></table></div>'
-    )
-
-
-def _dl(rows: Iterable[tuple[str, str]]) -> str:
-    return '<dl class="facts">' + "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in rows) + "</dl>"
 
 
 def _flat(values: Any, prefix: str = "") -> Iterable[tuple[str, str]]:

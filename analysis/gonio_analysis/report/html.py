@@ -1,0 +1,61 @@
+"""The pieces of a page that needs no other file: its frame, tables, lists of facts, and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+from importlib.resources import files
+
+from gonio_analysis.report.figures import Figure
+
+
+def document(title: str, body: Iterable[str]) -> str:
+    """A page, as HTML text, from parts that are HTML already; empty parts are left out."""
+    css = files("gonio_analysis.report").joinpath("style.css").read_text(encoding="utf-8")
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>\n{css}</style>\n</head>\n<body>\n<main>\n"
+        + "\n".join(part for part in body if part)
+        + "\n</main>\n</body>\n</html>\n"
+    )
+
+
+def grid(figures: Sequence[Figure]) -> str:
+    """Figures side by side."""
+    return '<div class="figures">\n' + "\n".join(figure(f) for f in figures) + "\n</div>"
+
+
+def figure(f: Figure) -> str:
+    """A figure with its caption; what stands before the caption's colon is bold."""
+    svg = f.svg.replace("<svg", f'<svg role="img" aria-label="{escape(f.alt, quote=True)}"', 1)
+    head, colon, rest = f.caption.partition(":")
+    caption = f"<b>{escape(head)}</b>{colon}{escape(rest)}"
+    return f'<figure id="{f.name}">{svg}<figcaption>{caption}</figcaption></figure>'
+
+
+def table(
+    caption: str,
+    header: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    right: tuple[int, ...] = (),
+    marks: Sequence[str] = (),
+) -> str:
+    """A table; cells are HTML already, the first one of each row is its heading."""
+    head = "".join(f'<th scope="col"{" class=n" if k in right else ""}>{escape(h)}</th>' for k, h in enumerate(header))
+    body = []
+    for number_of_row, row in enumerate(rows):
+        cells = [f'<th scope="row">{row[0]}</th>']
+        cells += [f"<td{' class=n' if k in right else ''}>{cell}</td>" for k, cell in enumerate(row) if k]
+        mark = marks[number_of_row] if number_of_row < len(marks) else ""
+        body.append(f"<tr{f' class={mark}' if mark else ''}>{''.join(cells)}</tr>")
+    title = f"<caption>{escape(caption)}</caption>" if caption else ""
+    return (
+        f'<div class="scroll"><table>{title}<thead><tr>{head}</tr></thead><tbody>{"".join(body)}</tbody></table></div>'
+    )
+
+
+def facts(rows: Iterable[tuple[str, str]]) -> str:
+    """A list of names and values in plain text."""
+    return '<dl class="facts">' + "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in rows) + "</dl>"
