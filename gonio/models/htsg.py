@@ -40,7 +40,7 @@ def log_series(g: ArrayLike, c: ArrayLike) -> Any:
     Returns
     -------
     float64 array of the shape that the arguments broadcast to; -inf at g = 0. Its error is below
-    1e-14 (1 + |dlnS/dlng| + |dlnS/dlnc|) for g up to 1e8 and c up to 1e10; S may be far below the smallest double.
+    3e-14 (1 + |dlnS/dlng| + |dlnS/dlnc|) for g up to 1e8 and c up to 1e10; S may be far below the smallest double.
 
     Raises
     ------
