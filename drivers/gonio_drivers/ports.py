@@ -29,7 +29,7 @@ def unopened(port: str, error: Exception, key: str) -> DeviceError:
             "then log in again) or install the udev rule of docs/lab_setup.md"
         )
     if number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in text:
-        return DeviceError(f"{said}: the port is taken{_holder(port)}; end that program, then try again")
+        return DeviceError(f"{said}: the port is taken{_holder(port)}; end what holds it, then try again")
     return DeviceError(f"{said}: cannot be opened as a serial port: {text}")
 
 
@@ -59,13 +59,13 @@ def _group(port: str) -> str:
 def _holder(port: str) -> str:
     """The other processes that have a port open, as far as they can be seen."""
     target = os.path.realpath(port)
+    holders = []
     for process in Path("/proc").glob("[0-9]*"):
         if process.name == str(os.getpid()):
             continue
         try:
             if any(os.path.realpath(link) == target for link in (process / "fd").iterdir()):
-                name = (process / "comm").read_text().strip()
-                return f" by process {process.name} ({name})"
+                holders.append(f"process {process.name} ({(process / 'comm').read_text().strip()})")
         except OSError:
             continue  # another user's process, or one that has just ended
-    return ""
+    return f" by {' and '.join(holders)}" if holders else ""

@@ -280,6 +280,23 @@ def test_the_bus_watchdog_stops_and_bars_goals(sdk, line, monkeypatch) -> None:
     assert ph.write4ByteTxRx(port, 1, GOAL, 100) == (COMM_SUCCESS, p2.RANGE_ERROR)
 
 
+def test_a_shadow_id_is_obeyed_and_not_answered(sdk) -> None:
+    port, ph = sdk
+    ph.write1ByteTxRx(port, 1, 12, 50)
+    assert ph.write1ByteTxRx(port, 50, LED, 1)[0] == COMM_RX_TIMEOUT
+    assert ph.read1ByteTxRx(port, 1, LED) == (1, COMM_SUCCESS, 0)
+
+
+def test_a_time_based_profile_takes_its_time(line) -> None:
+    servo = line.servos[1]
+    servo.write(10, b"\x04")
+    servo.write(ACCELERATION, (500).to_bytes(4, "little") + (2000).to_bytes(4, "little"))  # ms
+    servo.write(TORQUE, b"\x01")
+    servo.write(GOAL, (2500).to_bytes(4, "little"))
+    path = servo._path
+    assert path.end_s - path.phases[0].start == pytest.approx(2.0)  # s on the twin's clock, to rounding
+
+
 def test_indirect_addresses(sdk) -> None:
     port, ph = sdk
     ph.write2ByteTxRx(port, 1, 168, 146)

@@ -205,6 +205,7 @@ class Bench:
     def __enter__(self) -> Self:
         try:
             (self._folder / "frames").mkdir(parents=True, exist_ok=True)
+            (self._folder / TARGET_FILE).unlink(missing_ok=True)
         except OSError as error:
             raise ConfigError(f"{self._folder}: cannot be made: {error.strerror}") from None
         self.world.open = True

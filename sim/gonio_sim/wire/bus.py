@@ -54,11 +54,11 @@ class ServoBus:
                 several(packet.parameters, {s.id: s for s in present}, send)
             return
         for servo in sorted(present, key=lambda s: s.id):
-            if packet.id in (servo.id, p2.BROADCAST):
+            if packet.id in (servo.id, p2.BROADCAST, servo.get("Secondary(Shadow) ID")):
                 self._single(packet, servo, send)
 
     def _single(self, packet: p2.Packet, servo: Servo, send: Send) -> None:
-        broadcast = packet.id == p2.BROADCAST
+        broadcast = packet.id != servo.id  # a shadow ID is obeyed, and not answered, as a broadcast is
         data = packet.parameters
         error, answer, level, after = 0, b"", 2, None
         identity = servo.id
@@ -94,7 +94,7 @@ class ServoBus:
                 raise Refused(p2.INSTRUCTION_ERROR)
         except Refused as refusal:
             error = refusal.error
-        if not broadcast or packet.instruction == p2.PING:
+        if not broadcast or (packet.instruction == p2.PING and packet.id == p2.BROADCAST):
             self._reply(servo, error, answer, send, level=level, identity=identity)
         if after is not None:
             after()

@@ -161,8 +161,7 @@ class Servo:
 
     def read(self, address: int, length: int) -> bytes:
         """Bytes of the control table."""
-        starts = {item.address + k for item in self.table.items.values() for k in range(item.size)}
-        if length < 1 or address not in starts or address + length > self.table.size:
+        if length < 1 or address not in self.table.defined or address + length > self.table.size:
             raise Refused(p2.ACCESS_ERROR)
         self._refresh()
         data = bytearray(self._memory[address : address + length])
@@ -320,7 +319,13 @@ class Servo:
 
     # ---- shaft ----
 
-    def _limits(self) -> tuple[float, float]:
+    def _limits(self, way: float = 0.0) -> tuple[float, float]:
+        """Speed and acceleration of the profile; a time-based one (drive mode, bit 2) depends on the way."""
+        whole, rise = self.get("Profile Velocity") / 1000, self.get("Profile Acceleration") / 1000
+        if self.get("Drive Mode") & 4 and whole > 0 and way != 0:
+            rise = min(rise, whole / 2)
+            speed = abs(way) / (whole - rise)
+            return speed, speed / rise if rise > 0 else NO_LOAD
         fastest = self.get("Velocity Limit") * tables.RPM
         speed = self.get("Profile Velocity") * tables.RPM or fastest
         acceleration = self.get("Profile Acceleration") * tables.RPM2 or NO_LOAD
@@ -332,7 +337,7 @@ class Servo:
         now = self._clock()
         position, velocity = self._path.at(now)
         mode = self.get("Operating Mode")
-        speed, acceleration = self._limits()
+        speed, acceleration = self._limits(self.get("Goal Position") - self._offset - position)
         if mode in POSITION_MODES:
             self._aim = goal = float(self.get("Goal Position") - self._offset)
             short = self.mechanics.short_counts if self.get("Position I Gain") == 0 else 0.0

@@ -94,9 +94,9 @@ class Table:
     items: dict[str, Item]
     factory: dict[str, int]
 
-    @property
-    def size(self) -> int:
-        return max(item.address + item.size for item in self.items.values())
+    size: int
+    defined: frozenset[int]
+    """Addresses at which there is something."""
 
 
 @cache
@@ -128,4 +128,5 @@ def table(model: str) -> Table:
     for name in items:
         if name.startswith("Indirect Address"):
             factory[name] = items[name.replace("Address", "Data")].address
-    return Table(model.lower(), number, items, factory)
+    defined = frozenset(item.address + k for item in items.values() for k in range(item.size))
+    return Table(model.lower(), number, items, factory, max(defined) + 1, defined)
