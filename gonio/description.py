@@ -220,7 +220,7 @@ class RigDescription(Strict):
     reference: Reference = Reference()
     bands: Bands
     acquisition: Acquisition = Acquisition()
-    devices: dict[str, Any] = {}
+    devices: dict[str, Any] = Field(default_factory=dict)
     """Ports, ids and dialects: checked by the rig's own driver."""
 
 
@@ -229,7 +229,7 @@ class SampleDescription(Strict):
 
     name: str
     model: str
-    parameters: dict[str, Any] = {}
+    parameters: dict[str, Any] = Field(default_factory=dict)
     diameter_mm: Positive | None = None
     integrate_band: bool = False
     """Render the integral over the band instead of the value at its centre."""

@@ -1,7 +1,8 @@
 """What a goniometer is: small protocols that a rig implements, and the values that pass through them.
 
 A rig is opened by an entry point of the group `gonio.rigs`: an object with the methods of `RigPlugin`. Entering the
-rig's context opens its devices with the lamp dark; leaving it, however that happens, darkens the lamp and parks the arms.
+rig's context opens its devices with the lamp dark; leaving it, however that happens, darkens the lamp and parks the
+arms.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ class Pose:
     """Positions of the axes [rad], with zero offsets already taken out.
 
     `light` and `camera` are arm angles in the plane of the arms, from the direction that the untilted sample's normal
-    points to, positive toward the lab's x axis. `tilt` turns the normal out of that plane, `spin` turns the sample about
-    its normal, `azimuth` turns the camera arm about the normal (rigs that have that axis).
+    points to, positive toward the lab's x axis. `tilt` turns the normal out of that plane, `spin` turns the sample
+    about its normal, `azimuth` turns the camera arm about the normal (rigs that have that axis).
     """
 
     light: float = 0.0

@@ -169,6 +169,32 @@ def semilog(ax: Any, lines: Sequence[Line], *, unit: str = "BRDF [1/sr]") -> lis
     return artists
 
 
+def linear(ax: Any, lines: Sequence[Line], *, y_label: str) -> list[Any]:
+    """Values on a linear axis from 0 over the signed angle.
+
+    Returns
+    -------
+    list of artists
+        The lines and error bars.
+    """
+    artists: list[Any] = []
+    for k, line in enumerate(lines):
+        look = style(k)
+        if line.theory.size:
+            artists += ax.plot(
+                np.degrees(line.theory_angle), line.theory, color=look["color"], lw=1.4, label=line.label, zorder=3
+            )
+        if line.measured.size:
+            x, u = np.degrees(line.angle), np.nan_to_num(line.u)
+            artists.append(
+                ax.errorbar(x, line.measured, yerr=u, ls=(0, (4, 2)), lw=0.8, elinewidth=0.8, ms=2.6, zorder=4, **look)
+            )
+    ax.set_ylim(bottom=0.0)
+    _angle_axis(ax)
+    ax.set_ylabel(y_label)
+    return artists
+
+
 def residuals(
     ax: Any, lines: Sequence[Line], *, whitened: bool, others: tuple[Floats, Floats] | None = None
 ) -> list[Any]:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from gonio.session import RigChoice
     from gonio.plan import Assessed, Plan, Point
+    from gonio.session import RigChoice
 
 app = typer.Typer(help="Look at plans.", no_args_is_help=True)
 
@@ -29,8 +29,8 @@ def show(
     ] = None,
 ) -> None:
     """Show the points of a plan; with a rig also what it cannot reach and why, and how long it takes."""
-    from gonio.session import find_rig
     from gonio.plan import load_plan
+    from gonio.session import find_rig
 
     describe(load_plan(plan), find_rig(rig) if rig is not None else None)
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from gonio.session import RigChoice
     from gonio.rig import Rig
+    from gonio.session import RigChoice
 
 app = typer.Typer(help="List, show, check and park rigs.", no_args_is_help=True)
 
@@ -57,9 +57,9 @@ def check(
     """Open a rig, move every axis a little, switch the lamp, take a dark and a lit frame; exit 3 if any is bad."""
     from rich.text import Text
 
-    from gonio.session import find_rig
     from gonio.cli import console
     from gonio.errors import DeviceError
+    from gonio.session import find_rig
 
     choice = find_rig(rig)
     rows = checks(choice, move=move)
@@ -79,8 +79,8 @@ def park(
     rig: Annotated[str, typer.Option(help="A rig's name, or a rig file.", show_default=False)],
 ) -> None:
     """Darken the lamp, and drive every axis to its rest position."""
-    from gonio.session import find_rig
     from gonio.cli import console
+    from gonio.session import find_rig
 
     choice = find_rig(rig)
     with choice.open():
@@ -97,12 +97,12 @@ def checks(choice: RigChoice, *, move: bool = True) -> list[Row]:
     try:
         with rig:
             rows.append(("devices open, lamp dark", "yes", True))
-            if hasattr(rig, "diagnose"):   # what a rig knows of its own devices, if it tells
+            if hasattr(rig, "diagnose"):  # what a rig knows of its own devices, if it tells
                 rows.extend(rig.diagnose(move=move))
             if move:
                 _check_devices(rig, rows)
             else:
-                rig.arms.stop()   # a rig whose arms were stopped does not park them
+                rig.arms.stop()  # a rig whose arms were stopped does not park them
         rows.append(("arms parked, lamp dark" if move else "lamp dark", "yes", True))
     except DeviceError as error:
         rows.append(("device", str(error), False))

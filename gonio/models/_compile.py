@@ -60,10 +60,10 @@ def _clone(function: Callable[..., Any], names: dict[str, Any]) -> Any:
 
 
 @functools.cache
-def _sources() -> str:
-    """A fingerprint of every source file of the models: numba's own cache watches only the file of the loop itself."""
+def _sources(kernel_file: str) -> str:
+    """A fingerprint of the models' and the kernel's source files: numba's cache watches only the file of the loop."""
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
+    for path in sorted({*Path(__file__).parent.rglob("*.py"), Path(kernel_file)}):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
@@ -129,7 +129,8 @@ def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int) -
     function = kernel.__dict__.get(function.__name__, function)  # a kernel of several passes brings its own loops
     signature = tuple(kind(code) for code in function.__dict__["__layout__"])
     plain = _clone(function, {"kernel": kernel})
-    plain.__name__ = f"{function.__name__}_{kernel.__module__.rsplit('.', 1)[-1]}_{kernel.__name__}_{_sources()}"
+    sources = _sources(kernel.__code__.co_filename)
+    plain.__name__ = f"{function.__name__}_{kernel.__module__.rsplit('.', 1)[-1]}_{kernel.__name__}_{sources}"
     plain.__qualname__ = plain.__name__
     try:
         return compiled(cache=True)

@@ -31,9 +31,7 @@ def summarise(datasets: Sequence[Dataset], *, title: str, normalise: str, comman
     models = list(dict.fromkeys(m for d in datasets for m in [*d.fitted, *d.skipped]))
     return {
         "title": title,
-        "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
-        "command": command,
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in VERSIONS}},
+        **stamp(command),
         "normalise": normalise,
         "models": models,
         "in_plane_tolerance_deg": math.degrees(IN_PLANE),
@@ -41,6 +39,15 @@ def summarise(datasets: Sequence[Dataset], *, title: str, normalise: str, comman
         "log_metrics_above_u": BELOW,
         "metrics": {k: {"label": label, "meaning": meaning} for k, (label, meaning) in DESCRIPTIONS.items()},
         "datasets": [_dataset(d, slug) for d, slug in zip(datasets, slugs, strict=True)],
+    }
+
+
+def stamp(command: str) -> dict[str, Any]:
+    """When, by which command and with which versions a page was made."""
+    return {
+        "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
+        "command": command,
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in VERSIONS}},
     }
 
 

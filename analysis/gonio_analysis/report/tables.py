@@ -16,7 +16,7 @@ from gonio_analysis.uncertainty import Floats
 def write(datasets: Sequence[Dataset], summary: dict[str, Any], folder: Path) -> list[str]:
     """Write parameters, metrics, curves, theory, and parameters over wavelength; the names of the files."""
     facts = summary["datasets"]
-    _csv(
+    write_csv(
         folder / "parameters.csv",
         ("sample", "model", "parameter", "value", "standard_error", "fixed", "at_bound"),
         (
@@ -27,7 +27,7 @@ def write(datasets: Sequence[Dataset], summary: dict[str, Any], folder: Path) ->
         ),
     )
     names = list(summary["metrics"])
-    _csv(
+    write_csv(
         folder / "metrics.csv",
         ("sample", "model", "points", "free_parameters", "reduced_chi_square", "p_value", *names, "n_log"),
         (
@@ -50,7 +50,7 @@ def write(datasets: Sequence[Dataset], summary: dict[str, Any], folder: Path) ->
         files += _of_dataset(d, s["slug"], folder)
         if any(f["series"] for f in s["models"].values()):
             files.append(f"{s['slug']}-wavelengths.csv")
-            _csv(
+            write_csv(
                 folder / files[-1],
                 ("model", "wavelength_nm", "points", "reduced_chi_square", "parameter", "value", "standard_error"),
                 (
@@ -69,7 +69,7 @@ def _of_dataset(d: Dataset, slug: str, folder: Path) -> list[str]:
     angles = [_degrees(x) for x in (data.theta_i, data.phi_i, data.theta_r, data.phi_r)]
     models = list(d.fitted)
     values = [v for f in d.fitted.values() for v in (f.fit.predicted, f.fit.whitened)]
-    _csv(
+    write_csv(
         folder / f"{slug}-values.csv",
         (
             *("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "brdf", "u_brdf"),
@@ -77,7 +77,7 @@ def _of_dataset(d: Dataset, slug: str, folder: Path) -> list[str]:
         ),
         zip(*angles, data.brdf, data.u, *values, strict=True),
     )
-    _csv(
+    write_csv(
         folder / f"{slug}-curves.csv",
         ("model", "curve", "kind", "signed_angle_deg", "brdf", "u_brdf", "normalised", "u_normalised", "normalised_by"),
         (
@@ -108,7 +108,8 @@ def _degrees(angle: Floats) -> Floats:
     return np.asarray(np.round(np.degrees(angle), 10))
 
 
-def _csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """A CSV in which None and NaN are empty cells and floats keep every digit."""
     with open(path, "w", encoding="utf-8", newline="") as stream:
         out = csv.writer(stream, lineterminator="\n")
         out.writerow(header)
