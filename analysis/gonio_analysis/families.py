@@ -78,6 +78,10 @@ _ALBEDO = Parameter("albedo", 1e-6, 1.0)
 _DIFFUSE = Parameter("diffuse_albedo", 0.0, 1.0)
 _N = Parameter("ior", 1.001, 200.0, "log")
 _K = Parameter("k", 0.0, 100.0)
+METALLIC_N = Parameter("ior", 0.02, 200.0, "log")
+"""n where k is fitted too: good conductors have n < 1, which without absorption means total reflection."""
+INDICES = ((1.5, 0.3), (0.3, 3.0), (1.0, 7.0), (3.0, 3.5))
+"""n and k that a search for both starts from: a glass, silver, aluminium, iron."""
 
 
 def family(name: str, *, slopes: int = 1, ior: Ior = None) -> Family:
@@ -97,6 +101,10 @@ def family(name: str, *, slopes: int = 1, ior: Ior = None) -> Family:
     ConfigError
         No such model can be fitted, or an option does not belong to it.
     """
+    if "+" in name:
+        if slopes != 1:
+            raise ConfigError(f"--slopes {slopes}: only cook-torrance has several slopes, not {name}")
+        return _sum(name, ior)
     if name not in FAMILIES:
         near = difflib.get_close_matches(name, FAMILIES, n=1)
         hint = f'did you mean "{near[0]}"?' if near else f"known: {', '.join(FAMILIES)}"
@@ -112,7 +120,32 @@ def family(name: str, *, slopes: int = 1, ior: Ior = None) -> Family:
 
 def needs_ior(name: str) -> bool:
     """Whether optical constants mean something to this model."""
-    return name in ("blinn", "cook-torrance", "he-torrance")
+    return any(part in ("blinn", "cook-torrance", "he-torrance") for part in parts(name))
+
+
+def parts(name: str) -> tuple[str, ...]:
+    """The models that a name stands for: one, or the terms of a sum as in "oren-nayar+cook-torrance"."""
+    return tuple(part.strip() for part in name.split("+"))
+
+
+def maker(name: str) -> Callable[[Mapping[str, Any]], Any]:
+    """What builds models of a family from the constructor's arguments; looked up once, called hundreds of times.
+
+    Of a sum the arguments are one table a term, as `gonio.models.build("sum", ...)` takes them.
+    """
+    from gonio import plugins
+    from gonio.models import Sum
+    from gonio.models.base import build_model
+
+    kinds = {part: plugins.load("gonio.models", part) for part in parts(name)}
+    if len(kinds) == 1:
+        return lambda arguments: build_model(kinds[name], name, arguments)
+
+    def summed(terms: Mapping[str, Any]) -> Any:
+        split = [(part, {k: v for k, v in own.items() if k != "weight"}, own["weight"]) for part, own in terms.items()]
+        return Sum(*((build_model(kinds[part], part, own), weight) for part, own, weight in split))
+
+    return summed
 
 
 def _lambert(ior: Ior) -> Family:
@@ -257,6 +290,49 @@ def _he_torrance(ior: Ior) -> Family:
         starts,
         needs_wavelength=True,
         derived=lambda v: {"slope_m": 2.0 * v["sigma0_um"] / v["tau_um"]},
+    )
+
+
+MATTE = ("lambert", "oren-nayar")
+GLOSSY = ("phong", "blinn", "cook-torrance", "he-torrance")
+
+
+def _sum(name: str, ior: Ior) -> Family:
+    """A matte base and a glossy model on it, whose own Lambertian part is left out.
+
+    The level of the gloss lies in its own k_s or s; He-Torrance has none, and gets a weight.
+    """
+    terms = parts(name)
+    if len(terms) != 2 or terms[0] not in MATTE or terms[1] not in GLOSSY:
+        raise ConfigError(f'"{name}": a sum to fit is one of {", ".join(MATTE)} + one of {", ".join(GLOSSY)}')
+    base, gloss = FAMILIES[terms[0]](ior), FAMILIES[terms[1]](ior)
+    own = {"k_d", "diffuse_albedo"} & {p.name for p in gloss.parameters}
+    level = (Parameter("weight", 0.0, 1.0),) if terms[1] == "he-torrance" else ()
+
+    def arguments(v: Values) -> dict[str, Any]:
+        shine = gloss.arguments({**v, **dict.fromkeys(own, 0.0)})
+        return {
+            terms[0]: {"weight": 1.0, **base.arguments(v)},
+            terms[1]: {"weight": v.get("weight", 1.0), **shine},
+        }
+
+    def starts(data: Observations) -> list[Values]:
+        albedo = _ALBEDO.inside(_levels(data)[0])
+        known = {"albedo": albedo, "sigma_deg": 20.0} if terms[0] == "oren-nayar" else {"albedo": albedo}
+        shapes: dict[tuple[tuple[str, float], ...], None] = {}
+        for values in gloss.starts(data):
+            shapes[tuple((n, x) for n, x in values.items() if n not in own)] = None
+        return [{**known, **dict(shape), **w} for shape in shapes for w in ([{"weight": 0.5}] if level else [{}])]
+
+    return Family(
+        name,
+        (*base.parameters, *level, *(p for p in gloss.parameters if p.name not in own)),
+        (*base.free, *(p.name for p in level), *(n for n in gloss.free if n not in own)),
+        {n: x for n, x in gloss.fixed.items() if n not in own},
+        arguments,
+        starts,
+        needs_wavelength=gloss.needs_wavelength,
+        derived=gloss.derived if terms[1] == "he-torrance" else lambda values: {},
     )
 
 

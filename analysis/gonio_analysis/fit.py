@@ -24,7 +24,7 @@ import numpy as np
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio_analysis.families import Family, Ior
 from gonio_analysis.forward import apparent
-from gonio_analysis.objective import alone, scaled_to
+from gonio_analysis.objective import Objective, alone, scaled_to
 from gonio_analysis.observations import Observations, observations
 from gonio_analysis.search import STEP, Problem, covariance, pose, refine, search, settle
 from gonio_analysis.uncertainty import Floats
@@ -70,6 +70,13 @@ class FitResult:
     condition: float
     """Condition number of the whitened Jacobian with columns of unit length."""
     wall_s: float
+    problem: Problem = field(repr=False)
+    vector: Floats = field(repr=False)
+    """The solution on the search scale (`problem.values` of it are the parameters)."""
+    spread: Floats = field(repr=False)
+    """Covariance of `vector`."""
+    goal: Objective = field(repr=False)
+    """What was made small."""
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -238,6 +245,10 @@ def fit(
         wavelength_nm=wavelength,
         condition=condition,
         wall_s=0.0,
+        problem=problem,
+        vector=vector,
+        spread=spread,
+        goal=goal,
     )
     notes += _identifiability(problem, result)
     return replace(result, notes=[*data.notes, *notes], wall_s=time.perf_counter() - began)

@@ -7,13 +7,12 @@ Parameters move on their natural scale (logarithmic for lengths, widths and indi
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from gonio import plugins
 from gonio.errors import ConfigError
 from gonio_analysis import families
 from gonio_analysis.families import Family, Ior, Values
@@ -36,8 +35,8 @@ class Problem:
     """Which numbers move, on which scale, and the model that they make."""
 
     family: Family
-    kind: Any
-    """The model's class, looked up once: a search builds hundreds of models."""
+    make: Callable[[Mapping[str, Any]], Any]
+    """Constructor's arguments -> model."""
     free: tuple[str, ...]
     fixed: Values
     words: dict[str, str]
@@ -72,9 +71,7 @@ class Problem:
 
     def model(self, vector: Floats) -> Any:
         """The model at a point of the search."""
-        from gonio.models.base import build_model
-
-        return build_model(self.kind, self.family.name, {**self.family.arguments(self.values(vector)), **self.words})
+        return self.make({**self.family.arguments(self.values(vector)), **self.words})
 
 
 def pose(model: str, ior: Ior, fix: Mapping[str, float | str], free: Sequence[str], slopes: int) -> Problem:
@@ -86,11 +83,13 @@ def pose(model: str, ior: Ior, fix: Mapping[str, float | str], free: Sequence[st
         Unknown model, parameter or option, or nothing is left to fit.
     """
     notes: list[str] = []
-    if ior is not None and not families.needs_ior(model) and model in families.FAMILIES:
+    if ior is not None and not families.needs_ior(model) and set(families.parts(model)) <= set(families.FAMILIES):
         ior = None
         notes.append(f"The optical constants are not used: {model} has none.")
     family = families.family(model, slopes=slopes, ior=ior)
     words = {k: v for k, v in fix.items() if isinstance(v, str)}
+    if words and len(families.parts(model)) > 1:
+        raise ConfigError(f"--fix {next(iter(words))}=...: words go to a single model's constructor, not to a sum")
     numbers = {k: float(v) for k, v in fix.items() if not isinstance(v, str)}
     for n, value in numbers.items():
         p = family.parameter(n)
@@ -108,12 +107,15 @@ def pose(model: str, ior: Ior, fix: Mapping[str, float | str], free: Sequence[st
     moving = tuple(n for n in names if (n in family.free or n in free) and n not in numbers)
     if not moving:
         raise ConfigError(f"every parameter of {model} is fixed: there is nothing to fit")
+    if "k" in moving and "ior" in moving:
+        metallic = tuple(families.METALLIC_N if p.name == "ior" else p for p in family.parameters)
+        family = replace(family, parameters=metallic)
     fixed = {**family.fixed, **numbers}
     if ior is None and "ior" in moving and families.needs_ior(model) and not fixed.get("k") and "k" not in moving:
         notes.append("No optical constants were given (--ior): a real refractive index n is fitted, with k = 0.")
     return Problem(
         family,
-        plugins.load("gonio.models", model),
+        families.maker(model),
         moving,
         {n: v for n, v in fixed.items() if n not in moving},
         words,
@@ -132,7 +134,11 @@ def search(problem: Problem, data: Observations) -> Floats:
     soft = softened(few, COARSE_U)
     known = {n: v for n, v in problem.family.fixed.items() if n in problem.free and v}
     candidates: list[tuple[float, Floats]] = []
-    for start in problem.family.starts(data):
+    starts = problem.family.starts(data)
+    if "k" in problem.free and not known:
+        shapes = {tuple((n, x) for n, x in start.items() if n != "ior"): None for start in starts}
+        starts = [{**dict(shape), "ior": n, "k": k} for shape in shapes for n, k in families.INDICES]
+    for start in starts:
         vector = problem.vector({"k": 1.0, **start, **known})
         residual = soft.residual(apparent(problem.model(vector), few, quick=True))
         # large residuals count by their logarithm: a lobe in the right place must win over one that is merely low
@@ -208,11 +214,13 @@ def settle(problem: Problem, data: Observations, goal: Objective, vector: Floats
     return (moved, jacobian) if after @ after <= (residual @ residual) * (1 + 1e-9) else (vector, jacobian)
 
 
-def derivatives(problem: Problem, data: Observations, vector: Floats, *, quick: bool = False) -> Floats:
-    """d(model)/d(search scale), (n, p), by central differences (one-sided at a bound)."""
+def derivatives(
+    problem: Problem, data: Observations, vector: Floats, *, quick: bool = False, only: Iterable[int] | None = None
+) -> Floats:
+    """d(model)/d(search scale), (n, p), by central differences (one-sided at a bound); `only` names the columns."""
     lower, upper = problem.bounds
     columns = []
-    for k in range(vector.size):
+    for k in range(vector.size) if only is None else only:
         up, down = vector.copy(), vector.copy()
         up[k] = min(vector[k] + STEP, upper[k])
         down[k] = max(vector[k] - STEP, lower[k])

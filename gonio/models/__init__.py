@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from gonio.errors import ArgumentError
 from gonio.models import fresnel, htsg
 from gonio.models.base import Model, build_model
 from gonio.models.blinn import Blinn, Phong
@@ -35,6 +36,10 @@ __all__ = [
 def build(name: str, parameters: Mapping[str, Any]) -> Model:
     """A model by its command-line name, ours or a plugin's, from named parameters.
 
+    "sum" takes what `Sum.parameters` returns: one table a term, under its model's name, with a `weight` (1 if it is
+    left out) beside the model's own parameters. A number after the name tells terms of the same model apart, as in
+    "cook-torrance 1" and "cook-torrance 2".
+
     Raises
     ------
     ConfigError
@@ -44,4 +49,14 @@ def build(name: str, parameters: Mapping[str, Any]) -> Model:
     """
     from gonio import plugins
 
+    if name == Sum.name:
+        return Sum(*(_term(key, values) for key, values in parameters.items()))
     return build_model(plugins.load("gonio.models", name), name, parameters)
+
+
+def _term(key: str, values: Any) -> tuple[Model, float]:
+    """One term of a sum, from its table."""
+    if not isinstance(values, Mapping):
+        raise ArgumentError(f'the term "{key}" of a sum must be a table with the parameters of a model and its weight')
+    kind = key.rstrip("0123456789").rstrip()
+    return build(kind, {n: v for n, v in values.items() if n != "weight"}), values.get("weight", 1.0)

@@ -1,0 +1,219 @@
+"""Profile-likelihood intervals: how far a parameter can go while all others follow as best they can.
+
+A standard error looks at the curvature in one point. Where chi-square is no parabola (a lobe that hides behind the
+noise, an index of refraction near a bound, two parameters that replace each other) an interval has to be walked out:
+the parameter is held, the others are fitted again, and the ends lie where chi-square has risen by 3.84 (95 %).
+
+Near the solution the model through the instrument's cones is the quick model times a ratio that hardly changes; it is
+taken from the solution, so that hundreds of small fits cost little.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from gonio_analysis.fit import FitResult
+from gonio_analysis.forward import apparent
+from gonio_analysis.search import derivatives
+from gonio_analysis.uncertainty import Floats
+
+LEVEL = 0.95
+TRIES = 14
+"""Small fits a side."""
+CLOSE = 0.02
+"""An end is found where sqrt(rise of chi-square) is this close to what it has to be."""
+BETTER = 0.1
+"""A fall of chi-square by more than this on the way means that the solution was none."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """One parameter's interval, and the profile that it was read from."""
+
+    name: str
+    low: float
+    high: float
+    open_low: bool
+    """The interval ends on the parameter's bound: the data set no lower limit above it."""
+    open_high: bool
+    level: float
+    values: Floats
+    """Parameter values that were tried, ascending."""
+    rise: Floats
+    """chi-square there, less its minimum."""
+
+    def holds(self, value: float) -> bool:
+        """Whether a value lies inside."""
+        slack = 1e-9 * max(abs(self.low), abs(self.high))
+        return self.low - slack <= value <= self.high + slack
+
+
+@dataclass(frozen=True)
+class Profiles:
+    """The intervals of a fit's free parameters."""
+
+    intervals: dict[str, Interval]
+    better: Floats | None = None
+    """A point of the search scale with a lower chi-square, met on the way: fit again from there."""
+
+
+def profiles(result: FitResult, names: tuple[str, ...] | None = None, *, level: float = LEVEL) -> Profiles:
+    """Profile-likelihood intervals of the fitted parameters.
+
+    Parameters
+    ----------
+    result
+        A fit.
+    names
+        The free parameters to profile; all of them by default.
+    level
+        Probability that an interval holds the truth.
+
+    Returns
+    -------
+    Profiles
+        Without stated uncertainties the rise of chi-square is in units of the scatter of the residuals.
+    """
+    from scipy.stats import chi2, f
+
+    walker = _Walker(result)
+    freedom = len(result.data) - len(result.free)
+    stated = result.data.covariance is not None
+    threshold = math.sqrt(float(chi2.ppf(level, 1)) if stated else float(f.ppf(level, 1, freedom)))
+    out: dict[str, Interval] = {}
+    for name in result.free if names is None else names:
+        k = result.free.index(name)
+        points = [(float(result.vector[k]), 0.0)]
+        ends = []
+        for side in (-1, 1):
+            end, tried = walker.walk(k, side, threshold)
+            points += tried
+            ends.append(end)
+        points.sort()
+        out[name] = _interval(result, name, k, ends, points, level)
+    return Profiles(out, walker.better)
+
+
+def _interval(
+    result: FitResult, name: str, k: int, ends: list[float], points: list[tuple[float, float]], level: float
+) -> Interval:
+    lower, upper = result.problem.bounds
+    parameter = result.problem.family.parameter(name)
+    value = [math.exp(x) if parameter.scale == "log" else x for x in (*ends, *(x for x, _ in points))]
+    return Interval(
+        name,
+        parameter.inside(value[0]),
+        parameter.inside(value[1]),
+        bool(ends[0] <= lower[k]),
+        bool(ends[1] >= upper[k]),
+        level,
+        np.array(value[2:]),
+        np.array([r for _, r in points]),
+    )
+
+
+class _Walker:
+    """Walks along one parameter at a time, with all others fitted."""
+
+    def __init__(self, result: FitResult) -> None:
+        self._result = result
+        self._problem = result.problem
+        self._lower, self._upper = result.problem.bounds
+        near = apparent(result.model, result.data, quick=True)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self._ratio = np.nan_to_num(np.clip(result.predicted / near, 0.2, 5.0), nan=1.0)
+        self._least = float(result.whitened @ result.whitened)
+        freedom = max(len(result.data) - len(result.free), 1)
+        self._unit = 1.0 if result.data.covariance is not None else self._least / freedom
+        self.better: Floats | None = None
+
+    def _predicted(self, x: Floats) -> Floats:
+        return apparent(self._problem.model(x), self._result.data, quick=True) * self._ratio
+
+    def _held(self, k: int, start: Floats) -> tuple[Floats, float]:
+        """The best point with parameter k held, and the rise of chi-square there."""
+        from scipy.optimize import least_squares
+
+        others = np.delete(np.arange(start.size), k)
+        goal, data, problem = self._result.goal, self._result.data, self._problem
+
+        def whole(part: Floats) -> Floats:
+            x = start.copy()
+            x[others] = part
+            return x
+
+        if others.size == 0:
+            residual = goal.residual(self._predicted(start))
+            return start, (float(residual @ residual) - self._least) / self._unit
+
+        def columns(part: Floats) -> Floats:
+            x = whole(part)
+            d = derivatives(problem, data, x, quick=True, only=others) * self._ratio[:, None]
+            return goal.jacobian(self._predicted(x), d)
+
+        margin = 1e-9 * (self._upper - self._lower)[others]
+        low, high = self._lower[others], self._upper[others]
+        found = least_squares(
+            lambda part: goal.residual(self._predicted(whole(part))),
+            np.clip(start[others], low + margin, high - margin),
+            jac=columns,
+            bounds=(low, high),
+            x_scale="jac",
+            xtol=1e-6,
+            ftol=1e-6,
+            gtol=1e-10,
+            max_nfev=30,
+        )
+        x = whole(found.x)
+        rise = (2.0 * float(found.cost) - self._least) / self._unit
+        if rise < -BETTER and self.better is None:
+            self.better = x
+        return x, rise
+
+    def walk(self, k: int, side: int, threshold: float) -> tuple[float, list[tuple[float, float]]]:
+        """The end [search scale] on one side, and the points (place, rise) that were tried."""
+        best = self._result.vector
+        centre = float(best[k])
+        bound = float(self._upper[k] if side > 0 else self._lower[k])
+        room = abs(bound - centre)
+        if room <= 1e-9 * (self._upper[k] - self._lower[k]):
+            return bound, []
+        variance = float(self._result.spread[k, k])
+        step = threshold * math.sqrt(variance) if math.isfinite(variance) and variance > 0 else room
+        follow = self._result.spread[:, k] / variance if 0 < variance < math.inf else np.zeros(best.size)
+        step = min(step, room)
+        inside, outside = (0.0, 0.0), (math.inf, math.inf)  # (distance from the centre, root of the rise)
+        known = {0.0: best}
+        tried: list[tuple[float, float]] = []
+        for _ in range(TRIES):
+            nearest = min(known, key=lambda d: abs(d - step))
+            start = known[nearest] + np.nan_to_num(follow) * side * (step - nearest)
+            start = np.clip(start, self._lower, self._upper)
+            start[k] = bound if step >= room else centre + side * step
+            x, rise = self._held(k, start)
+            known[step] = x
+            root = math.sqrt(max(rise, 0.0))
+            tried.append((float(x[k]), max(rise, 0.0)))
+            if root < threshold:
+                if step >= room:
+                    return bound, tried
+                inside = (step, root)
+            else:
+                outside = (step, root)
+            if abs(root - threshold) < CLOSE:
+                break
+            step = _next(inside, outside, threshold, room)
+        distance = min(_next(inside, outside, threshold, room), room) if abs(root - threshold) >= CLOSE else step
+        return centre + side * distance, tried
+
+
+def _next(inside: tuple[float, float], outside: tuple[float, float], threshold: float, room: float) -> float:
+    """Where the root of the rise should meet the threshold: it is nearly a straight line."""
+    if math.isinf(outside[0]):
+        grow = threshold / inside[1] if inside[1] > 0 else 4.0
+        return min(inside[0] * min(max(1.02 * grow, 1.05), 4.0), room)
+    share = (threshold - inside[1]) / (outside[1] - inside[1])
+    return inside[0] + min(max(share, 0.02), 0.98) * (outside[0] - inside[0])
