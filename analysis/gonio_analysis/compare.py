@@ -19,7 +19,7 @@ from gonio_analysis.families import Ior
 from gonio_analysis.fit import FitResult, fit
 from gonio_analysis.metrics import metrics
 from gonio_analysis.observations import Observations, observations
-from gonio_analysis.planes import Curve, Norm, Normalise, curves, norm, selection
+from gonio_analysis.planes import Curve, Norm, Normalise, curves, labels, norm, selection
 from gonio_analysis.polar import Line
 from gonio_analysis.uncertainty import Floats
 
@@ -179,16 +179,15 @@ def _fitted(result: FitResult, shown: list[Curve], normalise: Normalise, series:
         data.u if stated else None,
         result.whitened if stated else None,
     )
-    twins = len({c.label for c in shown}) < len(shown)
     drawn = []
-    for curve in shown:
-        angle = _theory_angles(curve, data)
+    for curve, label in zip(shown, labels(shown), strict=True):
+        angle = theory_angles(curve, data)
         residual = result.whitened[curve.rows] if stated else result.predicted[curve.rows] / curve.brdf - 1.0
         drawn.append(
             Drawn(
                 curve=curve,
                 norm=norm(curve, normalise, result.model, data),
-                label=curve.label + (f", φi = {np.degrees(curve.phi_i):.0f}°" if twins else ""),
+                label=label,
                 theory_angle=angle,
                 theory=curve.theory(result.model, angle, data),
                 residual=residual,
@@ -220,19 +219,19 @@ def _series(result: FitResult, data: Observations, known: list[float], ior: Ior,
     return [out[k] for k in sorted(out)]
 
 
-def _theory_angles(curve: Curve, data: Observations) -> Floats:
-    """Signed angles [rad] of a theory curve: dense where the instrument resolves a spike, the measured ones included.
+def theory_angles(curve: Curve, data: Observations, *, dense: bool = True) -> Floats:
+    """Signed angles [rad] of a theory curve: close where the instrument resolves a spike, the measured ones included.
 
-    They end where a cone would touch the horizon.
+    They end where a cone would touch the horizon. Those that are not `dense` are for curves that are one of many.
     """
     from gonio import geometry
 
     cones = geometry.half_angle_of_cone([data.source_solid_angle_sr, data.receiver_solid_angle_sr])
     width = float(np.sum(cones))
     end = np.pi / 2 - max(float(cones.max()), 1e-3) - 1e-6
-    even = np.radians(np.arange(-89.0, 89.1, 1.0))
-    near = curve.parameter + np.radians(np.arange(-6.0, 6.01, 0.25))
-    spike = curve.parameter + 1.5 * width * np.linspace(-1, 1, 61) if width > 0 else np.empty(0)
+    even = np.radians(np.arange(-89.0, 89.1, 1.0 if dense else 3.0))
+    near = curve.parameter + np.radians(np.arange(-6.0, 6.01, 0.25 if dense else 1.0))
+    spike = curve.parameter + 1.5 * width * np.linspace(-1, 1, 61 if dense else 13) if width > 0 else np.empty(0)
     angle = np.concatenate([even, near, spike, [-end, end, curve.parameter], curve.angle])
     return np.unique(angle[np.abs(angle) <= end])
 

@@ -178,6 +178,12 @@ def selection(all_curves: list[Curve], most: int = MOST_CURVES) -> list[Curve]:
     return [pool[k] for k in picks]
 
 
+def labels(shown: list[Curve]) -> list[str]:
+    """Labels of curves on one plot: with the azimuth of incidence where the angle alone leaves two alike."""
+    twins = len({c.label for c in shown}) < len(shown)
+    return [c.label + (f", φi = {np.degrees(c.phi_i):.0f}°" if twins else "") for c in shown]
+
+
 def norm(curve: Curve, kind: Normalise, model: Any, data: Observations) -> Norm:
     """What to divide a measured curve and its theory by.
 

@@ -10,7 +10,7 @@ from typing import Any
 from gonio_analysis.compare import Dataset, examine, run_facts
 from gonio_analysis.families import Ior
 from gonio_analysis.planes import Normalise
-from gonio_analysis.report import figures, page, tables
+from gonio_analysis.report import figures, page, tables, viewer
 from gonio_analysis.report.files import staged
 from gonio_analysis.report.summary import summarise
 
@@ -122,10 +122,14 @@ def write(
         (folder / "figures" / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
         (folder / "figures" / f"{figure.name}.png").write_bytes(figure.png)
     summary["figures"] = [{"name": f.name, "caption": f.caption, "alt": f.alt} for group in drawn for f in group]
-    summary["tables"] = tables.write(datasets, summary, folder / "tables")
+    views = [
+        viewer.viewer(d, facts, normalise) if d.curves else None
+        for d, facts in zip(datasets, summary["datasets"], strict=True)
+    ]
+    summary["tables"] = tables.write(datasets, summary, views, folder / "tables")
     text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
-    (folder / "index.html").write_text(page.render(summary, drawn), encoding="utf-8")
+    (folder / "index.html").write_text(page.render(summary, drawn, views), encoding="utf-8")
     return summary
 
 

@@ -6,12 +6,12 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
 
-from gonio_analysis.report import html
+from gonio_analysis.report import html, viewer
 from gonio_analysis.report.figures import Figure
 from gonio_analysis.report.text import difference, number, percent, with_u
 
 
-def render(summary: dict[str, Any], drawn: Sequence[Sequence[Figure]]) -> str:
+def render(summary: dict[str, Any], drawn: Sequence[Sequence[Figure]], views: Sequence[dict[str, Any] | None]) -> str:
     """The page, as HTML text.
 
     Parameters
@@ -20,11 +20,14 @@ def render(summary: dict[str, Any], drawn: Sequence[Sequence[Figure]]) -> str:
         What `summary.json` holds.
     drawn
         The figures of each dataset, in the order of the summary.
+    views
+        What each dataset's interactive plot shows; None for one without curves.
     """
     datasets = summary["datasets"]
     body = [_header(summary), _overview(summary) if len(datasets) > 1 else ""]
-    body += [_dataset(summary, d, figures) for d, figures in zip(datasets, drawn, strict=True)]
+    body += [_dataset(summary, *parts) for parts in zip(datasets, drawn, views, strict=True)]
     body += [_conventions(summary), _provenance(summary), _footer(summary)]
+    body += [viewer.script() if any(views) else ""]
     return html.document(summary["title"], body)
 
 
@@ -64,7 +67,7 @@ def _overview(s: dict[str, Any]) -> str:
     )
 
 
-def _dataset(s: dict[str, Any], d: dict[str, Any], figures: Sequence[Figure]) -> str:
+def _dataset(s: dict[str, Any], d: dict[str, Any], figures: Sequence[Figure], view: dict[str, Any] | None) -> str:
     by = {kind: [f for f in figures if f.kind == kind] for kind in ("polar", "absolute", "budget", "series")}
     out = [f'<section id="{d["slug"]}">', f"<h2>{escape(d['name'])}</h2>" if len(s["datasets"]) > 1 else ""]
     out.append(f'<p class="lead">{escape(d["conclusion"])}</p>')
@@ -79,7 +82,8 @@ def _dataset(s: dict[str, Any], d: dict[str, Any], figures: Sequence[Figure]) ->
             + "</ul>"
         )
     if by["polar"]:
-        out += ["<h3>In the plane of incidence, normalised</h3>", _polar_words(s, d), html.grid(by["polar"])]
+        out += ["<h3>In the plane of incidence, normalised</h3>", _polar_words(s, d)]
+        out += [viewer.element(view, d["slug"]) if view else "", html.grid(by["polar"])]
     out += ["<h3>In the plane of incidence, absolute, with residuals</h3>", html.grid(by["absolute"])]
     out += ["<h3>Parameters</h3>", _parameters(d)]
     out += ["<h3>Metrics</h3>", _metrics(s, d)]

@@ -10,10 +10,13 @@ from typing import Any
 import numpy as np
 
 from gonio_analysis.compare import Dataset
+from gonio_analysis.report import viewer
 from gonio_analysis.uncertainty import Floats
 
 
-def write(datasets: Sequence[Dataset], summary: dict[str, Any], folder: Path) -> list[str]:
+def write(
+    datasets: Sequence[Dataset], summary: dict[str, Any], views: Sequence[dict[str, Any] | None], folder: Path
+) -> list[str]:
     """Write parameters, metrics, curves, theory, and parameters over wavelength; the names of the files."""
     facts = summary["datasets"]
     write_csv(
@@ -46,8 +49,11 @@ def write(datasets: Sequence[Dataset], summary: dict[str, Any], folder: Path) ->
         ),
     )
     files = ["parameters.csv", "metrics.csv"]
-    for d, s in zip(datasets, facts, strict=True):
+    for d, s, view in zip(datasets, facts, views, strict=True):
         files += _of_dataset(d, s["slug"], folder)
+        if view is not None:
+            files.append(f"{s['slug']}-interactive.csv")
+            write_csv(folder / files[-1], viewer.COLUMNS, viewer.rows(view))
         if any(f["series"] for f in s["models"].values()):
             files.append(f"{s['slug']}-wavelengths.csv")
             write_csv(

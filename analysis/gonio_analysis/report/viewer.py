@@ -1,0 +1,139 @@
+"""What the interactive plot of a page shows: the JSON embedded in the page, which is also written as a table."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from gonio_analysis.compare import Dataset, theory_angles
+from gonio_analysis.fit import FitResult, finite
+from gonio_analysis.planes import Curve, curves, labels, selection
+from gonio_analysis.uncertainty import Floats
+
+MOST_LISTED = 16
+"""Curves of one wavelength that can be chosen, at most."""
+COLUMNS = ("wavelength_nm", "curve", "series", "signed_angle_deg", "brdf", "u_brdf")
+
+
+def viewer(d: Dataset, facts: dict[str, Any], normalise: str) -> dict[str, Any]:
+    """In-plane curves of a sample at every wavelength that was fitted, with every model's theory.
+
+    Parameters
+    ----------
+    d
+        The measurement with its fitted models.
+    facts
+        Its part of the summary.
+    normalise
+        What the plot divides by at first.
+
+    Returns
+    -------
+    dict
+        `waves`: for each wavelength its `curves`, each with its `series`: points or a line, angles in degrees, values
+        in 1/sr (nine digits; theory six), and `by`, what it is divided by in each normalisation.
+    """
+    waves: dict[float, dict[str, FitResult]] = {}
+    for model, f in d.fitted.items():
+        for result in f.series or [f.fit]:
+            waves.setdefault(float(result.data.wavelengths[0]), {})[model] = result
+    here = float(d.data.wavelengths[0])
+    drawn = {int(c.rows[0]) for c in d.curves}
+    ready = {m: {int(c.curve.rows[0]): (c.theory_angle, c.theory) for c in f.drawn} for m, f in d.fitted.items()}
+    first: list[str] = []
+    out: list[dict[str, Any]] = []
+    for nm in sorted(waves):
+        at_report = nm == here or np.isnan(nm)
+        data = d.data if at_report else next(iter(waves[nm].values())).data
+        every = curves(data)
+        picked = {int(c.rows[0]) for c in selection(every, MOST_LISTED)} | (drawn if at_report else set())
+        listed = [c for c in every if int(c.rows[0]) in picked]
+        names = labels(listed)
+        entries = []
+        for curve, name in zip(listed, names, strict=True):
+            kept = at_report and int(curve.rows[0]) in drawn
+            if kept:
+                first.append(name)
+            theory = {}
+            for model, result in waves[nm].items():
+                angle = theory_angles(curve, data, dense=False)
+                known = ready[model].get(int(curve.rows[0])) if kept else None
+                theory[model] = known or (angle, curve.theory(result.model, angle, data))
+            entries.append(_curve(curve, name, theory))
+        out.append({"nm": finite(nm), "curves": entries})
+    names = list(dict.fromkeys([*first, *(c["label"] for w in out for c in w["curves"])]))
+    return {
+        "name": d.name,
+        "moving": "θr" if facts["scanned"] == "theta_r" else "θi",
+        "at": next(k for k, w in enumerate(out) if w["nm"] == finite(here)),
+        "labels": names,
+        "shown": first,
+        "models": list(d.fitted),
+        "best": facts["best"],
+        "normalise": normalise,
+        "waves": out,
+    }
+
+
+def _curve(c: Curve, name: str, theory: dict[str, tuple[Floats, Floats]]) -> dict[str, Any]:
+    top = int(np.argmax(c.brdf))
+    mirror = c.mirror
+    measured: dict[str, Any] = {
+        "name": "measured",
+        "angle": _rounded(np.degrees(c.angle), 9),
+        "brdf": _rounded(c.brdf, 9),
+        "u": _rounded(c.u, 4) if np.isfinite(c.u).any() else None,
+        "by": {"max": _positive(c.brdf[top]), "mirror": None if mirror is None else _positive(c.brdf[mirror])},
+    }
+    series = [measured]
+    for model, (angle, value) in theory.items():
+
+        def at(where: float, angle: Floats = angle, value: Floats = value) -> float | None:
+            return _positive(value[int(np.argmin(np.abs(angle - where)))])
+
+        by = {
+            "max": at(c.angle[top]),
+            "mirror": None if mirror is None else at(c.angle[mirror]),
+            "model": at(c.parameter),
+        }
+        series.append(
+            {"name": model, "angle": _rounded(np.degrees(angle), 9), "brdf": _rounded(value, 6), "u": None, "by": by}
+        )
+    return {"label": name, "mirror": round(float(np.degrees(c.parameter)), 4), "series": series}
+
+
+def rows(view: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
+    """The same curves as rows of a table with `COLUMNS`."""
+    for wave in view["waves"]:
+        for curve in wave["curves"]:
+            for s in curve["series"]:
+                us = s["u"] or [None] * len(s["angle"])
+                for angle, brdf, u in zip(s["angle"], s["brdf"], us, strict=True):
+                    yield wave["nm"], curve["label"], s["name"], angle, brdf, u
+
+
+def element(view: dict[str, Any], slug: str) -> str:
+    """The place of the plot on a page, hidden until the script fills it, and its data."""
+    data = json.dumps(view, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    return (
+        f'<div class="viewer" id="{slug}-viewer" hidden></div>\n'
+        f'<script type="application/json" id="{slug}-viewer-data">{data}</script>'
+    )
+
+
+def script() -> str:
+    """The program that fills those places, as an element."""
+    code = files("gonio_analysis.report").joinpath("viewer.js").read_text(encoding="utf-8")
+    return f"<script>\n{code}</script>"
+
+
+def _rounded(values: Floats, digits: int) -> list[float | None]:
+    return [float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in values]
+
+
+def _positive(value: float) -> float | None:
+    return float(f"{value:.9g}") if np.isfinite(value) and value > 0 else None
