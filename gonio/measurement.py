@@ -33,7 +33,7 @@ from gonio.formats.native import check, check_columns, meta_path
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["COLUMNS", "meta_path", "parse", "read", "samples", "tables", "uncertainty", "write"]
+__all__ = ["COLUMNS", "meta_path", "parse", "read", "samples", "split", "tables", "uncertainty", "write"]
 
 
 def read(path: str | Path, *, format: str | None = None, sample: str | None = None) -> pd.DataFrame:
@@ -137,11 +137,19 @@ def tables(spec: str | Path) -> dict[str, pd.DataFrame]:
     ConfigError, DataError
         As `read` does.
     """
+    path, sample = split(spec)
+    frame = read(path, sample=sample)
+    return samples(frame) if sample is None else {sample: frame}
+
+
+def split(spec: str | Path) -> tuple[str, str | None]:
+    """`FILE:SAMPLE` on a command line in its parts; the sample is None where `spec` is a file's name as it stands."""
     text = str(spec)
-    name, colon, sample = text.rpartition(":")
-    if colon and not Path(text).exists() and Path(name).exists():
-        return {sample: read(name, sample=sample)}
-    return samples(read(text))
+    if not Path(text).exists():
+        for colon in (k for k, letter in enumerate(text) if letter == ":"):
+            if Path(text[:colon]).exists():
+                return text[:colon], text[colon + 1 :]
+    return text, None
 
 
 def uncertainty(frame: pd.DataFrame) -> tuple[Floats, Floats, list[str]]:

@@ -9,7 +9,10 @@ import typer
 
 
 def convert(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="A measurement file, or a run.", show_default=False)],
+    source: Annotated[
+        str,
+        typer.Argument(metavar="IN", help="A measurement file, a run, or FILE:SAMPLE.", show_default=False),
+    ],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write.", show_default=False)],
     source_format: Annotated[
         str | None,
@@ -23,7 +26,8 @@ def convert(
     from gonio import measurement
     from gonio.cli import console
 
-    table = measurement.read(source, format=source_format)
+    path, sample = measurement.split(source)
+    table = measurement.read(path, format=source_format, sample=sample)
     for remark in measurement.write(table, target, format=target_format):
         console.note(remark)
     console.show(f"{target}: {len(table)} values")

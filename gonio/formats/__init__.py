@@ -61,6 +61,14 @@ def of_content(data: bytes, path: Path) -> Format:
     DataError
         Neither tells.
     """
+    for magic, what in (
+        (b"\x1f\x8b", "gzip"),
+        (b"BZh", "bzip2"),
+        (b"\xfd7zXZ", "xz"),
+        (b"PK\x03\x04", "zip, or .xlsx"),
+    ):
+        if data.startswith(magic):
+            raise DataError(f"{path}, byte 0: is compressed ({what}); unpack it first, or export a workbook as CSV")
     head = data[:SNIFFED_BYTES]
     formats = all_formats().values()
     ending = path.suffix.lower()

@@ -25,6 +25,7 @@ from gonio.formats.base import (
     Floats,
     Format,
     Text,
+    estimate,
     fold,
     integer,
     number,
@@ -49,8 +50,8 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
     lines = []
     for line, content in enumerate(text.lines):
         if content.startswith("#"):
-            key, _, value = content[1:].partition(" ")
-            keywords[key.strip()] = value.strip()
+            word, *rest = content[1:].split(maxsplit=1) or [""]
+            keywords[word] = rest[0].strip() if rest else ""
         elif content.strip():
             lines.append(line)
     kind, quantity = keywords.get("PARAM_IN", ""), keywords.get("PARAM_OUT", "INV_STERADIAN")
@@ -77,7 +78,8 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
         cells = text.lines[line].split()
         if len(cells) != len(names):
             raise DataError(f"{text.where(line)}: {len(cells)} numbers, and #DIM makes it {len(names)}")
-        rows[row] = numbers(cells, text.where(line), names)
+        rows[row, :coordinates] = numbers(cells[:coordinates], text.where(line), names[:coordinates])
+        rows[row, coordinates:] = numbers(cells[coordinates:], text.where(line), names[coordinates:], estimate)
 
     theta_i, phi_i, theta_r, phi_r = _directions(kind, rows)
     for name, theta in (("light", theta_i), ("viewer", theta_r)):

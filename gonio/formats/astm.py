@@ -1,9 +1,10 @@
 """ASTM E1392 text, as the Cornell gonioreflectometer wrote it: keyword lines, then one line a direction.
 
-`VARS` names the columns: `theta_i, phi_i, theta_s, phi_s` in radians, then BRDF [1/sr] at one wavelength a column
-(`550nm`). phi_s - phi_i = pi is the mirror half-plane, as in the measurement table. The format has no uncertainties
-and no solid angles. A value of exactly zero is what the instrument wrote where the signal fell below its dark level:
-the row is flagged "clamped", as a missing value. Small values, and negative ones, are data.
+`VARS` names the columns, in any order: `theta_i, phi_i, theta_s, phi_s` (or `theta_r, phi_r`) in radians, and BRDF
+[1/sr] at one wavelength a column (`550nm`, `0.55um`), or in one column `BRDF` without a wavelength. phi_s - phi_i = pi
+is the mirror half-plane, as in the measurement table. The format has no uncertainties and no solid angles. A value of
+exactly zero is what the instrument wrote where the signal fell below its dark level: the row is flagged "clamped", as
+a missing value. Small values, and negative ones, are data.
 """
 
 from __future__ import annotations
@@ -16,49 +17,48 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.base import Format, Text, fold, integer, numbers, plain_degrees, table, wide, write_bytes
+from gonio.formats.base import Format, Text, estimate, fold, integer, numbers, plain_degrees, table, wide, write_bytes
 
 if TYPE_CHECKING:
     import pandas as pd
 
 _ANGLES = ["theta_i", "phi_i", "theta_s", "phi_s"]
-_WAVELENGTH = re.compile(r"(\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)\s*nm")
+_ALIASES = {"theta_r": "theta_s", "phi_r": "phi_s"}
+_WAVELENGTH = re.compile(r"(\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)\s*(nm|um|\u00b5m|\u03bcm)", re.IGNORECASE)
 
 
 def read(data: bytes, path: Path) -> pd.DataFrame:
     text = Text(data, path)
     keywords, first = _header(text)
-    names = [name.strip() for name in keywords["VARS"].split(",")]
     where = text.where(first - 1)
-    if names[:4] != _ANGLES:
-        raise DataError(f"{where}: VARS begins with {', '.join(names[:4])}; {', '.join(_ANGLES)} are needed")
-    wavelengths = []
-    for name in names[4:]:
-        match = _WAVELENGTH.fullmatch(name)
-        if not match or not 0 < float(match[1]) < math.inf:
-            raise DataError(f'{where}: VARS names "{name[:40]}"; after the angles a wavelength is needed, as 550nm')
-        wavelengths.append(float(match[1]))
-    if not wavelengths:
-        raise DataError(f"{where}: VARS names no wavelength")
+    names = _cells(keywords["VARS"])
+    plain = [_ALIASES.get(name.lower(), name.lower()) for name in names]
+    if any(plain.count(name) != 1 for name in _ANGLES):
+        raise DataError(f"{where}: VARS names {', '.join(names)[:80]}; {', '.join(_ANGLES)} are needed, each once")
+    angle_columns = [plain.index(name) for name in _ANGLES]
+    value_columns = [k for k in range(len(names)) if k not in angle_columns]
+    wavelengths = _wavelengths([names[k] for k in value_columns], where)
 
     rows, decimals, last = [], 0, first
     for line in range(first, len(text.lines)):
-        cells = text.lines[line].split(",")
-        if cells == [""] or text.lines[line].isspace():
+        cells = _cells(text.lines[line])
+        if not cells:
             continue
         if len(cells) != len(names):
             raise DataError(f"{text.where(line)}: {len(cells)} values, and VARS names {len(names)}")
-        row = numbers(cells, text.where(line), names)
+        angle_cells = [cells[k] for k in angle_columns]
+        angle = numbers(angle_cells, text.where(line), _ANGLES)
         for k in (0, 2):
-            if abs(row[k]) > math.pi / 2 + 1e-3:
+            if abs(angle[k]) > math.pi / 2 + 1e-3:
                 allowed = "a polar angle in radians is needed, at most pi/2"
-                raise DataError(f"{text.where(line)}: {names[k]} = {row[k]:g}; {allowed}")
+                raise DataError(f"{text.where(line)}: {_ANGLES[k]} = {angle[k]:g}; {allowed}")
         for k in (1, 3):
-            if abs(row[k]) > 2 * math.pi + 1e-3:
+            if abs(angle[k]) > 2 * math.pi + 1e-3:
                 allowed = "an azimuth in radians is needed, within +-2 pi"
-                raise DataError(f"{text.where(line)}: {names[k]} = {row[k]:g}; {allowed}")
-        decimals = max(decimals, *(len(cell.partition(".")[2].strip()) for cell in cells[:4]))
-        rows.append(row)
+                raise DataError(f"{text.where(line)}: {_ANGLES[k]} = {angle[k]:g}; {allowed}")
+        decimals = max(decimals, *map(_decimals, angle_cells))
+        value_names = [names[k] for k in value_columns]
+        rows.append(angle + numbers([cells[k] for k in value_columns], text.where(line), value_names, estimate))
         last = line
     if not rows:
         raise DataError(f"{text.where(first - 1)}: no line of data follows")
@@ -75,6 +75,8 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
     brdf = values[:, 4:].ravel()
     clamped = brdf == 0
     notes = ["the format states no uncertainties", "the format states no solid angles of source and receiver"]
+    if math.isnan(wavelengths[0]):
+        notes.append("the file states no wavelength")
     if clamped.any():
         notes.insert(0, f'{clamped.sum()} of {brdf.size} values are zero: clamped, and flagged "clamped"')
     return table(
@@ -112,6 +114,31 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     write_bytes(path, ("\n".join(lines) + "\n").encode())
 
 
+def _cells(line: str) -> list[str]:
+    """The cells of a line, which commas separate, or else blanks."""
+    return [cell.strip() for cell in line.split(",")] if "," in line else line.split()
+
+
+def _decimals(cell: str) -> int:
+    """How many decimals a number is written with: 4 for 0.1745 and for 1.745e-1."""
+    mantissa, _, exponent = cell.lower().partition("e")
+    return min(max(len(mantissa.partition(".")[2]) - int(exponent or 0), 0), 17)
+
+
+def _wavelengths(names: list[str], where: str) -> list[float]:
+    """The wavelength of each column of values [nm]; NaN for the one column `BRDF`."""
+    if [name.lower() for name in names] == ["brdf"]:
+        return [math.nan]
+    matches = [_WAVELENGTH.fullmatch(name) for name in names]
+    wavelengths = [float(m[1]) * (1.0 if m[2].lower() == "nm" else 1000.0) if m else math.nan for m in matches]
+    for name, nm in zip(names, wavelengths, strict=True):
+        if not 0 < nm < math.inf:
+            raise DataError(f'{where}: VARS names "{name[:40]}"; beside the angles a wavelength is needed, as 550nm')
+    if not names:
+        raise DataError(f"{where}: VARS names no wavelength")
+    return wavelengths
+
+
 def _header(text: Text) -> tuple[dict[str, str], int]:
     """The keyword lines, and the index of the line after VARS."""
     keywords: dict[str, str] = {}
@@ -136,7 +163,7 @@ FORMAT = Format(
     name="astm",
     title="ASTM E1392 text",
     endings=(".astm",),
-    sniff=lambda head: re.search(rb"^VARS\s+theta_i\s*,", head, re.MULTILINE) is not None,
+    sniff=lambda head: re.search(rb"^VARS\s[^\r\n]*theta_i\b", head, re.MULTILINE) is not None,
     read=read,
     write=write,
     carries=frozenset({"flag"}),

@@ -75,6 +75,8 @@ def decode(data: bytes, path: Path) -> str:
     DataError
         The bytes hold control characters, so they are no text at all; or far too many lines.
     """
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise DataError(f"{path}, byte 0: is text in UTF-16; save it as UTF-8")
     bad = re.search(rb"[\x00-\x08\x0e-\x1f\x7f]", data)
     if bad:
         raise DataError(f"{path}: byte {bad.start()} is {bad.group()[0]:#04x}: not a text file, or a damaged one")
@@ -86,6 +88,17 @@ def decode(data: bytes, path: Path) -> str:
         return data.decode("latin-1")
 
 
+def separator(header: str) -> str:
+    """What separates the cells of a CSV with this header line: a comma, or a semicolon, or a tab."""
+    return next((mark for mark in ",;\t" if mark in header), ",")
+
+
+def column_names(head: bytes) -> set[str]:
+    """The names in the first line of a CSV, to tell its format by, in whatever order they stand."""
+    line = re.split(rb"[\r\n]", head.removeprefix(b"\xef\xbb\xbf").lstrip(), maxsplit=1)[0].decode("latin-1")
+    return {name.strip().strip('"').strip() for name in line.split(separator(line))}
+
+
 @dataclass(frozen=True)
 class CsvTable:
     """A CSV of numbers under a header: the cells as text, and where each row stands."""
@@ -94,11 +107,17 @@ class CsvTable:
     header: list[str]
     rows: list[list[str]]
     line_numbers: list[int]
+    decimal_comma: bool
+    """Whether a comma in a number is its decimal point: where cells are separated by something else."""
 
-    def column(self, name: str) -> Floats:
-        """The numbers of a column; `DataError` naming the line of the first cell that is none."""
-        k = self.header.index(name)
-        return np.array([number(row[k], self.where(j), name) for j, row in enumerate(self.rows)])
+    def column(self, name: str, *, estimates: bool = False) -> Floats:
+        """The numbers of a column; `DataError` naming the line of the first cell that is none.
+
+        Among measured values (`estimates`) an empty cell is NaN.
+        """
+        k, read = self.header.index(name), estimate if estimates else number
+        cells = (row[k].replace(",", ".") if self.decimal_comma else row[k] for row in self.rows)
+        return np.array([read(cell, self.where(j), name) for j, cell in enumerate(cells)])
 
     def words(self, name: str) -> list[str]:
         k = self.header.index(name)
@@ -111,12 +130,16 @@ class CsvTable:
 def csv_table(data: bytes, path: Path, needed: Sequence[str]) -> CsvTable:
     """A CSV with a header line that has at least the `needed` columns; every row as long as the header.
 
+    Cells are separated by commas, or else by semicolons or tabs, and then a number may have a decimal comma.
+
     Raises
     ------
     DataError
         A column is missing or there twice, a row is too long or too short (with its line), or there are no rows.
     """
-    reader = csv.reader(io.StringIO(decode(data, path), newline=""), strict=True)
+    text = decode(data, path)
+    mark = separator(re.split(r"[\r\n]", text.lstrip(), maxsplit=1)[0])
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=mark, strict=True)
     header: list[str] = []
     rows: list[list[str]] = []
     line_numbers: list[int] = []
@@ -139,7 +162,7 @@ def csv_table(data: bytes, path: Path, needed: Sequence[str]) -> CsvTable:
         raise DataError(f"{path}, line 1: columns missing, or there twice: {', '.join(missing)}")
     if not rows:
         raise DataError(f"{path}: has a header and no rows")
-    return CsvTable(path, header, rows, line_numbers)
+    return CsvTable(path, header, rows, line_numbers, decimal_comma=mark != ",")
 
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
@@ -170,9 +193,24 @@ def integer(text: str, where: str, what: str, lower: int, upper: int) -> int:
     return int(value)
 
 
-def numbers(cells: Sequence[str], where: str, names: Sequence[str]) -> list[float]:
-    """The numbers of one line; `names[k]` names cell k in messages."""
-    return [number(cell, where, name) for cell, name in zip(cells, names, strict=True)]
+def estimate(text: str, where: str, what: str) -> float:
+    """A measured value: a number, or NaN for an empty cell or the word nan, where nothing was measured."""
+    return math.nan if text.strip().lower() in ("", "nan") else number(text, where, what)
+
+
+def numbers(
+    cells: Sequence[str], where: str, names: Sequence[str], read: Callable[[str, str, str], float] = number
+) -> list[float]:
+    """The numbers (or by `read` the estimates) of one line; `names[k]` names cell k in messages."""
+    joined = "".join(cells)
+    if joined.isascii() and "_" not in joined:
+        try:
+            values = [float(cell) for cell in cells]
+        except ValueError:
+            values = [math.nan]  # named below
+        if all(map(math.isfinite, values)):
+            return values
+    return [read(cell, where, name) for cell, name in zip(cells, names, strict=True)]
 
 
 def _shown(text: str) -> str:
@@ -227,7 +265,10 @@ def table(
     sample: Sequence[str] | npt.NDArray[Any] | None = None,
     attrs: Mapping[str, Any],
 ) -> pd.DataFrame:
-    """A measurement table, its columns in order; arguments broadcast to one length, attributes get their defaults."""
+    """A measurement table, its columns in order; arguments broadcast to one length, attributes get their defaults.
+
+    A row whose `brdf` is NaN and that has no flag is flagged "not_measured".
+    """
     import pandas as pd
 
     values = {
@@ -242,6 +283,13 @@ def table(
         frame.insert(6, "sample", _words(sample, count))
     frame["flag"] = _words(flag, count)
     frame.attrs.update(attributes(**attrs))
+    holes = (frame["brdf"].isna() & (frame["flag"] == "")).to_numpy()
+    if holes.any():
+        frame.loc[holes, "flag"] = "not_measured"
+        frame.attrs["notes"] = [
+            *frame.attrs["notes"],
+            f'{holes.sum()} of {count} values are empty: flagged "not_measured"',
+        ]
     return frame
 
 

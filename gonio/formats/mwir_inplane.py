@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.base import Format, csv_table, fold, table
+from gonio.formats.base import Format, column_names, csv_table, fold, table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,7 +41,9 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
     for name, angle, limit in (("theta_i_deg", theta_i, 89.999), ("theta_o_deg", theta_o, 90.0)):
         for row in np.flatnonzero(np.abs(angle) > limit)[:1]:
             raise DataError(f"{cells.where(int(row))}: {name} = {angle[row]:g} lies outside +-90 degrees")
-    brdf = cells.column(_RADIANCE) / (SOURCE_RADIANCE * np.cos(np.deg2rad(theta_i)) * SOURCE_SOLID_ANGLE_SR)
+    brdf = cells.column(_RADIANCE, estimates=True) / (
+        SOURCE_RADIANCE * np.cos(np.deg2rad(theta_i)) * SOURCE_SOLID_ANGLE_SR
+    )
     theta_i, phi_i = fold(theta_i, 0.0)
     theta_r, phi_r = fold(theta_o, 180.0)
     several = list(dict.fromkeys(names))
@@ -72,6 +74,6 @@ FORMAT = Format(
     name="mwir-inplane",
     title="in-plane infrared radiance CSV",
     endings=(".csv",),
-    sniff=lambda head: _RADIANCE.encode() in head.partition(b"\n")[0],
+    sniff=lambda head: _RADIANCE in column_names(head),
     read=read,
 )

@@ -1,4 +1,7 @@
-"""The project's own table: a CSV that a bare `pandas.read_csv` opens, and `<name>.meta.json` beside it."""
+"""The project's own table: a CSV that a bare `pandas.read_csv` opens, and `<name>.meta.json` beside it.
+
+A table made by hand may leave out what it does not know: the four angles and `brdf` are enough.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +17,31 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.base import COLUMNS, POLARISATIONS, Floats, Format, attributes, decode, number, write_bytes
+from gonio.formats.base import (
+    COLUMNS,
+    POLARISATIONS,
+    Floats,
+    Format,
+    attributes,
+    column_names,
+    decode,
+    number,
+    write_bytes,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
 
 _WORDS = ("polarisation", "sample", "flag")
+_DEFAULTS: dict[str, Any] = {
+    "wavelength_nm": math.nan,
+    "polarisation": "unpolarised",
+    "u_brdf": math.nan,
+    "u_random": math.nan,
+    "flag": "",
+}
+"""What a file that lacks the column means."""
+NEEDED = tuple(name for name in COLUMNS if name not in _DEFAULTS)
 
 
 def meta_path(path: str | Path) -> Path:
@@ -29,12 +51,62 @@ def meta_path(path: str | Path) -> Path:
 
 def read(data: bytes, path: Path) -> pd.DataFrame:
     """The table, its numbers to the last bit, and its attributes."""
+    text = decode(data, path)
+    frame = _read_at_once(text)
+    if frame is None:
+        frame = _read_line_by_line(text, path)
+    absent = [name for name in _DEFAULTS if name not in frame.columns]
+    if absent:
+        causes = [name for name in frame.columns if name.startswith("s_")]
+        frame = frame.assign(**{name: _DEFAULTS[name] for name in absent})
+        samples = ["sample"] if "sample" in frame.columns else []
+        frame = frame[[*COLUMNS[:6], *samples, *COLUMNS[6:9], *causes, "flag"]]
+    frame.attrs.update(_read_attrs(path))
+    if absent:
+        shown = ", ".join(absent)
+        frame.attrs["notes"] = [*frame.attrs["notes"], f"the file has no columns {shown}: taken as unknown, or none"]
+    check(frame, lambda row: f"{path}, line {row + 2}")
+    return frame
+
+
+def _read_at_once(text: str) -> pd.DataFrame | None:
+    """The columns of a file without quotes, blank lines and other surprises, quickly; None for any other file."""
     import pandas as pd
 
-    reader = csv.reader(io.StringIO(decode(data, path), newline=""), strict=True)
+    header = text.partition("\n")[0].split(",")
+    lines = text.count("\n") + (not text.endswith("\n"))
+    if '"' in text or "\r" in text or not text.isascii() or text.count(",") != lines * (len(header) - 1):
+        return None
+    try:
+        check_columns(header, "", needed=NEEDED)
+        words = [name for name in _WORDS if name in header]
+        kinds: dict[str, Any] = {name: str if name in words else np.float64 for name in header}
+        empty: Any = {name: ["", "nan", "NaN"] for name in header if name not in words}
+        # exact by default since pandas 3.1, which asks not to say so
+        exact: Any = {"float_precision": "round_trip"} if pd.__version__ < "3.1" else {}
+        frame: pd.DataFrame = pd.read_csv(
+            io.StringIO(text),
+            dtype=kinds,
+            index_col=False,
+            keep_default_na=False,
+            na_values=empty,
+            skip_blank_lines=False,
+            **exact,
+        )
+        check(frame.assign(**{name: value for name, value in _DEFAULTS.items() if name not in header}), str)
+    except (DataError, ValueError, OverflowError, pd.errors.ParserWarning):
+        return None  # the slow reader says what is wrong, and where
+    return frame
+
+
+def _read_line_by_line(text: str, path: Path) -> pd.DataFrame:
+    """The columns of any file, as text and numbers; messages name line and column."""
+    import pandas as pd
+
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
         header = next(reader, [])
-        check_columns(header, f"{path}, line 1")
+        check_columns(header, f"{path}, line 1", needed=NEEDED)
         parts: list[list[Any]] = [[] for _ in header]
         line = 2
         while chunk := list(itertools.islice(reader, 20_000)):
@@ -49,10 +121,7 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
         raise DataError(f"{path}, line {reader.line_num}: {error}") from None
     if line == 2:
         raise DataError(f"{path}: has a header and no rows")
-    frame = pd.DataFrame({name: np.concatenate(part) for name, part in zip(header, parts, strict=True)})
-    frame.attrs.update(_read_attrs(path))
-    check(frame, lambda row: f"{path}, line {row + 2}")
-    return frame
+    return pd.DataFrame({name: np.concatenate(part) for name, part in zip(header, parts, strict=True)})
 
 
 def write(frame: pd.DataFrame, path: Path) -> None:
@@ -67,15 +136,15 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     write_bytes(path, text.encode())
 
 
-def check_columns(header: list[str], where: str) -> None:
-    """`DataError` unless these are the columns of a measurement table, each once."""
-    missing = [name for name in COLUMNS if name not in header]
+def check_columns(header: list[str], where: str, *, needed: tuple[str, ...] = COLUMNS) -> None:
+    """`DataError` unless these are the columns of a measurement table, each once, and the `needed` ones are there."""
+    missing = [name for name in needed if name not in header]
     extra = [n for n in header if n not in COLUMNS and n != "sample" and not (n.startswith("s_") and len(n) > 2)]
     twice = sorted({name for name in header if header.count(name) > 1})
     for names, what in ((missing, "missing"), (extra, "not known"), (twice, "there twice")):
         if names:
             shown = ", ".join(repr(n if len(n) <= 40 else n[:37] + "...") for n in names[:8])
-            known = f"a measurement table has {', '.join(COLUMNS)} and s_<cause>"
+            known = f"a measurement table has {', '.join(NEEDED)}, and may have {', '.join(_DEFAULTS)} and s_<cause>"
             raise DataError(f"{where}: columns {what}: {shown}; {known}")
 
 
@@ -190,7 +259,7 @@ FORMAT = Format(
     name="gonio",
     title="measurement table",
     endings=(".csv",),
-    sniff=lambda head: b"theta_i_deg" in head.partition(b"\n")[0] and b"u_brdf" in head.partition(b"\n")[0],
+    sniff=lambda head: {"theta_i_deg", "brdf"} <= column_names(head),
     read=read,
     write=write,
     carries=frozenset({"uncertainty", "flag"}),

@@ -15,15 +15,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.base import Format, csv_table, fold, table
+from gonio.formats.base import Format, column_names, csv_table, fold, table
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
 def read(data: bytes, path: Path) -> pd.DataFrame:
-    header = data[:4096].partition(b"\n")[0].decode("latin-1")
-    names = [name.strip() for name in header.split(",")]
+    names = column_names(data[:4096])
     value = "fr11" if "fr11" in names else "f_r11"
     azimuth = "phii" if "phii" in names else "phi"
     cells = csv_table(data, path, ["lambda", "thetai", azimuth, "thetar", "phir", value])
@@ -48,14 +47,14 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
         theta_r_deg=theta_r,
         phi_r_deg=phi_r,
         wavelength_nm=np.round(um * 1000.0, 9),
-        brdf=cells.column(value),
+        brdf=cells.column(value, estimates=True),
         attrs={"source_file": str(path), "sample": path.stem, "notes": notes},
     )
 
 
 def _sniff(head: bytes) -> bool:
-    line = head.partition(b"\n")[0].replace(b" ", b"").replace(b'"', b"")
-    return line.startswith(b"lambda,thetai,") and (b",f_r11" in line or b",fr11" in line)
+    names = column_names(head)
+    return {"lambda", "thetai", "thetar"} <= names and not names.isdisjoint(("f_r11", "fr11"))
 
 
 FORMAT = Format(name="nist-mueller", title="NIST Mueller-matrix CSV", endings=(".csv",), sniff=_sniff, read=read)

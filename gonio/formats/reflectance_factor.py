@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.base import Format, csv_table, fold, table, wide, write_bytes
+from gonio.formats.base import Format, column_names, csv_table, fold, table, wide, write_bytes
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,7 +37,7 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
     for name, angle in zip(_ANGLES, (incident, measured), strict=True):
         for row in np.flatnonzero(np.abs(angle) > 90)[:1]:
             raise DataError(f"{cells.where(int(row))}: {name} = {angle[row]:g} lies outside +-90 degrees")
-    factor = np.column_stack([cells.column(name) for name in columns]).ravel()
+    factor = np.column_stack([cells.column(name, estimates=True) for name in columns]).ravel()
     theta_i, phi_i = fold(incident, 0.0)
     theta_r, phi_r = fold(measured, 180.0)
     count = len(columns)
@@ -82,7 +82,7 @@ FORMAT = Format(
     name="reflectance-factor",
     title="reflectance-factor table",
     endings=(".csv",),
-    sniff=lambda head: re.match(rb"(\xef\xbb\xbf)?\s*Incident_angle\s*,\s*Measure_angle\s*,", head) is not None,
+    sniff=lambda head: set(_ANGLES) <= column_names(head),
     read=read,
     write=write,
     carries=frozenset({"flag"}),

@@ -8,7 +8,8 @@ Column 0 of each worksheet holds labels, each further column one measurement: `A
 The blank is a workbook `blank*.xls` beside the sample's: of several, the last one that is not dated after the sample.
 The mirror half-plane is A = -90 with R > 0, and A = +90 with R < 0: dphi = 90 - A for positive R. Around retro the
 receiver stands in the beam: within 10 degrees in R and 30 in azimuth, as the laboratory leaves out, rows are "blocked".
-Directions measured twice are both there. The file states no uncertainties and no solid angles.
+Directions measured twice are both there; those that the blank lacks are "no_blank". The file states no uncertainties
+and no solid angles.
 """
 
 from __future__ import annotations
@@ -41,12 +42,13 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
     else:
         with open(blank, "rb") as stream:
             dark = {tuple(row[:3]): row[3] for row in _measurements(stream.read(MAX_BYTES), blank).tolist()}
-        for k, row in enumerate(rows.tolist()):
-            if tuple(row[:3]) not in dark:
-                asked = f"azimuth {row[0]:g}, incidence {row[1]:g}, receive {row[2]:g}"
-                raise DataError(f"{path}: its blank {blank.name} was not measured at {asked}")
-            signal[k] -= dark[tuple(row[:3])]
+        signal -= [dark.get(tuple(row), math.nan) for row in rows[:, :3].tolist()]
+        alone = int(np.isnan(signal).sum())
+        if alone == len(signal):
+            raise DataError(f"{path}: its blank {blank.name} was measured at none of the file's directions")
         notes.append(f"blank subtracted: {blank.name}")
+        if alone:
+            notes.append(f'{alone} of {len(rows)} directions were not measured with the blank: flagged "no_blank"')
     notes.append("the smallest signal of the file is taken as zero, as the laboratory does")
     notes.append("the file states no uncertainties and no solid angles")
     azimuth, incidence, receive = rows[:, :3].T
@@ -60,8 +62,8 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
         theta_r_deg=theta_r,
         phi_r_deg=phi_r,
         wavelength_nm=650.0,
-        brdf=(signal - signal.min()) / (np.pi * np.cos(np.deg2rad(receive))),
-        flag=np.where(blocked, "blocked", ""),
+        brdf=(signal - np.nanmin(signal)) / (np.pi * np.cos(np.deg2rad(receive))),
+        flag=np.select([blocked, np.isnan(signal)], ["blocked", "no_blank"], ""),
         attrs={"source_file": str(path), "sample": path.stem, "notes": notes},
     )
 

@@ -59,7 +59,7 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
         match = _OURS.match(content)
         if match:
             wavelength = number(match[1], text.where(line), "wavelength_nm")
-        if content.strip() and not content.startswith("#"):
+        if content.strip() and not content.lstrip().startswith("#"):
             lines.append(line)
     file = _Lines(text, lines)
     for keyword, allowed in _WORDS.items():

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gonio import measurement
+from gonio.cli.tables import convert
 from gonio.errors import ConfigError, DataError
 from gonio.formats.base import COLUMNS, fold, plain_degrees, table
 
@@ -281,3 +282,42 @@ def test_sizes_are_bounded_before_anything_is_built(monkeypatch: pytest.MonkeyPa
         measurement.parse(b"theta_i_deg,u_brdf\n" + b"\n" * 300, Path("x.csv"))
     with pytest.raises(DataError, match="larger than 16 MiB, the largest Klems XML"):
         measurement.parse(b"<WindowElement>" + b" " * 2**24, Path("x.xml"))
+
+
+def test_a_table_made_by_hand_needs_only_angles_and_values() -> None:
+    text = "brdf,theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,s_lamp\n0.25,30,0,45,180,1e-3\n0.5,30,0,0,180,2e-3\n"
+    frame = measurement.parse(text.encode(), Path("mine.csv"))
+    assert [name for name in frame.columns if name != "s_lamp"] == list(COLUMNS)
+    assert frame["brdf"].tolist() == [0.25, 0.5]
+    assert frame["wavelength_nm"].isna().all()
+    assert frame["u_brdf"].isna().all()
+    assert set(frame["polarisation"]) == {"unpolarised"}
+    assert set(frame["flag"]) == {""}
+    assert any("no columns wavelength_nm, polarisation, u_brdf, u_random, flag" in n for n in frame.attrs["notes"])
+
+
+@pytest.mark.parametrize("ending", ["\n", "\r\n"])  # the first is read at once, the second line by line
+def test_both_ways_of_reading_agree(ending: str) -> None:
+    frame = example(5, flag=["", "blocked", "", "saturated", ""])
+    frame.loc[1, ["brdf", "u_brdf", "u_random", "s_reference"]] = np.nan
+    text = frame.to_csv(index=False, lineterminator=ending)
+    pd.testing.assert_frame_equal(measurement.parse(text.encode(), Path("t.csv")), frame, check_exact=True)
+    cells = text.splitlines()
+    cells[2] = cells[2].rpartition(",")[0]  # a cell less, and one more in the next line
+    cells[3] += ","
+    with pytest.raises(DataError, match=r"t\.csv, line 3: 10 cells, and the header names 11"):
+        measurement.parse(ending.join(cells).encode() + ending.encode(), Path("t.csv"))
+
+
+def test_one_sample_of_a_file_on_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    frame = example(4)
+    frame.insert(6, "sample", ["tile", "tile: wet", "tile", "tile: wet"])
+    measurement.write(frame, tmp_path / "two.csv")
+    monkeypatch.chdir(tmp_path)
+    assert measurement.split("two.csv:tile: wet") == ("two.csv", "tile: wet")
+    assert measurement.split("two.csv:tile") == ("two.csv", "tile")
+    assert measurement.split("two.csv") == ("two.csv", None)
+    convert("two.csv:tile", Path("tile.astm"))
+    assert measurement.read("tile.astm")["brdf"].tolist() == frame["brdf"].tolist()[::2]
+    with pytest.raises(DataError, match='no sample "dry"'):
+        convert("two.csv:dry", Path("dry.astm"))

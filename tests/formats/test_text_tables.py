@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -88,7 +89,11 @@ def test_astm_says_what_it_has_no_room_for(tmp_path: Path, small: pd.DataFrame) 
         (",-0.000200", "", "line 9: 5 values, and VARS names 6"),
         ("NUM_POINTS 4", "NUM_POINTS 9", "line 11: the file ends after 4 points, and NUM_POINTS is 9"),
         ("500nm", "blue", 'line 6: VARS names "blue"'),
-        ("theta_i,phi_i,theta_s,phi_s,500nm,650.5nm", "theta_i,phi_i,x,y,1nm", "line 6: VARS begins with"),
+        (
+            "theta_i,phi_i,theta_s,phi_s,500nm,650.5nm",
+            "theta_i,phi_i,x,y,1nm",
+            "line 6: VARS names theta_i, phi_i, x, y",
+        ),
     ],
 )
 def test_astm_damage_is_located(old: str, new: str, told: str) -> None:
@@ -192,3 +197,82 @@ def test_reflectance_factor_table(shared: Path) -> None:
         peak = group.loc[group["brdf"].idxmax()]
         assert abs(peak["theta_r_deg"] - theta_i) <= 1  # the step of the table at its peaks
         assert peak["phi_r_deg"] == 180.0
+
+
+def semicolons(text: str) -> str:
+    """As a spreadsheet of a country with decimal commas saves it."""
+    return text.replace(",", ";").replace(".", ",")
+
+
+@pytest.mark.parametrize(
+    ("text", "name"), [(ASTM, "tile.astm"), (NIST, "ptfe.csv"), (MWIR, "metals.csv"), (FACTOR, "paint.csv")]
+)
+def test_line_ends_and_marks_of_other_systems(text: str, name: str) -> None:
+    plain = measurement.parse(text.encode(), Path(name))
+    others = [text.replace("\n", "\r\n"), text.replace("\n", "\r"), "\ufeff" + text]
+    if name.endswith(".csv"):
+        others += [text.replace(",", "\t"), semicolons(text)]
+    for other in others:
+        back = measurement.parse(other.encode(), Path(name))
+        pd.testing.assert_frame_equal(back, plain, check_exact=True)
+    with pytest.raises(DataError, match="byte 0: is text in UTF-16"):
+        measurement.parse(text.encode("utf-16"), Path(name))
+    with pytest.raises(DataError, match="gzip"):
+        measurement.parse(gzip.compress(text.encode()), Path(name + ".gz"))
+
+
+@pytest.mark.parametrize(
+    ("text", "old", "new"),
+    [
+        (ASTM, "500nm,650.5nm", "0.5um , 650.5 nm"),
+        (ASTM, "theta_s,phi_s", "theta_r,phi_r"),
+        (ASTM, "0.174533,0.000000,0.427512", "1.74533e-01,0.000000,4.27512E-1"),
+        (ASTM, "NUM_POINTS 4\n", ""),
+        (NIST, "3.16E-01", "0.316"),
+    ],
+)
+def test_spellings_of_other_instruments(text: str, old: str, new: str) -> None:
+    assert old in text
+    plain, other = (measurement.parse(t.encode(), Path("tile")) for t in (text, text.replace(old, new)))
+    pd.testing.assert_frame_equal(other, plain, check_exact=True)
+
+
+@pytest.mark.parametrize("text", [ASTM, NIST, MWIR, FACTOR])
+def test_columns_are_found_by_name(text: str) -> None:
+    """The last column first: the order of columns means nothing."""
+    plain = measurement.parse(text.encode(), Path("tile"))
+    lines = []
+    for line in text.splitlines():
+        head, space, cells = line.rpartition("VARS ")
+        first, _, last = cells.rpartition(",")
+        lines.append(f"{head}{space}{last},{first}" if first and "line" not in line else line)
+    other = measurement.parse("\n".join(lines).encode(), Path("tile"))
+    keys = ["theta_i_deg", "theta_r_deg", "phi_r_deg", "wavelength_nm"]
+    first, second = (f.sort_values(keys, ignore_index=True) for f in (plain, other))
+    pd.testing.assert_frame_equal(second, first, check_exact=True)
+
+
+@pytest.mark.parametrize(("text", "cell"), [(ASTM, "0.250000"), (NIST, "3.10E-01"), (MWIR, "2.0"), (FACTOR, "0.7")])
+@pytest.mark.parametrize("hole", ["", "nan", " NaN"])
+def test_an_empty_cell_is_a_hole_and_not_the_end(text: str, cell: str, hole: str) -> None:
+    frame = measurement.parse(text.replace(cell, hole).encode(), Path("tile"))
+    (row,) = np.flatnonzero(frame["brdf"].isna())
+    assert frame["flag"][row] == "not_measured"
+    assert any("1 of" in note for note in frame.attrs["notes"])
+    with pytest.raises(DataError, match="not a number"):  # a hole among the angles is no direction
+        measurement.parse(
+            text.replace("10,-30,", f"{hole},-30,")
+            .replace("-45,0,0.001", f"{hole},0,0.001")
+            .replace("15,60", f"{hole},60")
+            .replace("0.174533,0.000000,0.4", f"{hole},0.000000,0.4")
+            .encode(),
+            Path("tile"),
+        )
+
+
+def test_an_astm_file_of_one_unnamed_band() -> None:
+    text = "VARS theta_i,phi_i,theta_s,phi_s,BRDF\n0.5 0.0 0.5 3.141593 0.25\n0.5 0.0 0.2 3.141593 -1e-4\n"
+    frame = measurement.parse(text.encode(), Path("tile.astm"))
+    assert frame["brdf"].tolist() == [0.25, -1e-4]
+    assert frame["wavelength_nm"].isna().all()
+    assert any("no wavelength" in note for note in frame.attrs["notes"])
