@@ -29,6 +29,9 @@ Array = npt.NDArray[np.float64]
 
 STANDS_OUT = 0.05
 """A curve has a spike where it exceeds its lobe by more than this part of it and three times its noise."""
+EDGE = 1e-3
+"""A spike that overlaps the lens less on average is not looked for. Points at the edge alone tell its height badly, and
+their uncertainty says so: the variance of their overlap is a multiple of its square."""
 TOGETHER = 1e-4
 """Points whose nominal angles of incidence differ by less [rad] belong to one curve."""
 NARROWEST = math.radians(0.2)
@@ -187,14 +190,15 @@ class Curves:
         reach = sum(self._half_angles)
         outside = line[self._offset[line] > reach + np.radians(0.05)]
         inside = line[self._offset[line] <= reach + np.radians(0.05)]
-        if inside.size == 0 or outside.size < 4 or reach <= 0 or np.sum(shares[line] ** 2) < 0.01:
+        if inside.size == 0 or outside.size < 4 or reach <= 0 or np.max(shares[inside]) < EDGE:
             return
         lobe = np.array([_cubic(self._x[k], self._x[outside], self.lobe[outside]) for k in inside])
         excess, ratio = self.lobe[inside] - lobe, shares[inside]
         weight = float(np.sum(ratio**2))
         amplitude, u_amplitude = float(np.sum(excess * ratio)) / weight, float(np.sum((u[inside] * ratio) ** 2)) ** 0.5
         u_amplitude /= weight
-        if amplitude > max(3 * u_amplitude, STANDS_OUT * float(np.max(np.abs(lobe)))):
+        seen = amplitude * float(np.max(ratio))
+        if amplitude > 3 * u_amplitude and seen > STANDS_OUT * float(np.max(np.abs(lobe))):
             self.spike[line] = amplitude
             self.lobe[inside] = lobe
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -168,8 +169,30 @@ def _open(rig: RigChoice, out: Path, sample: SampleDescription | None, seed: int
             f'the rig "{rig.source}" has its white reference swapped by hand ([reference] how), and there is no '
             "terminal to ask for it; --yes measures without asking"
         )
+    _check_patches(rig, sample)
     if resume and begun(out):
         check_writable(out)
     else:
         check_new(out)
     return device
+
+
+def _check_patches(rig: RigChoice, sample: SampleDescription | None) -> None:
+    """The measured patch must lie on the sample, and that of the reference on the reference alone."""
+    description = rig.description
+    reference, patch = description.reference, description.acquisition.roi_radius_mm
+    diameter = (sample and sample.diameter_mm) or description.holder.sample_diameter_mm
+    for name, size in (("sample", diameter), ("white reference", reference.diameter_mm)):
+        if size < 2 * patch:
+            raise ConfigError(
+                f"{rig.source}: the measured patch ([acquisition] roi_radius_mm = {patch:g}) is larger than the {name} "
+                f"({size:g} mm in diameter): the plate around it would count as {name}"
+            )
+    distance = math.hypot(*reference.offset_mm)
+    if reference.how == "beside" and distance < diameter / 2 + patch:
+        x, y = reference.offset_mm
+        raise ConfigError(
+            f"{rig.source}: [reference] offset_mm = [{x:g}, {y:g}] puts the patch of the reference on the sample: "
+            f"beside a sample of {diameter:g} mm its centre lies at least {diameter / 2 + patch:g} mm from the "
+            "sample's centre (and the frame must hold both)"
+        )

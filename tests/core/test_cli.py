@@ -64,6 +64,26 @@ def test_plan_show_tells_what_cannot_be_measured_and_how_long_it_takes(tmp_path:
     assert "visits to the white reference; about" in on_rig.stdout
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('how = "swap"', 'how = "beside"', "offset_mm = [0, 0] puts the patch of the reference on the sample"),
+        ("roi_radius_mm = 0.8", "roi_radius_mm = 11.0", "is larger than the sample (20 mm in diameter)"),
+        ("diameter_mm = 20.0\n\n[bands]", "diameter_mm = 1.5\n\n[bands]", "is larger than the white reference (1.5 mm"),
+    ],
+)
+def test_a_patch_that_is_not_on_its_surface_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
+    shown = plugins.load("gonio.rigs", "sim").toml
+    assert shown.count(old) == 1
+    (tmp_path / "mine.toml").write_text(shown.replace(old, new))
+    (tmp_path / "plan.toml").write_text(PLAN)
+    (tmp_path / "s.toml").write_text('name = "grey"\nmodel = "lambert"\n')
+    out = gonio(tmp_path, "measure", "plan.toml", "--rig", "mine.toml", "--sample", "s.toml", "--out", "run")
+    assert out.returncode == 2
+    assert words in " ".join(out.stderr.split())
+    assert not (tmp_path / "run").exists()
+
+
 def test_a_shown_rig_can_be_used_as_a_file(tmp_path: Path) -> None:
     shown = gonio(tmp_path, "rig", "show", "sim")
     assert shown.returncode == 0

@@ -246,3 +246,16 @@ def test_a_patch_turns_the_mirror_direction() -> None:
     # of an even disc: <r^2> = R^2 / 2; in y nothing is foreshortened
     expected = 0.8 / 2 * (1 / 1000 + 1 / 700)
     assert float(np.sqrt(np.mean(patch[:, 1] ** 2))) == pytest.approx(expected, rel=0.03)
+
+
+def test_a_spike_of_which_only_the_edge_was_met_is_uncertain_by_what_it_added() -> None:
+    """The one point of a coarse curve near the mirror direction lies where errors of the angles make the overlap."""
+    goals = [at(40.0, r) for r in (*range(-80, 40, 8), 39.0, *range(48, 81, 8))]
+    shares, edge = np.zeros((len(goals), 2)), 15
+    shares[edge] = blurred_overlap(goals[edge], [moved(goals[edge], r=math.radians(0.03))], (HALF, HALF))
+    f = np.full(len(goals), 0.2)
+    f[edge] += 3.0
+    model = Curves(goals, goals, f, 1e-3 * f, (HALF, HALF), shares)
+    # half of the places that the errors leave see no spike at all: the excess is as uncertain as it is large
+    assert model.spike_variance[edge] ** 0.5 > 3.0
+    assert model.lobe[edge] == pytest.approx(0.2, rel=1e-12)  # a constant lobe
