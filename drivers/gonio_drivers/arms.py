@@ -13,7 +13,7 @@ import logging
 import math
 import statistics
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from types import TracebackType
 from typing import NoReturn, Self
@@ -75,7 +75,7 @@ class Joint:
     health: Health | None = None
     stood_at: int | None = None
     """Count that was read where it landed."""
-    landed_at: int | None = None
+    landed_at: float | None = None
     """Goal [counts] that the axis stands at, reached from below; None where it may have been moved since."""
 
     @property
@@ -120,8 +120,8 @@ class Report:
 class Landing:
     """How far a joint has come on its way."""
 
-    goal: int
-    """Where it shall stand."""
+    goal: float
+    """Where it shall stand [counts]."""
     sent: int
     """What the servo was told, with the corrections so far."""
     corrections: int = 0
@@ -306,15 +306,19 @@ class ServoArms:
             if joint.stood_at is not None and abs(report.position - joint.stood_at) > STILL_COUNTS:
                 self._fail(
                     f"axis {name} has moved by itself, from {joint.to_deg(joint.stood_at):.2f} to "
-                    f"{joint.to_deg(report.position):.2f} deg"
+                    f"{joint.to_deg(report.position):.2f} deg; all axes are stopped"
                 )
             if report.profile != joint.profile:
-                self._fail(f"axis {name}: servo id {joint.id} has restarted by itself")
+                self._fail(f"axis {name}: servo id {joint.id} has restarted by itself; all axes are stopped")
+        try:
+            self._require_torque(self.joints)
+        except DeviceError as failure:
+            self._fail(str(failure))
 
     def _fail(self, message: str) -> NoReturn:
         self.stop()
         self.faulted = True
-        raise DeviceError(f"{message}; all axes are stopped")
+        raise DeviceError(message)
 
     # ---- setting up ----
 
@@ -348,11 +352,10 @@ class ServoArms:
     def _prepare(self, joint: Joint) -> None:
         """Bring one servo into the state that moves rely on; it does not turn meanwhile."""
         level = joint.table["Status Return Level"]
-        if self._get(joint, "Status Return Level") != 2:
-            self.bus.write_all(level.address, {joint.id: b"\x02"})
+        self.bus.write_all(level.address, {joint.id: b"\x02"})  # before any question: it may answer nothing but pings
         self._complain(joint)
         wanted = {"Operating Mode": POSITION_MODE, "Drive Mode": 0, "Homing Offset": 0}
-        if joint.servo.current_limit is not None and "Current Limit" in joint.table:
+        if joint.servo.current_limit is not None:
             wanted["Current Limit"] = joint.servo.current_limit
         wrong = {name: value for name, value in wanted.items() if self._get(joint, name) != value}
         if wrong:
@@ -418,15 +421,16 @@ class ServoArms:
 
     def _approach(self, goals: Mapping[str, float]) -> None:
         """To a point below each goal, where that is needed, and from there up to the goals."""
-        finals = {name: round(self.joints[name].to_count(angle)) for name, angle in goals.items()}
+        finals = {name: self.joints[name].to_count(angle) for name, angle in goals.items()}
         reports = self._reports()
-        below, ups = {}, {}
+        below: dict[str, float] = {}
+        ups: dict[str, float] = {}
         for name, final in finals.items():
             joint = self.joints[name]
             if joint.landed_at == final and self._error_deg(joint, final, reports[name].position) <= self._tolerance:
                 continue
             ups[name] = final
-            start = round(joint.to_count(goals[name] - self._approach_deg))
+            start = joint.to_count(goals[name] - self._approach_deg)
             if joint.to_deg(reports[name].position) > joint.to_deg(start) + self._tolerance:
                 below[name] = start
         for name in ups:
@@ -443,14 +447,14 @@ class ServoArms:
         return self._servos.tolerance_deg
 
     @staticmethod
-    def _error_deg(joint: Joint, goal: int, position: int) -> float:
+    def _error_deg(joint: Joint, goal: float, position: float) -> float:
         return abs((position - goal) / joint.counts_per_deg)
 
-    def _land(self, goals: Mapping[str, int], *, exact: bool) -> None:
+    def _land(self, goals: Mapping[str, float], *, exact: bool) -> None:
         """Drive to counts, all axes at once, until every one has landed (`exact`) or come to rest close by."""
         start = time.monotonic()
         before = self._reports()
-        landings = {name: Landing(goal, goal, since=start) for name, goal in goals.items()}
+        landings = {name: Landing(goal, round(goal), since=start) for name, goal in goals.items()}
         self._send({name: landing.sent for name, landing in landings.items()})
         allowed = max(self._duration(name, before[name].position, goal) for name, goal in goals.items())
         deadline = start + 2 * allowed + GRACE_S
@@ -464,8 +468,7 @@ class ServoArms:
             if now > deadline:
                 late = ", ".join(self._state(n, x, reports[n]) for n, x in landings.items() if not x.done)
                 raise DeviceError(f"no landing within {deadline - start:.1f} s: {late}; all axes are stopped")
-        for name in goals:
-            self._require_torque(self.joints[name])
+        self._require_torque(goals)
 
     def _watch(self, joint: Joint, landing: Landing, report: Report, now: float, *, exact: bool) -> None:
         """One look at an axis on its way: has it landed, does it need a correction, is it stuck?"""
@@ -480,7 +483,7 @@ class ServoArms:
         if not landing.seen or abs(report.position - landing.seen[0]) > STILL_COUNTS or report.moving:
             landing.seen, landing.since = [], now
         landing.seen.append(report.position)
-        position = round(statistics.fmean(landing.seen[-AVERAGED:]))
+        position = statistics.fmean(landing.seen[-AVERAGED:])
         error = self._error_deg(joint, landing.goal, position)
         still = now - landing.since
         if not report.moving and still >= self._servos.settle_s:
@@ -494,10 +497,10 @@ class ServoArms:
         if still > STALL_S:
             raise DeviceError(f"{self._state(joint.name, landing, report)}: it is stuck; all axes are stopped")
 
-    def _correct(self, joint: Joint, landing: Landing, position: int, now: float, *, exact: bool) -> None:
+    def _correct(self, joint: Joint, landing: Landing, position: float, now: float, *, exact: bool) -> None:
         """A new goal that makes up for what is missing; from below again where the axis went too far."""
         landing.corrections += 1
-        miss = landing.goal - position
+        miss = round(landing.goal - position)
         short = miss * joint.counts_per_deg > 0
         landing.sent += miss
         lower, upper = joint.count_limits
@@ -528,7 +531,7 @@ class ServoArms:
         self._write(joint, "Goal Position", landing.sent)
         landing.seen, landing.since = [], time.monotonic()
 
-    def _duration(self, name: str, position: int, goal: int) -> float:
+    def _duration(self, name: str, position: float, goal: float) -> float:
         """How long a way should take at the axis's speed and acceleration [s]."""
         joint = self.joints[name]
         way = self._error_deg(joint, goal, position)
@@ -590,18 +593,27 @@ class ServoArms:
                 f"axis {joint.name}: servo id {joint.id} has {health.voltage_v:.1f} V, needs {low:.1f} to {high:.1f} V"
             )
 
-    def _complain(self, joint: Joint) -> None:
+    def _complain(self, joint: Joint, byte: int | None = None) -> None:
         """Raise what the hardware-error byte says, if it says something."""
-        byte = self._get(joint, "Hardware Error Status")
+        byte = self._get(joint, "Hardware Error Status") if byte is None else byte
         if byte:
             raise DeviceError(
                 f"axis {joint.name}: servo id {joint.id} reports: {dynamixel.hardware_error(byte)}; remove the cause, "
                 "then switch the servo power off and on"
             )
 
-    def _require_torque(self, joint: Joint) -> None:
-        if self._get(joint, "Torque Enable") != 1:
-            raise DeviceError(f"axis {joint.name}: servo id {joint.id} has let go of its torque; all axes are stopped")
+    def _require_torque(self, names: Iterable[str]) -> None:
+        """Raise where a servo has an error in its hardware-error byte, or holds nothing any more."""
+        joints = [self.joints[name] for name in names]
+        table = joints[0].table  # these items have the same addresses in every model of the X series
+        torque, error = table["Torque Enable"], table["Hardware Error Status"]
+        blocks = self.bus.read_all([j.id for j in joints], torque.address, error.address + error.size - torque.address)
+        for joint in joints:
+            self._complain(joint, error.decode(blocks[joint.id], torque.address))
+            if torque.decode(blocks[joint.id], torque.address) != 1:
+                raise DeviceError(
+                    f"axis {joint.name}: servo id {joint.id} has let go of its torque; all axes are stopped"
+                )
 
     def _get(self, joint: Joint, name: str) -> int:
         item = joint.table[name]
@@ -638,6 +650,7 @@ def _joint(
     if "Profile Acceleration" not in table:
         raise ConfigError(f'devices.servos.axes.{name}.model = "{servo.model}" is no servo of the X series')
     joint = Joint(name, servo, axis, limits, table)
+    _check_current_limit(joint)
     ends = sorted((joint.to_count(limits[0] - approach_deg), joint.to_count(limits[1])))
     if ends[0] < 0 or ends[1] > COUNTS - 1:
         raise ConfigError(
@@ -654,6 +667,7 @@ def _changer(changer: settings.Changer, approach_deg: float) -> Joint:
     axis = Axis(speed_deg_per_s=changer.speed_deg_per_s)
     table = dynamixel.control_table(changer.model)
     joint = Joint("changer", changer, axis, (ends[0], ends[1]), table)
+    _check_current_limit(joint)
     counts = sorted((joint.to_count(ends[0] - approach_deg), joint.to_count(ends[1])))
     if counts[0] < 0 or counts[1] > COUNTS - 1:
         raise ConfigError(
@@ -661,6 +675,14 @@ def _changer(changer: settings.Changer, approach_deg: float) -> Joint:
             f"mode has 0 to {COUNTS - 1}"
         )
     return joint
+
+
+def _check_current_limit(joint: Joint) -> None:
+    if joint.servo.current_limit is not None and "Current Limit" not in joint.table:
+        raise ConfigError(
+            f"{joint.key}.current_limit = {joint.servo.current_limit}: a {joint.servo.model} has no current limit; "
+            "leave the key out"
+        )
 
 
 def _listed(found: Mapping[int, tuple[int, int]]) -> str:

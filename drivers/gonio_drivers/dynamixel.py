@@ -12,7 +12,8 @@ What is handled, and where:
   length that a reply announces must be the length that was asked for;
 - values are unsigned: `Item.decode` extends the sign;
 - open errors raise raw exceptions and nothing locks the port: `ExclusivePort` locks it at every (re)opening;
-- the SDK spins while it waits: `ExclusivePort` sleeps until bytes arrive.
+- the SDK spins while it waits: `ExclusivePort` sleeps until bytes arrive;
+- it drops bytes that belong to no answer without a word: `ExclusivePort` counts them, and they are told.
 """
 
 from __future__ import annotations
@@ -137,6 +138,8 @@ class ExclusivePort(PortHandler):  # type: ignore[misc]
 
     is_open: bool
     packet_timeout: float
+    received = 0
+    """Bytes since the last request was sent, and what lay there unasked before it."""
 
     def setupPort(self, cflag_baud: int) -> bool:
         """Open the port (again) at a line speed, with the lock taken again."""
@@ -166,7 +169,14 @@ class ExclusivePort(PortHandler):  # type: ignore[misc]
             return b""
         if not self.ser.in_waiting:
             select.select([self.ser.fileno()], [], [], WAIT_S)
-        return bytes(self.ser.read(length))
+        data = bytes(self.ser.read(length))
+        self.received += len(data)
+        return data
+
+    def clearPort(self) -> None:
+        """Drop what nobody has asked for."""
+        self.received = self.ser.in_waiting
+        super().clearPort()
 
 
 class Bus:
@@ -190,6 +200,8 @@ class Bus:
         """Ids whose last status packet had the alert bit."""
         self.recovered = 0
         """Failures that a repetition has mended."""
+        self.noisy = 0
+        """Answers with bytes beside them that belong to none."""
         self._port = ExclusivePort(port)
         self._packets = Protocol2PacketHandler()
         self._lock = threading.RLock()
@@ -201,18 +213,23 @@ class Bus:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._port.is_open:
-            self._port.closePort()
-        self._port.is_using = False
+        self.close()
 
     def set_baud(self, baud: int) -> None:
         """Open the port at a line speed; the lock is taken anew."""
+        ports.require_free(self.port, f"{self.key}.port")
         try:
             if not self._port.setBaudRate(baud):
                 known = ", ".join(map(str, BAUD_RATES))
                 raise ConfigError(f"{self.key}.baud = {baud}: the SDK has no such line speed; it has {known}")
         except ports.FAILURES as error:
             raise ports.unopened(self.port, error, f"{self.key}.port") from None
+
+    def close(self) -> None:
+        """Close the port, and free it whatever was going on."""
+        if self._port.is_open:
+            self._port.closePort()
+        self._port.is_using = False
 
     # ---- one servo ----
 
@@ -335,6 +352,7 @@ class Bus:
             self._port.is_using = False
         if result != COMM_SUCCESS:
             raise BusError(f"servo id {identity} on {self.port} at {self.baud} baud: {_comm(result)}")
+        self._tell_noise(self._port.received - len(reply))
         return self._data(identity, reply, expected)
 
     def _data(self, identity: int, reply: list[int], expected: int) -> bytes:
@@ -360,14 +378,26 @@ class Bus:
         self._port.is_using = False
         result = self._packets.syncReadTx(self._port, address, size, ids, len(ids), False)
         blocks: dict[int, bytes] = {}
+        answered = 0
         while result == COMM_SUCCESS and len(blocks) < len(ids):
             reply, result = self._packets.rxPacket(self._port, False)
+            answered += len(reply)
             if result == COMM_SUCCESS and reply[4] in ids:
                 try:
                     blocks[reply[4]] = self._data(reply[4], reply, size)
                 except BusError:
                     return blocks  # the caller reads the rest one by one
+        if result == COMM_SUCCESS:
+            self._tell_noise(self._port.received - answered)
         return blocks
+
+    def _tell_noise(self, stray: int) -> None:
+        """Say that there was noise; of a line that is always noisy at the 1st, 2nd, 4th, 8th ... time."""
+        if stray > 0:
+            self.noisy += 1
+            if self.noisy & (self.noisy - 1) == 0:
+                times = "for the first time" if self.noisy == 1 else f"for the {self.noisy}th time"
+                log.warning("servo bus %s: %d stray bytes beside an answer, %s; passed over", self.port, stray, times)
 
     def _calm(self, quiet_s: float) -> None:
         """Let late replies come, and drop them."""

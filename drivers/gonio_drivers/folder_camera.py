@@ -65,6 +65,7 @@ class FolderCamera:
             raise ConfigError(f'devices.camera.folder = "{self._folder}": there is no such folder')
         trigger = self._camera.trigger
         if trigger.how == "serial":
+            ports.require_free(trigger.port, "devices.camera.trigger.port")
             try:
                 self._release = serial.Serial(
                     trigger.port, int(trigger.baud), timeout=2.0, write_timeout=1.0, exclusive=True

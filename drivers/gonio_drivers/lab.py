@@ -34,6 +34,11 @@ PROMPTS = {
     "sample": "Put the sample back into the holder, then press Enter: ",
 }
 RETAKES = 3
+ENDING = (
+    signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM, signal.SIGVTALRM,
+    signal.SIGPROF, signal.SIGXCPU,
+)  # fmt: skip
+"""Signals that would end the process with the lamp lit; Ctrl-C is an exception in Python already."""
 
 
 class GuardedCamera:
@@ -127,11 +132,11 @@ class LabRig:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         failure: GonioError | None = None
-        try:
-            self.light.off()
-        except GonioError as dark:
-            failure = dark
-        try:
+        try:  # whatever interrupts this, the stack still darkens the lamp and takes the torque off
+            try:
+                self.light.off()
+            except GonioError as dark:
+                failure = dark
             stopped = self.arms.stopped and not isinstance(error, DeviceError)  # by somebody, and not after a failure
             if not self.arms.faulted and not stopped:
                 self.arms.park()
@@ -147,14 +152,16 @@ class LabRig:
 
 @contextlib.contextmanager
 def _signals() -> Any:
-    """While nobody else listens, let SIGTERM and SIGHUP leave the rig in order: lamp dark, arms parked."""
+    """While nobody else listens, signals that would end the process leave the rig in order: lamp dark, arms parked."""
 
     def leave(number: int, frame: FrameType | None) -> None:
-        raise Interrupted(f"stopped by {signal.Signals(number).name}")
+        for other in mine:  # once: a second one must not disturb the parking
+            signal.signal(other, signal.SIG_IGN)
+        raise Interrupted(f"stopped by {signal.Signals(number).name}; lamp dark")
 
-    mine = []
+    mine: list[signal.Signals] = []
     if threading.current_thread() is threading.main_thread():
-        mine = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is signal.SIG_DFL]
+        mine = [n for n in ENDING if signal.getsignal(n) is signal.SIG_DFL]
     for number in mine:
         signal.signal(number, leave)
     try:

@@ -137,6 +137,7 @@ class SerialLight:
                 raise ConfigError(f'devices.light.channels."{name}": the rig has no such band; it has {known}')
 
     def __enter__(self) -> Self:
+        ports.require_free(self._light.port, "devices.light.port")
         try:
             self._port = serial.Serial(
                 self._light.port,

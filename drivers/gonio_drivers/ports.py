@@ -15,6 +15,9 @@ FAILURES = (serial.SerialException, OSError, termios.error)
 """What a serial port raises that does not open, or goes away."""
 
 
+MASTERS = {"/dev/ptmx", "/dev/pts/ptmx"}
+
+
 def unopened(port: str, error: Exception, key: str) -> DeviceError:
     """What to tell a person whose port did not open; `key` is where the port was written."""
     said = f'{key} = "{port}"'
@@ -31,6 +34,12 @@ def unopened(port: str, error: Exception, key: str) -> DeviceError:
     if number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in text:
         return DeviceError(f"{said}: the port is taken{_holder(port)}; end what holds it, then try again")
     return DeviceError(f"{said}: cannot be opened as a serial port: {text}")
+
+
+def require_free(port: str, key: str) -> None:
+    """Raise `DeviceError` where another process has a port open: few programs take or heed a lock."""
+    if holder := _holder(port):
+        raise DeviceError(f'{key} = "{port}": the port is taken{holder}; end what holds it, then try again')
 
 
 def lost(port: str, error: Exception, key: str) -> DeviceError:
@@ -57,14 +66,18 @@ def _group(port: str) -> str:
 
 
 def _holder(port: str) -> str:
-    """The other processes that have a port open, as far as they can be seen."""
+    """The other processes that have a port open, as far as they can be seen.
+
+    A process that has the other end of a pseudo-terminal is the device, and no rival for it.
+    """
     target = os.path.realpath(port)
     holders = []
     for process in Path("/proc").glob("[0-9]*"):
         if process.name == str(os.getpid()):
             continue
         try:
-            if any(os.path.realpath(link) == target for link in (process / "fd").iterdir()):
+            opened = {os.readlink(link) for link in (process / "fd").iterdir()}
+            if target in opened and not opened & MASTERS:
                 holders.append(f"process {process.name} ({(process / 'comm').read_text().strip()})")
         except OSError:
             continue  # another user's process, or one that has just ended

@@ -122,11 +122,13 @@ class UvcCamera:
                 break
             if time.monotonic() - begin > 10 * exposure_s + 5.0:
                 raise DeviceError(f"the video camera {self._camera.device} gives only old frames")
-        grey = image if image.ndim == 2 else image[..., 1]
+        # unconverted YUYV has its luminance first; a converted frame is blue, green, red, and green is nearest to it
+        grey = image if image.ndim == 2 else image[..., 0 if image.shape[2] == 2 else 1]
         if grey.shape != (self._description.height, self._description.width):
             raise DeviceError(
                 f"the video camera gives {grey.shape[1]} x {grey.shape[0]} pixels; the rig file says "
-                f"{self._description.width} x {self._description.height}"
+                f"{self._description.width} x {self._description.height} (a compressed format, MJPG, is not decoded: "
+                "set the camera to YUYV, GREY or Y16)"
             )
         return np.asarray(grey)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import pty
+import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -96,11 +97,13 @@ def test_leaving(line: Line, on_exit: str, torque: bool) -> None:
 def test_wrong_modes_offsets_and_silence_are_put_right(line: Line) -> None:
     line.servos[1].write(11, b"\x01")  # velocity mode
     line.servos[2].write(20, (100).to_bytes(4, "little"))  # homing offset
+    line.servos[2].write(68, b"\x00")  # answers nothing but pings
     line.servos[3].write(68, b"\x01")  # answers reads only
     with ServoArms(describe(), servos(line.port, light={"current_limit": 500})):
         assert line.servos[1].get("Operating Mode") == 3
         assert line.servos[1].get("Current Limit") == 500
         assert line.servos[2].get("Homing Offset") == 0
+        assert line.servos[2].get("Status Return Level") == 2
         assert line.servos[3].get("Status Return Level") == 2
 
 
@@ -162,6 +165,16 @@ def test_the_lock_is_held_after_a_change_of_speed(line: Line) -> None:
             serial.Serial(line.port, exclusive=True)
 
 
+def test_a_program_that_takes_no_lock_is_named(line: Line) -> None:
+    rival = subprocess.Popen(["sleep", "60"], stdin=os.open(line.port, os.O_RDWR | os.O_NOCTTY))
+    try:
+        with pytest.raises(DeviceError, match=rf"taken by process {rival.pid} \(sleep\)"), Bus(line.port, BAUD):
+            pass
+    finally:
+        rival.kill()
+        rival.wait()
+
+
 def test_no_permission(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(**_: object) -> None:
         raise serial.SerialException(13, "could not open port: [Errno 13] Permission denied")
@@ -204,6 +217,11 @@ def test_limits_refuse_and_move_nothing(arms: ServoArms, line: Line) -> None:
     with pytest.raises(ConfigError, match=r"finite"):
         arms.move(Pose(light=math.nan))
     assert [servo.shaft()[0] for servo in line.servos.values()] == before
+
+
+def test_a_current_limit_for_a_servo_that_has_none() -> None:
+    with pytest.raises(ConfigError, match=r"axes\.tilt\.current_limit = 300: a xl430-w250 has no current limit"):
+        ServoArms(describe(), servos("/dev/null", tilt={"model": "xl430-w250", "current_limit": 300}))
 
 
 def test_limits_beyond_a_turn_of_the_servo() -> None:
@@ -357,6 +375,24 @@ def test_an_axis_that_moves_by_itself_is_noticed(arms: ServoArms, line: Line) ->
         arms.still()
 
 
+def test_an_axis_that_has_let_go_is_noticed(arms: ServoArms, line: Line) -> None:
+    arms.move(pose(0, 0, 0))
+    line.servos[3].write(64, b"\x00")
+    with pytest.raises(DeviceError, match=r"axis tilt: servo id 3 has let go of its torque"):
+        arms.still()
+    assert at_rest(line)
+
+
+def test_the_hardware_error_byte_is_read_after_every_move_alert_or_not(
+    arms: ServoArms, line: Line, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arms.move(pose(0, 0, 0))
+    monkeypatch.setattr(type(line.servos[1]), "error", 0)  # a firmware that forgets the alert bit
+    line.servos[1]._put("Hardware Error Status", 0x08)
+    with pytest.raises(DeviceError, match=r"axis light: servo id 1 reports: encoder or motor fault"):
+        arms.move(pose(5, 0, 0))
+
+
 # ---- the SDK's pitfalls ----
 
 
@@ -376,6 +412,17 @@ def test_a_late_reply_is_not_the_answer_to_the_next_request(line: Line) -> None:
         position = int.from_bytes(bus.read(1, 132, 4), "little")
         acceleration = int.from_bytes(bus.read(1, 108, 4), "little")
     assert (position, acceleration) == (1500, 0)
+
+
+def test_noise_is_passed_over_and_told(line: Line, caplog: pytest.LogCaptureFixture) -> None:
+    with Bus(line.port, BAUD) as bus:
+        for _ in range(5):
+            line.faults.arm("noise")
+            assert bus.read(2, 132, 4) == (2000).to_bytes(4, "little")
+        line.peer.send(b"\x55\xaa")  # between packets
+        assert len(bus.read_all([1, 2, 3], 132, 4)) == 3
+        assert bus.noisy == 6
+    assert [record.args[1] for record in caplog.records] == [7, 7, 7]  # the first, the second and the fourth time
 
 
 def test_an_exception_in_a_transaction_leaves_the_port_free(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:

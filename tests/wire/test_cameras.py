@@ -229,6 +229,12 @@ def test_a_video_frame_is_fresh_manual_and_linear(response: str) -> None:
     assert frame.exposure_s == pytest.approx(0.006)
 
 
+def test_the_luminance_of_a_frame_that_is_not_converted_is_used(response: str) -> None:
+    yuyv = VideoStandIn(lambda exposure_s: np.dstack([images(exposure_s), np.full(SIZE, 128, np.uint8)]))
+    with video(yuyv, response) as camera, video(VideoStandIn(images), response) as grey:
+        assert (camera.capture(0.006).mosaic == grey.capture(0.006).mosaic).all()
+
+
 @pytest.mark.parametrize(
     ("stubborn", "what"),
     [(cv2.CAP_PROP_EXPOSURE, "exposure = 60"), (cv2.CAP_PROP_AUTO_EXPOSURE, "automatic exposure"),

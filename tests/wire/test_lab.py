@@ -194,13 +194,34 @@ def test_two_stop_every_axis_at_once_and_darken(bench: Bench, tmp_path: Path) ->
     assert math.degrees(bench.followers["camera"].true()) < 80  # not parked
 
 
-def test_a_signal_leaves_the_rig_dark(bench: Bench) -> None:
-    with pytest.raises(Interrupted, match="SIGTERM"), opened(bench) as rig:  # noqa: PT012
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGQUIT])
+def test_a_signal_leaves_the_rig_dark(bench: Bench, number: signal.Signals) -> None:
+    with pytest.raises(Interrupted, match=number.name), opened(bench) as rig:  # noqa: PT012
         rig.light.select(rig.description.bands.all()[0])
         rig.light.on()
         assert bench.lamp.shine.lit
-        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), number)
     assert bench.quiet
+    assert signal.getsignal(number) is signal.SIG_DFL
+
+
+def test_a_second_ctrl_c_while_leaving_still_darkens_and_frees(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = opened(bench)
+    rig.__enter__()
+    rig.light.on()
+    real, calls = rig.light.off, []
+
+    def interrupted() -> None:
+        calls.append(1)
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+        real()
+
+    monkeypatch.setattr(rig.light, "off", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        rig.__exit__(None, None, None)
+    assert bench.quiet
+    assert not any(servo.torque for servo in bench.servos.values())
 
 
 def test_an_error_of_anybody_leaves_the_rig_dark(bench: Bench) -> None:

@@ -35,7 +35,8 @@ SIGNED = frozenset(
 
 RANGES = {  # smallest and largest value that an item takes at all (Data Range Error beyond)
     "ID": (0, 252), "Baud Rate": (0, 7), "Return Delay Time": (0, 254), "Secondary(Shadow) ID": (0, 255),
-    "Homing Offset": (-1_044_479, 1_044_479), "Moving Threshold": (0, 1023), "Temperature Limit": (0, 100),
+    "Homing Offset": (-1_044_479, 1_044_479), "Moving Threshold": (0, 1023), "Protocol Type": (2, 2),
+    "Temperature Limit": (0, 100),
     "Max Voltage Limit": (95, 160), "Min Voltage Limit": (95, 160), "PWM Limit": (0, 885), "Velocity Limit": (0, 1023),
     "Current Limit": (0, 2047), "Max Position Limit": (0, 4095), "Min Position Limit": (0, 4095),
     "Torque Enable": (0, 1),
