@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import pi
+from math import pi, sqrt
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -25,39 +25,81 @@ if TYPE_CHECKING:
 DEFAULT_INDEX = 0.64 + 2.6j
 
 
-@device
-def beckmann(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    """The BRDF with D = exp(-tan^2/m^2) / (m^2 cos^4).
+# --- kernels: p is (diffuse BRDF, 3 constants of F, then 1/m^2 and the weight with the scale of R_s of every slope) ---
 
-    p: diffuse BRDF, |n~^2 - 1|^2, n^2 - k^2 - 1, n k; then 1/m^2 and the weight, with the scale of R_s, of every slope.
-    """
-    lz = above(lz)
-    vz = above(vz)
-    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
+
+@device
+def schlick(c2, f0, rest):  # type: ignore[no-untyped-def]
+    """F_0 + (1 - F_0)(1 - cos)^5."""
+    x = 1.0 - sqrt(c2)
+    x2 = x * x
+    return f0 + rest * (x2 * x2 * x)
+
+
+@device
+def beckmann_slopes(flat, sz, p):  # type: ignore[no-untyped-def]
+    """D = exp(-tan^2/m^2) / (m^2 cos^4), summed over slopes."""
     t = tan2_alpha(flat, sz)
     d = 0.0
     for j in range(4, len(p), 2):
         d += p[j] * p[j + 1] * exp(-t * p[j])
-    f_up, f_down = fresnel(c2, p[1], p[2], p[3])
-    g_up, g_down = groove(lz, vz, sz, s2)
-    up = d * (1.0 + t) * (1.0 + t) * f_up * g_up
-    return p[0] + (up / (f_down * g_down) if up > 0.0 else 0.0)
+    return d * (1.0 + t) * (1.0 + t)
 
 
 @device
-def gaussian(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    """As `beckmann`, with D = c exp(-(alpha/m)^2) and c = 1."""
-    lz = above(lz)
-    vz = above(vz)
-    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
+def gaussian_slopes(flat, sz, s2, p):  # type: ignore[no-untyped-def]
+    """D = c exp(-(alpha/m)^2) with c = 1, summed over slopes."""
     a2 = alpha_squared(flat, sz, s2)
     d = 0.0
     for j in range(4, len(p), 2):
         d += p[j + 1] * exp(-a2 * p[j])
-    f_up, f_down = fresnel(c2, p[1], p[2], p[3])
+    return d
+
+
+@device
+def facets(lz, vz, sz, s2, base, up, down):  # type: ignore[no-untyped-def]
+    """The BRDF for D F = up / down."""
     g_up, g_down = groove(lz, vz, sz, s2)
-    up = d * f_up * g_up
-    return p[0] + (up / (f_down * g_down) if up > 0.0 else 0.0)
+    up *= g_up
+    return base + (up / (down * g_down) if up > 0.0 else 0.0)
+
+
+@device
+def beckmann(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    lz, vz = above(lz), above(vz)
+    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
+    f_up, f_down = fresnel(c2, p[1], p[2], p[3])
+    return facets(lz, vz, sz, s2, p[0], beckmann_slopes(flat, sz, p) * f_up, f_down)
+
+
+@device
+def gaussian(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    lz, vz = above(lz), above(vz)
+    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
+    f_up, f_down = fresnel(c2, p[1], p[2], p[3])
+    return facets(lz, vz, sz, s2, p[0], gaussian_slopes(flat, sz, s2, p) * f_up, f_down)
+
+
+@device
+def beckmann_schlick(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    lz, vz = above(lz), above(vz)
+    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
+    return facets(lz, vz, sz, s2, p[0], beckmann_slopes(flat, sz, p) * schlick(c2, p[1], p[2]), 1.0)
+
+
+@device
+def gaussian_schlick(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    lz, vz = above(lz), above(vz)
+    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
+    return facets(lz, vz, sz, s2, p[0], gaussian_slopes(flat, sz, s2, p) * schlick(c2, p[1], p[2]), 1.0)
+
+
+_KERNELS: dict[tuple[str, str], Kernel] = {
+    ("beckmann", "exact"): beckmann,
+    ("gaussian", "exact"): gaussian,
+    ("beckmann", "schlick"): beckmann_schlick,
+    ("gaussian", "schlick"): gaussian_schlick,
+}
 
 
 PRESETS: dict[str, dict[str, Any]] = {
@@ -102,6 +144,8 @@ class CookTorrance(Model):
         "paper" or "normalised".
     f0
         Reflectance at normal incidence, instead of `ior`: n = (1 + sqrt F_0)/(1 - sqrt F_0), k = 0.
+    fresnel
+        "exact", or "schlick": F_0 + (1 - F_0)(1 - V.H)^5 (Schlick 1994), as many published fits have it.
 
     Raises
     ------
@@ -116,6 +160,7 @@ class CookTorrance(Model):
     distribution: str
     diffuse_albedo: float
     normalisation: str
+    fresnel: str
     name: ClassVar[str] = "cook-torrance"
 
     def __init__(
@@ -129,6 +174,7 @@ class CookTorrance(Model):
         convention: str = "paper",
         *,
         f0: float | None = None,
+        fresnel: str = "exact",
     ) -> None:
         if f0 is not None and ior is not None:
             raise ArgumentError("f0 and ior are both given: f0 stands instead of ior")
@@ -143,6 +189,7 @@ class CookTorrance(Model):
             distribution=choice("distribution", distribution, ("beckmann", "gaussian")),
             diffuse_albedo=number("diffuse_albedo", diffuse_albedo, 0.0, 1.0),
             normalisation=choice("convention", convention, ("paper", "normalised")),
+            fresnel=choice("fresnel", fresnel, ("exact", "schlick")),
         )
         if self.s + self.d > 1.0 + 1e-12:
             raise ArgumentError(f"s + d = {self.s + self.d:g}: the shares must not exceed 1")
@@ -177,7 +224,12 @@ class CookTorrance(Model):
     @property
     def convention(self) -> str:
         return (
-            f"Cook and Torrance 1982, {self.distribution} facets, exact Fresnel reflectance for n + ik; "
+            f"Cook and Torrance 1982, {self.distribution} facets, "
+            + (
+                "exact Fresnel reflectance for n + ik; "
+                if self.fresnel == "exact"
+                else "Schlick's Fresnel reflectance; "
+            )
             + (
                 "R_s as printed, F D G/(pi N.L N.V), four times the energy-normalised form"
                 if self.normalisation == "paper"
@@ -189,11 +241,15 @@ class CookTorrance(Model):
     def _constants(self, wavelength_nm: float, diffuse: float, scale: float) -> Constants:
         scale /= pi * (4.0 if self.normalisation == "normalised" else 1.0)
         slopes = [value for m, w in self.slopes for value in (1.0 / (m * m), scale * w)]
-        return (diffuse, *fresnel_constants(index_at(self.ior, wavelength_nm)), *slopes)
+        ior = index_at(self.ior, wavelength_nm)
+        if self.fresnel == "schlick":
+            f0 = float(reflectance(1.0, ior))
+            return (diffuse, f0, 1.0 - f0, 0.0, *slopes)
+        return (diffuse, *fresnel_constants(ior), *slopes)
 
     @property
     def _kernel(self) -> Kernel:
-        return beckmann if self.distribution == "beckmann" else gaussian
+        return _KERNELS[self.distribution, self.fresnel]
 
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
         return self._kernel, self._constants(wavelength_nm, self.d * self.diffuse_albedo / pi, self.s)
@@ -230,7 +286,7 @@ class CookTorrance(Model):
         phi = (np.arange(256) + 0.5) * (2.0 * pi / 256)
         v = np.array([np.sin(theta), 0.0, np.cos(theta)])
         for m, w in self.slopes:
-            one = CookTorrance(1.0, 0.0, m, self.ior, self.distribution, 0.0, self.normalisation)
+            one = CookTorrance(1.0, 0.0, m, self.ior, self.distribution, 0.0, self.normalisation, fresnel=self.fresnel)
             reach = np.arctan(7.0 * m)  # exp(-49) is left out
             alpha = 0.5 * reach * (node + 1.0)
             h = np.stack(
