@@ -1,0 +1,104 @@
+"""The papers' own figures, made again: curves, verdicts on what the papers say about them, and a page for each."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gonio.errors import ConfigError
+
+if TYPE_CHECKING:
+    from gonio_analysis.figures.base import Page
+
+FIGURES = {
+    "htsg-7": "rough aluminium at 2.0 µm: a specular spike over a weak lobe",
+    "htsg-8": "the same aluminium at 0.5 µm: off-specular lobes, and a spike at 75 degrees",
+    "htsg-9": "magnesium oxide ceramic: uniform diffuse, and what emerges at grazing incidence",
+    "htsg-10": "sandpaper at normal incidence: bright at grazing reflection",
+    "htsg-11": "smooth blue plastic: spikes over a uniform diffuse part, absolute",
+}
+"""Name and subject of every figure that can be made, in the order of the index."""
+PAPERS = {"htsg": "htsg"}
+"""Prefix of a figure's name -> module that builds it."""
+
+
+def silent(text: str) -> None:
+    """Nobody watches."""
+
+
+def build(name: str, progress: Callable[[str], None] = silent) -> Page:
+    """Curves, claims and drawings of a paper's figure.
+
+    Parameters
+    ----------
+    name
+        As in `FIGURES`: "htsg-8".
+    progress
+        Called with a line before each step.
+
+    Raises
+    ------
+    ConfigError
+        There is no such figure (with the nearest name).
+    """
+    check(name)
+    paper, _, number = name.rpartition("-")
+    page: Page = import_module(f"gonio_analysis.figures.{PAPERS[paper]}").build(int(number), progress)
+    return page
+
+
+def check(name: str) -> None:
+    """Raise `ConfigError` where there is no such figure."""
+    if name not in FIGURES:
+        near = difflib.get_close_matches(name.lower(), [*FIGURES, "all", "list"], n=1, cutoff=0.5)
+        hint = f'did you mean "{near[0]}"?' if near else '"gonio figures list" names them'
+        raise ConfigError(f'there is no figure named "{name}"; {hint}')
+
+
+def make(name: str, out: str | Path, *, command: str = "", progress: Callable[[str], None] = silent) -> Path:
+    """Write the page of a paper's figure, or of every figure: all of it or nothing.
+
+    Parameters
+    ----------
+    name
+        As in `FIGURES`, or "all": a folder for each figure, and an index page that links them.
+    out
+        Folder of the page; an earlier page there is replaced.
+    command
+        The command line, for the record.
+    progress
+        Called with a line before each step.
+
+    Returns
+    -------
+    Path
+        Of `index.html`.
+
+    Raises
+    ------
+    ConfigError
+        There is no such figure, or the folder cannot be written or holds something else.
+    """
+    from gonio_analysis.figures import page
+    from gonio_analysis.report.files import staged
+
+    if name != "all":
+        check(name)
+    with staged(out) as stage:
+        if name == "all":
+            facts: list[dict[str, Any]] = []
+            for each in FIGURES:
+                folder = stage.work / each
+                folder.mkdir()
+                facts.append(page.write(build(each, progress), folder, command))
+            text = page.index(facts, command)
+            (stage.work / "index.html").write_text(text, encoding="utf-8")
+            summary = {"figures": [{k: f[k] for k in ("figure", "title", "claims")} for f in facts]}
+            (stage.work / "summary.json").write_text(json.dumps(summary, indent=1, ensure_ascii=False) + "\n", "utf-8")
+        else:
+            page.write(build(name, progress), stage.work, command)
+    return Path(out) / "index.html"
