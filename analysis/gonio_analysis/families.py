@@ -56,6 +56,8 @@ class Family:
     needs_wavelength: bool = False
     derived: Callable[[Values], Values] = lambda values: {}
     """Combinations that say more than the parameters do."""
+    flat: Callable[[Values], Values] = lambda values: {}
+    """d(model)/d(parameter) [1/sr] of the parameters whose effect is the same in every direction."""
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name.
@@ -156,6 +158,7 @@ def _lambert(ior: Ior) -> Family:
         {},
         lambda v: {"albedo": v["albedo"]},
         lambda data: [{"albedo": _ALBEDO.inside(math.pi * float(np.median(data.brdf)))}],
+        flat=lambda v: {"albedo": 1.0 / math.pi},
     )
 
 
@@ -251,6 +254,7 @@ def _cook_torrance(slopes: int, ior: Ior) -> Family:
         arguments,
         starts,
         needs_wavelength=needs,
+        flat=lambda v: {"diffuse_albedo": (1.0 - v["s"]) / math.pi},
         derived=lambda v: {"d": 1.0 - v["s"]} | ({"w_2": 1.0 - v["w_1"]} if slopes == 2 else {}),
     )
 
@@ -289,6 +293,7 @@ def _he_torrance(ior: Ior) -> Family:
         },
         starts,
         needs_wavelength=True,
+        flat=lambda v: {"diffuse_albedo": 1.0 / math.pi},
         derived=lambda v: {"slope_m": 2.0 * v["sigma0_um"] / v["tau_um"]},
     )
 
@@ -332,6 +337,7 @@ def _sum(name: str, ior: Ior) -> Family:
         arguments,
         starts,
         needs_wavelength=gloss.needs_wavelength,
+        flat=base.flat,
         derived=gloss.derived if terms[1] == "he-torrance" else lambda values: {},
     )
 

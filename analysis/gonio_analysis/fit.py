@@ -22,11 +22,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.errors import ArgumentError, ConfigError, DataError
-from gonio_analysis.families import Family, Ior
+from gonio_analysis.families import Family, Ior, Values
 from gonio_analysis.forward import apparent
-from gonio_analysis.objective import Objective, alone, scaled_to
+from gonio_analysis.objective import Objective, scaled_to
 from gonio_analysis.observations import Observations, observations
-from gonio_analysis.search import STEP, Problem, covariance, pose, refine, search, settle
+from gonio_analysis.search import STEP, Problem, covariance, pose, refine, search, search_from, settle
 from gonio_analysis.uncertainty import Floats
 
 if TYPE_CHECKING:
@@ -171,7 +171,7 @@ def fit(
     free: Sequence[str] = (),
     slopes: int = 1,
     wavelength_nm: float | None = None,
-    start: Mapping[str, float] | None = None,
+    start: Sequence[Values] | None = None,
     name: str = "the table",
 ) -> FitResult:
     """Fit one model to the usable values of a table, at one wavelength.
@@ -194,7 +194,7 @@ def fit(
         Where the table has several wavelengths, the nearest one is fitted (550 nm if none is given); in a broad band,
         the effective wavelength.
     start
-        Values to start from instead of a search: the solution of a neighbour.
+        Sets of values to start from instead of a search: solutions of neighbours.
     name
         What messages call the table.
 
@@ -216,10 +216,7 @@ def fit(
         )
     notes += problem.notes
 
-    if start is None:
-        vector = search(problem, data)
-    else:
-        vector, _ = refine(problem, data, alone(data), problem.vector(dict(start)), quick=True)
+    vector = search(problem, data) if start is None else search_from(problem, data, start)
     goal = scaled_to(data, apparent(problem.model(vector), data, quick=True))
     vector, jacobian = settle(problem, data, goal, refine(problem, data, goal, vector)[0])
     built = problem.model(vector)
@@ -344,7 +341,8 @@ def _identifiability(problem: Problem, result: FitResult) -> list[str]:
     names = result.free
     pairs = [(a, b, c[i, j]) for i, a in enumerate(names) for j, b in enumerate(names) if i < j and abs(c[i, j]) > 0.98]
     for a, b, r in pairs:
-        poor = any((result.parameters[n].u or 0.0) > 0.05 * abs(result.parameters[n].value) for n in (a, b))
+        both = (result.parameters[a], result.parameters[b])
+        poor = any(e.u is None or e.u > 0.05 * abs(e.value) for e in both)
         text = f"{a} and {b} " + ("can hardly be told apart by these data" if poor else "are strongly correlated")
         text += f" (correlation {r:+.4f})"
         m = result.derived.get("slope_m")

@@ -2,38 +2,44 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gonio_analysis.observations import Observations
+from gonio_analysis.observations import LOBE_TOLERANCE, Observations
 from gonio_analysis.uncertainty import Floats
+
+if TYPE_CHECKING:
+    from gonio.instrument import Cones, Rules
 
 NO_WAVELENGTH_NM = 550.0
 """Given to models whose value does not depend on it, in a broad band."""
 
 
-def apparent(model: Any, at: Observations, *, quick: bool = False) -> Floats:
+def apparent(model: Any, at: Observations, *, quick: bool = False, rules: list[Rules] | None = None) -> Floats:
     """The BRDF [1/sr] that the instrument of a table sees of `model` in its directions.
 
     Averaged over the cones of source and receiver, the specular spike carried through the integral
-    (`gonio.instrument.apparent_brdf`, spike "exact"). In a broad band (wavelength NaN) the model has to be one whose
-    value does not depend on the wavelength. `quick` takes the lobe at the centre of the cones, for searches.
+    (`gonio.instrument.Cones`, spike "exact"). In a broad band (wavelength NaN) the model has to be one whose
+    value does not depend on the wavelength. `quick` takes the lobe at the centre of the cones, for searches; `rules`
+    (see `averaging`) averages it as was found good for a like model.
     """
     out = np.empty(len(at))
-    for wavelength in at.wavelengths:
-        rows = np.isnan(at.wavelength_nm) if np.isnan(wavelength) else at.wavelength_nm == wavelength
-        out[rows] = seen(
-            model,
-            at.theta_i[rows],
-            at.phi_i[rows],
-            at.theta_r[rows],
-            at.phi_r[rows],
-            wavelength_nm=NO_WAVELENGTH_NM if np.isnan(wavelength) else wavelength,
-            cones=(at.source_solid_angle_sr, at.receiver_solid_angle_sr),
-            quick=quick,
-        )
+    for k, (wavelength, rows, cones) in enumerate(at.cones):
+        out[rows] = _value(model, cones, wavelength, pointlike(at), quick, None if rules is None else rules[k])
     return out
+
+
+def averaging(model: Any, at: Observations) -> list[Rules] | None:
+    """How the averages over the cones are taken for `model`; None where there are no cones."""
+    if pointlike(at):
+        return None
+    return [cones.rules(model, wavelength_nm=_known(wavelength)) for wavelength, _, cones in at.cones]
+
+
+def pointlike(at: Observations) -> bool:
+    """Whether both cones are directions."""
+    return at.source_solid_angle_sr == at.receiver_solid_angle_sr == 0.0
 
 
 def seen(
@@ -45,27 +51,42 @@ def seen(
     *,
     wavelength_nm: float,
     cones: tuple[float, float],
-    quick: bool = False,
 ) -> Floats:
     """As `apparent`, in the directions [rad] given, through cones of (source, receiver) solid angle [sr].
 
     Without a cone on either side a specular spike has no finite value: then the model without its spike is returned.
     """
-    centre = cones == (0.0, 0.0) or quick
-    lobe = np.asarray(model.brdf(theta_i, phi_i, theta_r, phi_r, wavelength_nm=wavelength_nm)) if centre else None
-    if lobe is not None and (cones == (0.0, 0.0) or not hasattr(model, "specular_reflectivity")):
-        return lobe
-    from gonio.instrument import apparent_brdf, apparent_spike
+    from gonio.instrument import Cones
 
-    value = (apparent_brdf if lobe is None else apparent_spike)(
-        model,
+    through = Cones(
         theta_i,
         phi_i,
         theta_r,
         phi_r,
-        wavelength_nm=wavelength_nm,
         source_solid_angle_sr=cones[0],
         receiver_solid_angle_sr=cones[1],
         spike="exact",
+        tolerance=LOBE_TOLERANCE,
     )
-    return np.asarray(value, dtype=np.float64) + (0.0 if lobe is None else lobe)
+    return _value(model, through, wavelength_nm, cones == (0.0, 0.0))
+
+
+def _value(
+    model: Any,
+    cones: Cones,
+    wavelength_nm: float,
+    without_width: bool,
+    quick: bool = False,
+    rules: Rules | None = None,
+) -> Floats:
+    wave = _known(wavelength_nm)
+    if without_width:
+        return np.asarray(cones.centre(model, wavelength_nm=wave))
+    lobe = cones.centre(model, wavelength_nm=wave) if quick else cones.lobe(model, wavelength_nm=wave, rules=rules)
+    if not hasattr(model, "specular_reflectivity"):
+        return np.asarray(lobe)
+    return np.asarray(lobe + cones.spike(model, wavelength_nm=wave))
+
+
+def _known(wavelength_nm: float) -> float:
+    return NO_WAVELENGTH_NM if np.isnan(wavelength_nm) else wavelength_nm

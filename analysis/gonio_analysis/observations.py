@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,8 +16,12 @@ from gonio_analysis.uncertainty import Covariance, Floats
 if TYPE_CHECKING:
     import pandas as pd
 
+    from gonio.instrument import Cones
+
 DEFAULT_WAVELENGTH_NM = 550.0
 SAME_BAND_NM = 1e-6
+LOBE_TOLERANCE = 1e-5
+"""Relative error of a lobe's average over the cones: a hundredth of the uncertainty of the best values."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +65,28 @@ class Observations:
     def wavelengths(self) -> list[float]:
         """The wavelengths [nm] that occur, ascending; NaN (last) stands for a broad band."""
         return [float(w) for w in np.unique(self.wavelength_nm)]
+
+    @cached_property
+    def cones(self) -> list[tuple[float, Any, Cones]]:
+        """Of each wavelength [nm]: the values that have it, and their directions, prepared for the forward model."""
+        from gonio.instrument import Cones
+
+        out = []
+        for wavelength in self.wavelengths:
+            rows = np.isnan(self.wavelength_nm) if np.isnan(wavelength) else self.wavelength_nm == wavelength
+            here = slice(None) if rows.all() else rows
+            cones = Cones(
+                self.theta_i[here],
+                self.phi_i[here],
+                self.theta_r[here],
+                self.phi_r[here],
+                source_solid_angle_sr=self.source_solid_angle_sr,
+                receiver_solid_angle_sr=self.receiver_solid_angle_sr,
+                spike="exact",
+                tolerance=LOBE_TOLERANCE,
+            )
+            out.append((wavelength, here, cones))
+        return out
 
     def take(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> Observations:
         """Some of the values."""

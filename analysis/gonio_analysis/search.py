@@ -9,25 +9,32 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gonio.errors import ConfigError
 from gonio_analysis import families
 from gonio_analysis.families import Family, Ior, Values
-from gonio_analysis.forward import apparent
+from gonio_analysis.forward import apparent, averaging, pointlike
 from gonio_analysis.objective import Objective, alone, softened
 from gonio_analysis.observations import Observations
 from gonio_analysis.uncertainty import Floats
+
+if TYPE_CHECKING:
+    from gonio.instrument import Rules
 
 GRID_POINTS = 250
 """Values that a start is judged by."""
 STARTS = 4
 COARSE_U = 0.15
 """Relative uncertainty added while the start is sought."""
+MOST = 5000
+"""Values that a search begins with, of more than that."""
 STEP = 1e-4
 """Central differences, on the search scale: an error of 1e-8 relative, far above the rounding of the models."""
+SMALL_STEP = 1e-6
+"""One-sided differences, on the search scale: good to about 1e-6, which is enough for the way to the solution."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +75,11 @@ class Problem:
         """d(value)/d(search scale) of the free parameters."""
         values = self.values(vector)
         return np.array([values[n] if self.family.parameter(n).scale == "log" else 1.0 for n in self.free])
+
+    def known_slopes(self, vector: Floats) -> Values:
+        """d(model)/d(search scale) [1/sr] of the parameters for which it is the same in every direction."""
+        flat = self.family.flat(self.values(vector))
+        return {n: flat[n] * scale for n, scale in zip(self.free, self.slope(vector), strict=True) if n in flat}
 
     def model(self, vector: Floats) -> Any:
         """The model at a point of the search."""
@@ -124,6 +136,15 @@ def pose(model: str, ior: Ior, fix: Mapping[str, float | str], free: Sequence[st
     )
 
 
+def search_from(problem: Problem, data: Observations, starts: Sequence[Values]) -> Floats:
+    """The best point of searches with the quick forward model that begin at solutions of relatives.
+
+    As in `search` only the independent part of the covariance counts.
+    """
+    found = [approach(problem, data, problem.vector(start)) for start in starts]
+    return min(found, key=lambda f: f[1])[0]
+
+
 def search(problem: Problem, data: Observations) -> Floats:
     """The best point of several searches with the quick forward model, the first part of each with softened weights.
 
@@ -148,8 +169,15 @@ def search(problem: Problem, data: Observations) -> Floats:
     coarse.sort(key=lambda c: c[1])
     others = [c for c in coarse[1:] if np.abs(c[0] - coarse[0][0]).max() > 0.05]
     chosen = [coarse[0], *others[:1]]
-    final = [refine(problem, data, alone(data), vector, quick=True) for vector, _ in chosen]
-    return min(final, key=lambda f: f[1])[0]
+    return min((approach(problem, data, vector) for vector, _ in chosen), key=lambda f: f[1])[0]
+
+
+def approach(problem: Problem, data: Observations, start: Floats) -> tuple[Floats, float]:
+    """As `refine`, with the quick forward model and the independent part of the covariance; first on `MOST` values."""
+    if len(data) > MOST:
+        few = data.take(np.sort(np.random.default_rng(0).choice(len(data), MOST, replace=False)))
+        start, _ = refine(problem, few, alone(few), start, quick=True)
+    return refine(problem, data, alone(data), start, quick=True)
 
 
 def refine(
@@ -157,23 +185,25 @@ def refine(
 ) -> tuple[Floats, float]:
     """Trust-region least squares from one start; the point and half its sum of squares.
 
-    Derivatives are those of the quick forward model, scaled to the full one; `settle` takes the last step with the
-    derivatives of the full one.
+    Derivatives are one-sided ones of the quick forward model, scaled to the full one; `settle` takes the last step with
+    those of the full one. Averages over the cones are taken as was found good at the start.
     """
     from scipy.optimize import least_squares
 
     lower, upper = problem.bounds
     margin = 1e-9 * (upper - lower)
     latest = np.empty(len(data))
+    rules = None if quick else averaging(problem.model(start), data)
+    quick = quick or pointlike(data)
 
     def residual(x: Floats) -> Floats:
-        latest[:] = apparent(problem.model(x), data, quick=quick)
+        latest[:] = apparent(problem.model(x), data, quick=quick, rules=rules)
         return goal.residual(latest)
 
     def jacobian(x: Floats) -> Floats:
-        columns = derivatives(problem, data, x, quick=True)
+        near = latest if quick else apparent(problem.model(x), data, quick=True)
+        columns = _one_sided(problem, data, x, near)
         if not quick:
-            near = apparent(problem.model(x), data, quick=True)
             with np.errstate(divide="ignore", invalid="ignore"):
                 columns = columns * np.nan_to_num(np.clip(latest / near, 0.2, 5.0), nan=1.0)[:, None]
         return goal.jacobian(latest, columns)
@@ -198,9 +228,10 @@ def settle(problem: Problem, data: Observations, goal: Objective, vector: Floats
     A parameter that stays at a bound is put onto it.
     """
     lower, upper = problem.bounds
-    predicted = apparent(problem.model(vector), data)
+    rules = averaging(problem.model(vector), data)
+    predicted = apparent(problem.model(vector), data, rules=rules)
     residual = goal.residual(predicted)
-    jacobian = goal.jacobian(predicted, derivatives(problem, data, vector))
+    jacobian = goal.jacobian(predicted, derivatives(problem, data, vector, rules=rules))
     margin = 1e-6 * np.minimum(upper - lower, 1.0)
     inside = (vector > lower + margin) & (vector < upper - margin)
     step = np.zeros(vector.size)
@@ -209,24 +240,52 @@ def settle(problem: Problem, data: Observations, goal: Objective, vector: Floats
         step[inside] = np.linalg.lstsq(jacobian[:, inside] / size, -residual, rcond=1e-10)[0] / size
     moved = np.clip(vector + np.clip(step, -0.1, 0.1), lower, upper)
     moved = np.where(moved <= lower + margin, lower, np.where(moved >= upper - margin, upper, moved))
-    after = goal.residual(apparent(problem.model(moved), data))
+    after = goal.residual(apparent(problem.model(moved), data, rules=rules))
     # a bound that is put on exactly may cost the last digits of the sum
     return (moved, jacobian) if after @ after <= (residual @ residual) * (1 + 1e-9) else (vector, jacobian)
 
 
 def derivatives(
-    problem: Problem, data: Observations, vector: Floats, *, quick: bool = False, only: Iterable[int] | None = None
+    problem: Problem,
+    data: Observations,
+    vector: Floats,
+    *,
+    quick: bool = False,
+    rules: list[Rules] | None = None,
+    only: Iterable[int] | None = None,
 ) -> Floats:
-    """d(model)/d(search scale), (n, p), by central differences (one-sided at a bound); `only` names the columns."""
+    """d(model)/d(search scale), (n, p); `only` names the columns, `quick` and `rules` are those of `apparent`.
+
+    Exact for the level of a Lambertian part, else by central differences (one-sided at a bound).
+    """
     lower, upper = problem.bounds
+    known = problem.known_slopes(vector)
     columns = []
     for k in range(vector.size) if only is None else only:
+        if problem.free[k] in known:
+            columns.append(np.full(len(data), known[problem.free[k]]))
+            continue
         up, down = vector.copy(), vector.copy()
         up[k] = min(vector[k] + STEP, upper[k])
         down[k] = max(vector[k] - STEP, lower[k])
-        high, low = (apparent(problem.model(x), data, quick=quick) for x in (up, down))
+        high, low = (apparent(problem.model(x), data, quick=quick, rules=rules) for x in (up, down))
         columns.append((high - low) / (up[k] - down[k]))
     return np.stack(columns, axis=1)
+
+
+def _one_sided(problem: Problem, data: Observations, vector: Floats, here: Floats) -> Floats:
+    """As `derivatives` of the quick model, from its values `here` and one more evaluation a parameter."""
+    _, upper = problem.bounds
+    known = problem.known_slopes(vector)
+    columns = np.empty((vector.size, len(data)))
+    for k, name in enumerate(problem.free):
+        if name in known:
+            columns[k] = known[name]
+            continue
+        moved = vector.copy()
+        moved[k] += SMALL_STEP if vector[k] + SMALL_STEP <= upper[k] else -SMALL_STEP
+        columns[k] = (apparent(problem.model(moved), data, quick=True) - here) / (moved[k] - vector[k])
+    return columns.T
 
 
 def covariance(jacobian: Floats) -> tuple[Floats, float]:

@@ -63,9 +63,24 @@ class Covariance:
         The sum of squares of the result is r^T C^-1 r. W is the symmetric root behind the scaling by 1/random, so that
         entry i of the result still belongs to value i; without common causes it is r / random.
         """
+        scaled = np.asarray((residual.T / self.random).T)
+        if not self.causes:
+            return scaled
         left, shrink = self._root
-        scaled = (residual.T / self.random).T
         return np.asarray(scaled - left @ ((left.T @ scaled).T * shrink).T)
+
+    def alone(self, residual: Floats) -> Floats:
+        """Each residual less what all the others predict of it, in standard deviations of that difference.
+
+        z_i = (C^-1 r)_i / sqrt((C^-1)_ii): standard normal, one by one, if the residuals have the covariance C. What
+        a common cause does to many values does not stand out in it; what happens to one value alone does.
+        """
+        left, shrink = self._root
+        kept = 1.0 - shrink  # 1 / sqrt(1 + s^2)
+        lost = (1.0 - kept) * (1.0 + kept)
+        scaled = residual / self.random
+        solved = scaled - left @ (lost * (left.T @ scaled))
+        return np.asarray(solved / np.sqrt(1.0 - (left**2) @ lost))
 
     def chi_square(self, residual: Floats) -> float:
         """r^T C^-1 r."""

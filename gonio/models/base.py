@@ -203,6 +203,11 @@ def _material(name: str) -> Callable[[float], complex]:
     return cast(Callable[[float], complex], materials.ior(name))
 
 
+@functools.lru_cache(maxsize=1024)
+def _material_at(name: str, wavelength_nm: float) -> complex:
+    return complex(_material(name)(wavelength_nm))
+
+
 def checked_index(ior: Any, name: str = "ior") -> Any:
     """An `Index` argument in its stored form: a complex number, a material's name, or a function."""
     if isinstance(ior, str):
@@ -233,13 +238,18 @@ def index_at(ior: Any, wavelength_nm: float, name: str = "ior") -> complex:
     """The complex index n + ik of a checked `Index` at a wavelength [nm]."""
     if isinstance(ior, complex):
         return ior
-    function = _material(ior) if isinstance(ior, str) else ior
-    return _valid_index(complex(function(wavelength_nm)), f"{name} at {wavelength_nm:g} nm")
+    value = _material_at(ior, wavelength_nm) if isinstance(ior, str) else complex(ior(wavelength_nm))
+    return _valid_index(value, f"{name} at {wavelength_nm:g} nm")
+
+
+@functools.cache
+def _arguments(kind: type[Model]) -> tuple[str, ...]:
+    return tuple(inspect.signature(kind).parameters)
 
 
 def build_model(kind: type[Model], name: str, parameters: Mapping[str, Any]) -> Model:
     """A model of a class from named parameters; raises `ArgumentError` for a name it does not know."""
-    known = [p for p in inspect.signature(kind).parameters]
+    known = _arguments(kind)
     for key in parameters:
         if key not in known:
             near = difflib.get_close_matches(key, known, n=1)
