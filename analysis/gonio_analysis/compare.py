@@ -211,7 +211,7 @@ def _series(result: FitResult, data: Observations, known: list[float], ior: Ior,
                 data.at(waves[k]),
                 result.name,
                 ior=ior if families.needs_ior(result.name) else None,
-                start=start,
+                start=[start],
                 name=f"{name} at {waves[k]:g} nm",
             )
         except DataError:
