@@ -33,7 +33,9 @@ from gonio.formats.native import check, check_columns, meta_path
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["COLUMNS", "meta_path", "parse", "read", "samples", "split", "tables", "uncertainty", "write"]
+    from gonio.models import Model
+
+__all__ = ["COLUMNS", "meta_path", "parse", "read", "samples", "split", "tables", "uncertainty", "write", "write_model"]
 
 
 def read(path: str | Path, *, format: str | None = None, sample: str | None = None) -> pd.DataFrame:
@@ -106,6 +108,11 @@ def write(frame: pd.DataFrame, path: str | Path, *, format: str | None = None) -
     """
     path = Path(path)
     chosen = formats.named(format) if format else formats.of_name(path)
+    if chosen.write is None and chosen.write_model is not None:
+        raise ConfigError(
+            f'{path}: "{chosen.name}" is written of models, which have a value in every direction, and not of tables: '
+            "fit one, and convert a sample file (TOML) with its parameters"
+        )
     if chosen.write is None:
         raise ConfigError(f'{path}: files of the format "{chosen.name}" are read, not written')
     check_columns(list(frame.columns), str(path))
@@ -118,6 +125,45 @@ def write(frame: pd.DataFrame, path: str | Path, *, format: str | None = None) -
         count = int((frame["flag"] != "").sum())
         lost.append(f"{chosen.title} has no room for flags: {count} flagged rows are left out")
     return lost
+
+
+def write_model(model: Model, path: str | Path, *, name: str, format: str | None = None) -> list[str]:
+    """Write a model as the file of a renderer, at the directions that the format wants.
+
+    Parameters
+    ----------
+    model
+        An isotropic model.
+    path, format
+        As for `write`; the formats that take models are rgl (Mitsuba 3), klems (Radiance) and merl.
+    name
+        The sample's name in the file.
+
+    Returns
+    -------
+    list of str
+        What the file cannot hold, a sentence each.
+
+    Raises
+    ------
+    ConfigError
+        The format takes no models, or the file cannot be written.
+    DataError
+        The model depends on the sample's azimuth, or a value is not finite.
+    """
+    path = Path(path)
+    chosen = formats.named(format) if format else formats.of_name(path)
+    if chosen.write_model is None:
+        able = ", ".join(f.name for f in formats.all_formats().values() if f.write_model)
+        raise ConfigError(f'{path}: a model cannot be written as "{chosen.name}"; name one of {able} with --to')
+    turned = np.deg2rad([[0.0], [37.0], [101.0]])
+    values = model.brdf(0.9, turned, np.array([0.2, 0.9, 1.2]), turned + np.array([0.5, 2.0, np.pi]))
+    if not np.allclose(values, values[0], rtol=1e-6, atol=0):
+        raise DataError(f"{path}: the model depends on the sample's azimuth; {chosen.title} is written isotropic only")
+    chosen.write_model(model, name, path)
+    if hasattr(model, "specular_reflectivity"):
+        return ["the specular spike has no width and is not in the file: only the lobe and the diffuse part are"]
+    return []
 
 
 def samples(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:

@@ -11,7 +11,9 @@ import typer
 def convert(
     source: Annotated[
         str,
-        typer.Argument(metavar="IN", help="A measurement file, a run, or FILE:SAMPLE.", show_default=False),
+        typer.Argument(
+            metavar="IN", help="A measurement file, a run, FILE:SAMPLE, or a model: sample.toml.", show_default=False
+        ),
     ],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write.", show_default=False)],
     source_format: Annotated[
@@ -22,10 +24,20 @@ def convert(
         str | None, typer.Option("--to", help="Format of OUT, where its ending does not tell.", show_default=False)
     ] = None,
 ) -> None:
-    """Convert a measurement between file formats, by file ending or by name."""
+    """Convert a measurement between file formats, by file ending or by name; or a model to a renderer's file."""
     from gonio import measurement
     from gonio.cli import console
 
+    if source.endswith(".toml"):
+        from gonio import models
+        from gonio.session import load_sample
+
+        sample_file = load_sample(source)
+        model = models.build(sample_file.model, sample_file.parameters)
+        for remark in measurement.write_model(model, target, name=sample_file.name, format=target_format):
+            console.note(remark)
+        console.show(f"{target}: {sample_file.name}")
+        return
     path, sample = measurement.split(source)
     table = measurement.read(path, format=source_format, sample=sample)
     for remark in measurement.write(table, target, format=target_format):

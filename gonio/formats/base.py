@@ -26,6 +26,8 @@ from gonio.errors import ConfigError, DataError
 if TYPE_CHECKING:
     import pandas as pd
 
+    from gonio.models import Model
+
 Floats = npt.NDArray[np.float64]
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
@@ -35,6 +37,8 @@ POLARISATIONS = ("unpolarised", "ss", "sp", "ps", "pp", "s", "p")
 MAX_BYTES = 2**28
 """No file above this size is opened; formats whose readers need many bytes of memory a byte have less."""
 MAX_LINES = 5_000_000
+RGB_NM = {"red": 610.0, "green": 550.0, "blue": 465.0}
+"""Where a model is evaluated for a file that has colours."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,8 @@ class Format:
     read: Callable[[bytes, Path], pd.DataFrame]
     """The table in a file's bytes; the path is for messages and for what lies beside the file."""
     write: Callable[[pd.DataFrame, Path], None] | None = None
+    write_model: Callable[[Model, str, Path], None] | None = None
+    """Writes an isotropic model, with a name, at the directions of the format: for renderers."""
     max_bytes: int = MAX_BYTES
     carries: frozenset[str] = frozenset()
     """What it has room for besides angles and values: "uncertainty", "flag"."""

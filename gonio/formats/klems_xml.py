@@ -29,6 +29,8 @@ from gonio.formats.base import ANGLES, Floats, Format, integer, number, table, w
 if TYPE_CHECKING:
     import pandas as pd
 
+    from gonio.models import Model
+
 _BANDS = {"Visible": (380.0, 780.0), "Solar": (300.0, 2500.0)}
 _FULL = (
     (0, 5, 1),
@@ -41,6 +43,7 @@ _FULL = (
     (65, 75, 16),
     (75, 90, 12),
 )
+_SAMPLES = 4
 _NAME = re.compile(r"(.*) (front|back) (\S+)")
 
 
@@ -181,7 +184,7 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     The side and the band are read from the sample's name ("<product> front Visible"), as this reader makes them; a
     table without a column `sample` is the front in the visible.
     """
-    basis = _rings(iter([((low + high) / 2 if low else 0.0, count) for low, high, count in _FULL]))
+    basis = _full()
     if (frame["polarisation"] != "unpolarised").any() or (frame["flag"] != "").any():
         raise DataError(f"{path}: a Klems matrix has no room for polarised or flagged rows")
     groups = (
@@ -213,6 +216,44 @@ def write(frame: pd.DataFrame, path: Path) -> None:
         for low, high, count in _FULL
     )
     write_bytes(path, _XML.format(product=escape(product), rings=rings, blocks="".join(blocks)).encode())
+
+
+def write_model(model: Model, name: str, path: Path) -> None:
+    """The model averaged over pairs of patches of the full basis, weighted with cosines, as its front in the visible.
+
+    An average takes four by four directions of equal projected solid angle in each patch, at 550 nm.
+    """
+    basis = _full()
+    count = basis.theta.size
+    shares = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+    thetas, phis = np.empty((2, count, _SAMPLES, _SAMPLES))
+    start = 0
+    for low, high, patches in _FULL:
+        s_low, s_high = np.sin(np.deg2rad([low, high])) ** 2
+        these = slice(start, start + patches)
+        thetas[these] = np.arcsin(np.sqrt(s_low + (s_high - s_low) * shares))[:, np.newaxis]
+        phis[these] = np.deg2rad(basis.phi[these, np.newaxis, np.newaxis] + 360.0 / patches * (shares - 0.5))
+        start += patches
+    theta, phi = thetas.reshape(count, -1), phis.reshape(count, -1)
+    matrix = np.empty((count, count))
+    for row, incident, azimuth in zip(matrix, theta, phi, strict=True):
+        pairs = model.brdf(incident[:, None, None], azimuth[:, None, None] + math.pi, theta, phi)
+        row[:] = pairs.mean(axis=(0, 2))
+    i, r = (a.ravel() for a in np.indices(matrix.shape))
+    frame = table(
+        theta_i_deg=basis.theta[i],
+        phi_i_deg=wrap_deg(basis.phi[i] + 180.0),
+        theta_r_deg=basis.theta[r],
+        phi_r_deg=wrap_deg(basis.phi[r]),
+        wavelength_nm=math.nan,
+        brdf=matrix.ravel(),
+        attrs={"sample": name},
+    )
+    write(frame, path)
+
+
+def _full() -> Basis:
+    return _rings(iter([((low + high) / 2 if low else 0.0, count) for low, high, count in _FULL]))
 
 
 _XML = """<?xml version="1.0" encoding="UTF-8"?>
@@ -258,5 +299,6 @@ FORMAT = Format(
     sniff=lambda head: b"<WindowElement" in head,
     read=read,
     write=write,
+    write_model=write_model,
     max_bytes=16 * 2**20,
 )

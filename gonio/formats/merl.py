@@ -20,10 +20,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.base import ANGLES, Floats, Format, table, wrap_deg, write_bytes
+from gonio.formats.base import ANGLES, RGB_NM, Floats, Format, table, wrap_deg, write_bytes
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from gonio.models import Model
 
 _SHAPE = (90, 90, 180)
 _HEADER = struct.pack("<3i", *_SHAPE)
@@ -107,6 +109,15 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     write_bytes(path, _HEADER + cubes.astype("<f8").tobytes())
 
 
+def write_model(model: Model, name: str, path: Path) -> None:
+    """The model's values at the centres of the cells, at one wavelength a colour."""
+    cell, angles = _directions()
+    cubes = np.full((3, _CELLS), -1.0)
+    for cube, (colour, scale) in zip(cubes, _COLOURS.items(), strict=True):
+        cube[cell] = model.brdf(*np.deg2rad(angles.T), wavelength_nm=RGB_NM[colour]) / scale
+    write_bytes(path, _HEADER + cubes.astype("<f8").tobytes())
+
+
 FORMAT = Format(
     name="merl",
     title="MERL binary",
@@ -114,5 +125,6 @@ FORMAT = Format(
     sniff=lambda head: head.startswith(_HEADER),
     read=read,
     write=write,
+    write_model=write_model,
     carries=frozenset({"flag"}),
 )

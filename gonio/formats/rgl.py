@@ -23,14 +23,17 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import DataError
-from gonio.formats.base import Floats, Format, table
+from gonio.formats.base import RGB_NM, Floats, Format, table, write_bytes
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from gonio.models import Model
+
 _MAGIC = b"tensor_file\0"
 _KINDS = {1: "u1", 2: "i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4", 7: "<u8", 8: "<i8", 9: "<f2", 10: "<f4", 11: "<f8"}
-_COLOURS = ("red", "green", "blue")
+_COLOURS = tuple(RGB_NM)
+_NODES, _INCIDENCES = 128, 64
 
 
 def tensors(data: bytes, path: Path) -> dict[str, npt.NDArray[Any]]:
@@ -271,10 +274,60 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
     )
 
 
+def write_model(model: Model, name: str, path: Path) -> None:
+    """A model for Mitsuba 3's plug-in `measured`: brdf cos(theta_r) on the half vector's own grid, without a warp.
+
+    The densities are even, so that a half vector keeps its place on the unit square: 128 polar angles from the normal,
+    close together there (0.006 degrees, then growing to 1.4), 128 azimuths, 64 incidences to 89 degrees.
+    """
+    side = np.linspace(0.0, 1.0, _NODES)
+    theta_m, phi_m = np.meshgrid(np.pi / 2 * side**2, np.pi * (2 * side - 1))
+    half = _vector(theta_m, phi_m)
+    theta_i = np.linspace(0.0, np.deg2rad(89.0), _INCIDENCES)
+    values = np.zeros((1, _INCIDENCES, 3, _NODES, _NODES))
+    for slice_, theta in zip(values[0], theta_i.tolist(), strict=True):
+        incident = _vector(np.array(theta), np.zeros(()))[:, np.newaxis, np.newaxis]
+        outgoing = 2 * (incident * half).sum(axis=0) * half - incident
+        above = outgoing[2] > 1e-6
+        directions = np.moveaxis(outgoing[:, above], 0, -1)
+        for channel, nm in zip(slice_, RGB_NM.values(), strict=True):
+            f = model.brdf_vectors(incident[:, 0, 0], directions, wavelength_nm=nm)
+            channel[above] = np.maximum(f, 0.0) * outgoing[2][above]
+    # samples are drawn from this: what a half vector reflects, times the solid angle of its cell
+    weight = values.mean(axis=2) * side * np.sin(theta_m)
+    fields = {
+        "description": np.frombuffer(name.encode()[:80] or b"model", np.uint8),
+        "phi_i": np.zeros(1, np.float32),
+        "theta_i": theta_i.astype(np.float32),
+        "ndf": np.ones((2, 2), np.float32),
+        "sigma": np.full((2, 2), 0.25, np.float32),
+        "vndf": np.ones((1, _INCIDENCES, 2, 2), np.float32),
+        "luminance": np.maximum(weight, 1e-6 * weight.max()).astype(np.float32),
+        "rgb": values.astype(np.float32),
+        "jacobian": np.ones(1, np.uint8),
+    }
+    write_bytes(path, _pack(fields))
+
+
+def _pack(fields: dict[str, npt.NDArray[Any]]) -> bytes:
+    """A `tensor_file` of these arrays, each aligned to 8 bytes."""
+    codes = {np.dtype(kind): code for code, kind in _KINDS.items()}
+    at = 18 + sum(13 + len(key) + 8 * array.ndim for key, array in fields.items())
+    head, body = [_MAGIC, b"\1\0", struct.pack("<I", len(fields))], []
+    for key, array in fields.items():
+        gap = -at % 8
+        head.append(struct.pack("<H", len(key)) + key.encode())
+        head.append(struct.pack(f"<HBQ{array.ndim}Q", array.ndim, codes[array.dtype], at + gap, *array.shape))
+        body += [bytes(gap), array.tobytes()]
+        at += gap + array.nbytes
+    return b"".join(head + body)
+
+
 FORMAT = Format(
     name="rgl",
     title="RGL adaptive BSDF",
     endings=(".bsdf",),
     sniff=lambda head: head.startswith(_MAGIC),
     read=read,
+    write_model=write_model,
 )
