@@ -164,6 +164,13 @@ def semilog(ax: Any, lines: Sequence[Line], *, unit: str = "BRDF [1/sr]") -> lis
             ax.yaxis.set_major_locator(FixedLocator(steps))
             ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
             ax.yaxis.set_minor_locator(NullLocator())
+        else:
+            from matplotlib.ticker import LogLocator, NullFormatter
+
+            ax.yaxis.set_major_formatter(lambda value, _: _power_of_ten(value))
+            if high > 1e4 * low:  # a tick is slow to draw, and eight a decade are too close to count
+                ax.yaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0), numticks=50))
+            ax.yaxis.set_minor_formatter(NullFormatter())
     _angle_axis(ax)
     ax.set_ylabel(unit)
     return artists
@@ -274,27 +281,28 @@ def series(
 
 
 def _half_disc(ax: Any, rim: float, label: str) -> None:
+    from matplotlib.collections import LineCollection
+
     ax.set_aspect("equal")
     ax.axis("off")
     ax.set_xlim(-1.14 * rim, 1.14 * rim)
     ax.set_ylim(-0.25 * rim, 1.13 * rim)
     turn = np.linspace(-np.pi / 2, np.pi / 2, 181)
     ticks = _ticks(rim)
-    for t in ticks[1:]:
-        edge = abs(t - rim) < 1e-9 * rim
-        ax.plot(*_xy(turn, np.full(turn.size, t)), color=INK if edge else FAINT, lw=0.9 if edge else 0.5, zorder=1)
-    if abs(ticks[-1] - rim) > 1e-9 * rim:
-        ax.plot(*_xy(turn, np.full(turn.size, rim)), color=INK, lw=0.9, zorder=1)
-    for degrees in range(-90, 91, 15):
-        x, y = _xy(np.radians([degrees, degrees]), np.array([0.0, rim]))
-        base = abs(degrees) == 90
-        ax.plot(x, y, color=INK if base else FAINT, lw=0.9 if base else 0.5, zorder=1)
-        if degrees % 30 == 0:
-            tx, ty = _xy(np.radians([degrees]), np.array([rim * 1.075]))
-            ax.text(tx[0], ty[0], f"{degrees}°".replace("-", "−"), ha="center", va="center", fontsize=7, color=INK)
+    inner = [t for t in ticks[1:] if abs(t - rim) > 1e-9 * rim]
+    rays = np.radians(np.arange(-75.0, 76.0, 15.0))
+    faint = [_xy(turn, np.full(turn.size, t)) for t in inner] + [_xy(np.full(2, r), np.array([0.0, rim])) for r in rays]
+    edges = [_xy(turn, np.full(turn.size, rim)), (np.array([-rim, rim]), np.zeros(2))]
+    marks = [(np.full(2, x), np.array([0.0, -0.015 * rim])) for t in ticks for x in sorted({-t, t})]
+    for lines, colour, width in ((faint, FAINT, 0.5), (edges, INK, 0.9), (marks, INK, 0.7)):
+        paths = LineCollection([np.stack(line, axis=1) for line in lines], colors=colour, linewidths=width, zorder=1)
+        ax.add_collection(paths, autolim=False)
+        paths.set_clip_on(False)
+    for degrees in range(-90, 91, 30):
+        tx, ty = _xy(np.radians([degrees]), np.array([rim * 1.075]))
+        ax.text(tx[0], ty[0], f"{degrees}°".replace("-", "−"), ha="center", va="center", fontsize=7, color=INK)
     for t in ticks:
         for side in (-1, 1) if t else (1,):
-            ax.plot([side * t] * 2, [0, -0.015 * rim], color=INK, lw=0.7, clip_on=False)
             ax.text(side * t, -0.03 * rim, f"{t:.2g}", ha="center", va="top", fontsize=7, color=INK)
     ax.text(-rim, -0.12 * rim, "retro side", ha="left", va="top", fontsize=7, color="#5a6472")
     ax.text(rim, -0.12 * rim, "mirror side", ha="right", va="top", fontsize=7, color="#5a6472")
@@ -315,6 +323,11 @@ def _radial_bars(ax: Any, line: Line, clip: Any, colour: str) -> list[Any]:
     ax.add_collection(bars, autolim=False)
     bars.set_clip_path(clip)
     return [bars]
+
+
+def _power_of_ten(value: float) -> str:
+    """As in 10⁻², in plain characters: setting formulas costs more than the rest of a plot."""
+    return "10" + str(round(np.log10(value))).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def _xy(angle: Floats, radius: Floats) -> tuple[Floats, Floats]:
