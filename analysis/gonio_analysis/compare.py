@@ -15,6 +15,7 @@ import numpy as np
 
 from gonio.errors import ConfigError, DataError
 from gonio_analysis import families
+from gonio_analysis.choice import Choice, Judged, candidates, choose
 from gonio_analysis.families import Ior
 from gonio_analysis.fit import FitResult, fit
 from gonio_analysis.metrics import metrics
@@ -92,6 +93,8 @@ class Dataset:
     fitted: dict[str, Fitted]
     skipped: dict[str, str]
     """Model -> why it was not fitted."""
+    choice: Choice
+    """Which model the data ask for."""
     run: dict[str, Any] | None = None
     """What the run's own record says, for a table that a run made."""
 
@@ -115,7 +118,7 @@ def examine(
     table
         A measurement table of one sample.
     models
-        Names on the command line.
+        Names on the command line, or "all": see `gonio_analysis.choice.candidates`.
     normalise
         What polar curves are divided by; see `gonio_analysis.planes.norm`.
     ior
@@ -136,34 +139,30 @@ def examine(
     at, wavelength = data.nearest(wavelength_nm)
     found = curves(at)
     shown = selection(found)
-    fitted: dict[str, Fitted] = {}
-    skipped: dict[str, str] = {}
-    for model in models:
-        progress(f"{name}: fitting {model} to {len(at)} values")
-        try:
-            result = fit(
-                data, model, ior=ior if families.needs_ior(model) else None, wavelength_nm=wavelength_nm, name=name
-            )
-        except DataError as error:
-            skipped[model] = str(error)
-            continue
-        except ConfigError as error:
-            if not math.isnan(wavelength):
-                raise
-            skipped[model] = str(error)
-            continue
-        fitted[model] = _fitted(result, shown, normalise, _series(result, data, known, ior, name))
-    if not fitted:
-        raise DataError(f"{name}: no model could be fitted. " + " ".join(dict.fromkeys(skipped.values())))
-    return Dataset(name, source, table, at, known, wavelength, shown, len(found), fitted, skipped, run)
+    every = "all" in models
+    choice = choose(
+        data,
+        candidates(models, ior),
+        ior=ior,
+        wavelength_nm=wavelength_nm,
+        name=name,
+        all_of_them=not every,
+        progress=progress,
+    )
+    fitted = {
+        j.candidate.label: _fitted(j.fit, shown, normalise, _series(j, data, known, ior, name))
+        for j in choice.judged
+        if not every or choice.shows(j)
+    }
+    skipped = {} if every else choice.left_out
+    return Dataset(name, source, table, at, known, wavelength, shown, len(found), fitted, skipped, choice, run)
 
 
 def check_models(models: Sequence[str]) -> None:
     """Raise `ConfigError` for a name that no fit knows, before anything is read."""
     if not models:
         raise ConfigError(f"--models names no model; known: {', '.join(families.FAMILIES)}")
-    for model in models:
-        families.family(model)
+    candidates(models)
     twice = {m for m in models if list(models).count(m) > 1}
     if twice:
         raise ConfigError(f"--models names {', '.join(sorted(twice))} twice")
@@ -196,8 +195,9 @@ def _fitted(result: FitResult, shown: list[Curve], normalise: Normalise, series:
     return Fitted(result, numbers, drawn, series)
 
 
-def _series(result: FitResult, data: Observations, known: list[float], ior: Ior, name: str) -> list[FitResult]:
+def _series(judged: Judged, data: Observations, known: list[float], ior: Ior, name: str) -> list[FitResult]:
     """The same fit at every wavelength, each started from its neighbour's solution."""
+    result, candidate = judged.fit, judged.candidate
     waves = [w for w in known if not math.isnan(w)]
     if not 1 < len(waves) <= MOST_WAVELENGTHS:
         return []
@@ -211,6 +211,8 @@ def _series(result: FitResult, data: Observations, known: list[float], ior: Ior,
                 data.at(waves[k]),
                 result.name,
                 ior=ior if families.needs_ior(result.name) else None,
+                free=candidate.free,
+                slopes=candidate.slopes,
                 start=[start],
                 name=f"{name} at {waves[k]:g} nm",
             )

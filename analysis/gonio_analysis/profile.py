@@ -4,20 +4,19 @@ A standard error looks at the curvature in one point. Where chi-square is no par
 noise, an index of refraction near a bound, two parameters that replace each other) an interval has to be walked out:
 the parameter is held, the others are fitted again, and the ends lie where chi-square has risen by 3.84 (95 %).
 
-Near the solution the model through the instrument's cones is the quick model times a ratio that hardly changes; it is
-taken from the solution, so that hundreds of small fits cost little.
+The small fits use the neighbourhood of the solution (`gonio_analysis.near`), so that hundreds of them cost little.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from gonio_analysis.fit import FitResult
-from gonio_analysis.forward import apparent
-from gonio_analysis.search import derivatives
+from gonio_analysis.near import Near
 from gonio_analysis.uncertainty import Floats
 
 LEVEL = 0.95
@@ -44,6 +43,17 @@ class Interval:
     """Parameter values that were tried, ascending."""
     rise: Floats
     """chi-square there, less its minimum."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers."""
+        return {
+            "low": self.low,
+            "high": self.high,
+            "open_low": self.open_low,
+            "open_high": self.open_high,
+            "level": self.level,
+            "profile": {"values": self.values.tolist(), "rise": self.rise.tolist()},
+        }
 
     def holds(self, value: float) -> bool:
         """Whether a value lies inside."""
@@ -120,55 +130,17 @@ class _Walker:
 
     def __init__(self, result: FitResult) -> None:
         self._result = result
-        self._problem = result.problem
         self._lower, self._upper = result.problem.bounds
-        near = apparent(result.model, result.data, quick=True)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            self._ratio = np.nan_to_num(np.clip(result.predicted / near, 0.2, 5.0), nan=1.0)
+        self._near = Near(result)
         self._least = float(result.whitened @ result.whitened)
         freedom = max(len(result.data) - len(result.free), 1)
         self._unit = 1.0 if result.data.covariance is not None else self._least / freedom
         self.better: Floats | None = None
 
-    def _predicted(self, x: Floats) -> Floats:
-        return apparent(self._problem.model(x), self._result.data, quick=True) * self._ratio
-
     def _held(self, k: int, start: Floats) -> tuple[Floats, float]:
         """The best point with parameter k held, and the rise of chi-square there."""
-        from scipy.optimize import least_squares
-
-        others = np.delete(np.arange(start.size), k)
-        goal, data, problem = self._result.goal, self._result.data, self._problem
-
-        def whole(part: Floats) -> Floats:
-            x = start.copy()
-            x[others] = part
-            return x
-
-        if others.size == 0:
-            residual = goal.residual(self._predicted(start))
-            return start, (float(residual @ residual) - self._least) / self._unit
-
-        def columns(part: Floats) -> Floats:
-            x = whole(part)
-            d = derivatives(problem, data, x, quick=True, only=others) * self._ratio[:, None]
-            return goal.jacobian(self._predicted(x), d)
-
-        margin = 1e-9 * (self._upper - self._lower)[others]
-        low, high = self._lower[others], self._upper[others]
-        found = least_squares(
-            lambda part: goal.residual(self._predicted(whole(part))),
-            np.clip(start[others], low + margin, high - margin),
-            jac=columns,
-            bounds=(low, high),
-            x_scale="jac",
-            xtol=1e-6,
-            ftol=1e-6,
-            gtol=1e-10,
-            max_nfev=30,
-        )
-        x = whole(found.x)
-        rise = (2.0 * float(found.cost) - self._least) / self._unit
+        x, total = self._near.refit(start, np.delete(np.arange(start.size), k))
+        rise = (total - self._least) / self._unit
         if rise < -BETTER and self.better is None:
             self.better = x
         return x, rise

@@ -91,6 +91,7 @@ def _dataset(d: Dataset, slug: str) -> dict[str, Any]:
         "run": d.run,
         "models": {name: _fitted(f) for name, f in d.fitted.items()},
         "skipped": dict(d.skipped),
+        "choice": d.choice.to_json(),
     }
     out["best"] = _best(d)
     out["conclusion"] = _conclusion(d, out["best"])

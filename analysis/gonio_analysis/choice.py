@@ -1,0 +1,343 @@
+"""Which model describes a sample: from the simplest up, the first that the data do not reject.
+
+Candidates stand in order of their free parameters. The data reject one where its whitened chi-square is too large for
+noise (probability below 1 %), or where another describes the same values better by more than `DECISIVE` in AIC: the
+total chi-square of hundreds of values hides a smooth misfit that a comparison sees. What is reported beside it (BIC,
+held-out error, run time) does not decide.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from gonio.errors import ConfigError, DataError
+from gonio_analysis import families
+from gonio_analysis.families import Ior, Values
+from gonio_analysis.fit import FitResult, finite, fit
+from gonio_analysis.near import Near, Rows
+from gonio_analysis.observations import Observations
+from gonio_analysis.profile import Interval, Profiles, profiles
+from gonio_analysis.regions import Region, blocks, worst
+from gonio_analysis.search import pose
+from gonio_analysis.uncertainty import Floats
+
+SIGNIFICANCE = 0.01
+DECISIVE = 10.0
+"""Difference in AIC beyond which the worse model has essentially no support (Burnham and Anderson 2002, 2.6)."""
+BEYOND = 2
+"""Models with more parameters than this beyond the first that chi-square does not reject are not tried."""
+SINGLE = ("lambert", "oren-nayar", "phong", "blinn", "cook-torrance", "he-torrance")
+SUMS = (
+    "oren-nayar+phong",
+    "oren-nayar+blinn",
+    "oren-nayar+cook-torrance",
+    "lambert+he-torrance",
+    "oren-nayar+he-torrance",
+)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A model with what of it is fitted."""
+
+    model: str
+    """As on the command line; sums as "oren-nayar+phong"."""
+    free: tuple[str, ...] = ()
+    slopes: int = 1
+
+    @property
+    def label(self) -> str:
+        """For reports."""
+        return self.model + (", two slopes" if self.slopes == 2 else "") + (", n + ik" if "k" in self.free else "")
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A candidate after its fit."""
+
+    candidate: Candidate
+    fit: FitResult
+    aic: float
+    bic: float
+    held_out: float | None
+    """Mean squared whitened residual of values that the fit had not seen; of logarithms without uncertainties."""
+    fails: Region | None
+    """Where the misfit is largest."""
+    rejected: str = ""
+    """Why the data reject it, in words; "" where they do not."""
+    wall_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What was tried, in order of complexity, and what the data say."""
+
+    judged: list[Judged]
+    named: Judged | None
+    """The simplest that the data do not reject."""
+    intervals: dict[str, Interval]
+    """Profile-likelihood intervals of the named model's parameters."""
+    words: str
+    held_out_by: str
+    left_out: dict[str, str] = field(default_factory=dict)
+    """Candidates that were not fitted, and why."""
+
+    def shows(self, j: Judged) -> bool:
+        """Whether a report of all models draws this one: the named one, and the best form of every single model."""
+        if j is self.named:
+            return True
+        alike = [other for other in self.judged if other.candidate.model == j.candidate.model]
+        return j.candidate.model in SINGLE and j is min(alike, key=lambda other: other.aic)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers, strings and None."""
+        return {
+            "named": self.named.candidate.label if self.named else None,
+            "model": self.named.candidate.model if self.named else None,
+            "words": self.words,
+            "significance": SIGNIFICANCE,
+            "decisive_aic": DECISIVE,
+            "held_out_by": self.held_out_by,
+            "candidates": [_plain(j) for j in self.judged],
+            "intervals": {n: i.to_json() for n, i in self.intervals.items()},
+            "left_out": self.left_out,
+        }
+
+
+def candidates(models: Sequence[str], ior: Ior = None) -> list[Candidate]:
+    """What to try: the models named, or with "all" every family, with n + ik fitted where nobody gave it, and sums.
+
+    A sum's Lambertian base is left out where the glossy model brings one of its own.
+
+    Raises
+    ------
+    ConfigError
+        "all" stands beside other names, or a name is unknown.
+    """
+    if "all" not in models:
+        for name in models:
+            families.family(name)
+        return [Candidate(name) for name in models]
+    if len(models) > 1:
+        raise ConfigError("--models all names every model: nothing can stand beside it")
+    single = [Candidate(name) for name in SINGLE]
+    several = [*(Candidate(name) for name in SUMS), Candidate("cook-torrance", slopes=2)]
+    out = []
+    for group in (single, several):
+        out += group
+        if ior is None:
+            out += [replace(c, free=("k",)) for c in group if families.needs_ior(c.model)]
+    return out
+
+
+def choose(
+    data: Observations,
+    tried: Sequence[Candidate],
+    *,
+    ior: Ior = None,
+    wavelength_nm: float | None = None,
+    name: str = "the table",
+    all_of_them: bool = False,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Choice:
+    """Fit every candidate to the values at one wavelength, and say which is the simplest that the data do not reject.
+
+    Parameters
+    ----------
+    data
+        Usable values (`gonio_analysis.observations`).
+    tried
+        See `candidates`; their order breaks ties between models with as many parameters.
+    ior
+        Optical constants n + ik, or a material, where they are known.
+    wavelength_nm
+        See `gonio_analysis.fit.fit`.
+    name
+        What messages call the data.
+    all_of_them
+        Fit every candidate; otherwise those are left out that have `BEYOND` more parameters than one that chi-square
+        does not reject.
+    progress
+        Called with a line before each fit.
+
+    Raises
+    ------
+    DataError
+        Not one candidate could be fitted.
+    ConfigError
+        See `gonio_analysis.fit.fit`; in a broad band candidates that need a wavelength are left out instead.
+    """
+    sizes = {c: _parameters(c, ior) for c in tried}
+    fits: dict[Candidate, FitResult] = {}
+    left_out: dict[str, str] = {}
+    walls: dict[Candidate, float] = {}
+    enough = math.inf
+
+    def fitted(candidate: Candidate, start: Sequence[Values] | None) -> FitResult:
+        return fit(
+            data,
+            candidate.model,
+            ior=ior if families.needs_ior(candidate.model) else None,
+            free=candidate.free,
+            slopes=candidate.slopes,
+            wavelength_nm=wavelength_nm,
+            start=start,
+            name=name,
+        )
+
+    for candidate in sorted(tried, key=lambda c: sizes[c]):  # stable
+        if sizes[candidate] > enough and not all_of_them:
+            left_out[candidate.label] = "a model with fewer parameters is not rejected"
+            continue
+        progress(f"{name}: fitting {candidate.label}")
+        began = time.perf_counter()
+        try:
+            result = fitted(candidate, _relatives(candidate, fits))
+        except (DataError, ConfigError) as error:
+            if isinstance(error, ConfigError) and not all(math.isnan(w) for w in data.wavelengths):
+                raise
+            left_out[candidate.label] = str(error)
+            continue
+        fits[candidate] = result
+        walls[candidate] = time.perf_counter() - began
+        if result.p_value is not None and result.p_value >= SIGNIFICANCE:
+            enough = min(enough, sizes[candidate] + BEYOND)
+    if not fits:
+        raise DataError(f"{name}: no model could be fitted. " + " ".join(dict.fromkeys(left_out.values())))
+    folds, by = blocks(next(iter(fits.values())).data)
+    judged = _reject([_judge(c, r, folds, walls[c]) for c, r in fits.items()])
+    named = next((j for j in judged if not j.rejected), None)
+    walked = Profiles({}) if named is None else profiles(named.fit)
+    if named is not None and walked.better is not None:  # a lower valley, met while walking: begin again from there
+        again = fitted(named.candidate, [named.fit.problem.values(walked.better)])
+        better = _judge(named.candidate, again, folds, named.wall_s)
+        judged = _reject([better if j is named else j for j in judged])
+        named = next((j for j in judged if not j.rejected), None)
+        walked = Profiles({}) if named is None else profiles(named.fit)
+    return Choice(judged, named, walked.intervals, _words(judged, named), by, left_out)
+
+
+def _parameters(candidate: Candidate, ior: Ior) -> int:
+    return len(pose(candidate.model, ior, {}, candidate.free, candidate.slopes).free)
+
+
+def _relatives(candidate: Candidate, fits: Mapping[Candidate, FitResult]) -> list[Values] | None:
+    """Starts from simpler fits that the candidate contains, so that it never ends above them; None: search."""
+    simpler = fits.get(replace(candidate, free=()))
+    if candidate.free and simpler is not None:
+        known = _values(simpler)
+        return [known, *({**known, "ior": n, "k": k} for n, k in families.INDICES)]
+    terms = families.parts(candidate.model)
+    if len(terms) == 1 or candidate.model == "lambert+he-torrance":
+        return None
+    base = "lambert+he-torrance" if terms[1] == "he-torrance" else terms[1]
+    simpler = fits.get(Candidate(base))
+    if simpler is None:
+        return None
+    known = _values(simpler)
+    albedo = known.get("albedo", known.get("k_d", known.get("diffuse_albedo", 0.0)))
+    if terms[1] == "cook-torrance":
+        albedo *= 1.0 - known["s"]
+    return [{**known, "albedo": albedo, "sigma_deg": sigma} for sigma in (5.0, 25.0)]
+
+
+def _values(result: FitResult) -> Values:
+    return dict(result.problem.values(result.vector))
+
+
+def _judge(candidate: Candidate, result: FitResult, folds: Sequence[Rows], wall_s: float) -> Judged:
+    n, p = len(result.data), len(result.free)
+    total = float(result.whitened @ result.whitened)
+    # without uncertainties the scatter is fitted too: -2 log L = n log(residual sum / n), up to a constant
+    deviance = total if result.chi_square is not None else n * math.log(max(total, 1e-300) / n)
+    began = time.perf_counter()
+    error = _held_out(result, folds)
+    return Judged(
+        candidate,
+        result,
+        deviance + 2 * p,
+        deviance + p * math.log(n),
+        error,
+        worst(result) if result.chi_square is not None else None,
+        wall_s=wall_s + time.perf_counter() - began,
+    )
+
+
+def _held_out(result: FitResult, folds: Sequence[Rows]) -> float | None:
+    """Mean squared residual of blocks that the fit had not seen; None where blocks are too few to leave one out."""
+    if len(folds) < 2:
+        return None
+    everything = np.arange(len(result.data))
+    free = np.arange(len(result.free))
+    total = 0.0
+    for fold in folds:
+        rest = np.setdiff1d(everything, fold)
+        if rest.size <= free.size:
+            return None
+        vector, _ = Near(result, rest).refit(result.vector, free, limit=15)
+        left = Near(result, fold)
+        residual: Floats = left.goal.residual(left.predicted(vector))
+        total += float(residual @ residual)
+    return total / len(result.data)
+
+
+def _reject(judged: Sequence[Judged]) -> list[Judged]:
+    """Why the data reject each, where they do."""
+    best = min(judged, key=lambda j: j.aic)
+    out = []
+    for j in judged:
+        p = j.fit.p_value
+        why = ""
+        if p is not None and p < SIGNIFICANCE:
+            why = f"reduced chi-square {j.fit.reduced_chi_square:.4g} (p {'< 1e-4' if p < 1e-4 else f'= {p:.2g}'})"
+        elif j.aic - best.aic > DECISIVE and (best.fit.p_value is None or best.fit.p_value >= SIGNIFICANCE):
+            why = f"{best.candidate.label} describes the same values better by {j.aic - best.aic:.3g} in AIC"
+        out.append(replace(j, rejected=why))
+    return out
+
+
+def _words(judged: Sequence[Judged], named: Judged | None) -> str:
+    """The finding, in a sentence or two."""
+    best = min(judged, key=lambda j: j.aic)
+    if named is None:
+        return (
+            f"The data reject every model that was tried ({len(judged)}); {best.candidate.label} is the best of them"
+            f" (reduced chi-square {best.fit.reduced_chi_square:.4g})."
+        )
+    stated = named.fit.reduced_chi_square is not None
+    text = f"{named.candidate.label} is the simplest model that the data do not reject"
+    text += f" (reduced chi-square {named.fit.reduced_chi_square:.3g})." if stated else "."
+    if not stated:
+        text += " Without stated uncertainties only a comparison with the others (AIC) can reject a model."
+    simpler = [j for j in judged if len(j.fit.free) < len(named.fit.free)]
+    if simpler:
+        text += f" {len(simpler)} simpler ones are rejected."
+    equals = [j for j in judged if j is not named and not j.rejected and len(j.fit.free) == len(named.fit.free)]
+    if equals:
+        text += f" As many parameters and not rejected either: {', '.join(j.candidate.label for j in equals)}."
+    return text
+
+
+def _plain(j: Judged) -> dict[str, Any]:
+    return {
+        "label": j.candidate.label,
+        "model": j.candidate.model,
+        "n_free": len(j.fit.free),
+        "free": list(j.fit.free),
+        "parameters": {n: {"value": finite(e.value), "u": finite(e.u)} for n, e in j.fit.parameters.items()},
+        "chi_square": finite(j.fit.chi_square),
+        "reduced_chi_square": finite(j.fit.reduced_chi_square),
+        "p_value": finite(j.fit.p_value),
+        "aic": finite(j.aic),
+        "bic": finite(j.bic),
+        "held_out": finite(j.held_out),
+        "wall_s": j.wall_s,
+        "rejected": j.rejected,
+        "fails": None if j.fails is None else j.fails.to_json(),
+    }

@@ -1,0 +1,74 @@
+"""A fit's neighbourhood: the model near a solution, cheap enough for hundreds of small fits.
+
+Near the solution the model through the instrument's cones is the quick model (the lobe at the cones' centre, and the
+spike) times a ratio that hardly changes. The ratio is taken from the solution.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio_analysis.fit import FitResult
+from gonio_analysis.forward import apparent
+from gonio_analysis.objective import Objective
+from gonio_analysis.search import derivatives
+from gonio_analysis.uncertainty import Floats
+
+Rows = npt.NDArray[np.intp]
+
+
+class Near:
+    """The model of a fit for values of its parameters near the fitted ones, over all or some of its data."""
+
+    def __init__(self, result: FitResult, rows: Rows | None = None) -> None:
+        self.problem = result.problem
+        self.data = result.data if rows is None else result.data.take(rows)
+        goal = result.goal
+        if rows is not None:
+            weights = None if goal.weights is None else goal.weights.take(rows)
+            goal = Objective(goal.measured[rows], weights, goal.small)
+        self.goal = goal
+        centre = apparent(result.model, self.data, quick=True)
+        predicted = result.predicted if rows is None else result.predicted[rows]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self._ratio = np.nan_to_num(np.clip(predicted / centre, 0.2, 5.0), nan=1.0)
+
+    def predicted(self, vector: Floats) -> Floats:
+        """The model [1/sr] at a point of the search scale."""
+        return apparent(self.problem.model(vector), self.data, quick=True) * self._ratio
+
+    def refit(self, start: Floats, free: Rows, *, limit: int = 30) -> tuple[Floats, float]:
+        """The best point with only the parameters `free` moving, and its sum of squares."""
+        from scipy.optimize import least_squares
+
+        def whole(part: Floats) -> Floats:
+            x = start.copy()
+            x[free] = part
+            return x
+
+        def residual(part: Floats) -> Floats:
+            return self.goal.residual(self.predicted(whole(part)))
+
+        def jacobian(part: Floats) -> Floats:
+            x = whole(part)
+            columns = derivatives(self.problem, self.data, x, quick=True, only=free) * self._ratio[:, None]
+            return self.goal.jacobian(self.predicted(x), columns)
+
+        if free.size == 0:
+            white = self.goal.residual(self.predicted(start))
+            return start, float(white @ white)
+        lower, upper = (bound[free] for bound in self.problem.bounds)
+        margin = 1e-9 * (upper - lower)
+        found = least_squares(
+            residual,
+            np.clip(start[free], lower + margin, upper - margin),
+            jac=jacobian,
+            bounds=(lower, upper),
+            x_scale="jac",
+            xtol=1e-6,
+            ftol=1e-6,
+            gtol=1e-10,
+            max_nfev=limit,
+        )
+        return whole(found.x), 2.0 * float(found.cost)

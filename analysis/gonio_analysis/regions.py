@@ -1,0 +1,109 @@
+"""Regions of angles: where a model fails, and blocks of values for held-out errors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from gonio_analysis.fit import FitResult
+from gonio_analysis.near import Rows
+from gonio_analysis.observations import Observations
+from gonio_analysis.uncertainty import Floats
+
+TOGETHER = math.radians(2.0)
+"""Incidences closer than this are one."""
+OUT_OF_PLANE = math.radians(5.0)
+"""Angle between the detector and the plane of incidence beyond which a value is out of plane."""
+AROUND_MIRROR = math.radians(12.0)
+FOLDS = 5
+
+
+@dataclass(frozen=True)
+class Region:
+    """Where a model is farthest from the data, relative to their uncertainty."""
+
+    words: str
+    values: int
+    excess: float
+    """Sum of squared whitened residuals in the region, less their number."""
+    share: float
+    """Of the excess of all regions with any."""
+    ratio: float | None
+    """Median of model / measurement there, over values above 3 u."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers."""
+        return {
+            "words": self.words,
+            "values": self.values,
+            "excess": self.excess,
+            "share": self.share,
+            "ratio": self.ratio,
+        }
+
+
+def incidences(data: Observations) -> list[tuple[float, Rows]]:
+    """The angles of incidence [rad], ascending, and the values measured at each."""
+    order = np.argsort(data.theta_i)
+    cuts = np.flatnonzero(np.diff(data.theta_i[order]) > TOGETHER) + 1
+    return [(float(data.theta_i[group].mean()), group) for group in np.split(order, cuts)]
+
+
+def signed(data: Observations) -> tuple[Floats, Floats]:
+    """The detector's angle in the plane of incidence (positive on the mirror side) and out of it [rad]."""
+    dphi = data.phi_r - data.phi_i
+    along = -np.sin(data.theta_r) * np.cos(dphi)
+    across = np.sin(data.theta_r) * np.sin(dphi)
+    return np.arctan2(along, np.cos(data.theta_r)), np.arcsin(np.clip(across, -1.0, 1.0))
+
+
+def worst(result: FitResult) -> Region | None:
+    """The region with the largest excess of chi-square over the number of its values; None where there is none."""
+    data, square = result.data, result.whitened**2
+    along, across = signed(data)
+    found: list[tuple[float, str, Rows]] = []
+    for theta_i, rows in incidences(data):
+        flat = np.abs(across[rows]) < OUT_OF_PLANE
+        mirror = np.abs(along[rows] - theta_i) < AROUND_MIRROR
+        zones = {
+            "on the retro side": flat & ~mirror & (along[rows] < 0),
+            "between normal and mirror": flat & ~mirror & (along[rows] >= 0) & (along[rows] < theta_i),
+            "around the mirror direction": flat & mirror,
+            "beyond the mirror direction": flat & ~mirror & (along[rows] >= theta_i),
+            "out of plane": ~flat,
+        }
+        for words, zone in zones.items():
+            here = rows[zone]
+            if here.size:
+                excess = float(square[here].sum()) - here.size
+                found.append((excess, f"θi = {math.degrees(theta_i):.0f}°, {words}", here))
+    total = sum(max(excess, 0.0) for excess, _, _ in found)
+    if total <= 0:
+        return None
+    excess, words, here = max(found, key=lambda f: f[0])
+    seen = here[data.brdf[here] > 3 * data.u[here]]
+    ratio = float(np.median(result.predicted[seen] / data.brdf[seen])) if seen.size else None
+    return Region(words, int(here.size), excess, max(excess, 0.0) / total, ratio)
+
+
+def blocks(data: Observations) -> tuple[list[Rows], str]:
+    """Blocks to leave out one after the other, and what they are; neighbours stay together, for they are alike.
+
+    Angles of incidence where there are three or more, else ranges of the detector's angle.
+    """
+    groups = [rows for _, rows in incidences(data)]
+    if len(groups) >= 3:
+        if len(groups) > 2 * FOLDS:  # a dense set of incidences: neighbours go together
+            groups = [np.concatenate(part) for part in _parts(groups, FOLDS)]
+        return groups, "angle of incidence"
+    along, _ = signed(data)
+    return [part for part in np.array_split(np.argsort(along), FOLDS) if part.size], "range of the detector's angle"
+
+
+def _parts(groups: list[Rows], count: int) -> list[list[Rows]]:
+    edges = np.linspace(0, len(groups), count + 1).round().astype(int)
+    return [groups[a:b] for a, b in pairwise(edges) if b > a]

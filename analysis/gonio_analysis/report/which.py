@@ -1,0 +1,86 @@
+"""The section "Which model" of a report: what was tried, from the simplest up, and what the data say of it."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Any
+
+from gonio_analysis.report import html
+from gonio_analysis.report.text import number, with_u
+
+
+def section(choice: dict[str, Any]) -> list[str]:
+    """HTML of the section; nothing where one model alone was tried.
+
+    Parameters
+    ----------
+    choice
+        As `gonio_analysis.choice.Choice.to_json` has it.
+    """
+    tried = choice["candidates"]
+    if len(tried) < 2:
+        return []
+    least = {key: min(c[key] for c in tried) for key in ("aic", "bic")}
+    rows = [
+        [
+            escape(c["label"]),
+            str(c["n_free"]),
+            number(c["reduced_chi_square"]),
+            number(c["aic"] - least["aic"]),
+            number(c["bic"] - least["bic"]),
+            number(c["held_out"]),
+            f"{c['wall_s']:.1f} s",
+            escape(f"rejected: {c['rejected']}" if c["rejected"] else "not rejected"),
+            escape(_fails(c)),
+        ]
+        for c in tried
+    ]
+    marks = ["best" if c["label"] == choice["named"] else "" for c in tried]
+    out = ["<h3>Which model</h3>", f"<p>{escape(choice['words'])}</p>"]
+    out.append(
+        html.table(
+            "From the simplest up. AIC and BIC are differences to the lowest; the held-out error is the mean squared"
+            f" residual, in units of the uncertainty, of values left out by {choice['held_out_by']}. A model is"
+            f" rejected where the probability of its chi-square is below {100 * choice['significance']:g} %, or where"
+            f" another is better by more than {choice['decisive_aic']:g} in AIC.",
+            ["model", "parameters", "reduced χ²", "ΔAIC", "ΔBIC", "held-out", "time", "verdict", "largest misfit"],
+            rows,
+            right=(1, 2, 3, 4, 5, 6),
+            marks=marks,
+        )
+    )
+    if choice["intervals"]:
+        out.append(_intervals(choice))
+    if choice["left_out"]:
+        out.append(
+            '<ul class="notes">'
+            + "".join(f"<li>{escape(m)} was not tried: {escape(why)}.</li>" for m, why in choice["left_out"].items())
+            + "</ul>"
+        )
+    return out
+
+
+def _fails(c: dict[str, Any]) -> str:
+    region = c["fails"]
+    if region is None or not c["rejected"]:
+        return ""
+    text = f"{region['words']}: {100 * region['share']:.0f} % of the misfit"
+    if region["ratio"] is not None:
+        off = 100 * (region["ratio"] - 1)
+        if abs(off) >= 0.1:
+            text += f", model {number(abs(off), 2)} % too {'high' if off > 0 else 'low'}"
+    return text
+
+
+def _intervals(choice: dict[str, Any]) -> str:
+    named = next(c for c in choice["candidates"] if c["label"] == choice["named"])
+    rows = []
+    for name, i in choice["intervals"].items():
+        p = named["parameters"][name]
+        bounds = [f"{number(i[end], 4)}{' (bound)' if i[f'open_{end}'] else ''}" for end in ("low", "high")]
+        rows.append([f"<code>{escape(name)}</code>", with_u(p["value"], p["u"]), " to ".join(bounds)])
+    return html.table(
+        f"Parameters of {named['label']} with profile-likelihood intervals: each is held while all others follow.",
+        ["parameter", "value and standard error", "95 % interval"],
+        rows,
+    )
