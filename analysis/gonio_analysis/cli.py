@@ -87,8 +87,14 @@ def compare(
     normalise: Annotated[Norm, typer.Option(help="What polar curves are divided by.")] = Norm.mirror,
     ior: Annotated[str | None, typer.Option(help=IOR_HELP, show_default=False)] = None,
     wavelength_nm: Annotated[float | None, typer.Option(help=WAVELENGTH_HELP, show_default=False)] = None,
+    change: Annotated[
+        bool, typer.Option("--change", help="Compare two point by point; a model is given by its sample file (.toml).")
+    ] = False,
 ) -> None:
-    """Fit several models to one or more measurements, and write a report."""
+    """Fit several models to one or more measurements, and write a report; with --change, did A change into B?"""
+    if change:
+        print(_change(measurements, out, wavelength_nm))
+        return
     chosen = [m.strip() for m in models.split(",") if m.strip()]
     print(_report(measurements, out, chosen, normalise, ior, wavelength_nm))
 
@@ -178,6 +184,17 @@ def _report(
         command=command_line(),
         progress=console.note,
     )
+
+
+def _change(specs: list[str], out: Path, wavelength_nm: float | None) -> Path:
+    from gonio.cli import console
+    from gonio.errors import ConfigError
+    from gonio.run import command_line
+    from gonio_analysis.report import change
+
+    if len(specs) != 2:
+        raise ConfigError(f"--change compares two, A and B; {len(specs)} are named")
+    return change.make(specs, out, wavelength_nm=wavelength_nm, command=command_line(), progress=console.note)
 
 
 def _print(result: FitResult, sample: str) -> None:

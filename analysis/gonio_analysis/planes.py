@@ -107,8 +107,8 @@ def curves(data: Observations) -> list[Curve]:
     dphi = data.phi_r - data.phi_i
     side = np.abs(np.arcsin(np.clip(np.sin(data.theta_r) * np.sin(dphi), -1, 1)))
     inside = np.flatnonzero((side <= IN_PLANE) | (data.theta_i < SAME_ANGLE))
-    by_incidence = _groups(data.theta_i, data.phi_i, inside)
-    by_view = _groups(data.theta_r, data.phi_r, inside)
+    by_incidence = groups(data.theta_i, data.phi_i, inside)
+    by_view = groups(data.theta_r, data.phi_r, inside)
     if len(by_view) * 3 <= len(by_incidence):  # the source was moved, in steps finer than the detector's
         return _curves(data, by_view, "theta_i", side)
     return _curves(data, by_incidence, "theta_r", side)
@@ -145,22 +145,22 @@ def _curves(data: Observations, groups: list[Rows], scanned: Scanned, side: Floa
     return sorted(out, key=lambda c: (round(np.degrees(c.parameter), 1), c.phi_i))
 
 
-def _groups(theta: Floats, phi: Floats, rows: Rows) -> list[Rows]:
+def groups(theta: Floats, phi: Floats, rows: Rows) -> list[Rows]:
     """Rows of one direction each: chains of nearly equal polar angle, split where azimuths differ by 2 degrees."""
-    groups: list[Rows] = []
+    out: list[Rows] = []
     if not rows.size:
-        return groups
+        return out
     order = rows[np.argsort(theta[rows], kind="stable")]
     for chain in np.split(order, np.flatnonzero(np.diff(theta[order]) > SAME_ANGLE) + 1):
         if theta[chain].max() < SAME_ANGLE:
-            groups.append(chain)
+            out.append(chain)
             continue
         turn = np.exp(1j * phi[chain])
         while chain.size:
             near = np.abs(turn - turn[0]) <= np.radians(2.0)
-            groups.append(chain[near])
+            out.append(chain[near])
             chain, turn = chain[~near], turn[~near]
-    return groups
+    return out
 
 
 def _mean_azimuth(phi: Floats) -> float:

@@ -171,7 +171,7 @@ def semilog(ax: Any, lines: Sequence[Line], *, unit: str = "BRDF [1/sr]") -> lis
             if high > 1e4 * low:  # a tick is slow to draw, and eight a decade are too close to count
                 ax.yaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0), numticks=50))
             ax.yaxis.set_minor_formatter(NullFormatter())
-    _angle_axis(ax)
+    angle_axis(ax)
     ax.set_ylabel(unit)
     return artists
 
@@ -197,7 +197,7 @@ def linear(ax: Any, lines: Sequence[Line], *, y_label: str) -> list[Any]:
                 ax.errorbar(x, line.measured, yerr=u, ls=(0, (4, 2)), lw=0.8, elinewidth=0.8, ms=2.6, zorder=4, **look)
             )
     ax.set_ylim(bottom=0.0)
-    _angle_axis(ax)
+    angle_axis(ax)
     ax.set_ylabel(y_label)
     return artists
 
@@ -236,7 +236,7 @@ def residuals(
         ax.set_ylim(-top * 1.6, top * 1.6)
     else:
         ax.set_ylim(-max(top * 1.15, threshold), max(top * 1.15, threshold))
-    _angle_axis(ax)
+    angle_axis(ax)
     ax.set_ylabel("whitened\nresidual" if whitened else "relative\nresidual")
     return artists
 
@@ -352,7 +352,8 @@ def _ticks(rim: float) -> list[float]:
     return [float(rim * k / 4) for k in range(5)]
 
 
-def _angle_axis(ax: Any) -> None:
+def angle_axis(ax: Any) -> None:
+    """The signed angle from -90 to 90 degrees along x."""
     ax.set_xlim(-90, 90)
     ax.set_xticks(range(-90, 91, 30), [f"{d}°".replace("-", "−") for d in range(-90, 91, 30)])
     ax.grid(color=FAINT, lw=0.5)

@@ -20,7 +20,7 @@
     parent.append(node);
     return node;
   }
-  function marker(parent, k, x, y, colour, size = 3) {
+  function marker(parent, k, x, y, colour, size = 3, hollow = false) {
     const s = size, shape = (k + Math.floor(k / 6)) % 6; // beyond six curves a colour comes with another marker
     const paths = [
       null, `M${-s} ${-s}H${s}V${s}H${-s}Z`, `M0 ${-1.3 * s}L${1.2 * s} ${s}H${-1.2 * s}Z`,
@@ -28,6 +28,7 @@
       `M${-s} 0H${s}M0 ${-s}V${s}`,
     ];
     const at = { transform: `translate(${x.toFixed(2)} ${y.toFixed(2)})`, fill: colour };
+    if (hollow) Object.assign(at, { fill: "#ffffff", stroke: colour, "stroke-width": 1.3 });
     if (shape === 0) svg(parent, "circle", { ...at, r: s });
     else svg(parent, "path", { ...at, d: paths[shape], ...(shape === 5 ? { stroke: colour, "stroke-width": 1.8 } : {}) });
   }
@@ -51,7 +52,7 @@
     constructor(root, data) {
       Object.assign(this, { root, data, wave: data.at, norm: data.normalise, plot: "polar", at: null });
       this.labels = new Set(data.shown);
-      this.series = new Set(["measured", ...(data.best ? [data.best] : [])]);
+      this.series = new Set(data.chosen);
       this.build();
       root.hidden = false;
       new ResizeObserver(() => this.draw()).observe(this.stage);
@@ -91,7 +92,7 @@
       const order = [...data.labels].sort((a, b) => parseFloat(a.split("=")[1]) - parseFloat(b.split("=")[1]));
       const choices = [
         choice("Plot", "plot", [["polar", "polar"], ["log", "logarithmic"]]),
-        choice("Divided by", "norm", NORMS),
+        choice("Divided by", "norm", NORMS.filter(([key]) => key !== "model" || data.models.length)),
       ];
       if (data.waves.length > 1) {
         choices.push(choice("Wavelength", "wave", data.waves.map((w, k) => [String(k), `${w.nm} nm`])));
@@ -101,7 +102,7 @@
       root.append(
         html("div", { class: "choices" }, ...choices),
         boxes("Curves", order, this.labels, "curve"),
-        boxes("Shown", ["measured", ...data.models], this.series, "series"),
+        boxes("Shown", [...data.points, ...data.models], this.series, "series"),
         this.stage, this.output,
       );
     }
@@ -111,9 +112,9 @@
     divisor(curve, s) {
       if (this.norm === "none") return 1;
       if (this.norm === "model") {
-        const model = curve.series.find((x) => x.name !== "measured" && this.series.has(x.name) && x.by.model);
+        const model = curve.series.find((x) => this.series.has(x.name) && x.by.model);
         const any = model || curve.series.find((x) => x.by.model);
-        return (s.name !== "measured" && s.by.model) || (any && any.by.model) || s.by.max || 1;
+        return s.by.model || (any && any.by.model) || s.by.max || 1;
       }
       return s.by[this.norm] || s.by.max || 1;
     }
@@ -132,7 +133,7 @@
             const u = s.u && s.u[k] !== null ? s.u[k] : null;
             points.push({ angle, brdf: s.brdf[k], u, value: s.brdf[k] / by, du: u === null ? null : u / by });
           });
-          out.push({ curve, look, name: s.name, by, points, theory: s.name !== "measured" });
+          out.push({ curve, look, name: s.name, by, points, theory: this.data.models.includes(s.name) });
         }
       }
       return out;
@@ -191,7 +192,7 @@
             const low = place(p.angle, p.value - p.du) || xy, high = place(p.angle, p.value + p.du) || xy;
             svg(group, "path", { d: `M${low[0].toFixed(2)} ${low[1].toFixed(2)}L${high[0].toFixed(2)} ${high[1].toFixed(2)}`, stroke: colour, "stroke-width": 1.2 });
           }
-          marker(group, line.look, xy[0], xy[1], colour, this.stage.clientWidth < 520 ? 2.2 : 3);
+          marker(group, line.look, xy[0], xy[1], colour, this.stage.clientWidth < 520 ? 2.2 : 3, line.name !== this.data.points[0]);
         }
       }
     }
@@ -325,7 +326,7 @@
       if (this.norm !== "none") text += `; divided: ${digits(p.value, 4)}${p.du === null ? "" : ` ± ${digits(p.du, 2)}`}`;
       if (!line.theory) {
         for (const s of line.curve.series) {
-          if (s.name === "measured" || !this.series.has(s.name)) continue;
+          if (s.name === line.name || !this.series.has(s.name)) continue;
           const k = s.angle.indexOf(p.angle);
           if (k < 0 || s.brdf[k] === null) continue;
           const off = p.u ? `, off by ${digits((s.brdf[k] - p.brdf) / p.u, 2)} u` : "";

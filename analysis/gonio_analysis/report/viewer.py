@@ -72,8 +72,9 @@ def viewer(d: Dataset, facts: dict[str, Any], normalise: str) -> dict[str, Any]:
         "at": next(k for k, w in enumerate(out) if w["nm"] == finite(here)),
         "labels": names,
         "shown": first,
+        "points": ["measured"],
         "models": list(d.fitted),
-        "best": facts["best"],
+        "chosen": ["measured", *([facts["best"]] if facts["best"] else [])],
         "normalise": normalise,
         "waves": out,
     }
@@ -82,14 +83,7 @@ def viewer(d: Dataset, facts: dict[str, Any], normalise: str) -> dict[str, Any]:
 def _curve(c: Curve, name: str, theory: dict[str, tuple[Floats, Floats]]) -> dict[str, Any]:
     top = int(np.argmax(c.brdf))
     mirror = c.mirror
-    measured: dict[str, Any] = {
-        "name": "measured",
-        "angle": _rounded(np.degrees(c.angle), 9),
-        "brdf": _rounded(c.brdf, 9),
-        "u": _rounded(c.u, 4) if np.isfinite(c.u).any() else None,
-        "by": {"max": _positive(c.brdf[top]), "mirror": None if mirror is None else _positive(c.brdf[mirror])},
-    }
-    series = [measured]
+    series = [points("measured", c, c.brdf, c.u)]
     for model, (angle, value) in theory.items():
 
         def at(where: float, angle: Floats = angle, value: Floats = value) -> float | None:
@@ -104,6 +98,18 @@ def _curve(c: Curve, name: str, theory: dict[str, tuple[Floats, Floats]]) -> dic
             {"name": model, "angle": _rounded(np.degrees(angle), 9), "brdf": _rounded(value, 6), "u": None, "by": by}
         )
     return {"label": name, "mirror": round(float(np.degrees(c.parameter)), 4), "series": series}
+
+
+def points(name: str, c: Curve, brdf: Floats, u: Floats) -> dict[str, Any]:
+    """Values [1/sr] along a curve as a series; it is divided by its own value in the mirror direction, or largest."""
+    mirror = None if c.mirror is None else _positive(brdf[c.mirror])
+    return {
+        "name": name,
+        "angle": _rounded(np.degrees(c.angle), 9),
+        "brdf": _rounded(brdf, 9),
+        "u": _rounded(u, 4) if np.isfinite(u).any() else None,
+        "by": {"max": _positive(brdf[int(np.argmax(c.brdf))]), "mirror": mirror},
+    }
 
 
 def rows(view: dict[str, Any]) -> Iterator[tuple[Any, ...]]:

@@ -1,0 +1,261 @@
+"""The values of one measurement in the directions of another, without inventing data.
+
+Two runs of one plan never land in quite the same directions, and files of different laboratories share few. A value is
+carried over only by interpolation between measured neighbours: along the plane of incidence, or in a Delaunay
+triangulation of the receiver's directions. Outside their convex hull, across a hole (a row that must not be used), or
+where neighbours are more than `FARTHEST` apart there is none.
+
+Lobes follow the mirror direction, so that positions are counted from it: r = sin(theta_r) (cos dphi, sin dphi) +
+(sin(theta_i), 0). A difference of a few hundredths of a degree between two incidences then moves the lobe along.
+
+The error of an interpolation between x_k with weights w_k is stated as sum_k w_k |g_k - g| |x_k - x| / 2, g_k being
+the gradient that the values around x_k have, and g that of the interpolant: exact for a parabola in one dimension.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio import geometry
+from gonio_analysis.observations import SAME_BAND_NM, Observations
+from gonio_analysis.planes import IN_PLANE, SAME_ANGLE, Rows, groups
+from gonio_analysis.uncertainty import Floats
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SAME_DIRECTION = float(np.radians(0.02))
+"""Directions closer than this count as the same [rad]."""
+FARTHEST = float(np.radians(15.0))
+"""Nothing is interpolated between directions farther apart than this [rad]."""
+
+
+@dataclass(frozen=True)
+class Carried:
+    """Values of B in some of the directions of A."""
+
+    rows: Rows
+    """Which of A's values have a counterpart."""
+    value: Floats
+    """[1/sr]."""
+    random: Floats
+    """Independent standard uncertainty [1/sr], 0 where none is stated."""
+    common: Floats
+    """(n, k) common causes of B [1/sr]."""
+    error: Floats
+    """Of the interpolation [1/sr]; 0 in the same direction."""
+    missing: dict[str, int]
+    """Why values of A have no counterpart, and how many."""
+
+    @property
+    def interpolated(self) -> int:
+        """How many values are not from the same direction."""
+        return int(np.count_nonzero(self.error))
+
+
+def common_wavelengths(a: Observations, b: Observations, within_nm: float = 0.5) -> list[tuple[float, float]]:
+    """Wavelengths [nm] of A with the nearest one of B, where they agree; (NaN, NaN) for two broad bands."""
+    out = []
+    for wave in a.wavelengths:
+        if np.isnan(wave):
+            out += [(wave, w) for w in b.wavelengths if np.isnan(w)]
+            continue
+        known = [w for w in b.wavelengths if abs(w - wave) <= within_nm]
+        if known:
+            out.append((wave, min(known, key=lambda w: abs(w - wave))))
+    return out
+
+
+def carry(a: Observations, b: Observations, b_table: pd.DataFrame) -> Carried:
+    """B's values in the directions of A, at their common wavelengths.
+
+    Parameters
+    ----------
+    a, b
+        The usable values of two tables.
+    b_table
+        The whole table of B: its rows that are not in `b` are holes.
+    """
+    n = len(a)
+    k = len(b.covariance.causes) if b.covariance is not None else 0
+    value, random, error = np.full(n, np.nan), np.zeros(n), np.zeros(n)
+    common = np.zeros((n, k))
+    missing = {"at another wavelength": n}
+    for wave_a, wave_b in common_wavelengths(a, b):
+        here_a, here_b = _at(a.wavelength_nm, wave_a), _at(b.wavelength_nm, wave_b)
+        missing["at another wavelength"] -= here_a.size
+        pool = groups(b.theta_i, b.phi_i, here_b)
+        for group in groups(a.theta_i, a.phi_i, here_a):
+            partner = _partner(a, group, b, pool)
+            if partner is None:
+                missing["at another incidence"] = missing.get("at another incidence", 0) + group.size
+                continue
+            normal = float(a.phi_i[group[0]]) if a.theta_i[group].max() < SAME_ANGLE else None
+            holes = _holes(b, b_table, partner, wave_b, normal)
+            nodes, weights, bend = interpolation(
+                _places(a, group, normal), _places(b, partner, normal), holes, b.brdf[partner]
+            )
+            found = nodes[:, 0] >= 0
+            if not found.all():
+                reason = "outside the other's directions, or in a hole of them"
+                missing[reason] = missing.get(reason, 0) + int((~found).sum())
+            rows, near, w = group[found], partner[nodes[found]], weights[found]
+            value[rows], error[rows] = (w * b.brdf[near]).sum(axis=1), bend[found]
+            if b.covariance is not None:
+                random[rows] = np.sqrt((w**2 * b.covariance.random[near] ** 2).sum(axis=1))
+                common[rows] = (w[:, :, None] * b.covariance.common[near]).sum(axis=1)
+    rows = np.flatnonzero(np.isfinite(value))
+    return Carried(rows, value[rows], random[rows], common[rows], error[rows], {r: c for r, c in missing.items() if c})
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Receiver directions of one incidence."""
+
+    points: Floats
+    """(n, 3): position from the mirror direction in the plane of the sample, and cos(theta_r)."""
+    signed: Floats
+    """Angle along the plane of incidence, from the mirror direction [rad]."""
+    inside: npt.NDArray[np.bool_]
+    """Whether it lies in the plane of incidence."""
+
+
+def _at(waves: Floats, wave: float) -> Rows:
+    return np.flatnonzero(np.isnan(waves) if np.isnan(wave) else np.abs(waves - wave) <= SAME_BAND_NM)
+
+
+def _place(theta_i: Floats, theta_r: Floats, dphi: Floats) -> _Places:
+    out = np.sin(theta_r) * np.sin(dphi)
+    points = np.stack([np.sin(theta_r) * np.cos(dphi) + np.sin(theta_i), out, np.cos(theta_r)], axis=1)
+    signed = np.asarray(geometry.in_plane_angle(theta_r, dphi) - theta_i)
+    return _Places(points, signed, np.abs(out) <= np.sin(IN_PLANE))
+
+
+def _places(data: Observations, rows: Rows, normal: float | None) -> _Places:
+    """At normal incidence azimuths count from `normal`: that of the source means nothing."""
+    phi_i = data.phi_i[rows] if normal is None else normal
+    return _place(data.theta_i[rows], data.theta_r[rows], data.phi_r[rows] - phi_i)
+
+
+def _holes(b: Observations, table: pd.DataFrame, rows: Rows, wave: float, normal: float | None) -> _Places:
+    """The rows of B's table at the incidence of `rows` that must not be used."""
+    unused = np.setdiff1d(_at(table["wavelength_nm"].to_numpy(np.float64), wave), b.rows)
+    columns = ("theta_i", "phi_i", "theta_r", "phi_r")
+    angles = np.radians(np.stack([table[f"{c}_deg"].to_numpy(np.float64)[unused] for c in columns]))
+    angles = angles[:, np.isfinite(angles).all(axis=0)]
+    goal = geometry.direction(b.theta_i[rows], b.phi_i[rows]).mean(axis=0)
+    here = np.linalg.norm(geometry.direction(angles[0], angles[1]) - goal, axis=1) <= SAME_ANGLE
+    theta_i, phi_i, theta_r, phi_r = angles[:, here]
+    return _place(theta_i, theta_r, phi_r - (phi_i if normal is None else normal))
+
+
+def _partner(a: Observations, group: Rows, b: Observations, pool: list[Rows]) -> Rows | None:
+    """The rows of B with the incidence of a group of A."""
+
+    def incidence(data: Observations, rows: Rows) -> Floats:
+        return np.asarray(geometry.direction(data.theta_i[rows], data.phi_i[rows]).mean(axis=0))
+
+    goal = incidence(a, group)
+    off = [float(np.linalg.norm(incidence(b, rows) - goal)) for rows in pool]
+    if not off or min(off) > SAME_ANGLE:
+        return None
+    return pool[int(np.argmin(off))]
+
+
+def interpolation(goal: _Places, known: _Places, holes: _Places, values: Floats) -> tuple[Rows, Floats, Floats]:
+    """Three neighbours for each goal (-1 where it has none), their weights, and the error of the interpolation."""
+    from scipy.spatial import KDTree
+
+    n = goal.signed.size
+    nodes, weights, error = np.full((n, 3), -1), np.zeros((n, 3)), np.zeros(n)
+    distance, nearest = KDTree(known.points).query(goal.points)
+    same = distance <= SAME_DIRECTION
+    nodes[same] = nearest[same, None]
+    weights[same, 0] = 1.0
+    line = np.flatnonzero(known.inside)
+    along = np.flatnonzero(~same & goal.inside)
+    if line.size > 1 and along.size:
+        _along(goal, known, holes, values, along, line, (nodes, weights, error))
+    if (~known.inside).any():
+        rest = np.flatnonzero(nodes[:, 0] < 0)
+        _across(goal, known, holes, values, rest, (nodes, weights, error))
+    return nodes, weights, error
+
+
+def _along(
+    goal: _Places,
+    known: _Places,
+    holes: _Places,
+    values: Floats,
+    rows: Rows,
+    line: Rows,
+    out: tuple[Rows, Floats, Floats],
+) -> None:
+    """Along the plane of incidence, between the two neighbours."""
+    x, first = np.unique(known.signed[line], return_index=True)
+    line = line[first]
+    if x.size < 2:
+        return
+    f = values[line]
+    slope = np.gradient(f, x)
+    t = goal.signed[rows]
+    k = np.clip(np.searchsorted(x, t, side="right") - 1, 0, x.size - 2)
+    gap = x[k + 1] - x[k]
+    blocked = np.sort(holes.signed[holes.inside])
+    free = np.searchsorted(blocked, x[k]) == np.searchsorted(blocked, x[k + 1])
+    good = (t >= x[0]) & (t <= x[-1]) & (gap <= FARTHEST) & free
+    rows, k, t, gap = rows[good], k[good], t[good], gap[good]
+    w = (t - x[k]) / gap
+    chord = (f[k + 1] - f[k]) / gap
+    nodes, weights, error = out
+    nodes[rows] = np.stack([line[k], line[k + 1], line[k]], axis=1)
+    weights[rows, 0], weights[rows, 1] = 1 - w, w
+    error[rows] = 0.5 * gap * w * (1 - w) * (np.abs(slope[k] - chord) + np.abs(slope[k + 1] - chord))
+
+
+def _across(
+    goal: _Places, known: _Places, holes: _Places, values: Floats, rows: Rows, out: tuple[Rows, Floats, Floats]
+) -> None:
+    """Over the hemisphere, in the triangle around a goal."""
+    from scipy.spatial import Delaunay, QhullError
+
+    flat = known.points[:, :2]
+    try:
+        mesh = Delaunay(flat)
+    except QhullError:  # all on one line, or too few
+        return
+    corner = mesh.simplices
+    edges = np.linalg.norm(known.points[corner] - known.points[np.roll(corner, 1, axis=1)], axis=2).max(axis=1)
+    closed = edges > FARTHEST
+    inside = mesh.find_simplex(holes.points[:, :2]) if holes.signed.size else np.empty(0, dtype=np.intp)
+    closed[inside[inside >= 0]] = True
+    found = mesh.find_simplex(goal.points[rows, :2])
+    good = (found >= 0) & ~closed[found]
+    rows, found = rows[good], found[good]
+    turn = mesh.transform[found]
+    part = np.einsum("nij,nj->ni", turn[:, :2], goal.points[rows, :2] - turn[:, 2])
+    w = np.column_stack([part, 1 - part.sum(axis=1)])
+    near = corner[found]
+    own = _gradients(mesh, flat, values)
+    # the interpolant's gradient: value = sum_k w_k f_k with w_0, w_1 linear in the position
+    f = values[near]
+    chord = np.einsum("nij,ni->nj", turn[:, :2], f[:, :2] - f[:, 2:])
+    step = np.linalg.norm(flat[near] - goal.points[rows, None, :2], axis=2)
+    nodes, weights, error = out
+    nodes[rows], weights[rows] = near, w
+    error[rows] = 0.5 * (w * np.linalg.norm(own[near] - chord[:, None], axis=2) * step).sum(axis=1)
+
+
+def _gradients(mesh: Any, flat: Floats, values: Floats) -> Floats:
+    """Gradient (n, 2) at every node, by least squares over its neighbours in the triangulation."""
+    start, near = mesh.vertex_neighbor_vertices
+    own = np.repeat(np.arange(len(flat)), np.diff(start))
+    step, rise = flat[near] - flat[own], values[near] - values[own]
+    square, side = np.zeros((len(flat), 2, 2)), np.zeros((len(flat), 2))
+    np.add.at(square, own, step[:, :, None] * step[:, None, :])
+    np.add.at(side, own, step * rise[:, None])
+    return np.asarray(np.einsum("nij,nj->ni", np.linalg.pinv(square), side))

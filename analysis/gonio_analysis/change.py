@@ -1,0 +1,340 @@
+"""Two things point by point: did this sample change, does this file agree with that one, how far apart are two models?
+
+Either side is a measurement or a model. Two measurements are aligned by `gonio_analysis.align`; a model is evaluated
+in the directions and through the cones of the measurement. The difference is B - A.
+
+Significance. The difference has the covariance of both measurements (of two runs, independent of each other) and the
+interpolation's error. Each value is judged against what all the others predict of it (`Covariance.alone`): a common
+change of scale, which a new reference could make, does not count as a change of every value. Of n values 4.6 % lie
+beyond 2 standard deviations by chance, so that a value counts as changed only by the false-discovery procedure of
+Benjamini and Hochberg (1995), and the verdict on the whole rests on two tests that share `LEVEL`: chi-square of all
+values, and the largest single one of n.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio import geometry
+from gonio.errors import ConfigError, DataError
+from gonio_analysis.align import carry
+from gonio_analysis.forward import apparent
+from gonio_analysis.metrics import metrics
+from gonio_analysis.objective import scaled_to
+from gonio_analysis.observations import Observations, describe_left_out, observations
+from gonio_analysis.planes import SAME_ANGLE
+from gonio_analysis.uncertainty import Covariance, Floats
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+LEVEL = 0.01
+"""Probability that the verdict is "changed" where nothing changed."""
+FALSE_DISCOVERIES = 0.05
+"""Share of the marked values that are marked by chance."""
+BEYOND = 2.0
+INCIDENCES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
+AZIMUTHS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0)
+"""Directions of two models: these incidences, theta_r from 0 to 85 by 2.5 degrees, these dphi."""
+
+
+@dataclass(frozen=True)
+class Side:
+    """A measurement, or a model."""
+
+    name: str
+    source: str
+    table: pd.DataFrame | None = None
+    data: Observations | None = None
+    model: Any = None
+
+    @property
+    def kind(self) -> str:
+        return "measurement" if self.data is not None else "model"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the differences say about whether the two are the same."""
+
+    chi_square: float
+    p_value: float
+    """Probability of a larger chi-square by chance."""
+    z: Floats
+    """(n,) each difference against what the others predict, in standard deviations."""
+    beyond: int
+    """How many of them are beyond `BEYOND`."""
+    expected: float
+    """How many that would be by chance."""
+    largest: float
+    p_largest: float
+    """Probability that the largest of n is that large by chance."""
+    marked: npt.NDArray[np.bool_]
+    """The values that changed, among which `FALSE_DISCOVERIES` are expected to be marked by chance."""
+    scale: float
+    """Common factor of B over A, less 1."""
+    u_scale: float
+
+    @property
+    def changed(self) -> bool:
+        return 2 * min(self.p_value, self.p_largest) < LEVEL
+
+
+@dataclass(frozen=True)
+class Change:
+    """B against A in the directions that they share."""
+
+    a: Side
+    b: Side
+    at: Observations
+    """The shared directions."""
+    value_a: Floats
+    value_b: Floats
+    """[1/sr]"""
+    u_a: Floats
+    u_b: Floats
+    """Standard uncertainty of each alone [1/sr], NaN where none is stated."""
+    error: Floats
+    """Of the interpolation [1/sr]; 0 where there was none."""
+    covariance: Covariance | None
+    """Of B - A; None where neither side states an uncertainty."""
+    metrics: dict[str, float | None]
+    verdict: Verdict | None
+    missing: dict[str, int] = field(default_factory=dict)
+    """Why values of A have no counterpart."""
+    notes: Sequence[str] = ()
+
+    @property
+    def difference(self) -> Floats:
+        """B - A [1/sr]."""
+        return self.value_b - self.value_a
+
+    @property
+    def u(self) -> Floats:
+        """Standard uncertainty of the difference [1/sr], NaN where none is stated."""
+        return self.covariance.total if self.covariance is not None else np.full(len(self.at), np.nan)
+
+
+def side(spec: str) -> Side:
+    """What a command line names: a table, a run, `FILE:SAMPLE`, or a model as a sample file (.toml).
+
+    Raises
+    ------
+    ConfigError, DataError
+        From reading it; a file of several samples has to be narrowed to one.
+    """
+    if spec.endswith(".toml"):
+        from gonio import models
+        from gonio.session import load_sample
+
+        sample = load_sample(Path(spec))
+        return Side(sample.name, spec, model=models.build(sample.model, sample.parameters))
+    from gonio import measurement
+
+    found = measurement.tables(spec)
+    if len(found) > 1:
+        raise ConfigError(f"{spec} holds {len(found)} samples: name one as {spec}:SAMPLE, of: {'; '.join(found)}")
+    name, table = next(iter(found.items()))
+    return Side(name, spec, table, observations(table, spec))
+
+
+def change(a: Side, b: Side, *, wavelength_nm: float | None = None) -> Change:
+    """Compare two sides.
+
+    Parameters
+    ----------
+    a, b
+        What `side` returns.
+    wavelength_nm
+        For two models (550 nm if none is given), and for a model beside a broad band that needs one.
+
+    Raises
+    ------
+    ConfigError
+        A model needs a wavelength that nobody names.
+    DataError
+        Two measurements share no direction; the message says why.
+    """
+    if a.data is not None and b.data is not None:
+        return _measurements(a, b)
+    notes: list[str] = []
+    at = a.data if a.data is not None else b.data
+    if at is None:
+        at = _directions(550.0 if wavelength_nm is None else wavelength_nm)
+        notes.append(
+            "Models alone are compared in single directions, without the spike that has no finite value there."
+        )
+    elif np.isnan(at.wavelengths[-1]):
+        model = a.model if b.model is None else b.model
+        if wavelength_nm is None and model.name == "he-torrance":
+            raise ConfigError(f"{a.source if a.data is not None else b.source} holds a broad band, and the model needs"
+                              " a wavelength: give one with --wavelength-nm")  # fmt: skip
+        at = replace(at, wavelength_nm=np.full(len(at), wavelength_nm or 550.0))
+        notes.append(f"The model is evaluated at {wavelength_nm or 550.0:g} nm, not over the band.")
+    values = [x.data.brdf if x.data is not None else apparent(x.model, at) for x in (a, b)]
+    covariance = None
+    if at.covariance is not None:
+        measured_is_a = a.data is not None
+        weights = scaled_to(at, values[1] if measured_is_a else values[0]).weights
+        assert weights is not None
+        covariance = Covariance(weights.random, weights.common * (-1 if measured_is_a else 1), weights.causes)
+    none = np.full(len(at), np.nan)
+    u_a, u_b = (x.data.u if x.data is not None else none for x in (a, b))
+    of = _Values(values[0], values[1], u_a, u_b, np.zeros(len(at)))
+    return _judged(a, b, at, of, covariance, {}, [*at.notes, *notes])
+
+
+def _measurements(a: Side, b: Side) -> Change:
+    assert a.data is not None and b.data is not None and b.table is not None  # noqa: PT018
+    data, table, notes = b.data, b.table, []
+    turn = _turn(a.data, data)
+    if turn:
+        table = table.assign(
+            phi_i_deg=table["phi_i_deg"] + np.degrees(turn), phi_r_deg=table["phi_r_deg"] + np.degrees(turn)
+        )
+        data = replace(data, phi_i=data.phi_i + turn, phi_r=data.phi_r + turn)
+        off = np.degrees(min(turn, 2 * np.pi - turn))
+        notes.append(
+            f"The planes of incidence differ by {off:.3g}° in azimuth; they are laid on each other, as if the sample"
+            " had no grain."
+        )
+    carried = carry(a.data, data, table)
+    if not carried.rows.size:
+        why = describe_left_out(carried.missing)
+        raise DataError(f"{a.source} and {b.source} share no direction: of the values of {a.source}, {why}")
+    at = a.data.take(carried.rows)
+    for x, name in ((a.data, a.name), (data, b.name)):
+        if x.covariance is None:
+            notes.append(
+                f"{name} states no uncertainties"
+                + (
+                    ": its values count as exact."
+                    if a.data.covariance is not None or data.covariance is not None
+                    else "."
+                )
+            )
+    cones = [(x.source_solid_angle_sr, x.receiver_solid_angle_sr) for x in (a.data, data)]
+    if not np.allclose(cones[0], cones[1], rtol=0.02):
+        notes.append(
+            "The solid angles of source or receiver differ or are unknown: narrow peaks look different for that alone."
+        )
+    if carried.interpolated:
+        share = carried.error[carried.error > 0] / np.maximum(np.abs(carried.value[carried.error > 0]), 1e-300)
+        notes.append(
+            f"{carried.interpolated} of {len(at)} values of {b.name} are interpolated between measured neighbours; the"
+            f" error of that is stated for each (median {100 * float(np.median(share)):.2g} %) and part of the"
+            " uncertainty."
+        )
+    covariance = None
+    if a.data.covariance is not None or data.covariance is not None:
+        own = at.covariance
+        random = np.hypot(np.hypot(own.random if own is not None else 0.0, carried.random), carried.error)
+        common = [] if own is None else [-own.common]
+        common += [carried.common]
+        causes = [f"{c} of A" for c in (own.causes if own is not None else ())]
+        causes += [f"{c} of B" for c in (data.covariance.causes if data.covariance is not None else ())]
+        floor = 1e-6 * np.maximum(np.abs(at.brdf), np.abs(carried.value))
+        covariance = Covariance(np.maximum(random, np.maximum(floor, 1e-300)), np.hstack(common), tuple(causes))
+    u_b = np.full(len(at), np.nan)
+    if data.covariance is not None:
+        u_b = np.sqrt(carried.random**2 + (carried.common**2).sum(axis=1) + carried.error**2)
+    values = _Values(at.brdf, carried.value, at.u, u_b, carried.error)
+    return _judged(a, b, at, values, covariance, carried.missing, notes)
+
+
+@dataclass(frozen=True)
+class _Values:
+    a: Floats
+    b: Floats
+    u_a: Floats
+    u_b: Floats
+    error: Floats
+
+
+def _judged(
+    a: Side,
+    b: Side,
+    at: Observations,
+    of: _Values,
+    covariance: Covariance | None,
+    missing: dict[str, int],
+    notes: Sequence[str],
+) -> Change:
+    white = None if covariance is None else covariance.whiten(of.b - of.a)
+    numbers = metrics(of.b, of.a, np.cos(at.theta_i), None if covariance is None else covariance.total, white)
+    verdict = None if covariance is None else judge(of.a, of.b, covariance)
+    told = tuple(dict.fromkeys(notes))
+    return Change(a, b, at, of.a, of.b, of.u_a, of.u_b, of.error, covariance, numbers, verdict, missing, told)
+
+
+def judge(value_a: Floats, value_b: Floats, covariance: Covariance) -> Verdict:
+    """Whether B - A is more than its covariance allows.
+
+    Parameters
+    ----------
+    value_a, value_b : (n,) arrays [1/sr]
+    covariance
+        Of the difference.
+    """
+    from scipy.stats import chi2, norm
+
+    difference = value_b - value_a
+    n = difference.size
+    total = covariance.chi_square(difference)
+    z = covariance.alone(difference)
+    p = 2 * norm.sf(np.abs(z))
+    mean = covariance.whiten(0.5 * (value_a + value_b))
+    strength = float(mean @ mean)
+    return Verdict(
+        chi_square=total,
+        p_value=float(chi2.sf(total, n)),
+        z=z,
+        beyond=int(np.count_nonzero(np.abs(z) > BEYOND)),
+        expected=float(n * 2 * norm.sf(BEYOND)),
+        largest=float(np.abs(z).max()),
+        p_largest=float(-np.expm1(n * np.log1p(-min(float(p.min()), 1 - 1e-16)))),
+        marked=discoveries(p),
+        scale=float(mean @ covariance.whiten(difference)) / strength,
+        u_scale=float(strength**-0.5),
+    )
+
+
+def discoveries(p: Floats, share: float = FALSE_DISCOVERIES) -> npt.NDArray[np.bool_]:
+    """Which of n tests are significant together: Benjamini and Hochberg (1995), their step-up procedure."""
+    order = np.argsort(p)
+    passed = np.flatnonzero(p[order] <= share * np.arange(1, p.size + 1) / p.size)
+    out = np.zeros(p.size, dtype=bool)
+    if passed.size:
+        out[order[: passed[-1] + 1]] = True
+    return out
+
+
+def _turn(a: Observations, b: Observations) -> float:
+    """Azimuth [rad] that lays B's only plane of incidence on A's; 0 where either has several, or they agree."""
+    means = []
+    for x in (a, b):
+        tilted = x.theta_i > SAME_ANGLE
+        arrow = np.exp(1j * x.phi_i[tilted])
+        if not arrow.size or np.abs(arrow - arrow[0]).max() > SAME_ANGLE:
+            return 0.0
+        means.append(float(np.angle(arrow.mean())))
+    turn = float(geometry.wrap(means[0] - means[1]))
+    return 0.0 if min(turn, 2 * np.pi - turn) <= SAME_ANGLE else turn
+
+
+def _directions(wavelength_nm: float) -> Observations:
+    grid = np.meshgrid(
+        np.radians(INCIDENCES_DEG), np.radians(np.arange(0.0, 86.0, 2.5)), np.radians(AZIMUTHS_DEG), indexing="ij"
+    )
+    theta_i, theta_r, phi_r = (x.ravel() for x in grid)
+    zero = np.zeros(theta_i.size)
+    return Observations(
+        theta_i=theta_i, phi_i=zero, theta_r=theta_r, phi_r=phi_r, wavelength_nm=np.full(theta_i.size, wavelength_nm),
+        brdf=zero, covariance=None, rows=np.arange(theta_i.size),
+    )  # fmt: skip

@@ -1,0 +1,255 @@
+"""Plots out of the plane of incidence, and of changes: each draws on the `ax` that it is given and returns its artists.
+
+On a hemisphere the radius is the polar angle (equidistant: the rim is the horizon), the mirror half-plane points right
+and azimuths run counterclockwise. What was not measured stays empty: colours are spread over a triangle between
+measured directions only where its corners are at most `FARTHEST` apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio import geometry
+from gonio_analysis.align import FARTHEST
+from gonio_analysis.observations import Observations
+from gonio_analysis.planes import IN_PLANE, Rows
+from gonio_analysis.polar import FAINT, INK, Line, angle_axis, style
+from gonio_analysis.uncertainty import Floats
+
+Marks = npt.NDArray[np.bool_]
+SEQUENTIAL, DIVERGING = "viridis", "RdBu_r"
+"""Colour maps that readers with any colour vision can tell, in print too."""
+
+
+def heat_map(
+    ax: Any, theta_r: Floats, dphi: Floats, value: Floats, *, label: str, theta_i: float | None = None,
+    limits: tuple[float, float] | None = None,
+) -> list[Any]:  # fmt: skip
+    """Positive values over the hemisphere of the receiver, on a logarithmic colour scale.
+
+    Parameters
+    ----------
+    ax
+        Cartesian axes; their frame is taken away.
+    theta_r, dphi : (n,) arrays [rad]
+        Directions of the receiver, azimuths from the source's.
+    value
+        Above 0 to be shown.
+    label
+        Of the colour bar, with the unit.
+    theta_i
+        Marks the mirror direction with a cross, and the source with a circle.
+    limits
+        Of the colours; those of the values if none are given.
+    """
+    from matplotlib.colors import LogNorm
+
+    shown = value > 0
+    low, high = limits or (float(value[shown].min()), float(value[shown].max()))
+    artists = _disc(ax, theta_r[shown], dphi[shown], value[shown], SEQUENTIAL, LogNorm(low, max(high, low * 1.01)))
+    if theta_i is not None:
+        x, y = _on_disc(np.array([theta_i, theta_i]), np.array([np.pi, 0.0]))
+        artists += ax.plot(x[:1], y[:1], ls="none", marker="+", ms=8, mew=1.2, color="#ffffff", zorder=5)
+        artists += ax.plot(x[:1], y[:1], ls="none", marker="x", ms=4, mew=0.8, color=INK, zorder=6)
+        artists += ax.plot(x[1:], y[1:], ls="none", marker="o", ms=6, mfc="none", color=INK, zorder=6)
+    _bar(ax, artists[0], label)
+    return artists
+
+
+def change_map(
+    ax: Any, theta_r: Floats, dphi: Floats, value: Floats, *, label: str, top: float, marked: Marks | None = None
+) -> list[Any]:
+    """Signed values over the hemisphere, white at 0 and saturated at +-`top`; `marked` ones get a ring."""
+    from matplotlib.colors import Normalize
+
+    artists = _disc(ax, theta_r, dphi, value, DIVERGING, Normalize(-top, top), spread=False)
+    artists += _rings(ax, *_on_disc(theta_r, dphi), marked)
+    _bar(ax, artists[0], label)
+    return artists
+
+
+def plane_map(
+    ax: Any, angle: Floats, parameter: Floats, value: Floats, *, label: str, top: float, y_label: str,
+    marked: Marks | None = None,
+) -> list[Any]:  # fmt: skip
+    """Signed values in the plane of incidence, over the signed angle [rad] and that of the direction that stood still.
+
+    White is 0, colours are saturated at +-`top`; `marked` values get a ring.
+    """
+    levels = np.unique(np.round(np.degrees(parameter), 1))
+    y = np.searchsorted(levels, np.round(np.degrees(parameter), 1)).astype(np.float64)
+    cells = ax.scatter(
+        np.degrees(angle), y, c=value, cmap=DIVERGING, vmin=-top, vmax=top, marker="s", s=22, linewidths=0.3,
+        edgecolors="#77808c", zorder=3,
+    )  # fmt: skip
+    artists = [cells, *_rings(ax, np.degrees(angle), y, marked)]
+    angle_axis(ax)
+    ax.set_yticks(range(levels.size), [f"{v:g}°" for v in levels])
+    ax.set_ylim(-0.6, levels.size - 0.4)
+    ax.set_ylabel(y_label)
+    _bar(ax, cells, label)
+    return artists
+
+
+def changes(ax: Any, lines: Sequence[Line], marked: Sequence[Marks | None]) -> list[Any]:
+    """Relative changes in percent over the signed angle, with error bars; `measured` and `u` of the lines are those."""
+    artists: list[Any] = [ax.axhline(0, color=INK, lw=0.7, zorder=1)]
+    reach = [0.1]
+    for k, (line, ring) in enumerate(zip(lines, marked, strict=True)):
+        x, u = np.degrees(line.angle), np.nan_to_num(line.u)
+        artists.append(
+            ax.errorbar(
+                x, line.measured, yerr=u, ls="none", elinewidth=0.9, ms=3.2, zorder=3, label=line.label, **style(k)
+            )
+        )
+        artists += _rings(ax, x, line.measured, ring)
+        if line.measured.size:
+            reach.append(float(np.quantile(np.abs(line.measured) + u, 0.98)))
+    ax.set_ylim(-1.15 * max(reach), 1.15 * max(reach))
+    angle_axis(ax)
+    ax.set_ylabel("change [%]")
+    return artists
+
+
+def significance(ax: Any, lines: Sequence[Line], limit: float) -> list[Any]:
+    """Differences in standard deviations over the signed angle, with the limit that n values reach together."""
+    artists: list[Any] = [ax.axhspan(-2, 2, color="#e9eef5", zorder=0), ax.axhline(0, color=INK, lw=0.7, zorder=1)]
+    top = limit
+    for k, line in enumerate(lines):
+        artists += ax.plot(np.degrees(line.angle), line.measured, ls="none", ms=3, zorder=3, **style(k))
+        top = max(top, float(np.abs(line.measured).max(initial=0.0)))
+    for side in (-limit, limit):
+        artists.append(ax.axhline(side, color=INK, lw=0.8, ls=(0, (4, 3)), zorder=2))
+    ax.set_ylim(-1.2 * top, 1.2 * top)
+    angle_axis(ax)
+    ax.set_ylabel("standard\ndeviations")
+    return artists
+
+
+def slices(data: Observations, rows: Rows) -> list[Line]:
+    """Values of one incidence out of the plane, by half-plane and its opposite, as lines for `polar.semilog`.
+
+    The signed angle is positive where the receiver is on the mirror side of the plane across the plane of incidence.
+    """
+    dphi = geometry.wrap(data.phi_r[rows] - data.phi_i[rows])
+    off = np.abs(np.sin(data.theta_r[rows]) * np.sin(dphi)) > np.sin(IN_PLANE)
+    rows, dphi = rows[off], dphi[off]
+    turn = np.round(np.degrees(dphi) % 180.0, 0)
+    out = []
+    u = data.u
+    for half in np.unique(turn):
+        here = turn == half
+        angle = geometry.in_plane_angle(data.theta_r[rows[here]], dphi[here])
+        order = np.argsort(angle)
+        chosen = rows[here][order]
+        if chosen.size < 2:
+            continue
+        nothing = np.empty(0)
+        out.append(
+            Line(f"Δφ = {half:g}°/{half + 180:g}°", nothing, nothing, angle[order], data.brdf[chosen], u[chosen])
+        )
+    return out
+
+
+def lobe(ax: Any, brdf: Any, *, measured: tuple[Floats, Floats, Floats] | None = None, label: str = "") -> list[Any]:
+    """A lobe in three dimensions: the radius in each direction is the value in it, divided by the largest one.
+
+    Parameters
+    ----------
+    ax
+        Axes with projection "3d".
+    brdf
+        Function of (theta_r, dphi) [rad] to the value [1/sr].
+    measured
+        theta_r, dphi [rad] and values of measurements, drawn as points.
+    label
+        Of the whole, with the divisor.
+    """
+    # a wire mesh: readable in print, and a hundredth of the size of shaded facets
+    theta, phi = np.meshgrid(np.radians(np.linspace(0, 89, 46)), np.radians(np.linspace(0, 360, 73)), indexing="ij")
+    value = brdf(theta.ravel(), phi.ravel()).reshape(theta.shape)
+    top = float(np.nanmax(value))
+    x, y, z = _in_space(theta, phi, value / top)
+    artists: list[Any] = [ax.plot_wireframe(x, y, z, rstride=3, cstride=3, color=style(0)["color"], lw=0.45, zorder=2)]
+    if measured is not None:
+        points = _in_space(measured[0], measured[1], np.clip(measured[2] / top, 0.0, None))
+        artists.append(ax.scatter(*points, s=4, color=style(1)["color"], depthshade=False, zorder=3))
+    turn = np.radians(np.linspace(0, 360, 121))
+    reach = max(float(np.abs(x).max()), float(np.abs(y).max()), 0.3)
+    artists += ax.plot(reach * np.cos(turn), reach * np.sin(turn), 0 * turn, color=FAINT, lw=0.7)
+    artists += ax.plot([-reach, reach], [0, 0], [0, 0], color=FAINT, lw=0.7)
+    ax.text(reach * 1.05, 0, 0, "mirror side", fontsize=7, color="#5a6472")
+    ax.set_axis_off()
+    ax.set_box_aspect((1, 1, max(float(z.max()), 0.2) / (2 * reach)))
+    ax.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(0, max(float(z.max()), 0.2)))
+    ax.view_init(elev=22, azim=-60)
+    ax.set_title(label, fontsize=7.5, color=INK, y=0.98)
+    return artists
+
+
+def _disc(
+    ax: Any, theta: Floats, dphi: Floats, value: Floats, colours: str, norm: Any, *, spread: bool = True
+) -> list[Any]:
+    x, y = _on_disc(theta, dphi)
+    turn = np.linspace(0, 2 * np.pi, 181)
+    for ring in (30, 60, 90):
+        edge = ring == 90
+        ax.plot(
+            ring * np.cos(turn), ring * np.sin(turn), color=INK if edge else FAINT, lw=0.9 if edge else 0.5, zorder=2
+        )
+        ax.text(0, ring - 2, f"{ring}°", fontsize=6, color="#5a6472", ha="center", va="top", zorder=6)
+    for k in range(4):
+        c, s = 90 * np.cos(k * np.pi / 4), 90 * np.sin(k * np.pi / 4)
+        ax.plot([-c, c], [-s, s], color=FAINT, lw=0.5, zorder=2)
+    artists: list[Any] = []
+    mesh = _triangles(theta, dphi) if spread else None
+    if mesh is not None:
+        artists.append(ax.tripcolor(mesh, value, cmap=colours, norm=norm, shading="gouraud", zorder=1, rasterized=True))
+    look = {"s": 7 if spread else 16, "linewidths": 0.25, "edgecolors": "#444444", "zorder": 3}
+    artists.append(ax.scatter(x, y, c=value, cmap=colours, norm=norm, rasterized=x.size > 1000, **look))
+    ax.set_aspect("equal")
+    ax.set(xlim=(-94, 94), ylim=(-94, 94))
+    ax.set_axis_off()
+    ax.text(0, -96, "retro side  ←  →  mirror side", fontsize=6.5, color="#5a6472", ha="center", va="top")
+    return artists
+
+
+def _triangles(theta: Floats, dphi: Floats) -> Any:
+    from matplotlib.tri import Triangulation
+
+    x, y = _on_disc(theta, dphi)
+    if x.size < 4 or min(float(np.ptp(x)), float(np.ptp(y))) < 5.0:
+        return None
+    mesh = Triangulation(x, y)
+    corner = geometry.direction(theta, dphi)[mesh.triangles]
+    edges = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
+    if np.all(edges > FARTHEST):
+        return None
+    mesh.set_mask(edges > FARTHEST)
+    return mesh
+
+
+def _rings(ax: Any, x: Floats, y: Floats, marked: Marks | None) -> list[Any]:
+    if marked is None or not marked.any():
+        return []
+    return [*ax.plot(x[marked], y[marked], ls="none", marker="o", ms=7, mfc="none", mec=INK, mew=0.9, zorder=5)]
+
+
+def _on_disc(theta: Floats, dphi: Floats) -> tuple[Floats, Floats]:
+    # the mirror half-plane (dphi = pi) points right
+    return -np.degrees(theta) * np.cos(dphi), -np.degrees(theta) * np.sin(dphi)
+
+
+def _in_space(theta: Floats, dphi: Floats, radius: Floats) -> tuple[Floats, Floats, Floats]:
+    return -radius * np.sin(theta) * np.cos(dphi), -radius * np.sin(theta) * np.sin(dphi), radius * np.cos(theta)
+
+
+def _bar(ax: Any, artist: Any, label: str) -> None:
+    bar = ax.figure.colorbar(artist, ax=ax, fraction=0.04, pad=0.02)
+    bar.set_label(label, fontsize=7.5)
+    bar.ax.tick_params(labelsize=7)
+    bar.outline.set_linewidth(0.5)

@@ -1,0 +1,310 @@
+"""The report on two things compared point by point (`gonio compare A B --change`)."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gonio_analysis.change import FALSE_DISCOVERIES, LEVEL, Change, Side, change, side
+from gonio_analysis.compare import run_facts
+from gonio_analysis.fit import finite
+from gonio_analysis.metrics import DESCRIPTIONS
+from gonio_analysis.observations import Observations, describe_left_out
+from gonio_analysis.planes import Curve, curves, labels, selection
+from gonio_analysis.report import change_figures, html, viewer
+from gonio_analysis.report.figures import Figure
+from gonio_analysis.report.files import staged
+from gonio_analysis.report.summary import stamp
+from gonio_analysis.report.tables import write_csv
+from gonio_analysis.report.text import difference, number, percent
+
+COLUMNS = (
+    *("wavelength_nm", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "a", "b", "u_interpolation", "change"),
+    *("u_change", "standard_deviations", "changed"),
+)
+
+
+def make(
+    specs: Sequence[str],
+    out: str | Path,
+    *,
+    wavelength_nm: float | None = None,
+    command: str = "",
+    progress: Callable[[str], None] = lambda text: None,
+) -> Path:
+    """Compare two sides and write a report: all of it or nothing.
+
+    Parameters
+    ----------
+    specs
+        Two of: table, RUN folder, `FILE:SAMPLE`, sample file of a model (.toml).
+    out
+        Folder of the report; an earlier report there is replaced.
+    wavelength_nm
+        The nearest common wavelength is drawn (all are judged); for two models, the one they are evaluated at.
+    command, progress
+        The command line, for the record; called with a line before each step.
+
+    Returns
+    -------
+    Path
+        Of `index.html`.
+    """
+    with staged(out) as stage:
+        a, b = (side(spec) for spec in specs)
+        if a.name == b.name:
+            a, b = replace(a, name=f"{a.name} (A)"), replace(b, name=f"{b.name} (B)")
+        progress(f"comparing {b.name} with {a.name}")
+        found = change(a, b, wavelength_nm=wavelength_nm)
+        progress("drawing")
+        _write(found, stage.work, wavelength_nm, command, [run_facts(Path(spec)) for spec in specs])
+    return Path(out) / "index.html"
+
+
+def _write(c: Change, folder: Path, wavelength_nm: float | None, command: str, runs: Sequence[Any]) -> None:
+    facts = summary(c, command, runs)
+    at, shown = _one(c, wavelength_nm)
+    facts["shown_wavelength_nm"] = finite(shown)
+    every = curves(at)
+    listed = selection(every, viewer.MOST_LISTED)
+    drawn = selection(every)
+    figures = change_figures.draw(c, at, drawn, shown)
+    (folder / "figures").mkdir()
+    (folder / "tables").mkdir()
+    for figure in figures:
+        (folder / "figures" / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
+        (folder / "figures" / f"{figure.name}.png").write_bytes(figure.png)
+    facts["figures"] = [{"name": f.name, "caption": f.caption, "alt": f.alt} for f in figures]
+    write_csv(folder / "tables" / "change.csv", COLUMNS, _rows(c))
+    facts["tables"] = ["change.csv"]
+    view = _view(c, at, listed, drawn, shown) if drawn else None
+    text = json.dumps(facts, indent=1, ensure_ascii=False, allow_nan=False)
+    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+    (folder / "index.html").write_text(_render(facts, figures, view), encoding="utf-8")
+
+
+def summary(c: Change, command: str, runs: Sequence[Any]) -> dict[str, Any]:
+    """Every number of the page."""
+    v = c.verdict
+    positive = (c.value_a > 0) & (c.value_b > 0)
+    ratio = np.full(len(c.at), np.nan)
+    ratio[positive] = c.value_b[positive] / c.value_a[positive]
+    waves = []
+    for nm in c.at.wavelengths:
+        here = np.isnan(c.at.wavelength_nm) if math.isnan(nm) else c.at.wavelength_nm == nm
+        row: dict[str, Any] = {"wavelength_nm": finite(nm), "n_points": int(here.sum())}
+        if v is not None:
+            row["beyond"] = int(np.count_nonzero(np.abs(v.z[here]) > 2))
+            row["changed_points"] = int(v.marked[here].sum())
+        known = ratio[here & positive]
+        row["median_ratio"] = float(np.median(known)) if known.size else None
+        waves.append(row)
+    verdict = None
+    if v is not None:
+        verdict = {
+            "changed": v.changed,
+            "chi_square": v.chi_square,
+            "p_value": v.p_value,
+            "n_points": int(v.z.size),
+            "beyond_2": v.beyond,
+            "expected_beyond_2": v.expected,
+            "largest": v.largest,
+            "p_largest": v.p_largest,
+            "changed_points": int(v.marked.sum()),
+            "false_discoveries": FALSE_DISCOVERIES,
+            "level": LEVEL,
+            "scale": v.scale,
+            "u_scale": v.u_scale,
+        }
+    return {
+        "title": f"{c.b.name} against {c.a.name}",
+        **stamp(command),
+        "a": _side(c.a, runs[0]),
+        "b": _side(c.b, runs[1]),
+        "n_points": len(c.at),
+        "interpolated": int(np.count_nonzero(c.error)),
+        "median_interpolation_error_rel": _median_error(c),
+        "without_counterpart": c.missing,
+        "verdict": verdict,
+        "conclusion": _conclusion(c),
+        "metrics": {k: {"label": DESCRIPTIONS[k][0], "value": finite(c.metrics[k])} for k in DESCRIPTIONS},
+        "wavelengths": waves,
+        "notes": list(c.notes),
+    }
+
+
+def _side(s: Side, run: Any) -> dict[str, Any]:
+    out: dict[str, Any] = {"name": s.name, "source": s.source, "kind": s.kind, "run": run}
+    if s.data is not None:
+        out |= {"values": len(s.data), "left_out": s.data.left_out, "uncertainty_stated": s.data.covariance is not None}
+    else:
+        out |= {"model": s.model.name, "convention": s.model.convention}
+    return out
+
+
+def _median_error(c: Change) -> float | None:
+    used = (c.error > 0) & (c.value_b != 0)
+    return float(np.median(c.error[used] / np.abs(c.value_b[used]))) if used.any() else None
+
+
+def _conclusion(c: Change) -> str:
+    v, n = c.verdict, len(c.at)
+    typical = f"They differ typically by {_words(c.metrics['log_ratio'])}"
+    if v is None:
+        return f"{typical} over {n} directions. Without stated uncertainties nothing says whether that means anything."
+    same = "the sample changed" if c.a.kind == c.b.kind else "the two disagree"
+    head = f"{same[:1].upper()}{same[1:]}" if v.changed else f"No sign that {same}"
+    chance = f"{v.beyond} of {n} values lie beyond 2 standard deviations, where {v.expected:.1f} are expected by chance"
+    marked = int(v.marked.sum())
+    kept = (
+        f"; judged together, {marked} {'values have' if marked != 1 else 'value has'} changed (about"
+        f" {100 * FALSE_DISCOVERIES:g} % of these by chance)"
+        if marked
+        else "; judged together, no single value stands out"
+    )
+    test = f"chi-square is {v.chi_square:.4g} for {n} values (p = {_p(v.p_value)})"
+    scale = f"The common factor of B over A is {1 + v.scale:.4f} ± {v.u_scale:.4f}."
+    return f"{head}: {test}; {chance}{kept}. {scale} {typical}."
+
+
+def _p(p: float) -> str:
+    return "below 0.0001" if p < 1e-4 else f"{p:.2g}"
+
+
+def _words(ratio: float | None) -> str:
+    text = difference(ratio)
+    return f"a {text}" if text.startswith("factor") else text
+
+
+def _rows(c: Change) -> Any:
+    v = c.verdict
+    angles = [np.round(np.degrees(x), 10) for x in (c.at.theta_i, c.at.phi_i, c.at.theta_r, c.at.phi_r)]
+    z = v.z if v is not None else np.full(len(c.at), np.nan)
+    marked = v.marked if v is not None else [""] * len(c.at)
+    return zip(
+        c.at.wavelength_nm, *angles, c.value_a, c.value_b, c.error, c.difference, c.u, z, marked, strict=True
+    )  # fmt: skip
+
+
+def _one(c: Change, wavelength_nm: float | None) -> tuple[Observations, float]:
+    """The shared directions at the wavelength that is drawn, `rows` pointing into the whole."""
+    at = replace(c.at, brdf=c.value_a, rows=np.arange(len(c.at)))
+    return at.nearest(wavelength_nm)
+
+
+def _view(c: Change, at: Observations, listed: list[Curve], drawn: list[Curve], shown: float) -> dict[str, Any]:
+    """Both sides as an interactive plot."""
+    names = labels(listed)
+    keep = {int(k.rows[0]) for k in drawn}
+    first = [n for k, n in zip(listed, names, strict=True) if int(k.rows[0]) in keep]
+    sides = {f"A: {c.a.name}": (c.a, c.value_a, c.u_a), f"B: {c.b.name}": (c.b, c.value_b, c.u_b)}
+    entries = []
+    for curve, name in zip(listed, names, strict=True):
+        rows = at.rows[curve.rows]
+        series = [viewer.points(n, curve, values[rows], u[rows]) for n, (_, values, u) in sides.items()]
+        entries.append({"label": name, "mirror": round(float(np.degrees(curve.parameter)), 4), "series": series})
+    return {
+        "name": f"{c.a.name} and {c.b.name}",
+        "moving": "θr" if drawn[0].scanned == "theta_r" else "θi",
+        "at": 0,
+        "labels": list(dict.fromkeys([*first, *names])),
+        "shown": first,
+        "points": [n for n, (x, *_) in sides.items() if x.kind == "measurement"],
+        "models": [n for n, (x, *_) in sides.items() if x.kind == "model"],
+        "chosen": list(sides),
+        "normalise": "none",
+        "waves": [{"nm": finite(shown), "curves": entries}],
+    }
+
+
+def _render(s: dict[str, Any], figures: Sequence[Figure], view: dict[str, Any] | None) -> str:
+    body = [
+        f'<header>\n<h1>{escape(s["title"])}</h1>\n<p class="sub">Point by point, {escape(s["created"][:10])}, gonio'
+        f" {escape(s['versions']['gonio'])}. Uncertainties are standard uncertainties (k = 1).</p>\n</header>",
+        f'<p class="lead">{escape(s["conclusion"])}</p>',
+        "<h3>What was compared</h3>",
+        html.facts(_facts(s)),
+        '<ul class="notes">' + "".join(f"<li>{escape(n)}</li>" for n in s["notes"]) + "</ul>" if s["notes"] else "",
+    ]
+    if view is not None:
+        body += ["<h3>Both in the plane of incidence</h3>", viewer.element(view, "change")]
+    body += [html.grid(figures), "<h3>Metrics</h3>", _metrics(s)]
+    if len(s["wavelengths"]) > 1:
+        body += ["<h3>Wavelengths</h3>", _wavelengths(s)]
+    body += ["<h3>How it is judged</h3>", _method(s)] if s["verdict"] else []
+    versions = ", ".join(f"{k} {v}" for k, v in s["versions"].items())
+    made = [("command", s["command"] or "–"), ("report made", s["created"]), ("versions", versions)]
+    body += ["<h2>Provenance</h2>", html.facts(made)]
+    body += [
+        "<footer>Every number on this page is in <code>summary.json</code>, every compared value in"
+        " <code>tables/change.csv</code>, the figures as SVG and PNG in <code>figures/</code>.</footer>",
+        viewer.script() if view is not None else "",
+    ]
+    return html.document(s["title"], body)
+
+
+def _wavelengths(s: dict[str, Any]) -> str:
+    rows = []
+    for w in s["wavelengths"]:
+        name = "broad band" if w["wavelength_nm"] is None else f"{w['wavelength_nm']:g} nm"
+        counts = [str(w.get(key, "–")) for key in ("n_points", "beyond", "changed_points")]
+        rows.append([name, *counts, number(w["median_ratio"], 4)])
+    header = ["wavelength", "values", "beyond 2", "changed", "median B/A"]
+    return html.table("", header, rows, right=(1, 2, 3, 4))
+
+
+def _facts(s: dict[str, Any]) -> list[tuple[str, str]]:
+    rows = []
+    for key in ("a", "b"):
+        x = s[key]
+        if x["kind"] == "model":
+            rows.append((key.upper(), f"{x['name']}: {x['model']} ({x['source']}); {x['convention']}"))
+            continue
+        stated = "with uncertainties" if x["uncertainty_stated"] else "no uncertainties stated"
+        left = f"; left out: {describe_left_out(x['left_out'])}" if x["left_out"] else ""
+        run = f"; rig {x['run']['rig']}, {x['run']['created'][:10]}, seed {x['run']['seed']}" if x["run"] else ""
+        rows.append((key.upper(), f"{x['name']} ({x['source']}): {x['values']} values, {stated}{left}{run}"))
+    shared = f"{s['n_points']}"
+    if s["interpolated"]:
+        error = percent(s["median_interpolation_error_rel"])
+        shared += f", {s['interpolated']} of them by interpolation (median error {error})"
+    rows.append(("shared directions", shared))
+    if s["without_counterpart"]:
+        rows.append(
+            ("not compared", "; ".join(f"{n} values of A {why}" for why, n in s["without_counterpart"].items()))
+        )
+    return rows
+
+
+def _metrics(s: dict[str, Any]) -> str:
+    rows = [[escape(m["label"]), number(m["value"]), escape(DESCRIPTIONS[k][1])] for k, m in s["metrics"].items()]
+    return html.table(
+        "B takes the place of the model, A that of the measurement.",
+        ["metric", "value", "what it is"],
+        rows,
+        right=(1,),
+    )
+
+
+def _method(s: dict[str, Any]) -> str:
+    v = s["verdict"]
+    text = (
+        "The difference of each value is judged against what all the others predict of it, with the covariance of both"
+        " measurements: what a common cause (a reference, a drift, the zero of an angle) does to all values alike does"
+        " not count as a change of each. The causes of two measurements count as independent; where both used the same"
+        " reference its part cancels, and the verdict is on the safe side. "
+        f"Of {v['n_points']} values {v['expected_beyond_2']:.1f} are expected beyond 2 standard deviations by chance."
+        f" Values are marked by Benjamini and Hochberg's procedure, which lets"
+        f" {100 * v['false_discoveries']:g} % of the marks be wrong."
+        f" The verdict rests on chi-square of all values (p = {_p(v['p_value'])}) and on the largest of"
+        f" them ({v['largest']:.2f} standard deviations, p = {_p(v['p_largest'])}); where nothing changed it says so in"
+        f" {100 * (1 - v['level']):g} % of the cases."
+    )
+    return f"<p>{escape(text)}</p>"
