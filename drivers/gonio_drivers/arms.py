@@ -198,10 +198,10 @@ class ServoArms:
             failures = self._release() if self._servos.on_exit == "torque-off" else []
         finally:
             self.bus.__exit__(kind, error, trace)
-        for failure in failures:
-            if error is None and not self.faulted:
-                raise failure
-            log.error("while leaving: %s", failure)
+        if failures and error is None and not self.faulted:
+            raise failures[0]
+        for said in dict.fromkeys(map(str, failures)):  # a port that went away says the same for every axis
+            log.error("while leaving: %s", said)
 
     def _release(self) -> list[DeviceError]:
         """Take the torque from every servo that has been prepared; what failed."""

@@ -287,9 +287,13 @@ class Bus:
             return blocks
 
     def glance(self, ids: Iterable[int], address: int, size: int) -> dict[int, bytes]:
-        """The same block of those servos that answer at once; nothing is repeated, and silence raises nothing."""
+        """The same block of those servos that answer at once; nothing is repeated, and silence raises nothing.
+
+        It may follow a request that was interrupted, whose answer must not be taken for this one's.
+        """
         with self._lock:
             try:
+                self._calm(0.0)
                 return self._sync_read(list(ids), address, size)
             except ports.FAILURES as error:
                 raise ports.lost(self.port, error, f"{self.key}.port") from None
@@ -335,7 +339,7 @@ class Bus:
                     self.recovered += 1
                     log.warning("servo bus %s: %s; answered at attempt %d", self.port, last, attempt + 1)
                 return answer
-            raise last
+            raise BusError(f"{last}, over {TRIES} attempts; check its cable and supply")
 
     def _transact(self, identity: int, instruction: int, parameters: bytes, expected: int) -> bytes:
         """One request and its reply; `expected` is the number of data bytes in a good reply."""
@@ -396,8 +400,10 @@ class Bus:
         if stray > 0:
             self.noisy += 1
             if self.noisy & (self.noisy - 1) == 0:
-                times = "for the first time" if self.noisy == 1 else f"for the {self.noisy}th time"
-                log.warning("servo bus %s: %d stray bytes beside an answer, %s; passed over", self.port, stray, times)
+                log.warning(
+                    "servo bus %s: %d stray bytes beside an answer, passed over (noise, %d so far)",
+                    self.port, stray, self.noisy,
+                )  # fmt: skip
 
     def _calm(self, quiet_s: float) -> None:
         """Let late replies come, and drop them."""

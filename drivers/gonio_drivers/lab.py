@@ -140,12 +140,16 @@ class LabRig:
             stopped = self.arms.stopped and not isinstance(error, DeviceError)  # by somebody, and not after a failure
             if not self.arms.faulted and not stopped:
                 self.arms.park()
+        except Interrupted:
+            raise Interrupted(
+                "stopped at once, on the way to the rest position; axes stopped, lamp dark; go on with --resume"
+            ) from None
         except GonioError as stuck:
             failure = failure or stuck
         finally:
             self._stack.__exit__(kind, error, trace)
         if failure is not None:
-            if error is None:
+            if error is None or isinstance(error, Interrupted):  # nobody may be told that the arms are parked
                 raise failure
             log.error("while leaving: %s", failure)
 
@@ -157,7 +161,7 @@ def _signals() -> Any:
     def leave(number: int, frame: FrameType | None) -> None:
         for other in mine:  # once: a second one must not disturb the parking
             signal.signal(other, signal.SIG_IGN)
-        raise Interrupted(f"stopped by {signal.Signals(number).name}; lamp dark")
+        raise Interrupted(f"stopped by {signal.Signals(number).name}")
 
     mine: list[signal.Signals] = []
     if threading.current_thread() is threading.main_thread():

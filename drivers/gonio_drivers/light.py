@@ -1,7 +1,8 @@
 """A lamp on a serial port: one driver, and the language of its controller as data.
 
 Nothing is believed that was not read back: every setting is followed by its query, and the lamp counts as dark or lit
-only when its controller says so. It is darkened when the port is opened, when it is left, and after every failure.
+only when its controller says so. It is darkened when the port is opened, when it is left, and after every failure;
+`guard` darkens it when the program is killed.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from gonio.config import Strict
 from gonio.description import Band, NonNegative, Positive, RigDescription
 from gonio.errors import ConfigError, DeviceError
 from gonio_drivers import ports, settings
+from gonio_drivers.guard import Guard
 
 log = logging.getLogger("gonio.devices")
 
@@ -123,6 +125,7 @@ class SerialLight:
         self._bands = description.bands.all()
         self._warm_up_s = description.lamp.warm_up_s
         self._port: serial.Serial | None = None
+        self._guard: Guard | None = None
         self._channel = light.channel
         self._band: Band | None = None
         self._lit_since: float | None = None
@@ -138,10 +141,11 @@ class SerialLight:
 
     def __enter__(self) -> Self:
         ports.require_free(self._light.port, "devices.light.port")
+        baud = int(self._light.baud or self._dialect.baud)
         try:
             self._port = serial.Serial(
                 self._light.port,
-                int(self._light.baud or self._dialect.baud),
+                baud,
                 timeout=self._dialect.timeout_s,
                 write_timeout=1.0,
                 exclusive=True,
@@ -151,6 +155,8 @@ class SerialLight:
         try:
             self._wake()
             self.off()
+            self._guard = Guard(self._light.port, baud, self._orders_to_darken())
+            self._guard.start()
         except BaseException:
             self._close()
             raise
@@ -286,9 +292,16 @@ class SerialLight:
         self.lit = True
 
     def _off(self) -> None:
-        channels = sorted({self._light.channel, *self._light.channels.values()})
-        for channel in channels if "{channel}" in self._dialect.off else channels[:1]:
+        for channel in self._channels_to_darken():
             self._switch(self._dialect.off, self._dialect.state_off, channel)
+
+    def _channels_to_darken(self) -> list[int]:
+        channels = sorted({self._light.channel, *self._light.channels.values()})
+        return channels if "{channel}" in self._dialect.off else channels[:1]
+
+    def _orders_to_darken(self) -> list[bytes]:
+        d = self._dialect
+        return [(d.off.format(channel=channel) + d.send_ending).encode() for channel in self._channels_to_darken()]
 
     def _switch(self, command: str, wanted: str, channel: int) -> None:
         d = self._dialect
@@ -434,6 +447,9 @@ class SerialLight:
             raise DeviceError(f"the lamp on {self._light.port} has an error queue that does not end")
 
     def _close(self) -> None:
+        if self._guard is not None:
+            self._guard.release()
+            self._guard = None
         if self._port is not None:
             self._port.close()
             self._port = None

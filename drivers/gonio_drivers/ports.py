@@ -44,7 +44,8 @@ def require_free(port: str, key: str) -> None:
 
 def lost(port: str, error: Exception, key: str) -> DeviceError:
     """What to tell a person whose port went away while it was in use."""
-    return DeviceError(f'{key} = "{port}": the port went away while in use ({error}); check cable and power')
+    said = os.strerror(error.args[0]) if isinstance(error, termios.error) else error
+    return DeviceError(f'{key} = "{port}": the port went away while in use ({said}); check cable and power')
 
 
 def present() -> list[str]:

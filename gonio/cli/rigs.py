@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -62,7 +64,8 @@ def check(
     from gonio.session import find_rig
 
     choice = find_rig(rig)
-    rows = checks(choice, move=move)
+    with _interruptible():
+        rows = checks(choice, move=move)
     table = console.table("check", "found", "verdict", title=choice.description.name)
     for what, found, good in rows:
         table.add_row(what, found, "good" if good else Text("BAD", style="bold red"))
@@ -83,9 +86,20 @@ def park(
     from gonio.session import find_rig
 
     choice = find_rig(rig)
-    with choice.open():
+    with _interruptible(), choice.open():
         pass  # leaving a rig parks it
     console.note(f"{choice.description.name}: lamp dark, arms parked")
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[None]:
+    """Say what Ctrl-C has done; a rig that could not be left in order raises an error of its own instead."""
+    from gonio.errors import Interrupted
+
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise Interrupted("interrupted; the lamp is dark, and every axis stands still") from None
 
 
 def checks(choice: RigChoice, *, move: bool = True) -> list[Row]:

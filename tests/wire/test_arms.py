@@ -420,6 +420,8 @@ def test_noise_is_passed_over_and_told(line: Line, caplog: pytest.LogCaptureFixt
             line.faults.arm("noise")
             assert bus.read(2, 132, 4) == (2000).to_bytes(4, "little")
         line.peer.send(b"\x55\xaa")  # between packets
+        while bus._port.ser.in_waiting < 2:
+            pass
         assert len(bus.read_all([1, 2, 3], 132, 4)) == 3
         assert bus.noisy == 6
     assert [record.args[1] for record in caplog.records] == [7, 7, 7]  # the first, the second and the fourth time

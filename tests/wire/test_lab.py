@@ -8,6 +8,7 @@ import random
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,12 +16,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gonio_drivers.arms import ServoArms
 from gonio_drivers.lab import LAB, LabRig
 from gonio_sim.wire import faults, tether
 from gonio_sim.wire.bench import Bench
 
 from gonio import radiometry
 from gonio.acquire import Silent
+from gonio.cli import rigs
 from gonio.cli.rigs import checks
 from gonio.config import parse
 from gonio.description import RigDescription, SampleDescription
@@ -185,6 +188,41 @@ def test_one_ctrl_c_finishes_the_step_and_parks(bench: Bench, tmp_path: Path) ->
     assert bench.quiet
     at = math.degrees(bench.followers["camera"].true())
     assert at == pytest.approx(88, abs=0.3)  # parked on its upper limit, within landing and zero errors
+
+
+def test_a_press_on_the_way_to_the_rest_position_stops_there_and_says_so(
+    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    park = ServoArms.park
+
+    def pressed(arms: ServoArms) -> None:
+        threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
+        park(arms)
+
+    monkeypatch.setattr(ServoArms, "park", pressed)
+    with pytest.raises(Interrupted, match="on the way to the rest position; axes stopped, lamp dark"):
+        measure(bench, tmp_path, Presses(1))
+    assert bench.quiet
+    assert math.degrees(bench.followers["camera"].true()) < 80  # not parked
+
+
+def test_nobody_is_told_that_arms_are_parked_that_are_not(bench: Bench, tmp_path: Path) -> None:
+    class Jams(Presses):
+        def step(self, live: Any) -> None:
+            super().step(live)
+            bench.servos["camera"].block()
+
+    with pytest.raises(DeviceError, match=r"axis camera.*(stuck|overloaded)"):
+        measure(bench, tmp_path, Jams(1))
+    bench.servos["camera"].unblock()
+    assert bench.quiet
+
+
+def test_ctrl_c_in_a_check_says_what_it_has_done(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rigs, "checks", lambda choice, move: os.kill(os.getpid(), signal.SIGINT))
+    monkeypatch.setattr("gonio.session.find_rig", lambda rig: RigChoice(LAB, bench.description, rig))
+    with pytest.raises(Interrupted, match="the lamp is dark"):
+        rigs.check("twin")
 
 
 def test_two_stop_every_axis_at_once_and_darken(bench: Bench, tmp_path: Path) -> None:

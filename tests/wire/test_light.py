@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -84,6 +87,25 @@ def test_dark_after_an_exception(lamp: Plugged) -> None:
     with pytest.raises(RuntimeError), lamp.driver() as light:
         fail(light)
     assert not lamp.twin.shine.lit
+
+
+def test_dark_after_kill_9(lamp: Plugged, tmp_path: Path) -> None:
+    table = {"port": lamp.port, "dialect": lamp.name, "settle_s": 0.0}
+    program = (
+        "import os, signal\nfrom tests.wire.test_light import DESCRIPTION, SerialLight, settings\n"
+        f"light = SerialLight(DESCRIPTION, settings.Light.model_validate({table}))\n"
+        "light.__enter__()\nlight.on()\nprint('lit', flush=True)\ninput()\n"
+    )
+    root = Path(__file__).resolve().parents[2]
+    command = [sys.executable, "-c", program]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=root) as killed:
+        assert killed.stdout is not None
+        assert killed.stdout.readline() == "lit\n"
+        assert lamp.twin.shine.lit
+        killed.kill()
+    end = time.monotonic() + 10
+    while lamp.twin.shine.lit:
+        assert time.monotonic() < end
 
 
 def test_a_band_changes_while_the_lamp_is_lit(lamp: Plugged) -> None:

@@ -1,0 +1,75 @@
+"""Darkens a lamp whose program has died without a chance to do so (kill -9, a crash in compiled code, lack of memory).
+
+The guard is a small process beside the program that lights the lamp. It waits at a pipe: a byte says that the lamp was
+left in order, and the end of the pipe without one says that the program is dead. Then it sends the commands that darken
+the lamp, unless another program has locked the port since: that one darkens it by itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import subprocess
+import sys
+import termios
+import time
+import tty
+
+TIMES = 3
+PAUSE_S = 0.1
+
+
+class Guard:
+    """A guard process, from `start` to `release`.
+
+    Parameters
+    ----------
+    port, baud
+        Where the lamp is.
+    orders
+        The commands that darken it, as they go over the line.
+    """
+
+    def __init__(self, port: str, baud: int, orders: list[bytes]) -> None:
+        self._command = [sys.executable, "-I", "-S", __file__, port, str(baud), *(order.hex() for order in orders)]
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Begin to watch; the process has a session of its own, so that no Ctrl-C reaches it."""
+        self._process = subprocess.Popen(
+            self._command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+
+    def release(self) -> None:
+        """The lamp is left in order."""
+        if self._process is not None:
+            with contextlib.suppress(BrokenPipeError):  # somebody has ended the guard
+                self._process.communicate(b"x")
+            self._process = None
+
+
+def _darken(port: str, baud: int, orders: list[bytes]) -> None:
+    line = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        fcntl.flock(line, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return
+    tty.setraw(line)
+    state = termios.tcgetattr(line)
+    state[4] = state[5] = getattr(termios, f"B{baud}", state[4])
+    termios.tcsetattr(line, termios.TCSANOW, state)
+    for _ in range(TIMES):
+        for order in orders:
+            os.write(line, order)
+            time.sleep(PAUSE_S)
+    os.close(line)
+
+
+if __name__ == "__main__":
+    if not sys.stdin.buffer.read(1):
+        _darken(sys.argv[1], int(sys.argv[2]), [bytes.fromhex(order) for order in sys.argv[3:]])
