@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -69,27 +68,13 @@ def _sources(kernel_file: str) -> str:
 
 
 @functools.cache
-def _numba() -> Any:
-    """numba, told to use the whole width of the vector registers.
-
-    LLVM halves 512-bit vectors on Intel processors, to spare mixed code a lower clock; these loops are all vectors.
-    Left as it is where the user has chosen (NUMBA_CPU_FEATURES) or numba was imported before.
-    """
-    fresh = "numba" not in sys.modules
-    import numba
-    from numba.core.codegen import get_host_cpu_features
-
-    if fresh and numba.config.CPU_FEATURES is None:
-        features = get_host_cpu_features()
-        if "+avx512f" in features.split(","):
-            numba.config.CPU_FEATURES = f"{features},-prefer-256-bit"
-    return numba
-
-
-@functools.cache
 def _jit(function: Callable[..., Any]) -> Any:
-    numba = _numba()
-    return numba.njit(fastmath=set(FASTMATH), error_model="numpy", forceinline=True)(_clone(function, {}))
+    import numba
+
+    from gonio.models._wide import Wide
+
+    options = {"fastmath": set(FASTMATH), "error_model": "numpy", "pipeline_class": Wide}
+    return numba.njit(forceinline=True, **options)(_clone(function, {}))
 
 
 def jit(function: Callable[..., Any]) -> Any:
@@ -113,7 +98,10 @@ def template(layout: str) -> Callable[[F], F]:
 
 
 def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int) -> Any:
-    numba = _numba()
+    import numba
+
+    from gonio.models._wide import Wide
+
     types = numba.types
 
     def kind(code: str) -> Any:
@@ -124,7 +112,8 @@ def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int) -
         return types.Array(types.float64, int(code[1]), "C", readonly=code[0] == "r")
 
     def compiled(cache: bool) -> Any:
-        return numba.njit(signature, fastmath=set(FASTMATH), error_model="numpy", nogil=True, cache=cache)(plain)
+        options = {"fastmath": set(FASTMATH), "error_model": "numpy", "pipeline_class": Wide}
+        return numba.njit(signature, nogil=True, cache=cache, **options)(plain)
 
     function = kernel.__dict__.get(function.__name__, function)  # a kernel of several passes brings its own loops
     signature = tuple(kind(code) for code in function.__dict__["__layout__"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -117,8 +118,6 @@ if hasattr(os, "fork"):
 
 @pytest.mark.parametrize("layer", ["workqueue", "default"])
 def test_threads_and_a_fork_under_any_numba_threading_layer(layer: str) -> None:
-    import os
-
     # Python 3.12 warns about a fork of a threaded process: it is what is tested
     environment = {**os.environ, "NUMBA_THREADING_LAYER": layer, "PYTHONWARNINGS": "ignore"}
     done = subprocess.run([sys.executable, "-c", THREADS], env=environment, capture_output=True, text=True, timeout=120)
@@ -129,6 +128,21 @@ def test_importing_the_models_imports_no_numba() -> None:
     code = "import sys, gonio.models; assert not {'numba', 'scipy', 'pandas', 'matplotlib'} & set(sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
+
+
+def test_whole_vectors_are_asked_for_function_by_function() -> None:
+    import numba
+
+    from gonio.models._wide import ATTRIBUTE, Wide
+
+    MODEL.brdf(0.1, 0.0, 0.2, 1.0)
+    ours = numba.njit("f8(f8)", pipeline_class=Wide)(lambda x: x + 1.0)
+    theirs = numba.njit("f8(f8)")(lambda x: x + 1.0)
+    (asked,), (plain,) = ours.inspect_llvm().values(), theirs.inspect_llvm().values()
+    assert ATTRIBUTE in asked
+    assert ATTRIBUTE not in plain
+    assert ours(1.0) == theirs(1.0) == 2.0
+    assert numba.config.CPU_FEATURES == os.environ.get("NUMBA_CPU_FEATURES")
 
 
 BAD_ANGLES = [
