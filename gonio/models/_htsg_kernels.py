@@ -171,6 +171,24 @@ def lobe_state(lx, ly, lz, vx, vy, vz, p):
 
 
 @device
+def vector_states(count, l, v, p, s0, s1, s2, s3):  # noqa: E741
+    """`lobe_state` of a block of pairs of vectors, one column each; 1 where a vector is not of unit length."""
+    wrong = 0
+    for j in range(count):
+        lx, ly, lz = l[3 * j], l[3 * j + 1], l[3 * j + 2]
+        vx, vy, vz = v[3 * j], v[3 * j + 1], v[3 * j + 2]
+        el = lx * lx + ly * ly + (lz * lz - 1.0)
+        ev = vx * vx + vy * vy + (vz * vz - 1.0)
+        wrong |= 0 if abs(el) <= 2.0 * NORM_TOLERANCE and abs(ev) <= 2.0 * NORM_TOLERANCE else 1
+        fl = 1.0 - el * (0.5 - 0.375 * el)
+        fv = 1.0 - ev * (0.5 - 0.375 * ev)
+        s0[j], s1[j], s2[j], s3[j] = lobe_state(
+            lx * fl, ly * fl, max(lz * fl, 0.0), vx * fv, vy * fv, max(vz * fv, 0.0), p
+        )
+    return wrong
+
+
+@device
 def saddle_exponent(g, c, u, rise, m0):
     """phi = m0 (1 - u) - g - c/m0 with m0 = g + g rise: stationary in u, and without cancellation for small u."""
     return g * (rise * (1.0 - u) - u) - c / m0
@@ -303,23 +321,12 @@ def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop)
     state, work = np.empty((6, BLOCK)), np.empty((4, BLOCK))
     order, key = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
     powers = np.empty((_RECIPROCALS.size, LANES))
-    s0, s1, s2, s3 = state[0], state[1], state[2], state[3]
     for first in range(start, stop, BLOCK):
         count = min(BLOCK, stop - first)
         l = omega_i[3 * first * step_i : 3 * (first * step_i + count)]  # noqa: E741
         v = omega_r[3 * first * step_r : 3 * (first * step_r + count)]
         o = out[first : first + count]
-        for j in range(count):
-            lx, ly, lz = l[3 * j], l[3 * j + 1], l[3 * j + 2]
-            vx, vy, vz = v[3 * j], v[3 * j + 1], v[3 * j + 2]
-            el = lx * lx + ly * ly + (lz * lz - 1.0)
-            ev = vx * vx + vy * vy + (vz * vz - 1.0)
-            wrong |= 0 if abs(el) <= 2.0 * NORM_TOLERANCE and abs(ev) <= 2.0 * NORM_TOLERANCE else 1
-            fl = 1.0 - el * (0.5 - 0.375 * el)
-            fv = 1.0 - ev * (0.5 - 0.375 * ev)
-            s0[j], s1[j], s2[j], s3[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
-                lx * fl, ly * fl, max(lz * fl, 0.0), vx * fv, vy * fv, max(vz * fv, 0.0), constants
-            )
+        wrong |= vector_states(count, l, v, constants, state[0], state[1], state[2], state[3])
         finish(count, tier, state, o, order, key, work, powers)
         for j in range(count):
             o[j] += constants[0] if l[3 * j + 2] >= 0.0 and v[3 * j + 2] >= 0.0 else 0.0

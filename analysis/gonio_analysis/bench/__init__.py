@@ -1,0 +1,1 @@
+"""Speed against error of every way of evaluating the models: `gonio bench models`."""

@@ -1,0 +1,406 @@
+"""What is compared: families of reference samples, and for each the ways of evaluating them."""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, OrenNayar, Phong, engine, fresnel, htsg
+from gonio.models._compile import loop
+from gonio.models._facets import fresnel_constants
+from gonio_analysis.bench import naive, plain
+from gonio_analysis.uncertainty import Floats
+
+Evaluate = Callable[..., Any]
+
+
+EVEN = "directions even over the hemisphere"
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Reference values of one set of parameters: what a way is given, and what it should say."""
+
+    kind: str
+    """"grid" or "hard"."""
+    parameters: dict[str, Any]
+    arrays: tuple[Floats, ...]
+    value: Floats
+    condition: Floats
+    cases: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way of evaluating a family."""
+
+    name: str
+    prepare: Callable[[dict[str, Any]], Evaluate]
+    """From parameters to a function of the arrays; what it costs is not timed."""
+    ours: bool = False
+    note: str = ""
+    convert: Callable[..., tuple[Any, ...]] | None = None
+    """From the family's arrays to what the function takes; not timed."""
+    accurate: bool = True
+    """Whether its results are comparable (a peer may compute another formula)."""
+    stated: float | None = None
+    """The relative error (times 1 + conditioning) that the way promises."""
+    peer: bool = False
+
+
+@dataclass(frozen=True)
+class Family:
+    """A quantity, its reference samples, inputs to time it with, and ways of evaluating it."""
+
+    name: str
+    title: str
+    about: str
+    samples: tuple[Sample, ...]
+    timed: Callable[[int], list[tuple[dict[str, Any], tuple[Floats, ...]]]]
+    """Parameters and arrays for about so many evaluations."""
+    inputs: str
+    """The timed inputs in words."""
+    ways: tuple[Way, ...]
+
+
+@functools.cache
+def reference() -> dict[str, Any]:
+    """The reference values that tools/bench_reference.py wrote."""
+    text = files("gonio_analysis.bench").joinpath("reference.json").read_text(encoding="utf-8")
+    found: dict[str, Any] = json.loads(text)
+    return found
+
+
+def directions(count: int, seed: int = 1) -> tuple[Floats, Floats]:
+    """Pairs of unit vectors, each even over the hemisphere."""
+    rng = np.random.default_rng(seed)
+
+    def one() -> Floats:
+        z, phi = rng.random(count), rng.random(count) * 2.0 * math.pi
+        s = np.sqrt((1.0 - z) * (1.0 + z))
+        return np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=-1)
+
+    return one(), one()
+
+
+def to_angles(omega_i: Floats, omega_r: Floats) -> tuple[Floats, ...]:
+    """theta_i, phi_i, theta_r, phi_r [rad] of vectors."""
+    out: list[Floats] = []
+    for v in (omega_i, omega_r):
+        theta = np.arctan2(np.hypot(v[..., 0], v[..., 1]), v[..., 2])
+        out += [theta, np.arctan2(v[..., 1], v[..., 0])]
+    return tuple(out)
+
+
+def families(peers: dict[str, tuple[Way, ...]] | None = None) -> list[Family]:
+    """Every family, with the peers' ways beside ours.
+
+    Parameters
+    ----------
+    peers
+        Ways by the name of their family (`gonio_analysis.bench.peers`).
+    """
+    more = peers or {}
+    found = [
+        *_he_torrance(),
+        _closed(
+            "cook-torrance", "Cook-Torrance", "Beckmann facets, two slopes, complex index.", _cook, plain.cook_torrance
+        ),
+        _closed("blinn", "Blinn", "D3 facets over a diffuse base.", lambda p: Blinn(**p), plain.blinn),
+        _closed("phong", "Phong", "Blinn's form of it, over a diffuse base.", lambda p: Phong(**p), plain.phong),
+        _lambert(),
+        _closed(
+            "oren-nayar",
+            "Oren-Nayar, functional form",
+            "Eqs. 14 to 16: how well the formula itself is evaluated.",
+            lambda p: OrenNayar(**p),
+            plain.oren_nayar,
+        ),
+        _oren_nayar(),
+        _fresnel(),
+        _roughness(),
+    ]
+    return [Family(**{**vars(f), "ways": (*f.ways, *more.get(f.name, ()))}) for f in found]
+
+
+def _samples(name: str, wanted: dict[str, str]) -> tuple[Sample, ...]:
+    """Samples over vectors from the reference file; `wanted` renames its sets."""
+    out = []
+    for g in reference()[name]:
+        if g["set"] in wanted:
+            arrays = (np.array(g["omega_i"]), np.array(g["omega_r"]))
+            out.append(
+                Sample(
+                    wanted[g["set"]],
+                    g["parameters"],
+                    arrays,
+                    np.array(g["value"]),
+                    np.array(g["condition"]),
+                    tuple(g["cases"]),
+                )
+            )
+    return tuple(out)
+
+
+def _split(parameters: list[dict[str, Any]]) -> Callable[[int], list[tuple[dict[str, Any], tuple[Floats, ...]]]]:
+    def timed(count: int) -> list[tuple[dict[str, Any], tuple[Floats, ...]]]:
+        each = max(1, count // len(parameters))
+        return [(p, directions(each, seed)) for seed, p in enumerate(parameters, 1)]
+
+    return timed
+
+
+# --- He-Torrance --------------------------------------------------------------------------------------------------
+
+
+def he_torrance_model(p: dict[str, Any], **more: Any) -> HeTorrance:
+    """The model of a reference sample."""
+    return HeTorrance(sigma0_um=p["sigma0_um"], tau_um=p["tau_um"], ior=complex(p["n"], p["k"]), **more)
+
+
+def _ours(tolerance: float, call: str = "brdf_vectors") -> Callable[[dict[str, Any]], Evaluate]:
+    def prepare(p: dict[str, Any]) -> Evaluate:
+        return functools.partial(
+            getattr(he_torrance_model(p, tolerance=tolerance), call), wavelength_nm=p["wavelength_nm"]
+        )
+
+    return prepare
+
+
+def _summed(kernel: Any, terms: int = 0, beckmann_from: float = math.inf) -> Callable[[dict[str, Any]], Evaluate]:
+    def prepare(p: dict[str, Any]) -> Evaluate:
+        constants = (*he_torrance_model(p)._constants(p["wavelength_nm"]), float(terms), beckmann_from)
+        return functools.partial(engine.over_vectors, kernel, constants, split=HeTorrance.grain)
+
+    return prepare
+
+
+def _mueller(p: dict[str, Any]) -> Evaluate:
+    model = he_torrance_model(p)
+    return lambda *angles: model.mueller(*angles, wavelength_nm=p["wavelength_nm"])[..., 0, 0]
+
+
+def _he_torrance() -> list[Family]:
+    one, blocks = naive.from_one, naive.from_one_vectorised
+    public = "from m = 1, pair by pair, as public code has it; vectorised: term by term over blocks of pairs"
+    ways = (
+        *(Way(f"ours, tolerance {t:.0e}".replace("e-0", "e-"), _ours(t), True, stated=t) for t in (1e-12, 1e-9, 1e-6)),
+        *(Way(f"{n} terms", _summed(one, n), note=public if n == 10 else "") for n in (10, 40, 64)),
+        *(Way(f"{n} terms, vectorised", _summed(blocks, n)) for n in (10, 40, 64)),
+        Way(
+            "Beckmann from g = 18.5",
+            _summed(blocks, 64, naive.BECKMANN_FROM),
+            note="exp(−c/g)/g above; 64 terms below, vectorised",
+        ),
+        Way("windowed sum", _summed(naive.windowed), note="from the largest term to both sides"),
+    )
+    more = (
+        Way("ours, angles", _ours(1e-12, "brdf"), True, "brdf, tolerance 1e-12", to_angles, stated=1e-12),
+        Way("ours, Mueller matrix", _mueller, True, "from angles; errors of I → I", to_angles, stated=1e-11),
+    )
+    common = _samples("he-torrance", {"common": "grid"})
+    whole = _samples("he-torrance", {"whole": "grid", "hard": "hard"})
+    about = "The unpolarised lobe with Smith's shadowing; the ways differ in how they sum the series S(g, c). "
+    return [
+        Family(
+            "he-torrance common",
+            "He-Torrance, common range (g < 90)",
+            about + "σ0 = 0.28 µm, τ = 1.77 µm, 500 nm: g up to 49.5.",
+            common,
+            _split([s.parameters for s in common]),
+            EVEN,
+            (*ways, *more),
+        ),
+        Family(
+            "he-torrance whole",
+            "He-Torrance, whole domain",
+            about
+            + "Seven surfaces, σ0 from 1 nm to 20 µm at 500 nm, g up to 2.5e5; the hard set has g from 1e-12 to 1e8.",
+            whole,
+            _split([s.parameters for s in whole if s.kind == "grid"]),
+            f"seven surfaces in turn, {EVEN}",
+            ways,
+        ),
+    ]
+
+
+# --- closed forms -------------------------------------------------------------------------------------------------
+
+
+def _cook(p: dict[str, Any]) -> Any:
+    return CookTorrance(slopes=p["slopes"], ior=complex(p["n"], p["k"]))
+
+
+def _over_plain(function: Any) -> Callable[[dict[str, Any]], Evaluate]:
+    def prepare(p: dict[str, Any]) -> Evaluate:
+        def evaluate(omega_i: Floats, omega_r: Floats) -> Floats:
+            with np.errstate(all="ignore"):
+                result: Floats = function(p, omega_i, omega_r)
+            return result
+
+        return evaluate
+
+    return prepare
+
+
+def _vectors_and_angles(build: Callable[[dict[str, Any]], Any]) -> tuple[Way, ...]:
+    return (
+        Way("ours, vectors", lambda p: build(p).brdf_vectors, True, "brdf_vectors", stated=1e-13),
+        Way("ours, angles", lambda p: build(p).brdf, True, "brdf", to_angles, stated=1e-13),
+    )
+
+
+def _closed(name: str, title: str, about: str, build: Callable[[dict[str, Any]], Any], form: Any) -> Family:
+    samples = _samples(name, {"grid": "grid", "hard": "hard"})
+    first = next(s for s in samples if s.kind == "grid")
+    ways = (*_vectors_and_angles(build), Way("plain numpy", _over_plain(form)))
+    return Family(name, title, about, samples, _split([first.parameters]), EVEN, ways)
+
+
+def _lambert() -> Family:
+    grid = next(s for s in _samples("cook-torrance", {"grid": "grid"}))
+    p = {"albedo": 0.5}
+    value = np.full(grid.value.shape, 0.5 / math.pi)
+    return Family(
+        "lambert",
+        "Lambert",
+        "A constant: what reading the arrays, checking them and writing the result cost.",
+        (Sample("grid", p, grid.arrays, value, 0.0 * value, grid.cases),),
+        _split([p]),
+        EVEN,
+        _vectors_and_angles(lambda p: Lambert(**p)),
+    )
+
+
+def _oren_nayar() -> Family:
+    r = reference()["oren-nayar exact"]
+    columns = {key: np.array(r[key]) for key in ("theta_i", "theta_r", "phi", "sigma", "rho", "value")}
+    samples = []
+    for sigma, rho in sorted(set(zip(r["sigma"], r["rho"], strict=True))):
+        here = (columns["sigma"] == sigma) & (columns["rho"] == rho)
+        ti, tr, phi = (columns[key][here] for key in ("theta_i", "theta_r", "phi"))
+        source = np.stack([np.sin(ti), 0 * ti, np.cos(ti)], axis=-1)
+        viewer = np.stack([np.sin(tr) * np.cos(phi), np.sin(tr) * np.sin(phi), np.cos(tr)], axis=-1)
+        p = {"albedo": rho, "sigma_deg": math.degrees(sigma)}
+        value = columns["value"][here]
+        samples.append(Sample("grid", p, (source, viewer), value, 0.0 * value, ("",) * len(value)))
+
+    def way(form: str, note: str, stated: float | None = None) -> Way:
+        return Way(form, lambda p: OrenNayar(**p, form=form).brdf_vectors, True, note, stated=stated)
+
+    return Family(
+        "oren-nayar exact",
+        "Oren-Nayar, against the exact integral",
+        "Reference: the V-groove integral with two bounces by quadruple-precision quadrature. For the functional and "
+        "the qualitative form the error is that of the approximation, for the exact form that of its quadrature.",
+        tuple(samples),
+        _split([{"albedo": 0.9, "sigma_deg": 30.0}]),
+        "albedo 0.9, sigma = 30 degrees, directions even over the hemisphere",
+        (
+            way("exact", "quadrature over facets", 1e-8),
+            way("functional", "model error, eqs. 14 to 16"),
+            way("qualitative", "model error, eq. 17"),
+        ),
+    )
+
+
+def _over_pairs(kernel: Any, constants: tuple[float, ...], first: Floats) -> Floats:
+    out = np.empty(first.size)
+    run = loop(htsg.over_pairs, kernel, len(constants))
+    engine.in_parts(lambda i, j: run(first, first, constants, out, i, j), first.size)
+    return out
+
+
+def _fresnel() -> Family:
+    r = reference()
+
+    def samples(key: str, kind: str) -> list[Sample]:
+        return [
+            Sample(
+                kind,
+                {"n": f["n"], "k": f["k"]},
+                (np.array(f["cos"]),),
+                np.array(f["value"]),
+                np.zeros(len(f["cos"])),
+                tuple(f"{f['name']}, cos = {c:g}" for c in f["cos"]),
+            )
+            for f in r[key]
+        ]
+
+    average = complex(1.02, 2.58)
+
+    def kernel(function: Any) -> Callable[[dict[str, Any]], Evaluate]:
+        def prepare(p: dict[str, Any]) -> Evaluate:
+            index = complex(p["n"], p["k"])
+            f0 = float(fresnel.reflectance(1.0, index))
+            mean = float(fresnel.reflectance(1.0, average))
+            n = fresnel.n_from_f0(min(mean if function is naive.colour_interpolation else f0, 0.9999999))
+            constants = (*fresnel_constants(index), n, f0, mean)
+            return lambda c: _over_pairs(function, constants, c)
+
+        return prepare
+
+    return Family(
+        "fresnel",
+        "Fresnel reflectance",
+        "Unpolarised, for copper-like (three wavelengths), aluminium-like and glass-like indices, every 5 degrees. "
+        "Schlick and the real n know only the normal reflectance; colours go by the copper-like average at 550 nm.",
+        tuple(samples("fresnel", "grid") + samples("fresnel_hard", "hard")),
+        lambda count: [({"n": 1.02, "k": 2.58}, (np.random.default_rng(1).random(count),))],
+        "cosines even in [0, 1], n = 1.02 + 2.58i",
+        (
+            Way("complex, in a kernel", kernel(naive.fresnel_complex), True, "as in the models", stated=1e-13),
+            Way(
+                "complex, function",
+                lambda p: lambda c: fresnel.reflectance(c, complex(p["n"], p["k"])),
+                True,
+                "fresnel.reflectance",
+                stated=1e-13,
+            ),
+            Way("real n", kernel(naive.fresnel_real), note="Cook and Torrance's n from F0"),
+            Way("Schlick", kernel(naive.schlick), note="Schlick 1994, from F0"),
+            Way("colour interpolation", kernel(naive.colour_interpolation), note="from one average reflectance"),
+        ),
+    )
+
+
+def _roughness() -> Family:
+    r = reference()["roughness"]
+    k = np.array(r["K"])
+    value = np.array(r["value"])
+    grid = (k >= 1e-4) & (k <= 1e10)
+    samples = tuple(
+        Sample(kind, {}, (k[here],), value[here], np.zeros(here.sum()), tuple(f"K = {x:.3g}" for x in k[here]))
+        for kind, here in (("grid", grid), ("hard", ~grid & (k < 1e139)))
+    )
+
+    def kernel(function: Any, *constants: float) -> Callable[[dict[str, Any]], Evaluate]:
+        return lambda p: lambda k: _over_pairs(function, (*constants, 0.0), k)
+
+    return Family(
+        "roughness",
+        "Effective roughness",
+        "sigma/sigma0 as a function of K = K_i + K_r (eqs. 80 to 82).",
+        samples,
+        lambda count: [({}, (10.0 ** (np.random.default_rng(1).random(count) * 14.0 - 4.0),))],
+        "K from 1e-4 to 1e10, even in its logarithm",
+        (
+            Way("closed form", kernel(naive.closed_roughness), True, "Lambert W, as in the model", stated=1e-15),
+            Way(
+                "closed form, function",
+                lambda p: htsg.effective_roughness,
+                True,
+                "htsg.effective_roughness",
+                stated=1e-15,
+            ),
+            Way("1 Newton step", kernel(naive.newton_roughness, 1.0), note="from sqrt(ln(1 + K²/8π))"),
+            *(Way(f"{n} Newton steps", kernel(naive.newton_roughness, float(n))) for n in range(2, 7)),
+        ),
+    )
