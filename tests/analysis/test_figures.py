@@ -11,11 +11,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gonio_analysis import figures
-from gonio_analysis.figures import experiment, htsg, htsg_10, htsg_11, surfaces
+from gonio_analysis.figures import (
+    blinn,
+    colour,
+    cook_torrance,
+    experiment,
+    htsg,
+    htsg_10,
+    htsg_11,
+    oren_nayar,
+    oren_nayar_samples,
+    surfaces,
+)
 from gonio_analysis.figures.base import Claim, agreed
 
 from gonio.errors import ConfigError
-from gonio.models import HeTorrance
+from gonio.models import HeTorrance, Lambert
 
 
 def verdicts(claims: list[Claim]) -> list[str]:
@@ -91,6 +102,68 @@ def test_experiment_measures_the_figures_surface_with_its_solid_angles() -> None
     assert json.loads(taken.files["experiment/brdf.meta.json"])["source_file"] == "RUN"
 
 
+# --- Cook and Torrance --------------------------------------------------------------------------------------------
+
+
+def test_fig_3_distribution_from_a_retro_scan() -> None:
+    alpha = np.radians([0.0, 10.0, 40.0, 70.0])
+    for m in (0.2, 0.6):
+        tangent = np.tan(alpha)
+        beckmann = np.exp(-((tangent / m) ** 2)) / (m**2 * np.cos(alpha) ** 4)
+        # rounding, and exp(-t) with t up to 190
+        np.testing.assert_allclose(cook_torrance.distribution(m, "beckmann", alpha), beckmann, rtol=1e-12)
+        gaussian = np.exp(-((alpha / m) ** 2))
+        np.testing.assert_allclose(cook_torrance.distribution(m, "gaussian", alpha), gaussian, rtol=1e-12)
+
+
+def test_figs_3_to_5_verdicts() -> None:
+    assert verdicts(cook_torrance.claims(3)) == ["holds", "holds", "does not hold", "holds", "does not hold"]
+    assert "4.00 of the light" in cook_torrance.claims(3)[-1].found
+    assert verdicts(cook_torrance.claims(4)) == ["holds"] * 3
+    assert verdicts(cook_torrance.claims(5)) == [*["holds"] * 3, *["does not hold"] * 2, "holds"]
+
+
+def test_colours_of_the_illuminant() -> None:
+    white = colour.xyz(np.ones(41))
+    # CIE 15: x = 0.3127, y = 0.3290; four digits, and a table in steps of 10 nm
+    assert white[:2] / white.sum() == pytest.approx([0.3127, 0.3290], abs=2e-4)
+    assert colour.rgb(np.full(41, 0.5)) == pytest.approx([0.5] * 3, abs=1e-12)  # rounding
+    assert colour.shown(np.array([0.0, 0.214041140482, 1.0])) == pytest.approx([0.0, 0.5, 1.0], abs=1e-6)
+
+
+# --- Blinn --------------------------------------------------------------------------------------------------------
+
+
+def test_figs_5_and_6_of_blinn() -> None:
+    assert verdicts(blinn.claims(5)) == ["no verdict"]
+    assert verdicts(blinn.claims(6)) == ["holds", "holds", "holds", "no verdict"]
+    # every surface's distributions fall to one half at the same angle
+    for s in blinn.surfaces():
+        assert math.cos(math.radians(s.beta_deg)) ** blinn.exponent(s) == pytest.approx(0.5, abs=1e-12)
+    assert blinn.exponent(blinn.surfaces()[0]) == pytest.approx(50.0, abs=1e-9)
+
+
+# --- Oren and Nayar -----------------------------------------------------------------------------------------------
+
+
+def test_figs_5_and_6_of_oren_and_nayar() -> None:
+    assert verdicts(oren_nayar.claims(5)) == [*["holds"] * 5, "no verdict"]
+    assert oren_nayar.kink(oren_nayar.SHOWN) == -oren_nayar.SHOWN.theta_i_deg
+    assert verdicts(oren_nayar.claims(6)) == ["holds", "holds", "no verdict", "holds"]
+
+
+@pytest.mark.parametrize(("figure", "expected"), [(8, "hhhn"), (9, "hhhn"), (10, "hn"), (11, "hn"), (13, "nhhhn")])
+def test_samples_of_oren_and_nayar(figure: int, expected: str) -> None:
+    assert "".join(v[0] for v in verdicts(oren_nayar_samples.claims(figure))) == expected
+
+
+def test_a_lambertian_vase_is_a_cosine() -> None:
+    x, value = oren_nayar_samples.cross_section(Lambert(0.5), 20.0)
+    normal = np.arcsin(x)
+    cosine = np.maximum(0.0, np.cos(np.radians(20.0) - normal))
+    np.testing.assert_allclose(value, cosine / cosine.max(), atol=1e-6)  # its edge is cut at 1e-6 rad
+
+
 # --- pages --------------------------------------------------------------------------------------------------------
 
 
@@ -115,6 +188,21 @@ def test_page_states_parameters_verdicts_and_every_curve(tmp_path: Path) -> None
         for ending in ("svg", "png"):
             assert (page.parent / "figures" / f"htsg-10-{panel['name']}.{ending}").stat().st_size > 1000
     assert (page.parent / "experiment" / "rig.toml").is_file()
+
+
+def test_index_links_every_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = ("cook-torrance-4", "blinn-5")
+    monkeypatch.setattr(figures, "FIGURES", {name: figures.FIGURES[name] for name in shown})
+    index = figures.make("all", tmp_path / "all")
+    text = index.read_text(encoding="utf-8")
+    for name in shown:
+        assert f'href="{name}/index.html"' in text
+        assert (index.parent / name / "index.html").is_file()
+    figures.make("all", tmp_path / "all")  # replaces an earlier one
+
+
+def test_every_name_has_a_module() -> None:
+    assert {name.rpartition("-")[0] for name in figures.FIGURES} == set(figures.PAPERS)
 
 
 def test_unknown_figure_names_the_nearest() -> None:

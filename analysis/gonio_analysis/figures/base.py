@@ -132,14 +132,9 @@ def at(x: Floats, y: Floats, where: float) -> float:
     return float(y[int(np.argmin(np.abs(x - where)))])
 
 
-def polar_panel(
-    name: str, caption: str, lines: Sequence[Line], radius_label: str, *, most: float = 2.5, fill: bool = False
-) -> Panel:
-    """The half-disc of `polar.polar` with its legend; with `fill` the rim is at the largest value, whatever it is."""
+def polar_panel(name: str, caption: str, lines: Sequence[Line], radius_label: str, *, most: float = 2.5) -> Panel:
+    """The half-disc of `polar.polar` with its legend; curves that go beyond `most` are cut at the rim."""
     rim = polar.radius_of(lines, most)
-    if fill:
-        top = max(float(np.max(line.theory)) for line in lines)
-        rim = top * 1.04
 
     def on(figure: Any) -> None:
         ax = figure.add_axes((0.01, 0.085, 0.98, 0.90))

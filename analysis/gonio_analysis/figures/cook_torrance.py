@@ -1,0 +1,483 @@
+"""Cook and Torrance (1982), Figs. 3 to 5: facet distributions, the spectrum of copper, its colour over the angle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from gonio_analysis.figures import colour
+from gonio_analysis.figures.base import (
+    SIZE,
+    Claim,
+    Page,
+    Panel,
+    Parameter,
+    Table,
+    Trace,
+    agreed,
+    plain_axes,
+    polar_panel,
+    theory,
+    trace_panel,
+)
+from gonio_analysis.report.text import number
+from gonio_analysis.uncertainty import Floats
+
+PAPER = "Cook and Torrance, A Reflectance Model for Computer Graphics, ACM Transactions on Graphics 1 (1982) 7-24"
+SLOPES = (0.2, 0.6)
+FORMS = ("beckmann", "gaussian")
+SHOWN_DEG = 30.0
+D65_SOURCE = "CIE 15, relative power at 380 to 780 nm in steps of 10 nm"
+ANGLES_DEG = (0.0, 30.0, 60.0, 75.0, 85.0, 89.0)
+EARLY_DEG = 70.0
+SIMILAR, SUFFICIENT = 0.1, 0.01
+
+
+def build(figure: int, progress: Callable[[str], None]) -> Page:
+    """The page of Fig. 3, 4 or 5."""
+    progress(f"cook-torrance-{figure}: theory")
+    return {3: _distributions, 4: _spectrum, 5: _colours}[figure]()
+
+
+def claims(figure: int) -> list[Claim]:
+    """What the text says about a figure."""
+    return {3: _claims_3, 4: _claims_4, 5: _claims_5}[figure]()
+
+
+def copper() -> Parameter:
+    """The optical constants of all three figures."""
+    from gonio import materials
+
+    source = (
+        f"{materials.ior('Cu').source}; the paper took a measured reflectance (refs. 10, 17) that it does not print"
+    )
+    return Parameter("copper, n + ik", "380 to 780 nm", "database", source)
+
+
+# --- Fig. 3: facet distributions ----------------------------------------------------------------------------------
+
+
+def distribution(slope: float, form: str, alpha: Floats) -> Floats:
+    """D(alpha), read off the model as a goniometer would: a scan of retro-reflection meets facets of every slope."""
+    from gonio.models import CookTorrance
+
+    f0 = 0.04
+    scanned = CookTorrance(1.0, 0.0, slope, distribution=form, f0=f0).specular(alpha, 0.0, alpha, 0.0)
+    cosine2 = np.cos(alpha) ** 2  # R_s = F0/pi D G/cos^2, G = min(1, 2 cos^2)
+    return np.asarray(scanned * math.pi * cosine2 / (f0 * np.minimum(1.0, 2.0 * cosine2)))
+
+
+def _alpha() -> Floats:
+    return np.asarray(np.radians(np.arange(0.0, 89.76, 0.25)))
+
+
+def _half_angle(slope: float, form: str) -> float:
+    """Where D falls to half of its value at 0 [deg]."""
+    alpha = _alpha()
+    d = distribution(slope, form, alpha)
+    k = int(np.argmax(d < 0.5 * d[0]))
+    return float(np.degrees(np.interp(0.5 * d[0], [d[k], d[k - 1]], [alpha[k], alpha[k - 1]])))
+
+
+def _projected(slope: float) -> float:
+    """Integral of Beckmann's D cos(alpha) over the hemisphere, over pi."""
+    node, weight = np.polynomial.legendre.leggauss(200)
+    alpha = (node + 1.0) * math.pi / 4
+    d = distribution(slope, "beckmann", alpha)
+    return float(2.0 * (weight * d * np.cos(alpha) * np.sin(alpha)).sum() * math.pi / 4)
+
+
+def _reflected(slope: float) -> float:
+    """What a surface of perfect mirrors reflects at normal incidence with R_s as printed."""
+    from gonio.models import CookTorrance
+
+    return CookTorrance(1.0, 0.0, slope, f0=0.9999999).ambient_reflectance(0.0)
+
+
+def _apart(slope: float) -> float:
+    alpha = _alpha()
+    first, second = (distribution(slope, form, alpha) for form in FORMS)
+    return float(np.max(np.abs(first / first[0] - second / second[0])))
+
+
+def _claims_3() -> list[Claim]:
+    half = {(m, form): _half_angle(m, form) for m in SLOPES for form in FORMS}
+    narrow, wide = SLOPES
+    apart = {m: _apart(m) for m in SLOPES}
+    projected = {m: _projected(m) for m in SLOPES}
+    reflected = {m: _reflected(m) for m in SLOPES}
+
+    def similar(m: float) -> Claim:
+        return Claim(
+            f"“Note the similarity between the two models”, m = {m:g}.",
+            apart[m] < SIMILAR,
+            f"D/D(0) differ by at most {number(apart[m], 2)}; half of it at {half[m, 'beckmann']:.1f}° (Beckmann) and "
+            f"{half[m, 'gaussian']:.1f}° (Gaussian)",
+            "nowhere more than a tenth of the peak apart",
+        )
+
+    return [
+        Claim(
+            "“Small values of m … give a distribution that is highly directional around the specular direction …; "
+            "large values … give a distribution that is spread out.”",
+            all(half[wide, form] > 2.0 * half[narrow, form] for form in FORMS),
+            "half of the peak at "
+            + "; ".join(
+                f"{half[narrow, f]:.1f}° for m = 0.2 and {half[wide, f]:.1f}° for m = 0.6 ({f})" for f in FORMS
+            ),
+            "the half-angle more than doubles from m = 0.2 to 0.6, in both models",
+        ),
+        similar(narrow),
+        similar(wide),
+        Claim(
+            "“The advantage of the Beckmann function is that it gives the absolute magnitude … without introducing "
+            "arbitrary constants.”",
+            all(abs(v - 1.0) < 1e-3 for v in projected.values()),
+            f"∫ D cos α dω = {', '.join(f'{v:.4f} π (m = {m:g})' for m, v in projected.items())}: the facets' "
+            "projected areas add up to the surface, up to the constant π",
+            "the integral is π, whatever m is",
+        ),
+        Claim(
+            "The absolute magnitude of R_s = (F/π) D G/((N·L)(N·V)), as printed with this D.",
+            all(v <= 1.0 for v in reflected.values()),
+            "perfect mirrors (F = 1) would reflect "
+            + ", ".join(f"{number(v)} of the light (m = {m:g})" for m, v in reflected.items())
+            + " at normal incidence: four times too much, for with ∫ D cos α dω = π the factor is 1/(4π)",
+            "no more is reflected than falls in",
+        ),
+    ]
+
+
+def _distributions() -> Page:
+    alpha = _alpha()
+    theta_r = np.radians(np.arange(-90.0, 90.01, 0.5))
+    off = np.abs(theta_r - math.radians(SHOWN_DEG)) / 2.0
+    lines, traces, text, numbers = [], [], [], []
+    for letter, (m, form) in zip("abcd", [(m, form) for m in SLOPES for form in FORMS], strict=True):
+        name = f"({letter}) {form.capitalize()}, m = {m:g}"
+        d = distribution(m, form, alpha)
+        lines.append(theory(name, theta_r, distribution(m, form, off) / d[0], math.radians(SHOWN_DEG)))
+        traces.append(Trace(name, np.degrees(alpha), d / d[0], dashed=form == "gaussian"))
+        beckmann = form == "beckmann"
+        row: dict[str, Any] = {
+            "distribution": form,
+            "m": m,
+            "d_0": float(d[0]),
+            "half_angle_deg": _half_angle(m, form),
+            "projected_over_pi": _projected(m) if beckmann else None,
+            "reflected_as_printed": _reflected(m) if beckmann else None,
+        }
+        numbers.append(row)
+        values = (number(row["d_0"]), f"{row['half_angle_deg']:.1f}°")
+        text.append([name, *values, number(row["projected_over_pi"], 5), number(row["reflected_as_printed"])])
+    return Page(
+        "cook-torrance-3",
+        "Cook-Torrance Fig. 3: facet distributions",
+        PAPER,
+        [
+            Parameter("m", "0.2 and 0.6", "paper", "the total rms slope: √2 times that along a line"),
+            Parameter("c of the Gaussian", "1", "paper", "arbitrary; drawings are divided by D(0)"),
+            Parameter(
+                "θi",
+                f"{SHOWN_DEG:g}°",
+                "assumed",
+                "the scan gives none; it only turns the drawing: no verdict uses it",
+            ),
+        ],
+        _claims_3(),
+        [
+            polar_panel(
+                "polar",
+                f"Around the mirror direction: D/D(0) of the facets that send light from θi = {SHOWN_DEG:g}° toward "
+                "θr, α = |θr − θi|/2.",
+                lines,
+                "D / D(0)",
+            ),
+            trace_panel(
+                "slopes",
+                "Over the facets' angle: D/D(0). Solid: Beckmann; dashed: Gaussian.",
+                traces,
+                "α, angle between facet and surface [deg]",
+                "D / D(0)",
+            ),
+        ],
+        Table(
+            "α½: where D is half of D(0). Reflected: with R_s as printed and F = 1, at normal incidence.",
+            ("distribution", "D(0)", "α½", "∫ D cos α dω / π", "reflected"),
+            text,
+        ),
+        numbers,
+        ["D is read off the model in retro-reflection, where H = L = V: a retro scan measures the distribution."],
+    )
+
+
+# --- Fig. 4: copper's spectrum ------------------------------------------------------------------------------------
+
+
+def spectrum(theta: Floats, *, absorbing: bool = True) -> Floats:
+    """Reflectance of a copper mirror at `colour.wavelengths()`, (angles, 41).
+
+    With n + ik; or (`absorbing` False) with the real index that has the same normal reflectance, as the paper does for
+    metals whose n and k are not known.
+    """
+    from gonio import materials
+    from gonio.models import fresnel
+
+    index = np.asarray(materials.ior("Cu")(colour.wavelengths()))
+    if not absorbing:
+        normal = fresnel.reflectance(1.0, index)
+        index = np.array([fresnel.n_from_f0(float(f)) for f in normal], dtype=complex)
+    return np.asarray(fresnel.reflectance(np.cos(theta)[:, None], index[None, :]))
+
+
+def _claims_4() -> list[Claim]:
+    nm = colour.wavelengths()
+    normal = spectrum(np.zeros(1))[0]
+    again = spectrum(np.zeros(1), absorbing=False)[0]
+    coarse: dict[int, tuple[float, float]] = {}
+    for count in (10, 15):
+        at = np.linspace(nm[0], nm[-1], count)
+        guess = np.interp(nm, at, np.interp(at, nm, normal))
+        shift = float(np.max(np.abs(colour.rgb(guess) - colour.rgb(normal))))
+        coarse[count] = float(np.max(np.abs(guess - normal))), shift
+    red, green, blue = (float(c) for c in colour.rgb(normal))
+    return [
+        Claim(
+            "“Most materials are measured at only a few wavelengths (… 10 to 15) …; a simple linear interpolation "
+            "seems to be sufficient.”",
+            agreed(c < SUFFICIENT for _, c in coarse.values()),
+            "; ".join(
+                f"{k} wavelengths: reflectance off by at most {r:.3f}, colour by {c:.4f}"
+                for k, (r, c) in coarse.items()
+            ),
+            "no channel of the colour changes by more than 1 % of white, with 10 and with 15 samples",
+        ),
+        Claim(
+            "An effective index n = (1 + √F_0)/(1 − √F_0) “yields the correct value of F for normal incidence”.",
+            bool(np.max(np.abs(again - normal)) < 1e-12),
+            f"largest difference over the spectrum {number(float(np.max(np.abs(again - normal))), 1)}",
+            "the same normal reflectance to 1e-12",
+        ),
+        Claim(
+            "“The specular reflectance component has a copper color” (of the vase made with this spectrum, Fig. 6b).",
+            red > green > blue and red > 1.2 * blue,
+            f"linear RGB of reflected D6500 light: {red:.3f}, {green:.3f}, {blue:.3f}",
+            "red above green above blue, and red a fifth above blue",
+        ),
+    ]
+
+
+def _spectrum() -> Page:
+    nm = colour.wavelengths()
+    normal = spectrum(np.zeros(1))[0]
+    light = colour.d65()
+    text, numbers = [], []
+    for w in (400.0, 450.0, 500.0, 550.0, 600.0, 650.0, 700.0):
+        k = int(np.argmin(np.abs(nm - w)))
+        text.append([f"{w / 1000:g} µm", number(normal[k]), number(light[k], 4), number(light[k] * normal[k], 4)])
+        numbers.append({"wavelength_nm": w, "reflectance": float(normal[k]), "d65": float(light[k])})
+    return Page(
+        "cook-torrance-4",
+        "Cook-Torrance Fig. 4: reflectance and reflected light of a copper mirror",
+        PAPER,
+        [
+            copper(),
+            Parameter("illuminant", "CIE D6500", "database", D65_SOURCE),
+            Parameter("θi", "0°", "paper"),
+            Parameter(
+                "colour",
+                "CIE 1931, linear RGB of the sRGB primaries",
+                "assumed",
+                "the paper's monitor is not described",
+            ),
+        ],
+        _claims_4(),
+        [
+            trace_panel(
+                "reflectance",
+                "(a) Reflectance: a copper mirror at normal incidence.",
+                [Trace("copper", nm / 1000, normal)],
+                "wavelength [µm]",
+                "reflectance",
+            ),
+            trace_panel(
+                "light",
+                "(b) Spectral energy: of D6500 (top), and of the same light reflected by the mirror (bottom).",
+                [Trace("D6500", nm / 1000, light), Trace("reflected by copper", nm / 1000, light * normal)],
+                "wavelength [µm]",
+                "relative spectral power",
+            ),
+        ],
+        Table("", ("wavelength", "reflectance", "D6500", "reflected"), text),
+        numbers,
+    )
+
+
+# --- Fig. 5: copper over the angle --------------------------------------------------------------------------------
+
+
+def colours(theta: Floats) -> dict[str, Floats]:
+    """Linear RGB of D65 light reflected by copper at these angles, (angles, 3), by each procedure."""
+    from gonio.models import fresnel
+
+    normal = spectrum(np.zeros(1))
+    mean = float(normal.mean())  # over 380 to 780 nm
+    short = fresnel.colour_shift(np.cos(theta), mean, colour.rgb(normal)[0], np.ones(3))
+    return {
+        "complete": colour.rgb(spectrum(theta)),
+        "complete, k = 0": colour.rgb(spectrum(theta, absorbing=False)),
+        "approximate": np.asarray(short),
+    }
+
+
+def _shift(rgb: Floats) -> Floats:
+    """How much of the way of the chromaticity from normal incidence to the light's own has been gone."""
+    way = colour.chromaticity(rgb) - colour.chromaticity(rgb[:1])
+    whole = 1.0 / 3.0 - colour.chromaticity(rgb[:1])
+    return np.asarray(np.linalg.norm(way, axis=1) / np.linalg.norm(whole))
+
+
+def _claims_5() -> list[Claim]:
+    from gonio.models import fresnel
+
+    theta = np.radians(np.append(np.arange(0.0, 90.0, 0.5), 89.999))
+    deg = np.degrees(theta)
+    found = colours(theta)
+    complete, real, short = found.values()
+    last = [float(np.max(np.abs(c[-1] - 1.0))) for c in (complete, real)]
+    at_60 = [float(_shift(c)[int(np.argmin(np.abs(deg - 60.0)))]) for c in (complete, real)]
+    half = [float(deg[int(np.argmax(_shift(c) > 0.5))]) for c in (complete, real)]
+    near, far = deg <= EARLY_DEG, deg > EARLY_DEG
+    early = [float(np.max(np.abs(c - short)[near])) for c in (complete, real)]
+    late = [float(np.max(np.abs(c - short)[far])) for c in (complete, real)]
+    worst_deg = float(deg[int(np.argmax(np.abs(complete - short).max(axis=1)))])
+    brewster = math.degrees(math.atan(fresnel.n_from_f0(float(spectrum(np.zeros(1)).mean()))))
+    exact, effective = spectrum(theta), spectrum(theta, absorbing=False)
+    k = np.unravel_index(int(np.argmax(np.abs(exact - effective))), exact.shape)
+    worst = float(np.abs(exact - effective)[k])
+    worst_early = float(np.max(np.abs(exact - effective)[near]))
+    below = deg <= 70.0
+    change = float(np.max(np.abs(exact[below] - exact[:1])))
+    change_real = float(np.max(np.abs(effective[below] - effective[:1])))
+    return [
+        Claim(
+            "“As the incidence angle approaches π/2, the color of the reflected light approaches the color of the "
+            "light source.”",
+            agreed(v < 0.01 for v in last),
+            f"at 89.999° no channel is more than {number(max(last), 2)} from white",
+            "within 1 % of white at 89.999°",
+        ),
+        Claim(
+            "“The color shift … only becomes important as θ approaches π/2.”",
+            agreed(v < 0.1 for v in at_60),
+            f"at 60° the chromaticity has gone {100 * max(at_60):.1f} % of its way, half of it at {min(half):g}° to "
+            f"{max(half):g}°",
+            "less than a tenth of the way at 60°, with n + ik and with the effective index",
+        ),
+        Claim(
+            "“The approximate procedure yields results that are similar to those from the complete … procedure”, up to "
+            f"{EARLY_DEG:g}°.",
+            agreed(v < SIMILAR for v in early),
+            f"channels differ by at most {number(early[0], 2)} of white (against n + ik) and {number(early[1], 2)} "
+            "(against the effective index)",
+            "less than a tenth of white, in every channel",
+        ),
+        Claim(
+            f"The same beyond {EARLY_DEG:g}°, where the colour shifts.",
+            agreed(v < SIMILAR for v in late),
+            f"channels differ by at most {number(late[0], 2)} of white (against n + ik, at {worst_deg:g}°) and "
+            f"{number(late[1], 2)} (against the effective index): one real index for the whole spectrum has its "
+            f"Brewster angle at {brewster:.1f}°, and until there the colour stays that of normal incidence",
+            "less than a tenth of white, in every channel",
+        ),
+        Claim(
+            "The effective index gives “a good estimate of [F's] angular dependence, which is only weakly dependent on "
+            "the extinction coefficient k”.",
+            worst < SIMILAR,
+            f"up to {EARLY_DEG:g}° reflectances differ by at most {worst_early:.3f}, beyond by at most {worst:.3f} (at "
+            f"{deg[k[0]]:g}° and {colour.wavelengths()[k[1]]:g} nm, near the Brewster angle of an index so large)",
+            "less than 0.1 apart at every angle and wavelength",
+        ),
+        Claim(
+            "“The reflectance varies only slightly for incidence angles within about 70° of the surface normal.”",
+            agreed(v < SIMILAR for v in (change, change_real)),
+            f"up to 70° it changes by at most {change:.3f} (n + ik), {change_real:.3f} (effective index)",
+            "by less than 0.1 at every wavelength",
+        ),
+    ]
+
+
+def _colours() -> Page:
+    theta = np.radians(np.append(np.arange(0.0, 90.0, 0.5), 89.999))
+    deg, nm = np.degrees(theta), colour.wavelengths()
+    found = colours(theta)
+    mirrors = spectrum(np.radians(np.array(ANGLES_DEG)))
+    channels = ("red", "green", "blue")
+    rows = [
+        (f"{name}: {channel}", "theory", float(x), float(y), None)
+        for name, values in found.items()
+        for c, channel in enumerate(channels)
+        for x, y in zip(deg, values[:, c], strict=True)
+    ]
+
+    def on(figure: Any) -> None:
+        for place, (letter, name) in enumerate(
+            (("b", "complete"), ("b'", "complete, k = 0"), ("c", "approximate")),
+        ):
+            ax = figure.add_axes((0.13, 0.86 - 0.125 * place, 0.85, 0.075))
+            ax.imshow(colour.shown(found[name])[None], aspect="auto", extent=(0, 90, 0, 1))
+            ax.set_xticks([])
+            ax.set_yticks([])
+            ax.set_title(f"({letter}) {name}", fontsize=7.5, loc="left", pad=2)
+        ax = figure.add_axes((0.13, 0.13, 0.85, 0.42))
+        for c, tint in enumerate(("#D55E00", "#009E73", "#0072B2")):
+            for name, dashes in (("complete", "-"), ("approximate", (0, (4, 2)))):
+                ax.plot(deg, found[name][:, c], color=tint, lw=1.3, ls=dashes)
+            ax.text(1.0, found["complete"][0, c] + 0.012, channels[c], color=tint, fontsize=7)
+        ax.set_xlim(0, 90)
+        plain_axes(ax, "θ, angle of incidence [deg]", "linear RGB")
+
+    wanted = (0.0, 30.0, 60.0, 70.0, 80.0, 85.0, 89.0)
+    text, numbers = [], []
+    for d in wanted:
+        k = int(np.argmin(np.abs(deg - d)))
+        text.append([f"{d:g}°", *(", ".join(f"{v:.3f}" for v in found[name][k]) for name in found)])
+        numbers.append({"theta_deg": d, **{name: [float(v) for v in found[name][k]] for name in found}})
+    return Page(
+        "cook-torrance-5",
+        "Cook-Torrance Fig. 5: copper over the angle of incidence",
+        PAPER,
+        [
+            copper(),
+            Parameter("illuminant", "CIE D6500", "database", D65_SOURCE),
+            Parameter("average normal reflectance", f"{float(spectrum(np.zeros(1)).mean()):.4f}", "derived",
+                      "mean over the spectrum; the approximation's index is that of this reflectance"),
+            Parameter("index", "n + ik, and the effective real one", "assumed",
+                      "the scan does not say which one the figure was made with: both are judged"),
+            Parameter("monitor", "sRGB primaries and curve", "assumed", "the paper's monitor is not described"),
+        ],
+        _claims_5(),
+        [
+            trace_panel(
+                "spectra",
+                "(a) Reflectance: of a copper mirror over the wavelength, at six angles of incidence.",
+                [Trace(f"{a:g}°", nm / 1000, r) for a, r in zip(ANGLES_DEG, mirrors, strict=True)],
+                "wavelength [µm]",
+                "reflectance",
+            ),
+            Panel(
+                "colours",
+                "(b), (c) Colours: of D6500 light reflected by copper, complete from the spectrum (b; b' with the "
+                "effective real index) and approximate (c). Below: linear RGB, complete solid, approximate dashed.",
+                SIZE,
+                on,
+                ("angle of incidence [deg]", "linear RGB"),
+                rows,
+            ),
+        ],
+        Table("Linear RGB, 1 for white.", ("angle", *found), text),
+        numbers,
+    )  # fmt: skip
