@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING
 from gonio import plugins
 from gonio.config import load, parse
 from gonio.description import RigDescription, SampleDescription
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, DeviceError
 from gonio.plan import Plan, assess, schedule
 
 if TYPE_CHECKING:
@@ -36,6 +37,17 @@ class RigChoice:
         except ConfigError as error:
             if Path(self.source).is_file():
                 raise ConfigError(f"{self.source}: {error}") from None
+            raise
+
+    @contextlib.contextmanager
+    def naming(self) -> Iterator[None]:
+        """Let messages about a key of the rig file, which devices raise when they are opened, name the file too."""
+        try:
+            yield
+        except (ConfigError, DeviceError) as error:
+            if Path(self.source).is_file() and str(error).startswith("devices."):
+                kind = ConfigError if isinstance(error, ConfigError) else DeviceError
+                raise kind(f"{self.source}: {error}") from None
             raise
 
 
@@ -139,9 +151,11 @@ def carry_out(
     with Stop(progress) as stop, contextlib.ExitStack() as stack:
         if going_on:
             run = stack.enter_context(Run.resume(out, request))
-            stack.enter_context(device)
+            with rig.naming():
+                stack.enter_context(device)
         else:
-            stack.enter_context(device)
+            with rig.naming():
+                stack.enter_context(device)
             run = stack.enter_context(Run.create(out, request))
         measure(device, run, steps, progress, stop)
     return Run.open(out)

@@ -597,8 +597,10 @@ class ServoArms:
         """Raise what the hardware-error byte says, if it says something."""
         byte = self._get(joint, "Hardware Error Status") if byte is None else byte
         if byte:
+            said = dynamixel.hardware_error(byte)
+            volts, heat = self._get(joint, "Present Input Voltage") / 10, self._get(joint, "Present Temperature")
             raise DeviceError(
-                f"axis {joint.name}: servo id {joint.id} reports: {dynamixel.hardware_error(byte)}; remove the cause, "
+                f"axis {joint.name}: servo id {joint.id} reports: {said} ({volts:.1f} V, {heat} C); remove the cause, "
                 "then switch the servo power off and on"
             )
 
@@ -646,9 +648,7 @@ def _joint(
     description: RigDescription, name: str, limits: tuple[float, float], servo: settings.ServoAxis, approach_deg: float
 ) -> Joint:
     axis = description.holder if name in ("tilt", "spin") else getattr(description.arms, name)
-    table = dynamixel.control_table(servo.model)
-    if "Profile Acceleration" not in table:
-        raise ConfigError(f'devices.servos.axes.{name}.model = "{servo.model}" is no servo of the X series')
+    table = dynamixel.control_table(servo.model, f"devices.servos.axes.{name}.model")
     joint = Joint(name, servo, axis, limits, table)
     _check_current_limit(joint)
     ends = sorted((joint.to_count(limits[0] - approach_deg), joint.to_count(limits[1])))
@@ -665,7 +665,7 @@ def _changer(changer: settings.Changer, approach_deg: float) -> Joint:
     """The joint of the sample changer, which is no axis of a pose."""
     ends = sorted((changer.sample_deg, changer.reference_deg))
     axis = Axis(speed_deg_per_s=changer.speed_deg_per_s)
-    table = dynamixel.control_table(changer.model)
+    table = dynamixel.control_table(changer.model, "devices.servos.changer.model")
     joint = Joint("changer", changer, axis, (ends[0], ends[1]), table)
     _check_current_limit(joint)
     counts = sorted((joint.to_count(ends[0] - approach_deg), joint.to_count(ends[1])))

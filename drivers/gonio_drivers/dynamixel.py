@@ -18,6 +18,7 @@ What is handled, and where:
 
 from __future__ import annotations
 
+import difflib
 import logging
 import select
 import threading
@@ -118,19 +119,23 @@ def models() -> dict[int, str]:
 
 
 @cache
-def control_table(model: str) -> dict[str, Item]:
-    """The control table of a model, from the SDK's own file.
+def control_table(model: str, key: str = "model") -> dict[str, Item]:
+    """The control table of a model, from the SDK's own file; `key` is where the model was written.
 
     Raises
     ------
     ConfigError
-        The SDK does not know the model.
+        The SDK does not know the model, or its table is not that of the X series (4096 counts a turn).
     """
     for number, name in models().items():
         if name == model.lower():
-            return {n: Item(n, e.address, e.size) for n, e in ControlTable.getControlTable(number).items()}
-    known = ", ".join(sorted(models().values()))
-    raise ConfigError(f'model = "{model}" is not known to the Dynamixel SDK; it knows: {known}')
+            table = {n: Item(n, e.address, e.size) for n, e in ControlTable.getControlTable(number).items()}
+            if table.get("Profile Acceleration") != Item("Profile Acceleration", 108, 4):
+                raise ConfigError(f'{key} = "{model}" is no servo of the X series')
+            return table
+    near = difflib.get_close_matches(model.lower(), models().values(), n=3)
+    hint = f"did you mean {' or '.join(near)}?" if near else 'write it as it is printed on the servo, "xm430-w350"'
+    raise ConfigError(f'{key} = "{model}" is not known to the Dynamixel SDK; {hint}')
 
 
 class ExclusivePort(PortHandler):  # type: ignore[misc]

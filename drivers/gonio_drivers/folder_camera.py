@@ -62,7 +62,9 @@ class FolderCamera:
 
     def __enter__(self) -> Self:
         if not self._folder.is_dir():
-            raise ConfigError(f'devices.camera.folder = "{self._folder}": there is no such folder')
+            raise ConfigError(
+                f'devices.camera.folder = "{self._folder}": there is no such folder; make it, or correct the key'
+            )
         trigger = self._camera.trigger
         if trigger.how == "serial":
             ports.require_free(trigger.port, "devices.camera.trigger.port")

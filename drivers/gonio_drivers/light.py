@@ -273,13 +273,14 @@ class SerialLight:
             self.identity = self._ask(d.identify)
         except DeviceError as failure:
             raise DeviceError(
-                f'{failure}; is it on, is devices.light.dialect = "{d.name}" its language, and '
-                f"{self._light.baud or d.baud} its line speed?"
+                f'devices.light.port = "{self._light.port}": {failure}; is it on, is devices.light.dialect = '
+                f'"{self._light.dialect}" its language, and devices.light.baud = {self._light.baud or d.baud:g} its '
+                "line speed?"
             ) from None
         if not re.fullmatch(d.identity, self.identity):
             raise DeviceError(
-                f'the lamp on {self._light.port} says it is "{self.identity}", which is no {d.name} controller; '
-                "correct devices.light.dialect or devices.light.port"
+                f'devices.light.dialect = "{self._light.dialect}": the lamp on {self._light.port} says it is '
+                f'"{self.identity}", which is no {d.name} controller; correct the dialect, or devices.light.port'
             )
         self._drain_errors()
 

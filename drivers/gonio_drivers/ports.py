@@ -33,6 +33,8 @@ def unopened(port: str, error: Exception, key: str) -> DeviceError:
         )
     if number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in text:
         return DeviceError(f"{said}: the port is taken{_holder(port)}; end what holds it, then try again")
+    if number == errno.EISDIR or isinstance(error, termios.error) or "configure port" in text:
+        return DeviceError(f"{said}: this is no serial port; ports here: {', '.join(present()) or 'none'}")
     return DeviceError(f"{said}: cannot be opened as a serial port: {text}")
 
 

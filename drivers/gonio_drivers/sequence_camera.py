@@ -34,7 +34,9 @@ class SequenceCamera:
 
     def __enter__(self) -> Self:
         if not self._folder.is_dir():
-            raise ConfigError(f'devices.camera.folder = "{self._folder}": there is no such folder')
+            raise ConfigError(
+                f'devices.camera.folder = "{self._folder}": there is no such folder; make it, or correct the key'
+            )
         paths = sorted(p for p in self._folder.iterdir() if p.suffix.lower() in RAW + IMAGES)
         if not paths:
             raise ConfigError(f'devices.camera.folder = "{self._folder}": holds no frames ({", ".join(RAW + IMAGES)})')

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
@@ -134,8 +135,12 @@ class Devices(Strict):
     light: Light
     camera: dict[str, Any]
     """`driver` ("folder", "uvc", "sequence", or an entry point of the group `gonio.cameras`) and that driver's keys."""
-    prompt: bool = True
-    """Ask at the terminal when sample and reference are to be swapped."""
+
+    @model_validator(mode="after")
+    def _one_device_a_port(self) -> Devices:
+        if Path(self.servos.port).resolve() == Path(self.light.port).resolve():
+            raise ValueError(f'servos.port and light.port are the same port, "{self.light.port}"')
+        return self
 
 
 def axis_limits_deg(description: RigDescription) -> dict[str, tuple[float, float]]:

@@ -86,7 +86,7 @@ def park(
     from gonio.session import find_rig
 
     choice = find_rig(rig)
-    with _interruptible(), choice.open():
+    with _interruptible(), choice.naming(), choice.open():
         pass  # leaving a rig parks it
     console.note(f"{choice.description.name}: lamp dark, arms parked")
 
@@ -109,7 +109,7 @@ def checks(choice: RigChoice, *, move: bool = True) -> list[Row]:
     rig = choice.open()
     rows: list[Row] = []
     try:
-        with rig:
+        with choice.naming(), rig:
             rows.append(("devices open, lamp dark", "yes", True))
             if hasattr(rig, "diagnose"):  # what a rig knows of its own devices, if it tells
                 rows.extend(rig.diagnose(move=move))

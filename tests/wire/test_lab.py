@@ -338,6 +338,9 @@ def test_rig_check_without_moves_moves_nothing(bench: Bench) -> None:
         ("servos.axes.light.id", 300, r"devices\.servos\.axes\.light\.id = 300"),
         ("servos.axes.camera.id", 1, r"devices\.servos = .*two servos have the same id|two servos have the same id"),
         ("servos.axes.camera.model", "xl320", r'axes\.camera\.model = "xl320" is no servo of the X series'),
+        ("light.port", "/dev/serial/by-id/usb-FTDI_USB__-__Serial_Converter-if00-port0", r"are the same port"),
+        ("servos.axes.camera.model", "ph54-100-s500", r'axes\.camera\.model = "ph54-100-s500" is no servo of the X'),
+        ("servos.changer.model", "xm430-w35", r'changer\.model = "xm430-w35" is not known.*did you mean xm430-w350'),
         ("light.level", 2, r"devices\.light\.level = 2"),
         ("light.dialect", "klingon", r'devices\.light\.dialect = "klingon"'),
         ("camera.driver", "foldr", r'there is no camera named "foldr"; did you mean "folder"'),
@@ -368,7 +371,7 @@ def test_missing_ports_end_with_exit_code_3_and_one_message(tmp_path: Path) -> N
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 3
-    assert "devices.light.port" in done.stderr
+    assert f"{rig}: devices.light.port" in done.stderr
     assert "there is no such port" in done.stderr
     assert "Traceback" not in done.stderr
 
