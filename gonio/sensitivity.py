@@ -9,6 +9,7 @@ taken from the run's own curves, which the instrument's cones have smoothed alre
 - a specular spike, present where a curve stands out of its lobe around the mirror direction: its shape is known,
   namely the overlap of the lamp's mirror image with the lens.
 
+Lobes change by ratios: between points the logarithm of f (asinh, which goes through zero) is taken for smooth.
 Effects are differences over finite steps of +-u, since a slope is undefined at the top and at the edge of a spike.
 """
 
@@ -181,6 +182,8 @@ class Curves:
         """What the values lack on average [1/sr], because every error leads down from the top of a spike."""
         self.spike_variance = self.spike**2 * shares[:, 1]
         """Variance [1/sr^2] of the spike's part, from all errors of the angles together."""
+        small = max(3.0 * float(np.min(u, initial=np.inf)), 1e-9 * float(np.max(np.abs(brdf), initial=0.0)), 1e-300)
+        self._log, self._size = np.arcsinh(self.lobe / (2 * small)), np.hypot(self.lobe, 2 * small)
         self.slope = np.zeros((len(brdf), 3))
         for k, group in enumerate(self._groups):
             self._slopes_of(k, group, in_plane)
@@ -217,39 +220,48 @@ class Curves:
 
     def _along_line(self, line: npt.NDArray[np.intp], place: int) -> float:
         """Slope of the lobe along its curve, from the nearest points on each side that the cones tell apart."""
-        x, f = self._x[line] - self._x[line[place]], self.lobe[line] - self.lobe[line[place]]
+        x, f = self._x[line] - self._x[line[place]], self._log[line] - self._log[line[place]]
         apart = max(NARROWEST, 0.5 * sum(self._half_angles))
         found = [(f[j] / x[j], abs(x[j])) for j in (*np.flatnonzero(x <= -apart)[-1:], *np.flatnonzero(x >= apart)[:1])]
-        return _weighted(found)
+        return _weighted(found) * float(self._size[line[place]])
 
     def _plane(self, k: int, group: npt.NDArray[np.intp]) -> Array:
-        """Slopes along x and y from the nearest points of the same incidence, and their mirror images in its plane."""
-        dx = np.concatenate([self._x[group], self._x[group]]) - self._x[k]
-        dy = np.concatenate([self._y[group], -self._y[group]]) - self._y[k]
-        df = np.concatenate([self.lobe[group]] * 2) - self.lobe[k]
-        distance = np.hypot(dx, dy)
-        near = np.argsort(distance)[: 7 + 1]
-        near = near[distance[near] > TOGETHER]
+        """Slopes along x and y from the nearest points of the same incidence.
+
+        The logarithm is a parabola in x and in y, even in y: a Gaussian lobe's flank between points that are farther
+        apart than it is wide. Both sides of the plane of incidence are alike.
+        """
+        dx, y = self._x[group] - self._x[k], np.abs(self._y[group])
+        distance = np.hypot(dx, y - abs(self._y[k]))
+        near = np.argsort(distance)
+        near = near[distance[near] > TOGETHER][:7]
         if near.size < 2:
             return np.zeros(2)
         weight = 1.0 / distance[near]
-        design = np.stack([dx[near], dy[near]], axis=1) * weight[:, None]
-        return np.asarray(np.linalg.lstsq(design, df[near] * weight, rcond=1e-3)[0])
+        design = np.stack([dx[near], y[near] ** 2 - self._y[k] ** 2, dx[near] ** 2], axis=1)
+        design = design[:, : min(3, near.size)] * weight[:, None]
+        length = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+        change = (self._log[group][near] - self._log[k]) * weight
+        along, across = (np.linalg.lstsq(design / length, change, rcond=1e-3)[0] / length)[:2]
+        return np.asarray(np.array([along, 2.0 * self._y[k] * across]) * self._size[k])
 
     def _along_mirror(self, number: int, k: int) -> float:
-        """Change of the lobe with theta_i at a fixed distance from the mirror direction, per radian."""
+        """Change of the lobe with theta_i at a fixed distance from the mirror direction, per radian.
+
+        From the next curve on either side that reaches so far.
+        """
         found = []
-        for step in (-1, 1):
-            other = number + step
-            if not 0 <= other < len(self._lines) or self._lines[other].size < 2:
-                continue
-            line = self._lines[other]
-            move = float(np.mean(self._theta_i[line])) - self._theta_i[k]
-            x = self._x[k] + move
-            if self._x[line[0]] <= x <= self._x[line[-1]] and abs(move) > TOGETHER:
-                value = _cubic(x, self._x[line], self.lobe[line])
-                found.append(((value - self.lobe[k]) / move, abs(move)))
-        return _weighted(found)
+        for others in (range(number - 1, -1, -1), range(number + 1, len(self._lines))):
+            for line in (self._lines[other] for other in others):
+                if line.size < 2:
+                    continue
+                move = float(np.mean(self._theta_i[line])) - self._theta_i[k]
+                x = self._x[k] + move
+                if self._x[line[0]] <= x <= self._x[line[-1]] and abs(move) > TOGETHER:
+                    value = _cubic(x, self._x[line], self._log[line])
+                    found.append(((value - self._log[k]) / move, abs(move)))
+                    break
+        return _weighted(found) * float(self._size[k])
 
     def value(self, k: int, d: Directions) -> float:
         """f [1/sr] at directions near those of point k."""

@@ -173,7 +173,7 @@ def test_a_smooth_peak_is_no_spike() -> None:
 
 
 def test_points_out_of_the_plane_follow_their_neighbours() -> None:
-    """Linear in the detector's place seen from above: the local plane is exact, in both directions."""
+    """Linear in the detector's place seen from above, between points 25 to 45 degrees apart."""
 
     def tilted(d: Directions) -> float:
         return 1.0 - 0.5 * d.theta_r * math.cos(d.phi_r - d.phi_i)
@@ -184,7 +184,29 @@ def test_points_out_of_the_plane_follow_their_neighbours() -> None:
         turned = [Directions(d.theta_i, d.phi_i, d.theta_r, d.phi_r + sign * u) for sign in (1, -1)]
         for plus, minus in ((moved(d, r=u), moved(d, r=-u)), turned):
             odd, _ = model.effects(k, d, plus, minus)
-            assert odd == pytest.approx((tilted(plus) - tilted(minus)) / 2, abs=1e-3 * u)
+            # the slope is 0.5; a parabola through logarithms of 1 - 0.5 x errs by up to a tenth of it
+            assert odd == pytest.approx((tilted(plus) - tilted(minus)) / 2, abs=0.05 * u)
+
+
+def test_the_flank_of_a_lobe_out_of_the_plane_is_as_steep_as_between_points_that_it_hides_between() -> None:
+    """A Gaussian seen from above, of 8 degrees, sampled every 15: its logarithm is a parabola."""
+    width = math.radians(8.0)
+
+    def lobe(d: Directions) -> float:
+        x, y = -d.theta_r * math.cos(d.phi_r - d.phi_i), d.theta_r * math.sin(d.phi_r - d.phi_i)
+        return 10.0 * math.exp(-0.5 * ((x - d.theta_i) ** 2 + y**2) / width**2)
+
+    goals = [at(60.0, float(r), dphi) for dphi in (150.0, 165.0, 180.0) for r in (45, 60, 75)]
+    model, u = curves(lobe, goals), math.radians(0.02)
+    for k, d in enumerate(goals):
+        if d.phi_r - d.phi_i == math.pi:
+            continue  # those have a curve of their own
+        turned = [Directions(d.theta_i, d.phi_i, d.theta_r, d.phi_r + sign * u) for sign in (1, -1)]
+        for plus, minus in ((moved(d, r=u), moved(d, r=-u)), turned):
+            odd, _ = model.effects(k, d, plus, minus)
+            truth = (lobe(plus) - lobe(minus)) / 2
+            # the slope is exact; a step of u is (u / width)^2 = 6e-6 from it
+            assert odd == pytest.approx(truth, rel=1e-3, abs=1e-6 * u)
 
 
 def test_repeated_readings_are_no_slope() -> None:
