@@ -77,6 +77,7 @@ class Sweep(Strict):
                 where = ".".join(map(str, item["loc"]))
                 unknown = item["type"] == "extra_forbidden"
                 what = "unknown key; a range has start, stop and step" if unknown else item["msg"]
+                what = "is missing from the range" if item["type"] == "missing" else what
                 raise ValueError(f"{where}: {what}".removeprefix(": Value error, ")) from None
         if isinstance(value, list) and not value:
             raise ValueError("the list is empty; give angles in degrees, or { start = ..., stop = ..., step = ... }")

@@ -303,7 +303,7 @@ def _half_disc(ax: Any, rim: float, label: str) -> None:
         ax.text(tx[0], ty[0], f"{degrees}°".replace("-", "−"), ha="center", va="center", fontsize=7, color=INK)
     for t in ticks:
         for side in (-1, 1) if t else (1,):
-            ax.text(side * t, -0.03 * rim, f"{t:.2g}", ha="center", va="top", fontsize=7, color=INK)
+            ax.text(side * t, -0.03 * rim, f"{t:.3g}", ha="center", va="top", fontsize=7, color=INK)
     ax.text(-rim, -0.12 * rim, "retro side", ha="left", va="top", fontsize=7, color="#5a6472")
     ax.text(rim, -0.12 * rim, "mirror side", ha="right", va="top", fontsize=7, color="#5a6472")
     ax.text(0, -0.12 * rim, label, ha="center", va="top", fontsize=7.5, color=INK)

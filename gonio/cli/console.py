@@ -31,7 +31,7 @@ def table(*headings: str, title: str | None = None) -> Table:
     from rich.table import Table
     from rich.text import Text
 
-    heading = Text(title) if title is not None else None
+    heading = Text(title, no_wrap=True, overflow="ignore") if title is not None else None
     return Table(*headings, title=heading, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
 
 

@@ -365,6 +365,8 @@ def write_bytes(path: str | Path, data: bytes) -> None:
         The folder is missing or cannot be written to.
     """
     path = Path(path)
+    if not path.parent.is_dir():
+        raise ConfigError(f"{path}: cannot be written: there is no folder {path.parent}")
     partial = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         try:

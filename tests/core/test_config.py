@@ -107,3 +107,9 @@ def test_gap_between_bands_is_said() -> None:
 
 def test_a_rig_without_bands_is_refused() -> None:
     assert "at least one band" in message({"rig": "sim", "name": "x", "bands": {}})
+
+
+def test_a_byte_order_mark_is_no_damage(tmp_path: Path) -> None:
+    path = tmp_path / "notepad.toml"
+    path.write_bytes(b"\xef\xbb\xbf" + b'name = "x"\r\n')
+    assert read_toml(path) == {"name": "x"}

@@ -321,3 +321,8 @@ def test_one_sample_of_a_file_on_the_command_line(tmp_path: Path, monkeypatch: p
     assert measurement.read("tile.astm")["brdf"].tolist() == frame["brdf"].tolist()[::2]
     with pytest.raises(DataError, match='no sample "dry"'):
         convert("two.csv:dry", Path("dry.astm"))
+
+
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"cannot be written: there is no folder .*nowhere"):
+        measurement.write(example(), tmp_path / "nowhere" / "t.csv")

@@ -213,7 +213,7 @@
         const t = k * step, r = (R * t) / rim;
         svg(picture, "path", { d: `M${cx - r} ${cy}A${r} ${r} 0 0 1 ${cx + r} ${cy}`, fill: "none", stroke: t > rim * 0.9999 ? INK : FAINT, "stroke-width": t > rim * 0.9999 ? 1 : 0.6 });
         for (const side of (count - k) % stride ? [] : [-1, 1]) {
-          svg(picture, "text", { x: cx + side * r, y: cy + 14, "text-anchor": "middle", fill: INK, "font-size": 11 }, String(Number(t.toPrecision(2))));
+          svg(picture, "text", { x: cx + side * r, y: cy + 14, "text-anchor": "middle", fill: INK, "font-size": 11 }, String(Number(t.toPrecision(3))));
         }
       }
       svg(picture, "text", { x: cx, y: cy + 14, "text-anchor": "middle", fill: INK, "font-size": 11 }, "0");
