@@ -18,18 +18,15 @@ from dataclasses import dataclass, field, fields
 from types import TracebackType
 from typing import NoReturn, Self
 
-from gonio.description import Axis, RigDescription
+from gonio.description import RigDescription
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose, Target
-from gonio_drivers import dynamixel, settings
-from gonio_drivers.dynamixel import Bus, Item
+from gonio_drivers import joints, settings
+from gonio_drivers.dynamixel import Bus
+from gonio_drivers.joints import Health, Joint, Report
 
 log = logging.getLogger("gonio.devices")
 
-COUNTS = 4096
-VELOCITY_UNIT_DEG_S = 0.229 * 6
-ACCELERATION_UNIT_DEG_S2 = 214.577 * 360 / 3600
-POSITION_MODE = 3
 AXES = tuple(field.name for field in fields(Pose))
 STILL_COUNTS = 3
 """Readings this close are the same place: encoders flicker by a count."""
@@ -46,74 +43,6 @@ LARGEST_CORRECTION_DEG = 2.0
 HOT_MARGIN_C = 3
 """Stop this far below the temperature at which the servo would let go by itself."""
 ROUNDING = 1e-9
-
-
-@dataclass(frozen=True, slots=True)
-class Health:
-    """What a servo said of itself in its last report."""
-
-    temperature_c: int
-    voltage_v: float
-    current: int
-    hardware_error: str = ""
-
-
-@dataclass(slots=True)
-class Joint:
-    """One axis and its servo."""
-
-    name: str
-    servo: settings.ServoAxis
-    axis: Axis
-    limits_deg: tuple[float, float]
-    table: dict[str, Item]
-    max_temperature_c: int = 80
-    voltage_limits_v: tuple[float, float] = (9.5, 16.0)
-    count_limits: tuple[int, int] = (0, COUNTS - 1)
-    full_current: int = 0
-    profile: bytes = b""
-    health: Health | None = None
-    stood_at: int | None = None
-    """Count that was read where it landed."""
-    landed_at: float | None = None
-    """Goal [counts] that the axis stands at, reached from below; None where it may have been moved since."""
-
-    @property
-    def id(self) -> int:
-        return self.servo.id
-
-    @property
-    def key(self) -> str:
-        """The table of the rig file that describes it."""
-        return "devices.servos.changer" if self.name == "changer" else f"devices.servos.axes.{self.name}"
-
-    @property
-    def counts_per_deg(self) -> float:
-        """Counts for one degree of the axis; negative where the servo turns the other way round."""
-        return self.servo.direction * self.servo.gear_ratio * COUNTS / 360
-
-    @property
-    def offset_deg(self) -> float:
-        return self.axis.zero_offset_deg if self.axis.zero_offset_known else 0.0
-
-    def to_count(self, angle_deg: float) -> float:
-        """Count of the servo for an angle of the axis."""
-        return self.servo.zero_count + (angle_deg + self.offset_deg) * self.counts_per_deg
-
-    def to_deg(self, count: float) -> float:
-        """Angle of the axis [deg] for a count of the servo, with the zero offset taken out."""
-        return (count - self.servo.zero_count) / self.counts_per_deg - self.offset_deg
-
-
-@dataclass(slots=True)
-class Report:
-    """One reading of a joint."""
-
-    position: int
-    moving: bool
-    goal: int
-    profile: bytes
-    current: int
 
 
 @dataclass(slots=True)
@@ -164,11 +93,11 @@ class ServoArms:
         self._approach_deg = description.acquisition.approach_deg
         self.bus = Bus(servos.port, servos.baud)
         self.joints = {
-            name: _joint(description, name, limits, servos.axes[name], self._approach_deg)  # type: ignore[index]
+            name: joints.joint(self.bus, description, name, limits, servos.axes[name], self._approach_deg)  # type: ignore[index]
             for name, limits in settings.axis_limits_deg(description).items()
         }
         if servos.changer is not None:
-            self.joints["changer"] = _changer(servos.changer, self._approach_deg)
+            self.joints["changer"] = joints.changer_joint(self.bus, servos.changer, self._approach_deg)
         self.last: Reading | None = None
         self.faulted = False
         """An axis has failed: nothing moves any more until the rig is opened again."""
@@ -182,9 +111,9 @@ class ServoArms:
         self.bus.__enter__()
         try:
             for joint in self.joints.values():
-                self._identify(joint)
+                joint.identify()
             for joint in self.joints.values():
-                self._prepare(joint)
+                joint.prepare(self._servos.acceleration_deg_per_s2, self._approach_deg)
             self.read()
         except BaseException as error:
             self.__exit__(type(error), error, error.__traceback__)
@@ -209,7 +138,7 @@ class ServoArms:
         for joint in self.joints.values():
             if joint.profile:
                 try:
-                    self._write(joint, "Torque Enable", 0)
+                    joint.write("Torque Enable", 0)
                 except DeviceError as failure:
                     failures.append(failure)
         return failures
@@ -263,7 +192,7 @@ class ServoArms:
             try:
                 here = joint.table["Present Position"]
                 position = here.decode(self.bus.read(joint.id, here.address, here.size), here.address)
-                self._write(joint, "Goal Position", position)
+                joint.write("Goal Position", position)
             except DeviceError as failure:
                 log.error("stopping %s: %s", joint.name, failure)
                 silent.append(joint)
@@ -280,9 +209,9 @@ class ServoArms:
         for joint in self.joints.values():
             item = joint.table["Present Position"]
             groups.setdefault((item.address, item.size), []).append(joint)
-        for (address, size), joints in groups.items():
-            blocks = self.bus.glance([joint.id for joint in joints], address, size)
-            here = {j.name: j.table["Present Position"].decode(blocks[j.id], address) for j in joints if j.id in blocks}
+        for (address, size), group in groups.items():
+            blocks = self.bus.glance([joint.id for joint in group], address, size)
+            here = {j.name: j.table["Present Position"].decode(blocks[j.id], address) for j in group if j.id in blocks}
             if here:
                 self._send(here)
 
@@ -319,85 +248,6 @@ class ServoArms:
         self.stop()
         self.faulted = True
         raise DeviceError(message)
-
-    # ---- setting up ----
-
-    def _identify(self, joint: Joint) -> None:
-        """The servo with this id must answer, and be of the model that the file says."""
-        where = joint.key
-        try:
-            number, _ = self.bus.ping(joint.id)
-        except dynamixel.BusError:
-            raise DeviceError(self._who_is_there(joint, where)) from None
-        found = dynamixel.models().get(number, f"model number {number}")
-        if found != joint.servo.model.lower():
-            raise DeviceError(
-                f'{where}.model = "{joint.servo.model}", but servo id {joint.id} on {self.bus.port} is a {found}; '
-                "correct the model, or the id"
-            )
-
-    def _who_is_there(self, joint: Joint, where: str) -> str:
-        said = f"{where}.id = {joint.id}: no servo with this id answers on {self.bus.port} at {self.bus.baud} baud"
-        here = self.bus.discover()
-        if here:
-            return f"{said}; found there: {_listed(here)}; correct the id, or set it with the Dynamixel Wizard"
-        self.bus.__exit__(None, None, None)
-        elsewhere = dynamixel.scan(self.bus.port, without=self.bus.baud)
-        self.bus.__enter__()
-        if elsewhere is not None:
-            baud, found = elsewhere
-            return f"{said}, but at {baud} baud: {_listed(found)}; set devices.servos.baud to that speed"
-        return f"{said}, nor does any servo at another speed; is the servo power on, and the cable in?"
-
-    def _prepare(self, joint: Joint) -> None:
-        """Bring one servo into the state that moves rely on; it does not turn meanwhile."""
-        level = joint.table["Status Return Level"]
-        self.bus.write_all(level.address, {joint.id: b"\x02"})  # before any question: it may answer nothing but pings
-        self._complain(joint)
-        wanted = {"Operating Mode": POSITION_MODE, "Drive Mode": 0, "Homing Offset": 0}
-        if joint.servo.current_limit is not None:
-            wanted["Current Limit"] = joint.servo.current_limit
-        wrong = {name: value for name, value in wanted.items() if self._get(joint, name) != value}
-        if wrong:
-            changes = ", ".join(f"{name} = {value}" for name, value in wrong.items())
-            log.warning("axis %s: setting %s in the servo", joint.name, changes)
-            self._write(joint, "Torque Enable", 0)
-            for name, value in wrong.items():
-                self._write(joint, name, value)
-        joint.max_temperature_c = self._get(joint, "Temperature Limit")
-        low, high = self._get(joint, "Min Voltage Limit"), self._get(joint, "Max Voltage Limit")
-        joint.voltage_limits_v = low / 10, high / 10
-        joint.count_limits = self._get(joint, "Min Position Limit"), self._get(joint, "Max Position Limit")
-        joint.full_current = self._get(joint, "Current Limit") if "Current Limit" in joint.table else 1000
-        self._check_reach(joint)
-        speed = max(1, int(joint.axis.speed_deg_per_s * joint.servo.gear_ratio / VELOCITY_UNIT_DEG_S))
-        rate = self._servos.acceleration_deg_per_s2 * joint.servo.gear_ratio / ACCELERATION_UNIT_DEG_S2
-        acceleration = joint.table["Profile Acceleration"].encode(max(1, int(rate)))
-        joint.profile = acceleration + joint.table["Profile Velocity"].encode(
-            min(speed, max(1, self._get(joint, "Velocity Limit")))
-        )
-        self.bus.write(joint.id, joint.table["Profile Acceleration"].address, joint.profile)
-        position = self._get(joint, "Present Position")
-        if not joint.count_limits[0] <= position <= joint.count_limits[1]:
-            raise DeviceError(
-                f"axis {joint.name} stands at count {position}, outside the servo's limits, {joint.count_limits[0]} "
-                f"to {joint.count_limits[1]}; turn it by hand to where it may stand, then try again"
-            )
-        self._write(joint, "Goal Position", position)  # goal = present, so that torque moves nothing
-        self._write(joint, "Torque Enable", 1)
-        if self._get(joint, "Torque Enable") != 1:
-            raise DeviceError(f"axis {joint.name}: servo id {joint.id} does not take its torque")
-
-    def _check_reach(self, joint: Joint) -> None:
-        """The axis's limits, with the way of approach, must lie within the servo's limits."""
-        ends = [joint.to_count(joint.limits_deg[0] - self._approach_deg), joint.to_count(joint.limits_deg[1])]
-        if min(ends) < joint.count_limits[0] or max(ends) > joint.count_limits[1]:
-            raise ConfigError(
-                f"axis {joint.name}: limits {joint.limits_deg[0]:g} to {joint.limits_deg[1]:g} deg, approached from "
-                f"{self._approach_deg:g} deg below, need counts {min(ends):.0f} to {max(ends):.0f}, and servo id "
-                f"{joint.id} allows {joint.count_limits[0]} to {joint.count_limits[1]}; narrow the limits, or change "
-                f"{joint.key}.zero_count or the servo's position limits"
-            )
 
     # ---- moving ----
 
@@ -528,14 +378,14 @@ class ServoArms:
         if landing.resent > 3:
             raise DeviceError(f"axis {joint.name}: servo id {joint.id} does not keep its goal; all axes are stopped")
         log.warning("axis %s: the goal did not arrive; sent again", joint.name)
-        self._write(joint, "Goal Position", landing.sent)
+        joint.write("Goal Position", landing.sent)
         landing.seen, landing.since = [], time.monotonic()
 
     def _duration(self, name: str, position: float, goal: float) -> float:
         """How long a way should take at the axis's speed and acceleration [s]."""
         joint = self.joints[name]
         way = self._error_deg(joint, goal, position)
-        return way / joint.axis.speed_deg_per_s + 2 * joint.axis.speed_deg_per_s / self._servos.acceleration_deg_per_s2
+        return way / joint.speed_deg_per_s + 2 * joint.speed_deg_per_s / self._servos.acceleration_deg_per_s2
 
     def _state(self, name: str, landing: Landing, report: Report) -> str:
         joint = self.joints[name]
@@ -551,14 +401,14 @@ class ServoArms:
         blocks: dict[int, bytes] = {}
         groups: dict[tuple[int, int], list[int]] = {}
         for joint in self.joints.values():
-            groups.setdefault(_span(joint.table), []).append(joint.id)
+            groups.setdefault(joints.span(joint.table), []).append(joint.id)
         for (address, size), ids in groups.items():
             blocks |= self.bus.read_all(ids, address, size)
         out = {}
         for identity, block in blocks.items():
             joint = self._by_id[identity]
-            start = _span(joint.table)[0]
-            value = {n: joint.table[n].decode(block, start) for n in joint.table if n in REPORTED}
+            start = joints.span(joint.table)[0]
+            value = {n: joint.table[n].decode(block, start) for n in joint.table if n in joints.REPORTED}
             current = value.get("Present Current", value.get("Present Load", 0))
             joint.health = Health(value["Present Temperature"], value["Present Input Voltage"] / 10, current)
             profile = block[: len(joint.profile)]
@@ -579,7 +429,7 @@ class ServoArms:
 
     def _watch_health(self, joint: Joint) -> None:
         if joint.id in self.bus.alerts:
-            self._complain(joint)
+            joint.complain()
         health = joint.health
         assert health is not None
         if health.temperature_c > joint.max_temperature_c - HOT_MARGIN_C:
@@ -593,17 +443,6 @@ class ServoArms:
                 f"axis {joint.name}: servo id {joint.id} has {health.voltage_v:.1f} V, needs {low:.1f} to {high:.1f} V"
             )
 
-    def _complain(self, joint: Joint, byte: int | None = None) -> None:
-        """Raise what the hardware-error byte says, if it says something."""
-        byte = self._get(joint, "Hardware Error Status") if byte is None else byte
-        if byte:
-            said = dynamixel.hardware_error(byte)
-            volts, heat = self._get(joint, "Present Input Voltage") / 10, self._get(joint, "Present Temperature")
-            raise DeviceError(
-                f"axis {joint.name}: servo id {joint.id} reports: {said} ({volts:.1f} V, {heat} C); remove the cause, "
-                "then switch the servo power off and on"
-            )
-
     def _require_torque(self, names: Iterable[str]) -> None:
         """Raise where a servo has an error in its hardware-error byte, or holds nothing any more."""
         joints = [self.joints[name] for name in names]
@@ -611,80 +450,8 @@ class ServoArms:
         torque, error = table["Torque Enable"], table["Hardware Error Status"]
         blocks = self.bus.read_all([j.id for j in joints], torque.address, error.address + error.size - torque.address)
         for joint in joints:
-            self._complain(joint, error.decode(blocks[joint.id], torque.address))
+            joint.complain(error.decode(blocks[joint.id], torque.address))
             if torque.decode(blocks[joint.id], torque.address) != 1:
                 raise DeviceError(
                     f"axis {joint.name}: servo id {joint.id} has let go of its torque; all axes are stopped"
                 )
-
-    def _get(self, joint: Joint, name: str) -> int:
-        item = joint.table[name]
-        return item.decode(self.bus.read(joint.id, item.address, item.size), item.address)
-
-    def _write(self, joint: Joint, name: str, value: int) -> None:
-        item = joint.table[name]
-        try:
-            self.bus.write(joint.id, item.address, item.encode(value))
-        except dynamixel.Refusal as refusal:
-            raise dynamixel.Refusal(f"axis {joint.name}, {name} = {value}: {refusal}", refusal.error) from None
-
-
-REPORTED = frozenset(
-    {
-        "Goal Position", "Moving", "Present Current", "Present Load", "Present Position", "Present Input Voltage",
-        "Present Temperature",
-    }
-)  # fmt: skip
-"""Items that a report needs; all lie in one block from Profile Acceleration to Present Temperature."""
-
-
-def _span(table: Mapping[str, Item]) -> tuple[int, int]:
-    """Address and size of the block that a report reads."""
-    first, last = table["Profile Acceleration"], table["Present Temperature"]
-    return first.address, last.address + last.size - first.address
-
-
-def _joint(
-    description: RigDescription, name: str, limits: tuple[float, float], servo: settings.ServoAxis, approach_deg: float
-) -> Joint:
-    axis = description.holder if name in ("tilt", "spin") else getattr(description.arms, name)
-    table = dynamixel.control_table(servo.model, f"devices.servos.axes.{name}.model")
-    joint = Joint(name, servo, axis, limits, table)
-    _check_current_limit(joint)
-    ends = sorted((joint.to_count(limits[0] - approach_deg), joint.to_count(limits[1])))
-    if ends[0] < 0 or ends[1] > COUNTS - 1:
-        raise ConfigError(
-            f"axis {name}: limits {limits[0]:g} to {limits[1]:g} deg, approached from {approach_deg:g} deg below, need "
-            f"counts {ends[0]:.0f} to {ends[1]:.0f}; a servo in Position mode has 0 to {COUNTS - 1}: narrow the limits "
-            f"or change devices.servos.axes.{name}.zero_count or gear_ratio"
-        )
-    return joint
-
-
-def _changer(changer: settings.Changer, approach_deg: float) -> Joint:
-    """The joint of the sample changer, which is no axis of a pose."""
-    ends = sorted((changer.sample_deg, changer.reference_deg))
-    axis = Axis(speed_deg_per_s=changer.speed_deg_per_s)
-    table = dynamixel.control_table(changer.model, "devices.servos.changer.model")
-    joint = Joint("changer", changer, axis, (ends[0], ends[1]), table)
-    _check_current_limit(joint)
-    counts = sorted((joint.to_count(ends[0] - approach_deg), joint.to_count(ends[1])))
-    if counts[0] < 0 or counts[1] > COUNTS - 1:
-        raise ConfigError(
-            f"devices.servos.changer: its places need counts {counts[0]:.0f} to {counts[1]:.0f}; a servo in Position "
-            f"mode has 0 to {COUNTS - 1}"
-        )
-    return joint
-
-
-def _check_current_limit(joint: Joint) -> None:
-    if joint.servo.current_limit is not None and "Current Limit" not in joint.table:
-        raise ConfigError(
-            f"{joint.key}.current_limit = {joint.servo.current_limit}: a {joint.servo.model} has no current limit; "
-            "leave the key out"
-        )
-
-
-def _listed(found: Mapping[int, tuple[int, int]]) -> str:
-    names = dynamixel.models()
-    return ", ".join(f"id {k} {names.get(number, f'model {number}')}" for k, (number, _) in found.items())

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 from gonio.rig import Pose
 
 if TYPE_CHECKING:
-    from gonio_drivers.arms import Joint, ServoArms
+    from gonio_drivers.arms import ServoArms
+    from gonio_drivers.joints import Joint
     from gonio_drivers.lab import LabRig
 
 Row = tuple[str, str, bool]

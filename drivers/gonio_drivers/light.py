@@ -156,7 +156,10 @@ class SerialLight:
             self._wake()
             self.off()
             self._guard = Guard(self._light.port, baud, self._orders_to_darken())
-            self._guard.start()
+            try:
+                self._guard.start()
+            except OSError as error:
+                log.warning("lamp on %s: nothing darkens it after a kill -9: %s", self._light.port, error)
         except BaseException:
             self._close()
             raise

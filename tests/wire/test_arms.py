@@ -14,8 +14,9 @@ from typing import Any
 import pytest
 import serial
 from gonio_drivers import dynamixel, settings
-from gonio_drivers.arms import COUNTS, ServoArms
+from gonio_drivers.arms import ServoArms
 from gonio_drivers.dynamixel import Bus
+from gonio_drivers.joints import COUNTS
 from gonio_sim.wire import protocol2 as p2
 from gonio_sim.wire.servo import Mechanics
 
@@ -316,6 +317,19 @@ def test_an_axis_that_takes_too_long_stops_every_axis(
     with pytest.raises(DeviceError, match=r"no landing within 0\.4 s: axis light"):
         arms.move(pose(80, 0, 0))
     assert at_rest(line)
+
+
+def test_a_servo_with_a_low_velocity_limit_gets_the_time_that_it_needs(line: Line) -> None:
+    line.servos[1].write(44, (10).to_bytes(4, "little"))  # 13.7 deg/s where 30 are asked
+    with ServoArms(describe(), servos(line.port)) as arms:
+        assert line.servos[1].get("Profile Velocity") == 10
+        assert arms._duration("light", 0, 4096 / 4) == pytest.approx(90 / 13.74, rel=0.1)  # and the ramps
+
+
+def test_a_bus_watchdog_that_has_run_out_is_cleared(line: Line) -> None:
+    line.servos[2]._put("Bus Watchdog", -1)
+    with ServoArms(describe(), servos(line.port)) as arms:
+        assert degrees(arms.move(pose(0, 10, 0)))[1] == pytest.approx(10, abs=TOLERANCE_DEG)
 
 
 def test_an_interruption_in_the_middle_of_a_move_stops_every_axis(

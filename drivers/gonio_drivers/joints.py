@@ -1,0 +1,268 @@
+"""One axis of a goniometer and the Dynamixel servo that turns it: angles and counts, identity, preparation, health.
+
+A servo is brought into Position mode with its own offset off, gets a profile velocity and acceleration and, where the
+rig file has one, a current limit; its goal is set to where it stands before its torque comes on, so that nothing turns.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from gonio.description import Axis, RigDescription
+from gonio.errors import ConfigError, DeviceError
+from gonio_drivers import dynamixel, settings
+from gonio_drivers.dynamixel import Bus, Item
+
+log = logging.getLogger("gonio.devices")
+
+COUNTS = 4096
+VELOCITY_UNIT_DEG_S = 0.229 * 6
+ACCELERATION_UNIT_DEG_S2 = 214.577 * 360 / 3600
+POSITION_MODE = 3
+
+
+REPORTED = frozenset(
+    {
+        "Goal Position", "Moving", "Present Current", "Present Load", "Present Position", "Present Input Voltage",
+        "Present Temperature",
+    }
+)  # fmt: skip
+"""Items that a report needs; all lie in one block from Profile Acceleration to Present Temperature."""
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """What a servo said of itself in its last report."""
+
+    temperature_c: int
+    voltage_v: float
+    current: int
+    hardware_error: str = ""
+
+
+@dataclass(slots=True)
+class Joint:
+    """One axis and its servo."""
+
+    bus: Bus
+    name: str
+    servo: settings.ServoAxis
+    axis: Axis
+    limits_deg: tuple[float, float]
+    table: dict[str, Item]
+    max_temperature_c: int = 80
+    voltage_limits_v: tuple[float, float] = (9.5, 16.0)
+    count_limits: tuple[int, int] = (0, COUNTS - 1)
+    full_current: int = 0
+    profile: bytes = b""
+    """Profile Acceleration and Profile Velocity, as they lie in the servo; empty before `prepare`."""
+    speed_deg_per_s: float = 0.0
+    """Of the axis, with that profile."""
+    health: Health | None = None
+    stood_at: int | None = None
+    """Count that was read where it landed."""
+    landed_at: float | None = None
+    """Goal [counts] that the axis stands at, reached from below; None where it may have been moved since."""
+
+    @property
+    def id(self) -> int:
+        return self.servo.id
+
+    @property
+    def key(self) -> str:
+        """The table of the rig file that describes it."""
+        return "devices.servos.changer" if self.name == "changer" else f"devices.servos.axes.{self.name}"
+
+    @property
+    def counts_per_deg(self) -> float:
+        """Counts for one degree of the axis; negative where the servo turns the other way round."""
+        return self.servo.direction * self.servo.gear_ratio * COUNTS / 360
+
+    @property
+    def offset_deg(self) -> float:
+        return self.axis.zero_offset_deg if self.axis.zero_offset_known else 0.0
+
+    def to_count(self, angle_deg: float) -> float:
+        """Count of the servo for an angle of the axis."""
+        return self.servo.zero_count + (angle_deg + self.offset_deg) * self.counts_per_deg
+
+    def to_deg(self, count: float) -> float:
+        """Angle of the axis [deg] for a count of the servo, with the zero offset taken out."""
+        return (count - self.servo.zero_count) / self.counts_per_deg - self.offset_deg
+
+    # ---- the servo ----
+
+    def identify(self) -> None:
+        """Raise `DeviceError` where no servo with this id answers, or one of another model than the file says."""
+        try:
+            number, _ = self.bus.ping(self.id)
+        except dynamixel.BusError:
+            raise DeviceError(self._who_is_there()) from None
+        found = dynamixel.models().get(number, f"model number {number}")
+        if found != self.servo.model.lower():
+            raise DeviceError(
+                f'{self.key}.model = "{self.servo.model}", but servo id {self.id} on {self.bus.port} is a {found}; '
+                "correct the model, or the id"
+            )
+
+    def _who_is_there(self) -> str:
+        said = f"{self.key}.id = {self.id}: no servo with this id answers on {self.bus.port} at {self.bus.baud} baud"
+        here = self.bus.discover()
+        if here:
+            return f"{said}; found there: {_listed(here)}; correct the id, or set it with the Dynamixel Wizard"
+        self.bus.__exit__(None, None, None)
+        elsewhere = dynamixel.scan(self.bus.port, without=self.bus.baud)
+        self.bus.__enter__()
+        if elsewhere is not None:
+            baud, found = elsewhere
+            return f"{said}, but at {baud} baud: {_listed(found)}; set devices.servos.baud to that speed"
+        return f"{said}, nor does any servo at another speed; is the servo power on, and the cable in?"
+
+    def prepare(self, acceleration_deg_per_s2: float, approach_deg: float) -> None:
+        """Bring the servo into the state that moves rely on; it does not turn meanwhile."""
+        level = self.table["Status Return Level"]
+        self.bus.write_all(level.address, {self.id: b"\x02"})  # before any question: it may answer nothing but pings
+        self.complain()
+        wanted = {"Operating Mode": POSITION_MODE, "Drive Mode": 0, "Homing Offset": 0}
+        if self.servo.current_limit is not None:
+            wanted["Current Limit"] = self.servo.current_limit
+        wrong = {name: value for name, value in wanted.items() if self.get(name) != value}
+        if wrong:
+            changes = ", ".join(f"{name} = {value}" for name, value in wrong.items())
+            log.warning("axis %s: setting %s in the servo", self.name, changes)
+            self.write("Torque Enable", 0)
+            for name, value in wrong.items():
+                self.write(name, value)
+        if self.get("Bus Watchdog"):  # one that has run out bars every goal
+            self.write("Bus Watchdog", 0)
+        # a largest value of zero was never set, and the factory's holds
+        self.max_temperature_c = self.get("Temperature Limit") or self.max_temperature_c
+        if highest_dv := self.get("Max Voltage Limit"):
+            self.voltage_limits_v = self.get("Min Voltage Limit") / 10, highest_dv / 10
+        self.count_limits = self.get("Min Position Limit"), self.get("Max Position Limit") or COUNTS - 1
+        self.full_current = self.get("Current Limit") if "Current Limit" in self.table else 1000
+        self._check_reach(approach_deg)
+        gear = self.servo.gear_ratio
+        wish = int(self.axis.speed_deg_per_s * gear / VELOCITY_UNIT_DEG_S)
+        speed = max(1, min(wish, self.get("Velocity Limit") or wish))
+        self.speed_deg_per_s = speed * VELOCITY_UNIT_DEG_S / gear
+        acceleration = max(1, int(acceleration_deg_per_s2 * gear / ACCELERATION_UNIT_DEG_S2))
+        self.profile = self.table["Profile Acceleration"].encode(acceleration)
+        self.profile += self.table["Profile Velocity"].encode(speed)
+        self.bus.write(self.id, self.table["Profile Acceleration"].address, self.profile)
+        position = self.get("Present Position")
+        if not self.count_limits[0] <= position <= self.count_limits[1]:
+            raise DeviceError(
+                f"axis {self.name} stands at count {position}, outside the servo's limits, {self.count_limits[0]} "
+                f"to {self.count_limits[1]}; turn it by hand to where it may stand, then try again"
+            )
+        self.write("Goal Position", position)  # goal = present, so that torque moves nothing
+        self.write("Torque Enable", 1)
+        if self.get("Torque Enable") != 1:
+            raise DeviceError(f"axis {self.name}: servo id {self.id} does not take its torque")
+
+    def _check_reach(self, approach_deg: float) -> None:
+        """The axis's limits, with the way of approach, must lie within the servo's limits."""
+        ends = [self.to_count(self.limits_deg[0] - approach_deg), self.to_count(self.limits_deg[1])]
+        if min(ends) < self.count_limits[0] or max(ends) > self.count_limits[1]:
+            raise ConfigError(
+                f"axis {self.name}: limits {self.limits_deg[0]:g} to {self.limits_deg[1]:g} deg, approached from "
+                f"{approach_deg:g} deg below, need counts {min(ends):.0f} to {max(ends):.0f}, and servo id "
+                f"{self.id} allows {self.count_limits[0]} to {self.count_limits[1]}; narrow the limits, or change "
+                f"{self.key}.zero_count or the servo's position limits"
+            )
+
+    def complain(self, byte: int | None = None) -> None:
+        """Raise what the hardware-error byte says, if it says something."""
+        byte = self.get("Hardware Error Status") if byte is None else byte
+        if byte:
+            said = dynamixel.hardware_error(byte)
+            volts, heat = self.get("Present Input Voltage") / 10, self.get("Present Temperature")
+            raise DeviceError(
+                f"axis {self.name}: servo id {self.id} reports: {said} ({volts:.1f} V, {heat} C); remove the cause, "
+                "then switch the servo power off and on"
+            )
+
+    def get(self, name: str) -> int:
+        """The value of an item of the control table, now."""
+        item = self.table[name]
+        return item.decode(self.bus.read(self.id, item.address, item.size), item.address)
+
+    def write(self, name: str, value: int) -> None:
+        """Change an item; a refusal names axis, item and value."""
+        item = self.table[name]
+        try:
+            self.bus.write(self.id, item.address, item.encode(value))
+        except dynamixel.Refusal as refusal:
+            raise dynamixel.Refusal(f"axis {self.name}, {name} = {value}: {refusal}", refusal.error) from None
+
+
+@dataclass(slots=True)
+class Report:
+    """One reading of a joint."""
+
+    position: int
+    moving: bool
+    goal: int
+    profile: bytes
+    current: int
+
+
+def span(table: Mapping[str, Item]) -> tuple[int, int]:
+    """Address and size of the block that a report reads."""
+    first, last = table["Profile Acceleration"], table["Present Temperature"]
+    return first.address, last.address + last.size - first.address
+
+
+def joint(
+    bus: Bus,
+    description: RigDescription,
+    name: str,
+    limits: tuple[float, float],
+    servo: settings.ServoAxis,
+    approach_deg: float,
+) -> Joint:
+    """The joint of an axis of the rig; `ConfigError` where its limits are beyond a turn of its servo."""
+    axis = description.holder if name in ("tilt", "spin") else getattr(description.arms, name)
+    table = dynamixel.control_table(servo.model, f"devices.servos.axes.{name}.model")
+    built = Joint(bus, name, servo, axis, limits, table)
+    _check_current_limit(built)
+    ends = sorted((built.to_count(limits[0] - approach_deg), built.to_count(limits[1])))
+    if ends[0] < 0 or ends[1] > COUNTS - 1:
+        raise ConfigError(
+            f"axis {name}: limits {limits[0]:g} to {limits[1]:g} deg, approached from {approach_deg:g} deg below, need "
+            f"counts {ends[0]:.0f} to {ends[1]:.0f}; a servo in Position mode has 0 to {COUNTS - 1}: narrow the limits "
+            f"or change devices.servos.axes.{name}.zero_count or gear_ratio"
+        )
+    return built
+
+
+def changer_joint(bus: Bus, changer: settings.Changer, approach_deg: float) -> Joint:
+    """The joint of the sample changer, which is no axis of a pose."""
+    ends = sorted((changer.sample_deg, changer.reference_deg))
+    axis = Axis(speed_deg_per_s=changer.speed_deg_per_s)
+    table = dynamixel.control_table(changer.model, "devices.servos.changer.model")
+    built = Joint(bus, "changer", changer, axis, (ends[0], ends[1]), table)
+    _check_current_limit(built)
+    counts = sorted((built.to_count(ends[0] - approach_deg), built.to_count(ends[1])))
+    if counts[0] < 0 or counts[1] > COUNTS - 1:
+        raise ConfigError(
+            f"devices.servos.changer: its places need counts {counts[0]:.0f} to {counts[1]:.0f}; a servo in Position "
+            f"mode has 0 to {COUNTS - 1}"
+        )
+    return built
+
+
+def _check_current_limit(joint: Joint) -> None:
+    if joint.servo.current_limit is not None and "Current Limit" not in joint.table:
+        raise ConfigError(
+            f"{joint.key}.current_limit = {joint.servo.current_limit}: a {joint.servo.model} has no current limit; "
+            "leave the key out"
+        )
+
+
+def _listed(found: Mapping[int, tuple[int, int]]) -> str:
+    names = dynamixel.models()
+    return ", ".join(f"id {k} {names.get(number, f'model {number}')}" for k, (number, _) in found.items())
