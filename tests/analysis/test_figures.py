@@ -23,7 +23,8 @@ from gonio_analysis.figures import (
     oren_nayar_samples,
     surfaces,
 )
-from gonio_analysis.figures.base import Claim, agreed
+from gonio_analysis.figures.base import Claim, Trace, agreed, trace_panel
+from gonio_analysis.report.figures import rendered
 
 from gonio.errors import ConfigError
 from gonio.models import HeTorrance, Lambert
@@ -188,6 +189,13 @@ def test_page_states_parameters_verdicts_and_every_curve(tmp_path: Path) -> None
         for ending in ("svg", "png"):
             assert (page.parent / "figures" / f"htsg-10-{panel['name']}.{ending}").stat().st_size > 1000
     assert (page.parent / "experiment" / "rig.toml").is_file()
+
+
+def test_labels_keep_their_digits() -> None:
+    traces = [Trace("curve", np.array([0.0, 1.0]), np.array([0.0, 0.1]))]
+    panel = trace_panel("digits", "Digits: all.", traces, "x", "0.12345 of y")
+    drawn = rendered("digits", "digits", "", panel.caption, "", panel.inches, panel.draw)
+    assert ">0.12345 of y<" in drawn.svg
 
 
 def test_index_links_every_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -204,7 +204,7 @@ def legend(figure: Any, labels: Sequence[str], dashed: Sequence[bool] = ()) -> N
         if label
     ]
     longest = max(len(label) for label in labels)
-    columns = min(len(handles), max(1, int(96 / (longest + 9))))
+    columns = min(len(handles), max(1, int(104 / (longest + 9))))
     figure.legend(
         handles=handles,
         loc="lower center",

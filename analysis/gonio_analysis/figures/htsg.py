@@ -183,7 +183,7 @@ def _claims_7(scans: Sequence[Scan]) -> list[Claim]:
 
 def _claims_8(scans: Sequence[Scan]) -> list[Claim]:
     lobes, last = scans[:-1], scans[-1]
-    shares = {s.theta_i_deg: 1.0 - s.rho_s / s.rho_dh for s in lobes}
+    spikes = {s.theta_i_deg: s.rho_s / s.rho_dh for s in lobes}
     return [
         Claim(
             "“For θi = 10°, 30°, 45°, and 60°, the reflected intensity is maximal at larger-than-specular angles.”",
@@ -202,8 +202,9 @@ def _claims_8(scans: Sequence[Scan]) -> list[Claim]:
         ),
         Claim(
             "“When the roughness is more comparable to the wavelength, a strong directional diffuse pattern appears.”",
-            all(share > 0.99 for share in shares.values()),
-            f"share of the lobe in what is reflected: {each({i: f'{100 * v:.2f}' for i, v in shares.items()}, '{} %')}",
+            all(share < 0.01 for share in spikes.values()),
+            f"the lobe has all of what is reflected, but for a share of at most {number(max(spikes.values()), 2)} in "
+            "the spike",
             "at 10° to 60° more than 99 % of the reflected flux is in the lobe",
         ),
     ]

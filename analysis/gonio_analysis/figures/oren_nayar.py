@@ -328,7 +328,7 @@ def _brdf() -> Page:
         text.append([f"θi = {i:g}°", *(number(row[k]) for k in ("source_side", "normal", "mirror_side", "spread"))])
     return Page(
         "oren-nayar-6",
-        "Oren-Nayar Fig. 6: BRDF over the incidence, and radiance outside the plane",
+        "Oren-Nayar Fig. 6: BRDF by incidence, and radiance out of plane",
         PAPER,
         [
             *assumed(

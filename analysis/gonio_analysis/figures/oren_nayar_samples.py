@@ -30,6 +30,7 @@ from gonio_analysis.uncertainty import Floats
 
 PAPER = "Oren and Nayar, Generalization of Lambert's Reflectance Model, SIGGRAPH 1994"
 LOST = "lost in the scan"
+MATCHED = "the authors chose theirs to match their measurements, this one is a rough surface's"
 SAMPLES = {8: ("wall plaster", "A"), 9: ("white sand", "B"), 10: ("foam", "C"), 11: ("cotton towel", "D")}
 ROUGHNESS = {8: (30.0, 0.9), 9: (35.0, 0.8), 10: (20.0, 0.8), 11: (40.0, 0.75)}
 """Drawn: sigma [deg] and rho."""
@@ -181,12 +182,10 @@ def _sample(figure: int) -> Page:
         numbers.append(row)
         text.append([f"θi = {i:g}°", *(number(row[k]) for k in ("source_side", "normal", "mirror_side"))])
     words = "eq. 18: k_b times the functional form, k_s times Torrance-Sparrow" if specular else "the integral (eq. 13)"
-    parameters = assumed(
-        f"{sigma:g}°", f"{albedo:g}", ", ".join(f"{i:g}°" for i in INCIDENCES), "the authors' best match"
-    )
+    parameters = assumed(f"{sigma:g}°", f"{albedo:g}", ", ".join(f"{i:g}°" for i in INCIDENCES), MATCHED)
     if specular:
         parameters += [
-            Parameter("k_b, k_s", f"1, {SURFACE:g}", "assumed", f"{LOST}; the authors' fit"),
+            Parameter("k_b, k_s", f"1, {SURFACE:g}", "assumed", f"{LOST}; the authors fitted theirs"),
             Parameter("n of the surface", f"{INDEX:g}", "assumed", "the paper gives none; a polymer's or fibre's"),
         ]
     panels = [
@@ -321,7 +320,7 @@ def _vase() -> Page:
         "Oren-Nayar Fig. 13: cross-section of a clay vase",
         PAPER,
         [
-            *assumed(f"{sigma:g}°", f"{albedo:g}", "0° and 20° from the camera", "the authors' best match")[:2],
+            *assumed(f"{sigma:g}°", f"{albedo:g}", "", MATCHED)[:2],
             Parameter("light", "from the camera; 20° to its right", "paper"),
             Parameter("vase", "a cylinder, camera and lamp far away", "derived", "“cylindrical clay vase”"),
             Parameter("judged with", ", ".join(f"{s:g}°" for s in VASE_SIGMA), "assumed", "σ; all have to agree"),

@@ -198,7 +198,7 @@ def _series(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figure:
             span = float(np.ptp(y)) or float(np.abs(y).max()) or 1.0
             u = np.where(np.isfinite(u) & (u < 2 * span), u, 0.0)
             polar.series(ax, x, y, u, x_label="wavelength [nm]", y_label="", colour=polar.COLOURS[k % 6])
-            ax.set_title(name, fontsize=8, loc="left", color=polar.INK)
+            ax.set_title(name, fontsize=8, color=polar.INK)  # a power of ten stands on the left
 
     caption = (
         f"{model}: fitted parameters at each of the {len(f.series)} wavelengths, with standard errors (those wider"
@@ -261,7 +261,8 @@ def _tidy(svg: str, name: str) -> str:
     svg = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", svg)
     svg = re.sub(r'href="#([^"]+)"', rf'href="#{name}-\1"', svg)
     svg = re.sub(r"'DejaVu Sans'(, sans-serif)*", FONTS, svg)
-    return re.sub(r"(\d+\.\d{2})\d+", r"\1", svg)
+    # inside of tags alone: what a label says stays as it is
+    return re.sub(r"<[^>]*>", lambda tag: re.sub(r"(\d+\.\d{2})\d+", r"\1", tag[0]), svg)
 
 
 def _top(values: Any) -> float:
