@@ -20,6 +20,8 @@ from gonio_analysis.planes import IN_PLANE, Rows
 from gonio_analysis.polar import FAINT, INK, Line, angle_axis, style
 from gonio_analysis.uncertainty import Floats
 
+FEWEST = 4
+"""Values that make a slice."""
 Marks = npt.NDArray[np.bool_]
 SEQUENTIAL, DIVERGING = "viridis", "RdBu_r"
 """Colour maps that readers with any colour vision can tell, in print too."""
@@ -146,7 +148,7 @@ def slices(data: Observations, rows: Rows) -> list[Line]:
         angle = geometry.in_plane_angle(data.theta_r[rows[here]], dphi[here])
         order = np.argsort(angle)
         chosen = rows[here][order]
-        if chosen.size < 2:
+        if chosen.size < FEWEST:
             continue
         nothing = np.empty(0)
         out.append(
@@ -184,8 +186,9 @@ def lobe(ax: Any, brdf: Any, *, measured: tuple[Floats, Floats, Floats] | None =
     artists += ax.plot([-reach, reach], [0, 0], [0, 0], color=FAINT, lw=0.7)
     ax.text(reach * 1.05, 0, 0, "mirror side", fontsize=7, color="#5a6472")
     ax.set_axis_off()
-    ax.set_box_aspect((1, 1, max(float(z.max()), 0.2) / (2 * reach)))
-    ax.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(0, max(float(z.max()), 0.2)))
+    high = max(float(z.max()), 0.2)
+    ax.set_box_aspect((1, 1, high / (2 * reach)), zoom=1.25)
+    ax.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(0, high))
     ax.view_init(elev=22, azim=-60)
     ax.set_title(label, fontsize=7.5, color=INK, y=0.98)
     return artists
@@ -227,7 +230,7 @@ def _triangles(theta: Floats, dphi: Floats) -> Any:
     mesh = Triangulation(x, y)
     corner = geometry.direction(theta, dphi)[mesh.triangles]
     edges = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
-    if np.all(edges > FARTHEST):
+    if np.mean(edges > FARTHEST) > 0.5:  # shards between scattered points would say less than the points
         return None
     mesh.set_mask(edges > FARTHEST)
     return mesh

@@ -10,7 +10,7 @@ from typing import Any
 from gonio_analysis.compare import Dataset, examine, run_facts
 from gonio_analysis.families import Ior
 from gonio_analysis.planes import Normalise
-from gonio_analysis.report import figures, page, tables, viewer
+from gonio_analysis.report import detail, figures, page, pdf, tables, viewer
 from gonio_analysis.report.files import staged
 from gonio_analysis.report.summary import summarise
 
@@ -115,7 +115,7 @@ def write(
     drawn = []
     for dataset, facts in zip(datasets, summary["datasets"], strict=True):
         progress(f"{dataset.name}: drawing")
-        drawn.append(figures.draw(dataset, facts))
+        drawn.append([*figures.draw(dataset, facts), *detail.draw(dataset, facts)])
     (folder / "figures").mkdir()
     (folder / "tables").mkdir()
     for figure in (f for group in drawn for f in group):
@@ -129,7 +129,9 @@ def write(
     summary["tables"] = tables.write(datasets, summary, views, folder / "tables")
     text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
-    (folder / "index.html").write_text(page.render(summary, drawn, views), encoding="utf-8")
+    html = page.render(summary, drawn, views)
+    (folder / "index.html").write_text(html, encoding="utf-8")
+    pdf.write(folder / "report.pdf", html, {f.name: f.png for group in drawn for f in group})
     return summary
 
 

@@ -18,7 +18,7 @@ from gonio_analysis.fit import finite
 from gonio_analysis.metrics import DESCRIPTIONS
 from gonio_analysis.observations import Observations, describe_left_out
 from gonio_analysis.planes import Curve, curves, labels, selection
-from gonio_analysis.report import change_figures, html, viewer
+from gonio_analysis.report import change_figures, html, pdf, viewer
 from gonio_analysis.report.figures import Figure
 from gonio_analysis.report.files import staged
 from gonio_analysis.report.summary import stamp
@@ -87,7 +87,9 @@ def _write(c: Change, folder: Path, wavelength_nm: float | None, command: str, r
     view = _view(c, at, listed, drawn, shown) if drawn else None
     text = json.dumps(facts, indent=1, ensure_ascii=False, allow_nan=False)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
-    (folder / "index.html").write_text(_render(facts, figures, view), encoding="utf-8")
+    page = _render(facts, figures, view)
+    (folder / "index.html").write_text(page, encoding="utf-8")
+    pdf.write(folder / "report.pdf", page, {f.name: f.png for f in figures})
 
 
 def summary(c: Change, command: str, runs: Sequence[Any]) -> dict[str, Any]:

@@ -68,7 +68,9 @@ def _overview(s: dict[str, Any]) -> str:
 
 
 def _dataset(s: dict[str, Any], d: dict[str, Any], figures: Sequence[Figure], view: dict[str, Any] | None) -> str:
-    by = {kind: [f for f in figures if f.kind == kind] for kind in ("polar", "absolute", "budget", "series")}
+    by: dict[str, list[Figure]] = {}
+    for f in figures:
+        by.setdefault(f.kind, []).append(f)
     out = [f'<section id="{d["slug"]}">', f"<h2>{escape(d['name'])}</h2>" if len(s["datasets"]) > 1 else ""]
     out.append(f'<p class="lead">{escape(d["conclusion"])}</p>')
     out += ["<h3>What was measured, and how</h3>", _facts(d)]
@@ -82,20 +84,24 @@ def _dataset(s: dict[str, Any], d: dict[str, Any], figures: Sequence[Figure], vi
             + "".join(f"<li><b>{escape(m)}</b> was not fitted: {escape(why)}</li>" for m, why in d["skipped"].items())
             + "</ul>"
         )
-    if by["polar"]:
+    if "polar" in by:
         out += ["<h3>In the plane of incidence, normalised</h3>", _polar_words(s, d)]
         out += [viewer.element(view, d["slug"]) if view else "", html.grid(by["polar"])]
     out += ["<h3>In the plane of incidence, absolute, with residuals</h3>", html.grid(by["absolute"])]
-    out += ["<h3>Parameters</h3>", _parameters(d)]
+    beyond = [f for kind in ("heat", "slices", "lobe") for f in by.get(kind, [])]
+    if beyond:
+        out += ["<h3>Out of the plane of incidence</h3>", html.grid(beyond)]
+    out += ["<h3>Parameters</h3>", _parameters(d), html.grid(by["profile"]) if "profile" in by else ""]
     out += ["<h3>Metrics</h3>", _metrics(s, d)]
-    if by["budget"]:
-        out += ["<h3>Uncertainty</h3>", '<div class="figures">', html.figure(by["budget"][0]), _budget(d), "</div>"]
+    if "budget" in by:
+        shown = [*by["budget"], *by.get("budget-angle", [])]
+        out += ["<h3>Uncertainty</h3>", html.grid(shown), _budget(d)]
     else:
         out.append(
             "<h3>Uncertainty</h3><p>The table states no uncertainties: there are no error bars and no chi-square, and "
             "fits compare logarithms, every value alike.</p>"
         )
-    if by["series"]:
+    if "series" in by:
         out += ["<h3>Parameters over wavelength</h3>", html.grid(by["series"])]
     out.append("</section>")
     return "\n".join(out)

@@ -73,15 +73,16 @@ def _of_dataset(d: Dataset, slug: str, folder: Path) -> list[str]:
     """Fitted values with every model's prediction, and the plotted curves."""
     data = d.data
     angles = [_degrees(x) for x in (data.theta_i, data.phi_i, data.theta_r, data.phi_r)]
-    models = list(d.fitted)
+    models, c = list(d.fitted), data.covariance
     values = [v for f in d.fitted.values() for v in (f.fit.predicted, f.fit.whitened)]
     write_csv(
         folder / f"{slug}-values.csv",
         (
             *("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "brdf", "u_brdf"),
             *(f"{m} {what}" for m in models for what in ("brdf", "whitened_residual")),
+            *(("u_random", *(f"s_{cause}" for cause in c.causes)) if c is not None else ()),
         ),
-        zip(*angles, data.brdf, data.u, *values, strict=True),
+        zip(*angles, data.brdf, data.u, *values, *((c.random, *c.common.T) if c is not None else ()), strict=True),
     )
     write_csv(
         folder / f"{slug}-curves.csv",

@@ -1,0 +1,77 @@
+"""Plots about a fit and about the data's uncertainties: each draws on the `ax` that it is given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from gonio_analysis.polar import COLOURS, FAINT, INK, angle_axis
+from gonio_analysis.profile import Interval
+from gonio_analysis.uncertainty import Floats
+
+DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1.5, 1, 1.5)), (0, (3, 1)), (0, (8, 2)))
+
+
+def profile(ax: Any, interval: Interval, *, value: float, threshold: float, unit: str = "") -> list[Any]:
+    """Rise of chi-square over one parameter with all others fitted again, and the interval that it gives.
+
+    Parameters
+    ----------
+    interval
+        The profile.
+    value
+        The fitted value.
+    threshold
+        Rise of chi-square at the ends of the interval.
+    unit
+        Of the parameter, for the label.
+    """
+    from scipy.interpolate import PchipInterpolator
+
+    x, first = np.unique(interval.values, return_index=True)
+    rise = np.maximum(interval.rise[first], 0.0)
+    near = rise <= 3 * threshold
+    # the root of the rise is nearly straight: few points are enough for the curve between them
+    root = np.sign(x - value) * np.sqrt(rise)
+    dense = np.linspace(x[near].min(), x[near].max(), 101)
+    curve = PchipInterpolator(x, root)(dense) ** 2 if x.size > 1 else 0 * dense
+    artists: list[Any] = [ax.axvspan(interval.low, interval.high, color="#e9eef5", zorder=0)]
+    artists += ax.plot(dense, curve, color=COLOURS[0], lw=1.2, zorder=3)
+    artists += ax.plot(x[near], rise[near], ls="none", color=COLOURS[0], marker="o", ms=3, zorder=3)
+    artists.append(ax.axhline(threshold, color=INK, lw=0.8, ls=(0, (4, 3)), zorder=2))
+    artists.append(ax.axvline(value, color=INK, lw=0.8, zorder=2))
+    ax.set_ylim(0.0, max(2.0 * threshold, 1.1 * float(rise[near].max(initial=0.0))))
+    ax.set_title(interval.name + (f" [{unit}]" if unit else ""), fontsize=8, loc="left", color=INK)
+    ax.ticklabel_format(useOffset=False)
+    ax.locator_params(axis="x", nbins=3)
+    ax.tick_params(labelsize=7)
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+    return artists
+
+
+def budget_over_angle(ax: Any, angle: Floats, parts: Sequence[tuple[str, Floats]]) -> list[Any]:
+    """Standard uncertainties by cause, relative to the value, over the signed angle, on a logarithmic axis.
+
+    Parameters
+    ----------
+    angle : (n,) array [rad]
+    parts
+        (label, (n,) relative uncertainties, 1 = 100 %); the first one, the combined, is drawn strongest.
+    """
+    artists: list[Any] = []
+    top = 100 * float(max(np.nanmax(u) for _, u in parts))
+    for k, (label, u) in enumerate(parts):
+        look = {"color": INK, "lw": 1.8} if k == 0 else {"color": COLOURS[(k - 1) % len(COLOURS)], "lw": 1.2}
+        shown = np.where(u > 0, 100 * u, np.nan)
+        artists += ax.plot(
+            np.degrees(angle), shown, ls=DASHES[k % len(DASHES)], label=label, zorder=4 - (k > 0), **look
+        )
+    ax.set_yscale("log")
+    ax.set_ylim(top / 3e3, top * 1.5)
+    ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    angle_axis(ax)
+    ax.grid(color=FAINT, lw=0.5)
+    return artists

@@ -1,0 +1,329 @@
+"""A page of this package as a PDF on A4: the same text, tables and figures, set without a browser.
+
+It knows the few elements that `gonio_analysis.report.html` makes. Figures are the page's PNG files, two in a row: 160
+dots per inch at 142 mm are 260 at the 86 mm that they have here.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+MM = 72.0 / 25.4
+WIDTH, HEIGHT, MARGIN = 210.0 * MM, 297.0 * MM, 16.0 * MM
+INNER = WIDTH - 2 * MARGIN
+INK, SOFT, RULE = "#1b1f24", "#55606e", "#c9ced6"
+LEADING = 1.38
+COLUMN_GAP = 6 * MM
+CELL_GAP = 2.6 * MM
+SILENT = frozenset({"script", "style", "nav", "svg", "title"})
+TEXTS = {"h1": 18.0, "h2": 13.5, "h3": 10.5, "p": 8.6, "li": 8.2, "footer": 7.4}
+"""Size [pt] of what stands on lines of its own."""
+
+
+def write(path: Path, page: str, figures: Mapping[str, bytes]) -> None:
+    """Set a page as PDF.
+
+    Parameters
+    ----------
+    path
+        Of the PDF.
+    page
+        The HTML text of the page.
+    figures
+        PNG of each figure, by the `id` of its element.
+    """
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_pdf import PdfPages
+
+    reader = _Reader()
+    reader.feed(page)
+    look = {"pdf.fonttype": 3, "font.family": ["sans-serif"], "font.sans-serif": ["DejaVu Sans"]}
+    about = {"CreationDate": None, "Producer": "gonio", "Title": reader.title}
+    with rc_context(look), PdfPages(path, metadata=about) as sink:
+        sheet = _Sheet(sink)
+        waiting: list[tuple[str, str]] = []
+        for kind, content in [*reader.blocks, ("end", "")]:
+            if kind == "figure":
+                waiting.append(content)
+                continue
+            for k in range(0, len(waiting), 2):
+                sheet.figures([(figures[name], caption) for name, caption in waiting[k : k + 2]])
+            waiting = []
+            if kind == "table":
+                sheet.table(*content)
+            elif kind == "facts":
+                sheet.facts(content)
+            elif kind != "end":
+                sheet.text(kind, content)
+        sheet.close()
+
+
+class _Reader(HTMLParser):
+    """The blocks of a page in order: (kind, content)."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.blocks: list[tuple[str, Any]] = []
+        self.title = ""
+        self._words: list[str] = []
+        self._silent = 0
+        self._figure = ""
+        self._facts: list[tuple[str, str]] = []
+        self._caption = ""
+        self._rows: list[list[str]] = []
+        self._right: set[int] = set()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        self._silent += tag in SILENT
+        if tag in TEXTS or tag in ("dt", "dd", "figcaption", "caption", "th", "td", "title"):
+            self._words = []
+        if tag == "br":
+            self._words.append(" ")
+        elif tag == "figure":
+            self._figure = given.get("id") or ""
+        elif tag == "dl":
+            self._facts = []
+        elif tag == "table":
+            self._caption, self._rows, self._right = "", [], set()
+        elif tag == "tr":
+            self._rows.append([])
+        elif tag in ("td", "th") and given.get("class") == "n":
+            self._right.add(len(self._rows[-1]))
+
+    def handle_endtag(self, tag: str) -> None:
+        self._silent -= tag in SILENT
+        text = " ".join("".join(self._words).split())
+        if tag in TEXTS and text:
+            self.blocks.append((tag, text))
+            self.title = self.title or text
+        elif tag == "dt":
+            self._facts.append((text, ""))
+        elif tag == "dd":
+            self._facts[-1] = (self._facts[-1][0], text)
+        elif tag == "dl":
+            self.blocks.append(("facts", self._facts))
+        elif tag == "figcaption":
+            self.blocks.append(("figure", (self._figure, text)))
+        elif tag == "caption":
+            self._caption = text
+        elif tag in ("td", "th"):
+            self._rows[-1].append(text)
+        elif tag == "table":
+            self.blocks.append(("table", (self._caption, self._rows, self._right)))
+        if tag in TEXTS:
+            self._words = []
+
+    def handle_data(self, data: str) -> None:
+        if not self._silent:
+            self._words.append(data)
+
+
+def _words() -> Any:
+    """An artist that sets many lines of text, (x, y, text, size, weight, colour) in points from the lower left.
+
+    The lines are laid out already: as many `Text` artists would lay them out again, which takes four times as long.
+    """
+    from matplotlib.artist import Artist
+    from matplotlib.font_manager import FontProperties
+
+    class Words(Artist):
+        def __init__(self) -> None:
+            super().__init__()
+            self.lines: list[tuple[float, float, str, float, str, str]] = []
+
+        def draw(self, renderer: Any) -> None:
+            for x, y, text, size, weight, colour in self.lines:
+                pen = renderer.new_gc()
+                pen.set_foreground(colour)
+                font = FontProperties(family="DejaVu Sans", size=size, weight=weight)
+                renderer.draw_text(pen, x, y, text, font, 0.0)
+
+    return Words()
+
+
+class _Sheet:
+    """Pages that fill from the top; lengths are points, `y` counts down from the upper edge."""
+
+    def __init__(self, sink: Any) -> None:
+        from matplotlib.font_manager import FontProperties, findfont, get_font
+
+        self._sink = sink
+        self._fonts = {
+            w: get_font(findfont(FontProperties(family="DejaVu Sans", weight=w))) for w in ("normal", "bold")
+        }
+        for font in self._fonts.values():
+            font.set_size(10, 72)
+        self._advances: dict[str, dict[str, float]] = {w: {} for w in self._fonts}
+        self._number = 0
+        self._turn()
+
+    def _turn(self) -> None:
+        from matplotlib.figure import Figure
+
+        self._number += 1
+        self._canvas = Figure(figsize=(WIDTH / 72, HEIGHT / 72))
+        self._words = _words()
+        self._canvas.add_artist(self._words)
+        self.y = MARGIN
+
+    def close(self) -> None:
+        """Put the last page out."""
+        self._put(WIDTH - MARGIN, HEIGHT - 9 * MM, str(self._number), 7.0, colour=SOFT, right=True)
+        self._sink.savefig(self._canvas)
+
+    def _need(self, height: float) -> None:
+        if self.y + height > HEIGHT - MARGIN and self.y > MARGIN:
+            self.close()
+            self._turn()
+
+    # --- pieces -----------------------------------------------------------------------------------------------------
+
+    def text(self, kind: str, content: str) -> None:
+        """A heading, a paragraph or an item of a list."""
+        size = TEXTS[kind]
+        heading = kind in ("h1", "h2", "h3")
+        indent = 4 * MM if kind == "li" else 0.0
+        lines = self._wrap(content, size, INNER - indent, "bold" if heading else "normal")
+        self.y += {"h1": 0.0, "h2": 5 * MM, "h3": 3.2 * MM}.get(kind, 0.0)
+        self._need(len(lines) * size * LEADING + (24 * MM if heading and kind != "h1" else 0.0))
+        if kind == "li":
+            self._put(MARGIN + 1.2 * MM, self.y, "•", size)
+        for line in lines:
+            self._need(size * LEADING)
+            colour = SOFT if kind == "footer" else INK
+            self._put(MARGIN + indent, self.y, line, size, weight="bold" if heading else "normal", colour=colour)
+            self.y += size * LEADING
+        self.y += 1.6 * MM if kind != "li" else 0.4 * MM
+
+    def facts(self, rows: Sequence[tuple[str, str]]) -> None:
+        """Names and values."""
+        size, name = 8.2, 34 * MM
+        for key, value in rows:
+            left, right = self._wrap(key, size, name - 2 * MM), self._wrap(value, size, INNER - name)
+            self._need(max(len(left), len(right)) * size * LEADING)
+            self._lines(MARGIN, left, size, colour=SOFT)
+            self._lines(MARGIN + name, right, size)
+            self.y += max(len(left), len(right)) * size * LEADING + 0.5 * MM
+        self.y += 1.6 * MM
+
+    def table(self, caption: str, rows: Sequence[Sequence[str]], right: set[int]) -> None:
+        """A table; its first row is the heading."""
+        size = 7.4
+        if caption:
+            lines = self._wrap(caption, size, INNER)
+            self._need((len(lines) + 4) * size * LEADING)
+            self._lines(MARGIN, lines, size, colour=SOFT)
+            self.y += len(lines) * size * LEADING + 0.8 * MM
+        widths = self._widths(rows, size)
+        for k, row in enumerate(rows):
+            cells = [self._wrap(c, size, w, "normal" if k else "bold") for c, w in zip(row, widths, strict=False)]
+            height = max(map(len, cells), default=1) * size * LEADING
+            self._need(height + 1.4 * MM)
+            x = MARGIN
+            for column, (lines, width) in enumerate(zip(cells, widths, strict=False)):
+                at = x + width if column in right else x
+                self._lines(at, lines, size, weight="normal" if k else "bold", right=column in right)
+                x += width + CELL_GAP
+            self.y += height + 0.7 * MM
+            self._rule(INK if k == 0 else RULE)
+            self.y += 0.7 * MM
+        self.y += 2.2 * MM
+
+    def figures(self, pair: Sequence[tuple[bytes, str]]) -> None:
+        """One or two figures side by side, with their captions."""
+        from PIL import Image
+
+        size, width = 7.0, (INNER - COLUMN_GAP) / 2
+        images = [np.asarray(Image.open(io.BytesIO(png)).convert("RGB")) for png, _ in pair]
+        captions = [self._wrap(text, size, width) for _, text in pair]
+        tall = [width * image.shape[0] / image.shape[1] for image in images]
+        self._need(max(t + len(c) * size * LEADING for t, c in zip(tall, captions, strict=True)) + 4 * MM)
+        top = self.y
+        for k, (image, height, caption) in enumerate(zip(images, tall, captions, strict=True)):
+            x = MARGIN + k * (width + COLUMN_GAP)
+            ax = self._canvas.add_axes((x / WIDTH, 1 - (top + height) / HEIGHT, width / WIDTH, height / HEIGHT))
+            ax.imshow(image, interpolation="none", aspect="auto")
+            ax.set_axis_off()
+            self.y = top + height + 1 * MM
+            self._lines(x, caption, size, colour=SOFT)
+        deepest = max(t + len(c) * size * LEADING for t, c in zip(tall, captions, strict=True))
+        self.y = top + deepest + 4 * MM
+
+    # --- lines ------------------------------------------------------------------------------------------------------
+
+    def _put(
+        self,
+        x: float,
+        y: float,
+        text: str,
+        size: float,
+        *,
+        weight: str = "normal",
+        colour: str = INK,
+        right: bool = False,
+    ) -> None:
+        at = x - self._measure(text, size, weight) if right else x
+        self._words.lines.append((at, HEIGHT - y - 0.93 * size, text, size, weight, colour))
+
+    def _lines(self, x: float, lines: Sequence[str], size: float, **look: Any) -> None:
+        for k, line in enumerate(lines):
+            self._put(x, self.y + k * size * LEADING, line, size, **look)
+
+    def _rule(self, colour: str) -> None:
+        from matplotlib.lines import Line2D
+
+        y = 1 - self.y / HEIGHT
+        line = Line2D([MARGIN / WIDTH, 1 - MARGIN / WIDTH], [y, y], color=colour, lw=0.5)
+        self._canvas.add_artist(line)
+
+    def _measure(self, text: str, size: float, weight: str) -> float:
+        """Width of a text: its characters' advances (kerning is a few thousandths of that)."""
+        known = self._advances[weight]
+        for character in set(text) - known.keys():
+            known[character] = self._fonts[weight].load_char(ord(character)).linearHoriAdvance / 65536 / 10
+        return sum(known[character] for character in text) * size
+
+    def _wrap(self, text: str, size: float, width: float, weight: str = "normal") -> list[str]:
+        """Lines no wider than `width`; a word that is wider is cut."""
+        space = self._measure("n n", size, weight) - self._measure("nn", size, weight)
+        lines: list[str] = []
+        line, used = "", 0.0
+        for word in text.split(" "):
+            while self._measure(word, size, weight) > width and len(word) > 1:
+                fits = next(
+                    k for k in range(len(word) - 1, 0, -1) if k == 1 or self._measure(word[:k], size, weight) <= width
+                )
+                lines += [line] if line else []
+                lines.append(word[:fits])
+                line, used, word = "", 0.0, word[fits:]
+            wide = self._measure(word, size, weight)
+            if line and used + space + wide > width:
+                lines.append(line)
+                line, used = word, wide
+            else:
+                line, used = f"{line} {word}" if line else word, used + wide + (space if line else 0.0)
+        return [*lines, line] if line or not lines else lines
+
+    def _widths(self, rows: Sequence[Sequence[str]], size: float) -> list[float]:
+        """Of the columns: what their cells need, and where that is too much less of what is wide."""
+        count = max(map(len, rows))
+        columns = [[row[k] for row in rows if k < len(row)] for k in range(count)]
+        natural = [max(self._measure(cell, size, "bold") for cell in column) for column in columns]
+        least = [
+            max((self._measure(word, size, "bold") for cell in column for word in cell.split(" ")), default=0.0)
+            for column in columns
+        ]
+        room = INNER - CELL_GAP * (count - 1)
+        if sum(natural) <= room:
+            return natural
+        least = [min(w, room / 3) for w in least]
+        spare, wish = max(0.0, room - sum(least)), sum(n - m for n, m in zip(natural, least, strict=True))
+        scale = min(1.0, room / max(sum(least), 1e-9))
+        return [(m + (n - m) * spare / max(wish, 1e-9)) * scale for n, m in zip(natural, least, strict=True)]
