@@ -24,9 +24,10 @@ import numpy as np
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio_analysis.families import Family, Ior, Values
 from gonio_analysis.forward import apparent
-from gonio_analysis.objective import Objective, scaled_to
-from gonio_analysis.observations import Observations, observations
-from gonio_analysis.search import STEP, Problem, covariance, pose, refine, search, search_from, settle
+from gonio_analysis.identify import tied
+from gonio_analysis.objective import LOSSES, Objective, scaled_to
+from gonio_analysis.observations import DEFAULT_WAVELENGTH_NM, Observations, observations
+from gonio_analysis.search import STARTS, STEP, Problem, covariance, pose, refine, search, search_from, settle
 from gonio_analysis.uncertainty import Floats
 
 if TYPE_CHECKING:
@@ -171,7 +172,11 @@ def fit(
     free: Sequence[str] = (),
     slopes: int = 1,
     wavelength_nm: float | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    loss: str = "linear",
     start: Sequence[Values] | None = None,
+    searches: int = STARTS,
     name: str = "the table",
 ) -> FitResult:
     """Fit one model to the usable values of a table, at one wavelength.
@@ -193,8 +198,18 @@ def fit(
     wavelength_nm
         Where the table has several wavelengths, the nearest one is fitted (550 nm if none is given); in a broad band,
         the effective wavelength.
+    bounds
+        Parameter -> lowest and highest value, inside the model's own bounds.
+    priors
+        Parameter -> value and standard uncertainty known beforehand: a normal distribution that counts like one more
+        measurement.
+    loss
+        How large whitened residuals count: "linear" (their square), or one that outliers pull less: "soft_l1", "huber",
+        "cauchy", "arctan" (as in `scipy.optimize.least_squares`, with a scale of one standard uncertainty).
     start
         Sets of values to start from instead of a search: solutions of neighbours.
+    searches
+        How many points of the coarse grid are searched from.
     name
         What messages call the table.
 
@@ -206,7 +221,11 @@ def fit(
         Fewer values than free parameters, or no usable value.
     """
     began = time.perf_counter()
-    problem = pose(model, ior, fix or {}, free, slopes)
+    problem = pose(model, ior, fix or {}, free, slopes, bounds, priors)
+    if loss not in LOSSES:
+        raise ConfigError(f"--loss {loss}: there is no such loss; known: {', '.join(LOSSES)}")
+    if searches < 1:
+        raise ConfigError(f"--searches {searches}: at least one search is needed")
     data = table if isinstance(table, Observations) else observations(table, name)
     data, wavelength, notes = _one_wavelength(data, wavelength_nm, problem.family, name)
     names = problem.free
@@ -216,8 +235,8 @@ def fit(
         )
     notes += problem.notes
 
-    vector = search(problem, data) if start is None else search_from(problem, data, start)
-    goal = scaled_to(data, apparent(problem.model(vector), data, quick=True))
+    vector = search(problem, data, loss, searches) if start is None else search_from(problem, data, start, loss)
+    goal = replace(scaled_to(data, apparent(problem.model(vector), data, quick=True)), loss=loss)
     vector, jacobian = settle(problem, data, goal, refine(problem, data, goal, vector)[0])
     built = problem.model(vector)
     predicted = apparent(built, data)
@@ -261,8 +280,10 @@ def _one_wavelength(
     if not math.isnan(wavelength):
         notes = []
         if len(several) > 1:
-            asked = "the nearest to 550 nm" if wavelength_nm is None else f"the nearest to {wavelength_nm:g} nm"
-            notes.append(f"The table has {len(several)} wavelengths; {wavelength:g} nm, {asked}, is fitted.")
+            goal = DEFAULT_WAVELENGTH_NM if wavelength_nm is None else wavelength_nm
+            asked = "" if wavelength == goal else f", the nearest to {goal:g} nm,"
+            choose = "; --wavelength-nm takes another" if wavelength_nm is None else ""
+            notes.append(f"The table has {len(several)} wavelengths; {wavelength:g} nm{asked} is fitted{choose}.")
         elif wavelength_nm is not None and abs(wavelength - wavelength_nm) > 1:
             notes.append(
                 f"The table has one wavelength, {wavelength:g} nm; it is fitted instead of {wavelength_nm:g} nm."
@@ -337,19 +358,9 @@ def _identifiability(problem: Problem, result: FitResult) -> list[str]:
             )
         elif not e.fixed and e.u is None:
             notes.append(f"{n} is not determined by these data.")
-    c = result.correlation
-    names = result.free
-    pairs = [(a, b, c[i, j]) for i, a in enumerate(names) for j, b in enumerate(names) if i < j and abs(c[i, j]) > 0.98]
-    for a, b, r in pairs:
-        both = (result.parameters[a], result.parameters[b])
-        poor = any(e.u is None or e.u > 0.05 * abs(e.value) for e in both)
-        text = f"{a} and {b} " + ("can hardly be told apart by these data" if poor else "are strongly correlated")
-        text += f" (correlation {r:+.4f})"
-        m = result.derived.get("slope_m")
-        if {a, b} == {"sigma0_um", "tau_um"} and m is not None and m.u is not None:
-            known = "what they determine is" if poor else "better known than either is"
-            text += f"; {known} the slope 2 sigma0/tau = {m.value:.4g} ± {m.u:.2g}"
-        notes.append(text + ".")
+    values = np.array([result.parameters[n].value for n in result.free])
+    pairs = tied(result.free, values, result.covariance)
+    notes += pairs
     if result.reduced_chi_square is not None and result.reduced_chi_square > 25:
         notes.append(
             "The data reject this model so clearly that its parameters describe little: the values with the smallest"

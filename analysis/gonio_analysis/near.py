@@ -27,7 +27,7 @@ class Near:
         goal = result.goal
         if rows is not None:
             weights = None if goal.weights is None else goal.weights.take(rows)
-            goal = Objective(goal.measured[rows], weights, goal.small)
+            goal = Objective(goal.measured[rows], weights, goal.small, goal.loss)
         self.goal = goal
         centre = apparent(result.model, self.data, quick=True)
         predicted = result.predicted if rows is None else result.predicted[rows]
@@ -37,6 +37,11 @@ class Near:
     def predicted(self, vector: Floats) -> Floats:
         """The model [1/sr] at a point of the search scale."""
         return apparent(self.problem.model(vector), self.data, quick=True) * self._ratio
+
+    def cost(self, vector: Floats) -> float:
+        """What `refit` makes small: the sum of squares, priors included."""
+        white = self.goal.residual(self.predicted(vector))
+        return self.goal.total(white) + float((self.problem.pulls(vector) ** 2).sum())
 
     def refit(self, start: Floats, free: Rows, *, limit: int = 30) -> tuple[Floats, float]:
         """The best point with only the parameters `free` moving, and its sum of squares."""
@@ -48,16 +53,17 @@ class Near:
             return x
 
         def residual(part: Floats) -> Floats:
-            return self.goal.residual(self.predicted(whole(part)))
+            x = whole(part)
+            return np.concatenate([self.goal.residual(self.predicted(x)), self.problem.pulls(x)])
 
         def jacobian(part: Floats) -> Floats:
             x = whole(part)
             columns = derivatives(self.problem, self.data, x, quick=True, only=free) * self._ratio[:, None]
-            return self.goal.jacobian(self.predicted(x), columns)
+            rows = self.goal.jacobian(self.predicted(x), columns)
+            return np.concatenate([rows, self.problem.pull_slopes(x)[:, free]])
 
         if free.size == 0:
-            white = self.goal.residual(self.predicted(start))
-            return start, float(white @ white)
+            return start, self.cost(start)
         lower, upper = (bound[free] for bound in self.problem.bounds)
         margin = 1e-9 * (upper - lower)
         found = least_squares(
@@ -66,6 +72,7 @@ class Near:
             jac=jacobian,
             bounds=(lower, upper),
             x_scale="jac",
+            loss=self.goal.loss,
             xtol=1e-6,
             ftol=1e-6,
             gtol=1e-10,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,14 @@ import numpy as np
 from gonio_analysis.observations import Observations
 from gonio_analysis.uncertainty import Covariance, Floats, independent
 
+LOSSES: dict[str, tuple[Callable[[Floats], Floats], Callable[[Floats], Floats]]] = {
+    "linear": (lambda z2: z2, np.ones_like),
+    "soft_l1": (lambda z2: 2.0 * (np.sqrt(1.0 + z2) - 1.0), lambda z2: (1.0 + z2) ** -0.25),
+    "huber": (lambda z2: np.where(z2 <= 1.0, z2, 2.0 * np.sqrt(z2) - 1.0), lambda z2: np.maximum(z2, 1.0) ** -0.25),
+    "cauchy": (np.log1p, lambda z2: (1.0 + z2) ** -0.5),
+    "arctan": (np.arctan, lambda z2: (1.0 + z2**2) ** -0.5),
+}
+"""Name -> the loss of a squared residual, and the root of its derivative."""
 LINEAR_BELOW = 0.05
 """Without uncertainties: the fraction of the median |f| below which differences count as such, not as ratios."""
 
@@ -25,6 +34,8 @@ class Objective:
     weights: Covariance | None
     small: float = 1.0
     """e [1/sr]."""
+    loss: str = "linear"
+    """How large residuals count: a name of `scipy.optimize.least_squares`."""
 
     def residual(self, predicted: Floats) -> Floats:
         """Of a prediction (n,) [1/sr]; its sum of squares is what a fit minimises."""
@@ -38,13 +49,22 @@ class Objective:
             return self.weights.whiten(columns)
         return np.asarray(columns / np.hypot(predicted, 2 * self.small)[:, None])
 
+    def total(self, residual: Floats) -> float:
+        """The sum of the losses of whitened residuals; the sum of squares, unless the loss is a robust one."""
+        return float(LOSSES[self.loss][0](residual**2).sum())
+
+    def robust_weights(self, residual: Floats) -> Floats:
+        """sqrt(d loss / d z^2) at whitened residuals z: what rows of a linearised problem are multiplied by."""
+        return np.asarray(LOSSES[self.loss][1](residual**2))
+
     @property
     def words(self) -> str:
         """For reports."""
+        robust = "" if self.loss == "linear" else f"; large residuals count by the loss {self.loss}"
         if self.weights is None:
-            return f"logarithmic: every value alike, as ln f above {self.small:.2g} 1/sr and as f below"
+            return f"logarithmic: every value alike, as ln f above {self.small:.2g} 1/sr and as f below{robust}"
         causes = ", ".join(self.weights.causes)
-        return "the table's covariance" + (f", with the common causes {causes}" if causes else "")
+        return "the table's covariance" + (f", with the common causes {causes}" if causes else "") + robust
 
 
 def objective(data: Observations) -> Objective:

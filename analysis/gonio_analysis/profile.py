@@ -132,7 +132,7 @@ class _Walker:
         self._result = result
         self._lower, self._upper = result.problem.bounds
         self._near = Near(result)
-        self._least = float(result.whitened @ result.whitened)
+        self._least = self._near.cost(result.vector)
         freedom = max(len(result.data) - len(result.free), 1)
         self._unit = 1.0 if result.data.covariance is not None else self._least / freedom
         self.better: Floats | None = None
@@ -144,6 +144,13 @@ class _Walker:
         if rise < -BETTER and self.better is None:
             self.better = x
         return x, rise
+
+    def _start(self, k: int, place: float, near: Floats, move: Floats) -> Floats:
+        """Where the others begin with parameter k held at a place: as they were near it, or moved along the valley."""
+        starts = [np.clip(x, self._lower, self._upper) for x in (near, near + move)]
+        for x in starts:
+            x[k] = place
+        return min(starts, key=self._near.cost)
 
     def walk(self, k: int, side: int, threshold: float) -> tuple[float, list[tuple[float, float]]]:
         """The end [search scale] on one side, and the points (place, rise) that were tried."""
@@ -162,10 +169,10 @@ class _Walker:
         tried: list[tuple[float, float]] = []
         for _ in range(TRIES):
             nearest = min(known, key=lambda d: abs(d - step))
-            start = known[nearest] + np.nan_to_num(follow) * side * (step - nearest)
-            start = np.clip(start, self._lower, self._upper)
-            start[k] = bound if step >= room else centre + side * step
-            x, rise = self._held(k, start)
+            place = bound if step >= room else centre + side * step
+            x, rise = self._held(
+                k, self._start(k, place, known[nearest], np.nan_to_num(follow) * side * (step - nearest))
+            )
             known[step] = x
             root = math.sqrt(max(rise, 0.0))
             tried.append((float(x[k]), max(rise, 0.0)))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,6 +49,19 @@ class Problem:
     words: dict[str, str]
     ior: Ior
     notes: list[str]
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Parameter -> what is known of it beforehand: value and standard uncertainty."""
+
+    def pulls(self, vector: Floats) -> Floats:
+        """Residuals of the priors, one each."""
+        values = self.values(vector)
+        return np.array([(values[n] - value) / u for n, (value, u) in self.priors.items()])
+
+    def pull_slopes(self, vector: Floats) -> Floats:
+        """d(pulls)/d(search scale), (priors, p)."""
+        slope = self.slope(vector)
+        rows = [np.where([m == n for m in self.free], slope / u, 0.0) for n, (_, u) in self.priors.items()]
+        return np.array(rows).reshape(len(rows), vector.size)
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
@@ -86,7 +99,15 @@ class Problem:
         return self.make({**self.family.arguments(self.values(vector)), **self.words})
 
 
-def pose(model: str, ior: Ior, fix: Mapping[str, float | str], free: Sequence[str], slopes: int) -> Problem:
+def pose(
+    model: str,
+    ior: Ior,
+    fix: Mapping[str, float | str],
+    free: Sequence[str],
+    slopes: int,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+) -> Problem:
     """What to fit, from what a user asks for; see `gonio_analysis.fit.fit`.
 
     Raises
@@ -122,6 +143,7 @@ def pose(model: str, ior: Ior, fix: Mapping[str, float | str], free: Sequence[st
     if "k" in moving and "ior" in moving:
         metallic = tuple(families.METALLIC_N if p.name == "ior" else p for p in family.parameters)
         family = replace(family, parameters=metallic)
+    family = _bounded(family, bounds or {}, moving)
     fixed = {**family.fixed, **numbers}
     if ior is None and "ior" in moving and families.needs_ior(model) and not fixed.get("k") and "k" not in moving:
         notes.append("No optical constants were given (--ior): a real refractive index n is fitted, with k = 0.")
@@ -133,19 +155,50 @@ def pose(model: str, ior: Ior, fix: Mapping[str, float | str], free: Sequence[st
         words,
         ior,
         notes,
+        _checked_priors(priors or {}, model, moving),
     )
 
 
-def search_from(problem: Problem, data: Observations, starts: Sequence[Values]) -> Floats:
+def _bounded(family: Family, bounds: Mapping[str, tuple[float, float]], moving: Sequence[str]) -> Family:
+    """The family with narrower bounds."""
+    for n, (low, high) in bounds.items():
+        p = family.parameter(n)
+        if not p.lower <= low < high <= p.upper:
+            raise ConfigError(
+                f"--bound {n}={low:g}:{high:g}: bounds of {n} ascend, between {p.lower:g} and {p.upper:g}"
+            )
+        if n not in moving:
+            raise ConfigError(f"--bound {n}={low:g}:{high:g}: {n} is not fitted; --free {n} would fit it")
+    narrower = (
+        replace(p, lower=bounds[p.name][0], upper=bounds[p.name][1]) for p in family.parameters if p.name in bounds
+    )
+    by_name = {p.name: p for p in narrower}
+    return replace(family, parameters=tuple(by_name.get(p.name, p) for p in family.parameters))
+
+
+def _checked_priors(
+    priors: Mapping[str, tuple[float, float]], model: str, moving: Sequence[str]
+) -> Mapping[str, tuple[float, float]]:
+    for n, (value, u) in priors.items():
+        if n not in moving:
+            raise ConfigError(f"--prior {n}={value:g}: {n} of {model} is not fitted; it fits {', '.join(moving)}")
+        if not (math.isfinite(value) and math.isfinite(u) and u > 0):
+            raise ConfigError(
+                f"--prior {n}: a value and its standard uncertainty above 0 are needed, as in {n}=1.77+-0.05"
+            )
+    return priors
+
+
+def search_from(problem: Problem, data: Observations, starts: Sequence[Values], loss: str = "linear") -> Floats:
     """The best point of searches with the quick forward model that begin at solutions of relatives.
 
     As in `search` only the independent part of the covariance counts.
     """
-    found = [approach(problem, data, problem.vector(start)) for start in starts]
+    found = [approach(problem, data, problem.vector(start), loss) for start in starts]
     return min(found, key=lambda f: f[1])[0]
 
 
-def search(problem: Problem, data: Observations) -> Floats:
+def search(problem: Problem, data: Observations, loss: str = "linear", searches: int = STARTS) -> Floats:
     """The best point of several searches with the quick forward model, the first part of each with softened weights.
 
     Only the independent part of the covariance counts here: common causes need a model to be scaled by.
@@ -165,19 +218,19 @@ def search(problem: Problem, data: Observations) -> Floats:
         # large residuals count by their logarithm: a lobe in the right place must win over one that is merely low
         candidates.append((float(np.log1p(np.minimum(residual**2, 1e12)).sum()), vector))
     candidates.sort(key=lambda c: c[0])
-    coarse = [refine(problem, few, soft, vector, quick=True, limit=25) for _, vector in candidates[:STARTS]]
+    coarse = [refine(problem, few, soft, vector, quick=True, limit=25) for _, vector in candidates[:searches]]
     coarse.sort(key=lambda c: c[1])
     others = [c for c in coarse[1:] if np.abs(c[0] - coarse[0][0]).max() > 0.05]
-    chosen = [coarse[0], *others[:1]]
-    return min((approach(problem, data, vector) for vector, _ in chosen), key=lambda f: f[1])[0]
+    chosen = [coarse[0], *others[: max(searches // 4, 1)]]
+    return min((approach(problem, data, vector, loss) for vector, _ in chosen), key=lambda f: f[1])[0]
 
 
-def approach(problem: Problem, data: Observations, start: Floats) -> tuple[Floats, float]:
+def approach(problem: Problem, data: Observations, start: Floats, loss: str = "linear") -> tuple[Floats, float]:
     """As `refine`, with the quick forward model and the independent part of the covariance; first on `MOST` values."""
     if len(data) > MOST:
         few = data.take(np.sort(np.random.default_rng(0).choice(len(data), MOST, replace=False)))
-        start, _ = refine(problem, few, alone(few), start, quick=True)
-    return refine(problem, data, alone(data), start, quick=True)
+        start, _ = refine(problem, few, replace(alone(few), loss=loss), start, quick=True)
+    return refine(problem, data, replace(alone(data), loss=loss), start, quick=True)
 
 
 def refine(
@@ -198,7 +251,7 @@ def refine(
 
     def residual(x: Floats) -> Floats:
         latest[:] = apparent(problem.model(x), data, quick=quick, rules=rules)
-        return goal.residual(latest)
+        return np.concatenate([goal.residual(latest), problem.pulls(x)])
 
     def jacobian(x: Floats) -> Floats:
         near = latest if quick else apparent(problem.model(x), data, quick=True)
@@ -206,7 +259,7 @@ def refine(
         if not quick:
             with np.errstate(divide="ignore", invalid="ignore"):
                 columns = columns * np.nan_to_num(np.clip(latest / near, 0.2, 5.0), nan=1.0)[:, None]
-        return goal.jacobian(latest, columns)
+        return np.concatenate([goal.jacobian(latest, columns), problem.pull_slopes(x)])
 
     result = least_squares(
         residual,
@@ -214,6 +267,7 @@ def refine(
         jac=jacobian,
         bounds=(lower, upper),
         x_scale="jac",
+        loss=goal.loss,
         xtol=1e-9,
         ftol=1e-10 if quick else 1e-8,
         gtol=1e-12,
@@ -231,7 +285,10 @@ def settle(problem: Problem, data: Observations, goal: Objective, vector: Floats
     rules = averaging(problem.model(vector), data)
     predicted = apparent(problem.model(vector), data, rules=rules)
     residual = goal.residual(predicted)
-    jacobian = goal.jacobian(predicted, derivatives(problem, data, vector, rules=rules))
+    robust = goal.robust_weights(residual)
+    jacobian = goal.jacobian(predicted, derivatives(problem, data, vector, rules=rules)) * robust[:, None]
+    jacobian = np.concatenate([jacobian, problem.pull_slopes(vector)])
+    residual = np.concatenate([residual * robust, problem.pulls(vector)])
     margin = 1e-6 * np.minimum(upper - lower, 1.0)
     inside = (vector > lower + margin) & (vector < upper - margin)
     step = np.zeros(vector.size)
@@ -240,7 +297,8 @@ def settle(problem: Problem, data: Observations, goal: Objective, vector: Floats
         step[inside] = np.linalg.lstsq(jacobian[:, inside] / size, -residual, rcond=1e-10)[0] / size
     moved = np.clip(vector + np.clip(step, -0.1, 0.1), lower, upper)
     moved = np.where(moved <= lower + margin, lower, np.where(moved >= upper - margin, upper, moved))
-    after = goal.residual(apparent(problem.model(moved), data, rules=rules))
+    after = goal.residual(apparent(problem.model(moved), data, rules=rules)) * robust
+    after = np.concatenate([after, problem.pulls(moved)])
     # a bound that is put on exactly may cost the last digits of the sum
     return (moved, jacobian) if after @ after <= (residual @ residual) * (1 + 1e-9) else (vector, jacobian)
 
