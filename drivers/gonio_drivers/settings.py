@@ -68,7 +68,7 @@ class Light(Strict):
 
     port: str
     dialect: str = "scpi"
-    """A shipped dialect ("scpi", "mightex", "arduino"), or the path of a TOML file beside the rig file."""
+    """A shipped dialect ("scpi", "mightex", "arduino"), or the path of a TOML file, from where gonio is started."""
     baud: Positive | None = None
     """Instead of the dialect's own line speed."""
     level: Annotated[float, Field(gt=0, le=1)] = 1.0
