@@ -95,7 +95,7 @@ def _targets(s: dict[str, Any]) -> str:
     words = (
         "Targets are for two threads of an idle machine with AVX-512. Best: wall-clock time of several repeats, all "
         f"arguments checked{busy}. Idle: processor time over threads, what an idle machine of this kind would take. "
-        "Errors are relative, over 1 + conditioning, the largest of grid and hard set."
+        "Ratios are of processor times. Errors are relative, over 1 + conditioning, the largest of grid and hard set."
     )
     header = ["", "target", "best", "idle", "met", "error allowed", "largest", "held"]
     table = html.table("", header, rows, right=(1, 2, 3, 5, 6))
