@@ -158,7 +158,8 @@ def test_campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
                 bench.servos[axis].unblock()
                 if not bench.faults.fired:
                     outcome = "not fired"
-                print(f"{k} {fault} {axis} {took:.1f} s {outcome}", file=log, flush=True)
+                said = 0 if run is None else len(remarks(run))
+                print(f"{k} {fault} {axis} {took:.1f} s, {said} remarks, {outcome}", file=log, flush=True)
                 assert took < LONGEST_S, (k, fault)
                 assert bench.quiet, (k, fault)
                 if outcome == "recovered" and run is not None:

@@ -297,6 +297,19 @@ def test_a_time_based_profile_takes_its_time(line) -> None:
     assert path.end_s - path.phases[0].start == pytest.approx(2.0)  # s on the twin's clock, to rounding
 
 
+def test_reverse_mode_turns_the_other_way(line) -> None:
+    servo = line.servos[1]
+    servo.write(10, b"\x01")
+    before = int.from_bytes(servo.read(POSITION, 4), "little")
+    assert before == 4095 - 1500
+    servo.write(TORQUE, b"\x01")
+    servo.write(GOAL, (before + 100).to_bytes(4, "little"))
+    while servo.moves():
+        pass
+    assert servo.shaft()[0] == 1400
+    assert int.from_bytes(servo.read(POSITION, 4), "little") == before + 100
+
+
 def test_indirect_addresses(sdk) -> None:
     port, ph = sdk
     ph.write2ByteTxRx(port, 1, 168, 146)

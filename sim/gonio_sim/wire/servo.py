@@ -245,12 +245,19 @@ class Servo:
         position = self.shaft()[0] % tables.COUNTS  # whole turns are forgotten
         self._path = motion.rest(self._clock(), position)
         self._aim = position
-        self._put("Goal Position", round(position) + self._offset)
+        self._put("Goal Position", round(self._shown(position)) + self._offset)
 
     @property
     def _offset(self) -> int:
         offset = self.get("Homing Offset")
         return max(-1024, min(1024, offset)) if self.get("Operating Mode") == 3 else offset
+
+    def _shown(self, count: float) -> float:
+        """Between the shaft's count and the table's, either way: reverse mode (drive mode, bit 0) counts downward."""
+        return tables.COUNTS - 1 - count if self.get("Drive Mode") & 1 else count
+
+    def _turned(self, velocity: float) -> float:
+        return -velocity if self.get("Drive Mode") & 1 else velocity
 
     def _indirect(self, address: int) -> int:
         """Where an indirect data byte points to; any other address is itself."""
@@ -314,8 +321,8 @@ class Servo:
                 self._release()
         elif name in ("Goal Position", "Goal Velocity") and self.torque:
             self._drive()
-        elif name == "Operating Mode":
-            self._put("Goal Position", round(self.shaft()[0]) + self._offset)
+        elif name in ("Operating Mode", "Drive Mode"):
+            self._put("Goal Position", round(self._shown(self.shaft()[0])) + self._offset)
 
     # ---- shaft ----
 
@@ -337,9 +344,10 @@ class Servo:
         now = self._clock()
         position, velocity = self._path.at(now)
         mode = self.get("Operating Mode")
-        speed, acceleration = self._limits(self.get("Goal Position") - self._offset - position)
+        goal = self._shown(float(self.get("Goal Position") - self._offset))
+        speed, acceleration = self._limits(goal - position)
         if mode in POSITION_MODES:
-            self._aim = goal = float(self.get("Goal Position") - self._offset)
+            self._aim = goal
             short = self.mechanics.short_counts if self.get("Position I Gain") == 0 else 0.0
             if abs(goal - position) <= short and velocity == 0:
                 self._path = motion.rest(now, position)
@@ -347,7 +355,8 @@ class Servo:
                 there = goal - math.copysign(short, goal - position) + self.mechanics.within()
                 self._path = motion.to_position(now, position, velocity, there, speed, acceleration)
         elif mode == 1:
-            self._path = motion.to_speed(now, position, velocity, self.get("Goal Velocity") * tables.RPM, acceleration)
+            wanted = self._turned(self.get("Goal Velocity") * tables.RPM)
+            self._path = motion.to_speed(now, position, velocity, wanted, acceleration)
 
     def _halt(self) -> None:
         position, _ = self.shaft()
@@ -393,15 +402,15 @@ class Servo:
         position, velocity = self.shaft()
         planned, planned_velocity = self._path.at(now)
         flicker = self.mechanics.noise_counts * math.sin(1e3 * now) if velocity == 0 else 0.0
-        units = round(velocity / tables.RPM)
-        self._put("Present Position", round(position + flicker) + self._offset)
+        units = round(self._turned(velocity) / tables.RPM)
+        self._put("Present Position", round(self._shown(position + flicker)) + self._offset)
         self._put("Present Velocity", units)
         self._put("Moving", int(abs(units) > self.get("Moving Threshold")))
         underway = now < self._path.end_s
         arrived = not underway and abs(position - self._aim) < 20
         self._put("Moving Status", int(arrived) | int(underway) << 1 | 0x30)
-        self._put("Velocity Trajectory", round(planned_velocity / tables.RPM))
-        self._put("Position Trajectory", round(planned) + self._offset)
+        self._put("Velocity Trajectory", round(self._turned(planned_velocity) / tables.RPM))
+        self._put("Position Trajectory", round(self._shown(planned)) + self._offset)
         self._put("Present Input Voltage", self.supply_dv)
         self._put("Present Temperature", self.temperature_c)
         self._put("Realtime Tick", int(now * 1000) % 32768)
@@ -409,7 +418,7 @@ class Servo:
         effort = 0
         if self.torque:
             full = self.get("Goal Current") if "Goal Current" in self.table.items else 1000
-            error = self._aim - position
+            error = self._turned(self._aim - position)
             light = round(20 * math.tanh(error / 20)) + units // 8
             effort = int(math.copysign(full, error)) if self._pushes() else light
         self._put(load, effort)
