@@ -224,7 +224,8 @@ def residuals(
     for k, line in enumerate(lines):
         if line.residual is not None:
             artists += ax.plot(np.degrees(line.angle), line.residual, ls="none", ms=3, zorder=3, **style(k))
-    top = max((float(np.max(np.abs(r))) for r in everything if r.size), default=1.0)
+    sizes = [np.abs(r[np.isfinite(r)]) for r in everything]  # a measured zero has no relative residual
+    top = max((float(r.max()) for r in sizes if r.size), default=1.0)
     threshold = 3.0 if whitened else 0.3
     if top > 5 * threshold:
         ax.set_yscale("symlog", linthresh=threshold)

@@ -353,7 +353,9 @@ def single(frame: pd.DataFrame, path: Path, format_name: str) -> None:
     if (frame["polarisation"] != "unpolarised").any():
         raise DataError(f"{path}: {format_name} holds unpolarised values only; this table has polarised rows")
     if "sample" in frame.columns:
-        raise DataError(f"{path}: {format_name} holds one sample; choose one of {', '.join(frame.attrs['samples'])}")
+        raise DataError(
+            f"{path}: {format_name} holds one sample; name one as FILE:SAMPLE: {', '.join(frame.attrs['samples'])}"
+        )
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:

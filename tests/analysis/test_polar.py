@@ -32,6 +32,7 @@ def axes() -> Any:
         lambda ax: polar.semilog(ax, [line(), line(negative=True)]),
         lambda ax: polar.residuals(ax, [line()], whitened=True),
         lambda ax: polar.residuals(ax, [line()], whitened=False, others=(np.zeros(2), np.array([50.0, -3.0]))),
+        lambda ax: polar.residuals(ax, [line()], whitened=False, others=(np.zeros(2), np.array([np.inf, -3.0]))),
         lambda ax: polar.budget(ax, [("combined", 0.01, 0.03), ("reference", 0.002, 0.002)]),
         lambda ax: polar.series(ax, np.arange(3.0), np.ones(3), np.full(3, np.nan), x_label="x", y_label="y"),
     ],
