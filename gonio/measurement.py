@@ -229,6 +229,8 @@ def _choose(frame: pd.DataFrame, sample: str, path: Path) -> pd.DataFrame:
     chosen = frame[frame["sample"] == sample].drop(columns="sample").reset_index(drop=True)
     chosen.attrs.update({key: value for key, value in frame.attrs.items() if key != "samples"} | {"sample": sample})
     chosen.attrs.pop("samples", None)
+    own = [band for band in chosen.attrs["bands"] if str(band.get("name")) == sample.rpartition(" ")[2]]
+    chosen.attrs["bands"] = own or chosen.attrs["bands"]  # colours and broad bands end their samples' names
     return chosen
 
 

@@ -33,6 +33,7 @@ def test_cells_scales_and_round_trip(tmp_path: Path) -> None:
     values[1, 30, 20, 10] = -1.0
     frame = measurement.parse(file(values), Path("paint.binary"))
     count = len(frame) // 3
+    assert measurement.samples(frame)["paint green"].attrs["bands"] == [{"name": "green"}]
     red, green, blue = (frame.iloc[k * count : (k + 1) * count] for k in range(3))
     assert frame.attrs["samples"] == ["paint red", "paint green", "paint blue"]
     for part, albedo in ((green, 0.5), (blue, 0.7)):

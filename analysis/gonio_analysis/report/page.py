@@ -325,6 +325,8 @@ def _unreachable(run: dict[str, Any]) -> str:
 def _band(b: dict[str, Any]) -> str:
     if "lower_nm" in b:
         return f"{b.get('name', '')}, {b['lower_nm']:g} to {b['upper_nm']:g} nm, broad"
+    if "centre_nm" not in b:
+        return f"{b.get('name', 'unnamed')}, without stated limits"
     return f"{b.get('name', '')}, {b.get('centre_nm')} nm, {b.get('fwhm_nm')} nm wide"
 
 
