@@ -14,6 +14,7 @@ import typer
 if TYPE_CHECKING:
     from gonio_analysis.families import Ior
     from gonio_analysis.fit import FitResult
+    from gonio_analysis.profile import Interval
 
 IOR_HELP = "Optical constants: a material (Al) or n + ik (0.77+6.08j)."
 WAVELENGTH_HELP = "Wavelength [nm] of a table with several, or the effective one of a broad band."
@@ -47,6 +48,18 @@ def fit(
     free: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Fit one more parameter.", show_default=False)
     ] = None,
+    bound: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=LOW:HIGH", help="Narrower bounds.", show_default=False)
+    ] = None,
+    prior: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE+-U", help="What is known beforehand, U its standard uncertainty.", show_default=False
+        ),
+    ] = None,
+    loss: Annotated[str, typer.Option(help="linear, or a robust one: soft_l1, huber, cauchy, arctan.")] = "linear",
+    searches: Annotated[int, typer.Option(help="Starts of a coarse grid to search from.")] = 4,
+    intervals: Annotated[bool, typer.Option("--intervals", help="Profile-likelihood intervals (95 %).")] = False,
     slopes: Annotated[int, typer.Option(help="Slopes of Cook-Torrance's facets, 1 or 2.")] = 1,
     wavelength_nm: Annotated[float | None, typer.Option(help=WAVELENGTH_HELP, show_default=False)] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
@@ -68,12 +81,31 @@ def fit(
         raise ConfigError(f"{table} holds {len(samples)} samples: name one as {table}:SAMPLE, of: {listed}")
     name, frame = next(iter(samples.items()))
     result = run_fit(
-        frame, model, ior=index, fix=kept, free=free or (), slopes=slopes, wavelength_nm=wavelength_nm, name=str(table)
+        frame,
+        model,
+        ior=index,
+        fix=kept,
+        free=free or (),
+        slopes=slopes,
+        wavelength_nm=wavelength_nm,
+        bounds=dict(read_bound(text) for text in bound or []),
+        priors=dict(read_prior(text) for text in prior or []),
+        loss=loss,
+        searches=searches,
+        name=str(table),
     )
+    walked = {}
+    if intervals:
+        from gonio_analysis.profile import profiles
+
+        walked = profiles(result).intervals
     if as_json:
-        print(json.dumps({**result.to_json(), "sample": name, "table": table}, indent=1, ensure_ascii=False))
+        out = {**result.to_json(), "sample": name, "table": table}
+        if intervals:
+            out["intervals"] = {n: i.to_json() for n, i in walked.items()}
+        print(json.dumps(out, indent=1, ensure_ascii=False))
     else:
-        _print(result, name)
+        _print(result, name, walked)
 
 
 def compare(
@@ -82,7 +114,7 @@ def compare(
     ],
     out: Annotated[Path, typer.Option(help="Folder of the report.", show_default=False)],
     models: Annotated[
-        str, typer.Option(help="Models to fit, with commas between.")
+        str, typer.Option(help="Models to fit, with commas between (sums as oren-nayar+phong), or all.")
     ] = "lambert,oren-nayar,cook-torrance,he-torrance",
     normalise: Annotated[Norm, typer.Option(help="What polar curves are divided by.")] = Norm.mirror,
     ior: Annotated[str | None, typer.Option(help=IOR_HELP, show_default=False)] = None,
@@ -103,7 +135,7 @@ def report(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a reduced run.", show_default=False)],
     out: Annotated[Path | None, typer.Option(help="Folder of the report.", show_default="RUN/report")] = None,
     models: Annotated[
-        str, typer.Option(help="Models to fit, with commas between.")
+        str, typer.Option(help="Models to fit, with commas between (sums as oren-nayar+phong), or all.")
     ] = "lambert,oren-nayar,cook-torrance,he-torrance",
     normalise: Annotated[Norm, typer.Option(help="What polar curves are divided by.")] = Norm.mirror,
     ior: Annotated[str | None, typer.Option(help=IOR_HELP, show_default=False)] = None,
@@ -165,6 +197,39 @@ def read_fixed(text: str) -> tuple[str, float | str]:
     return name, number
 
 
+def read_bound(text: str) -> tuple[str, tuple[float, float]]:
+    """NAME=LOW:HIGH from a command line.
+
+    Raises
+    ------
+    ConfigError
+        It is written otherwise, or a number is none.
+    """
+    return _read_two(text, "--bound", ":", "NAME=LOW:HIGH", "tau_um=0.5:5")
+
+
+def read_prior(text: str) -> tuple[str, tuple[float, float]]:
+    """NAME=VALUE+-U from a command line; "±" is taken too.
+
+    Raises
+    ------
+    ConfigError
+        It is written otherwise, or a number is none.
+    """
+    return _read_two(text.replace("±", "+-"), "--prior", "+-", "NAME=VALUE+-U", "tau_um=1.77+-0.05")
+
+
+def _read_two(text: str, option: str, between: str, form: str, example: str) -> tuple[str, tuple[float, float]]:
+    from gonio.errors import ConfigError
+
+    name, _, numbers = text.partition("=")
+    first, _, second = numbers.partition(between)
+    try:
+        return name.strip(), (float(first), float(second))
+    except ValueError:
+        raise ConfigError(f"{option} {text}: {form} is needed, as in {option} {example}") from None
+
+
 def _report(
     specs: list[str], out: Path, models: list[str], normalise: Norm, ior: str | None, wavelength_nm: float | None
 ) -> Path:
@@ -197,7 +262,7 @@ def _change(specs: list[str], out: Path, wavelength_nm: float | None) -> Path:
     return change.make(specs, out, wavelength_nm=wavelength_nm, command=command_line(), progress=console.note)
 
 
-def _print(result: FitResult, sample: str) -> None:
+def _print(result: FitResult, sample: str, walked: dict[str, Interval]) -> None:
     from gonio.cli import console
     from gonio_analysis.report.text import number, with_u
 
@@ -207,6 +272,9 @@ def _print(result: FitResult, sample: str) -> None:
         kind = "derived" if name in result.derived else "fixed" if e.fixed else "fitted"
         value = with_u(e.value, 0.0 if e.fixed else e.u) + (f" ({e.material})" if e.material else "")
         rows.add_row(name, f"{value} {e.unit}".strip(), kind + (f", at its {e.at_bound} bound" if e.at_bound else ""))
+    for name, interval in walked.items():
+        ends = [f"{x:.4g}" + (" (bound)" if is_open else "") for x, is_open in interval.ends]
+        rows.add_row(name, " to ".join(ends), f"{100 * interval.level:g} % interval")
     chi = result.reduced_chi_square
     verdict = f"reduced chi-square {number(chi)}: {result.verdict}" if chi is not None else result.verdict
     console.show(rows, verdict)

@@ -39,9 +39,9 @@ class Near:
         return apparent(self.problem.model(vector), self.data, quick=True) * self._ratio
 
     def cost(self, vector: Floats) -> float:
-        """What `refit` makes small: the sum of squares, priors included."""
+        """What `refit` makes small: the sum of squares (or of the losses), priors included."""
         white = self.goal.residual(self.predicted(vector))
-        return self.goal.total(white) + float((self.problem.pulls(vector) ** 2).sum())
+        return self.goal.total(np.concatenate([white, self.problem.pulls(vector)]))
 
     def refit(self, start: Floats, free: Rows, *, limit: int = 30) -> tuple[Floats, float]:
         """The best point with only the parameters `free` moving, and its sum of squares."""

@@ -44,6 +44,11 @@ class Interval:
     rise: Floats
     """chi-square there, less its minimum."""
 
+    @property
+    def ends(self) -> tuple[tuple[float, bool], tuple[float, bool]]:
+        """Lower and upper end, and whether each is a bound."""
+        return (self.low, self.open_low), (self.high, self.open_high)
+
     def to_json(self) -> dict[str, Any]:
         """Plain numbers."""
         return {

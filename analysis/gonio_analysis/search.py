@@ -284,11 +284,11 @@ def settle(problem: Problem, data: Observations, goal: Objective, vector: Floats
     lower, upper = problem.bounds
     rules = averaging(problem.model(vector), data)
     predicted = apparent(problem.model(vector), data, rules=rules)
-    residual = goal.residual(predicted)
+    residual = np.concatenate([goal.residual(predicted), problem.pulls(vector)])
     robust = goal.robust_weights(residual)
-    jacobian = goal.jacobian(predicted, derivatives(problem, data, vector, rules=rules)) * robust[:, None]
-    jacobian = np.concatenate([jacobian, problem.pull_slopes(vector)])
-    residual = np.concatenate([residual * robust, problem.pulls(vector)])
+    jacobian = goal.jacobian(predicted, derivatives(problem, data, vector, rules=rules))
+    jacobian = np.concatenate([jacobian, problem.pull_slopes(vector)]) * robust[:, None]
+    residual = residual * robust
     margin = 1e-6 * np.minimum(upper - lower, 1.0)
     inside = (vector > lower + margin) & (vector < upper - margin)
     step = np.zeros(vector.size)
@@ -297,8 +297,8 @@ def settle(problem: Problem, data: Observations, goal: Objective, vector: Floats
         step[inside] = np.linalg.lstsq(jacobian[:, inside] / size, -residual, rcond=1e-10)[0] / size
     moved = np.clip(vector + np.clip(step, -0.1, 0.1), lower, upper)
     moved = np.where(moved <= lower + margin, lower, np.where(moved >= upper - margin, upper, moved))
-    after = goal.residual(apparent(problem.model(moved), data, rules=rules)) * robust
-    after = np.concatenate([after, problem.pulls(moved)])
+    after = goal.residual(apparent(problem.model(moved), data, rules=rules))
+    after = np.concatenate([after, problem.pulls(moved)]) * robust
     # a bound that is put on exactly may cost the last digits of the sum
     return (moved, jacobian) if after @ after <= (residual @ residual) * (1 + 1e-9) else (vector, jacobian)
 

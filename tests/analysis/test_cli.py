@@ -78,6 +78,20 @@ def test_fixed_values() -> None:
             cli.read_fixed(text)
 
 
+def test_bounds_and_priors() -> None:
+    assert cli.read_bound("tau_um = 0.5:5") == ("tau_um", (0.5, 5.0))
+    assert cli.read_prior("m=0.2+-0.01") == cli.read_prior("m=0.2±0.01") == ("m", (0.2, 0.01))
+    for text in ("m=0.2", "m=a:b", "0.1:0.2"):
+        with pytest.raises(ConfigError, match="--bound tau_um=0.5:5"):
+            cli.read_bound(text)
+
+
+def test_fit_prints_intervals(table: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cli.fit(str(table), "oren-nayar", intervals=True, as_json=True)
+    found = json.loads(capsys.readouterr().out)["intervals"]["sigma_deg"]
+    assert found["low"] < 20.0 < found["high"]
+
+
 def test_importing_the_commands_imports_nothing_heavy() -> None:
     code = (
         "import sys, gonio_analysis.cli;"

@@ -231,6 +231,12 @@ def test_json_has_the_agreed_keys_and_is_json() -> None:
         ({"model": "lambert", "slopes": 2}, "only cook-torrance"),
         ({"model": "he-torrance", "ior": "Al", "free": ["k"]}, "material"),
         ({"model": "cook-torrance", "fix": {"m": 0.2}, "free": ["m"]}, "--fix and to --free"),
+        ({"model": "lambert", "bounds": {"albedo": (0.9, 0.1)}}, "ascend"),
+        ({"model": "phong", "fix": {"k_d": 0.2}, "bounds": {"k_d": (0.1, 0.3)}}, "not fitted"),
+        ({"model": "lambert", "priors": {"albedo": (0.5, 0.0)}}, "standard uncertainty above 0"),
+        ({"model": "lambert", "priors": {"k_d": (0.5, 0.1)}}, "it fits albedo"),
+        ({"model": "lambert", "loss": "hubert"}, "known: linear"),
+        ({"model": "lambert", "searches": 0}, "at least one search"),
     ],
 )
 def test_wrong_options_are_named(arguments: dict[str, object], message: str) -> None:
@@ -248,3 +254,37 @@ def test_no_usable_row() -> None:
     table["flag"] = "saturated"
     with pytest.raises(DataError, match="99 flagged saturated"):
         fit(table, "lambert")
+
+
+def test_a_prior_counts_like_one_more_measurement() -> None:
+    table = measure(MATTE, noise=0.02, floor=0.0)
+    free = fit(table, "lambert").parameters["albedo"]
+    u = free.u
+    held = fit(table, "lambert", priors={"albedo": (free.value + 2 * u, u)}).parameters["albedo"]
+    # two values of equal weight: their mean, with the error of a mean; linear but for the bound far away
+    assert held.value == pytest.approx(free.value + u, rel=1e-6)
+    assert held.u == pytest.approx(u / math.sqrt(2), rel=1e-6)
+
+
+def test_bounds_hold_and_are_said() -> None:
+    r = fit(measure(PAINT), "cook-torrance", bounds={"m": (0.05, 0.2)})
+    assert r.parameters["m"].value == pytest.approx(0.2)
+    assert r.parameters["m"].at_bound == "upper"
+
+
+@pytest.mark.parametrize("loss", ["soft_l1", "huber", "cauchy", "arctan"])
+def test_outliers_pull_a_robust_fit_less(loss: str) -> None:
+    table = measure(MATTE, noise=0.01, floor=0.0)
+    table.loc[::10, "brdf"] *= 1.3  # a tenth of the values lies 30 standard deviations too high
+    pulled, robust = fit(table, "lambert"), fit(table, "lambert", loss=loss)
+    assert pulled.parameters["albedo"].value > 0.514  # a tenth of 30 %
+    # huber and soft_l1 let an outlier pull like 1 standard deviation: 10 of them move the mean by some 0.1 %
+    assert robust.parameters["albedo"].value == pytest.approx(0.5, rel=0.004)
+    assert loss in robust.weighting
+
+
+def test_tied_parameters_are_named_with_what_is_determined() -> None:
+    rough = build("he-torrance", {"sigma0_um": 8.0, "tau_um": 40.0, "ior": 0.77 + 6.08j})
+    notes = " ".join(fit(measure(rough, noise=0.01), "he-torrance", ior=0.77 + 6.08j).notes)
+    assert "sigma0_um and tau_um can hardly be told apart" in notes
+    assert "what they determine is sigma0_um/tau_um = 0.2" in notes
