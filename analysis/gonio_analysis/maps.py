@@ -31,7 +31,7 @@ def heat_map(
     ax: Any, theta_r: Floats, dphi: Floats, value: Floats, *, label: str, theta_i: float | None = None,
     limits: tuple[float, float] | None = None,
 ) -> list[Any]:  # fmt: skip
-    """Positive values over the hemisphere of the receiver, on a logarithmic colour scale.
+    """Positive values over the hemisphere of the receiver, on a logarithmic colour scale if they span a decade.
 
     Parameters
     ----------
@@ -48,11 +48,12 @@ def heat_map(
     limits
         Of the colours; those of the values if none are given.
     """
-    from matplotlib.colors import LogNorm
+    from matplotlib.colors import LogNorm, Normalize
 
     shown = value > 0
     low, high = limits or (float(value[shown].min()), float(value[shown].max()))
-    artists = _disc(ax, theta_r[shown], dphi[shown], value[shown], SEQUENTIAL, LogNorm(low, max(high, low * 1.01)))
+    scale = LogNorm(low, high) if high > 10 * low else Normalize(low, high)
+    artists = _disc(ax, theta_r[shown], dphi[shown], value[shown], SEQUENTIAL, scale)
     if theta_i is not None:
         x, y = _on_disc(np.array([theta_i, theta_i]), np.array([np.pi, 0.0]))
         artists += ax.plot(x[:1], y[:1], ls="none", marker="+", ms=8, mew=1.2, color="#ffffff", zorder=5)
@@ -254,5 +255,5 @@ def _in_space(theta: Floats, dphi: Floats, radius: Floats) -> tuple[Floats, Floa
 def _bar(ax: Any, artist: Any, label: str) -> None:
     bar = ax.figure.colorbar(artist, ax=ax, fraction=0.04, pad=0.02)
     bar.set_label(label, fontsize=7.5)
-    bar.ax.tick_params(labelsize=7)
+    bar.ax.tick_params(which="both", labelsize=7)
     bar.outline.set_linewidth(0.5)

@@ -206,3 +206,26 @@ def test_unwritable_folder_is_one_message(tmp_path: Path) -> None:
 )
 def test_values_are_rounded_to_their_uncertainty(value: float, u: float | None, text: str) -> None:
     assert with_u(value, u) == text
+
+
+def test_interactive_data_are_the_table(report: Path) -> None:
+    html = page(report)
+    for slug, wave in (("good", 550.0), ("poor", None)):
+        found = re.search(rf'<script type="application/json" id="{slug}-viewer-data">(.*?)</script>', html)
+        assert found
+        view = json.loads(found[1])
+        assert [w["nm"] for w in view["waves"]] == [wave]
+        assert view["models"] == ["lambert", "phong", "he-torrance"][: len(view["models"])]
+        embedded = [
+            (c["label"], s["name"], a, b)
+            for c in view["waves"][0]["curves"]
+            for s in c["series"]
+            for a, b in zip(s["angle"], s["brdf"], strict=True)
+        ]
+        with open(report / "tables" / f"{slug}-interactive.csv", encoding="utf-8") as stream:
+            rows = [
+                (r["curve"], r["series"], float(r["signed_angle_deg"]), float(r["brdf"]))
+                for r in csv.DictReader(stream)
+            ]
+        assert embedded == rows
+        assert {s["name"] for c in view["waves"][0]["curves"] for s in c["series"]} == {"measured", *view["models"]}

@@ -35,19 +35,20 @@ def viewer(d: Dataset, facts: dict[str, Any], normalise: str) -> dict[str, Any]:
     -------
     dict
         `waves`: for each wavelength its `curves`, each with its `series`: points or a line, angles in degrees, values
-        in 1/sr (nine digits; theory six), and `by`, what it is divided by in each normalisation.
+        in 1/sr (seven digits; theory five), and `by`, what it is divided by in each normalisation.
     """
-    waves: dict[float, dict[str, FitResult]] = {}
+    waves: dict[float | None, dict[str, FitResult]] = {}  # None: a broad band
     for model, f in d.fitted.items():
         for result in f.series or [f.fit]:
-            waves.setdefault(float(result.data.wavelengths[0]), {})[model] = result
-    here = float(d.data.wavelengths[0])
+            at = finite(result.data.wavelengths[0]) if len(d.wavelengths) > 1 else finite(d.wavelength_nm)
+            waves.setdefault(at, {})[model] = result
+    here = finite(d.wavelength_nm)
     drawn = {int(c.rows[0]) for c in d.curves}
     ready = {m: {int(c.curve.rows[0]): (c.theory_angle, c.theory) for c in f.drawn} for m, f in d.fitted.items()}
     first: list[str] = []
     out: list[dict[str, Any]] = []
-    for nm in sorted(waves):
-        at_report = nm == here or np.isnan(nm)
+    for nm in sorted(waves, key=lambda w: w or 0.0):
+        at_report = nm == here
         data = d.data if at_report else next(iter(waves[nm].values())).data
         every = curves(data)
         picked = {int(c.rows[0]) for c in selection(every, MOST_LISTED)} | (drawn if at_report else set())
@@ -64,12 +65,12 @@ def viewer(d: Dataset, facts: dict[str, Any], normalise: str) -> dict[str, Any]:
                 known = ready[model].get(int(curve.rows[0])) if kept else None
                 theory[model] = known or (angle, curve.theory(result.model, angle, data))
             entries.append(_curve(curve, name, theory))
-        out.append({"nm": finite(nm), "curves": entries})
+        out.append({"nm": nm, "curves": entries})
     names = list(dict.fromkeys([*first, *(c["label"] for w in out for c in w["curves"])]))
     return {
         "name": d.name,
         "moving": "θr" if facts["scanned"] == "theta_r" else "θi",
-        "at": next(k for k, w in enumerate(out) if w["nm"] == finite(here)),
+        "at": next(k for k, w in enumerate(out) if w["nm"] == here),
         "labels": names,
         "shown": first,
         "points": ["measured"],
@@ -94,9 +95,7 @@ def _curve(c: Curve, name: str, theory: dict[str, tuple[Floats, Floats]]) -> dic
             "mirror": None if mirror is None else at(c.angle[mirror]),
             "model": at(c.parameter),
         }
-        series.append(
-            {"name": model, "angle": _rounded(np.degrees(angle), 9), "brdf": _rounded(value, 6), "u": None, "by": by}
-        )
+        series.append({"name": model, "angle": _degrees(angle), "brdf": _rounded(value, 5), "u": None, "by": by})
     return {"label": name, "mirror": round(float(np.degrees(c.parameter)), 4), "series": series}
 
 
@@ -105,8 +104,8 @@ def points(name: str, c: Curve, brdf: Floats, u: Floats) -> dict[str, Any]:
     mirror = None if c.mirror is None else _positive(brdf[c.mirror])
     return {
         "name": name,
-        "angle": _rounded(np.degrees(c.angle), 9),
-        "brdf": _rounded(brdf, 9),
+        "angle": _degrees(c.angle),
+        "brdf": _rounded(brdf, 7),
         "u": _rounded(u, 4) if np.isfinite(u).any() else None,
         "by": {"max": _positive(brdf[int(np.argmax(c.brdf))]), "mirror": mirror},
     }
@@ -135,6 +134,11 @@ def script() -> str:
     """The program that fills those places, as an element."""
     code = files("gonio_analysis.report").joinpath("viewer.js").read_text(encoding="utf-8")
     return f"<script>\n{code}</script>"
+
+
+def _degrees(angle: Floats) -> list[float]:
+    """To a ten-thousandth: finer than any readback."""
+    return [float(a) for a in np.round(np.degrees(angle), 4)]
 
 
 def _rounded(values: Floats, digits: int) -> list[float | None]:
