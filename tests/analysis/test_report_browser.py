@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from gonio_analysis.report import make
+from gonio_analysis.report import change, make
 
 from gonio import measurement
 from gonio.models import build
@@ -152,3 +152,19 @@ def test_reads_without_javascript(report: Path, tab: Page) -> None:
     tab.open(report / "index.html", 1280, scripts=False)
     assert tab.run("getComputedStyle(document.querySelector('.viewer')).display") == "none"
     assert tab.run("document.querySelectorAll('figure svg').length") >= 4
+
+
+def test_change_report_shows_both(tab: Page, tmp_path: Path) -> None:
+    gloss = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30})
+    for name, seed in (("before", 1), ("after", 2)):
+        measurement.write(measure(gloss, noise=0.01, seed=seed, name=name), tmp_path / f"{name}.csv")
+    change.make([str(tmp_path / "before.csv"), str(tmp_path / "after.csv")], tmp_path / "out")
+    tab.open(tmp_path / "out" / "index.html", 400)
+    assert tab.run("document.documentElement.scrollWidth") <= 400
+    names = tab.run("[...document.querySelectorAll('[data-key=series]')].map(e => e.value)")
+    assert names == ["A: before", "B: after"]
+    assert "model" not in tab.run("[...document.querySelectorAll('[data-key=norm] option')].map(e => e.value)")
+    tab.run("document.querySelector('.viewer .stage svg').focus()")
+    tab.press("ArrowRight")
+    assert re.search(r"A: before: \S+ ± \S+ sr⁻¹; B: after: \S+, off by", tab.run(OUTPUT))
+    assert tab.complaints == []
