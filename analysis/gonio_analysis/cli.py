@@ -62,6 +62,11 @@ def fit(
     intervals: Annotated[bool, typer.Option("--intervals", help="Profile-likelihood intervals (95 %).")] = False,
     slopes: Annotated[int, typer.Option(help="Slopes of Cook-Torrance's facets, 1 or 2.")] = 1,
     wavelength_nm: Annotated[float | None, typer.Option(help=WAVELENGTH_HELP, show_default=False)] = None,
+    joint: Annotated[bool, typer.Option("--joint", help="Fit all wavelengths together.")] = False,
+    each: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="With --joint: a value at each wavelength.", show_default=False),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Fit one model to a measurement, with the table's covariance and through the instrument's cones."""
@@ -88,6 +93,7 @@ def fit(
         free=free or (),
         slopes=slopes,
         wavelength_nm=wavelength_nm,
+        each=(each or []) if joint or each else None,
         bounds=dict(read_bound(text) for text in bound or []),
         priors=dict(read_prior(text) for text in prior or []),
         loss=loss,

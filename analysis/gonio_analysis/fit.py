@@ -27,7 +27,7 @@ from gonio_analysis.forward import apparent
 from gonio_analysis.identify import tied
 from gonio_analysis.objective import LOSSES, Objective, scaled_to
 from gonio_analysis.observations import DEFAULT_WAVELENGTH_NM, Observations, observations
-from gonio_analysis.search import STARTS, STEP, Problem, covariance, pose, refine, search, search_from, settle
+from gonio_analysis.search import STARTS, STEP, Problem, covariance, pose, refine, search, search_from, settle, together
 from gonio_analysis.uncertainty import Floats
 
 if TYPE_CHECKING:
@@ -172,6 +172,7 @@ def fit(
     free: Sequence[str] = (),
     slopes: int = 1,
     wavelength_nm: float | None = None,
+    each: Sequence[str] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     priors: Mapping[str, tuple[float, float]] | None = None,
     loss: str = "linear",
@@ -198,6 +199,8 @@ def fit(
     wavelength_nm
         Where the table has several wavelengths, the nearest one is fitted (550 nm if none is given); in a broad band,
         the effective wavelength.
+    each
+        Fit all wavelengths together, with a value at each wavelength for the parameters named and one for all others.
     bounds
         Parameter -> lowest and highest value, inside the model's own bounds.
     priors
@@ -227,7 +230,16 @@ def fit(
     if searches < 1:
         raise ConfigError(f"--searches {searches}: at least one search is needed")
     data = table if isinstance(table, Observations) else observations(table, name)
-    data, wavelength, notes = _one_wavelength(data, wavelength_nm, problem.family, name)
+    if each is not None:
+        if wavelength_nm is not None:
+            raise ConfigError(f"--wavelength-nm {wavelength_nm:g}: all wavelengths are fitted together; leave it out")
+        first = fit(data, model, ior=ior, fix=fix, free=free, slopes=slopes, bounds=bounds, priors=priors, name=name)
+        problem, data, notes = _together(problem, data, each, name)
+        wavelength = math.nan
+        known = first.problem.values(first.vector)
+        start = [{n: known[n.partition("@")[0]] for n in problem.free}]
+    else:
+        data, wavelength, notes = _one_wavelength(data, wavelength_nm, problem.family, name)
     names = problem.free
     if len(data) <= len(names):
         raise DataError(
@@ -270,6 +282,17 @@ def fit(
     return replace(result, notes=[*data.notes, *notes], wall_s=time.perf_counter() - began)
 
 
+def _together(
+    problem: Problem, data: Observations, each: Sequence[str], name: str
+) -> tuple[Problem, Observations, list[str]]:
+    waves = [w for w in data.wavelengths if not math.isnan(w)]
+    if len(waves) < 2:
+        raise ConfigError(f"{name}: to fit wavelengths together takes two or more; it has {len(waves)}")
+    data = data.take(np.isfinite(data.wavelength_nm))
+    apart = f"; each has its own {', '.join(each)}" if each else ""
+    return together(problem, waves, each), data, [f"{len(waves)} wavelengths are fitted together{apart}."]
+
+
 def _one_wavelength(
     data: Observations, wavelength_nm: float | None, family: Family, name: str
 ) -> tuple[Observations, float, list[str]]:
@@ -301,7 +324,7 @@ def _one_wavelength(
 
 def _estimates(problem: Problem, vector: Floats, spread: Floats, wavelength_nm: float) -> dict[str, Estimate]:
     index = None
-    if isinstance(problem.ior, str):
+    if isinstance(problem.ior, str) and math.isfinite(wavelength_nm):
         from gonio import materials
 
         index = complex(materials.ior(problem.ior)(wavelength_nm))
@@ -316,12 +339,15 @@ def _estimates(problem: Problem, vector: Floats, spread: Floats, wavelength_nm: 
     }
     out = {}
     for p in problem.family.parameters:
-        if p.name in values:
-            error: float | None = float(u[p.name]) if p.name in u else 0.0
-            if p.name in wide:
+        found = [n for n in values if n.partition("@")[0] == p.name]
+        for n in found:
+            error: float | None = float(u[n]) if n in u else 0.0
+            if n in wide:
                 error = None
-            out[p.name] = Estimate(values[p.name], error, p.name not in u, p.unit, edge.get(p.name, ""))
-        elif isinstance(problem.ior, str) and index is not None:
+            out[n] = Estimate(values[n], error, n not in u, p.unit, edge.get(n, ""))
+        if found:
+            continue
+        if isinstance(problem.ior, str) and index is not None:
             out[p.name] = Estimate(
                 index.real if p.name == "ior" else index.imag, 0.0, True, p.unit, material=problem.ior
             )
@@ -329,6 +355,8 @@ def _estimates(problem: Problem, vector: Floats, spread: Floats, wavelength_nm: 
 
 
 def _derived(problem: Problem, vector: Floats, spread: Floats) -> dict[str, Estimate]:
+    if problem.each:
+        return {}
     base = problem.family.derived(problem.values(vector))
     gradients: dict[str, list[float]] = {n: [] for n in base}
     for k in range(vector.size):

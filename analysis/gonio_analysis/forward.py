@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +18,22 @@ NO_WAVELENGTH_NM = 550.0
 """Given to models whose value does not depend on it, in a broad band."""
 
 
+@dataclass(frozen=True)
+class ByWavelength:
+    """Models of one sample at several wavelengths."""
+
+    models: Mapping[float, Any]
+
+    @property
+    def convention(self) -> str:
+        """That of the models."""
+        return str(next(iter(self.models.values())).convention)
+
+
+def _alone(model: Any, wavelength_nm: float) -> Any:
+    return model.models[wavelength_nm] if isinstance(model, ByWavelength) else model
+
+
 def apparent(model: Any, at: Observations, *, quick: bool = False, rules: list[Rules] | None = None) -> Floats:
     """The BRDF [1/sr] that the instrument of a table sees of `model` in its directions.
 
@@ -26,7 +44,9 @@ def apparent(model: Any, at: Observations, *, quick: bool = False, rules: list[R
     """
     out = np.empty(len(at))
     for k, (wavelength, rows, cones) in enumerate(at.cones):
-        out[rows] = _value(model, cones, wavelength, pointlike(at), quick, None if rules is None else rules[k])
+        out[rows] = _value(
+            _alone(model, wavelength), cones, wavelength, pointlike(at), quick, None if rules is None else rules[k]
+        )
     return out
 
 
@@ -34,7 +54,9 @@ def averaging(model: Any, at: Observations) -> list[Rules] | None:
     """How the averages over the cones are taken for `model`; None where there are no cones."""
     if pointlike(at):
         return None
-    return [cones.rules(model, wavelength_nm=_known(wavelength)) for wavelength, _, cones in at.cones]
+    return [
+        cones.rules(_alone(model, wavelength), wavelength_nm=_known(wavelength)) for wavelength, _, cones in at.cones
+    ]
 
 
 def pointlike(at: Observations) -> bool:

@@ -116,7 +116,7 @@ def _interval(
     result: FitResult, name: str, k: int, ends: list[float], points: list[tuple[float, float]], level: float
 ) -> Interval:
     lower, upper = result.problem.bounds
-    parameter = result.problem.family.parameter(name)
+    parameter = result.problem.parameter(name)
     value = [math.exp(x) if parameter.scale == "log" else x for x in (*ends, *(x for x, _ in points))]
     return Interval(
         name,

@@ -15,8 +15,8 @@ import numpy as np
 
 from gonio.errors import ConfigError
 from gonio_analysis import families
-from gonio_analysis.families import Family, Ior, Values
-from gonio_analysis.forward import apparent, averaging, pointlike
+from gonio_analysis.families import Family, Ior, Parameter, Values
+from gonio_analysis.forward import ByWavelength, apparent, averaging, pointlike
 from gonio_analysis.objective import Objective, alone, softened
 from gonio_analysis.observations import Observations
 from gonio_analysis.uncertainty import Floats
@@ -51,6 +51,19 @@ class Problem:
     notes: list[str]
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Parameter -> what is known of it beforehand: value and standard uncertainty."""
+    waves: tuple[float, ...] = ()
+    """Wavelengths [nm] that are fitted together; none for a fit at one."""
+    each: tuple[str, ...] = ()
+    """Parameters with a value of their own at each of `waves`: "albedo" is then fitted as "albedo@450", ..."""
+
+    def parameter(self, name: str) -> Parameter:
+        """The parameter of a name in `free`."""
+        return self.family.parameter(name.partition("@")[0])
+
+    def at(self, values: Values, wavelength_nm: float) -> Values:
+        """The values that hold at one of `waves`."""
+        own = {n: values[f"{n}@{wavelength_nm:g}"] for n in self.each}
+        return {n: x for n, x in values.items() if "@" not in n} | own
 
     def pulls(self, vector: Floats) -> Floats:
         """Residuals of the priors, one each."""
@@ -66,7 +79,7 @@ class Problem:
     @property
     def bounds(self) -> tuple[Floats, Floats]:
         """Lower and upper bounds on the search scale."""
-        rows = [self.family.parameter(n) for n in self.free]
+        rows = [self.parameter(n) for n in self.free]
         lower = [math.log(p.lower) if p.scale == "log" else p.lower for p in rows]
         upper = [math.log(p.upper) if p.scale == "log" else p.upper for p in rows]
         return np.array(lower), np.array(upper)
@@ -75,28 +88,34 @@ class Problem:
         """All parameters by name, for a point of the search."""
         out = dict(self.fixed)
         for n, x in zip(self.free, vector, strict=True):
-            p = self.family.parameter(n)
+            p = self.parameter(n)
             out[n] = p.inside(math.exp(x) if p.scale == "log" else float(x))
         return out
 
     def vector(self, values: Values) -> Floats:
         """The point of the search that has these values, brought inside the bounds."""
-        rows = [(self.family.parameter(n), values[n]) for n in self.free]
+        rows = [(self.parameter(n), values[n]) for n in self.free]
         return np.array([math.log(p.inside(v)) if p.scale == "log" else p.inside(v) for p, v in rows])
 
     def slope(self, vector: Floats) -> Floats:
         """d(value)/d(search scale) of the free parameters."""
         values = self.values(vector)
-        return np.array([values[n] if self.family.parameter(n).scale == "log" else 1.0 for n in self.free])
+        return np.array([values[n] if self.parameter(n).scale == "log" else 1.0 for n in self.free])
 
     def known_slopes(self, vector: Floats) -> Values:
         """d(model)/d(search scale) [1/sr] of the parameters for which it is the same in every direction."""
+        if self.each:
+            return {}
         flat = self.family.flat(self.values(vector))
         return {n: flat[n] * scale for n, scale in zip(self.free, self.slope(vector), strict=True) if n in flat}
 
     def model(self, vector: Floats) -> Any:
         """The model at a point of the search."""
-        return self.make({**self.family.arguments(self.values(vector)), **self.words})
+        values = self.values(vector)
+        if not self.waves:
+            return self.make({**self.family.arguments(values), **self.words})
+        several = {w: self.make({**self.family.arguments(self.at(values, w)), **self.words}) for w in self.waves}
+        return ByWavelength(several)
 
 
 def pose(
@@ -157,6 +176,24 @@ def pose(
         notes,
         _checked_priors(priors or {}, model, moving),
     )
+
+
+def together(problem: Problem, waves: Sequence[float], each: Sequence[str]) -> Problem:
+    """The same fit at several wavelengths together: parameters are shared but for those that `each` names.
+
+    Raises
+    ------
+    ConfigError
+        `each` names a parameter that is not fitted, or one with a prior.
+    """
+    for n in each:
+        if n not in problem.free:
+            raise ConfigError(f"--each {n}: {n} is not fitted; fitted are {', '.join(problem.free)}")
+        if n in problem.priors:
+            raise ConfigError(f"--each {n}: a prior of {n} would hold at every wavelength; give one or the other")
+    shared = tuple(n for n in problem.free if n not in each)
+    own = tuple(f"{n}@{w:g}" for n in problem.free if n in each for w in waves)
+    return replace(problem, free=shared + own, waves=tuple(waves), each=tuple(n for n in problem.free if n in each))
 
 
 def _bounded(family: Family, bounds: Mapping[str, tuple[float, float]], moving: Sequence[str]) -> Family:
