@@ -13,7 +13,7 @@ from gonio.rig import Pose
 if TYPE_CHECKING:
     from gonio_drivers.arms import ServoArms
     from gonio_drivers.joints import Joint
-    from gonio_drivers.lab import LabRig
+    from gonio_drivers.light import SerialLight
 
 Row = tuple[str, str, bool]
 
@@ -25,16 +25,16 @@ NOISE_DEG = 0.1
 STEP_DEG = 3.0
 
 
-def rows(rig: LabRig, *, move: bool) -> list[Row]:
+def rows(arms: ServoArms, light: SerialLight, *, move: bool) -> list[Row]:
     """Servos (version, temperature, voltage), bus latency, readback noise, repeatability (where it may move), lamp."""
-    out = [_servo(rig.arms, joint) for joint in rig.arms.joints.values()]
-    out += _bus(rig.arms)
+    out = [_servo(arms, joint) for joint in arms.joints.values()]
+    out += _bus(arms)
     if move:
-        out += _repeatability(rig.arms)
-    rig.light.check()
-    reading = rig.light.monitor()
+        out += _repeatability(arms)
+    light.check()
+    reading = light.monitor()
     monitor = "" if reading is None else f", monitor {reading:g}"
-    out.append(("lamp", f"{rig.light}, dark{monitor}", not rig.light.lit))
+    out.append(("lamp", f"{light}, dark{monitor}", not light.lit))
     return out
 
 

@@ -117,7 +117,7 @@ class LabRig:
 
     def diagnose(self, *, move: bool) -> list[tuple[str, str, bool]]:
         """What `gonio rig check` reports of the devices: what, what was found, whether that is good."""
-        return diagnosis.rows(self, move=move)
+        return diagnosis.rows(self.arms, self.light, move=move)
 
     def __enter__(self) -> Self:
         with contextlib.ExitStack() as stack:
