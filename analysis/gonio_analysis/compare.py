@@ -27,7 +27,6 @@ from gonio_analysis.uncertainty import Floats
 if TYPE_CHECKING:
     import pandas as pd
 
-DEFAULT_MODELS = ("lambert", "oren-nayar", "cook-torrance", "he-torrance")
 MOST_WAVELENGTHS = 40
 """Parameters are tabulated over the wavelengths of a table that has at most this many."""
 

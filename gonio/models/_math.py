@@ -140,11 +140,3 @@ def atan_over(z):  # type: ignore[no-untyped-def]
     )
     p5 = (5.2660952321692814e-12 - y * 4.048723308331434e-12) + y2 * 1.293081691790813e-12
     return (p0 + y4 * p1) + y8 * ((p2 + y4 * p3) + y8 * (p4 + y4 * p5))
-
-
-@device
-def polar_angle(sine, cosine):  # type: ignore[no-untyped-def]
-    """The angle in [0, pi/2] of a (sine, cosine) on the unit circle, by its half-angle tangent: accurate to the last
-    digits from 0 to pi/2."""
-    r = sine / (1.0 + cosine)
-    return 2.0 * r * atan_over(r * r)
