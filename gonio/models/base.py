@@ -94,7 +94,7 @@ class Model(ABC):
             An angle is NaN or out of range, an argument is not real, or the shapes do not broadcast; it names the
             argument.
         """
-        if isinstance(wavelength_nm, (int, float)) or np.ndim(wavelength_nm) == 0:
+        if isinstance(wavelength_nm, (int, float)) or engine.real_array("wavelength_nm", wavelength_nm).ndim == 0:
             kernel, constants = self._evaluation(positive("wavelength_nm", wavelength_nm))
             return engine.over_angles(
                 kernel, constants, theta_i, phi_i, theta_r, phi_r, absolute=self._absolute, split=self.grain
@@ -137,7 +137,7 @@ def _by_wavelength(
     evaluate: Callable[..., Any], wavelength_nm: ArrayLike, arrays: list[Any], shape: tuple[int, ...]
 ) -> Any:
     waves = engine.real_array("wavelength_nm", wavelength_nm)
-    whole = engine._shape(("the angles", "wavelength_nm"), [shape, waves.shape])
+    whole = engine.common_shape(("the angles", "wavelength_nm"), [shape, waves.shape])
     waves = np.broadcast_to(waves, whole)
     parts = [np.broadcast_to(array, whole) for array in arrays]
     out = np.empty(whole)
@@ -187,7 +187,7 @@ def positive(name: str, value: Any, unit: str = "") -> float:
 
 def choice(name: str, value: Any, allowed: Sequence[str]) -> str:
     """One of a few names; raises `ArgumentError` with the nearest of them otherwise."""
-    if value in allowed:
+    if isinstance(value, str) and value in allowed:
         return str(value)
     near = difflib.get_close_matches(str(value), allowed, n=1)
     listed = ", ".join(f'"{option}"' for option in allowed)
@@ -215,20 +215,22 @@ def checked_index(ior: Any, name: str = "ior") -> Any:
         return ior
     if callable(ior):
         return ior
-    if isinstance(ior, (list, tuple, np.ndarray)):
+    if isinstance(ior, (list, tuple)) or (isinstance(ior, np.ndarray) and ior.ndim > 0):
         if len(ior) != 2:
             raise ArgumentError(f"{name} = {ior!r}: a list must be [n, k]")
         return _valid_index(complex(number(f"{name}[0]", ior[0]), number(f"{name}[1]", ior[1])), name)
+    return _valid_index(ior, name)
+
+
+def _valid_index(ior: Any, name: str) -> complex:
     try:
+        if isinstance(ior, (bool, str)):  # complex() would take them
+            raise TypeError
         value = complex(ior)
     except (TypeError, ValueError):
         raise ArgumentError(
             f"{name} = {ior!r}: must be a number n + ik, [n, k], a material's name, or a function of wavelength_nm"
         ) from None
-    return _valid_index(value, name)
-
-
-def _valid_index(value: complex, name: str) -> complex:
     if not (cmath.isfinite(value) and 0.0 < value.real <= 1e8 and 0.0 <= value.imag <= 1e8):
         raise ArgumentError(f"{name} = {value}: n must be above 0 and k at least 0, both at most 1e8")
     return value
@@ -238,7 +240,7 @@ def index_at(ior: Any, wavelength_nm: float, name: str = "ior") -> complex:
     """The complex index n + ik of a checked `Index` at a wavelength [nm]."""
     if isinstance(ior, complex):
         return ior
-    value = _material_at(ior, wavelength_nm) if isinstance(ior, str) else complex(ior(wavelength_nm))
+    value = _material_at(ior, wavelength_nm) if isinstance(ior, str) else ior(wavelength_nm)
     return _valid_index(value, f"{name} at {wavelength_nm:g} nm")
 
 

@@ -330,6 +330,7 @@ class Blinn(Model):
         for key, array in (("cos_alpha", cosine), ("t", texture)):
             if not bool(np.all((array >= 0.0) & (array <= 1.0))):
                 raise ArgumentError(f"{key}: must lie in [0, 1]")
+        engine.common_shape(("cos_alpha", "t"), [cosine.shape, texture.shape])
         c3 = least + (1.0 - least) * texture
         return (least * c3 / ((1.0 - cosine) * (1.0 + cosine) + (c3 * cosine) ** 2)) ** 2
 
@@ -338,7 +339,7 @@ def coefficient(distribution: str, beta: float) -> float:
     """The coefficient c1, c2 or c3 for which a distribution falls to one half at `beta` [rad], in (0, pi/2)."""
     choice("distribution", distribution, DISTRIBUTIONS)
     if not 0.0 < beta < pi / 2:
-        raise ArgumentError(f"beta = {math.degrees(beta):g} deg: must lie between 0 and 90 deg")
+        raise ArgumentError(f"beta_deg = {math.degrees(beta):g}: must lie between 0 and 90 deg")
     sin2 = math.sin(beta) ** 2
     if distribution == "phong":
         return -2.0 * math.log(2.0) / math.log1p(-sin2)

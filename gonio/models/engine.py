@@ -176,7 +176,8 @@ def _flat_vectors(array: NDArray[np.float64], shape: tuple[int, ...], count: int
     return (flat if flat.flags.aligned else flat.copy()), 1
 
 
-def _shape(names: tuple[str, ...], shapes: list[tuple[int, ...]]) -> tuple[int, ...]:
+def common_shape(names: tuple[str, ...], shapes: list[tuple[int, ...]]) -> tuple[int, ...]:
+    """The shape that arguments broadcast to; raises `ArgumentError` naming them when they do not."""
     if shapes.count(shapes[0]) == len(shapes):
         return shapes[0]
     try:
@@ -218,7 +219,7 @@ def angle_arrays(
 ) -> tuple[list[NDArray[np.float64]], tuple[int, ...]]:
     """The four angles as float64 arrays and the shape that they broadcast to; their ranges are not yet checked."""
     arrays = [real_array(name, value) for name, value in zip(ANGLES, (theta_i, phi_i, theta_r, phi_r), strict=True)]
-    return arrays, _shape(ANGLES, [array.shape for array in arrays])
+    return arrays, common_shape(ANGLES, [array.shape for array in arrays])
 
 
 def check_angles(arrays: list[NDArray[np.float64]]) -> None:
@@ -266,7 +267,7 @@ def over_vectors(
     for name, array in zip(("omega_i", "omega_r"), arrays, strict=True):
         if array.ndim == 0 or array.shape[-1] != 3:
             raise ArgumentError(f"{name} has shape {array.shape}: its last axis must have the 3 components of a vector")
-    shape = _shape(("omega_i", "omega_r"), [array.shape[:-1] for array in arrays])
+    shape = common_shape(("omega_i", "omega_r"), [array.shape[:-1] for array in arrays])
     count = prod(shape)
     out = np.empty(shape)
     if count == 0:

@@ -9,7 +9,7 @@ import numpy as np
 
 from gonio.errors import ArgumentError
 from gonio.models.base import number
-from gonio.models.engine import real_array
+from gonio.models.engine import common_shape, real_array
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -23,10 +23,20 @@ def _cosine(cos_theta: ArrayLike) -> NDArray[np.float64]:
 
 
 def _index(ior: ArrayLike) -> NDArray[np.complex128]:
-    n = np.asarray(ior)
+    try:
+        n = np.asarray(ior)
+    except ValueError as error:
+        raise ArgumentError(f"ior is not an array of numbers: {error}") from error
     if n.dtype.kind not in "fiuc" or not bool(np.all(np.isfinite(n) & (n.real > 0.0) & (n.imag >= 0.0))):
         raise ArgumentError(f"ior = {ior!r}: must be n + ik with n above 0 and k at least 0")
     return n.astype(np.complex128)
+
+
+def _channels(name: str, colour: ArrayLike) -> NDArray[np.float64]:
+    array = real_array(name, colour)
+    if not bool(np.all(np.isfinite(array))):
+        raise ArgumentError(f"{name} = {colour!r}: must be finite")
+    return array
 
 
 def amplitudes(cos_theta: ArrayLike, ior: ArrayLike) -> tuple[Any, Any]:
@@ -48,7 +58,9 @@ def amplitudes(cos_theta: ArrayLike, ior: ArrayLike) -> tuple[Any, Any]:
     ArgumentError
         An argument is NaN or out of range.
     """
-    c, n = np.broadcast_arrays(_cosine(cos_theta), _index(ior))
+    c, n = _cosine(cos_theta), _index(ior)
+    common_shape(("cos_theta", "ior"), [c.shape, n.shape])
+    c, n = np.broadcast_arrays(c, n)
     contrast = (n - 1.0) * (n + 1.0)
     square = n * n
     q = np.sqrt(contrast + c * c)
@@ -101,9 +113,15 @@ def colour_shift(cos_theta: ArrayLike, f0: float, colour_0: ArrayLike, colour_90
     Returns
     -------
     Array of the shape of `cos_theta` with the channels as a last axis.
+
+    Raises
+    ------
+    ArgumentError
+        An argument is NaN or out of range, or the two colours differ in their channels; it names the argument.
     """
     n = n_from_f0(f0)
     f = np.asarray(reflectance(cos_theta, n))
     share = np.maximum(0.0, f - float(f0)) / (1.0 - float(f0))
-    first, last = real_array("colour_0", colour_0), real_array("colour_90", colour_90)
+    first, last = _channels("colour_0", colour_0), _channels("colour_90", colour_90)
+    common_shape(("colour_0", "colour_90"), [first.shape, last.shape])
     return first + (last - first) * share[..., np.newaxis]

@@ -122,7 +122,7 @@ class HeTorrance(Model):
         theta = engine.real_array("theta_i", theta_i)
         engine.check_angles([theta, *[np.zeros(1)] * 3])
         waves = engine.real_array("wavelength_nm", wavelength_nm)
-        shape = np.broadcast_shapes(theta.shape, waves.shape)
+        shape = engine.common_shape(("theta_i", "wavelength_nm"), [theta.shape, waves.shape])
         theta, waves = np.broadcast_to(theta, shape).ravel(), np.broadcast_to(waves, shape).ravel()
         out = np.empty(theta.shape)
         for wave in np.unique(waves):

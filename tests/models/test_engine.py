@@ -6,12 +6,13 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from gonio.errors import ArgumentError
-from gonio.models import Blinn, CookTorrance, Lambert, OrenNayar, Phong, build, engine, geometry
+from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, OrenNayar, Phong, build, engine, fresnel, geometry
 
 MODEL = CookTorrance()
 RNG = np.random.default_rng(5)
@@ -211,6 +212,8 @@ def test_wavelengths_broadcast() -> None:
     np.testing.assert_allclose(model.brdf(0.3, 0.0, 0.4, 2.0, wavelength_nm=waves), expected, rtol=1e-15)
     with pytest.raises(ArgumentError, match="wavelength_nm"):
         model.brdf(0.3, 0.0, 0.4, 2.0, wavelength_nm=-1.0)
+    with pytest.raises(ArgumentError, match="wavelength_nm"):
+        model.brdf(0.3, 0.0, 0.4, 2.0, wavelength_nm=[[500.0], [600.0, 700.0]])
 
 
 @pytest.mark.parametrize(
@@ -225,13 +228,15 @@ def test_wavelengths_broadcast() -> None:
         ("blinn", {"c": 0.0}, "c = 0"),
         ("blinn", {"c": 1.5}, "c = 1.5"),
         ("blinn", {"c": 0.5, "beta_deg": 10}, "beta_deg"),
-        ("blinn", {"beta_deg": 90}, "beta"),
+        ("blinn", {"beta_deg": 90}, "beta_deg"),
+        ("blinn", {"distribution": np.zeros(3)}, "distribution"),
         ("blinn", {"fresnel": "schlick"}, "fresnel"),
         ("cook-torrance", {"slopes": [[-0.1, 1.0]]}, "slopes"),
         ("cook-torrance", {"slopes": []}, "slopes"),
         ("cook-torrance", {"slopes": [[0.1, 0.5]]}, "weights"),
         ("cook-torrance", {"ior": -1.0}, "ior"),
         ("cook-torrance", {"ior": [1.0, -1.0]}, "ior"),
+        ("cook-torrance", {"ior": True}, "ior"),
         ("cook-torrance", {"ior": "Unobtainium"}, "Unobtainium"),
         ("cook-torrance", {"f0": 1.0}, "f0"),
         ("cook-torrance", {"f0": 0.04, "ior": 1.5}, "f0"),
@@ -244,8 +249,30 @@ def test_wavelengths_broadcast() -> None:
     ],
 )
 def test_bad_parameters_are_named(name: str, parameters: dict, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
+    with pytest.raises(ArgumentError, match=said):
         build(name, parameters)
+
+
+@pytest.mark.parametrize("value", ["1.5", [1.0, 2.0], None, float("nan"), True])
+def test_an_index_function_that_gives_no_index_is_named(value: object) -> None:
+    with pytest.raises(ArgumentError, match="ior at 550 nm"):
+        CookTorrance(ior=lambda nm: value).brdf(0.1, 0.0, 0.2, 0.3)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: HeTorrance().specular_reflectivity(np.zeros(3), wavelength_nm=np.full(2, 500.0)), "theta_i"),
+        (lambda: fresnel.amplitudes(np.zeros(3), np.full(2, 1.5)), "cos_theta"),
+        (lambda: fresnel.amplitudes(0.5, [[1.5], [1.5, 2.0]]), "ior"),
+        (lambda: fresnel.colour_shift(0.5, 0.5, [np.nan], [1.0]), "colour_0"),
+        (lambda: fresnel.colour_shift(0.5, 0.5, [1.0, 1.0, 1.0], [1.0, 1.0]), "colour_90"),
+        (lambda: Blinn.textured_d3(np.zeros(3), 0.5, np.zeros(2)), "cos_alpha"),
+    ],
+)
+def test_bad_arrays_are_named(call: Callable[[], object], said: str) -> None:
+    with pytest.raises(ArgumentError, match=said):
+        call()
 
 
 @pytest.mark.parametrize(
