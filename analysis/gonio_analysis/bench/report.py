@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import csv
 import datetime
-import json
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from gonio_analysis.bench import figures, hard, measure, page, peers, ways
-from gonio_analysis.report.files import staged
+from gonio_analysis.report import files
 
 POINT_COLUMNS = (
     *("family", "way", "ours", "set", "points", "max", "p99", "median", "max_scaled", "not_finite", "warning"),
@@ -53,7 +52,7 @@ def make(
     ConfigError
         The folder cannot be written, or holds something that is not a report.
     """
-    with staged(out) as stage:
+    with files.staged(out) as stage:
         summary = collect(quick=quick, command=command, progress=progress)
         write(summary, stage.work)
     return Path(out) / "index.html"
@@ -203,10 +202,7 @@ def _target(what: str, target: str, achieved: float, unit: str, most: float) -> 
 def write(summary: dict[str, Any], folder: Path) -> None:
     """Write page, numbers, tables and figures into a folder that exists."""
     drawn = {f["name"]: figures.front(f) for f in summary["families"] if len(f["ways"]) > 2}
-    (folder / "figures").mkdir()
-    for figure in drawn.values():
-        (folder / "figures" / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
-        (folder / "figures" / f"{figure.name}.png").write_bytes(figure.png)
+    files.write(folder, page.render(summary, drawn), summary, drawn.values())
     (folder / "tables").mkdir()
     points = [
         {"family": f["name"], **w, "set": kind, **e, **w["time"]}
@@ -217,9 +213,6 @@ def write(summary: dict[str, Any], folder: Path) -> None:
     _csv(folder / "tables" / "points.csv", POINT_COLUMNS, points)
     cases = [{**c, "models": " ".join(c["models"])} for c in summary["hard_cases"]]
     _csv(folder / "tables" / "hard_cases.csv", HARD_COLUMNS, cases)
-    text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
-    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
-    (folder / "index.html").write_text(page.render(summary, drawn), encoding="utf-8")
 
 
 def _csv(path: Path, columns: Sequence[str], rows: list[dict[str, Any]]) -> None:

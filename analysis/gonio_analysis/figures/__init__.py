@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import json
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -96,21 +95,19 @@ def make(name: str, out: str | Path, *, command: str = "", progress: Callable[[s
         There is no such figure, or the folder cannot be written or holds something else.
     """
     from gonio_analysis.figures import page
-    from gonio_analysis.report.files import staged
+    from gonio_analysis.report import files
 
     if name != "all":
         check(name)
-    with staged(out) as stage:
+    with files.staged(out) as stage:
         if name == "all":
             facts: list[dict[str, Any]] = []
             for each in FIGURES:
                 folder = stage.work / each
                 folder.mkdir()
                 facts.append(page.write(build(each, progress), folder, command))
-            text = page.index(facts, command)
-            (stage.work / "index.html").write_text(text, encoding="utf-8")
             summary = {"figures": [{k: f[k] for k in ("figure", "title", "claims")} for f in facts]}
-            (stage.work / "summary.json").write_text(json.dumps(summary, indent=1, ensure_ascii=False) + "\n", "utf-8")
+            files.write(stage.work, page.index(facts, command), summary)
         else:
             page.write(build(name, progress), stage.work, command)
     return Path(out) / "index.html"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 from gonio_analysis.figures import FIGURES
 from gonio_analysis.figures.base import COLUMNS, ORIGINS, Page
-from gonio_analysis.report import html
+from gonio_analysis.report import files, html
 from gonio_analysis.report.figures import Figure, rendered
 from gonio_analysis.report.summary import stamp
 from gonio_analysis.report.tables import write_csv
@@ -19,23 +18,17 @@ VERDICTS = ("holds", "does not hold", "no verdict")
 
 
 def write(page: Page, folder: Path, command: str) -> dict[str, Any]:
-    """Write a page into a folder that exists (see `gonio_analysis.report.staged`); returns what its summary holds."""
+    """Write a page into a folder that exists; returns what its summary holds."""
     drawn = [
         rendered(f"{page.name}-{p.name}", p.name, "", p.caption, f"{page.title}. {p.caption}", p.inches, p.draw)
         for p in page.panels
     ]
-    (folder / "figures").mkdir()
-    for figure in drawn:
-        (folder / "figures" / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
-        (folder / "figures" / f"{figure.name}.png").write_bytes(figure.png)
     for name, content in page.files.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(content)
     write_csv(folder / "curves.csv", COLUMNS, [(p.name, *row) for p in page.panels for row in p.rows])
     facts = summary(page, command)
-    text = json.dumps(facts, indent=1, ensure_ascii=False, allow_nan=False)
-    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
-    (folder / "index.html").write_text(render(page, facts, drawn), encoding="utf-8")
+    files.write(folder, render(page, facts, drawn), facts, drawn)
     return facts
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -18,9 +17,8 @@ from gonio_analysis.fit import finite
 from gonio_analysis.metrics import DESCRIPTIONS
 from gonio_analysis.observations import Observations, describe_left_out
 from gonio_analysis.planes import Curve, curves, labels, selection
-from gonio_analysis.report import change_figures, html, pdf, viewer
+from gonio_analysis.report import change_figures, files, html, pdf, viewer
 from gonio_analysis.report.figures import Figure
-from gonio_analysis.report.files import staged
 from gonio_analysis.report.summary import stamp
 from gonio_analysis.report.tables import write_csv
 from gonio_analysis.report.text import difference, number, percent
@@ -57,7 +55,7 @@ def make(
     Path
         Of `index.html`.
     """
-    with staged(out) as stage:
+    with files.staged(out) as stage:
         a, b = (side(spec) for spec in specs)
         if a.name == b.name:
             a, b = replace(a, name=f"{a.name} (A)"), replace(b, name=f"{b.name} (B)")
@@ -76,19 +74,13 @@ def _write(c: Change, folder: Path, wavelength_nm: float | None, command: str, r
     listed = selection(every, viewer.MOST_LISTED)
     drawn = selection(every)
     figures = change_figures.draw(c, at, drawn, shown)
-    (folder / "figures").mkdir()
     (folder / "tables").mkdir()
-    for figure in figures:
-        (folder / "figures" / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
-        (folder / "figures" / f"{figure.name}.png").write_bytes(figure.png)
     facts["figures"] = [{"name": f.name, "caption": f.caption, "alt": f.alt} for f in figures]
     write_csv(folder / "tables" / "change.csv", COLUMNS, _rows(c))
     facts["tables"] = ["change.csv"]
     view = _view(c, at, listed, drawn, shown) if drawn else None
-    text = json.dumps(facts, indent=1, ensure_ascii=False, allow_nan=False)
-    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
     page = _render(facts, figures, view)
-    (folder / "index.html").write_text(page, encoding="utf-8")
+    files.write(folder, page, facts, figures)
     pdf.write(folder / "report.pdf", page, {f.name: f.png for f in figures})
 
 

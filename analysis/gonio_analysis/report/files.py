@@ -1,16 +1,21 @@
-"""All of a folder or nothing of it."""
+"""The folder of a report: what it holds, and all of it or nothing."""
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from gonio.errors import ConfigError
+
+if TYPE_CHECKING:
+    from gonio_analysis.report.figures import Figure
 
 MARKS = ("index.html", "summary.json")
 
@@ -59,6 +64,18 @@ def staged(folder: str | Path) -> Iterator[Staged]:
         if isinstance(error, OSError) and error.filename is not None and str(work.parent) in str(error.filename):
             raise ConfigError(f"{shown}: cannot be written: {error.strerror}") from None
         raise
+
+
+def write(folder: Path, page: str, summary: Mapping[str, Any], figures: Iterable[Figure] = ()) -> None:
+    """Write `index.html`, `summary.json` and the drawings (`figures/`, as SVG and PNG) into a folder that exists."""
+    for figure in figures:
+        drawn = folder / "figures"
+        drawn.mkdir(exist_ok=True)
+        (drawn / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
+        (drawn / f"{figure.name}.png").write_bytes(figure.png)
+    text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
+    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+    (folder / "index.html").write_text(page, encoding="utf-8")
 
 
 def _check(final: Path, shown: Path) -> None:
