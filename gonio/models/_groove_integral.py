@@ -98,7 +98,7 @@ def twice_over_arc(half, sm, cm, smd, cmd, a, b, ti, tr, sine, c, work):  # type
     spread = 1.0 + 4.0 * steep * half
     reach = log(spread)
     ridge = not one and abs(a * cm + b * cmd) < 0.5 * (b * cmd - a * cm)
-    k = min(int(reach * 1.1 + (5.5 if ridge else 1.5)), 36)
+    k = min(int(reach * 1.1 + (8.5 if ridge else 1.5)), 36)
     x = NODES[2 * k * (k - 1) : 2 * k * (k + 1)]
     weight = WEIGHTS[2 * k * (k - 1) : 2 * k * (k + 1)]
     stretch = half * (spread + 1.0) / (spread - 1.0)
@@ -235,6 +235,8 @@ def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
             count += 1
     knots[count] = p[4]
     steep = max(ti, tr)
+    # near the forward direction S' and V are nearly equal at every azimuth, and rings change fast beside a knot
+    forward = ti * ti + tr * tr + 2.0 * ti * tr * cos(delta) < 0.01 * steep * steep
     total = 0.0
     for j in range(count):
         low = knots[j]
@@ -245,6 +247,8 @@ def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
                 smooth = steep * tan(low + half) <= 1.0
                 wide = half * sqrt(8.0 * p[2])  # the interval in units of sigma
                 rule = min(int((2.5 if smooth else 3.0) + 0.9 * wide), 16)
+                if forward and not smooth:
+                    rule += 2
                 if high > 1.2 and high * high * p[2] < 7.0:  # S and V grow without bound toward 90 degrees
                     rule += 8 if smooth else 2 if high * high * p[2] > 2.5 else 4
                 for k in range(2 * rule * (rule - 1), 2 * rule * (rule + 1)):

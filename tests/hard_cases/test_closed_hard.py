@@ -209,3 +209,19 @@ def test_oren_nayar_exact_against_a_plain_quadrature_of_the_printed_formulas() -
     rho = 0.8
     plain = ((rho / PI * one + (rho / PI) ** 2 * two) * weight).sum() / n / s
     assert OrenNayar(rho, 35.0, "exact").brdf(theta_i, 0.0, theta_r, dphi) == pytest.approx(plain, rel=3e-5)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "value"),
+    [
+        ((76.1366, 76.0548, 179.99985, 58.24), 0.14035747344318542),
+        ((83.5532, 83.5536, 179.98656, 71.24), 0.11988589354017518),
+        ((86.738, 86.7379, 179.99467, 39.85), 0.09304511521670876),
+        ((88.81, 88.835, 177.295, 5.78), 0.03932316905824097),
+    ],
+)
+def test_oren_nayar_exact_beside_the_forward_direction(degrees: tuple[float, ...], value: float) -> None:
+    # eqs. 5 to 13 by tanh-sinh rules between the kinks, in 80-bit floats, the same with steps of 1/24 and 1/32;
+    # theta_i, theta_r, dphi, sigma; albedo 1. The stated error of the form.
+    theta_i, theta_r, dphi, _ = np.radians(degrees)
+    assert OrenNayar(1.0, degrees[3], "exact").brdf(theta_i, 0.0, theta_r, dphi) == pytest.approx(value, rel=1e-8)
