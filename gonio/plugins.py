@@ -1,4 +1,4 @@
-"""Entry points: rigs, models and commands, ours and a stranger's alike."""
+"""Entry points: rigs, cameras, models and commands, ours and a stranger's alike."""
 
 from __future__ import annotations
 
