@@ -97,7 +97,7 @@ def _targets(s: dict[str, Any]) -> str:
         f"arguments checked{busy}. Idle: processor time over threads, what an idle machine of this kind would take. "
         "Ratios are of processor times. Errors are relative, over 1 + conditioning, the largest of grid and hard set."
     )
-    header = ["", "target", "best", "idle", "met", "error allowed", "largest", "held"]
+    header = ["", "target", "best", "idle", "met", "error: allowed", "largest", "held"]
     table = html.table("", header, rows, right=(1, 2, 3, 5, 6))
     return f'<section id="targets"><h2>Targets</h2>\n{_note(words)}{table}</section>'
 
