@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 from gonio_drivers import settings
-from gonio_drivers.light import DIALECTS, LampReset, SerialLight, dialect
+from gonio_drivers.dialect import DIALECTS, dialect
+from gonio_drivers.light import LampReset, SerialLight
 from gonio_sim.wire import lamps
 from gonio_sim.wire.faults import Faults
 from gonio_sim.wire.peer import SerialPeer
