@@ -27,7 +27,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from gonio.config import Strict, parse
+from gonio.config import Strict, parse, to_toml
 from gonio.description import Band, RigDescription, SampleDescription
 from gonio.errors import ConfigError, DataError
 from gonio.journal import Event, Journal, read_events
@@ -291,41 +291,6 @@ def _refuses(folder: Path) -> bool:
             return False
     except OSError:
         return True
-
-
-def to_toml(tables: dict[str, Any]) -> str:
-    """TOML of nested tables of strings, booleans, finite numbers and lists; None does not occur."""
-    lines: list[str] = []
-
-    def table(name: str, values: dict[str, Any]) -> None:
-        if name:
-            lines.extend(["", f"[{name}]"])
-        for key, value in values.items():
-            if not isinstance(value, dict):
-                lines.append(f"{_key(key)} = {_value(value)}")
-        for key, value in values.items():
-            if isinstance(value, dict):
-                table(f"{name}.{_key(key)}" if name else _key(key), value)
-
-    table("", tables)
-    return "\n".join(lines).strip() + "\n"
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int | float):
-        return repr(value)
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + " }"
-    return "[" + ", ".join(_value(item) for item in value) + "]"
-
-
-def _key(key: str) -> str:
-    plain = key and all(c.isascii() and (c.isalnum() or c in "_-") for c in key)
-    return key if plain else _value(key)
 
 
 def _settings(request: Request, description: RigDescription) -> Settings:

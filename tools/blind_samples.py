@@ -101,8 +101,8 @@ def measured(folder: Path, seed: int) -> Path:
     if table.exists():
         return table
     from gonio import measurement, radiometry
+    from gonio.config import to_toml
     from gonio.plan import load_plan
-    from gonio.run import to_toml
     from gonio.session import carry_out, find_rig, load_sample
 
     shutil.rmtree(folder, ignore_errors=True)

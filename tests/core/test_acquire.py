@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from gonio.acquire import Live, Silent
+from gonio.config import to_toml
 from gonio.description import Reference, RigDescription
 from gonio.errors import ConfigError, DataError, DeviceError, GonioError, Interrupted
 from gonio.frames import read_raw
 from gonio.plan import Plan, load_plan
-from gonio.run import Run, to_toml
+from gonio.run import Run
 from gonio.session import RigChoice, carry_out, check
 
 from .bench import PLAN, SAMPLE, Bench, Plugin, describe

@@ -77,8 +77,8 @@ def measure(
         Called with a line before the measurement.
     """
     from gonio import measurement, radiometry
+    from gonio.config import to_toml
     from gonio.plan import load_plan
-    from gonio.run import to_toml
     from gonio.session import carry_out, find_rig, load_sample
 
     points = sum(map(len, scans.values()))

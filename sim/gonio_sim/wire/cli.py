@@ -34,8 +34,8 @@ def serve(
     import signal
     import threading
 
+    from gonio.config import to_toml
     from gonio.errors import ConfigError
-    from gonio.run import to_toml
     from gonio.session import find_rig, load_sample
     from gonio_sim.wire import faults
     from gonio_sim.wire.bench import Bench, plug
