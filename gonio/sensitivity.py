@@ -248,20 +248,27 @@ class Curves:
     def _along_mirror(self, number: int, k: int) -> float:
         """Change of the lobe with theta_i at a fixed distance from the mirror direction, per radian.
 
-        From the next curve on either side that reaches so far.
+        From the next curve on either side that reaches so far; at the ends of the angles of incidence from the parabola
+        through the next two.
         """
-        found = []
+        sides = []
         for others in (range(number - 1, -1, -1), range(number + 1, len(self._lines))):
-            for line in (self._lines[other] for other in others):
-                if line.size < 2:
-                    continue
+            side: list[tuple[float, float]] = []  # (secant, its length)
+            for line in (self._lines[other] for other in others if self._lines[other].size >= 2):
                 move = float(np.mean(self._theta_i[line])) - self._theta_i[k]
                 x = self._x[k] + move
-                if self._x[line[0]] <= x <= self._x[line[-1]] and abs(move) > TOGETHER:
-                    value = _cubic(x, self._x[line], self._log[line])
-                    found.append(((value - self._log[k]) / move, abs(move)))
-                    break
-        return _weighted(found) * float(self._size[k])
+                if self._x[line[0]] <= x <= self._x[line[-1]] and abs(move) > TOGETHER and len(side) < 2:
+                    side.append(((_cubic(x, self._x[line], self._log[line]) - self._log[k]) / move, abs(move)))
+            sides.append(side)
+        below, above = sides
+        if below and above:
+            slope = _weighted([below[0], above[0]])
+        elif len(below + above) == 2:
+            (near, h), (far, w) = below + above
+            slope = near + (near - far) * h / (w - h)
+        else:
+            slope = _weighted(below + above)
+        return slope * float(self._size[k])
 
     def value(self, k: int, d: Directions) -> float:
         """f [1/sr] at directions near those of point k."""
