@@ -198,7 +198,9 @@ def choose(
         progress(f"{name}: fitting {candidate.label}")
         began = time.perf_counter()
         try:
-            result = fitted(candidate, _relatives(candidate, fits))
+            result = min(
+                (fitted(candidate, s) for s in _starts(candidate, fits)), key=lambda r: r.goal.total(r.whitened)
+            )
         except (DataError, ConfigError) as error:
             if isinstance(error, ConfigError) and not all(math.isnan(w) for w in data.wavelengths):
                 raise
@@ -227,24 +229,24 @@ def _parameters(candidate: Candidate, ior: Ior) -> int:
     return len(pose(candidate.model, ior, {}, candidate.free, candidate.slopes).free)
 
 
-def _relatives(candidate: Candidate, fits: Mapping[Candidate, FitResult]) -> list[Values] | None:
-    """Starts from simpler fits that the candidate contains, so that it never ends above them; None: search."""
+def _starts(candidate: Candidate, fits: Mapping[Candidate, FitResult]) -> list[list[Values] | None]:
+    """Where to begin: at simpler fits that the candidate contains, so that it never ends above them; None: search."""
     simpler = fits.get(replace(candidate, free=()))
     if candidate.free and simpler is not None:
         known = _values(simpler)
-        return [known, *({**known, "ior": n, "k": k} for n, k in families.INDICES)]
+        return [[known, *({**known, "ior": n, "k": k} for n, k in families.INDICES)]]
     terms = families.parts(candidate.model)
     if len(terms) == 1 or candidate.model == "lambert+he-torrance":
-        return None
+        return [None]
     base = "lambert+he-torrance" if terms[1] == "he-torrance" else terms[1]
     simpler = fits.get(Candidate(base))
     if simpler is None:
-        return None
+        return [None]
     known = _values(simpler)
     albedo = known.get("albedo", known.get("k_d", known.get("diffuse_albedo", 0.0)))
     if terms[1] == "cook-torrance":
         albedo *= 1.0 - known["s"]
-    return [{**known, "albedo": albedo, "sigma_deg": sigma} for sigma in (5.0, 25.0)]
+    return [None, [{**known, "albedo": albedo, "sigma_deg": sigma} for sigma in (5.0, 25.0)]]
 
 
 def _values(result: FitResult) -> Values:

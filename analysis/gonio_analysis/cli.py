@@ -125,6 +125,10 @@ def compare(
     normalise: Annotated[Norm, typer.Option(help="What polar curves are divided by.")] = Norm.mirror,
     ior: Annotated[str | None, typer.Option(help=IOR_HELP, show_default=False)] = None,
     wavelength_nm: Annotated[float | None, typer.Option(help=WAVELENGTH_HELP, show_default=False)] = None,
+    dask: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Fit on the Dask cluster of this scheduler.", show_default=False),
+    ] = None,
     change: Annotated[
         bool, typer.Option("--change", help="Compare two point by point; a model is given by its sample file (.toml).")
     ] = False,
@@ -134,7 +138,7 @@ def compare(
         print(_change(measurements, out, wavelength_nm))
         return
     chosen = [m.strip() for m in models.split(",") if m.strip()]
-    print(_report(measurements, out, chosen, normalise, ior, wavelength_nm))
+    print(_report(measurements, out, chosen, normalise, ior, wavelength_nm, dask))
 
 
 def report(
@@ -237,7 +241,13 @@ def _read_two(text: str, option: str, between: str, form: str, example: str) -> 
 
 
 def _report(
-    specs: list[str], out: Path, models: list[str], normalise: Norm, ior: str | None, wavelength_nm: float | None
+    specs: list[str],
+    out: Path,
+    models: list[str],
+    normalise: Norm,
+    ior: str | None,
+    wavelength_nm: float | None,
+    dask: str | None = None,
 ) -> Path:
     from gonio.cli import console
     from gonio.run import command_line
@@ -252,6 +262,7 @@ def _report(
         normalise=normalise.value,
         ior=read_ior(ior),
         wavelength_nm=wavelength_nm,
+        dask=dask,
         command=command_line(),
         progress=console.note,
     )

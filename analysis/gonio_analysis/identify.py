@@ -16,6 +16,8 @@ from gonio_analysis.uncertainty import Floats
 
 POOR = 0.05
 """Relative standard error above which a parameter counts as poorly known."""
+MOST = 8.0
+"""Ratio of relative errors beyond which a product of powers says nothing that the better known one does not."""
 TIED = 0.98
 """Correlation above which two parameters count as tied."""
 
@@ -54,6 +56,8 @@ def _combination(names: tuple[str, str], values: tuple[float, float], u: tuple[f
     """The best known product of powers of two parameters, with its standard error; "" where none is better known."""
     # d ln a and d ln b move together in the ratio u_a : sign u_b; a^p b^q stays where p u_a + q sign u_b = 0
     ratio = u[0] / u[1]
+    if not 1 / MOST <= ratio <= MOST:
+        return ""
     power = Fraction(ratio).limit_denominator(4)
     p, q = (1.0, -math.copysign(float(power), r)) if power > 0 else (1.0, -math.copysign(ratio, r))
     if power > 0 and abs(float(power) - ratio) > 0.1 * ratio:

@@ -88,6 +88,9 @@ class Observations:
             out.append((wavelength, here, cones))
         return out
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {key: value for key, value in self.__dict__.items() if key != "cones"}  # made again where it is needed
+
     def take(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> Observations:
         """Some of the values."""
         arrays = ("theta_i", "phi_i", "theta_r", "phi_r", "wavelength_nm", "brdf", "rows")

@@ -56,6 +56,13 @@ class Problem:
     each: tuple[str, ...] = ()
     """Parameters with a value of their own at each of `waves`: "albedo" is then fitted as "albedo@450", ..."""
 
+    asked: tuple[Any, ...] = ()
+    """The arguments of `pose` that it was made from."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # the functions of a family do not pickle: another process makes the problem again
+        return _posed, (self.asked, self.waves, self.each)
+
     def parameter(self, name: str) -> Parameter:
         """The parameter of a name in `free`."""
         return self.family.parameter(name.partition("@")[0])
@@ -135,6 +142,7 @@ def pose(
         Unknown model, parameter or option, or nothing is left to fit.
     """
     notes: list[str] = []
+    given = ior
     if ior is not None and not families.needs_ior(model) and set(families.parts(model)) <= set(families.FAMILIES):
         ior = None
         notes.append(f"The optical constants are not used: {model} has none.")
@@ -175,7 +183,13 @@ def pose(
         ior,
         notes,
         _checked_priors(priors or {}, model, moving),
+        asked=(model, given, dict(fix), tuple(free), slopes, bounds, priors),
     )
+
+
+def _posed(asked: tuple[Any, ...], waves: tuple[float, ...], each: tuple[str, ...]) -> Problem:
+    problem = pose(*asked)
+    return together(problem, waves, each) if waves else problem
 
 
 def together(problem: Problem, waves: Sequence[float], each: Sequence[str]) -> Problem:

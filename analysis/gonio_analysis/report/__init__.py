@@ -5,14 +5,18 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from gonio_analysis import parallel
 from gonio_analysis.compare import Dataset, examine, run_facts
 from gonio_analysis.families import Ior
 from gonio_analysis.planes import Normalise
 from gonio_analysis.report import detail, figures, page, pdf, tables, viewer
 from gonio_analysis.report.files import staged
 from gonio_analysis.report.summary import summarise
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["make", "staged", "write"]
 
@@ -25,6 +29,7 @@ def make(
     normalise: Normalise = "mirror",
     ior: Ior = None,
     wavelength_nm: float | None = None,
+    dask: str | None = None,
     command: str = "",
     progress: Callable[[str], None] = lambda text: None,
 ) -> Path:
@@ -38,6 +43,8 @@ def make(
         Folder of the report; an earlier report there is replaced.
     models, normalise, ior, wavelength_nm
         See `gonio_analysis.compare.examine`.
+    dask
+        Address of a Dask scheduler to fit the samples on; by default several samples share the processors here.
     command
         The command line, for the record.
     progress
@@ -63,23 +70,26 @@ def make(
             for sample, table in many.items():
                 found.append((sample, spec if len(many) == 1 else f"{spec}:{sample}", table, run))
         names = _distinct([sample for sample, *_ in found], [source for _, source, *_ in found])
-        datasets = [
-            examine(
-                table,
-                models,
-                name=name,
-                source=source,
-                normalise=normalise,
-                ior=ior,
-                wavelength_nm=wavelength_nm,
-                run=run,
-                progress=progress,
-            )
+        options: dict[str, Any] = {"normalise": normalise, "ior": ior, "wavelength_nm": wavelength_nm}
+        jobs = [
+            (table, models, options | {"name": name, "source": source, "run": run})
             for name, (_, source, table, run) in zip(names, found, strict=True)
         ]
+        if len(jobs) < parallel.FEW and dask is None:
+            datasets = [examine(table, models, **own, progress=progress) for table, _, own in jobs]
+        else:
+            datasets = []
+            for dataset in parallel.each(_examined, jobs, dask=dask):
+                datasets.append(dataset)
+                progress(f"{dataset.name}: fitted ({len(datasets)} of {len(jobs)})")
         title = names[0] if len(names) == 1 else " and ".join(names) if len(names) == 2 else f"{len(names)} samples"
         write(datasets, stage.work, title=title, normalise=normalise, command=command, progress=progress)
     return Path(out) / "index.html"
+
+
+def _examined(job: tuple[pd.DataFrame, Sequence[str], dict[str, Any]]) -> Dataset:
+    table, models, options = job
+    return examine(table, models, **options)
 
 
 def write(
