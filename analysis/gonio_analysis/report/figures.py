@@ -57,8 +57,8 @@ def draw(d: Dataset, facts: dict[str, Any]) -> list[Figure]:
     for model, f in d.fitted.items():
         out.append(_absolute(d, facts, model, f))
     if facts["budget"]:
-        out.append(_budget(d, facts))
-    out += [_series(d, facts, model, f) for model, f in d.fitted.items() if len(f.series) > 1]
+        out.append(_budget(facts))
+    out += [_series(facts, model, f) for model, f in d.fitted.items() if len(f.series) > 1]
     return out
 
 
@@ -167,7 +167,7 @@ def _absolute(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figur
     return rendered(f"{facts['slug']}-absolute-{_slug(model)}", "absolute", model, caption, alt, (5.6, 4.5), on)
 
 
-def _budget(d: Dataset, facts: dict[str, Any]) -> Figure:
+def _budget(facts: dict[str, Any]) -> Figure:
     parts = [(p["cause"], p["median"], p["p95"]) for p in facts["budget"]]
 
     def on(figure: Any) -> None:
@@ -185,7 +185,7 @@ def _budget(d: Dataset, facts: dict[str, Any]) -> Figure:
     return rendered(f"{facts['slug']}-budget", "budget", "", caption, alt, (5.6, 1.0 + 0.3 * len(parts)), on)
 
 
-def _series(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figure:
+def _series(facts: dict[str, Any], model: str, f: Fitted) -> Figure:
     free = [n for n in f.fit.free if any(not r.parameters[n].fixed for r in f.series)]
     x = np.array([r.wavelength_nm for r in f.series])
 

@@ -26,7 +26,7 @@ def render(summary: dict[str, Any], drawn: Sequence[Sequence[Figure]], views: Se
     datasets = summary["datasets"]
     body = [_header(summary), _overview(summary) if len(datasets) > 1 else ""]
     body += [_dataset(summary, *parts) for parts in zip(datasets, drawn, views, strict=True)]
-    body += [_conventions(summary), _provenance(summary), _footer(summary)]
+    body += [_conventions(summary), _provenance(summary), _footer()]
     body += [viewer.script() if any(views) else ""]
     return html.document(summary["title"], body)
 
@@ -289,7 +289,7 @@ def _provenance(s: dict[str, Any]) -> str:
     return "\n".join(out)
 
 
-def _footer(s: dict[str, Any]) -> str:
+def _footer() -> str:
     return (
         "<footer>Every number on this page is in <code>summary.json</code>; the curves are in <code>tables/</code>, "
         "the figures as SVG and PNG in <code>figures/</code>.</footer>"
