@@ -46,6 +46,8 @@ class Axis(Strict):
 
 
 class ArmAxis(Axis):
+    """The axis of an arm, with the range that it may turn in."""
+
     limits_deg: tuple[float, float] = (-90.0, 90.0)
 
     @model_validator(mode="after")
@@ -56,6 +58,8 @@ class ArmAxis(Axis):
 
 
 class Arms(Strict):
+    """The arms of lamp and camera."""
+
     light: ArmAxis = ArmAxis()
     camera: ArmAxis = ArmAxis()
     azimuth: ArmAxis | None = None
@@ -73,6 +77,8 @@ class Holder(Axis):
 
 
 class Lamp(Strict):
+    """The lamp: its size, its noise, its drift."""
+
     half_angle_deg: NonNegative = 0.0
     """Half-angle of the disc of the lamp, seen from the sample's centre."""
     noise: NonNegative = 0.0
@@ -148,6 +154,8 @@ class Band(Strict):
 
 
 class Tunable(Strict):
+    """The range of a source whose wavelength can be chosen."""
+
     start_nm: Positive
     stop_nm: Positive
     step_nm: Positive

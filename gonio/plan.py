@@ -114,6 +114,8 @@ class Sweep(Strict):
 
 
 class PointsFile(Strict):
+    """Points that stand in a file of their own."""
+
     file: str
     """A CSV with the four angle columns, beside the plan."""
 

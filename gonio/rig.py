@@ -97,6 +97,8 @@ class LightDevice(Protocol):
 
 
 class CameraDevice(Protocol):
+    """A camera with raw frames and manual exposure."""
+
     def capture(self, exposure_s: float) -> Frame:
         """One frame that was exposed wholly after this call."""
 

@@ -56,6 +56,7 @@ class Side:
 
     @property
     def kind(self) -> str:
+        """In a word: measurement, or model."""
         return "measurement" if self.data is not None else "model"
 
 
@@ -83,6 +84,7 @@ class Verdict:
 
     @property
     def changed(self) -> bool:
+        """Whether chi-square or the largest difference says so, at `LEVEL` for both together."""
         return 2 * min(self.p_value, self.p_largest) < LEVEL
 
 

@@ -82,10 +82,12 @@ class FitResult:
 
     @property
     def degrees_of_freedom(self) -> int:
+        """Values less fitted parameters."""
         return len(self.data) - len(self.free)
 
     @property
     def reduced_chi_square(self) -> float | None:
+        """Chi-square a degree of freedom; None without uncertainties, or with no more values than parameters."""
         return (
             None
             if self.chi_square is None or self.degrees_of_freedom < 1
@@ -278,7 +280,7 @@ def fit(
         spread=spread,
         goal=goal,
     )
-    notes += _identifiability(problem, result)
+    notes += _identifiability(result)
     return replace(result, notes=[*data.notes, *notes], wall_s=time.perf_counter() - began)
 
 
@@ -375,7 +377,7 @@ def _derived(problem: Problem, vector: Floats, spread: Floats) -> dict[str, Esti
     return out
 
 
-def _identifiability(problem: Problem, result: FitResult) -> list[str]:
+def _identifiability(result: FitResult) -> list[str]:
     """What these data cannot tell, in words."""
     notes = []
     for n, e in result.parameters.items():

@@ -68,6 +68,7 @@ class Joint:
 
     @property
     def id(self) -> int:
+        """The servo's id on its bus."""
         return self.servo.id
 
     @property
@@ -82,6 +83,7 @@ class Joint:
 
     @property
     def offset_deg(self) -> float:
+        """What the encoder reads at the true zero, as far as it is known [degrees]."""
         return self.axis.zero_offset_deg if self.axis.zero_offset_known else 0.0
 
     def to_count(self, angle_deg: float) -> float:

@@ -131,6 +131,8 @@ class SequenceCamera(Strict):
 
 
 class Devices(Strict):
+    """The whole table; what stands under `camera` is checked by the camera's driver."""
+
     servos: Servos
     light: Light
     camera: dict[str, Any]

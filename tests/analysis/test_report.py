@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gonio_analysis.report import make, staged
+from gonio_analysis.report import make
+from gonio_analysis.report.files import staged
 from gonio_analysis.report.text import difference, number, with_u
 
 from gonio import measurement

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,14 +10,11 @@ from gonio_analysis import parallel
 from gonio_analysis.compare import Dataset, examine, run_facts
 from gonio_analysis.families import Ior
 from gonio_analysis.planes import Normalise
-from gonio_analysis.report import detail, figures, page, pdf, tables, viewer
-from gonio_analysis.report.files import staged
+from gonio_analysis.report import detail, figures, files, page, pdf, tables, viewer
 from gonio_analysis.report.summary import summarise
 
 if TYPE_CHECKING:
     import pandas as pd
-
-__all__ = ["make", "staged", "write"]
 
 
 def make(
@@ -62,7 +58,7 @@ def make(
     """
     from gonio import measurement
 
-    with staged(out) as stage:
+    with files.staged(out) as stage:
         found = []
         for spec in specs:
             run = run_facts(Path(spec))
@@ -101,7 +97,7 @@ def write(
     command: str = "",
     progress: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
-    """Write a report of these measurements into a folder that exists (see `staged`).
+    """Write a report of these measurements into a folder that exists (see `files.staged`).
 
     Parameters
     ----------
@@ -126,22 +122,17 @@ def write(
     for dataset, facts in zip(datasets, summary["datasets"], strict=True):
         progress(f"{dataset.name}: drawing")
         drawn.append([*figures.draw(dataset, facts), *detail.draw(dataset, facts)])
-    (folder / "figures").mkdir()
     (folder / "tables").mkdir()
-    for figure in (f for group in drawn for f in group):
-        (folder / "figures" / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
-        (folder / "figures" / f"{figure.name}.png").write_bytes(figure.png)
-    summary["figures"] = [{"name": f.name, "caption": f.caption, "alt": f.alt} for group in drawn for f in group]
+    every = [figure for group in drawn for figure in group]
+    summary["figures"] = [{"name": f.name, "caption": f.caption, "alt": f.alt} for f in every]
     views = [
         viewer.viewer(d, facts, normalise) if d.curves else None
         for d, facts in zip(datasets, summary["datasets"], strict=True)
     ]
     summary["tables"] = tables.write(datasets, summary, views, folder / "tables")
-    text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
-    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
     html = page.render(summary, drawn, views)
-    (folder / "index.html").write_text(html, encoding="utf-8")
-    pdf.write(folder / "report.pdf", html, {f.name: f.png for group in drawn for f in group})
+    files.write(folder, html, summary, every)
+    pdf.write(folder / "report.pdf", html, {f.name: f.png for f in every})
     return summary
 
 

@@ -20,6 +20,7 @@ MOST_DISCS = 4
 
 
 def draw(c: Change, at: Observations, drawn: list[Curve], shown: float) -> list[Figure]:
+    """Every figure of a comparison: `at` holds the directions and `drawn` the curves of the wavelength `shown` [nm]."""
     out = []
     where = "" if math.isnan(shown) else f" at {shown:g} nm"
     if drawn:

@@ -233,6 +233,7 @@ def _legend(figure: Any, f: Fitted, where: str, star: bool = True) -> None:
 def rendered(
     name: str, kind: str, model: str, caption: str, alt: str, inches: tuple[float, float], on: Callable[[Any], None]
 ) -> Figure:
+    """What `on` draws on a canvas of some `inches`, as SVG and PNG; the same drawing gives the same bytes."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure as Canvas
 
