@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
+CLIPPED = 1e-3
+"""Dark frames with a larger part of their pixels at 0 DN are cut off there."""
 CAUSES = {"light": "s_theta_i_zero", "camera": "s_theta_r_zero", "tilt": "s_tilt_zero", "azimuth": "s_azimuth_zero"}
 """Axes whose zeros are common causes. A spin turns both directions alike: an isotropic surface does not notice it."""
 
@@ -62,7 +64,7 @@ def reduce(run: Run) -> pd.DataFrame:
         The reference's table is missing, or neither a table nor an albedo is given.
     """
     bench = Bench(run)
-    return _assemble(run, [_reduce_band(bench, band) for band in run.bands])
+    return _assemble(run, [_reduce_band(bench, band) for band in run.bands], _notes_on_darks(bench))
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +251,7 @@ def _angle_columns(directions: Directions) -> dict[str, float]:
     return dict(zip(ANGLES, (theta[0], phi[0], theta[1], phi[1]), strict=True))
 
 
-def _assemble(run: Run, results: list[_BandResult]) -> pd.DataFrame:
+def _assemble(run: Run, results: list[_BandResult], notes: list[str]) -> pd.DataFrame:
     """One row for every point of the plan and every band, and the attributes."""
     import pandas as pd
 
@@ -284,7 +286,7 @@ def _assemble(run: Run, results: list[_BandResult]) -> pd.DataFrame:
             "seed": run.seed,
             "reference": [_account(result) for result in results],
         },
-        notes=_notes_on_zeros(description) + [note for result in results for note in _notes(result)],
+        notes=notes + _notes_on_zeros(description) + [note for result in results for note in _notes(result)],
     )
     return frame
 
@@ -311,6 +313,16 @@ def _notes_on_zeros(description: RigDescription) -> list[str]:
         f"the zero of the {kinematics.NAMES[name]} is not known (zero_offset_known = false): its error is not in u_brdf"
         for name, axis in _axes(description).items()
         if not axis.zero_offset_known
+    ]
+
+
+def _notes_on_darks(bench: Bench) -> list[str]:
+    # all at 0 is a camera without noise; some at 0 is one whose noise is cut off there
+    if not CLIPPED < bench.clipped < 1.0:
+        return []
+    return [
+        f"{100.0 * bench.clipped:.2g} % of the pixels of the dark frames read 0 DN: what lies below is cut off, and "
+        "values are too low by more than u_brdf says where the signal is small; raise the camera's black level"
     ]
 
 

@@ -129,6 +129,8 @@ class Bench:
                         self.reference.setdefault(channel, region.roi)
         if not boxes:
             raise DataError(f"{run.path}: no point was measured in this run; finish it with --resume")
+        self.clipped = 0.0
+        """The part of the used pixels that read 0 DN in the dark frames."""
         self._darks = self._read_darks([f for s in steps if s["kind"] == "dark" for f in s["frames"]], boxes)
 
     def _look(self, step: dict[str, Any], channel: Channel) -> Region | None:
@@ -152,6 +154,8 @@ class Bench:
         for frame in in_threads(self.read, frames):
             for target, box in boxes.items():
                 crops[target].append((frame.exposure_s, frame.mosaic[box].copy()))
+        empty = [float(np.mean(crop == 0)) for taken in crops.values() for _, crop in taken]
+        self.clipped = sum(empty) / len(empty)
         rate = camera.dark_current_e_per_s / camera.electrons_per_dn
         return {target: Darks(crops[target], *box, rate) for target, box in boxes.items()}
 

@@ -372,3 +372,11 @@ def test_a_zero_that_nobody_knows_is_said(tmp_path: Path) -> None:
     arms = Arms(light=ArmAxis(zero_offset_known=False), camera=ArmAxis())
     table = radiometry.reduce(Maker(tmp_path, describe(arms=arms), glossy).make(POINTS[:2], (0.25,)))
     assert table.attrs["notes"][0].startswith("the zero of the light arm is not known")
+
+
+@pytest.mark.parametrize(("black_level", "noted"), [(100.0, False), (4.0, True)])
+def test_dark_frames_that_are_cut_off_at_zero_are_said(tmp_path: Path, black_level: float, noted: bool) -> None:
+    """A read noise of 2.7 DN below a black level of 4 DN."""
+    description = describe(camera=NOISY | {"black_level_dn": black_level})
+    table = radiometry.reduce(Maker(tmp_path, description, glossy, np.random.default_rng(3)).make(POINTS[:2], (0.25,)))
+    assert any("read 0 DN" in note for note in table.attrs["notes"]) is noted
