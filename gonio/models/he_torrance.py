@@ -13,6 +13,7 @@ from gonio.models import _htsg_kernels as kernels
 from gonio.models import engine
 from gonio.models._compile import loop
 from gonio.models._facets import fresnel_constants
+from gonio.models._hemisphere import about_mirror, about_source
 from gonio.models.base import Index, Model, checked_index, choice, index_at, number, positive
 from gonio.models.engine import Constants, Kernel
 
@@ -240,39 +241,21 @@ class HeTorrance(Model):
         return total
 
     def _lobe_hemispherical(self, theta: float, constants: Constants) -> float:
-        """The integral of lobe * cos(theta_r), to 1e-9 of itself.
-
-        Over the disc of direction cosines, in polar coordinates (r, psi) about the mirror direction, where
-        1 - |v|^2 = (R - r)(r + R'), with R and -R' where the line leaves the disc. Panels in r halve toward the mirror
-        down to the lobe's narrowest possible width; r runs quadratically into R, where the integrand is a function of
-        cos(theta_r); panels in psi shrink toward pi/2, where R changes fastest for a grazing source.
-        """
-        cos_i, sin_i = math.cos(theta), math.sin(theta)
+        """The integral of lobe * cos(theta_r), to 1e-9 of itself."""
         if theta >= engine.HALF_PI or constants[1] == 0.0:
             return 0.0
         narrow = min(0.25, 1.0 / math.sqrt(1.0 + 4.0 * constants[3]))  # 1/(k0 tau)
-        r_edges = np.concatenate([[0.0], 0.5 ** np.arange(math.ceil(math.log2(4.0 / narrow)), 0, -1.0), [1.0]])
-        psi_steps = 0.25 ** np.arange(max(1, math.ceil(-math.log(cos_i) / math.log(4.0)) + 1))
-        psi_edges = math.pi / 2 * np.unique(np.concatenate([1.0 - psi_steps, [1.0], 1.0 + psi_steps]))
+        critical = math.asin(math.sqrt(1.0 + constants[7])) if -1.0 < constants[7] < 0.0 else None  # 0 < Re n^2 < 1
+        omega_i = np.array([math.sin(theta), 0.0, math.cos(theta)])
         before = math.inf
         for order in (8, 12, 18, 27, 40):
-            psi, w_psi = panels(psi_edges, order)
-            t, w_t = panels(r_edges, order)
-            along = -sin_i * np.cos(psi)  # of the mirror point (-sin_i, 0), along the ray
-            root = np.sqrt(cos_i * cos_i + along * along)
-            # the ray leaves the disc at R = -along + root; without cancellation on either side
-            big = np.abs(along) + root
-            other = cos_i * cos_i / big
-            edge, back = np.where(along > 0, other, big), np.where(along > 0, big, other)
-            left = (1.0 - t) ** 2  # (R - r)/R
-            r = edge[:, None] * (1.0 - left)
-            z = np.sqrt(edge[:, None] * left * (r + back[:, None]))
-            omega_r = np.stack([-sin_i + r * np.cos(psi)[:, None], r * np.sin(psi)[:, None], z], axis=-1)
-            lobe = engine.over_vectors(
-                kernels.lobe_state, constants, np.array([sin_i, 0.0, cos_i]), omega_r, split=self.grain
+            omega_r, weight = (
+                about_mirror(theta, narrow, constants[4], order)
+                if critical is None
+                else about_source(theta, narrow, critical, order)
             )
-            jacobian = r * edge[:, None] * 2.0 * (1.0 - t)
-            total = 2.0 * float(w_psi @ (lobe * jacobian) @ w_t)
+            lobe = engine.over_vectors(kernels.lobe_state, constants, omega_i, omega_r, split=self.grain)
+            total = float(np.vdot(lobe, weight))
             if abs(total - before) <= 1e-9 * abs(total):
                 break
             before = total
@@ -300,10 +283,3 @@ class HeTorrance(Model):
         low, high = grid[max(best - 1, 0)], grid[min(best + 1, grid.size - 1)]
         finer = self._hemispherical(np.linspace(low, high, 33), wave) - self.diffuse_albedo
         return max(0.0, 1.0 - float(max(first.max(), finer.max())))
-
-
-def panels(edges: NDArray[np.float64], order: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Gauss-Legendre nodes and weights of an order in each interval between `edges`."""
-    x, w = np.polynomial.legendre.leggauss(order)
-    half = 0.5 * np.diff(edges)[:, None]
-    return (edges[:-1, None] + half * (1.0 + x)).ravel(), (half * w).ravel()

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from gonio.errors import ArgumentError
 from gonio.models import HeTorrance, htsg
+from gonio.models._hemisphere import about_mirror, about_source, panels
 
 THETA = st.floats(0.0, 1.5)
 PHI = st.floats(0.0, 2.0 * math.pi)
@@ -189,3 +190,35 @@ def test_effective_roughness_is_continuous_and_monotonic() -> None:
 def test_bad_arguments_are_named(call: object, name: str) -> None:
     with pytest.raises(ArgumentError, match=name):
         call()  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(
+    ("surface", "theta", "relative"),
+    [
+        # slopes of 1/500: shadowing sets in within 1/500 of the horizon, under a lobe that fills the hemisphere
+        (HeTorrance(1e-3, 1.0, 1.5), math.radians(60.0), 1e-9),
+        # total reflection sets in on a circle where the grid about the normal has no edge: it is good to some 1e-5
+        (HeTorrance(0.3, 2.0, 0.8), math.radians(30.0), 3e-5),
+        (HeTorrance(1.0, 8.0, 0.5), math.radians(20.0), 3e-5),
+    ],
+)
+def test_reflected_flux_against_a_grid_about_the_normal(surface: HeTorrance, theta: float, relative: float) -> None:
+    edges = np.concatenate([np.linspace(0.0, math.pi / 2, 65), math.pi / 2 - 0.5 ** np.arange(4.0, 24.0)])
+    theta_r, weight = panels(np.unique(edges), 16)
+    phi, around = panels(np.linspace(0.0, math.pi, 97), 16)
+    lobe = surface.brdf(theta, 0.0, theta_r[:, None], phi)
+    expected = 2.0 * float((weight * np.sin(theta_r) * np.cos(theta_r)) @ lobe @ around)
+    got = surface.directional_hemispherical(theta) - surface.specular_reflectivity(theta)
+    assert got == pytest.approx(expected, rel=relative)
+
+
+@pytest.mark.parametrize("theta_deg", [0.0, 35.0, 80.0])
+def test_both_rules_of_the_hemisphere_agree(theta_deg: float) -> None:
+    """Where nothing is totally reflected either may be used, and the circle of the second may lie anywhere."""
+    theta, surface = math.radians(theta_deg), HeTorrance(0.3, 2.0, 1.5)
+    omega_i = np.array([math.sin(theta), 0.0, math.cos(theta)])
+    one, other = (
+        float(np.vdot(surface.brdf_vectors(omega_i, omega_r), weight))
+        for omega_r, weight in (about_mirror(theta, 0.04, 3.3, 18), about_source(theta, 0.04, 0.9, 27))
+    )
+    assert one == pytest.approx(other, rel=2e-9)  # each to 1e-9
