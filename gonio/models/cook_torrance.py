@@ -126,7 +126,8 @@ class CookTorrance(Model):
     exp(-(tan a/m)^2)/(m^2 cos^4 a); "gaussian": c exp(-(a/m)^2) with the arbitrary c = 1. G = min(1, 2 N.H N.V/V.H, 2
     N.H N.L/V.H). F is the exact unpolarised reflectance for a complex index. m is the total rms slope, sqrt(2) times
     the one along a line. Reciprocal. At exactly grazing the limit along equal polar angles is returned: +inf in the
-    mirror direction. Accurate to some 1e-15 (1 + the formula's conditioning).
+    mirror direction. Accurate to some 1e-15 (1 + the formula's conditioning); from angles within some milliradians of
+    grazing, for slopes below 1e-3, to that of the vectors they are turned into, 1/cos(theta) times more.
 
     Parameters
     ----------
