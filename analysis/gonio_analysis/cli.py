@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from gonio_analysis.fit import FitResult
     from gonio_analysis.profile import Interval
 
+MODELS = "lambert,oren-nayar,cook-torrance,he-torrance"
+MODELS_HELP = "Models to fit, with commas between (sums as oren-nayar+phong), or all."
 IOR_HELP = "Optical constants: a material (Al) or n + ik (0.77+6.08j)."
 WAVELENGTH_HELP = "Wavelength [nm] of a table with several, or the effective one of a broad band."
 
@@ -120,9 +122,14 @@ def compare(
     ],
     out: Annotated[Path, typer.Option(help="Folder of the report.", show_default=False)],
     models: Annotated[
-        str, typer.Option(help="Models to fit, with commas between (sums as oren-nayar+phong), or all.")
-    ] = "lambert,oren-nayar,cook-torrance,he-torrance",
-    normalise: Annotated[Norm, typer.Option(help="What polar curves are divided by.")] = Norm.mirror,
+        str | None,
+        typer.Option(
+            help="Models to fit, with commas between (sums as oren-nayar+phong), or all.", show_default=MODELS
+        ),
+    ] = None,
+    normalise: Annotated[
+        Norm | None, typer.Option(help="What polar curves are divided by.", show_default="mirror")
+    ] = None,
     ior: Annotated[str | None, typer.Option(help=IOR_HELP, show_default=False)] = None,
     wavelength_nm: Annotated[float | None, typer.Option(help=WAVELENGTH_HELP, show_default=False)] = None,
     dask: Annotated[
@@ -135,18 +142,17 @@ def compare(
 ) -> None:
     """Fit several models to one or more measurements, and write a report; with --change, did A change into B?"""
     if change:
-        print(_change(measurements, out, wavelength_nm))
+        fitting = {"models": models, "normalise": normalise, "ior": ior, "dask": dask}
+        print(_change(measurements, out, wavelength_nm, [name for name, value in fitting.items() if value is not None]))
         return
-    chosen = [m.strip() for m in models.split(",") if m.strip()]
-    print(_report(measurements, out, chosen, normalise, ior, wavelength_nm, dask))
+    chosen = [m.strip() for m in (models or MODELS).split(",") if m.strip()]
+    print(_report(measurements, out, chosen, normalise or Norm.mirror, ior, wavelength_nm, dask))
 
 
 def report(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a reduced run.", show_default=False)],
     out: Annotated[Path | None, typer.Option(help="Folder of the report.", show_default="RUN/report")] = None,
-    models: Annotated[
-        str, typer.Option(help="Models to fit, with commas between (sums as oren-nayar+phong), or all.")
-    ] = "lambert,oren-nayar,cook-torrance,he-torrance",
+    models: Annotated[str, typer.Option(help=MODELS_HELP)] = MODELS,
     normalise: Annotated[Norm, typer.Option(help="What polar curves are divided by.")] = Norm.mirror,
     ior: Annotated[str | None, typer.Option(help=IOR_HELP, show_default=False)] = None,
     wavelength_nm: Annotated[float | None, typer.Option(help=WAVELENGTH_HELP, show_default=False)] = None,
@@ -268,7 +274,7 @@ def _report(
     )
 
 
-def _change(specs: list[str], out: Path, wavelength_nm: float | None) -> Path:
+def _change(specs: list[str], out: Path, wavelength_nm: float | None, unused: list[str]) -> Path:
     from gonio.cli import console
     from gonio.errors import ConfigError
     from gonio.run import command_line
@@ -276,6 +282,10 @@ def _change(specs: list[str], out: Path, wavelength_nm: float | None) -> Path:
 
     if len(specs) != 2:
         raise ConfigError(f"--change compares two, A and B; {len(specs)} are named")
+    if unused:
+        raise ConfigError(
+            f"--{unused[0]} has no part in --change, which fits no model and divides by nothing; leave it out"
+        )
     return change.make(specs, out, wavelength_nm=wavelength_nm, command=command_line(), progress=console.note)
 
 

@@ -217,3 +217,5 @@ def test_command_writes_a_report(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "two disagree" in json.loads((tmp_path / "model" / "summary.json").read_text())["conclusion"]
     with pytest.raises(ConfigError, match="two"):
         cli.compare([before], tmp_path / "one", change=True)
+    with pytest.raises(ConfigError, match="--ior has no part in --change"):
+        cli.compare([before, after], tmp_path / "one", ior="Al", change=True)

@@ -149,7 +149,7 @@ def _budget(d: Dataset, facts: dict[str, Any]) -> Figure:
         figure.subplots_adjust(0.1, 0.36, 0.985, 0.91, wspace=0.1)
         for ax, (curve, name) in zip(axes, shown, strict=True):
             diagnostics.budget_over_angle(ax, *_parts(d, curve))
-            ax.set_xticks(range(-90, 91, 45), [f"{a}°".replace("-", "−") for a in range(-90, 91, 45)])
+            ax.set_xticks(range(-60, 61, 60), [f"{a}°".replace("-", "−") for a in range(-60, 61, 60)])
             ax.set_title(name, fontsize=8, loc="left", color=polar.INK)
         axes[0].set_ylabel("u / value [%]")
         dash = diagnostics.DASHES
