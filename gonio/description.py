@@ -20,6 +20,7 @@ from gonio.errors import ConfigError
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
+MAX_BANDS = 10_000
 
 
 class Geometry(Strict):
@@ -75,11 +76,21 @@ class Holder(Axis):
     sample_diameter_mm: Positive = 20.0
     holder_albedo: Fraction = 0.03
 
+    @model_validator(mode="after")
+    def _sound(self) -> Holder:
+        if len(set(self.axes)) < len(self.axes):
+            raise ValueError("axes names an axis twice")
+        for name in ("tilt", "spin"):
+            lower, upper = getattr(self, f"{name}_limits_deg")
+            if lower >= upper:
+                raise ValueError(f"{name}_limits_deg must be [lower, upper] with lower < upper")
+        return self
+
 
 class Lamp(Strict):
     """The lamp: its size, its noise, its drift."""
 
-    half_angle_deg: NonNegative = 0.0
+    half_angle_deg: Annotated[float, Field(ge=0, lt=90)] = 0.0
     """Half-angle of the disc of the lamp, seen from the sample's centre."""
     noise: NonNegative = 0.0
     """Relative standard deviation of the lamp's output from frame to frame."""
@@ -95,7 +106,7 @@ class Camera(Strict):
     height: Annotated[int, Field(ge=32, le=8192)] = 480
     pixel_um: Positive = 5.0
     focal_length_mm: Positive = 100.0
-    lens_half_angle_deg: NonNegative = 0.0
+    lens_half_angle_deg: Annotated[float, Field(ge=0, lt=90)] = 0.0
     """Half-angle of the lens's entrance pupil, seen from the sample's centre."""
     cos4: bool = False
     vignetting: Annotated[float, Field(ge=0, lt=1)] = 0.0
@@ -109,7 +120,7 @@ class Camera(Strict):
     photon_noise: bool = False
     read_noise_e: NonNegative = 0.0
     dark_current_e_per_s: NonNegative = 0.0
-    prnu: NonNegative = 0.0
+    prnu: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Relative standard deviation of the pixels' responsivity."""
     dsnu_e: NonNegative = 0.0
     """Standard deviation of the pixels' dark signal [e-]."""
@@ -117,6 +128,17 @@ class Camera(Strict):
     """Electrons a second on the axis from a Lambertian white (brdf = 1/pi) at normal incidence, with a fresh lamp."""
     exposure_limits_s: tuple[Positive, Positive] = (1e-4, 60.0)
     frame_overhead_s: NonNegative = 0.05
+
+    @model_validator(mode="after")
+    def _sound(self) -> Camera:
+        if self.exposure_limits_s[0] >= self.exposure_limits_s[1]:
+            raise ValueError("exposure_limits_s must be [shortest, longest] with shortest < longest")
+        if self.black_level_dn >= self.white_level_dn:
+            raise ValueError(
+                f"black_level_dn = {self.black_level_dn:g} must lie below the highest value of {self.bits} bits, "
+                f"{self.white_level_dn:g}"
+            )
+        return self
 
     @property
     def white_level_dn(self) -> float:
@@ -161,6 +183,14 @@ class Tunable(Strict):
     step_nm: Positive
     fwhm_nm: Positive
 
+    @model_validator(mode="after")
+    def _sound(self) -> Tunable:
+        if self.stop_nm < self.start_nm:
+            raise ValueError("a tunable source needs start_nm <= stop_nm")
+        if (self.stop_nm - self.start_nm) / self.step_nm >= MAX_BANDS:
+            raise ValueError(f"a tunable source of more than {MAX_BANDS} bands; take a larger step_nm")
+        return self
+
 
 class Bands(Strict):
     """Bands by name, or a tunable source that has one every `step_nm`."""
@@ -172,6 +202,9 @@ class Bands(Strict):
     def _some(self) -> Bands:
         if not self.all():
             raise ValueError("a rig needs at least one band: give `list` or `tunable`")
+        names = [band.name for band in self.all()]
+        if len(set(names)) < len(names):
+            raise ValueError(f'two bands are named "{next(n for n in names if names.count(n) > 1)}"')
         return self
 
     def all(self) -> tuple[Band, ...]:
@@ -230,6 +263,16 @@ class RigDescription(Strict):
     acquisition: Acquisition = Acquisition()
     devices: dict[str, Any] = Field(default_factory=dict)
     """Ports, ids and dialects: checked by the rig's own driver."""
+
+    @model_validator(mode="after")
+    def _lens_focuses(self) -> RigDescription:
+        if self.camera.focal_length_mm >= self.geometry.camera_distance_mm:
+            raise ValueError(
+                f"camera.focal_length_mm = {self.camera.focal_length_mm:g} must be smaller than "
+                f"geometry.camera_distance_mm = {self.geometry.camera_distance_mm:g}: "
+                "this lens cannot focus on the sample"
+            )
+        return self
 
 
 class SampleDescription(Strict):

@@ -26,19 +26,8 @@ Channel = Literal["mono", "R", "G", "B"]
 
 
 def image_distance_mm(description: RigDescription) -> float:
-    """Distance from the lens to the sensor [mm] that brings the sample's centre into focus: 1/(1/f - 1/d).
-
-    Raises
-    ------
-    ConfigError
-        The focal length is not shorter than the camera's distance, so the lens cannot focus there.
-    """
+    """Distance from the lens to the sensor [mm] that brings the sample's centre into focus: 1/(1/f - 1/d)."""
     focal, distance = description.camera.focal_length_mm, description.geometry.camera_distance_mm
-    if focal >= distance:
-        raise ConfigError(
-            f"camera.focal_length_mm = {focal:g} must be smaller than geometry.camera_distance_mm = {distance:g}: "
-            "this lens cannot focus on the sample"
-        )
     return 1.0 / (1.0 / focal - 1.0 / distance)
 
 

@@ -66,6 +66,11 @@ class Sweep(Strict):
     dphi_deg: AngleList | None = None
     """phi_r - phi_i: 0 is retro, 180 the mirror half-plane. A negative theta_r lies on the opposite side."""
 
+    @property
+    def count(self) -> int:
+        """How many points it stands for."""
+        return len(self.theta_i_deg) * len(self.theta_r_deg) * (1 if self.dphi_deg is None else len(self.dphi_deg))
+
     @field_validator("theta_i_deg", "theta_r_deg", "dphi_deg", mode="before")
     @classmethod
     def _expanded(cls, value: object) -> object:
@@ -210,11 +215,11 @@ def load_plan(path: str | Path) -> Plan:
     """
     path = Path(path)
     file = parse(PlanFile, read_toml(path), path)
-    every = [point for sweep in file.sweep for point in _combinations(sweep)]
-    for table in file.points:
-        every += read_points(path.parent / table.file)
-    if len(every) > MAX_POINTS:
-        raise ConfigError(f"{path}: the plan has {len(every)} points; at most {MAX_POINTS} fit into one run")
+    listed = [point for table in file.points for point in read_points(path.parent / table.file)]
+    count = sum(sweep.count for sweep in file.sweep) + len(listed)
+    if count > MAX_POINTS:
+        raise ConfigError(f"{path}: the plan has {count} points; at most {MAX_POINTS} fit into one run")
+    every = [point for sweep in file.sweep for point in _combinations(sweep)] + listed
     first: dict[tuple[int, ...], Point] = {}
     for point in every:
         first.setdefault(_identity(point), point)
@@ -236,11 +241,22 @@ def read_points(path: Path) -> list[Point]:
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read as a table of points: {error}") from None
     lines = csv.DictReader(io.StringIO(text), skipinitialspace=True)
-    missing = [name for name in ANGLES if name not in (lines.fieldnames or ())]
-    if missing:
-        raise ConfigError(
-            f"{path}: the column {missing[0]} is missing; a list of points needs {', '.join(ANGLES)}, in degrees"
-        )
+    try:
+        return _points_of(path, lines)
+    except csv.Error as error:
+        raise ConfigError(f"{path}: line {lines.line_num}: cannot be read as a table of points: {error}") from None
+
+
+def _points_of(path: Path, lines: csv.DictReader[str]) -> list[Point]:
+    columns = [name.strip() for name in lines.fieldnames or ()]
+    for name in ANGLES:
+        if name not in columns:
+            raise ConfigError(
+                f"{path}: the column {name} is missing; a list of points needs {', '.join(ANGLES)}, in degrees"
+            )
+        if columns.count(name) > 1:
+            raise ConfigError(f"{path}: the column {name} is there {columns.count(name)} times")
+    lines.fieldnames = columns
     points = []
     for row in lines:
         values = {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -10,7 +11,7 @@ from gonio.config import load, parse, read_toml
 from gonio.description import Bands, RigDescription
 from gonio.errors import ConfigError
 
-RIG = {
+RIG: dict[str, Any] = {
     "rig": "sim",
     "name": "bench",
     "bands": {"tunable": {"start_nm": 400, "stop_nm": 700, "step_nm": 10, "fwhm_nm": 10}},
@@ -55,6 +56,25 @@ def test_reversed_limits() -> None:
     text = message(RIG | {"arms": {"camera": {"limits_deg": [80, -80]}}})
     assert "arms.camera" in text
     assert "lower < upper" in text
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ({"holder": {"tilt_limits_deg": [10, -10]}}, ["holder", "tilt_limits_deg", "lower < upper"]),
+        ({"holder": {"axes": ["tilt", "tilt"]}}, ["holder", "axes", "twice"]),
+        ({"camera": {"exposure_limits_s": [60, 1e-5]}}, ["camera", "exposure_limits_s", "shortest < longest"]),
+        ({"camera": {"black_level_dn": 300, "bits": 8}}, ["camera", "black_level_dn = 300", "255"]),
+        ({"camera": {"focal_length_mm": 2000}}, ["focal_length_mm = 2000", "camera_distance_mm = 1000", "focus"]),
+        ({"bands": {"tunable": RIG["bands"]["tunable"] | {"step_nm": 1e-9}}}, ["bands.tunable", "larger step_nm"]),
+        ({"bands": {"tunable": RIG["bands"]["tunable"] | {"stop_nm": 300}}}, ["bands.tunable", "start_nm <= stop_nm"]),
+        ({"bands": {"list": [{"name": "g", "centre_nm": 550, "fwhm_nm": 9}] * 2}}, ["bands", "two bands", '"g"']),
+    ],
+)
+def test_keys_that_contradict_each_other(table: dict[str, object], words: list[str]) -> None:
+    text = message(RIG | table)
+    for word in ("bench.toml", *words):
+        assert word in text
 
 
 def test_nan_is_refused() -> None:

@@ -140,6 +140,12 @@ def test_name_and_layout_do_not_change_what_a_plan_is(tmp_path: Path) -> None:
         (HEAD + '[[points]]\nfile = "short.csv"\n', ["short.csv", "line 2", "phi_r_deg"]),
         (HEAD + '[[points]]\nfile = "steep.csv"\n', ["steep.csv", "theta_i_deg", "95", "90"]),
         (HEAD + '[[points]]\nfile = "empty.csv"\n', ["empty.csv", "no points"]),
+        (HEAD + '[[points]]\nfile = "twice.csv"\n', ["twice.csv", "theta_i_deg", "2 times"]),
+        (HEAD + '[[points]]\nfile = "long.csv"\n', ["long.csv", "line", "field"]),
+        (
+            HEAD + "[[sweep]]\ntheta_i_deg={start=0,stop=80,step=0.01}\ntheta_r_deg={start=0,stop=80,step=0.01}\n",
+            ["plan.toml", "64016001 points", "1000000"],
+        ),
         (HEAD.replace("550", "-5") + "[[sweep]]\ntheta_i_deg = [1]\ntheta_r_deg = [1]\n", ["wavelength_nm"]),
     ],
 )
@@ -150,6 +156,8 @@ def test_a_wrong_plan_names_file_key_and_remedy(tmp_path: Path, text: str, words
     (tmp_path / "short.csv").write_text(head + "1,2,3\n")
     (tmp_path / "steep.csv").write_text(head + "95,2,3,4\n")
     (tmp_path / "empty.csv").write_text(head)
+    (tmp_path / "twice.csv").write_text("theta_i_deg," + head + "1,2,3,4,5\n")
+    (tmp_path / "long.csv").write_text(head + "1" * 200_000 + "\n")
     with pytest.raises(ConfigError) as caught:
         plan(tmp_path, text)
     for word in words:

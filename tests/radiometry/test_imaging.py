@@ -136,12 +136,6 @@ def test_a_camera_below_the_plane_sees_nothing() -> None:
         roi(description, at)
 
 
-def test_a_lens_that_cannot_focus_is_a_wrong_key() -> None:
-    description = rig(camera=Camera(focal_length_mm=600.0))
-    with pytest.raises(ConfigError, match=r"camera.focal_length_mm = 600 must be smaller.*camera_distance_mm = 500"):
-        pixel_map(description, view(description, POSES[0]))
-
-
 @pytest.mark.parametrize("pose", POSES)
 def test_the_region_of_interest_is_a_disc_on_the_sample(pose: Pose) -> None:
     description = rig(acquisition=Acquisition(roi_radius_mm=2.0))
