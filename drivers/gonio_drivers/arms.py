@@ -13,7 +13,7 @@ import logging
 import math
 import statistics
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from types import TracebackType
 from typing import NoReturn, Self
@@ -21,9 +21,9 @@ from typing import NoReturn, Self
 from gonio.description import RigDescription
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose, Target
-from gonio_drivers import joints, settings
+from gonio_drivers import joints, settings, watchdog
 from gonio_drivers.dynamixel import Bus
-from gonio_drivers.joints import Health, Joint, Report
+from gonio_drivers.joints import Joint, Report
 
 log = logging.getLogger("gonio.devices")
 
@@ -39,9 +39,8 @@ STARTING_S = 0.06
 GRACE_S = 3.0
 """A move may take twice its time, and this."""
 CORRECTIONS = 4
+RELEASES = 3
 LARGEST_CORRECTION_DEG = 2.0
-HOT_MARGIN_C = 3
-"""Stop this far below the temperature at which the servo would let go by itself."""
 ROUNDING = 1e-9
 
 
@@ -55,6 +54,7 @@ class Landing:
     """What the servo was told, with the corrections so far."""
     corrections: int = 0
     resent: int = 0
+    released: int = 0
     since: float = 0.0
     """When it was last seen to move."""
     seen: list[int] = field(default_factory=list)
@@ -124,7 +124,7 @@ class ServoArms:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            failures = self._release() if self._servos.on_exit == "torque-off" else []
+            failures = self._let_go() if self._servos.on_exit == "torque-off" else []
         finally:
             self.bus.__exit__(kind, error, trace)
         if failures and error is None and not self.faulted:
@@ -132,7 +132,7 @@ class ServoArms:
         for said in dict.fromkeys(map(str, failures)):  # a port that went away says the same for every axis
             log.error("while leaving: %s", said)
 
-    def _release(self) -> list[DeviceError]:
+    def _let_go(self) -> list[DeviceError]:
         """Take the torque from every servo that has been prepared; what failed."""
         failures = []
         for joint in self.joints.values():
@@ -184,6 +184,7 @@ class ServoArms:
         self.stopped = True
         silent = []
         try:
+            watchdog.disarm(self.joints.values())
             self._freeze()
         except DeviceError as failure:
             log.error("stopping: %s", failure)
@@ -230,7 +231,7 @@ class ServoArms:
 
     def still(self) -> None:
         """Raise `DeviceError` where an axis has left the place where it landed, or has let go of its torque."""
-        for name, report in self._reports().items():
+        for name, report in joints.reports(self.bus, self.joints.values()).items():
             joint = self.joints[name]
             if joint.stood_at is not None and abs(report.position - joint.stood_at) > STILL_COUNTS:
                 self._fail(
@@ -240,7 +241,7 @@ class ServoArms:
             if report.profile != joint.profile:
                 self._fail(f"axis {name}: servo id {joint.id} has restarted by itself; all axes are stopped")
         try:
-            self._require_torque(self.joints)
+            joints.require_torque(self.bus, self.joints.values())
         except DeviceError as failure:
             self._fail(str(failure))
 
@@ -272,7 +273,7 @@ class ServoArms:
     def _approach(self, goals: Mapping[str, float]) -> None:
         """To a point below each goal, where that is needed, and from there up to the goals."""
         finals = {name: self.joints[name].to_count(angle) for name, angle in goals.items()}
-        reports = self._reports()
+        reports = joints.reports(self.bus, self.joints.values())
         below: dict[str, float] = {}
         ups: dict[str, float] = {}
         for name, final in finals.items():
@@ -285,9 +286,13 @@ class ServoArms:
                 below[name] = start
         for name in ups:
             self.joints[name].landed_at = self.joints[name].stood_at = None
+        moving = [self.joints[name] for name in ups]
+        watchdog.arm(moving)
         if below:
             self._land(below, exact=False)
         if ups:
+            self._land(ups, exact=True)
+        if watchdog.call_off(moving):  # at the very end: an axis that is released may give way a little
             self._land(ups, exact=True)
         for name, final in ups.items():
             self.joints[name].landed_at = final
@@ -303,25 +308,31 @@ class ServoArms:
     def _land(self, goals: Mapping[str, float], *, exact: bool) -> None:
         """Drive to counts, all axes at once, until every one has landed (`exact`) or come to rest close by."""
         start = time.monotonic()
-        before = self._reports()
+        before = joints.reports(self.bus, self.joints.values())
         landings = {name: Landing(goal, round(goal), since=start) for name, goal in goals.items()}
         self._send({name: landing.sent for name, landing in landings.items()})
         allowed = max(self._duration(name, before[name].position, goal) for name, goal in goals.items())
         deadline = start + 2 * allowed + GRACE_S
+        now = start
         while not all(landing.done for landing in landings.values()):
             time.sleep(POLL_S)
-            reports = self._reports()
-            now = time.monotonic()
+            reports = joints.reports(self.bus, self.joints.values())
+            before_s, now = now, time.monotonic()
+            if now - before_s > watchdog.PERIOD_S:  # this program was held up, and the servos may have stopped
+                deadline += now - before_s
             for name, landing in landings.items():
                 if not landing.done:
                     self._watch(self.joints[name], landing, reports[name], now, exact=exact)
             if now > deadline:
                 late = ", ".join(self._state(n, x, reports[n]) for n, x in landings.items() if not x.done)
                 raise DeviceError(f"no landing within {deadline - start:.1f} s: {late}; all axes are stopped")
-        self._require_torque(goals)
+        joints.require_torque(self.bus, [self.joints[name] for name in goals])
 
     def _watch(self, joint: Joint, landing: Landing, report: Report, now: float, *, exact: bool) -> None:
         """One look at an axis on its way: has it landed, does it need a correction, is it stuck?"""
+        changed = report.profile != joint.profile or report.goal != landing.sent
+        if changed and self._release(joint, landing, now):
+            return
         if report.profile != joint.profile:
             raise DeviceError(
                 f"axis {joint.name}: servo id {joint.id} has lost its settings: it has restarted (power dip?); "
@@ -344,8 +355,29 @@ class ServoArms:
             if small and landing.corrections < CORRECTIONS and still > STARTING_S:  # it has had time to set out
                 self._correct(joint, landing, position, now, exact=exact)
                 return
-        if still > STALL_S:
+        if still > STALL_S and not self._release(joint, landing, now):
             raise DeviceError(f"{self._state(joint.name, landing, report)}: it is stuck; all axes are stopped")
+
+    def _release(self, joint: Joint, landing: Landing, now: float) -> bool:
+        """Whether the servo had stopped by its bus watchdog, because this program was held up; it is sent on."""
+        if not joint.has_watchdog or joint.get(watchdog.ITEM) != watchdog.RUN_OUT:
+            return False
+        landing.released += 1
+        if landing.released > RELEASES:
+            raise DeviceError(
+                f"axis {joint.name}: servo id {joint.id} has stopped {landing.released} times on one way, because "
+                f"nothing came over the bus for {watchdog.PERIOD_S:g} s (is this computer overloaded?); all axes are "
+                "stopped"
+            )
+        log.warning(
+            "axis %s: nothing came over the bus for %g s, and the servo stopped; sent on", joint.name, watchdog.PERIOD_S
+        )
+        joint.write(watchdog.ITEM, watchdog.OFF)
+        self.bus.write(joint.id, joint.table["Profile Acceleration"].address, joint.profile)
+        joint.write("Goal Position", landing.sent)
+        joint.write(watchdog.ITEM, watchdog.UNITS)
+        landing.seen, landing.since = [], now
+        return True
 
     def _correct(self, joint: Joint, landing: Landing, position: float, now: float, *, exact: bool) -> None:
         """A new goal that makes up for what is missing; from below again where the axis went too far."""
@@ -396,62 +428,12 @@ class ServoArms:
 
     # ---- reading ----
 
-    def _reports(self) -> dict[str, Report]:
-        """What every servo says now, with its health checked; one block a servo."""
-        blocks: dict[int, bytes] = {}
-        groups: dict[tuple[int, int], list[int]] = {}
-        for joint in self.joints.values():
-            groups.setdefault(joints.span(joint.table), []).append(joint.id)
-        for (address, size), ids in groups.items():
-            blocks |= self.bus.read_all(ids, address, size)
-        out = {}
-        for identity, block in blocks.items():
-            joint = self._by_id[identity]
-            start = joints.span(joint.table)[0]
-            value = {n: joint.table[n].decode(block, start) for n in joint.table if n in joints.REPORTED}
-            current = value.get("Present Current", value.get("Present Load", 0))
-            joint.health = Health(value["Present Temperature"], value["Present Input Voltage"] / 10, current)
-            profile = block[: len(joint.profile)]
-            position, moving = value["Present Position"], bool(value["Moving"])
-            out[joint.name] = Report(position, moving, value["Goal Position"], profile, current)
-            self._watch_health(joint)
-        return out
-
     def _readback(self) -> Reading:
         before = time.monotonic()
-        reports = self._reports()
+        reports = joints.reports(self.bus, self.joints.values())
         after = time.monotonic()
         counts = {name: report.position for name, report in reports.items()}
         axes = {name: math.radians(self.joints[name].to_deg(count)) for name, count in counts.items() if name in AXES}
         pose = Pose(**axes)
         self.last = Reading(pose, (before + after) / 2, counts)
         return self.last
-
-    def _watch_health(self, joint: Joint) -> None:
-        if joint.id in self.bus.alerts:
-            joint.complain()
-        health = joint.health
-        assert health is not None
-        if health.temperature_c > joint.max_temperature_c - HOT_MARGIN_C:
-            raise DeviceError(
-                f"axis {joint.name}: servo id {joint.id} is at {health.temperature_c} C, and its limit is "
-                f"{joint.max_temperature_c} C; let it cool down, and look for what it works against"
-            )
-        low, high = joint.voltage_limits_v
-        if not low <= health.voltage_v <= high:
-            raise DeviceError(
-                f"axis {joint.name}: servo id {joint.id} has {health.voltage_v:.1f} V, needs {low:.1f} to {high:.1f} V"
-            )
-
-    def _require_torque(self, names: Iterable[str]) -> None:
-        """Raise where a servo has an error in its hardware-error byte, or holds nothing any more."""
-        joints = [self.joints[name] for name in names]
-        table = joints[0].table  # these items have the same addresses in every model of the X series
-        torque, error = table["Torque Enable"], table["Hardware Error Status"]
-        blocks = self.bus.read_all([j.id for j in joints], torque.address, error.address + error.size - torque.address)
-        for joint in joints:
-            joint.complain(error.decode(blocks[joint.id], torque.address))
-            if torque.decode(blocks[joint.id], torque.address) != 1:
-                raise DeviceError(
-                    f"axis {joint.name}: servo id {joint.id} has let go of its torque; all axes are stopped"
-                )

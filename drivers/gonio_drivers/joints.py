@@ -7,12 +7,12 @@ rig file has one, a current limit; its goal is set to where it stands before its
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from gonio.description import Axis, RigDescription
 from gonio.errors import ConfigError, DeviceError
-from gonio_drivers import dynamixel, settings
+from gonio_drivers import dynamixel, settings, watchdog
 from gonio_drivers.dynamixel import Bus, Item
 
 log = logging.getLogger("gonio.devices")
@@ -21,7 +21,8 @@ COUNTS = 4096
 VELOCITY_UNIT_DEG_S = 0.229 * 6
 ACCELERATION_UNIT_DEG_S2 = 214.577 * 360 / 3600
 POSITION_MODE = 3
-
+HOT_MARGIN_C = 3
+"""Stop this far below the temperature at which the servo would let go by itself."""
 
 REPORTED = frozenset(
     {
@@ -60,6 +61,7 @@ class Joint:
     """Profile Acceleration and Profile Velocity, as they lie in the servo; empty before `prepare`."""
     speed_deg_per_s: float = 0.0
     """Of the axis, with that profile."""
+    has_watchdog: bool = True
     health: Health | None = None
     stood_at: int | None = None
     """Count that was read where it landed."""
@@ -137,8 +139,6 @@ class Joint:
             self.write("Torque Enable", 0)
             for name, value in wrong.items():
                 self.write(name, value)
-        if self.get("Bus Watchdog"):  # one that has run out bars every goal
-            self.write("Bus Watchdog", 0)
         # a largest value of zero was never set, and the factory's holds
         self.max_temperature_c = self.get("Temperature Limit") or self.max_temperature_c
         if highest_dv := self.get("Max Voltage Limit"):
@@ -160,10 +160,30 @@ class Joint:
                 f"axis {self.name} stands at count {position}, outside the servo's limits, {self.count_limits[0]} "
                 f"to {self.count_limits[1]}; turn it by hand to where it may stand, then try again"
             )
+        self._clear_watchdog()
         self.write("Goal Position", position)  # goal = present, so that torque moves nothing
         self.write("Torque Enable", 1)
         if self.get("Torque Enable") != 1:
             raise DeviceError(f"axis {self.name}: servo id {self.id} does not take its torque")
+
+    def _clear_watchdog(self) -> None:
+        """One that has run out bars every goal, and tells of a program that died; old firmware has none."""
+        try:
+            found = self.get(watchdog.ITEM)
+        except dynamixel.Refusal:
+            self.has_watchdog = False
+            log.warning(
+                "axis %s: servo id %d has no bus watchdog (its firmware is older than 38): it would finish its way if "
+                "this program died in the middle of a move", self.name, self.id,
+            )  # fmt: skip
+            return
+        if found != watchdog.OFF:
+            self.write(watchdog.ITEM, watchdog.OFF)
+        if found == watchdog.RUN_OUT:
+            log.warning(
+                "axis %s: servo id %d had stopped by itself, because a program died or its cable was pulled in the "
+                "middle of a move; released", self.name, self.id,
+            )  # fmt: skip
 
     def _check_reach(self, approach_deg: float) -> None:
         """The axis's limits, with the way of approach, must lie within the servo's limits."""
@@ -174,6 +194,23 @@ class Joint:
                 f"{approach_deg:g} deg below, need counts {min(ends):.0f} to {max(ends):.0f}, and servo id "
                 f"{self.id} allows {self.count_limits[0]} to {self.count_limits[1]}; narrow the limits, or change "
                 f"{self.key}.zero_count or the servo's position limits"
+            )
+
+    def check_health(self) -> None:
+        """Raise what the last report says of temperature, voltage and alert bit, if it is more than it may be."""
+        if self.id in self.bus.alerts:
+            self.complain()
+        health = self.health
+        assert health is not None
+        if health.temperature_c > self.max_temperature_c - HOT_MARGIN_C:
+            raise DeviceError(
+                f"axis {self.name}: servo id {self.id} is at {health.temperature_c} C, and its limit is "
+                f"{self.max_temperature_c} C; let it cool down, and look for what it works against"
+            )
+        low, high = self.voltage_limits_v
+        if not low <= health.voltage_v <= high:
+            raise DeviceError(
+                f"axis {self.name}: servo id {self.id} has {health.voltage_v:.1f} V, needs {low:.1f} to {high:.1f} V"
             )
 
     def complain(self, byte: int | None = None) -> None:
@@ -216,6 +253,47 @@ def span(table: Mapping[str, Item]) -> tuple[int, int]:
     """Address and size of the block that a report reads."""
     first, last = table["Profile Acceleration"], table["Present Temperature"]
     return first.address, last.address + last.size - first.address
+
+
+def reports(bus: Bus, joints: Iterable[Joint]) -> dict[str, Report]:
+    """What every servo says now, by the name of its axis, with its health checked; one block a servo.
+
+    Raises
+    ------
+    DeviceError
+        A servo does not answer, or is unwell.
+    """
+    by_id = {joint.id: joint for joint in joints}
+    groups: dict[tuple[int, int], list[int]] = {}
+    for joint in by_id.values():
+        groups.setdefault(span(joint.table), []).append(joint.id)
+    blocks: dict[int, bytes] = {}
+    for (address, size), ids in groups.items():
+        blocks |= bus.read_all(ids, address, size)
+    out = {}
+    for identity, block in blocks.items():
+        joint = by_id[identity]
+        start = span(joint.table)[0]
+        value = {n: joint.table[n].decode(block, start) for n in joint.table if n in REPORTED}
+        current = value.get("Present Current", value.get("Present Load", 0))
+        joint.health = Health(value["Present Temperature"], value["Present Input Voltage"] / 10, current)
+        profile = block[: len(joint.profile)]
+        position, moving = value["Present Position"], bool(value["Moving"])
+        out[joint.name] = Report(position, moving, value["Goal Position"], profile, current)
+        joint.check_health()
+    return out
+
+
+def require_torque(bus: Bus, joints: Iterable[Joint]) -> None:
+    """Raise `DeviceError` where a servo has an error in its hardware-error byte, or holds nothing any more."""
+    by_id = {joint.id: joint for joint in joints}
+    table = next(iter(by_id.values())).table  # these items have the same addresses in every model of the X series
+    torque, error = table["Torque Enable"], table["Hardware Error Status"]
+    blocks = bus.read_all(by_id, torque.address, error.address + error.size - torque.address)
+    for identity, joint in by_id.items():
+        joint.complain(error.decode(blocks[identity], torque.address))
+        if torque.decode(blocks[identity], torque.address) != 1:
+            raise DeviceError(f"axis {joint.name}: servo id {identity} has let go of its torque; all axes are stopped")
 
 
 def joint(

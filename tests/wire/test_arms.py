@@ -6,19 +6,23 @@ import math
 import os
 import pty
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 import serial
-from gonio_drivers import dynamixel, settings
+from gonio_drivers import dynamixel, settings, watchdog
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.joints import COUNTS
 from gonio_sim.wire import protocol2 as p2
-from gonio_sim.wire.servo import Mechanics
+from gonio_sim.wire.bus import ServoBus
+from gonio_sim.wire.peer import SerialPeer, scaled_clock
+from gonio_sim.wire.servo import Mechanics, Refused, Servo
 
 from gonio.description import Acquisition, ArmAxis, Arms, Band, Bands, Holder, Reference, RigDescription
 from gonio.errors import ConfigError, DeviceError
@@ -326,10 +330,99 @@ def test_a_servo_with_a_low_velocity_limit_gets_the_time_that_it_needs(line: Lin
         assert arms._duration("light", 0, 4096 / 4) == pytest.approx(90 / 13.74, rel=0.1)  # and the ramps
 
 
-def test_a_bus_watchdog_that_has_run_out_is_cleared(line: Line) -> None:
+# ---- the bus watchdog ----
+
+
+def test_a_bus_watchdog_that_has_run_out_is_cleared_and_told(line: Line, caplog: pytest.LogCaptureFixture) -> None:
     line.servos[2]._put("Bus Watchdog", -1)
     with ServoArms(describe(), servos(line.port)) as arms:
+        assert "axis camera: servo id 2 had stopped by itself" in caplog.text
         assert degrees(arms.move(pose(0, 10, 0)))[1] == pytest.approx(10, abs=TOLERANCE_DEG)
+
+
+def test_the_watchdog_is_armed_for_the_length_of_a_motion(arms: ServoArms, line: Line) -> None:
+    seen: set[int] = set()
+    line.servos[1].leaving = lambda: seen.add(line.servos[1].get("Bus Watchdog"))
+    arms.move(pose(30, 20, 10))
+    assert seen == {watchdog.UNITS}
+    assert {servo.get("Bus Watchdog") for servo in line.servos.values()} == {0}
+    arms.park()
+    arms.stop()
+    assert {servo.get("Bus Watchdog") for servo in line.servos.values()} == {0}
+
+
+@pytest.mark.parametrize("forgets", [False, True])
+def test_a_program_that_is_held_up_in_mid_move_sends_the_servos_on(
+    arms: ServoArms, line: Line, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, forgets: bool
+) -> None:
+    real, calls = arms.bus.read_all, []
+
+    def held_up(*arguments: Any) -> Any:
+        calls.append(1)
+        if len(calls) == 5:
+            for servo in line.servos.values():
+                if servo.get("Bus Watchdog") > 0:
+                    servo._heard_s -= 1.0  # as if it had heard nothing for a second
+                    servo.shaft()
+                    if forgets:  # where a stop clears the profile
+                        servo._put("Profile Velocity", 0)
+        return real(*arguments)
+
+    monkeypatch.setattr(arms.bus, "read_all", held_up)
+    target = (60, 50, -40)
+    assert degrees(arms.move(pose(*target))) == pytest.approx(target, abs=TOLERANCE_DEG)
+    assert "the servo stopped; sent on" in caplog.text
+    assert {servo.get("Bus Watchdog") for servo in line.servos.values()} == {0}
+
+
+def test_a_servo_that_stops_again_and_again_is_an_error_that_says_why(
+    arms: ServoArms, line: Line, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(watchdog, "UNITS", 1)
+    monkeypatch.setattr("gonio_drivers.arms.POLL_S", 0.03)  # longer than the period of 0.02 s
+    with pytest.raises(DeviceError, match=r"has stopped 4 times on one way.*overloaded"):
+        arms.move(pose(90, 0, 0))
+    assert at_rest(line)
+
+
+def test_old_firmware_without_a_watchdog_moves_and_says_so(line: Line, caplog: pytest.LogCaptureFixture) -> None:
+    for servo in line.servos.values():
+        read = servo.read
+        servo.read = lambda a, n, read=read: refuse() if a == 98 else read(a, n)  # type: ignore[method-assign]
+
+    def refuse() -> bytes:
+        raise Refused(p2.ACCESS_ERROR)
+
+    with ServoArms(describe(), servos(line.port)) as arms:
+        assert degrees(arms.move(pose(10, 20, 30))) == pytest.approx((10, 20, 30), abs=TOLERANCE_DEG)
+    assert "servo id 3 has no bus watchdog" in caplog.text
+
+
+def test_after_kill_9_in_mid_move_the_servos_stop_within_the_period(caplog: pytest.LogCaptureFixture) -> None:
+    clock = scaled_clock(1.0)
+    servo = {k: Servo(k, clock, model="xm430-w350", baud=BAUD) for k in (1, 2, 3)}
+    with SerialPeer(ServoBus(servo.values())) as peer:
+        program = (
+            "from tests.wire.test_arms import ServoArms, describe, pose, servos\n"
+            f"with ServoArms(describe(), servos({peer.port!r})) as arms:\n    arms.move(pose(85, 85, 0))\n"
+        )
+        root = Path(__file__).resolve().parents[2]
+        with subprocess.Popen([sys.executable, "-c", program], cwd=root) as killed:
+            while servo[1].shaft()[1] < 300:  # counts/s: at full speed, 30 deg/s
+                assert killed.poll() is None
+            killed.kill()
+        at = [servo[k].shaft()[0] for k in (1, 2)]
+        while servo[1].moves() or servo[2].moves():
+            pass
+        # 29 deg/s for the period, and 20 ms of it had passed since the last poll
+        way = [(servo[k].shaft()[0] - before) * COUNT_DEG for k, before in zip((1, 2), at, strict=True)]
+        assert max(way) <= 29 * watchdog.PERIOD_S
+        assert servo[1].torque
+        assert servo[1].shaft()[0] * COUNT_DEG < 180 + 80
+        with ServoArms(describe(), servos(peer.port)) as arms:
+            assert "servo id 1 had stopped by itself, because a program died" in caplog.text
+            here = degrees(arms.read())
+            assert degrees(arms.move(pose(here[0] + 2, here[1], 0)))[0] == pytest.approx(here[0] + 2, abs=0.15)
 
 
 def test_an_interruption_in_the_middle_of_a_move_stops_every_axis(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import time
 from pathlib import Path
 
 import pytest
@@ -275,9 +276,28 @@ def test_the_bus_watchdog_stops_and_bars_goals(sdk, line, monkeypatch) -> None:
     port, ph = sdk
     ph.write1ByteTxRx(port, 1, WATCHDOG, 1)
     ph.write1ByteTxRx(port, 1, TORQUE, 1)
-    line.servos[1].heard(1e9)  # silence until then, in wall time
+    while line.servos[1].get("Bus Watchdog") != -1:
+        line.servos[1].shaft()
     assert ph.read1ByteTxRx(port, 1, WATCHDOG)[0] == 255
     assert ph.write4ByteTxRx(port, 1, GOAL, 100) == (COMM_SUCCESS, p2.RANGE_ERROR)
+    assert ph.write1ByteTxRx(port, 1, WATCHDOG, 1) == (COMM_SUCCESS, 0)
+    assert ph.read1ByteTxRx(port, 1, WATCHDOG)[0] == 255  # only 0 clears it
+    assert ph.write1ByteTxRx(port, 1, WATCHDOG, 0) == (COMM_SUCCESS, 0)
+    assert ph.write4ByteTxRx(port, 1, GOAL, 100) == (COMM_SUCCESS, 0)
+
+
+def test_the_bus_watchdog_counts_wall_time_whatever_the_time_scale(line) -> None:
+    servo = line.servos[1]
+    servo.write(11, b"\x01")  # velocity mode: it turns until somebody stops it
+    servo.write(TORQUE, b"\x01")
+    servo.write(104, (10).to_bytes(4, "little"))
+    servo.write(WATCHDOG, b"\x02")
+    servo.heard(heard := time.monotonic())
+    while servo.get("Bus Watchdog") != -1:
+        servo.shaft()
+    end = servo._clock.at(heard + 0.040)  # two units of 20 ms
+    assert servo.shaft() == (servo.shaft()[0], 0.0)
+    assert servo._path.phases[0].start == end
 
 
 def test_a_shadow_id_is_obeyed_and_not_answered(sdk) -> None:

@@ -9,11 +9,10 @@ import threading
 import time
 import tty
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
-
-Clock = Callable[[], float]
 
 BAUD_RATES = {
     getattr(termios, name): int(name[1:])
@@ -122,7 +121,21 @@ class SerialPeer:
             self.failure = failure
 
 
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """The twins' clock [s]: 0 at `start_s` of `time.monotonic`, and `scale` times as fast."""
+
+    scale: float
+    start_s: float
+
+    def __call__(self) -> float:
+        return self.at(time.monotonic())
+
+    def at(self, wall_s: float) -> float:
+        """What it shows at a time of `time.monotonic`."""
+        return (wall_s - self.start_s) * self.scale
+
+
 def scaled_clock(scale: float) -> Clock:
-    """A clock that starts at 0 and runs `scale` times faster than wall time [s]."""
-    start = time.monotonic()
-    return lambda: (time.monotonic() - start) * scale
+    """A clock that starts now and runs `scale` times faster than wall time."""
+    return Clock(scale, time.monotonic())

@@ -7,6 +7,7 @@ the bus watchdog, which belong to the wire, run on wall time.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -18,6 +19,7 @@ NO_LOAD = 1.0e6
 """Acceleration where no profile limits it [counts/s^2]."""
 STALL_TO_OVERLOAD_S = 2.0
 BOOT_S = 0.5
+WATCHDOG_UNIT_S = 0.020
 POSITION_MODES = (3, 4, 5)
 LIMITED = (("Goal Velocity", "Velocity Limit"), ("Goal Current", "Current Limit"), ("Goal PWM", "PWM Limit"))
 
@@ -82,7 +84,7 @@ class Servo:
         self._blocked_at: float | None = None
         self._stalled_since: float | None = None
         self._back_at: float | None = None
-        self._watched = 0.0
+        self._heard_s = time.monotonic()
         self.leaving: Callable[[], None] = lambda: None
         """Called before the shaft sets out for a new goal: what hangs on it has followed until now."""
         self.powered = True
@@ -111,12 +113,14 @@ class Servo:
 
     def shaft(self) -> tuple[float, float]:
         """Position [counts] and velocity [counts/s] of the shaft, now."""
+        self._watch(time.monotonic())
         if self._blocked_at is not None:
             return self._blocked_at, 0.0
         return self._path.at(self._clock())
 
     def moves(self) -> bool:
         """Whether the shaft turns now, or would turn if nothing blocked it."""
+        self._watch(time.monotonic())
         return self._clock() < self._path.end_s or abs(self._path.at(self._clock())[1]) > 0
 
     def block(self) -> None:
@@ -217,12 +221,20 @@ class Servo:
         self._aim = position % tables.COUNTS
 
     def heard(self, wall_s: float) -> None:
-        """Called for every instruction packet on the bus: the bus watchdog counts silence in wall time."""
-        timeout = self.get("Bus Watchdog") * 0.020
-        if timeout > 0 and self.torque and wall_s - self._watched > timeout:
+        """Called for every instruction packet on the bus, for whomever it is: silence is counted from there."""
+        self._watch(wall_s)
+        self._heard_s = wall_s
+
+    def _watch(self, wall_s: float) -> None:
+        """The bus watchdog: after a silence, in wall time, the shaft has stopped at once, and its goal is there."""
+        timeout_s = self.get("Bus Watchdog") * WATCHDOG_UNIT_S
+        if timeout_s > 0 and self.torque and wall_s - self._heard_s > timeout_s:
             self._put("Bus Watchdog", -1)
-            self._halt()
-        self._watched = wall_s
+            now = self._clock.at(self._heard_s + timeout_s)
+            position = self._path.at(now)[0] if self._blocked_at is None else self._blocked_at
+            self._path = motion.rest(now, position)
+            self._aim = position
+            self._put("Goal Position", round(self._shown(position)) + self._offset)
 
     # ---- memory ----
 
@@ -313,6 +325,8 @@ class Servo:
 
     def _set(self, name: str, value: int) -> None:
         before = self.torque
+        if name == "Bus Watchdog" and value != 0 and self.get(name) == -1:
+            return  # only 0 clears its error
         self._put(name, value)
         if name == "Torque Enable" and bool(value) != before:
             if value:
