@@ -99,9 +99,9 @@ class FitResult:
         """Probability of a larger chi-square, were the model and the stated uncertainties right."""
         if self.chi_square is None or self.degrees_of_freedom < 1:
             return None
-        from scipy.stats import chi2
+        from scipy.special import chdtrc
 
-        return float(chi2.sf(self.chi_square, self.degrees_of_freedom))
+        return float(chdtrc(self.degrees_of_freedom, self.chi_square))
 
     @property
     def correlation(self) -> Floats:

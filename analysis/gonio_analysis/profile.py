@@ -92,12 +92,8 @@ def profiles(result: FitResult, names: tuple[str, ...] | None = None, *, level: 
     Profiles
         Without stated uncertainties the rise of chi-square is in units of the scatter of the residuals.
     """
-    from scipy.stats import chi2, f
-
     walker = _Walker(result)
-    freedom = len(result.data) - len(result.free)
-    stated = result.data.covariance is not None
-    threshold = math.sqrt(float(chi2.ppf(level, 1)) if stated else float(f.ppf(level, 1, freedom)))
+    threshold = math.sqrt(rise(result, level))
     out: dict[str, Interval] = {}
     for name in result.free if names is None else names:
         k = result.free.index(name)
@@ -110,6 +106,18 @@ def profiles(result: FitResult, names: tuple[str, ...] | None = None, *, level: 
         points.sort()
         out[name] = _interval(result, name, k, ends, points, level)
     return Profiles(out, walker.better)
+
+
+def rise(result: FitResult, level: float) -> float:
+    """Rise of chi-square at the ends of a single parameter's interval (dimensionless).
+
+    Without stated uncertainties it is in units of the scatter of the residuals.
+    """
+    from scipy.special import chdtri, fdtri
+
+    if result.data.covariance is not None:
+        return float(chdtri(1, 1.0 - level))
+    return float(fdtri(1, len(result.data) - len(result.free), level))
 
 
 def _interval(

@@ -91,9 +91,9 @@ def _changes(c: Change, at: Observations, drawn: list[Curve], where: str) -> Fig
 
 
 def _limit(n: int) -> float:
-    from scipy.stats import norm
+    from scipy.special import ndtri
 
-    return float(-norm.ppf(-math.expm1(math.log1p(-LEVEL) / n) / 2))
+    return float(-ndtri(-math.expm1(math.log1p(-LEVEL) / n) / 2))
 
 
 def _change_maps(c: Change, at: Observations, where: str) -> list[Figure]:

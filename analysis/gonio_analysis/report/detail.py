@@ -110,15 +110,14 @@ def _lobe(d: Dataset, facts: dict[str, Any], rows: Rows) -> Figure:
 
 
 def _profiles(d: Dataset, facts: dict[str, Any]) -> Figure:
-    from scipy.stats import chi2, f
+    from gonio_analysis.profile import rise
 
     named = d.choice.named
     assert named is not None
     result = named.fit
     intervals = list(d.choice.intervals.values())
-    stated = result.data.covariance is not None
     level = intervals[0].level
-    threshold = float(chi2.ppf(level, 1) if stated else f.ppf(level, 1, len(result.data) - len(result.free)))
+    threshold = rise(result, level)
     wide = (len(intervals) + 3) // 4
 
     def on(figure: Any) -> None:
@@ -130,7 +129,11 @@ def _profiles(d: Dataset, facts: dict[str, Any]) -> Figure:
         for ax in axes[len(intervals) :]:
             ax.set_axis_off()
 
-    what = "Rise of chi-square" if stated else "Rise of the sum of squares, in units of the scatter,"
+    what = (
+        "Rise of chi-square"
+        if result.data.covariance is not None
+        else "Rise of the sum of squares, in units of the scatter,"
+    )
     caption = (
         f"Profiles of {named.candidate.label}: {what[:1].lower() + what[1:]} over each parameter, with all others"
         f" fitted again. Line: fitted value; dashes: the rise at the ends of the {100 * level:g} % interval (shaded)."
