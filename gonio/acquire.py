@@ -7,35 +7,36 @@ parked; a step is in the journal if, and only if, all of its frames are on the d
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import logging
-import os
-import re
-import shutil
+import math
 import signal
 import threading
 from collections import deque
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from concurrent.futures import Future
+from dataclasses import asdict, dataclass
 from types import FrameType, TracebackType
 from typing import Any, Protocol, Self
 
 from gonio import __version__, exposure
 from gonio.description import Band
-from gonio.errors import DataError, DeviceError, Interrupted
-from gonio.frames import write_dng
+from gonio.errors import DeviceError, Disturbed, Interrupted
 from gonio.imaging import Roi, roi
 from gonio.journal import Event
 from gonio.kinematics import View, view
 from gonio.plan import ANGLES
-from gonio.rig import Frame, Pose, Rig, Step, Target
+from gonio.rig import Pose, Rig, Step, Target
 from gonio.run import Run
+from gonio.store import Files, Store, slugs
 
-AXES = tuple(asdict(Pose()))
-WAITING = 8
-"""How many frames may wait for the disk before the camera has to."""
+log = logging.getLogger("gonio.devices")
+
+ATTEMPTS = 3
+"""How often a step is taken whose arms do not stand still."""
+MOVED_STEPS = 2.5
+"""An axis has moved where its readbacks before and after the frames differ by more steps: encoders flicker by one."""
+MOVED_DEG = 0.01
+"""The same, for an axis whose encoder has no steps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,14 +71,23 @@ class Progress(Protocol):
 class Stop:
     """What SIGINT, SIGTERM and SIGHUP ask for while it is entered: once to finish the step, twice to stop at once.
 
-    Enter it around the rig's own context: later signals wait until the arms are parked and the lamp is dark.
+    Enter it around the rig's own context. The second signal raises `Interrupted`, wherever the program is; what comes
+    later does nothing.
+
+    Parameters
+    ----------
+    progress
+        Who is told.
+    last
+        The process ends after this: where it was left by an error no signal is heard any more.
     """
 
     SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-    def __init__(self, progress: Progress) -> None:
+    def __init__(self, progress: Progress, *, last: bool = False) -> None:
         self.requested = 0
-        self._progress = progress
+        self._progress, self._last = progress, last
+        self._held = self._raised = False
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
@@ -92,15 +102,30 @@ class Stop:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for number, before in self._before.items():
-            signal.signal(number, before)
+            signal.signal(number, signal.SIG_IGN if self._last and error is not None else before)
+
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """Meanwhile signals are counted, and raise nothing; whoever holds them looks at `requested` afterwards."""
+        self._held = True
+        try:
+            yield
+        finally:
+            self._raised = self.requested > 1
+            self._held = False
 
     def _request(self, number: int, frame: FrameType | None) -> None:
         self.requested += 1
+        if self._held:
+            return
         if self.requested == 1:
+            self._held = True  # a second signal must not tear the start of the thread
             # from a thread: the signal may have come in the middle of a line that is being printed
             text = "finishing this step, then parking; once more stops every axis at once"
-            threading.Thread(target=self._progress.say, args=(text,), daemon=True).start()
-        elif self.requested == 2:
+            threading.Thread(target=self._progress.say, args=(text,)).start()
+            self._held = False
+        if self.requested > 1 and not self._raised:
+            self._raised = True
             raise Interrupted("stopped at once, in the middle of a step")
 
 
@@ -136,6 +161,20 @@ def measure(rig: Rig, run: Run, steps: list[Step], progress: Progress, stop: Sto
         left = _fresh(steps, done) + left
     run.append({"event": "session", "gonio": __version__, "steps": len(steps), "left": len(left)})
     progress.start(len(done) + len(left), len(done))
+    try:
+        _take_all(rig, run, left, progress, stop)
+    except Interrupted as error:
+        now = "arms parked"
+        if stop.requested > 1:
+            rig.arms.stop()
+            now = "axes stopped"
+        where = f"after {len(run.steps())} of {len(done) + len(left)} steps"
+        raise Interrupted(f"{error} {where}; {now}, lamp dark; go on with --resume") from None
+    run.append({"event": "end", "steps": len(run.steps())})
+
+
+def _take_all(rig: Rig, run: Run, left: list[Step], progress: Progress, stop: Stop) -> None:
+    """Take steps; whatever ends that early, those that were taken whole are in the journal, and what it was."""
     with _Session(rig, run, progress) as session, _remarks(run, progress):
         try:
             for step in left:
@@ -144,17 +183,13 @@ def measure(rig: Rig, run: Run, steps: list[Step], progress: Progress, stop: Sto
                 session.take(step)
             session.finish()
         except (Interrupted, DeviceError) as error:
-            if isinstance(error, DeviceError) or stop.requested > 1:
-                rig.arms.stop()
-            session.finish()
-            kind = "interrupted" if isinstance(error, Interrupted) else "device_error"
-            run.append({"event": kind, "message": str(error)})
-            if isinstance(error, Interrupted):
-                where = f"after {len(run.steps())} of {len(done) + len(left)} steps"
-                now = "axes stopped" if stop.requested > 1 else "arms parked"
-                raise Interrupted(f"{error} {where}; {now}, lamp dark; go on with --resume") from None
+            with stop.held():
+                if isinstance(error, DeviceError) or stop.requested > 1:
+                    rig.arms.stop()
+                session.finish()
+                kind = "interrupted" if isinstance(error, Interrupted) else "device_error"
+                run.append({"event": kind, "message": str(error)})
             raise
-    run.append({"event": "end", "steps": len(run.steps())})
 
 
 def _fresh(steps: list[Step], done: set[int]) -> list[Step]:
@@ -162,6 +197,11 @@ def _fresh(steps: list[Step], done: set[int]) -> list[Step]:
     number = max(len(steps), max(done) + 1)
     again = [step for step in (steps[0], steps[1]) if step.index in done]
     return [Step(number + k, step.kind, pose=step.pose) for k, step in enumerate(again)]
+
+
+def _readback(pose: Pose, time_s: float) -> dict[str, Any]:
+    """What the encoders read, and when."""
+    return {"pose": asdict(pose), "pose_time_s": time_s}
 
 
 @dataclass(slots=True)
@@ -182,9 +222,9 @@ class _Session:
         self._lit = False
         self._target: Target | None = None
         self._pending: deque[_Taken] = deque()
-        self._store = _Store(run.path / "frames")
-        self._names = _slugs(run.bands)
-        self._reference = next((e for e in run.steps() if e["kind"] == "reference"), None)
+        self._store = Store(run.path / "frames")
+        self._names = slugs(run.bands)
+        self._reference = next((e for e in run.steps() if e["kind"] == "reference" and not e["flag"]), None)
         self._angles = run.plan[list(ANGLES)].to_numpy()
 
     def __enter__(self) -> Self:
@@ -199,7 +239,7 @@ class _Session:
         """Take a step; journal the one before it, whose frames were being written meanwhile."""
         self._rig.begin(step)
         taken = self._dark(step) if step.kind == "dark" else self._lit_step(step)
-        if step.kind == "reference" and self._reference is None:
+        if step.kind == "reference" and self._reference is None and not taken.event["flag"]:
             self._reference = taken.event
         self._pending.append(taken)
         while len(self._pending) > 1:
@@ -219,28 +259,50 @@ class _Session:
 
     def _dark(self, step: Step) -> _Taken:
         self._darken()
-        files = _Files(self._store, step, "dark", "", lamp=False)
+        files = Files(self._store, step, "dark", "", lamp=False)
         for exposure_s in exposure.dark_exposures_s(self._description):
             for _ in range(self._description.acquisition.dark_frames):
                 files.keep(self._rig.camera.capture(exposure_s))
         pose = self._rig.arms.read()
-        return self._taken(step, pose, pose, [files], "", {}, 0.0)
+        return self._taken(step, pose, _readback(pose, self._rig.time_s()), [files], "", 0.0)
 
     def _lit_step(self, step: Step) -> _Taken:
         target: Target = "reference" if step.kind == "reference" else "sample"
         self._present(target)
+        for attempt in range(1, ATTEMPTS + 1):
+            try:
+                return self._exposed(step, target)
+            except Disturbed as disturbed:
+                then = "it is taken again" if attempt < ATTEMPTS else 'it is flagged "moved"'
+                log.warning("step %d: %s; %s", step.index, disturbed, then)
+        readback = _readback(self._rig.arms.read(), self._rig.time_s())
+        return self._taken(step, step.pose, readback, [], "moved", 0.0)
+
+    def _exposed(self, step: Step, target: Target) -> _Taken:
+        """Move, and take the frames of every band; raises `Disturbed` where an axis did not stand still meanwhile."""
         pose = self._rig.arms.move(step.pose)
+        readback = _readback(pose, self._rig.time_s())
         seen = view(self._description, pose)
         if seen.camera_mm[2] <= 0.0 or seen.source_mm[2] <= 0.0:
-            return self._taken(step, step.pose, pose, [], "below_horizon", {}, 0.0)
+            return self._taken(step, step.pose, readback, [], "below_horizon", 0.0)
         all_files, levels, brightest = [], {}, 0.0
         for band in self._run.bands:
             files, levels[band.name], level = self._band(step, seen, target, band)
             all_files.append(files)
             brightest = max(brightest, level)
-        return self._taken(step, step.pose, pose, all_files, "", {"level_per_s": levels}, brightest)
+        after = self._rig.arms.read()
+        readback |= {"pose_after": asdict(after), "pose_after_time_s": self._rig.time_s(), "level_per_s": levels}
+        self._require_still(pose, after)
+        return self._taken(step, step.pose, readback, all_files, "", brightest)
 
-    def _band(self, step: Step, seen: View, target: Target, band: Band) -> tuple[_Files, float, float]:
+    def _require_still(self, before: Pose, after: Pose) -> None:
+        for name, at in asdict(before).items():
+            axis = self._description.holder if name in ("tilt", "spin") else getattr(self._description.arms, name)
+            way_deg = math.degrees(abs(getattr(after, name) - at))
+            if axis is not None and way_deg > max(MOVED_STEPS * axis.encoder_step_deg, MOVED_DEG):
+                raise Disturbed(f"axis {name} has moved by {way_deg:.2f} deg during the exposures")
+
+    def _band(self, step: Step, seen: View, target: Target, band: Band) -> tuple[Files, float, float]:
         """Meter and measure one band: its files, its level for one second, and the level of the last full frame."""
         description, rig = self._description, self._rig
         region: Roi = roi(description, seen, target, band.channel)
@@ -249,7 +311,7 @@ class _Session:
             rig.light.on()
             self._lit = True
         found = exposure.meter(description, rig.camera.capture, region.of, self._expected(step, band))
-        files = _Files(self._store, step, self._names[band.name], band.name, lamp=True)
+        files = Files(self._store, step, self._names[band.name], band.name, lamp=True)
         level = 0.0
         for _ in range(description.reference.frames if step.kind == "reference" else description.acquisition.frames):
             frame = rig.camera.capture(found.exposure_s)
@@ -268,7 +330,7 @@ class _Session:
         return max(float(self._reference["level_per_s"][band.name]), 1e-6) * ratio
 
     def _taken(
-        self, step: Step, goal: Pose, pose: Pose, files: list[_Files], flag: str, more: dict[str, Any], level: float
+        self, step: Step, goal: Pose, readback: dict[str, Any], files: list[Files], flag: str, level: float
     ) -> _Taken:
         frames = [frame for each in files for frame in each.frames]
         event = {
@@ -278,9 +340,8 @@ class _Session:
             "point": step.point,
             "time_s": frames[0]["time_s"] if frames else self._rig.time_s(),
             "goal": asdict(goal),
-            "pose": asdict(pose),
+            **readback,
             "flag": flag,
-            **more,
             "frames": frames,
         }
         angles = None if step.point is None else tuple(map(float, self._angles[step.point]))
@@ -297,92 +358,6 @@ class _Session:
     def _darken(self) -> None:
         self._rig.light.off()
         self._lit = False
-
-
-class _Store:
-    """Writes frames in a thread of its own, in order, so that the disk and the camera work at the same time."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="gonio-frames")
-        self._room = threading.Semaphore(WAITING)
-
-    def put(self, frame: Frame, name: str) -> Future[str]:
-        """Begin to write a frame; the future is the SHA-256 of its file, once that is on the disk."""
-        self._room.acquire()
-        return self._pool.submit(self._write, frame, self._folder / name)
-
-    def _write(self, frame: Frame, path: Path) -> str:
-        try:
-            if frame.file is None:
-                write_dng(frame, path)
-            else:
-                _adopt(frame.file, path)
-            with path.open("rb") as file:
-                return hashlib.file_digest(file, "sha256").hexdigest()
-        except OSError as error:
-            raise DataError(f"{path}: cannot be written: {error.strerror}") from None
-        finally:
-            self._room.release()
-
-    def sync(self) -> None:
-        """Wait until the names of the frames are on the disk too."""
-        handle = os.open(self._folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-
-    def close(self) -> None:
-        self._pool.shutdown(cancel_futures=True)
-
-
-@dataclass(slots=True)
-class _Files:
-    """The frames of one step in one band."""
-
-    store: _Store
-    step: Step
-    slug: str
-    band: str
-    lamp: bool
-    frames: list[dict[str, Any]] = field(default_factory=list)
-    written: list[Future[str]] = field(default_factory=list)
-
-    def keep(self, frame: Frame) -> None:
-        suffix = ".dng" if frame.file is None else frame.file.suffix.lower()
-        name = f"{self.step.index:06d}-{self.slug}-{len(self.frames) + 1:02d}{suffix}"
-        self.frames.append(
-            {
-                "file": name,
-                "band": self.band,
-                "exposure_s": frame.exposure_s,
-                "time_s": frame.time_s,
-                "lamp": self.lamp,
-            }
-        )
-        self.written.append(self.store.put(frame, name))
-
-
-def _adopt(source: Path, path: Path) -> None:
-    """Copy a camera's own raw file, whole or not at all."""
-    temporary = path.with_name(f".{path.name}.new")
-    try:
-        shutil.copyfile(source, temporary)
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _slugs(bands: tuple[Band, ...]) -> dict[str, str]:
-    """A part of a file name for every band."""
-    out: dict[str, str] = {}
-    for band in bands:
-        slug = re.sub(r"[^A-Za-z0-9_]+", "", band.name) or "band"
-        out[band.name] = slug if slug not in out.values() else f"{slug}_{len(out)}"
-    return out
 
 
 class _Remarks(logging.Handler):
@@ -402,7 +377,7 @@ class _Remarks(logging.Handler):
 @contextlib.contextmanager
 def _remarks(run: Run, progress: Progress) -> Iterator[None]:
     """Keep in the journal what drivers log on `gonio.devices`."""
-    log, handler = logging.getLogger("gonio.devices"), _Remarks(run, progress)
+    handler = _Remarks(run, progress)
     log.addHandler(handler)
     try:
         yield

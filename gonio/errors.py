@@ -35,6 +35,12 @@ class DeviceError(GonioError):
     exit_code = 3
 
 
+class Disturbed(DeviceError):
+    """An axis was moved from its place by a little, and is not out of order: what was exposed counts for nothing, and
+    the step may be taken again (exit code 3).
+    """
+
+
 class Interrupted(GonioError):
     """The run was stopped by the user, after the arms were parked and the lamp was dark (exit code 130)."""
 

@@ -107,6 +107,7 @@ def carry_out(
     yes: bool = False,
     command: str = "",
     progress: Progress | None = None,
+    last: bool = False,
 ) -> Run:
     """Measure a plan into a folder. Everything that can be wrong is checked before the folder is made.
 
@@ -126,6 +127,8 @@ def carry_out(
         The command line, for the record.
     progress
         Who watches; nobody by default.
+    last
+        The process ends where this is left by an error: Ctrl-C is not heard any more then.
 
     Returns
     -------
@@ -148,7 +151,7 @@ def carry_out(
     device = _open(rig, out, sample, seed, resume, yes)
     going_on = resume and begun(out)
     request = Request(plan, points, rig.description, sample, seed, command)
-    with Stop(progress) as stop, contextlib.ExitStack() as stack:
+    with Stop(progress, last=last) as stop, contextlib.ExitStack() as stack:
         if going_on:
             run = stack.enter_context(Run.resume(out, request))
             with rig.naming():

@@ -19,7 +19,7 @@ from types import TracebackType
 from typing import NoReturn, Self
 
 from gonio.description import RigDescription
-from gonio.errors import ConfigError, DeviceError
+from gonio.errors import ConfigError, DeviceError, Disturbed
 from gonio.rig import Pose, Target
 from gonio_drivers import joints, settings, watchdog
 from gonio_drivers.dynamixel import Bus
@@ -230,20 +230,34 @@ class ServoArms:
         self._move({"changer": changer.sample_deg if target == "sample" else changer.reference_deg})
 
     def still(self) -> None:
-        """Raise `DeviceError` where an axis has left the place where it landed, or has let go of its torque."""
+        """Raise where an axis has left the place where it landed, or has let go of its torque.
+
+        Raises
+        ------
+        Disturbed
+            It was moved by a little (pushed, or sagged); another `move` brings it back.
+        DeviceError
+            It is far from its place, or its servo is unwell; every axis has been stopped.
+        """
+        disturbed = ""
         for name, report in joints.reports(self.bus, self.joints.values()).items():
             joint = self.joints[name]
             if joint.stood_at is not None and abs(report.position - joint.stood_at) > STILL_COUNTS:
-                self._fail(
+                disturbed = (
                     f"axis {name} has moved by itself, from {joint.to_deg(joint.stood_at):.2f} to "
-                    f"{joint.to_deg(report.position):.2f} deg; all axes are stopped"
+                    f"{joint.to_deg(report.position):.2f} deg"
                 )
+                if self._error_deg(joint, joint.stood_at, report.position) > LARGEST_CORRECTION_DEG:
+                    self._fail(f"{disturbed}; all axes are stopped")
+                joint.landed_at = joint.stood_at = None
             if report.profile != joint.profile:
                 self._fail(f"axis {name}: servo id {joint.id} has restarted by itself; all axes are stopped")
         try:
             joints.require_torque(self.bus, self.joints.values())
         except DeviceError as failure:
             self._fail(str(failure))
+        if disturbed:
+            raise Disturbed(disturbed)
 
     def _fail(self, message: str) -> NoReturn:
         self.stop()

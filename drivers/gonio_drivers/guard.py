@@ -45,11 +45,11 @@ class Guard:
             start_new_session=True,
         )
 
-    def release(self) -> None:
-        """The lamp is left in order."""
+    def release(self, *, in_order: bool) -> None:
+        """End the watch: the lamp is left in order, or the guard darkens it now that its port is closed."""
         if self._process is not None:
             with contextlib.suppress(BrokenPipeError):  # somebody has ended the guard
-                self._process.communicate(b"x")
+                self._process.communicate(b"x" if in_order else b"")
             self._process = None
 
 

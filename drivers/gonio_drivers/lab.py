@@ -12,7 +12,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from types import FrameType, TracebackType
@@ -147,7 +147,8 @@ class LabRig:
         except GonioError as stuck:
             failure = failure or stuck
         finally:
-            self._stack.__exit__(kind, error, trace)
+            with _undisturbed():
+                self._stack.__exit__(kind, error, trace)
         if failure is not None:
             if error is None or isinstance(error, Interrupted):  # nobody may be told that the arms are parked
                 raise failure
@@ -173,6 +174,20 @@ def _signals() -> Any:
     finally:
         for number in mine:
             signal.signal(number, signal.SIG_DFL)
+
+
+@contextlib.contextmanager
+def _undisturbed() -> Iterator[None]:
+    """For the moment that it takes to darken and to close the ports, Ctrl-C and its like are not heard."""
+    before: dict[signal.Signals, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {n: signal.signal(n, signal.SIG_IGN) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            if signal.getsignal(number) is signal.SIG_IGN:  # nobody has changed it since
+                signal.signal(number, handler)
 
 
 class _File(Strict):

@@ -88,17 +88,19 @@ class SerialLight:
             except OSError as error:
                 log.warning("lamp on %s: nothing darkens it after a kill -9: %s", self._light.port, error)
         except BaseException:
-            self._close()
+            self._close(in_order=False)
             raise
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        dark = False
         try:
             self.off()
+            dark = True
         finally:
-            self._close()
+            self._close(in_order=dark)
 
     # ---- LightDevice ----
 
@@ -377,10 +379,11 @@ class SerialLight:
                     return
             raise DeviceError(f"the lamp on {self._light.port} has an error queue that does not end")
 
-    def _close(self) -> None:
-        if self._guard is not None:
-            self._guard.release()
-            self._guard = None
+    def _close(self, *, in_order: bool) -> None:
+        """Close the port; the guard tries once more where the lamp may not be dark."""
         if self._port is not None:
             self._port.close()
             self._port = None
+        if self._guard is not None:
+            self._guard.release(in_order=in_order)
+            self._guard = None

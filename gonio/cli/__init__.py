@@ -7,7 +7,9 @@ imported before a command needs it, so that `gonio --help` answers at once.
 from __future__ import annotations
 
 import os
+import signal
 import sys
+import time
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -17,10 +19,28 @@ ORDER = ("demo", "rig", "plan", "measure", "reduce", "fit", "compare", "report")
 """The order of the help: that of the work."""
 
 
+TOGETHER_S = 1.0
+"""Ctrl-C, pressed again and again within so long, is one: what it ends has the time to be left in order."""
+
+
+class _CtrlC:
+    """What SIGINT does in the command line."""
+
+    def __init__(self) -> None:
+        self._last_s = -TOGETHER_S
+
+    def __call__(self, number: int, frame: object) -> None:
+        before_s, self._last_s = self._last_s, time.monotonic()
+        if self._last_s - before_s > TOGETHER_S:
+            raise KeyboardInterrupt
+
+
 def main() -> None:
     """Run the command line, and end the process with its exit code."""
     from gonio.errors import GonioError
 
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _CtrlC())
     try:
         build()(prog_name="gonio")
     except GonioError as error:
@@ -41,7 +61,8 @@ def main() -> None:
 
 
 def fail(message: str, code: int) -> None:
-    """End the process with a message on stderr."""
+    """End the process with a message on stderr; from here on Ctrl-C changes nothing."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.stdout.flush()
     print(f"gonio: {message}", file=sys.stderr)
     sys.exit(code)

@@ -46,6 +46,7 @@ def measure(
             yes=yes,
             command=command_line(),
             progress=progress,
+            last=True,
         )
     points = sum(event["kind"] == "point" for event in run.steps())
     skipped = len(asked.points) - points

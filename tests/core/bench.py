@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Self
 
@@ -51,6 +51,8 @@ class Bench:
     repeatable: bool = True
     fails_at: int | None = None
     """The step in which the camera fails."""
+    pushes: dict[int, int] = field(default_factory=dict)
+    """How often the camera arm is pushed during the frames of a step, by its number."""
     log: list[str] = field(default_factory=list)
     pose: Pose = field(default_factory=Pose)
     lit: bool = False
@@ -95,6 +97,7 @@ class Bench:
 
     def move(self, goal: Pose) -> Pose:
         self.log.append("move")
+        self.frame = 0
         self.pose = goal
         return goal
 
@@ -132,6 +135,9 @@ class Bench:
         dn = np.clip(np.rint(level / camera.electrons_per_dn + camera.black_level_dn), 0, camera.white_level_dn)
         time_s = self.time_s()
         self.frame += 1
+        if self.pushes.get(self.step, 0) and self.frame == 3:
+            self.pushes[self.step] -= 1
+            self.pose = replace(self.pose, camera=self.pose.camera + math.radians(0.3))
         return Frame(dn.astype(np.uint16), exposure_s, camera.black_level_dn, camera.white_level_dn, time_s=time_s)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import signal
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gonio import radiometry
 from gonio.acquire import Live, Silent
 from gonio.config import to_toml
 from gonio.description import Reference, RigDescription
@@ -105,6 +107,38 @@ def test_darks_are_dark_and_the_lamp_is_lit_for_the_rest(measure: Measure) -> No
     dark = measure("again").steps()[0]
     assert len({frame["exposure_s"] for frame in dark["frames"]}) == 2
     assert len(dark["frames"]) == 4
+
+
+def test_readbacks_before_and_after_the_frames_are_recorded_with_their_times(measure: Measure) -> None:
+    dark, *others = measure("run").steps()
+    assert dark["pose_time_s"] >= dark["frames"][-1]["time_s"]
+    for step in others:
+        assert step["pose"] == step["pose_after"] == step["goal"]  # this rig has no errors
+        times = [frame["time_s"] for frame in step["frames"]]
+        assert step["pose_time_s"] <= times[0] < times[-1] <= step["pose_after_time_s"]
+
+
+def test_a_step_during_which_an_arm_was_pushed_is_taken_again(measure: Measure) -> None:
+    run = measure("run", rig=Plugin(options={"pushes": {3: 1}}))
+    assert content(run) == content(measure("whole"))
+    (remark,) = (event["message"] for event in run.events() if event["event"] == "remark")
+    assert remark == "step 3: axis camera has moved by 0.30 deg during the exposures; it is taken again"
+
+
+def test_a_step_during_which_an_arm_never_stands_still_is_flagged(measure: Measure) -> None:
+    run = measure("run", rig=Plugin(options={"pushes": {1: 9, 3: 9}}))  # a visit to the reference, and a point
+    flags = {step["step"]: step["flag"] for step in run.steps()}
+    assert flags == dict.fromkeys(range(9), "") | {1: "moved", 3: "moved"}
+    assert [event["message"].rpartition("; ")[2] for event in run.events() if event["event"] == "remark"] == [
+        *["it is taken again", "it is taken again", 'it is flagged "moved"'] * 2
+    ]
+    flagged = run.steps()[3]
+    assert flagged["frames"] == []
+    assert flagged["pose"]["camera"] - flagged["goal"]["camera"] == pytest.approx(math.radians(0.3))
+    table = radiometry.reduce(run)
+    assert list(table["flag"])[:4] == ["", "", "blocked", "blocked"]
+    assert set(table["flag"][table["flag"] != "blocked"]) == {"", "moved"}
+    assert (table["flag"] == "moved").sum() == 2  # in both bands
 
 
 def test_one_seed_gives_one_run(measure: Measure) -> None:
@@ -272,9 +306,9 @@ def test_no_device_is_opened_before_everything_is_checked(plan: Plan, tmp_path: 
 
 
 def test_a_full_disk_ends_the_run_and_it_can_go_on(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:
-    from gonio import acquire
+    from gonio import store
 
-    write, count = acquire.write_dng, 0
+    write, count = store.write_dng, 0
 
     def fills_up(frame: object, path: Path) -> None:
         nonlocal count
@@ -283,7 +317,7 @@ def test_a_full_disk_ends_the_run_and_it_can_go_on(measure: Measure, monkeypatch
             raise OSError(28, "No space left on device")
         write(frame, path)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(acquire, "write_dng", fills_up)
+    monkeypatch.setattr(store, "write_dng", fills_up)
     with pytest.raises(DataError, match="No space left"):
         measure("run")
     monkeypatch.undo()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import random
+import select
 import signal
 import subprocess
 import sys
@@ -18,14 +19,14 @@ import numpy as np
 import pytest
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.lab import LAB, LabRig
-from gonio_sim.wire import faults, tether
-from gonio_sim.wire.bench import Bench
+from gonio_sim.wire import faults, motion, tether
+from gonio_sim.wire.bench import Bench, plug
 
 from gonio import radiometry
 from gonio.acquire import Silent
 from gonio.cli import rigs
 from gonio.cli.rigs import checks
-from gonio.config import parse
+from gonio.config import parse, to_toml
 from gonio.description import RigDescription, SampleDescription
 from gonio.errors import ConfigError, DeviceError, Interrupted
 from gonio.plan import load_plan
@@ -233,6 +234,29 @@ def test_two_stop_every_axis_at_once_and_darken(bench: Bench, tmp_path: Path) ->
     assert math.degrees(bench.followers["camera"].true()) < 80  # not parked
 
 
+@pytest.mark.parametrize("presses", [2, 3, 5])
+def test_rapid_ctrl_c_ends_with_130_and_one_message(bench: Bench, tmp_path: Path, presses: int) -> None:
+    (tmp_path / "plan.toml").write_text(PLAN)
+    (tmp_path / "rig.toml").write_text(to_toml(plug(bench.description)))
+    command = [sys.executable, "-c", "from gonio.cli import main; main()", "measure", str(tmp_path / "plan.toml")]
+    command += ["--rig", str(tmp_path / "rig.toml"), "--out", str(tmp_path / "run"), "--yes"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as child:
+        assert child.stderr is not None
+        child.stderr.readline()  # "... steps to take": it measures
+        while not any(servo.moves() for servo in bench.servos.values()):
+            assert child.poll() is None
+        for _ in range(presses):
+            child.send_signal(signal.SIGINT)
+        while presses == 5 and child.poll() is None:  # somebody who does not stop before it is over
+            child.send_signal(signal.SIGINT)
+            select.select([child.stderr], [], [], 0.001)
+        said = child.stderr.read()
+    assert child.returncode == 130, said
+    assert "Traceback" not in said
+    assert "axes stopped, lamp dark; go on with --resume" in said
+    assert bench.quiet
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGQUIT])
 def test_a_signal_leaves_the_rig_dark(bench: Bench, number: signal.Signals) -> None:
     with pytest.raises(Interrupted, match=number.name), opened(bench) as rig:  # noqa: PT012
@@ -291,6 +315,26 @@ def test_an_arm_that_moves_during_an_exposure_is_an_error(bench: Bench) -> None:
         bench.servos["camera"].write(116, (2000).to_bytes(4, "little"))
         rig.camera.capture(0.5)
         rig.camera.capture(0.5)
+
+
+def test_a_push_during_an_exposure_costs_the_step_and_no_more(
+    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, exposures = bench.camera._expose, []
+
+    def pushed(exposure_s: float) -> Any:
+        exposures.append(exposure_s)
+        if len(exposures) == 14:  # in the first point: 4 dark frames, then 4 of the reference and so on
+            camera = bench.servos["camera"]
+            camera._path = motion.rest(0.0, camera.shaft()[0] - 7)  # 0.6 deg
+        return real(exposure_s)
+
+    monkeypatch.setattr(bench.camera, "_expose", pushed)
+    run = measure(bench, tmp_path)
+    assert_true(run, points=4)
+    (remark,) = remarks(run)
+    assert "axis camera has moved by itself" in remark
+    assert "it is taken again" in remark
 
 
 def test_a_target_is_changed_by_its_servo(bench: Bench) -> None:

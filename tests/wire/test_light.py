@@ -109,6 +109,18 @@ def test_dark_after_kill_9(lamp: Plugged, tmp_path: Path) -> None:
         assert time.monotonic() < end
 
 
+def test_the_guard_darkens_what_an_interruption_has_left_lit(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
+    def pressed() -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), lamp.driver() as light:  # noqa: PT012
+        light.on()
+        monkeypatch.setattr(light, "off", pressed)
+    end = time.monotonic() + 10
+    while lamp.twin.shine.lit:
+        assert time.monotonic() < end
+
+
 def test_a_band_changes_while_the_lamp_is_lit(lamp: Plugged) -> None:
     with lamp.driver() as light:
         for band in (*BANDS, BANDS[0]):
