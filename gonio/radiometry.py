@@ -33,6 +33,7 @@ Array = npt.NDArray[np.float64]
 
 CLIPPED = 1e-3
 """Dark frames with a larger part of their pixels at 0 DN are cut off there."""
+COMMON = ("s_reference", "s_reference_noise", "s_lamp_drift", "s_dark_short", "s_dark_long")
 CAUSES = {"light": "s_theta_i_zero", "camera": "s_theta_r_zero", "tilt": "s_tilt_zero", "azimuth": "s_azimuth_zero"}
 """Axes whose zeros are common causes. A spin turns both directions alike: an isotropic surface does not notice it."""
 
@@ -53,7 +54,8 @@ def reduce(run: Run) -> pd.DataFrame:
         where `flag` says why: "blocked", "unreachable" and the plan's other reasons, "saturated" (in every frame),
         "below_horizon" (at the pose that was read), "not_measured" (the run ended before).
         Causes: `s_reference` (the certificate), `s_reference_noise` (mean level of the visits), `s_lamp_drift`,
-        `s_theta_i_zero`, `s_theta_r_zero` and, with those axes, `s_tilt_zero`, `s_azimuth_zero`.
+        `s_dark_short` and `s_dark_long` (noise of the shorter and of the longer dark frames), `s_theta_i_zero`,
+        `s_theta_r_zero` and, with those axes, `s_tilt_zero`, `s_azimuth_zero`.
 
     Raises
     ------
@@ -157,6 +159,8 @@ def _columns(
         "s_reference": brdf * description.reference.u_rel,
         "s_reference_noise": -brdf * fitted.noise(times) / k,
         "s_lamp_drift": -brdf * fitted.drift(times) / k,
+        "s_dark_short": np.array([point.dark[0] for point in points]) / k,
+        "s_dark_long": np.array([point.dark[1] for point in points]) / k,
     }
     said, even_parts = np.zeros(len(points)), np.zeros(len(points))
     for axis, u in encoder.items():
@@ -256,7 +260,7 @@ def _assemble(run: Run, results: list[_BandResult], notes: list[str]) -> pd.Data
     import pandas as pd
 
     description, plan = run.description, run.plan
-    causes = ["s_reference", "s_reference_noise", "s_lamp_drift", *(CAUSES[axis] for axis in _zeros(description))]
+    causes = [*COMMON, *(CAUSES[axis] for axis in _zeros(description))]
     nothing = dict.fromkeys(["brdf", "u_brdf", "u_random", *causes], math.nan)
     rows = []
     for point, goal in zip(plan.index.astype(int).tolist(), plan.to_dict("records"), strict=True):

@@ -53,6 +53,8 @@ class Darks:
             self._slope = np.tensordot(times - self._centre, stack, 1) / self._spread
         else:  # one exposure only: the data sheet's dark current
             self._slope, self._spread = np.full(self._mean.shape, rate), math.inf
+        longer = times > self._centre
+        self._groups = [times[group] for group in (~longer, longer) if group.any()]
 
     def of(self, region: Roi, exposure_s: float) -> Array:
         """Dark signal [DN] of the used pixels of a region, black level included."""
@@ -61,9 +63,20 @@ class Darks:
         mean, slope = self._mean[rows, cols][region.mask], self._slope[rows, cols][region.mask]
         return np.asarray(mean + slope * (exposure_s - self._centre))
 
-    def leverage(self, exposure_s: float) -> float:
-        """Variance of the line at an exposure over the variance of one dark frame's pixel."""
-        return 1.0 / self._count + (exposure_s - self._centre) ** 2 / self._spread
+    @property
+    def exposures_s(self) -> Array:
+        """Mean exposure of the shorter and of the longer dark frames (where there are several exposures)."""
+        return np.array([group.mean() for group in self._groups])
+
+    def leverage(self, exposure_s: float) -> Array:
+        """What the noise of the shorter and of the longer dark frames does to the line at an exposure.
+
+        The change of the line for one standard deviation of a pixel of one such frame, with its sign: roots of sums of
+        squares over the frames of each kind.
+        """
+        away = (exposure_s - self._centre) / self._spread
+        shares = [1.0 / self._count + away * (group - self._centre) for group in self._groups]
+        return np.array([math.copysign(float(np.linalg.norm(share)), float(share.sum())) for share in shares])
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +99,8 @@ class Shot:
     time_s: float
     peak: float
     """Brightest used pixel, as a fraction of full scale."""
-    leverage: float
+    leverage: Array
+    """Of the dark frames: `Darks.leverage`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +110,9 @@ class Merged:
     rate: float
     variance: float
     """Of everything that is independent from step to step, the pixels' responsivities left out."""
+    dark: tuple[float, float]
+    """Change of the rate for one standard deviation of what all points share of the noise of the shorter and of the
+    longer dark frames; zero for a visit to the reference."""
     time_s: float
     chi_square: float
     """Of the frames around their mean."""
@@ -120,6 +137,8 @@ class Bench:
         channels = dict.fromkeys(band.channel for band in run.bands)
         boxes: dict[Target, tuple[slice, slice]] = {}
         self.reference: dict[str, Roi] = {}
+        camera = self.description.camera
+        self._use = {channel: np.zeros((camera.height, camera.width)) for channel in channels}
         for step in self.steps:
             for channel in channels:
                 region = self._look(step, channel)
@@ -127,6 +146,8 @@ class Bench:
                     boxes[region.target] = _around(region.roi, boxes.get(region.target))
                     if region.target == "reference":
                         self.reference.setdefault(channel, region.roi)
+                    else:
+                        self._use[channel][region.roi.rows, region.roi.cols] += region.roi.mask / region.roi.count
         if not boxes:
             raise DataError(f"{run.path}: no point was measured in this run; finish it with --resume")
         self.clipped = 0.0
@@ -199,6 +220,18 @@ class Bench:
             leverage=darks.leverage(frame.exposure_s),
         )
 
+    def _in_common(self, region: Region, channel: Channel) -> float:
+        """Correlation of the mean dark signal of a region with that of the mean region of all points.
+
+        Points use nearly the same pixels, so what the noise of the dark frames does to one it does to all. Regions
+        differ with the foreshortening; the rest of each is taken as its own.
+        """
+        if region.target == "reference":
+            return 0.0
+        use = self._use[channel]
+        shared = float(np.mean(use[region.roi.rows, region.roi.cols][region.roi.mask]))
+        return min(shared * math.sqrt(region.roi.count) / float(np.linalg.norm(use)), 1.0)
+
     def merge(self, step: dict[str, Any], band: Band) -> Merged | str:
         """The merged frames of a step in a band, or the flag that says why there is no value."""
         found = self.shots(step, band)
@@ -208,11 +241,15 @@ class Bench:
         shots = [shot for shot in every if shot.peak < USABLE]
         if not shots:
             return "saturated" if every else "not_measured"
-        rate, variance, time_s, chi_square = pool(self.description, region, shots)
+        rate, variance, time_s, chi_square, of_darks = pool(
+            self.description, region, shots, self._darks[region.target].exposures_s
+        )
         pose, reference = Pose(**step["pose"]), self.reference.get(band.channel)
+        common = self._in_common(region, band.channel)
         return Merged(
             rate=rate,
-            variance=variance,
+            variance=variance + (1.0 - common**2) * float(np.sum(of_darks**2)),
+            dark=(common * float(of_darks[0]), common * float(np.sum(of_darks[1:]))),
             time_s=time_s,
             chi_square=chi_square,
             frames=len(shots),
@@ -224,8 +261,11 @@ class Bench:
         )
 
 
-def pool(description: RigDescription, region: Region, shots: list[Shot]) -> tuple[float, float, float, float]:
-    """Rate [e-/s], its variance, the time of the merged frames, and the chi-square of the frames around their mean.
+def pool(
+    description: RigDescription, region: Region, shots: list[Shot], dark_exposures_s: Array
+) -> tuple[float, float, float, float, Array]:
+    """Rate [e-/s], its variance, the time of the merged frames, the chi-square of the frames around their mean, and
+    the change of the rate for one standard deviation of the mean dark signal of the shorter and of the longer darks.
 
     Weights come from the pooled rate, not from each frame's own: a frame that is dark by chance gets no larger weight.
     """
@@ -245,12 +285,13 @@ def pool(description: RigDescription, region: Region, shots: list[Shot]) -> tupl
         variances = single / count + rounding * mean_2 / exposure**2 + (lamp.noise * signal) ** 2
         weights = (1.0 / variances) / np.sum(1.0 / variances)
         pooled = float(np.sum(weights * rates))
-    # the dark model is one and the same for all frames of the point
-    leverage = np.array([shot.leverage for shot in shots])
-    of_line = leverage * ((read + dark) / count + _rounding(camera, np.zeros(exposure.size), count)) * mean_2
-    of_darks = float(np.sum(weights * np.sqrt(of_line) / exposure))
+    # the dark frames are one and the same for all frames of the point
+    charge = camera.dark_current_e_per_s * dark_exposures_s
+    of_pixels = (read + (charge if camera.photon_noise else 0.0)) / count + _rounding(camera, charge, count)
+    lines = np.array([shot.leverage for shot in shots])
+    of_darks = -((weights / exposure) @ lines) * np.sqrt(of_pixels * mean_2)
     chi_square = float(np.sum((rates - pooled) ** 2 / variances))
-    return pooled, float(1.0 / np.sum(1.0 / variances)) + of_darks**2, float(np.sum(weights * times)), chi_square
+    return pooled, float(1.0 / np.sum(1.0 / variances)), float(np.sum(weights * times)), chi_square, of_darks
 
 
 def _rounding(camera: Camera, electrons: Array, count: int) -> Array:

@@ -147,6 +147,27 @@ def test_dim_points_keep_their_sign_and_their_scatter(tmp_path: Path) -> None:
     assert 0.75 < z.std() < 1.2
 
 
+def test_the_noise_of_the_dark_frames_is_common_to_all_points(tmp_path: Path) -> None:
+    """Few dark frames and a black sample: all estimates of a run are off together, and the table says by how much."""
+    description = describe(camera=NOISY, acquisition={"roi_radius_mm": 2.0, "dark_frames": 2})
+    points = [in_plane(20.0, float(r)) for r in range(0, 80, 8)]
+    means, chi_squares = [], []
+    for seed in range(12):
+        maker = Maker(tmp_path, description, lambda d: 0.0, np.random.default_rng(seed))
+        table = radiometry.reduce(maker.make(points, (0.5, 0.5, 0.125)))
+        error = table["brdf"].to_numpy()
+        common = table[[name for name in table.columns if name.startswith("s_")]].to_numpy()
+        assert (table[["s_dark_short", "s_dark_long"]] < 0).all().all()  # more dark signal, less light
+        covariance = np.diag(table["u_random"] ** 2) + common @ common.T
+        weights = np.linalg.solve(covariance, np.ones(error.size))
+        means.append(weights @ error / math.sqrt(weights.sum()))
+        chi_squares.append(error @ np.linalg.solve(covariance, error))
+    # 12 standard normal numbers: their root mean square is 1 +- 0.2 (2.1, were the errors taken as independent);
+    # chi-square of 120 values, for each: 1 +- 0.13; three of both
+    assert 0.4 < math.sqrt(np.mean(np.square(means))) < 1.6
+    assert 0.61 < np.mean(chi_squares) / len(points) < 1.39
+
+
 def test_a_drifting_lamp_is_followed(tmp_path: Path) -> None:
     """0.5 %/h would be lost in this short run: 40 %/h is not."""
     rng = np.random.default_rng(3)
