@@ -27,7 +27,7 @@ import numpy as np
 
 from gonio import formats
 from gonio.errors import ConfigError, DataError
-from gonio.formats.base import COLUMNS, MAX_BYTES, Floats
+from gonio.formats.base import ANGLES, COLUMNS, MAX_BYTES, Floats
 from gonio.formats.native import check, check_columns, meta_path
 
 if TYPE_CHECKING:
@@ -35,7 +35,10 @@ if TYPE_CHECKING:
 
     from gonio.models import Model
 
-__all__ = ["COLUMNS", "meta_path", "parse", "read", "samples", "split", "tables", "uncertainty", "write", "write_model"]
+__all__ = [
+    "COLUMNS", "meta_path", "parse", "read", "samples", "split", "tables", "uncertainty", "unpolarised", "write",
+    "write_model",
+]  # fmt: skip
 
 
 def read(path: str | Path, *, format: str | None = None, sample: str | None = None) -> pd.DataFrame:
@@ -176,7 +179,7 @@ def samples(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 
 def tables(spec: str | Path) -> dict[str, pd.DataFrame]:
-    """The tables that `FILE`, `RUN` or `FILE:SAMPLE` on a command line names, by sample.
+    """The tables that `FILE`, `RUN` or `FILE:SAMPLE` on a command line names, by sample, as `unpolarised` leaves them.
 
     Raises
     ------
@@ -185,7 +188,51 @@ def tables(spec: str | Path) -> dict[str, pd.DataFrame]:
     """
     path, sample = split(spec)
     frame = read(path, sample=sample)
-    return samples(frame) if sample is None else {sample: frame}
+    found = samples(frame) if sample is None else {sample: frame}
+    return {name: unpolarised(table) for name, table in found.items()}
+
+
+def unpolarised(frame: pd.DataFrame) -> pd.DataFrame:
+    """The table of one sample with what unpolarised light would show, where every state of polarisation was measured.
+
+    Values for incident s and p of one direction and wavelength become their mean; ss, sp, ps and pp half their sum. Such
+    a row stands where the first of them stood, and a note says so. Other polarised rows stay as they are. Independent
+    errors are added in squares, common causes with their signs.
+    """
+    states = frame["polarisation"].to_numpy()
+    if np.all(states == "unpolarised"):
+        return frame
+    import pandas as pd
+
+    place = [*ANGLES, "wavelength_nm"]
+    causes = [name for name in frame.columns if name.startswith("s_")]
+    left = frame.assign(u_random=uncertainty(frame)[0])
+    known = pd.MultiIndex.from_frame(left.loc[states == "unpolarised", place])
+    count = 0
+    for complete in (("s", "p"), ("ss", "sp", "ps", "pp")):
+        part = left[left["polarisation"].isin(complete)]
+        groups = part.groupby(place, sort=False, dropna=False)
+        whole = groups["polarisation"].transform("size") == len(complete)
+        whole &= groups["polarisation"].transform("nunique") == len(complete)
+        part = part[whole & ~pd.MultiIndex.from_frame(part[place]).isin(known)]
+        if part.empty:
+            continue
+        groups = part.groupby(place, sort=False, dropna=False)
+        rows = part[~part.duplicated(place)].assign(polarisation="unpolarised")
+        for name in ("brdf", *causes):
+            rows[name] = groups[name].sum(min_count=len(complete)).to_numpy() / 2.0
+        squares = (part["u_random"] ** 2).groupby([part[name] for name in place], sort=False, dropna=False)
+        rows["u_random"] = np.sqrt(squares.sum(min_count=len(complete)).to_numpy()) / 2.0
+        rows["u_brdf"] = np.sqrt(rows["u_random"] ** 2 + (rows[causes] ** 2).sum(axis=1))
+        rows["flag"] = groups["flag"].max().to_numpy()
+        left = pd.concat([left.drop(part.index), rows]).sort_index()
+        count += len(rows)
+    if not count:
+        return frame
+    out = left.reset_index(drop=True)
+    note = f"{count} values were measured in every state of polarisation: what unpolarised light would show is their mean"
+    out.attrs = frame.attrs | {"notes": [*frame.attrs.get("notes", ()), note]}
+    return out
 
 
 def split(spec: str | Path) -> tuple[str, str | None]:

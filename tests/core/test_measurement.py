@@ -220,6 +220,33 @@ def test_the_covariance_comes_in_factors() -> None:
     assert np.isnan(measurement.uncertainty(nobody_said)[0]).all()
 
 
+def test_all_states_of_polarisation_together_are_unpolarised_light() -> None:
+    frame = example(8)
+    frame["theta_r_deg"] = [10.0, 10.0, 20.0, 30.0, 30.0, 30.0, 30.0, 40.0]
+    frame["polarisation"] = ["s", "p", "s", "sp", "ss", "pp", "ps", "unpolarised"]
+    frame["brdf"] = [0.2, 0.1, 9.0, 0.04, 0.2, 0.3, 0.06, 0.5]
+    frame.loc[1, "s_reference"] = 0.004
+    out = measurement.unpolarised(frame)
+    assert out["polarisation"].tolist() == ["unpolarised", "s", "unpolarised", "unpolarised"]
+    assert out["theta_r_deg"].tolist() == [10.0, 20.0, 30.0, 40.0]
+    np.testing.assert_allclose(out["brdf"], [0.15, 9.0, 0.3, 0.5], rtol=1e-14)
+    # of incident s and p half each; of all four states half the sum
+    np.testing.assert_allclose(out["u_random"], [0.006 / np.sqrt(2), 0.006, 0.006, 0.006], rtol=1e-14)
+    np.testing.assert_allclose(out["s_reference"], [-0.002, -0.008, -0.016, -0.008], rtol=1e-14)
+    np.testing.assert_allclose(out["u_brdf"] ** 2, out["u_random"] ** 2 + out["s_reference"] ** 2, rtol=1e-14)
+    assert "2 values were measured in every state of polarisation" in out.attrs["notes"][-1]
+    flagged = frame.assign(flag=["", "saturated", *[""] * 6])
+    assert measurement.unpolarised(flagged)["flag"].tolist() == ["saturated", "", "", ""]
+
+
+def test_polarised_values_that_are_not_all_there_stay_as_they_are() -> None:
+    for states in (["s", "s", "sp", "pp"], ["unpolarised"] * 4):
+        frame = example(4, polarisation=states, theta_r_deg=10.0)
+        assert measurement.unpolarised(frame) is frame
+    beside = example(3, polarisation=["s", "p", "unpolarised"], theta_r_deg=10.0)  # somebody has combined them already
+    assert measurement.unpolarised(beside) is beside
+
+
 def test_samples_of_a_file_by_name(tmp_path: Path) -> None:
     text = (
         "sample_en,theta_o_deg,theta_i_deg,L_reflected_W_m-2_sr-1\n"
