@@ -195,9 +195,9 @@ def tables(spec: str | Path) -> dict[str, pd.DataFrame]:
 def unpolarised(frame: pd.DataFrame) -> pd.DataFrame:
     """The table of one sample with what unpolarised light would show, where every state of polarisation was measured.
 
-    Values for incident s and p of one direction and wavelength become their mean; ss, sp, ps and pp half their sum. Such
-    a row stands where the first of them stood, and a note says so. Other polarised rows stay as they are. Independent
-    errors are added in squares, common causes with their signs.
+    Values for incident s and p of one direction and wavelength become their mean; ss, sp, ps and pp half their sum.
+    Such a row stands where the first of them stood, and a note says so. Other polarised rows stay as they are.
+    Independent errors are added in squares, common causes with their signs.
     """
     states = frame["polarisation"].to_numpy()
     if np.all(states == "unpolarised"):
@@ -230,7 +230,7 @@ def unpolarised(frame: pd.DataFrame) -> pd.DataFrame:
     if not count:
         return frame
     out = left.reset_index(drop=True)
-    note = f"{count} values were measured in every state of polarisation: what unpolarised light would show is their mean"
+    note = f"{count} values were measured in every state of polarisation; taken is what unpolarised light would show"
     out.attrs = frame.attrs | {"notes": [*frame.attrs.get("notes", ()), note]}
     return out
 
