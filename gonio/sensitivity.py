@@ -5,7 +5,8 @@ taken from the run's own curves, which the instrument's cones have smoothed alre
 
 - a lobe, smooth over the spacing of the points: its slope in theta_r is the curve's own; its change with theta_i at a
   fixed distance from the mirror direction comes from the curves of the neighbouring angles of incidence at that
-  distance (zero without neighbours), because lobes move with the mirror direction;
+  distance (zero without neighbours), because lobes move with the mirror direction; out of the plane of incidence it has
+  the shape over the half vector's angle that the curves in the plane have, times what changes smoothly between points;
 - a specular spike, present where a curve stands out of its lobe around the mirror direction: its shape is known,
   namely the overlap of the lamp's mirror image with the lens.
 
@@ -40,6 +41,10 @@ NARROWEST = math.radians(0.2)
 QUANTILES = np.array([NormalDist().inv_cdf((k + 0.5) / 41) for k in range(41)])
 QUANTILES /= QUANTILES.std()
 """Equally probable values of a standard normal number."""
+PROBE = math.radians(0.5)
+"""Step of differences along a curve."""
+ALIKE = math.radians(10.0)
+"""Curves whose angles of difference differ by this much are alike."""
 NORMAL = math.radians(1.0)
 """Below this angle of incidence the plane of incidence is not a direction that f could depend on."""
 
@@ -195,7 +200,7 @@ class Curves:
         inside = line[self._offset[line] <= reach + np.radians(0.05)]
         if inside.size == 0 or outside.size < 4 or reach <= 0 or np.max(shares[inside]) < EDGE:
             return
-        lobe = np.array([_cubic(self._x[k], self._x[outside], self.lobe[outside]) for k in inside])
+        lobe = _cubic(self._x[inside], self._x[outside], self.lobe[outside])
         excess, ratio = self.lobe[inside] - lobe, shares[inside]
         weight = float(np.sum(ratio**2))
         amplitude, u_amplitude = float(np.sum(excess * ratio)) / weight, float(np.sum((u[inside] * ratio) ** 2)) ** 0.5
@@ -210,13 +215,10 @@ class Curves:
         line = self._lines[number]
         for place, k in enumerate(line):
             self.slope[k, 0] = self._along_line(line, place)
-        for k in group[~in_plane[group]]:
-            self.slope[k, :2] = self._plane(k, group)
-        diagonal = np.zeros(group.size)
-        for place, k in enumerate(group):
-            if in_plane[k]:
-                diagonal[place] = self._along_mirror(number, int(k))
+        diagonal = np.array([self._along_mirror(number, int(k)) if in_plane[k] else 0.0 for k in group])
         self.slope[group, 2] = diagonal - self.slope[group, 0]
+        for k in group[~in_plane[group]]:
+            self.slope[k] = self._beyond(int(k), group)
 
     def _along_line(self, line: npt.NDArray[np.intp], place: int) -> float:
         """Slope of the lobe along its curve, from the nearest points on each side that the cones tell apart."""
@@ -225,25 +227,47 @@ class Curves:
         found = [(f[j] / x[j], abs(x[j])) for j in (*np.flatnonzero(x <= -apart)[-1:], *np.flatnonzero(x >= apart)[:1])]
         return _weighted(found) * float(self._size[line[place]])
 
-    def _plane(self, k: int, group: npt.NDArray[np.intp]) -> Array:
-        """Slopes along x and y from the nearest points of the same incidence.
+    def _beyond(self, k: int, group: npt.NDArray[np.intp]) -> Array:
+        """Slopes along x, y and theta_i of a point out of the plane of incidence.
 
-        The logarithm is a parabola in x and in y, even in y: a Gaussian lobe's flank between points that are farther
-        apart than it is wide. Both sides of the plane of incidence are alike.
+        Where a lobe is narrower than the points are apart, they do not tell its flank. The curves in the plane do: what
+        they say of its shape over the angle of the half vector is taken out, and only the rest is interpolated: by a
+        parabola in x and in y, even in y, through the nearest points of the same incidence (both sides of the plane of
+        incidence are alike).
         """
-        dx, y = self._x[group] - self._x[k], np.abs(self._y[group])
-        distance = np.hypot(dx, y - abs(self._y[k]))
+        here = np.array([self._x[k], self._y[k], self._theta_i[k]])
+        distance = np.hypot(self._x[group] - here[0], np.abs(self._y[group]) - abs(here[1]))
         near = np.argsort(distance)
         near = near[distance[near] > TOGETHER][:7]
-        if near.size < 2:
-            return np.zeros(2)
-        weight = 1.0 / distance[near]
-        design = np.stack([dx[near], y[near] ** 2 - self._y[k] ** 2, dx[near] ** 2], axis=1)
-        design = design[:, : min(3, near.size)] * weight[:, None]
-        length = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
-        change = (self._log[group][near] - self._log[k]) * weight
-        along, across = (np.linalg.lstsq(design / length, change, rcond=1e-3)[0] / length)[:2]
-        return np.asarray(np.array([along, 2.0 * self._y[k] * across]) * self._size[k])
+        weight, near = 1.0 / distance[near], group[near]
+        probes = np.concatenate([here + PROBE * np.eye(3), here - PROBE * np.eye(3), [here]])
+        places = np.stack([self._x[near], self._y[near], self._theta_i[near]], axis=1)
+        half, difference = _halves(*np.concatenate([probes, places]).T)
+        shape = self._profile(half, float(difference[6]))
+        slopes: Array = (shape[:3] - shape[3:6]) / (2 * PROBE)
+        if near.size >= 2:
+            dx, dy2 = self._x[near] - here[0], self._y[near] ** 2 - here[1] ** 2
+            design = np.stack([dx, dy2, dx**2], axis=1)[:, : min(3, near.size)] * weight[:, None]
+            length = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+            change = (self._log[near] - self._log[k] - (shape[7:] - shape[6])) * weight
+            along, across = (np.linalg.lstsq(design / length, change, rcond=1e-3)[0] / length)[:2]
+            slopes += np.array([along, 2.0 * here[1] * across, -along])
+        return slopes * float(self._size[k])
+
+    def _profile(self, half: Array, difference: float) -> Array:
+        """Logarithm of the lobe in the plane of incidence, over angles of the half vector, near one of difference."""
+        values, far = [], []
+        for line in (line for line in self._lines if line.size >= 2):
+            theta_i = float(np.mean(self._theta_i[line]))
+            for side in (-half, half):
+                x = theta_i + 2.0 * side
+                inside = np.clip(x, self._x[line[0]], self._x[line[-1]])
+                values.append(_cubic(inside, self._x[line], self._log[line]))
+                far.append(np.hypot(theta_i + side - difference, x - inside) ** 2 / ALIKE**2)
+        if not values:
+            return np.zeros(half.size)
+        weights = np.exp(-0.5 * (np.array(far) - np.min(far, axis=0)))
+        return np.asarray((weights * np.array(values)).sum(axis=0) / weights.sum(axis=0))
 
     def _along_mirror(self, number: int, k: int) -> float:
         """Change of the lobe with theta_i at a fixed distance from the mirror direction, per radian.
@@ -258,7 +282,8 @@ class Curves:
                 move = float(np.mean(self._theta_i[line])) - self._theta_i[k]
                 x = self._x[k] + move
                 if self._x[line[0]] <= x <= self._x[line[-1]] and abs(move) > TOGETHER and len(side) < 2:
-                    side.append(((_cubic(x, self._x[line], self._log[line]) - self._log[k]) / move, abs(move)))
+                    rise = float(_cubic(x, self._x[line], self._log[line])) - self._log[k]
+                    side.append((rise / move, abs(move)))
             sides.append(side)
         below, above = sides
         if below and above:
@@ -287,22 +312,31 @@ class Curves:
         return 0.5 * (up - down), 0.5 * (up + down)
 
 
+def _halves(x: Array, y: Array, theta_i: Array) -> tuple[Array, Array]:
+    """Angles [rad] of the half vector to the normal and to the source, for detectors at (x, y) of `_Point`."""
+    detector, source = direction(np.hypot(x, y), np.arctan2(y, x)), direction(theta_i, np.full(theta_i.shape, np.pi))
+    half = source + detector
+    half /= np.linalg.norm(half, axis=-1)[:, None]
+    across = np.hypot(half[:, 0], half[:, 1])
+    return np.arctan2(across, half[:, 2]), np.arccos(np.clip((half * source).sum(axis=-1), -1.0, 1.0))
+
+
 def _weighted(secants: list[tuple[float, float]]) -> float:
     """A slope from secants (slope, length) on either side: the nearer counts more, as in a second-order difference."""
     return float(np.average([s for s, _ in secants], weights=[1.0 / h for _, h in secants])) if secants else 0.0
 
 
-def _cubic(x: float, at: Array, values: Array) -> float:
+def _cubic(x: npt.ArrayLike, at: Array, values: Array) -> Array:
     """Lagrange's cubic through the two points on each side of x; through all, where there are fewer than four.
 
     Points that are read closer together than a slope can be told from count once.
     """
     apart = np.concatenate([[True], np.diff(at) > 0.1 * NARROWEST])
-    at, values = at[apart], values[apart]
-    start = int(np.clip(np.searchsorted(at, x) - 2, 0, max(at.size - 4, 0)))
-    p, v = at[start : start + 4], values[start : start + 4]
-    out = 0.0
-    for j in range(p.size):
-        others = np.delete(p, j)
-        out += v[j] * float(np.prod((x - others) / (p[j] - others)))
+    at, values, x = at[apart], values[apart], np.asarray(x, dtype=float)
+    start = np.clip(np.searchsorted(at, x) - 2, 0, max(at.size - 4, 0))
+    place = start[..., None] + np.arange(min(4, at.size))
+    p, v, out = at[place], values[place], np.zeros(x.shape)
+    for j in range(place.shape[-1]):
+        others = np.delete(p, j, axis=-1)
+        out += v[..., j] * np.prod((x[..., None] - others) / (p[..., j, None] - others), axis=-1)
     return out

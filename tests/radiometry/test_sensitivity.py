@@ -205,8 +205,33 @@ def test_the_flank_of_a_lobe_out_of_the_plane_is_as_steep_as_between_points_that
         for plus, minus in ((moved(d, r=u), moved(d, r=-u)), turned):
             odd, _ = model.effects(k, d, plus, minus)
             truth = (lobe(plus) - lobe(minus)) / 2
-            # the slope is exact; a step of u is (u / width)^2 = 6e-6 from it
-            assert odd == pytest.approx(truth, rel=1e-3, abs=1e-6 * u)
+            # a lobe round as seen from above is not one of the half vector alone: between them the curve in the plane,
+            # of three points here, errs by up to a quarter
+            assert odd == pytest.approx(truth, rel=0.25, abs=1e-6 * u)
+
+
+def test_curves_in_the_plane_tell_the_flank_of_a_lobe_that_points_out_of_it_do_not_resolve() -> None:
+    """A lobe of facets with a slope of 0.11 over a matte base; at 60 degrees nothing is measured in the plane.
+
+    The points at 150 degrees of azimuth see the base alone: between them and the lobe's edge, 13 degrees from its top,
+    the slope would come out ten times too small.
+    """
+
+    def lobe(d: Directions) -> float:
+        half = sum(direction(*angles) for angles in ((d.theta_i, d.phi_i), (d.theta_r, d.phi_r)))
+        tangent = float(np.hypot(half[0], half[1]) / half[2])
+        return 0.06 + 7.0 * math.exp(-((tangent / 0.11) ** 2))
+
+    in_plane = [at(float(i), abs(r), 180.0 if r > 0 else 0.0) for i in (50, 70) for r in np.arange(-78.0, 79.0, 2.5)]
+    goals = [*in_plane, *(at(60.0, float(r), dphi) for dphi in (120.0, 150.0, 165.0) for r in (15, 30, 45, 60, 75))]
+    model, u = curves(lobe, goals), math.radians(0.02)
+    for k, d in list(enumerate(goals))[len(in_plane) :]:
+        turned = [Directions(d.theta_i, d.phi_i, d.theta_r, d.phi_r + sign * u) for sign in (1, -1)]
+        for plus, minus in ((moved(d, i=u), moved(d, i=-u)), (moved(d, r=u), moved(d, r=-u)), turned):
+            odd, _ = model.effects(k, d, plus, minus)
+            truth = (lobe(plus) * math.cos(plus.theta_i) - lobe(minus) * math.cos(minus.theta_i)) / 2
+            # a fifth of a noise of 0.5 %, which such points have
+            assert odd == pytest.approx(truth / math.cos(d.theta_i), rel=0.05, abs=1e-3 * lobe(d))
 
 
 def test_repeated_readings_are_no_slope() -> None:
