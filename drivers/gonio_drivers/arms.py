@@ -30,6 +30,8 @@ log = logging.getLogger("gonio.devices")
 AXES = tuple(field.name for field in fields(Pose))
 STILL_COUNTS = 3
 """Readings this close are the same place: encoders flicker by a count."""
+SMALLEST_COUNTS = 1.5
+"""A goal lies between two counts, the shaft stops somewhere in its count, and the encoder flickers."""
 AVERAGED = 5
 POLL_S = 0.020
 STALL_S = 0.5
@@ -292,11 +294,12 @@ class ServoArms:
         ups: dict[str, float] = {}
         for name, final in finals.items():
             joint = self.joints[name]
-            if joint.landed_at == final and self._error_deg(joint, final, reports[name].position) <= self._tolerance:
+            position = reports[name].position
+            if joint.landed_at == final and self._error_deg(joint, final, position) <= self._tolerance(joint):
                 continue
             ups[name] = final
             start = joint.to_count(goals[name] - self._approach_deg)
-            if joint.to_deg(reports[name].position) > joint.to_deg(start) + self._tolerance:
+            if joint.to_deg(position) > joint.to_deg(start) + self._tolerance(joint):
                 below[name] = start
         for name in ups:
             self.joints[name].landed_at = self.joints[name].stood_at = None
@@ -311,9 +314,9 @@ class ServoArms:
         for name, final in ups.items():
             self.joints[name].landed_at = final
 
-    @property
-    def _tolerance(self) -> float:
-        return self._servos.tolerance_deg
+    def _tolerance(self, joint: Joint) -> float:
+        """How far from its goal a joint may land [deg]: what the rig file says, but never less than counts allow."""
+        return max(self._servos.tolerance_deg, SMALLEST_COUNTS / abs(joint.counts_per_deg))
 
     @staticmethod
     def _error_deg(joint: Joint, goal: float, position: float) -> float:
@@ -362,7 +365,7 @@ class ServoArms:
         error = self._error_deg(joint, landing.goal, position)
         still = now - landing.since
         if not report.moving and still >= self._servos.settle_s:
-            if error <= self._tolerance if exact else error <= self._approach_deg / 2:
+            if error <= (self._tolerance(joint) if exact else self._approach_deg / 2):
                 landing.done = True
                 return
             small = error + self._error_deg(joint, landing.goal, landing.sent) <= LARGEST_CORRECTION_DEG

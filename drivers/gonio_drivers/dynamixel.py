@@ -8,8 +8,8 @@ What is handled, and where:
 - an error status without data raises IndexError in the SDK's reads: replies are taken as packets and checked here;
 - `GroupSyncRead` drops the alert bits, and one silent servo fails the group and reads as 0: replies are collected by
   id, and the missing ones are read one by one;
-- byte stuffing is broken on transmit and can lose a byte on reception: a packet that would need it is not sent, and the
-  length that a reply announces must be the length that was asked for;
+- byte stuffing is lost on transmit and can lose a byte on reception: `Packets` does both anew, and the length that a
+  reply announces must be the length that was asked for;
 - values are unsigned: `Item.decode` extends the sign;
 - open errors raise raw exceptions and nothing locks the port: `ExclusivePort` locks it at every (re)opening;
 - the SDK spins while it waits: `ExclusivePort` sleeps until bytes arrive;
@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import difflib
 import logging
-import select
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -29,7 +28,6 @@ from functools import cache
 from types import TracebackType
 from typing import Self
 
-import serial
 from dynamixel_easy_sdk.control_table import ControlTable
 from dynamixel_sdk import (
     COMM_RX_CORRUPT,
@@ -39,23 +37,19 @@ from dynamixel_sdk import (
     INST_READ,
     INST_REBOOT,
     INST_WRITE,
-    PortHandler,
-    Protocol2PacketHandler,
 )
 
 from gonio.errors import ConfigError, DeviceError
 from gonio_drivers import ports
+from gonio_drivers.sdk import WAIT_S, ExclusivePort, Packets
 
 log = logging.getLogger("gonio.devices")
 
 ALERT = 0x80
-PATIENCE_MS = 50.0
-"""Added to the SDK's timeout of 34 ms: a busy computer or a slow adapter is no fault."""
 QUIET_S = 0.060
 """How long the line is left alone after a failure, for replies that are still on their way."""
 TRIES = 4
-WAIT_S = 0.002
-BAUD_RATES = (57_600, 1_000_000, 115_200, 2_000_000, 3_000_000, 4_000_000)
+BAUD_RATES = (57_600, 1_000_000, 115_200, 2_000_000, 3_000_000, 4_000_000, 9_600)
 
 ERRORS = {
     1: "failed to carry out the instruction (result fail)",
@@ -138,52 +132,6 @@ def control_table(model: str, key: str = "model") -> dict[str, Item]:
     raise ConfigError(f'{key} = "{model}" is not known to the Dynamixel SDK; {hint}')
 
 
-class ExclusivePort(PortHandler):  # type: ignore[misc]
-    """The SDK's port, locked for one owner, and sleeping while it waits for bytes."""
-
-    is_open: bool
-    packet_timeout: float
-    received = 0
-    """Bytes since the last request was sent, and what lay there unasked before it."""
-
-    def setupPort(self, cflag_baud: int) -> bool:
-        """Open the port (again) at a line speed, with the lock taken again."""
-        if self.is_open:
-            self.closePort()
-        self.ser = serial.Serial(
-            port=self.port_name,
-            baudrate=cflag_baud,
-            bytesize=serial.EIGHTBITS,
-            timeout=0,
-            write_timeout=1.0,
-            exclusive=True,
-        )
-        self.is_open = True
-        self.ser.reset_input_buffer()
-        self.tx_time_per_byte = 1000.0 / cflag_baud * 10.0
-        return True
-
-    def setPacketTimeout(self, packet_length: int) -> None:
-        """Start to wait for a packet."""
-        super().setPacketTimeout(packet_length)
-        self.packet_timeout += PATIENCE_MS
-
-    def readPort(self, length: int) -> bytes:
-        """Bytes that are there, after a short wait where there are none."""
-        if length <= 0:
-            return b""
-        if not self.ser.in_waiting:
-            select.select([self.ser.fileno()], [], [], WAIT_S)
-        data = bytes(self.ser.read(length))
-        self.received += len(data)
-        return data
-
-    def clearPort(self) -> None:
-        """Drop what nobody has asked for."""
-        self.received = self.ser.in_waiting
-        super().clearPort()
-
-
 class Bus:
     """The servos on one port.
 
@@ -208,7 +156,7 @@ class Bus:
         self.noisy = 0
         """Answers with bytes beside them that belong to none."""
         self._port = ExclusivePort(port)
-        self._packets = Protocol2PacketHandler()
+        self._packets = Packets()
         self._lock = threading.RLock()
 
     def __enter__(self) -> Self:
@@ -313,7 +261,6 @@ class Bus:
         (size,) = sizes
         parameters = b"".join(bytes([identity]) + d for identity, d in data.items())
         self._require_open()
-        _unstuffed(parameters)
         with self._lock:
             try:
                 self._port.is_using = False
@@ -349,7 +296,6 @@ class Bus:
     def _transact(self, identity: int, instruction: int, parameters: bytes, expected: int) -> bytes:
         """One request and its reply; `expected` is the number of data bytes in a good reply."""
         self._require_open()
-        _unstuffed(parameters)
         length = len(parameters) + 3
         request = [0, 0, 0, 0, identity, length & 0xFF, length >> 8, instruction, *parameters, 0, 0]
         try:
@@ -428,11 +374,6 @@ class Bus:
             self._transact(identity, INST_PING, b"", 3)
         except BusError:
             self._calm(QUIET_S)
-
-
-def _unstuffed(parameters: bytes) -> None:
-    if b"\xff\xff\xfd" in parameters:
-        raise DeviceError("a packet that holds FF FF FD cannot be sent: the SDK's byte stuffing would damage it")
 
 
 def _comm(result: int) -> str:

@@ -48,7 +48,7 @@ class Servos(Strict):
     axes: dict[AxisName, ServoAxis]
     acceleration_deg_per_s2: Positive = 90.0
     tolerance_deg: Positive = 0.15
-    """A landing is good within this distance of the goal."""
+    """A landing is good within this distance of the goal, or within 1.5 counts of the servo where that is more."""
     settle_s: NonNegative = 0.1
     """How long an axis must stand still before it has landed."""
     changer: Changer | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import pty
+import random
 import subprocess
 import sys
 import threading
@@ -184,7 +185,7 @@ def test_no_permission(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(**_: object) -> None:
         raise serial.SerialException(13, "could not open port: [Errno 13] Permission denied")
 
-    monkeypatch.setattr(dynamixel.serial, "Serial", refused)
+    monkeypatch.setattr(serial, "Serial", refused)
     with pytest.raises(DeviceError, match=r"no permission.*usermod"), Bus(line.port, BAUD):
         pass
 
@@ -500,6 +501,44 @@ def test_the_hardware_error_byte_is_read_after_every_move_alert_or_not(
         arms.move(pose(5, 0, 0))
 
 
+# ---- servos of other kinds ----
+
+
+@pytest.mark.parametrize(
+    ("baud", "delay", "level", "mode", "built"),
+    [
+        (9_600, 0, 0, 3, {"light": (252, "xl330-m288", 1, 1.0), "camera": (0, "xl430-w250", -1, 1.0)}),
+        (57_600, 250, 2, 4, {"light": (0, "xm540-w270", -1, 2.0), "camera": (100, "xc430-w150", 1, 0.5)}),
+        (115_200, 254, 1, 1, {"light": (7, "xh430-v350", 1, 0.5), "camera": (252, "xc330-t288", -1, 2.0)}),
+        (4_000_000, 0, 1, 16, {"light": (42, "xh540-w270", -1, 1.0), "camera": (1, "xm430-w210", 1, 1.0)}),
+    ],
+)
+def test_models_speeds_delays_and_ways_of_mounting(
+    baud: int, delay: int, level: int, mode: int, built: dict[str, tuple[int, str, int, float]]
+) -> None:
+    clock = scaled_clock(50.0)
+    built = built | {"tilt": (9, "xm430-w350", 1, 1.0)}
+    axes = {n: dict(zip(("id", "model", "direction", "gear_ratio"), v, strict=True)) for n, v in built.items()}
+    friction = Mechanics(short_counts=8, noise_counts=1.4)
+    twins = [Servo(v[0], clock, model=v[1], baud=baud, mechanics=friction) for v in built.values()]
+    for servo in twins:
+        for address, value in ((9, delay), (11, mode), (68, level)):
+            servo.write(address, bytes([value]))
+    limits = ArmAxis(limits_deg=(-80, 80))
+    with (
+        SerialPeer(ServoBus(twins)) as peer,
+        ServoArms(describe(light=limits, camera=limits), servos(peer.port, baud=baud, **axes)) as arms,
+    ):
+        for target in [(35, -70, 20), (-79, 79, -20)]:
+            read = degrees(arms.move(pose(*target)))
+            for name, servo, angle, goal in zip(built, twins, read, target, strict=True):
+                count_deg = COUNT_DEG / axes[name]["gear_ratio"]  # type: ignore[operator]
+                shaft_deg = (servo.shaft()[0] - 2048) * count_deg * axes[name]["direction"]  # type: ignore[operator]
+                # a reading is whole counts, with 1.4 of flicker
+                assert angle == pytest.approx(shaft_deg, abs=2 * count_deg)
+                assert shaft_deg == pytest.approx(goal, abs=max(TOLERANCE_DEG, 1.5 * count_deg) + count_deg)
+
+
 # ---- the SDK's pitfalls ----
 
 
@@ -617,35 +656,47 @@ def test_a_reply_of_another_length_is_no_answer() -> None:
         end()
 
 
-def test_a_byte_lost_in_unstuffing_is_noticed() -> None:
-    """The SDK takes FF FD FD after an unstuffed byte for stuffing again, drops a byte, and reports success."""
-    data = bytes([0xFF, 0xFF, 0xFD, 0x01, 0xFF, 0xFD, 0xFD, 0x05])
-    port, end = answering(lambda packet: p2.status(packet.id, 0, data if packet.instruction == p2.READ else b"abc"))
+def test_payloads_that_need_stuffing_arrive_whole_either_way() -> None:
+    """As velocity -1 before a position of 0x..FD; after one such place the SDK itself drops a byte of FF FD FD."""
+    rng = random.Random(5)
+    payloads = [bytes([0xFF, 0xFF, 0xFD, 0x01, 0xFF, 0xFD, 0xFD, 0x05])]
+    payloads += [bytes(rng.choices((0xFF, 0xFD, 0x00), (5, 4, 1), k=12)) for _ in range(150)]
+    heard: list[bytes] = []
+
+    def reply(packet: p2.Packet) -> bytes:
+        heard.append(packet.parameters)
+        return p2.status(1, 0, data if packet.instruction in (p2.READ, p2.SYNC_READ) else b"")
+
+    port, end = answering(reply)
     try:
         with Bus(port, BAUD) as bus:
-            try:
-                got = bus.read(1, 108, len(data))
-            except dynamixel.BusError:
-                return  # noticed
-            assert got == data
+            for data in payloads:
+                assert bus.read(1, 108, len(data)) == data
+                assert bus.read_all([1], 108, len(data)) == {1: data}
+                bus.write(1, 108, data)
+                assert heard[-1] == bytes([108, 0]) + data
+            assert (bus.recovered, bus.noisy) == (0, 0)
     finally:
         end()
 
 
-def test_stuffed_positions_arrive_whole(line: Line) -> None:
-    """Velocity -1 before a position of 0x..FD gives FF FF FD on the wire."""
-    data = bytes([0xFF, 0xFF, 0xFF, 0xFF, 0xFD, 0x07, 0x00, 0x00])
-    port, end = answering(lambda packet: p2.status(packet.id, 0, data))
-    try:
-        with Bus(port, BAUD) as bus:
-            assert bus.read(1, 128, 8) == data
-    finally:
-        end()
+@pytest.mark.parametrize("pause_s", [0.0, 0.0005])
+def test_answers_in_single_bytes_and_behind_an_echo_are_understood(line: Line, pause_s: float) -> None:
+    """An adapter without a direction switch returns what was sent; slow ones give a byte at a time."""
+    receive = line.bus.receive
 
+    def dribble(data: bytes, baud: int, send: Callable[[bytes], None]) -> None:
+        def bytewise(answer: bytes) -> None:
+            for byte in answer:
+                send(bytes([byte]))
+                time.sleep(pause_s)  # on the twin's side
 
-def test_a_packet_that_needs_stuffing_is_not_sent(line: Line) -> None:
-    with Bus(line.port, BAUD) as bus, pytest.raises(DeviceError, match=r"FF FF FD"):
-        bus.write(1, 108, b"\xff\xff\xfd\x00")
+        send(data)
+        receive(data, baud, bytewise)
+
+    line.bus.receive = dribble  # type: ignore[method-assign]
+    with ServoArms(describe(), servos(line.port)) as arms:
+        assert degrees(arms.move(pose(10, 20, 30))) == pytest.approx((10, 20, 30), abs=TOLERANCE_DEG)
 
 
 def test_a_port_that_goes_away() -> None:

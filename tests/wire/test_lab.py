@@ -421,6 +421,21 @@ def test_missing_ports_end_with_exit_code_3_and_one_message(tmp_path: Path) -> N
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.parametrize("driver", ["uvc", "sequence", "mine"])
+def test_a_bench_for_a_rig_with_another_camera(tmp_path: Path, driver: str) -> None:
+    description = small()
+    camera = {"driver": driver, "folder": "images"}
+    asked = description.model_copy(update={"devices": description.devices | {"camera": camera}})
+    bench = Bench(asked, SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE)
+    if driver == "sequence":
+        assert bench.description.devices["camera"] == {"driver": "sequence", "folder": str(Path("images").absolute())}
+        with pytest.raises(ConfigError, match=r'"file-late" needs a tethered camera.*driver = "sequence"'):
+            bench.inject("file-late")
+        return
+    with bench, opened(bench) as rig:
+        assert rig.camera.capture(0.01).mosaic.shape == (48, 64)
+
+
 def test_serve_writes_a_rig_file_that_works(tmp_path: Path) -> None:
     command = [sys.executable, "-c", "from gonio.cli import main; main()"]
     twin = subprocess.Popen(

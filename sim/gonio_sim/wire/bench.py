@@ -1,7 +1,8 @@
 """A whole laboratory of twins: servos, lamp and camera of a rig file, around one simulated world.
 
 The lamp tells the world whether it shines, and in which band; the servos' shafts, through backlash and zero errors, are
-where the axes really stand; and the camera renders what the world looks like when its shutter opens.
+where the axes really stand; and the camera renders what the world looks like when its shutter opens. A tethered camera
+stands in for other kinds, which another process could not open; a sequence needs no twin, and is replayed as it is.
 """
 
 from __future__ import annotations
@@ -68,13 +69,8 @@ class _Light(_Loose):
     level: float = 1.0
 
 
-class _Trigger(_Loose):
-    how: str = "none"
-
-
 class _Camera(_Loose):
     driver: str
-    trigger: _Trigger = _Trigger()
 
 
 class _Devices(_Loose):
@@ -239,10 +235,24 @@ class Bench:
         devices["light"]["port"] = str(self._folder / "lamp")
         devices["light"]["settle_s"] = devices["light"].get("settle_s", 0.5) / self.scale
         devices["servos"]["settle_s"] = max(0.03, devices["servos"].get("settle_s", 0.1) / self.scale)
-        devices["camera"]["folder"] = str(self._folder / "frames")
-        devices["camera"]["trigger"] = {"how": "serial", "port": str(self._folder / "release")}
+        if self.replays:
+            devices["camera"]["folder"] = str(Path(devices["camera"]["folder"]).expanduser().absolute())
+        else:
+            kept = devices["camera"] if self.driver == "folder" else {"driver": "folder"}
+            trigger = {"how": "serial", "port": str(self._folder / "release")}
+            devices["camera"] = kept | {"folder": str(self._folder / "frames"), "trigger": trigger}
         lamp = original.lamp.model_copy(update={"warm_up_s": original.lamp.warm_up_s / self.scale})
         return original.model_copy(update={"devices": devices, "lamp": lamp})
+
+    @property
+    def driver(self) -> str:
+        """The camera that the rig file asks for."""
+        return self._devices.camera.driver
+
+    @property
+    def replays(self) -> bool:
+        """Whether the frames are there already, and nothing is rendered."""
+        return self.driver == "sequence"
 
     def inject(self, fault: str, *, axis: str | None = None, times: int = 1, skip: int = 0) -> None:
         """Let a fault happen at its next `times` occasions, after `skip` others; of one axis, where `axis` names it.
@@ -252,8 +262,10 @@ class Bench:
         Raises
         ------
         ConfigError
-            There is no such fault or axis.
+            There is no such fault or axis, or nothing that it could happen to.
         """
+        if self.replays and fault in fault_names.CAMERA:
+            raise ConfigError(f'the fault "{fault}" needs a tethered camera; devices.camera.driver = "{self.driver}"')
         if axis is not None and axis not in self.servos:
             raise ConfigError(f'the bench has no axis "{axis}"; it has {", ".join(self.servos)}')
         servo = None if axis is None or fault in fault_names.LAMP + fault_names.CAMERA else self.servos[axis].id
@@ -302,8 +314,6 @@ def _parsed(description: RigDescription) -> _Devices:
         raise ConfigError(
             f'devices.light.dialect = "{devices.light.dialect}" has no twin; twins speak {", ".join(LAMPS)}'
         )
-    if devices.camera.driver != "folder":
-        raise ConfigError(f'devices.camera.driver = "{devices.camera.driver}" has no twin; only "folder" has one')
     missing = [name for name in axes(description) if name not in devices.servos.axes]
     if missing:
         raise ConfigError(f"devices.servos.axes.{missing[0]} is missing: the rig has this axis, and no servo turns it")

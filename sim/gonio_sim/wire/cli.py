@@ -56,6 +56,12 @@ def serve(
         path = out / "rig.toml"
         path.write_text(to_toml(plug(bench.description)), encoding="utf-8")
         print(f"twins of {rig} are running, {time_scale:g} times as fast; Ctrl-C ends them")
+        if bench.replays:
+            print(
+                f"  the camera has no twin: the images in {bench.description.devices['camera']['folder']} are replayed"
+            )
+        elif bench.driver != "folder":
+            print(f'  a tethered camera with RAW files stands in for driver = "{bench.driver}", which has no twin')
         print(f"  gonio rig check --rig {path}")
         print(f"  gonio measure PLAN --rig {path} --out RUN --yes", flush=True)
         if not stop.wait(after):

@@ -24,7 +24,8 @@ POSITION_MODES = (3, 4, 5)
 LIMITED = (("Goal Velocity", "Velocity Limit"), ("Goal Current", "Current Limit"), ("Goal PWM", "PWM Limit"))
 
 VOLTAGE, OVERHEATING, OVERLOAD = 0x01, 0x04, 0x20
-AMBIENT_C, SUPPLY_DV = 34, 120
+AMBIENT_C = 34
+VOLTAGES = ("Min Voltage Limit", "Max Voltage Limit")
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +90,7 @@ class Servo:
         """Called before the shaft sets out for a new goal: what hangs on it has followed until now."""
         self.powered = True
         self.temperature_c = AMBIENT_C
-        self.supply_dv = SUPPLY_DV
+        self.supply_dv = self.table.supply_dv
         self._power_up()
 
     # ---- what the bench sees and does ----
@@ -308,6 +309,8 @@ class Servo:
         low, high = tables.RANGES.get(name, (-(1 << 31), 1 << 32))
         if name == "Current Limit":
             high = self.table.factory.get(name, high)
+        if name in VOLTAGES:
+            low, high = (self.table.factory[limit] for limit in VOLTAGES)
         if name == "Operating Mode" and value not in tables.MODES:
             raise Refused(p2.RANGE_ERROR)
         if not low <= value <= high:

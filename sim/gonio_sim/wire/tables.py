@@ -36,8 +36,7 @@ SIGNED = frozenset(
 RANGES = {  # smallest and largest value that an item takes at all (Data Range Error beyond)
     "ID": (0, 252), "Baud Rate": (0, 7), "Return Delay Time": (0, 254), "Secondary(Shadow) ID": (0, 255),
     "Homing Offset": (-1_044_479, 1_044_479), "Moving Threshold": (0, 1023), "Protocol Type": (2, 2),
-    "Temperature Limit": (0, 100),
-    "Max Voltage Limit": (95, 160), "Min Voltage Limit": (95, 160), "PWM Limit": (0, 885), "Velocity Limit": (0, 1023),
+    "Temperature Limit": (0, 100), "PWM Limit": (0, 885), "Velocity Limit": (0, 1023),
     "Current Limit": (0, 2047), "Max Position Limit": (0, 4095), "Min Position Limit": (0, 4095),
     "Torque Enable": (0, 1),
     "LED": (0, 1), "Status Return Level": (0, 2), "Velocity I Gain": (0, 16383), "Velocity P Gain": (0, 16383),
@@ -52,20 +51,25 @@ BAUD_CODES = {0: 9600, 1: 57600, 2: 115200, 3: 1_000_000, 4: 2_000_000, 5: 3_000
 
 _FACTORY = {
     "ID": 1, "Baud Rate": 1, "Return Delay Time": 250, "Operating Mode": 3, "Secondary(Shadow) ID": 255,
-    "Protocol Type": 2, "Moving Threshold": 10, "Temperature Limit": 80, "Max Voltage Limit": 160,
-    "Min Voltage Limit": 95, "PWM Limit": 885, "Current Limit": 1193, "Velocity Limit": 200,
-    "Max Position Limit": 4095, "Shutdown": 52, "Status Return Level": 2,
+    "Protocol Type": 2, "Moving Threshold": 10, "Temperature Limit": 80, "PWM Limit": 885, "Current Limit": 1193,
+    "Velocity Limit": 200, "Max Position Limit": 4095, "Shutdown": 52, "Status Return Level": 2,
     "Velocity I Gain": 1920, "Velocity P Gain": 100, "Position P Gain": 800, "Firmware Version": 46,
 }  # fmt: skip
 _FACTORY_BY_FAMILY = {
-    "xl330": {"Current Limit": 1750, "Velocity Limit": 445, "Temperature Limit": 70, "Max Voltage Limit": 70,
-              "Min Voltage Limit": 35, "Position P Gain": 400, "Shutdown": 53},
+    "xl330": {"Current Limit": 1750, "Velocity Limit": 445, "Temperature Limit": 70, "Position P Gain": 400,
+              "Shutdown": 53},
     "xc330": {"Current Limit": 1750, "Velocity Limit": 445, "Temperature Limit": 70},
-    "xl430": {"Velocity Limit": 265, "Temperature Limit": 72, "Max Voltage Limit": 140, "Position P Gain": 640},
-    "xc430": {"Velocity Limit": 310, "Temperature Limit": 72, "Max Voltage Limit": 140},
+    "xl430": {"Velocity Limit": 265, "Temperature Limit": 72, "Position P Gain": 640},
+    "xc430": {"Velocity Limit": 310, "Temperature Limit": 72},
     "xh430": {"Current Limit": 648, "Velocity Limit": 230},
     "xm540": {"Current Limit": 2047, "Velocity Limit": 128},
     "xh540": {"Current Limit": 1188, "Velocity Limit": 167},
+}  # fmt: skip
+
+_VOLTAGES = {  # lowest, nominal, highest [0.1 V]; the beginning of a model's name
+    "xl330": (35, 50, 70), "xc330-m": (35, 50, 70), "xc330-t": (55, 120, 140), "xl430": (60, 120, 140),
+    "xc430": (60, 120, 140), "xh430-v": (110, 240, 300), "xh540-v": (110, 240, 300), "xw540-h": (110, 240, 300),
+    "x": (95, 120, 160),
 }  # fmt: skip
 
 
@@ -98,6 +102,8 @@ class Table:
     size: int
     defined: frozenset[int]
     """Addresses at which there is something."""
+    supply_dv: int
+    """Nominal supply [0.1 V]."""
 
 
 @cache
@@ -125,9 +131,11 @@ def table(model: str) -> Table:
                 items[f"Indirect Address {first + k}"] = Item(f"Indirect Address {first + k}", address + 2 * k, 2)
                 items[f"Indirect Data {first + k}"] = Item(f"Indirect Data {first + k}", data + k, 1)
     factory = {k: v for k, v in (_FACTORY | _FACTORY_BY_FAMILY.get(model[:5].lower(), {})).items() if k in items}
+    lowest, supply, highest = next(v for k, v in _VOLTAGES.items() if model.lower().startswith(k))
+    factory |= {"Min Voltage Limit": lowest, "Max Voltage Limit": highest}
     factory["Model Number"] = number
     for name in items:
         if name.startswith("Indirect Address"):
             factory[name] = items[name.replace("Address", "Data")].address
     defined = frozenset(item.address + k for item in items.values() for k in range(item.size))
-    return Table(model.lower(), number, items, factory, max(defined) + 1, defined)
+    return Table(model.lower(), number, items, factory, max(defined) + 1, defined, supply)

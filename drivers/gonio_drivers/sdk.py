@@ -1,0 +1,84 @@
+"""Port and packets of the ROBOTIS SDK, mended where they have to be: locking, waiting, byte stuffing."""
+
+from __future__ import annotations
+
+import select
+
+import serial
+from dynamixel_sdk import PortHandler, Protocol2PacketHandler
+
+WAIT_S = 0.002
+PATIENCE_MS = 50.0
+"""Added to the SDK's timeout of 34 ms: a busy computer or a slow adapter is no fault."""
+HEADER = b"\xff\xff\xfd"
+STUFFED = HEADER + b"\xfd"
+BEFORE = 7
+"""Bytes of a packet before its instruction; the length is the last two of them."""
+
+
+class ExclusivePort(PortHandler):  # type: ignore[misc]
+    """The SDK's port, locked for one owner, and sleeping while it waits for bytes."""
+
+    is_open: bool
+    packet_timeout: float
+    received = 0
+    """Bytes since the last request was sent, and what lay there unasked before it."""
+
+    def setupPort(self, cflag_baud: int) -> bool:
+        """Open the port (again) at a line speed, with the lock taken again."""
+        if self.is_open:
+            self.closePort()
+        self.ser = serial.Serial(
+            port=self.port_name,
+            baudrate=cflag_baud,
+            bytesize=serial.EIGHTBITS,
+            timeout=0,
+            write_timeout=1.0,
+            exclusive=True,
+        )
+        self.is_open = True
+        self.ser.reset_input_buffer()
+        self.tx_time_per_byte = 1000.0 / cflag_baud * 10.0
+        return True
+
+    def setPacketTimeout(self, packet_length: int) -> None:
+        """Start to wait for a packet."""
+        super().setPacketTimeout(packet_length)
+        self.packet_timeout += PATIENCE_MS
+
+    def readPort(self, length: int) -> bytes:
+        """Bytes that are there, after a short wait where there are none."""
+        if length <= 0:
+            return b""
+        if not self.ser.in_waiting:
+            select.select([self.ser.fileno()], [], [], WAIT_S)
+        data = bytes(self.ser.read(length))
+        self.received += len(data)
+        return data
+
+    def clearPort(self) -> None:
+        """Drop what nobody has asked for."""
+        self.received = self.ser.in_waiting
+        super().clearPort()
+
+
+class Packets(Protocol2PacketHandler):  # type: ignore[misc]
+    """The SDK's packets, with FF FF FD inside a packet written as FF FF FD FD, and read back, without loss."""
+
+    def addStuffing(self, packet: list[int]) -> list[int]:
+        """Stuff an instruction packet, in place: the SDK stuffs a copy and sends the original."""
+        body = bytes(packet[BEFORE:-2]).replace(HEADER, STUFFED)
+        packet[:] = [*_head(packet, len(body)), *body, 0, 0]
+        return packet
+
+    def removeStuffing(self, packet: list[int]) -> list[int]:
+        """A status packet without stuffing, filled up to the length that it had."""
+        length = packet[5] | packet[6] << 8
+        body = bytes(packet[BEFORE : BEFORE + length - 2]).replace(STUFFED, HEADER)
+        out = [*_head(packet, len(body)), *body, *packet[BEFORE + length - 2 : BEFORE + length]]
+        return out + [0] * (len(packet) - len(out))
+
+
+def _head(packet: list[int], size: int) -> list[int]:
+    """The bytes before the instruction, for a body of another size."""
+    return [*packet[:5], size + 2 & 0xFF, size + 2 >> 8]
