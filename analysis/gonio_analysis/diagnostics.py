@@ -14,6 +14,12 @@ from gonio_analysis.uncertainty import Floats
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1.5, 1, 1.5)), (0, (3, 1)), (0, (8, 2)))
 
 
+def look(k: int) -> dict[str, Any]:
+    """Colour and dashes of part k of a budget (0: the combined uncertainty); 36 of them differ."""
+    n = len(COLOURS)
+    return {"color": INK if k == 0 else COLOURS[(k - 1) % n], "ls": DASHES[(k + max(k - 1, 0) // n) % len(DASHES)]}
+
+
 def profile(ax: Any, interval: Interval, *, value: float, threshold: float, unit: str = "") -> list[Any]:
     """Rise of chi-square over one parameter with all others fitted again, and the interval that it gives.
 
@@ -64,11 +70,9 @@ def budget_over_angle(ax: Any, angle: Floats, parts: Sequence[tuple[str, Floats]
     artists: list[Any] = []
     top = 100 * float(max(np.nanmax(u) for _, u in parts))
     for k, (label, u) in enumerate(parts):
-        look = {"color": INK, "lw": 1.8} if k == 0 else {"color": COLOURS[(k - 1) % len(COLOURS)], "lw": 1.2}
         shown = np.where(u > 0, 100 * u, np.nan)
-        artists += ax.plot(
-            np.degrees(angle), shown, ls=DASHES[k % len(DASHES)], label=label, zorder=4 - (k > 0), **look
-        )
+        width = 1.2 if k else 1.8
+        artists += ax.plot(np.degrees(angle), shown, lw=width, label=label, zorder=4 - (k > 0), **look(k))
     ax.set_yscale("log")
     ax.set_ylim(top / 3e3, top * 1.5)
     ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")

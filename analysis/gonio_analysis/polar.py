@@ -260,7 +260,7 @@ def budget(ax: Any, parts: Sequence[tuple[str, float, float]]) -> list[Any]:
     smallest = min((m for m in median if m > 0), default=1e-3)
     if high.max(initial=0.0) > 50 * smallest:
         ax.set_xscale("log")
-        ax.set_xlim(max(smallest / 3, 1e-5), high.max() * 2)
+        ax.set_xlim(max(smallest / 3, high.max() / 1e4), high.max() * 2)
         ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     ax.set_xlabel("standard uncertainty relative to the value [%]")
     ax.grid(axis="x", color=FAINT, lw=0.6)

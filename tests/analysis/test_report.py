@@ -203,6 +203,9 @@ def test_unwritable_folder_is_one_message(tmp_path: Path) -> None:
         (0.5, 0.0, "0.50000"),
         (0.5, None, "0.500 (not determined)"),
         (-0.25, 0.1, "−0.25 ± 0.10"),
+        (1.709e-5, 2.4e-7, "(1.709 ± 0.024) × 10⁻⁵"),
+        (4e-8, 2.5e-7, "(0.4 ± 2.5) × 10⁻⁷"),
+        (0.0, 3e-7, "0 ± 3.0 × 10⁻⁷"),
     ],
 )
 def test_values_are_rounded_to_their_uncertainty(value: float, u: float | None, text: str) -> None:

@@ -155,11 +155,7 @@ def _budget(d: Dataset, facts: dict[str, Any]) -> Figure:
             ax.set_xticks(range(-60, 61, 60), [f"{a}°".replace("-", "−") for a in range(-60, 61, 60)])
             ax.set_title(name, fontsize=8, loc="left", color=polar.INK)
         axes[0].set_ylabel("u / value [%]")
-        dash = diagnostics.DASHES
-        parts = ["combined", "random", *legend]
-        colours = [polar.INK, *(polar.COLOURS[k % 6] for k in range(len(parts) - 1))]
-        looks = [{"color": c, "ls": dash[k % len(dash)]} for k, c in enumerate(colours)]
-        _legend(figure, list(zip(parts, looks, strict=True)))
+        _legend(figure, [(part, diagnostics.look(k)) for k, part in enumerate(["combined", "random", *legend])])
 
     caption = (
         "Uncertainty over the angle: standard uncertainty by cause, relative to the value, along in-plane curves;"

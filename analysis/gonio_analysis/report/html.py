@@ -50,7 +50,7 @@ def table(
         cells += [f"<td{' class=n' if k in right else ''}>{cell}</td>" for k, cell in enumerate(row) if k]
         mark = marks[number_of_row] if number_of_row < len(marks) else ""
         body.append(f"<tr{f' class={mark}' if mark else ''}>{''.join(cells)}</tr>")
-    title = f"<caption>{escape(caption)}</caption>" if caption else ""
+    title = f"<caption><span>{escape(caption)}</span></caption>" if caption else ""
     return (
         f'<div class="scroll"><table>{title}<thead><tr>{head}</tr></thead><tbody>{"".join(body)}</tbody></table></div>'
     )

@@ -26,9 +26,13 @@ def with_u(value: float | None, u: float | None) -> str:
         return f"{number(value)} (not determined)"
     if u == 0:
         return number(value, 5)
-    if u > 100 * max(abs(value), 1e-12) or not 1e-8 < u < 1e7:
+    if u > 100 * max(abs(value), 1e-12) or not 1e-12 < u < 1e7:
         return f"{number(value)} ± {number(u, 2)}"
     decimals = 1 - math.floor(math.log10(u))
+    if max(abs(value), u) < 1e-4:  # one power of ten for both, or all that is seen are zeros
+        power = math.floor(math.log10(max(abs(value), u)))
+        places = max(power - math.floor(math.log10(u)) + 1, 0)
+        return _minus(f"({value / 10.0**power:.{places}f} ± {u / 10.0**power:.{places}f}) × 10{_superscript(power)}")
     if decimals > 8:
         return f"{number(value, 6)} ± {number(u, 2)}"
     if decimals < 0:
