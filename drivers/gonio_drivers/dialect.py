@@ -24,6 +24,8 @@ class Dialect(Strict):
     send_ending: str = "\n"
     reply_ending: str = "\n"
     timeout_s: Positive = 0.5
+    prompt: str | None = None
+    """What the controller writes when it awaits a command, without an ending; taken off the beginning of a reply."""
     banner: str | None = None
     """What the controller says when it has started; some restart whenever their port is opened."""
     banner_s: Positive = 4.0

@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import re
 import time
+from collections import deque
 from types import TracebackType
 from typing import Self
 
@@ -24,6 +25,8 @@ from gonio_drivers.guard import Guard
 log = logging.getLogger("gonio.devices")
 
 TRIES = 3
+LATENESS = 2.0
+"""How much longer than its timeout a missing reply is awaited, so that it is not taken for the next one's."""
 WAVELENGTH_STEP_NM = 0.1
 
 
@@ -57,6 +60,10 @@ class SerialLight:
         self._band: Band | None = None
         self._lit_since: float | None = None
         self._monitored: float | None = None
+        self._silent = False
+        """It has not answered for longer than even a late answer takes."""
+        self._sent: deque[str] = deque(maxlen=4)
+        """The last commands, as an echo would return them."""
         self._warmed = False
         self.identity = ""
         self.lit = False
@@ -294,10 +301,11 @@ class SerialLight:
         d = self._dialect
         last: DeviceError | None = None
         for attempt in range(TRIES):
+            reply = None
             try:
                 self._send(command)
                 if d.acknowledge is not None:
-                    reply = self._line()
+                    reply = self._reply(d.acknowledge)
                     if not re.fullmatch(d.acknowledge, reply):
                         raise self._disappointment(command, reply)
                 if d.error_query is not None:
@@ -306,7 +314,7 @@ class SerialLight:
                         raise Nak(f'the lamp on {self._light.port} refuses "{command}": {error}')
             except DeviceError as failure:
                 last = failure
-                self._calm()
+                self._calm(missing=reply == "")
                 continue
             if attempt:
                 log.warning("lamp on %s: %s; obeyed at attempt %d", self._light.port, last, attempt + 1)
@@ -319,13 +327,13 @@ class SerialLight:
         last: DeviceError | None = None
         for attempt in range(TRIES):
             self._send(query)
-            reply = self._line()
+            reply = self._reply(f"{self._dialect.state_on}|{self._dialect.state_off}")
             if reply and not any(p and re.fullmatch(p, reply) for p in (self._dialect.refuse, self._dialect.banner)):
                 if attempt:
                     log.warning("lamp on %s: %s; answered at attempt %d", self._light.port, last, attempt + 1)
                 return reply
             last = self._disappointment(query, reply)
-            self._calm()
+            self._calm(missing=not reply)
         assert last is not None
         raise last
 
@@ -345,31 +353,57 @@ class SerialLight:
         if self._port is None:
             raise DeviceError(f"the lamp on {self._light.port} is not open: enter the rig first")
         try:
+            self._sent.append(command.strip())
             self._port.reset_input_buffer()
             self._port.write((command + self._dialect.send_ending).encode())
         except ports.FAILURES as error:
             raise ports.lost(self._light.port, error, "devices.light.port") from None
 
+    def _reply(self, good: str) -> str:
+        """The first line that is no echo of what was sent (some controllers, and adapters, return it), or is `good`."""
+        while (line := self._line()) and line in self._sent and not re.fullmatch(good, line):
+            pass
+        self._silent = self._silent and not line
+        return line
+
     def _line(self) -> str:
-        """One line of reply without its ending; empty where none comes in time."""
+        """One line without its ending and without a prompt; empty where none comes in time."""
         assert self._port is not None
+        prompt = (self._dialect.prompt or "").strip()
         try:
             while True:
                 raw = self._port.read_until(self._dialect.reply_ending.encode())
                 text = str(raw, "ascii", "replace").strip()
+                while prompt and text.startswith(prompt):
+                    text = text.removeprefix(prompt).strip()
                 if text or not raw:
                     return text
         except ports.FAILURES as error:
             raise ports.lost(self._light.port, error, "devices.light.port") from None
 
-    def _calm(self) -> None:
-        """Let what is still on its way arrive, and drop it."""
-        time.sleep(0.05)
-        if self._port is not None:
-            try:
-                self._port.reset_input_buffer()
-            except ports.FAILURES as error:
-                raise ports.lost(self._light.port, error, "devices.light.port") from None
+    def _calm(self, *, missing: bool) -> None:
+        """Let what is still on its way arrive, and drop it; for one that answers late, wait longer from now on."""
+        if self._port is None:
+            return
+        timeout_s = self._port.timeout
+        try:
+            if missing and not self._silent:  # of one that says nothing at all no more is awaited
+                begun = time.monotonic()
+                self._port.timeout = LATENESS * timeout_s
+                late = self._line()
+                self._port.timeout = timeout_s
+                self._silent = not late
+                if late and not re.fullmatch(self._dialect.banner or "", late):
+                    timeout_s += 2 * (time.monotonic() - begun)
+                    self._port.timeout = timeout_s
+                    log.warning(
+                        "lamp on %s: it answers late; waiting for %.1f s from now on (timeout_s of its dialect)",
+                        self._light.port, timeout_s,
+                    )  # fmt: skip
+            time.sleep(0.05)
+            self._port.reset_input_buffer()
+        except ports.FAILURES as error:
+            raise ports.lost(self._light.port, error, "devices.light.port") from None
 
     def _drain_errors(self) -> None:
         d = self._dialect

@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -230,6 +230,36 @@ def test_a_dialect_from_a_file(tmp_path: Path) -> None:
     path.write_text(text.replace("'OK'", "'(OK'"))
     with pytest.raises(ConfigError, match=r"mine\.toml: acknowledge = .*regular expression"):
         dialect(str(path))
+
+
+@pytest.mark.parametrize("habit", ["echo", "prompt", "slow", "bytewise"])
+def test_habits_of_controllers(lamp: Plugged, tmp_path: Path, habit: str, caplog: pytest.LogCaptureFixture) -> None:
+    """An echo, a prompt, answers after the timeout (0.25 s), single bytes: the lamp shines as asked, and gets dark."""
+    text = (Path(lamps.__file__).parents[3] / f"drivers/gonio_drivers/dialects/{lamp.name}.toml").read_text()
+    (tmp_path / "mine.toml").write_text(text + ('prompt = "> "\n' if habit == "prompt" else ""))
+    receive = lamp.twin.receive
+
+    def with_habit(data: bytes, baud: int, send: Callable[[bytes], None]) -> None:
+        def bytewise(answer: bytes) -> None:
+            for byte in answer:
+                send(bytes([byte]))
+
+        if habit == "echo":
+            send(data)
+        if habit == "slow" and b"?" in data:
+            time.sleep(0.3)  # on the twin's side
+        receive(data, baud, bytewise if habit == "bytewise" else send)
+        if habit == "prompt":
+            send(b"\r\n> ")
+
+    lamp.twin.receive = with_habit  # type: ignore[method-assign]
+    with lamp.driver(dialect=str(tmp_path / "mine.toml")) as light:
+        light.select(BANDS[1])
+        light.on()
+        light.check()
+        assert (lamp.twin.shine.lit, lamp.twin.shine.level, lamp.twin.shine.band) == (True, 0.8, BANDS[1])
+    assert not lamp.twin.shine.lit
+    assert habit == "slow" or not caplog.records  # nothing had to be repeated
 
 
 def test_warm_up_is_waited_for_once(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
