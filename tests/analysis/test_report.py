@@ -194,6 +194,15 @@ def test_unwritable_folder_is_one_message(tmp_path: Path) -> None:
             pass
 
 
+def test_a_full_disk_is_one_message_and_leaves_nothing(tmp_path: Path) -> None:
+    with (
+        pytest.raises(ConfigError, match=r"report: cannot be written: No space left"),
+        staged(tmp_path / "new" / "report"),
+    ):
+        raise OSError(28, "No space left on device")  # as a write says it, without a file name
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     ("value", "u", "text"),
     [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from gonio_analysis.report.figures import Figure
 
 MARKS = ("index.html", "summary.json")
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Errors of a write that name no file."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,7 @@ def staged(folder: str | Path) -> Iterator[Staged]:
     except BaseException as error:
         shutil.rmtree(work, ignore_errors=True)
         _remove(made)
-        if isinstance(error, OSError) and error.filename is not None and str(work.parent) in str(error.filename):
+        if isinstance(error, OSError) and (error.errno in FULL or str(work.parent) in str(error.filename)):
             raise ConfigError(f"{shown}: cannot be written: {error.strerror}") from None
         raise
 
