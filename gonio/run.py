@@ -105,6 +105,8 @@ class Run:
             if journal.events:
                 raise _needs_resume(path)
             shutil.rmtree(path / "frames", ignore_errors=True)
+            for left in [entry for entry in path.iterdir() if _half(entry.name)]:
+                left.unlink()
             (path / "frames").mkdir()
             settings = _settings(request, _with_reference_table(path, request.description))
             _write(path / "plan.csv", _plan_csv(request.points))
@@ -265,7 +267,7 @@ def check_new(path: Path) -> None:
     if path.is_dir():
         if begun(path):
             raise _needs_resume(path)
-        foreign = sorted(entry.name for entry in path.iterdir() if entry.name not in OURS)
+        foreign = sorted(entry.name for entry in path.iterdir() if entry.name not in OURS and not _half(entry.name))
         if foreign and not (path / "run.toml").exists():
             raise ConfigError(f'{path}: is not empty (it holds "{foreign[0]}"); a run needs a folder of its own')
     check_writable(path)
@@ -420,6 +422,11 @@ def _write(path: Path, content: str | bytes) -> None:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def _half(name: str) -> bool:
+    """Whether a file is one of ours that a process which died was writing."""
+    return name.startswith(".") and name.endswith(".new") and name[1:-4] in OURS
 
 
 def _sync_folder(path: Path) -> None:

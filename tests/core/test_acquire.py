@@ -282,6 +282,18 @@ def test_nothing_is_left_of_a_run_that_cannot_be_made(
     assert not (tmp_path / "deep").exists()
 
 
+@pytest.mark.parametrize("name", ["plan.csv", "run.toml"])
+def test_a_process_that_died_while_it_made_the_folder_is_no_obstacle(
+    measure: Measure, tmp_path: Path, name: str
+) -> None:
+    (tmp_path / "run" / "frames").mkdir(parents=True)
+    (tmp_path / "run" / "journal.jsonl").touch()
+    (tmp_path / "run" / f".{name}.new").write_text("half")
+    run = measure("run")
+    assert not (run.path / f".{name}.new").exists()
+    assert len(run.steps()) == len(measure("other").steps())
+
+
 def test_a_folder_of_other_things_is_left_alone(measure: Measure, tmp_path: Path) -> None:
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "holiday.jpg").write_bytes(b"x")
