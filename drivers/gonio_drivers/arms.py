@@ -59,6 +59,8 @@ class Landing:
     released: int = 0
     since: float = 0.0
     """When it was last seen to move."""
+    under_way: float = 0.0
+    """When its profile was last seen to go on; a slow one moves by less than an encoder's flicker between two looks."""
     seen: list[int] = field(default_factory=list)
     """Positions since then."""
     done: bool = False
@@ -360,16 +362,19 @@ class ServoArms:
             return
         if not landing.seen or abs(report.position - landing.seen[0]) > STILL_COUNTS or report.moving:
             landing.seen, landing.since = [], now
+        if report.under_way:
+            landing.under_way = now
         landing.seen.append(report.position)
         position = statistics.fmean(landing.seen[-AVERAGED:])
         error = self._error_deg(joint, landing.goal, position)
-        still = now - landing.since
-        if not report.moving and still >= self._servos.settle_s:
+        still, rested = now - landing.since, now - max(landing.since, landing.under_way)
+        set_out_s, settle_s = self._visible(joint)
+        if not report.moving and not report.under_way and rested >= max(settle_s, self._servos.settle_s):
             if error <= (self._tolerance(joint) if exact else self._approach_deg / 2):
                 landing.done = True
                 return
             small = error + self._error_deg(joint, landing.goal, landing.sent) <= LARGEST_CORRECTION_DEG
-            if small and landing.corrections < CORRECTIONS and still > STARTING_S:  # it has had time to set out
+            if small and landing.corrections < CORRECTIONS and rested > set_out_s:  # it has had time to set out
                 self._correct(joint, landing, position, now, exact=exact)
                 return
         if still > STALL_S and not self._release(joint, landing, now):
@@ -435,6 +440,13 @@ class ServoArms:
         joint = self.joints[name]
         way = self._error_deg(joint, goal, position)
         return way / joint.speed_deg_per_s + 2 * joint.speed_deg_per_s / self._servos.acceleration_deg_per_s2
+
+    def _visible(self, joint: Joint) -> tuple[float, float]:
+        """How long a motion takes to show beyond the encoder's flicker [s]: from rest, and at full speed."""
+        per_deg, counts = abs(joint.counts_per_deg), STILL_COUNTS + 1
+        running_s = counts / (joint.speed_deg_per_s * per_deg)
+        rising_s = math.sqrt(2 * counts / (self._servos.acceleration_deg_per_s2 * per_deg))
+        return STARTING_S + rising_s + running_s, running_s
 
     def _state(self, name: str, landing: Landing, report: Report) -> str:
         joint = self.joints[name]

@@ -21,13 +21,15 @@ COUNTS = 4096
 VELOCITY_UNIT_DEG_S = 0.229 * 6
 ACCELERATION_UNIT_DEG_S2 = 214.577 * 360 / 3600
 POSITION_MODE = 3
+PROFILE_ONGOING = 0x02
+"""Bit of the Moving Status."""
 HOT_MARGIN_C = 3
 """Stop this far below the temperature at which the servo would let go by itself."""
 
 REPORTED = frozenset(
     {
-        "Goal Position", "Moving", "Present Current", "Present Load", "Present Position", "Present Input Voltage",
-        "Present Temperature",
+        "Goal Position", "Moving", "Moving Status", "Present Current", "Present Load", "Present Position",
+        "Present Input Voltage", "Present Temperature",
     }
 )  # fmt: skip
 """Items that a report needs; all lie in one block from Profile Acceleration to Present Temperature."""
@@ -244,6 +246,9 @@ class Report:
 
     position: int
     moving: bool
+    """Faster than the servo's threshold, 14 deg/s as it comes."""
+    under_way: bool
+    """Its profile has not ended, however slow it is."""
     goal: int
     profile: bytes
     current: int
@@ -278,8 +283,10 @@ def reports(bus: Bus, joints: Iterable[Joint]) -> dict[str, Report]:
         current = value.get("Present Current", value.get("Present Load", 0))
         joint.health = Health(value["Present Temperature"], value["Present Input Voltage"] / 10, current)
         profile = block[: len(joint.profile)]
-        position, moving = value["Present Position"], bool(value["Moving"])
-        out[joint.name] = Report(position, moving, value["Goal Position"], profile, current)
+        under_way = bool(value["Moving Status"] & PROFILE_ONGOING)
+        out[joint.name] = Report(
+            value["Present Position"], bool(value["Moving"]), under_way, value["Goal Position"], profile, current
+        )
         joint.check_health()
     return out
 

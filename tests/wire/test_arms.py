@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 import serial
-from gonio_drivers import dynamixel, settings, watchdog
+from gonio_drivers import dynamixel, joints, settings, watchdog
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.joints import COUNTS
@@ -274,6 +274,22 @@ def test_landing_with_an_encoder_that_flickers(arms: ServoArms, line: Line) -> N
     for target in [(30, -20, 10), (29, 40, -5)]:
         # the mean lies within the tolerance, and one reading within a count of the mean
         assert degrees(arms.move(pose(*target))) == pytest.approx(target, abs=TOLERANCE_DEG + 1.5 * COUNT_DEG)
+
+
+@pytest.mark.parametrize("tells", [True, False])
+def test_an_axis_that_creeps_is_not_taken_for_one_that_has_landed(tells: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not tells:  # a servo that keeps its moving status to itself
+        monkeypatch.setattr(joints, "PROFILE_ONGOING", 0)
+    clock = scaled_clock(1.0)
+    twins = [Servo(k, clock, model="xm430-w350", baud=BAUD, mechanics=Mechanics(short_counts=0.4)) for k in (1, 2, 3)]
+    told: list[int] = []
+    twins[0].leaving = lambda: told.append(twins[0].get("Goal Position"))
+    slow = ArmAxis(speed_deg_per_s=1.4)  # a count in three polls, and below the threshold of the servo's moving flag
+    with SerialPeer(ServoBus(twins)) as peer, ServoArms(describe(light=slow), servos(peer.port, settle_s=0.0)) as arms:
+        read = degrees(arms.move(pose(0.8, 0, 0)))
+        assert not twins[0].moves()
+        assert read[0] == pytest.approx(0.8, abs=TOLERANCE_DEG)
+        assert told == [2048, 2046, 2057]  # torque, 1 deg below, the goal: no correction
 
 
 def test_a_repeated_goal_moves_nothing(arms: ServoArms, line: Line) -> None:
