@@ -134,6 +134,11 @@ def test_tables_hold_the_summary(report: Path) -> None:
         rows = [r for r in csv.DictReader(stream) if r["kind"] == "measured" and r["model"] == "phong"]
     at_mirror = [r for r in rows if r["curve"] == "θi = 30°" and r["signed_angle_deg"] == "30.0"]
     assert float(at_mirror[0]["normalised"]) == 1.0
+    intervals = facts["datasets"][0]["choice"]["intervals"]
+    with open(report / "tables" / "good-profiles.csv", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert {r["parameter"] for r in rows} == set(intervals)
+    assert len(rows) == sum(len(i["profile"]["values"]) for i in intervals.values())
 
 
 def test_what_is_missing_is_said(report: Path) -> None:

@@ -17,7 +17,7 @@ from gonio_analysis.uncertainty import Floats
 def write(
     datasets: Sequence[Dataset], summary: dict[str, Any], views: Sequence[dict[str, Any] | None], folder: Path
 ) -> list[str]:
-    """Write parameters, metrics, curves, theory, and parameters over wavelength; the names of the files."""
+    """Write parameters, metrics, curves, theory, profiles, and parameters over wavelength; the names of the files."""
     facts = summary["datasets"]
     write_csv(
         folder / "parameters.csv",
@@ -64,6 +64,18 @@ def write(
                     for m, f in s["models"].items()
                     for r in f["series"]
                     for n, p in r["parameters"].items()
+                ),
+            )
+        intervals = (s["choice"] or {}).get("intervals") or {}
+        if intervals:
+            files.append(f"{s['slug']}-profiles.csv")
+            write_csv(
+                folder / files[-1],
+                ("model", "parameter", "value", "rise_of_chi_square"),
+                (
+                    (s["choice"]["named"], n, value, rise)
+                    for n, i in intervals.items()
+                    for value, rise in zip(i["profile"]["values"], i["profile"]["rise"], strict=True)
                 ),
             )
     return files
