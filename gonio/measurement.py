@@ -124,6 +124,10 @@ def write(frame: pd.DataFrame, path: str | Path, *, format: str | None = None) -
     lost = []
     if "uncertainty" not in chosen.carries and frame["u_brdf"].notna().any():
         lost.append(f"{chosen.title} has no room for uncertainties: u_brdf, u_random and s_ columns are not written")
+    if "solid angle" not in chosen.carries and any(
+        frame.attrs.get(f"{w}_solid_angle_sr") for w in ("source", "receiver")
+    ):
+        lost.append(f"{chosen.title} has no room for solid angles: those of source and receiver are not written")
     if "flag" not in chosen.carries and (frame["flag"] != "").any():
         count = int((frame["flag"] != "").sum())
         lost.append(f"{chosen.title} has no room for flags: {count} flagged rows are left out")

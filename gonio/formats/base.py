@@ -58,7 +58,7 @@ class Format:
     """Writes an isotropic model, with a name, at the directions of the format: for renderers."""
     max_bytes: int = MAX_BYTES
     carries: frozenset[str] = frozenset()
-    """What it has room for besides angles and values: "uncertainty", "flag"."""
+    """What it has room for besides angles and values: "uncertainty", "flag", "solid angle"."""
 
 
 class Text:

@@ -346,5 +346,5 @@ FORMAT = Format(
     read=read,
     write=write,
     max_bytes=64 * 2**20,
-    carries=frozenset({"uncertainty", "flag"}),
+    carries=frozenset({"uncertainty", "flag", "solid angle"}),
 )

@@ -262,5 +262,5 @@ FORMAT = Format(
     sniff=lambda head: {"theta_i_deg", "brdf"} <= column_names(head),
     read=read,
     write=write,
-    carries=frozenset({"uncertainty", "flag"}),
+    carries=frozenset({"uncertainty", "flag", "solid angle"}),
 )

@@ -209,6 +209,14 @@ def test_a_damaged_meta_file_is_named(tmp_path: Path) -> None:
             measurement.read(tmp_path / "t.csv")
 
 
+def test_what_a_format_has_no_room_for_is_said(tmp_path: Path) -> None:
+    frame = example()
+    assert measurement.write(frame, tmp_path / "t.csv") == []
+    assert measurement.write(frame.assign(brdf=frame["brdf"].abs()), tmp_path / "t.brdf") == []
+    lost = measurement.write(frame, tmp_path / "t.astm")
+    assert [sentence.split("no room for ")[1].split(":")[0] for sentence in lost] == ["uncertainties", "solid angles"]
+
+
 def test_the_covariance_comes_in_factors() -> None:
     u_random, common, causes = measurement.uncertainty(example())
     assert causes == ["reference"]
