@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from gonio_analysis import families
 from gonio_analysis.fit import FitResult
 from gonio_analysis.near import Near
 from gonio_analysis.uncertainty import Floats
@@ -165,6 +166,17 @@ class _Walker:
             x[k] = place
         return min(starts, key=self._near.cost)
 
+    def _elsewhere(self, k: int, x: Floats) -> list[Floats]:
+        """Other places to begin at: n and k replace each other along a bent valley, which one step cannot follow."""
+        problem = self._result.problem
+        if not {"ior", "k"} <= set(problem.free):
+            return []
+        known = problem.values(x)
+        starts = [problem.vector({**known, "ior": ior, "k": absorption}) for ior, absorption in families.INDICES]
+        for start in starts:
+            start[k] = x[k]
+        return starts
+
     def walk(self, k: int, side: int, threshold: float) -> tuple[float, list[tuple[float, float]]]:
         """The end [search scale] on one side, and the points (place, rise) that were tried."""
         best = self._result.vector
@@ -186,6 +198,9 @@ class _Walker:
             x, rise = self._held(
                 k, self._start(k, place, known[nearest], np.nan_to_num(follow) * side * (step - nearest))
             )
+            if rise >= threshold**2:  # before it counts as too far, other valleys are tried
+                others = [self._held(k, other) for other in self._elsewhere(k, x)]
+                x, rise = min([(x, rise), *others], key=lambda found: found[1])
             known[step] = x
             root = math.sqrt(max(rise, 0.0))
             tried.append((float(x[k]), max(rise, 0.0)))

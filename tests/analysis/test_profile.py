@@ -57,3 +57,19 @@ def test_without_uncertainties_the_scatter_sets_the_scale(seed: int) -> None:
     half = 0.5 * (interval.high - interval.low)
     # 99 values of 2 %: 1.98 (Student, 98 degrees of freedom) times 0.5 x 0.02 / sqrt(99), the scatter known to 7 %
     assert half == pytest.approx(1.98 * 0.5 * 0.02 / math.sqrt(99), rel=0.25)
+
+
+@pytest.mark.parametrize("seed", [3, 4, 10])
+def test_an_interval_follows_the_bent_valley_of_n_and_k(seed: int) -> None:
+    """From a glass with n = 4.8 to a metal with n = 2.9, k = 3: between them chi-square hardly rises, and k_s falls."""
+    known = {"k_d": 0.43, "k_s": 0.1, "c": 0.085, "ior": 2.9, "k": 3.05}
+    model = build("blinn", {"k_d": 0.43, "k_s": 0.1, "c": 0.085, "ior": 2.9 + 3.05j})
+    table = measure(model, noise=0.005, seed=seed, incidences=(10.0, 30.0, 50.0, 65.0, 75.0))
+    result = fit(table, "blinn", free=("k",), start=[known])
+    interval = profiles(result, ("k",)).intervals["k"]
+    for k, ior in ((1.0, 4.5), (2.0, 4.0), (3.05, 2.9)):
+        held = fit(table, "blinn", fix={"k": k}, start=[{**known, "ior": ior}])
+        assert held.chi_square is not None
+        assert result.chi_square is not None
+        assert held.chi_square - result.chi_square < 3.8  # so that 95 % intervals hold it
+        assert interval.holds(k)
