@@ -7,8 +7,8 @@ m0 = g exp(u), 2u = W0(2c/g^2). With p = 1/(1 + 2u), Stirling's and Laplace's ex
 
     S = exp(phi) sqrt(p)/m0 (1 + A_1(p)/m0 + A_2(p)/m0^2 + ...),   phi = m0 (1 - u) - g - c/m0.
 
-The sum over k up to the smallest term is fitted in 1/m0 and p by Chebyshev polynomials, one set for each range of m0
-and each tolerance, and written as unrolled Horner forms, which a compiler turns into straight vector code.
+Above m0 = 104 to 160 these few orders, below the sum itself, are fitted in 1/m0 and p (or a fraction of p) by
+Chebyshev polynomials, one set for each band of m0 and each tolerance, and written as tables of powers.
 """
 
 from __future__ import annotations
@@ -20,21 +20,37 @@ import mpmath as mp
 import numpy as np
 
 OUT = Path(__file__).resolve().parents[1] / "gonio" / "models" / "_htsg_expansion.py"
-ORDERS = 32
-P_NODES = 44
-X_NODES = 14
-# name, smallest m0, largest m0, largest absolute error of the fit
-RANGES = [
-    ("full_40_to_120", 40, 120, 3e-14),
-    ("full_120_to_1536", 120, 1536, 1e-14),
-    ("full_from_1536", 1536, None, 1e-14),
-    ("nano_28_to_160", 28, 160, 2e-10),
-    ("nano_from_160", 160, None, 1e-10),
-    ("micro_18_to_104", 18, 104, 2e-7),
-    ("micro_from_104", 104, None, 1e-7),
-]
-TERMS = (6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 36, 40, 48, 56, 64, 72, 80, 88, 96, 104)
-TERM_TOLERANCES = {"full": 1e-14, "nano": 1e-10, "micro": 1e-7}
+ORDERS = 10
+Q_NODES = 40
+X_NODES = 16
+# smallest m0, largest m0, smallest m0 p, beta of q = 1/(1 + beta u) (2: q = p), error of the fit
+BANDS = {
+    "full": [
+        (16, 20, 2.5, 6, 1e-13),
+        (20, 28, 2.5, 8, 1e-13),
+        (28, 40, 2.5, 6, 1e-13),
+        (40, 120, 1.9, 4, 3e-14),
+        (120, 1536, 0, 2, 1e-14),
+        (1536, None, 0, 2, 1e-14),
+    ],
+    "nano": [
+        (10, 14, 1.9, 4, 1e-10),
+        (14, 20, 1.9, 6, 1e-10),
+        (20, 40, 1.9, 6, 1e-10),
+        (40, 160, 1.2, 4, 1e-10),
+        (160, None, 0, 2, 1e-10),
+    ],
+    "micro": [
+        (5, 7, 1.5, 2, 1e-7),
+        (7, 10, 1.5, 2, 1e-7),
+        (10, 14, 1.5, 4, 1e-7),
+        (14, 20, 1.5, 6, 1e-7),
+        (20, 104, 0.9, 4, 1e-7),
+        (104, None, 0, 2, 1e-7),
+    ],
+}
+TERMS = (8, 12, 16, 20, 24, 28, 32, 36, 40, 48, 56, 64, 72, 80, 88, 96, 104)
+TERM_TOLERANCES = {"full": 5e-14, "nano": 1e-10, "micro": 1e-7}
 
 
 def laplace_coefficients(p: mp.mpf, orders: int) -> list[mp.mpf]:
@@ -101,42 +117,79 @@ def fit_chebyshev(function, n: int, tolerance: float) -> list[mp.mpf]:
     return power_coefficients(coefficients[:keep])
 
 
+def bracket(x: mp.mpf, p: mp.mpf) -> mp.mpf:
+    """S m0/sqrt(p) exp(-phi) at x = 1/m0, term by term."""
+    m0, u = 1 / x, (1 / p - 1) / 2
+    g, c = m0 * mp.exp(-u), u * m0 * m0
+    width = 9 * mp.sqrt(m0 * p) + 15
+    first, last = max(1, int(m0 - width)), int(m0 + 1.3 * width) + 5
+    phi = m0 * (1 - 2 * u) - g
+    term = mp.exp(first * mp.log(g) - g - mp.loggamma(first + 1) - mp.log(first) - c / first - phi)
+    total = term
+    for m in range(first, last):
+        term *= g * m / mp.mpf(m + 1) ** 2 * mp.exp(c / (mp.mpf(m) * (m + 1)))
+        total += term
+    return total * m0 / mp.sqrt(p)
+
+
 def fit_range(
-    table: list[list[mp.mpf]], low: int, high: int | None, tolerance: float
-) -> tuple[list[list[mp.mpf]], mp.mpf, mp.mpf]:
-    """Rows of powers of 2p - 1 for each power of the scaled 1/m0; its centre and half-width."""
+    low: int, high: int | None, least: float, beta: int, tolerance: float
+) -> tuple[list[list[mp.mpf]], tuple[mp.mpf, mp.mpf], tuple[mp.mpf, mp.mpf]]:
+    """Rows of powers of the scaled q for each power of the scaled 1/m0; centre and half-width of 1/m0 and of q."""
     x_low, x_high = (mp.mpf(1) / high if high else mp.mpf(0)), mp.mpf(1) / low
-    centre, half = (x_low + x_high) / 2, (x_high - x_low) / 2
-    orders = min(ORDERS, low - 2)
-    values = [
-        [sum(row[k] * (centre + half * t) ** k for k in range(orders)) for row in table]
-        for t in chebyshev_nodes(X_NODES)
-    ]
-    in_p = chebyshev_transform(P_NODES)
-    in_x = chebyshev_transform(X_NODES)
-    partial = [[sum(w * v for w, v in zip(row, line, strict=True)) for row in in_p] for line in values]
-    two = [[sum(in_x[a][i] * partial[i][b] for i in range(X_NODES)) for b in range(P_NODES)] for a in range(X_NODES)]
+    p_low = mp.mpf(least) / low
+    q_low = p_low / (p_low + mp.mpf(beta) / 2 * (1 - p_low))
+    x_centre, x_half, q_centre, q_half = (x_low + x_high) / 2, (x_high - x_low) / 2, (q_low + 1) / 2, (1 - q_low) / 2
+    in_x, in_q = chebyshev_transform(X_NODES), chebyshev_transform(Q_NODES)
+    places = [x_centre + x_half * t for t in chebyshev_nodes(X_NODES)]
+    values = [[mp.mpf(0)] * Q_NODES for _ in places]
+    for j, t in enumerate(chebyshev_nodes(Q_NODES)):
+        q = q_centre + q_half * t
+        p = q / (q + mp.mpf(2) / beta * (1 - q))
+        coefficients = laplace_coefficients(p, ORDERS) if least == 0 else []
+        for i, x in enumerate(places):
+            values[i][j] = (
+                sum(row * x**k for k, row in enumerate(coefficients)) if least == 0 else (bracket(x, p) - 1) / x
+            )
+    partial = [[mp.fdot(row, line) for row in in_q] for line in values]
+    columns = list(zip(*partial, strict=True))
+    two = [[mp.fdot(row, column) for column in columns] for row in in_x]
     kept = []
     for line in two:
         large = [b for b, value in enumerate(line) if abs(value) * x_high > tolerance / 12]
         if not large:
             break
         kept.append(line[: max(large) + 1])
-    by_p = [power_coefficients(line) for line in kept]
-    width = max(len(line) for line in by_p)
-    columns = [power_coefficients([line[b] if b < len(line) else mp.mpf(0) for line in by_p]) for b in range(width)]
-    rows = [[columns[b][a] for b in range(width)] for a in range(len(by_p))]
+    by_q = [power_coefficients(line) for line in kept]
+    width = max(len(line) for line in by_q)
+    rising = [power_coefficients([line[b] if b < len(line) else mp.mpf(0) for line in by_q]) for b in range(width)]
+    rows = [[rising[b][a] for b in range(width)] for a in range(len(by_q))]
     for row in rows:
         while len(row) > 1 and row[-1] == 0:
             row.pop()
-    return rows, centre, half
+    return rows, (x_centre, x_half), (q_centre, q_half)
 
 
-def horner(coefficients: list[mp.mpf], variable: str) -> str:
-    text = repr(float(coefficients[-1]))
-    for value in reversed(coefficients[:-1]):
-        text = f"{float(value)!r} + {variable} * ({text})"
-    return text
+def estrin(coefficients: list[mp.mpf], variable: str) -> str:
+    """A polynomial as a tree of pairs in the powers that `powers` writes: short chains, which a processor overlaps."""
+    terms = [repr(float(value)) for value in coefficients]
+    power = 1
+    while len(terms) > 1:
+        name = variable if power == 1 else f"{variable}{power}"
+        pairs = [f"({a} + {name} * {b})" for a, b in zip(terms[::2], terms[1::2], strict=False)]
+        terms = pairs + terms[len(pairs) * 2 :]
+        power *= 2
+    return terms[0].removeprefix("(").removesuffix(")")
+
+
+def powers(variable: str, count: int) -> list[str]:
+    """Lines that compute the powers which `estrin` needs for that many coefficients."""
+    lines, power = [], 2
+    while power < count:
+        below = variable if power == 2 else f"{variable}{power // 2}"
+        lines.append(f"    {variable}{power} = {below} * {below}")
+        power *= 2
+    return lines
 
 
 def series_limit(terms: int, tolerance: float) -> float:
@@ -160,16 +213,26 @@ def series_limit(terms: int, tolerance: float) -> float:
 
 
 def lambert_start(degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Powers 1..degree of numerator and denominator of W0(e^y - 1)/y for y in [0, 90] (Sanathanan and Koerner)."""
-    y = np.concatenate([np.linspace(1e-6, 1, 200), np.linspace(1, 10, 400), np.geomspace(10, 90, 300)])
+    """Powers 1..degree of numerator and denominator of W0(e^y - 1)/y for y in [0, 650] (Sanathanan and Koerner)."""
+    y = np.concatenate([np.linspace(1e-6, 1, 200), np.linspace(1, 10, 400), np.geomspace(10, 650, 400)])
     ratio = np.array([float(mp.lambertw(mp.expm1(v)).real / v) for v in y])
-    powers = y[:, None] ** np.arange(1, degree + 1)
-    weight = np.ones_like(y)
-    for _ in range(60):
-        matrix = np.hstack([powers, -ratio[:, None] * powers]) * (weight / ratio)[:, None]
-        found = np.linalg.lstsq(matrix, (ratio - 1.0) * weight / ratio, rcond=None)[0]
-        weight = 1.0 / np.abs(1.0 + powers @ found[degree:])
-    return found[:degree], found[degree:]
+    basis = y[:, None] ** np.arange(1, degree + 1)
+    scale = basis.max(axis=0)
+    basis /= scale
+    weight, stress = np.ones_like(y), np.ones_like(y)
+    best, found = np.inf, np.zeros(2 * degree)
+    for step in range(80):
+        weigh = stress * weight / ratio
+        matrix = np.hstack([basis, -ratio[:, None] * basis]) * weigh[:, None]
+        now = np.linalg.lstsq(matrix, (ratio - 1.0) * weigh, rcond=None)[0]
+        below = 1.0 + basis @ now[degree:]
+        error = np.abs((1.0 + basis @ now[:degree]) / below / ratio - 1.0)
+        if error.max() < best:
+            best, found = error.max(), now
+        weight = 1.0 / np.abs(below)
+        if step > 20:  # towards equal ripples
+            stress *= np.sqrt(error / error.mean() + 0.1)
+    return found[:degree] / scale, found[degree:] / scale
 
 
 def elementary() -> list[str]:
@@ -185,7 +248,7 @@ def elementary() -> list[str]:
     middle, half = 3 * mp.sqrt(2) / 4 - 1, mp.sqrt(2) / 4  # of the interval from sqrt(1/2) - 1 to sqrt(2) - 1
     erfcx = fit_chebyshev(scaled_erfcx, 40, 1e-17)
     log_powers = fit_chebyshev(lambda s: mp.log1p(middle + half * s) / (middle + half * s), 24, 4e-6)
-    above, below = lambert_start(4)
+    above, below = lambert_start(5)
     lines = [
         "",
         "",
@@ -193,40 +256,51 @@ def elementary() -> list[str]:
         "def scaled_erfcx(t):",
         '    """(1 + 2h) exp(h^2) erfc(h) for t = (h - 3)/(h + 3), 0 <= h <= 6.5, within 3e-16 of itself."""',
         f"    s = (t + 1.0) * {float(2 / (t_top + 1))!r} - 1.0",
-        f"    return {horner(erfcx, 's')}",
+        *powers("s", len(erfcx)),
+        f"    return {estrin(erfcx, 's')}",
         "",
         "",
         "@device",
         "def rough_log1p(f):",
         '    """ln(1 + f) for f in [sqrt(1/2) - 1, sqrt(2) - 1], within 1e-5 of itself."""',
         f"    s = (f - {float(middle)!r}) * {float(1 / half)!r}",
-        f"    return f * ({horner(log_powers, 's')})",
+        *powers("s", len(log_powers)),
+        f"    return f * ({estrin(log_powers, 's')})",
         "",
         "",
         "@device",
         "def lambert_start(y):",
-        '    """Numerator and denominator of W0(e^y - 1)/y, within 1e-4 for y in [0, 90]."""',
-        f"    above = {horner([mp.mpf(1), *above], 'y')}",
-        f"    return above, {horner([mp.mpf(1), *below], 'y')}",
+        '    """Numerator and denominator of W0(e^y - 1)/y, within 1e-4 for y in [0, 650]."""',
+        *powers("y", len(above) + 1),
+        f"    above = {estrin([mp.mpf(1), *above], 'y')}",
+        f"    return above, {estrin([mp.mpf(1), *below], 'y')}",
     ]
     for name, tolerance in (("full", 1e-17), ("micro", 3e-9)):
-        powers = fit_chebyshev(lambda s: mp.mpf(2) ** (s / 2), 24, tolerance)
-        powers = [value * 2**i for i, value in enumerate(powers)]
+        found = fit_chebyshev(lambda s: mp.mpf(2) ** (s / 2), 24, tolerance)
+        found = [value * 2**i for i, value in enumerate(found)]
         lines += [
             "",
             "",
             "@device",
             f"def exp2_{name}(f):",
             f'    """2^f for f in [-1/2, 1/2], within {10 * tolerance:g} of itself."""',
-            f"    return {horner(powers, 'f')}",
+            *powers("f", len(found)),
+            f"    return {estrin(found, 'f')}",
         ]
     return lines
 
 
+def band_lines(low: int, high: int | None, least: float, beta: int, tolerance: float) -> list[str]:
+    """One band: where it holds, how its variables are scaled, and its rows, highest powers first."""
+    rows, (x_centre, x_half), (q_centre, q_half) = fit_range(low, high, least, beta, tolerance)
+    scales = ", ".join(repr(float(v)) for v in (low, least, beta / 2, x_centre, 1 / x_half, q_centre, 1 / q_half))
+    lines = [f"    ({scales}, (  # within {tolerance:g}"]
+    lines += [f"        ({', '.join(repr(float(v)) for v in reversed(row))},)," for row in reversed(rows)]
+    return [*lines, "    )),"]
+
+
 def main() -> None:
-    mp.mp.dps = 50
-    nodes = [(1 + t) / 2 for t in chebyshev_nodes(P_NODES)]
-    table = [laplace_coefficients(p, ORDERS) for p in nodes]
+    mp.mp.dps = 40
     lines = [
         '"""Polynomials of the HTSG series, written by tools/htsg_expansion.py; do not edit."""',
         "",
@@ -242,22 +316,14 @@ def main() -> None:
     for name, tolerance in TERM_TOLERANCES.items():
         limits = ", ".join(f"{series_limit(n, tolerance):.4g}" for n in TERMS)
         lines.append(f"LIMITS_{name.upper()} = ({limits})  # m0 up to which that many terms hold {tolerance:g}")
-    for name, low, high, tolerance in RANGES:
-        rows, centre, half = fit_range(table, low, high, tolerance)
-        lines += [
-            "",
-            "",
-            "@device",
-            f"def {name}(x, p):",
-            f'    """1 + A_1(p) x + A_2(p) x^2 + ... for x = 1/m0, within {tolerance:g}."""',
-            f"    y = (x - {float(centre)!r}) * {float(1 / half)!r}",
-            "    t = 2.0 * p - 1.0",
-        ]
-        lines += [f"    r{a} = {horner(row, 't')}" for a, row in enumerate(rows)]
-        nest = f"r{len(rows) - 1}"
-        for a in range(len(rows) - 2, -1, -1):
-            nest = f"r{a} + y * ({nest})"
-        lines.append(f"    return 1.0 + x * ({nest})")
+    lines += [
+        "# S m0/sqrt(p) exp(-phi) = 1 + x f, x = 1/m0, f a polynomial in x and q = p/(p + b (1 - p)). For each band:",
+        "# smallest m0 and m0 p; b; centre and 1/half-width of x and of q; for each power of x a row of powers of q.",
+        "# fmt: off",
+    ]
+    for name, bands in BANDS.items():
+        lines += [f"{name.upper()} = (", *(line for band in bands for line in band_lines(*band)), ")"]
+    lines.append("# fmt: on")
     lines += elementary()
     OUT.write_text("\n".join(lines) + "\n", encoding="utf-8")
 

@@ -15,10 +15,9 @@ import numpy as np
 from gonio.errors import ArgumentError
 from gonio.models import engine
 from gonio.models._compile import device, loop, template
-from gonio.models._htsg_expansion import full_40_to_120, full_120_to_1536, full_from_1536
-from gonio.models._htsg_kernels import expm1, lambert_w, saddle_exponent
+from gonio.models._htsg_kernels import expand, expm1, lambert_w
 from gonio.models._htsg_kernels import shadowing as pair_shadowing
-from gonio.models._math import exp, log, sincos_polar
+from gonio.models._math import log, sincos_polar
 from gonio.models.base import choice
 
 if TYPE_CHECKING:
@@ -160,29 +159,24 @@ def _effective_roughness(k, zero, p):
 
 
 @device
-def _log_series(g, c, p):
+def _log_series(g, c, constants):
     if g == 0.0:
         return -math.inf
-    # 2u = W0(2c/g^2), by logarithms where g^2 would underflow
-    if g > 1e-100:
-        u = 0.5 * lambert_w(2.0 * c / (g * g))[0]
+    # w = 2u = W0(2c/g^2), by logarithms where it is large
+    if 2.0 * c < 1e280 * g * g:
+        w, spread, rise = lambert_w(2.0 * c / (g * g))
     else:
         y = math.log(2.0 * max(c, 1e-300)) - 2.0 * math.log(g)
-        w = y - math.log(max(y, 1.5)) if y > 1.0 else 0.5 * exp(y)
-        for _ in range(6):
-            w = max(w - (w + math.log(w) - y) * w / (1.0 + w), 1e-300) if w > 0.0 else 0.0
-        u = 0.5 * w
-    spread = 1.0 / (1.0 + 2.0 * u)
-    m0 = math.exp(u + math.log(g))
+        w = y - math.log(y)
+        for _ in range(4):
+            w -= (w + math.log(w) - y) * w / (1.0 + w)
+        spread, rise = 1.0 / (1.0 + w), expm1(0.5 * w)
+    m0 = math.exp(0.5 * w + math.log(g))
     if m0 > 40.0 and m0 * spread > 1.9:
-        rise = expm1(u)
-        x = 1.0 / m0
-        bracket = full_from_1536(x, spread)
-        if m0 < 120.0:
-            bracket = full_40_to_120(x, spread)
-        elif m0 < 1536.0:
-            bracket = full_120_to_1536(x, spread)
-        return saddle_exponent(g, c, u, rise, m0) + math.log(math.sqrt(spread) * x * bracket)
+        x, p, bracket, work = np.empty(1), np.empty(1), np.empty(1), np.empty((3, 1))
+        x[0], p[0] = 1.0 / m0, spread
+        expand(0, 3 if m0 < 120.0 else 4 if m0 < 1536.0 else 5, 1, x, p, bracket, work)
+        return g * (rise * (1.0 - w) - w) + math.log(math.sqrt(spread) / m0 * bracket[0])
     # terms on both sides of the largest, from their ratios
     top = max(1.0, math.floor(m0 + 0.5))
     log_top = top * math.log(g) - g - math.lgamma(top + 1.0) - math.log(top) - c / top

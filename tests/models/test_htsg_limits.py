@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import special
 
 from gonio.errors import ArgumentError
-from gonio.models import HeTorrance, htsg
+from gonio.models import HeTorrance, fresnel, htsg
 from gonio.models._hemisphere import about_mirror, about_source, panels
 
 THETA = st.floats(0.0, 1.5)
@@ -222,3 +223,40 @@ def test_both_rules_of_the_hemisphere_agree(theta_deg: float) -> None:
         for omega_r, weight in (about_mirror(theta, 0.04, 3.3, 18), about_source(theta, 0.04, 0.9, 27))
     )
     assert one == pytest.approx(other, rel=2e-9)  # each to 1e-9
+
+
+@pytest.mark.parametrize(("tolerance", "allowed"), [(1e-12, 1e-13), (1e-9, 1e-10), (1e-6, 1e-7)])
+def test_every_class_of_the_block_sums(tolerance: float, allowed: float) -> None:
+    """brdf_vectors sums by classes of m0 and width; the same lobe from the functions, which mpmath holds to 3e-14.
+
+    `allowed` is what the sums' lengths and the polynomials are made for; the conditioning is 1 + |dlnS/dlng| +
+    |dlnS/dlnc|, by differences.
+    """
+    rng = np.random.default_rng(11)
+    n = 3000
+    z, phi = rng.uniform(1e-3, 1.0, (2, n)), rng.uniform(0.0, 2.0 * math.pi, (2, n))
+    z[:, ::3] = 1.0 - 10.0 ** rng.uniform(-6, -0.1, z[:, ::3].shape)  # near the mirror direction, too
+    s = np.sqrt((1.0 - z) * (1.0 + z))
+    omega = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=-1)
+    theta = np.arctan2(s, z)
+    h = omega[0] + omega[1]
+    flat = h[:, 0] ** 2 + h[:, 1] ** 2
+    step, wave = 1e-5, 2.0 * math.pi / 0.5
+    surfaces = ((0.02, 0.6), (0.08, 1.2), (0.2, 1.5), (0.3, 3.0), (0.5, 2.0), (0.5, 15.0), (1.0, 4.0), (4.0, 30.0))
+    for sigma0, tau in surfaces:
+        surface = HeTorrance(sigma0_um=sigma0, tau_um=tau, ior=1.5, tolerance=tolerance)
+        got = surface.brdf_vectors(*omega, wavelength_nm=500.0)
+        k = np.sum(s / z * special.erfc(tau / (2.0 * sigma0) * z / s), axis=0)
+        g = (wave * sigma0 * htsg.effective_roughness(k) * h[:, 2]) ** 2
+        c = 0.25 * (wave * tau) ** 2 * flat
+        lit = np.prod(htsg.shadowing(theta, sigma0, tau) / z, axis=0)
+        rest = fresnel.reflectance(0.5 * np.sqrt(flat + h[:, 2] ** 2), 1.5) * (flat / h[:, 2] + h[:, 2]) ** 2
+        series = htsg.log_series(g, c)
+        expected = np.log(lit * rest * (wave * tau) ** 2 / (16.0 * math.pi)) + series
+        condition = sum(
+            np.abs(htsg.log_series(g * a, c * b) - htsg.log_series(g / a, c / b)) / (2.0 * step)
+            for a, b in ((1.0 + step, 1.0), (1.0, 1.0 + step))
+        )
+        here = expected > -680.0
+        assert here.sum() > n / 2
+        assert np.max(np.abs(np.log(got[here]) - expected[here]) / (1.0 + condition[here])) < allowed

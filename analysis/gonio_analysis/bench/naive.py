@@ -25,7 +25,7 @@ BECKMANN_FROM = 18.5
 def from_one(lx, ly, lz, vx, vy, vz, p):
     """The BRDF with p[11] terms of the series from m = 1, pair by pair, as public code has it."""
     factor, k, c, g0 = lobe_state(lx, ly, lz, vx, vy, vz, p)
-    _, narrowing = lambert_w(k * k * (0.125 / math.pi))
+    _, narrowing, _ = lambert_w(k * k * (0.125 / math.pi))
     g = narrowing * g0
     weight = exp(-g)
     total = weight * exp(-c)
@@ -55,7 +55,7 @@ def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop)
         total = out[first : first + count]
         for j in range(count):
             k = spread[j]
-            _, narrowing = lambert_w(k * k * (0.125 / math.pi))
+            _, narrowing, _ = lambert_w(k * k * (0.125 / math.pi))
             factor[j] *= narrowing
             g[j] *= narrowing
             r = 1.0 / max(g[j], BECKMANN_FROM)
@@ -112,11 +112,11 @@ def log_poisson(m, g):
 def windowed(lx, ly, lz, vx, vy, vz, p):
     """The BRDF with the series summed from its largest term to both sides, until terms no longer count."""
     factor, k, c, g0 = lobe_state(lx, ly, lz, vx, vy, vz, p)
-    _, narrowing = lambert_w(k * k * (0.125 / math.pi))
+    _, narrowing, _ = lambert_w(k * k * (0.125 / math.pi))
     g = narrowing * g0
     if factor == 0.0 or g <= 0.0:
         return p[0]
-    w, _ = lambert_w(min(2.0 * c / (g * g), 1e280))
+    w, _, _ = lambert_w(min(2.0 * c / (g * g), 1e280))
     top = max(1.0, math.floor(g * math.exp(0.5 * w) + 0.5))
     total, term, m = 1.0, 1.0, top
     while term > 1e-18 * total:
