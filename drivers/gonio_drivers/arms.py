@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import logging
 import math
-import statistics
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -24,46 +23,16 @@ from gonio.rig import Pose, Target
 from gonio_drivers import joints, settings, watchdog
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.joints import Joint, Report
+from gonio_drivers.landing import LARGEST_CORRECTION_DEG, SMALLEST_COUNTS, STILL_COUNTS, Landing
 
 log = logging.getLogger("gonio.devices")
 
 AXES = tuple(field.name for field in fields(Pose))
-STILL_COUNTS = 3
-"""Readings this close are the same place: encoders flicker by a count."""
-SMALLEST_COUNTS = 1.5
-"""A goal lies between two counts, the shaft stops somewhere in its count, and the encoder flickers."""
-AVERAGED = 5
 POLL_S = 0.020
-STALL_S = 0.5
-"""An axis that has neither moved nor landed for this long is stuck."""
-STARTING_S = 0.06
-"""A servo has begun to follow a new goal by then."""
 GRACE_S = 3.0
 """A move may take twice its time, and this."""
-CORRECTIONS = 4
 RELEASES = 3
-LARGEST_CORRECTION_DEG = 2.0
 ROUNDING = 1e-9
-
-
-@dataclass(slots=True)
-class Landing:
-    """How far a joint has come on its way."""
-
-    goal: float
-    """Where it shall stand [counts]."""
-    sent: int
-    """What the servo was told, with the corrections so far."""
-    corrections: int = 0
-    resent: int = 0
-    released: int = 0
-    since: float = 0.0
-    """When it was last seen to move."""
-    under_way: float = 0.0
-    """When its profile was last seen to go on; a slow one moves by less than an encoder's flicker between two looks."""
-    seen: list[int] = field(default_factory=list)
-    """Positions since then."""
-    done: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,7 +220,7 @@ class ServoArms:
                     f"axis {name} has moved by itself, from {joint.to_deg(joint.stood_at):.2f} to "
                     f"{joint.to_deg(report.position):.2f} deg"
                 )
-                if self._error_deg(joint, joint.stood_at, report.position) > LARGEST_CORRECTION_DEG:
+                if joint.distance_deg(joint.stood_at, report.position) > LARGEST_CORRECTION_DEG:
                     self._fail(f"{disturbed}; all axes are stopped")
                 joint.landed_at = joint.stood_at = None
             if report.profile != joint.profile:
@@ -297,7 +266,7 @@ class ServoArms:
         for name, final in finals.items():
             joint = self.joints[name]
             position = reports[name].position
-            if joint.landed_at == final and self._error_deg(joint, final, position) <= self._tolerance(joint):
+            if joint.landed_at == final and joint.distance_deg(final, position) <= self._tolerance(joint):
                 continue
             ups[name] = final
             start = joint.to_count(goals[name] - self._approach_deg)
@@ -320,15 +289,11 @@ class ServoArms:
         """How far from its goal a joint may land [deg]: what the rig file says, but never less than counts allow."""
         return max(self._servos.tolerance_deg, SMALLEST_COUNTS / abs(joint.counts_per_deg))
 
-    @staticmethod
-    def _error_deg(joint: Joint, goal: float, position: float) -> float:
-        return abs((position - goal) / joint.counts_per_deg)
-
     def _land(self, goals: Mapping[str, float], *, exact: bool) -> None:
         """Drive to counts, all axes at once, until every one has landed (`exact`) or come to rest close by."""
         start = time.monotonic()
         before = joints.reports(self.bus, self.joints.values())
-        landings = {name: Landing(goal, round(goal), since=start) for name, goal in goals.items()}
+        landings = {name: self._landing(name, goal, start, exact=exact) for name, goal in goals.items()}
         self._send({name: landing.sent for name, landing in landings.items()})
         allowed = max(self._duration(name, before[name].position, goal) for name, goal in goals.items())
         deadline = start + 2 * allowed + GRACE_S
@@ -347,6 +312,11 @@ class ServoArms:
                 raise DeviceError(f"no landing within {deadline - start:.1f} s: {late}; all axes are stopped")
         joints.require_torque(self.bus, [self.joints[name] for name in goals])
 
+    def _landing(self, name: str, goal: float, start: float, *, exact: bool) -> Landing:
+        joint, servos = self.joints[name], self._servos
+        within_deg = self._tolerance(joint) if exact else self._approach_deg / 2
+        return Landing(joint, goal, round(goal), within_deg, servos.settle_s, servos.acceleration_deg_per_s2, start)
+
     def _watch(self, joint: Joint, landing: Landing, report: Report, now: float, *, exact: bool) -> None:
         """One look at an axis on its way: has it landed, does it need a correction, is it stuck?"""
         changed = report.profile != joint.profile or report.goal != landing.sent
@@ -360,24 +330,12 @@ class ServoArms:
         if report.goal != landing.sent:
             self._send_again(joint, landing)
             return
-        if not landing.seen or abs(report.position - landing.seen[0]) > STILL_COUNTS or report.moving:
-            landing.seen, landing.since = [], now
-        if report.under_way:
-            landing.under_way = now
-        landing.seen.append(report.position)
-        position = statistics.fmean(landing.seen[-AVERAGED:])
-        error = self._error_deg(joint, landing.goal, position)
-        still, rested = now - landing.since, now - max(landing.since, landing.under_way)
-        set_out_s, settle_s = self._visible(joint)
-        if not report.moving and not report.under_way and rested >= max(settle_s, self._servos.settle_s):
-            if error <= (self._tolerance(joint) if exact else self._approach_deg / 2):
-                landing.done = True
-                return
-            small = error + self._error_deg(joint, landing.goal, landing.sent) <= LARGEST_CORRECTION_DEG
-            if small and landing.corrections < CORRECTIONS and rested > set_out_s:  # it has had time to set out
-                self._correct(joint, landing, position, now, exact=exact)
-                return
-        if still > STALL_S and not self._release(joint, landing, now):
+        verdict = landing.look(report, now)
+        if verdict == "landed":
+            landing.done = True
+        elif verdict == "short":
+            self._correct(joint, landing, now, exact=exact)
+        elif verdict == "stuck" and not self._release(joint, landing, now):
             raise DeviceError(f"{self._state(joint.name, landing, report)}: it is stuck; all axes are stopped")
 
     def _release(self, joint: Joint, landing: Landing, now: float) -> bool:
@@ -398,13 +356,13 @@ class ServoArms:
         self.bus.write(joint.id, joint.table["Profile Acceleration"].address, joint.profile)
         joint.write("Goal Position", landing.sent)
         joint.write(watchdog.ITEM, watchdog.UNITS)
-        landing.seen, landing.since = [], now
+        landing.begin(now)
         return True
 
-    def _correct(self, joint: Joint, landing: Landing, position: float, now: float, *, exact: bool) -> None:
+    def _correct(self, joint: Joint, landing: Landing, now: float, *, exact: bool) -> None:
         """A new goal that makes up for what is missing; from below again where the axis went too far."""
         landing.corrections += 1
-        miss = round(landing.goal - position)
+        miss = round(landing.goal - landing.position)
         short = miss * joint.counts_per_deg > 0
         landing.sent += miss
         lower, upper = joint.count_limits
@@ -414,7 +372,7 @@ class ServoArms:
             back = landing.sent - round(self._approach_deg * joint.counts_per_deg)
             self._land({joint.name: max(lower, min(upper, back))}, exact=False)
         self._send({joint.name: landing.sent})
-        landing.seen, landing.since = [], now
+        landing.begin(now)
 
     def _send(self, counts: Mapping[str, int]) -> None:
         """Give goals to several servos at the same moment; reports show whether they arrived."""
@@ -433,20 +391,13 @@ class ServoArms:
             raise DeviceError(f"axis {joint.name}: servo id {joint.id} does not keep its goal; all axes are stopped")
         log.warning("axis %s: the goal did not arrive; sent again", joint.name)
         joint.write("Goal Position", landing.sent)
-        landing.seen, landing.since = [], time.monotonic()
+        landing.begin(time.monotonic())
 
     def _duration(self, name: str, position: float, goal: float) -> float:
         """How long a way should take at the axis's speed and acceleration [s]."""
         joint = self.joints[name]
-        way = self._error_deg(joint, goal, position)
+        way = joint.distance_deg(goal, position)
         return way / joint.speed_deg_per_s + 2 * joint.speed_deg_per_s / self._servos.acceleration_deg_per_s2
-
-    def _visible(self, joint: Joint) -> tuple[float, float]:
-        """How long a motion takes to show beyond the encoder's flicker [s]: from rest, and at full speed."""
-        per_deg, counts = abs(joint.counts_per_deg), STILL_COUNTS + 1
-        running_s = counts / (joint.speed_deg_per_s * per_deg)
-        rising_s = math.sqrt(2 * counts / (self._servos.acceleration_deg_per_s2 * per_deg))
-        return STARTING_S + rising_s + running_s, running_s
 
     def _state(self, name: str, landing: Landing, report: Report) -> str:
         joint = self.joints[name]

@@ -98,6 +98,10 @@ class Joint:
         """Angle of the axis [deg] for a count of the servo, with the zero offset taken out."""
         return (count - self.servo.zero_count) / self.counts_per_deg - self.offset_deg
 
+    def distance_deg(self, goal: float, position: float) -> float:
+        """How far apart two counts of the servo are, as an angle of the axis [deg]."""
+        return abs((position - goal) / self.counts_per_deg)
+
     # ---- the servo ----
 
     def identify(self) -> None:
