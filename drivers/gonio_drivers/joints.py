@@ -174,17 +174,20 @@ class Joint:
 
     def _clear_watchdog(self) -> None:
         """One that has run out bars every goal, and tells of a program that died; old firmware has none."""
+        found = watchdog.OFF
         try:
             found = self.get(watchdog.ITEM)
+            self.write(watchdog.ITEM, watchdog.OFF)
+            self.write(watchdog.ITEM, watchdog.UNITS)
+            self.has_watchdog = self.get(watchdog.ITEM) == watchdog.UNITS
+            self.write(watchdog.ITEM, watchdog.OFF)
         except dynamixel.Refusal:
             self.has_watchdog = False
+        if not self.has_watchdog:
             log.warning(
                 "axis %s: servo id %d has no bus watchdog (its firmware is older than 38): it would finish its way if "
                 "this program died in the middle of a move", self.name, self.id,
             )  # fmt: skip
-            return
-        if found != watchdog.OFF:
-            self.write(watchdog.ITEM, watchdog.OFF)
         if found == watchdog.RUN_OUT:
             log.warning(
                 "axis %s: servo id %d had stopped by itself, because a program died or its cable was pulled in the "

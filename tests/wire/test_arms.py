@@ -402,10 +402,16 @@ def test_a_servo_that_stops_again_and_again_is_an_error_that_says_why(
     assert at_rest(line)
 
 
-def test_old_firmware_without_a_watchdog_moves_and_says_so(line: Line, caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.parametrize("refuses", [True, False])
+def test_old_firmware_without_a_watchdog_moves_and_says_so(
+    line: Line, caplog: pytest.LogCaptureFixture, refuses: bool
+) -> None:
     for servo in line.servos.values():
-        read = servo.read
-        servo.read = lambda a, n, read=read: refuse() if a == 98 else read(a, n)  # type: ignore[method-assign]
+        read, put = servo.read, servo._put
+        if refuses:
+            servo.read = lambda a, n, read=read: refuse() if a == 98 else read(a, n)  # type: ignore[method-assign]
+        else:  # there is nothing, and nothing is kept
+            servo._put = lambda n, v, put=put: put(n, 0 if n == "Bus Watchdog" else v)  # type: ignore[method-assign]
 
     def refuse() -> bytes:
         raise Refused(p2.ACCESS_ERROR)
