@@ -328,6 +328,8 @@ def _radial_bars(ax: Any, line: Line, clip: Any, colour: str) -> list[Any]:
 
 def _power_of_ten(value: float) -> str:
     """As in 10⁻², in plain characters: setting formulas costs more than the rest of a plot."""
+    if not 0.0 < value < np.inf:  # ticks beyond the ends of an axis that reaches to the smallest numbers
+        return ""
     return "10" + str(round(np.log10(value))).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 

@@ -78,3 +78,13 @@ def test_error_bars_have_the_length_of_u() -> None:
     bars = next(a for a in polar.polar(axes(), [line()]) if isinstance(a, LineCollection))
     segment = bars.get_segments()[16]  # at the normal, where the radius is y
     assert segment[1][1] - segment[0][1] == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize("size", [5e-324, 1e-300, 1e300])
+def test_any_number_that_a_table_may_hold_can_be_drawn(size: float) -> None:
+    figure = Figure()
+    angle = np.radians([-30.0, 0.0, 30.0])
+    line = Line("x", np.empty(0), np.empty(0), angle, size * np.array([1.0, 1e3, 1e6]), np.full(3, np.nan))
+    polar.semilog(figure.add_subplot(), [line])
+    with np.errstate(all="ignore"):
+        figure.canvas.draw()
