@@ -14,6 +14,7 @@ from gonio.models import engine
 from gonio.models._compile import loop
 from gonio.models._facets import fresnel_constants
 from gonio.models._hemisphere import about_mirror, about_source
+from gonio.models._htsg_series import TIERS
 from gonio.models.base import Index, Model, checked_index, choice, index_at, number, positive
 from gonio.models.engine import Constants, Kernel
 
@@ -66,7 +67,7 @@ class HeTorrance(Model):
         store("ior", checked_index(self.ior))
         store("diffuse_albedo", number("diffuse_albedo", self.diffuse_albedo, 0.0, 1.0))
         store("shadowing", choice("shadowing", self.shadowing, ("smith", "paper")))
-        store("tolerance", number("tolerance", self.tolerance, min(kernels.TIERS)))
+        store("tolerance", number("tolerance", self.tolerance, min(TIERS)))
 
     @property
     def convention(self) -> str:
@@ -82,7 +83,7 @@ class HeTorrance(Model):
         width = (k0 * self.tau_um) ** 2
         index = fresnel_constants(index_at(self.ior, wavelength_nm))
         slope = min(self.tau_um / (2.0 * self.sigma0_um), 1e100) if self.sigma0_um > 0.0 else 1e100
-        tier = sum(self.tolerance >= limit for limit in kernels.TIERS) - 1
+        tier = sum(self.tolerance >= limit for limit in TIERS) - 1
         return (
             self.diffuse_albedo / math.pi,
             phase * width / (16.0 * math.pi),

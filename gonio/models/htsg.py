@@ -1,6 +1,6 @@
 """The parts of He, Torrance, Sillion and Greenberg (1991) as functions: series, shadowing, effective roughness.
 
-`HeTorrance` evaluates the same formulas in blocks (`gonio.models._htsg_kernels`).
+`HeTorrance` evaluates the same formulas in blocks (`gonio.models._htsg_kernels`, `_htsg_series`).
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
@@ -15,8 +15,8 @@ import numpy as np
 from gonio.errors import ArgumentError
 from gonio.models import engine
 from gonio.models._compile import device, loop, template
-from gonio.models._htsg_kernels import expand, expm1, lambert_w
 from gonio.models._htsg_kernels import shadowing as pair_shadowing
+from gonio.models._htsg_series import expand, expm1, lambert_w
 from gonio.models._math import log, sincos_polar
 from gonio.models.base import choice
 

@@ -13,7 +13,8 @@ import numpy as np
 
 from gonio.models._compile import device, template
 from gonio.models._facets import fresnel
-from gonio.models._htsg_kernels import lambert_w, lobe_state, vector_states
+from gonio.models._htsg_kernels import lobe_state, vector_states
+from gonio.models._htsg_series import lambert_w
 from gonio.models._math import exp
 
 BLOCK = 1024
