@@ -61,8 +61,10 @@ def choose(
         out[left], rules[left] = now, level
         # a lobe that so many rings resolve has an average not that far below its peak
         seen = peak <= 3.0 * _caps.RINGS[level] ** 2 * now
+        apart = np.abs(now - before)
+        rules[left[apart <= tolerance * np.abs(now)]] = level - 1  # the one before holds it, at a fifth of the cost
         allowed = max(tolerance, NARROW) if level == _caps.LEVELS - 1 else tolerance
-        rough = ~((np.abs(now - before) <= allowed * np.abs(now)) & seen)
+        rough = ~((apart <= allowed * np.abs(now)) & seen)
         left, before, peak = left[rough], now[rough], peak[rough]
     rules[left] = NARROW_LOBE
     for index in left:

@@ -51,7 +51,8 @@ def test_against_central_differences(name: str) -> None:
 def test_rules_of_one_model_serve_its_neighbours() -> None:
     data = observations(measure(METAL, cone_sr=CONE_SR, wavelength_nm=500.0))
     rules = averaging(METAL, data)
-    np.testing.assert_allclose(apparent(METAL, data, rules=rules), apparent(METAL, data), rtol=1e-13)
+    # a kept rule is the smaller of the two that agreed
+    np.testing.assert_allclose(apparent(METAL, data, rules=rules), apparent(METAL, data), rtol=LOBE_TOLERANCE)
     near = build("he-torrance", {"sigma0_um": 0.29, "tau_um": 1.75, "ior": 0.77 + 6.08j})
     # a rule is chosen with room to spare: a lobe a few per cent narrower costs no more than ten times its tolerance
     np.testing.assert_allclose(apparent(near, data, rules=rules), apparent(near, data), rtol=10 * LOBE_TOLERANCE)
