@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import sqrt
 
 from gonio.models._compile import device
-from gonio.models._math import atan_over, exp, log
+from gonio.models._math import _LOG2_E, atan_over, exp2, log
 
 # Below this |L + V|^2 the directions are opposite to the last digit: forward grazing, where H is taken as the normal.
 OPPOSITE = 1e-30
@@ -58,8 +58,8 @@ def cos_power(flat, sz, s2, exponent):  # type: ignore[no-untyped-def]
     near = sin2 < 0.5
     u = 1.0 - sin2 if near else sz * sz / s2
     rest = ((1.0 - u) - sin2) / u if near else 0.0
-    full = log(u) + rest if u > 0.0 else -1e300
-    return exp(0.5 * exponent * full)
+    full = log(u) + rest
+    return exp2(0.5 * _LOG2_E * exponent * (full if u > 0.0 else -1e300))
 
 
 @device
@@ -96,16 +96,15 @@ def fresnel(c2, contrast, real, imag):  # type: ignore[no-untyped-def]
     """
     re = real + c2
     big = sqrt(re * re + 4.0 * imag * imag)
-    ct = sqrt(0.5 * c2 * (big + abs(re)))  # c max(a, b)
-    # c a is ct, or c^2 n k / ct where b is the larger: kept as the fraction up / down
-    use = re >= 0.0 or ct == 0.0
-    up = ct if use else imag * c2
+    ct = sqrt(0.5 * c2 * (big + abs(re)) + 1e-100)  # c max(a, b); above 0, because it divides
+    # 2 c a is 2 ct, or 2 c^2 n k / ct where b is the larger: kept as the fraction up / down
+    use = re >= 0.0
+    up = 2.0 * (ct if use else imag * c2)
     down = 1.0 if use else ct
     sin2 = 1.0 - c2
     x = down * (c2 * big + sin2 * sin2)
-    y = 2.0 * up * sin2
-    den = down * (c2 + big) + 2.0 * up
-    return contrast * down * down * x, den * den * (x + y)
+    den = down * (c2 + big) + up
+    return (contrast * down) * (down * x), (x + up * sin2) * (den * den)
 
 
 def fresnel_constants(ior: complex) -> tuple[float, float, float]:

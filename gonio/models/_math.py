@@ -33,23 +33,33 @@ _TWO_52 = 4503599627370496.0
 
 
 @device
-def exp(x):  # type: ignore[no-untyped-def]
-    """e^x; 0 below x = -708 (3e-308), infinite above 709.78."""
-    y = x if x > -709.0 else -709.0
-    y = y if y < 710.0 else 710.0
-    shifted = y * _LOG2_E + _ROUND
-    k = shifted - _ROUND
-    r = (y - k * _LN2_HIGH) - k * _LN2_LOW
+def _exp2_parts(r, shifted):  # type: ignore[no-untyped-def]
+    """2^(r + k) for |r| <= 1/2 and the integer k in the low bits of `shifted`, while it is a normal number."""
     r2 = r * r
     r4 = r2 * r2
-    low = (1.0 + r) + r2 * (0.5000000000000019 + r * 0.1666666666666668)
-    mid = (0.04166666666648795 + r * 0.008333333333319589) + r2 * (0.0013888888952352863 + r * 0.00019841269890076403)
-    top = (2.4801485441561313e-05 + r * 2.755724088722987e-06) + r2 * (
-        2.763265472252779e-07 + r * 2.5110049204818658e-08
+    low = (1.0 + r * 0.6931471805599453) + r2 * (0.24022650695910158 + r * 0.055504108664821625)
+    mid = (0.009618129107587256 + r * 0.001333355814640647) + r2 * (0.00015403530463724353 + r * 1.5252733841556773e-05)
+    top = (1.3215432535912375e-06 + r * 1.0178057087733941e-07) + r2 * (
+        7.074194297288521e-09 + r * 4.4558179083360645e-10
     )
     value = low + r4 * (mid + r4 * top)
-    bits = np.float64(shifted).view(np.int64) - _ROUND_BITS
-    value = value * np.int64((bits + 1022) << 52).view(np.float64) * 2.0
+    return np.int64(np.float64(value).view(np.int64) + (np.float64(shifted).view(np.int64) << 52)).view(np.float64)
+
+
+@device
+def exp2(x):  # type: ignore[no-untyped-def]
+    """2^x for x < 1023; 0 below -1021."""
+    shifted = x + _ROUND
+    value = _exp2_parts(x - (shifted - _ROUND), shifted)
+    return value if x > -1021.0 else 0.0
+
+
+@device
+def exp(x):  # type: ignore[no-untyped-def]
+    """e^x; 0 below x = -708 (3e-308), infinite above 709.78."""
+    shifted = x * _LOG2_E + _ROUND
+    k = shifted - _ROUND
+    value = _exp2_parts(((x - k * _LN2_HIGH) - k * _LN2_LOW) * _LOG2_E, shifted)
     value = value if x > -708.0 else 0.0
     return value if x < 709.782712893384 else math.inf
 
@@ -140,3 +150,14 @@ def atan_over(z):  # type: ignore[no-untyped-def]
     )
     p5 = (5.2660952321692814e-12 - y * 4.048723308331434e-12) + y2 * 1.293081691790813e-12
     return (p0 + y4 * p1) + y8 * ((p2 + y4 * p3) + y8 * (p4 + y4 * p5))
+
+
+@device
+def atan_over_near(z):  # type: ignore[no-untyped-def]
+    """arctan(r) / r as a function of z = r^2 for r up to tan(pi/8)."""
+    z2 = z * z
+    z4 = z2 * z2
+    low = (1.0 - z * 0.3333333333332844) + z2 * (0.1999999999885511 - z * 0.14285714180976467)
+    mid = (0.11111106180455946 - z * 0.09090773074808413) + z2 * (0.07689953496306849 - z * 0.06640233930429329)
+    top = (0.056883492268085936 - z * 0.04348052215715258) + z2 * 0.0211353731576785
+    return low + z4 * (mid + z4 * top)

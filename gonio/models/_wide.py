@@ -1,7 +1,10 @@
-"""Compiled functions that use the whole width of the vector registers.
+"""Compiled functions that use the whole width of the vector registers, and keep their constants at hand.
 
 LLVM halves 512-bit vectors on many processors, to spare mixed code a lower clock; the loops over kernels are all
-vectors. The preference is an attribute of each function, so that no other compiled code of the process is touched.
+vectors. And it fetches a constant anew, with two instructions, wherever registers are short: a polynomial then spends
+a third of its instructions on that. A constant that it cannot see through is set up once before the loop and is an
+operand in memory (on an aligned stack). Both are properties of each function, so that no other compiled code of the
+process is touched.
 """
 
 # mypy: allow-any-generics, disallow-subclassing-any=False
@@ -10,19 +13,37 @@ from __future__ import annotations
 
 from typing import Any
 
+from llvmlite import ir as llvm
+from numba.core import ir
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
 from numba.core.lowering import Lower
 from numba.core.typed_passes import NativeLowering
 
-ATTRIBUTE = '"prefer-vector-width"="512"'
+ATTRIBUTES = ('"prefer-vector-width"="512"', '"frame-pointer"="all"')  # with a frame pointer the stack can be aligned
+PLAIN = (0.0, 0.5, 1.0, 2.0)  # what arithmetic with these can be simplified to is worth more
+BITS = llvm.IntType(64)
 
 
 class _Lower(Lower):
     def lower_normal_function(self, fndesc: Any) -> None:
         super().lower_normal_function(fndesc)
-        # llvmlite's own `add` knows only attributes without a value
-        set.add(self.function.attributes, ATTRIBUTE)
+        for attribute in ATTRIBUTES:  # llvmlite's own `add` knows only attributes without a value
+            set.add(self.function.attributes, attribute)
+
+    def lower_assign(self, ty: Any, inst: Any) -> Any:
+        value = super().lower_assign(ty, inst)
+        source = inst.value
+        if not isinstance(source, (ir.Const, ir.Global, ir.FreeVar)) or not isinstance(source.value, float):
+            return value
+        if abs(source.value) in PLAIN or self.context.get_value_type(ty) != llvm.DoubleType():
+            return value
+        with self.builder.goto_entry_block():  # an assembly of no instructions, which nothing keeps from moving
+            kind = llvm.FunctionType(BITS, [BITS])
+            held = self.builder.asm(kind, "", "=r,0", [self.builder.bitcast(value, BITS)], False)
+            held.attributes.add("readnone")
+            held.attributes.add("nounwind")
+            return self.builder.bitcast(held, llvm.DoubleType())
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
@@ -35,7 +56,7 @@ class _Lowering(NativeLowering):
 
 
 class Wide(CompilerBase):
-    """numba's usual pipeline, with the attribute on what it lowers."""
+    """numba's usual pipeline, with the attributes on what it lowers."""
 
     def define_pipelines(self) -> list[Any]:
         pipeline = DefaultPassBuilder.define_nopython_pipeline(self.state)

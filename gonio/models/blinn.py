@@ -25,7 +25,7 @@ from gonio.models._facets import (
     groove_over_viewer,
     half,
 )
-from gonio.models._math import exp
+from gonio.models._math import _LOG2_E, exp2
 from gonio.models.base import Index, Model, checked_index, choice, index_at, number, positive, store
 from gonio.models.engine import Constants, Kernel
 
@@ -54,39 +54,41 @@ def phong(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
 
 @device
 def d1(flat, sz, s2, c):  # type: ignore[no-untyped-def]
-    """D1 = cos^c1(alpha)."""
-    return cos_power(flat, sz, s2, c)
+    """D1 = cos^c1(alpha), numerator and denominator."""
+    return cos_power(flat, sz, s2, c), 1.0
 
 
 @device
 def d2(flat, sz, s2, c):  # type: ignore[no-untyped-def]
-    """D2 = exp(-(alpha c2)^2)."""
-    return exp(-alpha_squared(flat, sz, s2) * (c * c))
+    """D2 = exp(-(alpha c2)^2), numerator and denominator."""
+    return exp2(alpha_squared(flat, sz, s2) * (-_LOG2_E * c * c)), 1.0
 
 
 @device
 def d3(flat, sz, s2, c):  # type: ignore[no-untyped-def]
-    """D3 = [c3^2 / (cos^2(alpha) (c3^2 - 1) + 1)]^2, its denominator as sin^2 + c3^2 cos^2."""
-    root = c * c * s2 / (flat + c * c * sz * sz)
-    return root * root
+    """D3 = [c3^2 / (cos^2(alpha) (c3^2 - 1) + 1)]^2, numerator and denominator, as 1/(cos^2 + sin^2/c3^2)."""
+    root = sz * sz + flat * (1.0 / (c * c))
+    return s2 * s2, root * root
 
 
 @device
 def torrance_sparrow(d, lz, vz, sz, s2, c2, p):  # type: ignore[no-untyped-def]
-    """The BRDF for a value d of the distribution: (k_d + k_s D F G/((N.E)(N.L))) / pi."""
+    """The BRDF for a distribution d (numerator, denominator): (k_d + k_s D F G/((N.E)(N.L))) / pi."""
+    d_up, d_down = d
     f_up, f_down = fresnel(c2, p[3], p[4], p[5])
     g_up, g_down = groove(lz, vz, sz, s2)
-    up = p[1] * d * f_up * g_up
-    return p[0] + (up / (f_down * g_down) if up > 0.0 else 0.0)
+    up = p[1] * d_up * f_up * g_up
+    return p[0] + (up / ((d_down * f_down) * g_down) if up > 0.0 else 0.0)
 
 
 @device
 def torrance_sparrow_highlight(d, lz, vz, sz, s2, c2, p):  # type: ignore[no-untyped-def]
-    """s = D F G/(N.E)."""
+    """s = D F G/(N.E), from a distribution d (numerator, denominator)."""
+    d_up, d_down = d
     f_up, f_down = fresnel(c2, p[3], p[4], p[5])
     g_up, g_down = groove_over_viewer(lz, vz, sz, s2)
-    up = p[1] * d * f_up * g_up
-    return up / (f_down * g_down) if up > 0.0 else 0.0
+    up = p[1] * d_up * f_up * g_up
+    return up / ((d_down * f_down) * g_down) if up > 0.0 else 0.0
 
 
 @device

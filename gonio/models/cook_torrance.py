@@ -14,7 +14,7 @@ from gonio.errors import ArgumentError
 from gonio.models import engine
 from gonio.models._compile import device
 from gonio.models._facets import above, alpha_squared, fresnel, fresnel_constants, groove, half, tan2_alpha
-from gonio.models._math import exp
+from gonio.models._math import _LOG2_E, exp2
 from gonio.models.base import Index, Model, checked_index, choice, index_at, number, positive, store
 from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import n_from_f0, reflectance
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 DEFAULT_INDEX = 0.64 + 2.6j
 
 
-# --- kernels: p is (diffuse BRDF, 3 constants of F, then 1/m^2 and the weight with the scale of R_s of every slope) ---
+# --- kernels: p is (diffuse BRDF, 3 constants of F, then -log2(e)/m^2 and the factor of every slope) ---
 
 
 @device
@@ -42,8 +42,8 @@ def beckmann_slopes(flat, sz, p):  # type: ignore[no-untyped-def]
     t = tan2_alpha(flat, sz)
     d = 0.0
     for j in range(4, len(p), 2):
-        d += p[j] * p[j + 1] * exp(-t * p[j])
-    return d * (1.0 + t) * (1.0 + t)
+        d += p[j + 1] * exp2(t * p[j])
+    return d * ((1.0 + t) * (1.0 + t))
 
 
 @device
@@ -52,7 +52,7 @@ def gaussian_slopes(flat, sz, s2, p):  # type: ignore[no-untyped-def]
     a2 = alpha_squared(flat, sz, s2)
     d = 0.0
     for j in range(4, len(p), 2):
-        d += p[j + 1] * exp(-a2 * p[j])
+        d += p[j + 1] * exp2(a2 * p[j])
     return d
 
 
@@ -241,7 +241,14 @@ class CookTorrance(Model):
 
     def _constants(self, wavelength_nm: float, diffuse: float, scale: float) -> Constants:
         scale /= pi * (4.0 if self.normalisation == "normalised" else 1.0)
-        slopes = [value for m, w in self.slopes for value in (1.0 / (m * m), scale * w)]
+        slopes = [
+            value
+            for m, w in self.slopes
+            for value in (
+                -_LOG2_E / (m * m),
+                scale * w / (m * m if self.distribution == "beckmann" else 1.0),
+            )
+        ]
         ior = index_at(self.ior, wavelength_nm)
         if self.fresnel == "schlick":
             f0 = float(reflectance(1.0, ior))

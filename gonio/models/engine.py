@@ -29,6 +29,7 @@ Constants = tuple[float, ...]
 
 NORM_TOLERANCE: Final = 1e-6  # how far from 1 the length of a direction may be: what float32 vectors need, and no more
 BLOCK: Final = 8192  # pairs handled at a time: one constant argument is repeated that often, and stays in the cache
+CHUNK: Final = 256  # pairs of vectors whose components stay in the nearest cache between checking and evaluating
 SPLIT: Final = 65536  # pairs a thread must have to be worth waking: a wake costs some 20 us
 PHI_LIMIT: Final = 1e6  # rad; beyond it an azimuth has fewer than ten digits left
 HALF_PI: Final = pi / 2
@@ -40,22 +41,29 @@ HALF_PI: Final = pi / 2
 @template("r1 i r1 i p w1 i i")
 def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop):  # type: ignore[no-untyped-def]
     wrong = 0
-    for first in range(start, stop, BLOCK):
-        count = min(BLOCK, stop - first)
+    parts = np.empty((7, CHUNK))
+    lx, ly, lz, vx, vy, vz, low = parts[0], parts[1], parts[2], parts[3], parts[4], parts[5], parts[6]
+    for first in range(start, stop, CHUNK):
+        count = min(CHUNK, stop - first)
         l = omega_i[3 * first * step_i : 3 * (first * step_i + count)]  # noqa: E741
         v = omega_r[3 * first * step_r : 3 * (first * step_r + count)]
         o = out[first : first + count]
         for j in range(count):
             # flat arrays: with two axes the row length would be unknown when compiling, and the loop stay scalar
-            lx, ly, lz = l[3 * j], l[3 * j + 1], l[3 * j + 2]
-            vx, vy, vz = v[3 * j], v[3 * j + 1], v[3 * j + 2]
-            el = lx * lx + ly * ly + (lz * lz - 1.0)
-            ev = vx * vx + vy * vy + (vz * vz - 1.0)
-            wrong |= 0 if abs(el) <= 2.0 * NORM_TOLERANCE and abs(ev) <= 2.0 * NORM_TOLERANCE else 1
-            fl = 1.0 - el * (0.5 - 0.375 * el)  # 1/sqrt(1 + e): the next term is below 3e-18
-            fv = 1.0 - ev * (0.5 - 0.375 * ev)
-            value = kernel(lx * fl, ly * fl, lz * fl, vx * fv, vy * fv, vz * fv, constants)  # type: ignore[name-defined]  # noqa: F821
-            o[j] = value if lz >= 0.0 and vz >= 0.0 else 0.0
+            ax, ay, az = l[3 * j], l[3 * j + 1], l[3 * j + 2]
+            bx, by, bz = v[3 * j], v[3 * j + 1], v[3 * j + 2]
+            ea = ax * ax + ay * ay + (az * az - 1.0)
+            eb = bx * bx + by * by + (bz * bz - 1.0)
+            unit = abs(ea) <= 2.0 * NORM_TOLERANCE and abs(eb) <= 2.0 * NORM_TOLERANCE
+            low[j] = (az if az < bz else bz) if unit else np.nan
+            fa = 1.0 - ea * (0.5 - 0.375 * ea)  # 1/sqrt(1 + e): the next term is below 3e-18
+            fb = 1.0 - eb * (0.5 - 0.375 * eb)
+            lx[j], ly[j], lz[j] = ax * fa, ay * fa, az * fa
+            vx[j], vy[j], vz[j] = bx * fb, by * fb, bz * fb
+        for j in range(count):
+            value = kernel(lx[j], ly[j], lz[j], vx[j], vy[j], vz[j], constants)  # type: ignore[name-defined]  # noqa: F821
+            o[j] = value if low[j] >= 0.0 else 0.0
+            wrong |= 0 if low[j] == low[j] else 1
     return wrong
 
 

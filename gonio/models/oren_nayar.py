@@ -12,9 +12,8 @@ import numpy as np
 
 from gonio.errors import ArgumentError
 from gonio.models._compile import device
-from gonio.models._facets import above
 from gonio.models._groove_integral import gaussian_grooves, isotropic_grooves, parallel_grooves
-from gonio.models._math import atan_over
+from gonio.models._math import atan_over_near
 from gonio.models.base import Model, choice, number, store
 from gonio.models.engine import SPLIT, Constants, Kernel
 
@@ -23,6 +22,19 @@ if TYPE_CHECKING:
 
 FORMS = ("functional", "exact", "qualitative", "single-slope")
 TWO_OVER_PI = 2.0 / pi
+FLAT = 1e-75  # smaller cosines, and products of sines below its square, count as this: their powers stay in range
+STEEP = 1e60  # the functional form beyond this is infinite at exactly grazing
+
+
+@device
+def shares(tangent, steep):  # type: ignore[no-untyped-def]
+    """(2 theta/pi, 1 - 2 theta/pi) of a polar angle, both to the last place.
+
+    `tangent` is that of half the angle or, where the angle is `steep`, of half its complement.
+    """
+    near = 2.0 * TWO_OVER_PI * tangent * atan_over_near(tangent * tangent)
+    far = 1.0 - near
+    return far if steep else near, near if steep else far
 
 
 @device
@@ -31,44 +43,54 @@ def functional(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
 
     p: rho/pi times C1, times 0.45 s2/(s2 + 0.09), times 0.125 s2/(s2 + 0.09), and 0.17 rho^2/pi s2/(s2 + 0.13).
     """
-    ci = above(lz)
-    cr = above(vz)
-    li = lx * lx + ly * ly
-    lr = vx * vx + vy * vy
-    si = sqrt(li)
-    sr = sqrt(lr)
+    ci = lz if lz > FLAT else FLAT
+    cr = vz if vz > FLAT else FLAT
+    si = sqrt(lx * lx + ly * ly)
+    sr = sqrt(vx * vx + vy * vy)
     dot = lx * vx + ly * vy
     cross = lx * vy - ly * vx
-    first = ci < cr  # alpha, the larger polar angle, is theta_i
-    sin_a = si if first else sr
-    cos_a = ci if first else cr
-    sin_b = sr if first else si
-    cos_b = cr if first else ci
+    # alpha is the larger polar angle, beta the smaller
+    cos_a = ci if ci < cr else cr
+    cos_b = cr if ci < cr else ci
+    sin_a = si if si > sr else sr
+    sin_b = sr if si > sr else si
+    steep_a = cos_a < sin_a
+    steep_b = cos_b < sin_b
+    one_a = 1.0 + (sin_a if steep_a else cos_a)
+    one_b = 1.0 + (sin_b if steep_b else cos_b)
+    # every quotient is a product with one reciprocal
     both = si * sr
-    inverse = 1.0 / both if both > 1e-290 else 0.0  # at normal incidence the azimuth has no effect
-    cosine = dot * inverse
+    more = both + abs(dot)
+    square = both * more
+    square = square if square > FLAT * FLAT else FLAT * FLAT  # at normal incidence the azimuth has no effect
+    ones = one_a * one_b
+    sum_cos = cos_a + cos_b
+    cosines = cos_b * sum_cos
+    inverse = 1.0 / (square * (ones * cosines))
+    for_azimuth = inverse * (ones * cosines)  # 1/(both more)
+    for_angles = inverse * square  # 1/(ones cosines)
+    per_both = for_azimuth * more
+    cosine = dot * per_both
     cosine = cosine if cosine < 1.0 else 1.0
     cosine = cosine if cosine > -1.0 else -1.0
-    sine = cross * inverse
-    # the complements pi/2 - alpha and pi/2 - beta over pi/2: accurate at grazing
-    share = 1.0 / ((1.0 + sin_a) * (1.0 + sin_b))
-    ra = cos_a * (1.0 + sin_b) * share
-    rb = cos_b * (1.0 + sin_a) * share
-    ua = 2.0 * TWO_OVER_PI * ra * atan_over(ra * ra)
-    ub = 2.0 * TWO_OVER_PI * rb * atan_over(rb * rb)
-    fa = 1.0 - ua  # 2 alpha / pi
-    fb = 1.0 - ub
+    sine = cross * per_both
+    per_one = for_angles * cosines
+    tan_a = (cos_a if steep_a else sin_a) * one_b * per_one
+    tan_b = (cos_b if steep_b else sin_b) * one_a * per_one
+    fa, _ = shares(tan_a, steep_a)
+    fb, ub = shares(tan_b, steep_b)
     # cos(dphi) tan(beta) times sin(alpha), or times `braces` = sin(alpha) - (2 beta/pi)^3 on the mirror side
-    low = 1.0 / cos_b
-    braces = ub * (3.0 - ub * (3.0 - ub)) - cos_a * ra  # 1 - sin(alpha) = cos_a ra
-    second = dot * low if dot >= 0.0 else cosine * braces * sin_b * low
+    per_cosines = for_angles * ones
+    less = cos_a * tan_a if steep_a else 1.0 - sin_a
+    braces = ub * (3.0 - ub * (3.0 - ub)) - less
+    second = (dot if dot >= 0.0 else cosine * braces * sin_b) * (per_cosines * sum_cos)
     flat = sine * sine
     flat = flat if flat > 1e-30 else 0.0
     # (1 - |cos(dphi)|) tan((alpha + beta)/2)
-    aside = flat * (sin_a + sin_b) / ((1.0 + abs(cosine)) * (cos_a + cos_b))
+    aside = flat * (both * both * for_azimuth) * ((sin_a + sin_b) * (per_cosines * cos_b))
     third = (fa * fb) * (fa * fb) * aside
     value = p[0] + p[1] * second + p[2] * third + p[3] * (1.0 - cosine * fb * fb)
-    return value if value < 1e280 else math.inf
+    return value if value < STEEP else math.inf
 
 
 @device

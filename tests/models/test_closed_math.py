@@ -64,14 +64,16 @@ UNIT = np.concatenate([RNG.random(600), 10 ** RNG.uniform(-18, 0, 200), [0.0, 1.
     ("function", "reference", "values", "allowed"),
     [
         (_math.exp, mp.exp, RNG.uniform(-707, 709.7, 1000), 2.0),
+        (_math.exp2, lambda x: mp.mpf(2) ** x, RNG.uniform(-1020, 1022, 1000), 1.5),
         (_math.log, mp.log, POSITIVE, 1.0),
         (sine, mp.sin, PHASES, 2.0),
         (cosine, mp.cos, PHASES, 2.0),
         (polar_sine, mp.sin, POLAR, 1.0),
         (polar_cosine, mp.cos, POLAR, 1.5),
         (_math.atan_over, atan_over, UNIT, 2.0),
+        (_math.atan_over_near, atan_over, UNIT * math.tan(math.pi / 8) ** 2, 1.5),
     ],
-    ids=["exp", "log", "sin", "cos", "polar sin", "polar cos", "atan"],
+    ids=["exp", "exp2", "log", "sin", "cos", "polar sin", "polar cos", "atan", "atan near 0"],
 )
 def test_within_units_of_the_last_place(
     function: Callable[..., Any], reference: Any, values: Any, allowed: float
@@ -92,6 +94,9 @@ def test_ends_of_the_ranges() -> None:
     np.testing.assert_array_equal(
         evaluate(_math.exp, [-math.inf, -1e300, -709.0, 0.0, 710.0, 1e300, math.inf]),
         [0.0, 0.0, 0.0, 1.0] + [math.inf] * 3,
+    )
+    np.testing.assert_array_equal(
+        evaluate(_math.exp2, [-math.inf, -1e300, -1021.0, 0.0, 1.0]), [0.0, 0.0, 0.0, 1.0, 2.0]
     )
     np.testing.assert_array_equal(evaluate(_math.log, [0.0, 1.0]), [-math.inf, 0.0])
     np.testing.assert_array_equal(evaluate(polar_cosine, [0.0, HALF_PI]), [1.0, 0.0])

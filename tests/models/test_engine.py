@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gonio.errors import ArgumentError
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, OrenNayar, Phong, build, engine, fresnel, geometry
+from gonio.models._compile import _loop
+from gonio.models.base import Model
 
 MODEL = CookTorrance()
 RNG = np.random.default_rng(5)
@@ -131,19 +135,31 @@ def test_importing_the_models_imports_no_numba() -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_whole_vectors_are_asked_for_function_by_function() -> None:
+def test_whole_vectors_and_held_constants_are_asked_for_function_by_function() -> None:
     import numba
 
-    from gonio.models._wide import ATTRIBUTE, Wide
+    from gonio.models._wide import ATTRIBUTES, Wide
 
     MODEL.brdf(0.1, 0.0, 0.2, 1.0)
-    ours = numba.njit("f8(f8)", pipeline_class=Wide)(lambda x: x + 1.0)
-    theirs = numba.njit("f8(f8)")(lambda x: x + 1.0)
+    ours = numba.njit("f8(f8)", pipeline_class=Wide)(lambda x: x + 0.3)
+    theirs = numba.njit("f8(f8)")(lambda x: x + 0.3)
     (asked,), (plain,) = ours.inspect_llvm().values(), theirs.inspect_llvm().values()
-    assert ATTRIBUTE in asked
-    assert ATTRIBUTE not in plain
-    assert ours(1.0) == theirs(1.0) == 2.0
+    for sign in (*ATTRIBUTES, "asm"):
+        assert sign in asked
+        assert sign not in plain
+    assert ours(1.0) == theirs(1.0) == 1.3
     assert os.environ.get("NUMBA_CPU_FEATURES") == numba.config.CPU_FEATURES
+
+
+@pytest.mark.parametrize("model", [MODEL, Blinn(distribution="phong"), OrenNayar()], ids=["exp2", "log", "Oren-Nayar"])
+def test_loops_over_kernels_are_vectors(model: Model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import numba
+
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))  # code that comes from the disk cannot be looked at
+    kernel, constants = model._evaluation(550.0)
+    compiled = _loop(engine._over_vectors, kernel, len(constants))
+    (code,) = compiled.inspect_llvm().values()
+    assert re.search(r"fdiv [a-z ]*<\d+ x double>", code)
 
 
 BAD_ANGLES = [
