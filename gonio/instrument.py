@@ -125,7 +125,7 @@ def apparent_brdf(
     Raises
     ------
     ArgumentError
-        An angle, a solid angle or `spike` is outside its domain; it names the argument.
+        `model` is none, or an angle, a solid angle or `spike` is outside its domain; it names the argument.
 
     Notes
     -----
@@ -140,7 +140,7 @@ def apparent_brdf(
         receiver_solid_angle_sr=receiver_solid_angle_sr,
         spike=spike,
     )
-    lobe = cones.lobe(model, wavelength_nm=wavelength_nm)
+    lobe = cones.lobe(_checked(model), wavelength_nm=wavelength_nm)
     if not hasattr(model, "specular_reflectivity"):
         return lobe
     return lobe + cones.spike(model, wavelength_nm=wavelength_nm)
@@ -178,7 +178,7 @@ def apparent_lobe(
         receiver_solid_angle_sr=receiver_solid_angle_sr,
         tolerance=tolerance,
     )
-    return cones.lobe(model, wavelength_nm=wavelength_nm)
+    return cones.lobe(_checked(model), wavelength_nm=wavelength_nm)
 
 
 def apparent_spike(
@@ -203,7 +203,13 @@ def apparent_spike(
         receiver_solid_angle_sr=receiver_solid_angle_sr,
         spike=spike,
     )
-    return cones.spike(model, wavelength_nm=wavelength_nm)
+    return cones.spike(_checked(model), wavelength_nm=wavelength_nm)
+
+
+def _checked(model: Model) -> Model:
+    if not isinstance(model, Model):
+        raise ArgumentError(f"model must be one of gonio.models, not {type(model).__name__}")
+    return model
 
 
 def _half_angles(source_solid_angle_sr: float, receiver_solid_angle_sr: float) -> tuple[float, float]:

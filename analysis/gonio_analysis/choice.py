@@ -306,7 +306,8 @@ def _reject(judged: Sequence[Judged]) -> list[Judged]:
         if p is not None and p < SIGNIFICANCE:
             why = f"reduced chi-square {j.fit.reduced_chi_square:.4g} (p {'< 1e-4' if p < 1e-4 else f'= {p:.2g}'})"
         elif j.aic - best.aic > DECISIVE and (best.fit.p_value is None or best.fit.p_value >= SIGNIFICANCE):
-            why = f"{best.candidate.label} describes the same values better by {j.aic - best.aic:.3g} in AIC"
+            behind = j.aic - best.aic
+            why = f"{best.candidate.label} describes the same values better by {behind:.{behind < 100:d}f} in AIC"
         out.append(replace(j, rejected=why))
     return out
 
@@ -326,7 +327,7 @@ def _words(judged: Sequence[Judged], named: Judged | None) -> str:
         text += " Without stated uncertainties only a comparison with the others (AIC) can reject a model."
     simpler = [j for j in judged if len(j.fit.free) < len(named.fit.free)]
     if simpler:
-        text += f" {len(simpler)} simpler ones are rejected."
+        text += f" {len(simpler)} simpler {'model is' if len(simpler) == 1 else 'models are'} rejected."
     equals = [j for j in judged if j is not named and not j.rejected and len(j.fit.free) == len(named.fit.free)]
     if equals:
         text += f" As many parameters and not rejected either: {', '.join(j.candidate.label for j in equals)}."

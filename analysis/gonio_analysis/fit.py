@@ -33,6 +33,9 @@ from gonio_analysis.uncertainty import Floats
 if TYPE_CHECKING:
     import pandas as pd
 
+ROUNDING = 1e-24
+"""Scatter (squared, in the residuals' units) that a fit without one is taken to have: that of its own arithmetic."""
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -258,7 +261,7 @@ def fit(
     total = float(white @ white)
     spread, condition = covariance(jacobian)
     if data.covariance is None:
-        spread = spread * (total / (len(data) - len(names)))
+        spread = spread * max(total / (len(data) - len(names)), ROUNDING)
         notes.append("Standard errors come from the scatter of the residuals; there is no chi-square.")
     result = FitResult(
         name=model,
@@ -380,10 +383,11 @@ def _derived(problem: Problem, vector: Floats, spread: Floats) -> dict[str, Esti
 def _identifiability(result: FitResult) -> list[str]:
     """What these data cannot tell, in words."""
     notes = []
+    ends = dict(zip(("lower", "upper"), map(result.problem.values, result.problem.bounds), strict=True))
     for n, e in result.parameters.items():
         if e.at_bound:
             notes.append(
-                f"{n} ended on its {e.at_bound} bound ({e.value:g})"
+                f"{n} ended on its {e.at_bound} bound ({ends[e.at_bound][n]:g})"
                 + (": its standard error is formal." if e.u is not None else ", where the data do not determine it.")
             )
         elif not e.fixed and e.u is None:

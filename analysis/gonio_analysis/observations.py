@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 DEFAULT_WAVELENGTH_NM = 550.0
 SAME_BAND_NM = 1e-6
+LARGEST = 1e30
+"""[1/sr] No BRDF: a perfect mirror seen through a cone of a nanoradian has less. Squares of such values overflow."""
 LOBE_TOLERANCE = 1e-5
 """Relative error of a lobe's average over the cones: a hundredth of the uncertainty of the best values."""
 
@@ -119,8 +121,8 @@ class Observations:
 def observations(table: pd.DataFrame, name: str = "the table") -> Observations:
     """The usable rows of a measurement table.
 
-    Left out, and counted by reason: flagged rows, polarised rows, values that are not finite, directions at or below
-    the horizon, and rows without an uncertainty in a table that states one elsewhere.
+    Left out, and counted by reason: flagged rows, polarised rows, values that are not finite or are beyond any mirror,
+    directions at or below the horizon, and rows without an uncertainty in a table that states one elsewhere.
 
     Parameters
     ----------
@@ -142,6 +144,7 @@ def observations(table: pd.DataFrame, name: str = "the table") -> Observations:
     why = np.where(flags == "", "", np.char.add("flagged ", flags.astype(str))).astype(object)
     why[(why == "") & (table["polarisation"] != "unpolarised").to_numpy()] = "polarised"
     why[(why == "") & ~np.isfinite(brdf)] = "without a value"
+    why[(why == "") & (np.abs(brdf) > LARGEST)] = f"beyond {LARGEST:g} 1/sr"
     horizon = (angles["theta_i"] >= np.pi / 2 - 1e-9) | (angles["theta_r"] >= np.pi / 2 - 1e-9)
     why[(why == "") & horizon] = "at the horizon"
 

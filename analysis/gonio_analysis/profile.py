@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from gonio_analysis import families
-from gonio_analysis.fit import FitResult
+from gonio_analysis.fit import ROUNDING, FitResult
 from gonio_analysis.near import Near
 from gonio_analysis.uncertainty import Floats
 
@@ -148,7 +148,7 @@ class _Walker:
         self._near = Near(result)
         self._least = self._near.cost(result.vector)
         freedom = max(len(result.data) - len(result.free), 1)
-        self._unit = 1.0 if result.data.covariance is not None else self._least / freedom
+        self._unit = 1.0 if result.data.covariance is not None else max(self._least / freedom, ROUNDING)
         self.better: Floats | None = None
 
     def _held(self, k: int, start: Floats) -> tuple[Floats, float]:

@@ -95,7 +95,7 @@ class Model(ABC):
             argument.
         """
         if isinstance(wavelength_nm, (int, float)) or engine.real_array("wavelength_nm", wavelength_nm).ndim == 0:
-            kernel, constants = self._evaluation(positive("wavelength_nm", wavelength_nm))
+            kernel, constants = self._evaluation(checked_wavelength(wavelength_nm))
             return engine.over_angles(
                 kernel, constants, theta_i, phi_i, theta_r, phi_r, absolute=self._absolute, split=self.grain
             )
@@ -124,12 +124,12 @@ class Model(ABC):
         ArgumentError
             A vector is not of unit length or holds NaN, or the shapes do not broadcast; it names the argument.
         """
-        kernel, constants = self._evaluation(positive("wavelength_nm", wavelength_nm))
+        kernel, constants = self._evaluation(checked_wavelength(wavelength_nm))
         return engine.over_vectors(kernel, constants, omega_i, omega_r, split=self.grain)
 
     def at(self, geometry: Geometry, *, wavelength_nm: float = 550.0) -> Any:
         """BRDF [1/sr] at directions that `gonio.models.geometry` has checked: the fast way to try many parameters."""
-        kernel, constants = self._evaluation(positive("wavelength_nm", wavelength_nm))
+        kernel, constants = self._evaluation(checked_wavelength(wavelength_nm))
         return engine.at_geometry(kernel, constants, geometry, split=self.grain)
 
 
@@ -143,7 +143,7 @@ def _by_wavelength(
     out = np.empty(whole)
     for wave in np.unique(waves):
         here = waves == wave
-        out[here] = evaluate(positive("wavelength_nm", wave), [part[here] for part in parts])
+        out[here] = evaluate(checked_wavelength(wave), [part[here] for part in parts])
     return out
 
 
@@ -175,6 +175,11 @@ def number(name: str, value: Any, low: float = -math.inf, high: float = math.inf
             f"{'finite' if math.isinf(low) and math.isinf(high) else 'finite and ' + allowed}"
         )
     return result
+
+
+def checked_wavelength(value: Any) -> float:
+    """A wavelength [nm] in [1e-6, 1e12]: from gamma rays to radio; raises `ArgumentError` otherwise."""
+    return number("wavelength_nm", value, 1e-6, 1e12, unit="nm")
 
 
 def positive(name: str, value: Any, unit: str = "") -> float:

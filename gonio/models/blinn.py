@@ -26,7 +26,7 @@ from gonio.models._facets import (
     half,
 )
 from gonio.models._math import _LOG2_E, exp2
-from gonio.models.base import Index, Model, checked_index, choice, index_at, number, positive, store
+from gonio.models.base import Index, Model, checked_index, checked_wavelength, choice, index_at, number, positive, store
 from gonio.models.engine import Constants, Kernel
 
 if TYPE_CHECKING:
@@ -304,7 +304,7 @@ class Blinn(Model):
         wavelength_nm: float = 550.0,
     ) -> Any:
         """Blinn's s = D F G/(N.E) without its weight; arguments as `brdf`."""
-        constants = self._constants(positive("wavelength_nm", wavelength_nm), 0.0, 1.0)
+        constants = self._constants(checked_wavelength(wavelength_nm), 0.0, 1.0)
         return engine.over_angles(_KERNELS[self.distribution][1], constants, theta_i, phi_i, theta_r, phi_r)
 
     @staticmethod

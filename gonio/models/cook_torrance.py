@@ -15,7 +15,7 @@ from gonio.models import engine
 from gonio.models._compile import device
 from gonio.models._facets import above, alpha_squared, fresnel, fresnel_constants, groove, half, tan2_alpha
 from gonio.models._math import _LOG2_E, exp2
-from gonio.models.base import Index, Model, checked_index, choice, index_at, number, positive, store
+from gonio.models.base import Index, Model, checked_index, checked_wavelength, choice, index_at, number, positive, store
 from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import n_from_f0, reflectance
 
@@ -272,7 +272,7 @@ class CookTorrance(Model):
         wavelength_nm: float = 550.0,
     ) -> Any:
         """R_s [1/sr] without its share s, in the model's normalisation; arguments as `brdf`."""
-        constants = self._constants(positive("wavelength_nm", wavelength_nm), 0.0, 1.0)
+        constants = self._constants(checked_wavelength(wavelength_nm), 0.0, 1.0)
         return engine.over_angles(self._kernel, constants, theta_i, phi_i, theta_r, phi_r)
 
     def ambient_reflectance(self, theta_r: float | None = None, *, wavelength_nm: float = 550.0) -> float:

@@ -15,11 +15,15 @@ from gonio.models._compile import loop
 from gonio.models._facets import fresnel_constants
 from gonio.models._hemisphere import about_mirror, about_source
 from gonio.models._htsg_series import TIERS
-from gonio.models.base import Index, Model, checked_index, choice, index_at, number, positive
+from gonio.models.base import Index, Model, checked_index, checked_wavelength, choice, index_at, number
 from gonio.models.engine import Constants, Kernel
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
+
+LARGEST_UM = 1e12
+"""Largest roughness and correlation length [um]; the inverse is the smallest correlation length. Beyond these the
+constants of the series leave the range of floating-point numbers."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +36,9 @@ class HeTorrance(Model):
     Parameters
     ----------
     sigma0_um
-        Rms roughness [um], at least 0; at 0 the lobe is 0 and the spike that of a smooth surface.
+        Rms roughness [um], in [0, 1e12]; at 0 the lobe is 0 and the spike that of a smooth surface.
     tau_um
-        Correlation length of the Gaussian autocorrelation exp(-r^2/tau^2) [um], above 0.
+        Correlation length of the Gaussian autocorrelation exp(-r^2/tau^2) [um], in [1e-12, 1e12].
     ior
         Complex refractive index n + ik: a number, [n, k], a material's name, or a function of wavelength_nm.
     diffuse_albedo
@@ -62,8 +66,8 @@ class HeTorrance(Model):
 
     def __post_init__(self) -> None:
         store = functools.partial(object.__setattr__, self)
-        store("sigma0_um", number("sigma0_um", self.sigma0_um, 0.0, unit="um"))
-        store("tau_um", positive("tau_um", self.tau_um, unit="um"))
+        store("sigma0_um", number("sigma0_um", self.sigma0_um, 0.0, LARGEST_UM, unit="um"))
+        store("tau_um", number("tau_um", self.tau_um, 1.0 / LARGEST_UM, LARGEST_UM, unit="um"))
         store("ior", checked_index(self.ior))
         store("diffuse_albedo", number("diffuse_albedo", self.diffuse_albedo, 0.0, 1.0))
         store("shadowing", choice("shadowing", self.shadowing, ("smith", "paper")))
@@ -129,7 +133,7 @@ class HeTorrance(Model):
         out = np.empty(theta.shape)
         for wave in np.unique(waves):
             here = waves == wave
-            out[here] = evaluate(np.ascontiguousarray(theta[here]), positive("wavelength_nm", wave, "nm"))
+            out[here] = evaluate(np.ascontiguousarray(theta[here]), checked_wavelength(wave))
         return out.reshape(shape)[()]
 
     def _spike(self, theta: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
@@ -170,7 +174,7 @@ class HeTorrance(Model):
         ArgumentError
             As `brdf`.
         """
-        constants = self._constants(positive("wavelength_nm", wavelength_nm, "nm"))
+        constants = self._constants(checked_wavelength(wavelength_nm))
         bare = (0.0, *constants[1:10], 1.0)  # the lobe without Fresnel
         lobe = np.asarray(
             engine.over_angles(kernels.lobe_state, bare, theta_i, phi_i, theta_r, phi_r, split=self.grain)
@@ -206,7 +210,7 @@ class HeTorrance(Model):
         complex128 array (..., 2, 2): rows s, p of the reflected field, columns s, p of the incident one. For exactly
         retro-reflecting or mirror geometry and at normal incidence these are the limits.
         """
-        constants = self._constants(positive("wavelength_nm", wavelength_nm, "nm"))
+        constants = self._constants(checked_wavelength(wavelength_nm))
         arrays, shape = engine.angle_arrays(theta_i, phi_i, theta_r, phi_r)
         engine.check_angles(arrays)
         angles = np.stack(np.broadcast_arrays(*arrays)).reshape(4, -1)
@@ -276,7 +280,7 @@ class HeTorrance(Model):
         -------
         An albedo in [0, 1]. It is reported and never enforced: the paper's own Figs. 9, 11 and 14 exceed it.
         """
-        wave = positive("wavelength_nm", wavelength_nm, "nm")
+        wave = checked_wavelength(wavelength_nm)
         top = math.radians(number("theta_max_deg", theta_max_deg, 0.0, 90.0, unit="deg"))
         grid = np.linspace(0.0, top, 46)
         first = self._hemispherical(grid, wave) - self.diffuse_albedo

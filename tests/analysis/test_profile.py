@@ -73,3 +73,19 @@ def test_an_interval_follows_the_bent_valley_of_n_and_k(seed: int) -> None:
         assert result.chi_square is not None
         assert held.chi_square - result.chi_square < 3.8  # so that 95 % intervals hold it
         assert interval.holds(k)
+
+
+def test_values_that_a_model_meets_exactly_leave_a_point_and_no_error() -> None:
+    table = measure(MATTE, noise=0.0, floor=0.0)
+    table[["u_brdf", "u_random"]] = np.nan
+    result = fit(table, "lambert")
+    interval = profiles(result).intervals["albedo"]
+    # the residuals' arithmetic is good to 1e-12 of a value
+    assert interval.low == pytest.approx(0.5, rel=1e-10)
+    assert interval.high == pytest.approx(0.5, rel=1e-10)
+
+
+def test_values_beyond_any_mirror_are_left_out() -> None:
+    table = measure(MATTE, noise=0.02)
+    table.loc[3, "brdf"] = 1.7e308
+    assert fit(table, "lambert").data.omitted["beyond 1e+30 1/sr"].size == 1

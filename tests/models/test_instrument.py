@@ -203,3 +203,5 @@ def test_bad_arguments_are_named(change: dict[str, Any], name: str) -> None:
         apparent_brdf(HeTorrance(), 0.1, 0.0, 0.1, MIRROR, **{**cones(), **change})
     with pytest.raises(ArgumentError, match="theta_r"):
         apparent_brdf(HeTorrance(), 0.1, 0.0, 2.0, MIRROR, **cones())
+    with pytest.raises(ArgumentError, match="model must be"):
+        apparent_brdf("he-torrance", 0.1, 0.0, 0.1, MIRROR, **cones())  # type: ignore[arg-type]
