@@ -15,6 +15,8 @@ used in variables that crowd their nodes toward the ends.
 
 from __future__ import annotations
 
+import functools
+import math
 from math import acos, atan2, cos, hypot, pi, sin, sqrt, tan
 from typing import TYPE_CHECKING
 
@@ -27,9 +29,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+@functools.cache
+def _gauss(k: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Nodes and weights of 4k points."""
+    return np.polynomial.legendre.leggauss(4 * k)
+
+
 def _rules(which: int) -> NDArray[np.float64]:
-    """Gauss-Legendre nodes (0) or weights (1) of 4, 8, ..., 144 points, one rule after the other."""
-    return np.concatenate([np.polynomial.legendre.leggauss(4 * k)[which] for k in range(1, 37)])
+    """Gauss-Legendre nodes (0) or weights (1) of 4, 8, ..., 104 points, one rule after the other."""
+    return np.concatenate([_gauss(k)[which] for k in range(1, 27)])
 
 
 @table
@@ -42,6 +50,48 @@ def NODES() -> NDArray[np.float64]:
 def WEIGHTS() -> NDArray[np.float64]:
     """The weights of all the rules."""
     return _rules(1)
+
+
+GRADES = 2
+"""Of steepness, to a unit of its logarithm: an arc takes the rule of the next steeper grade."""
+STEEPEST_GRADE = 128
+MORE = (1.5, 2.5, 8.5)
+"""Quarters of points beyond what the grade asks: plain arcs, arcs with a ridge, those near the forward direction."""
+
+
+@functools.cache
+def _crowded() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """Nodes and weights on (-1, 1) that crowd to both ends, s = tanh(reach x / 2) / tanh(reach / 2), rule after rule.
+
+    reach is the logarithm of the steepness. Also where the rules begin: first by grade, then in the order of `MORE`.
+    """
+    nodes, weights = [], []
+    for grade in range(1, STEEPEST_GRADE + 1):
+        reach = grade / GRADES
+        for more in MORE:
+            x, weight = _gauss(min(int(1.1 * reach + more), 36))
+            t, end = np.tanh(0.5 * reach * x), math.tanh(0.5 * reach)
+            nodes.append(t / end)
+            weights.append(weight * (1.0 - t * t) * 0.5 * reach / end)
+    return np.concatenate(nodes), np.concatenate(weights), np.cumsum([0, *map(len, nodes)])
+
+
+@table
+def ARC_NODES() -> NDArray[np.float64]:
+    """The nodes of the rules for arcs."""
+    return _crowded()[0]
+
+
+@table
+def ARC_WEIGHTS() -> NDArray[np.float64]:
+    """Their weights."""
+    return _crowded()[1]
+
+
+@table
+def ARC_BEGINS() -> NDArray[np.int64]:
+    """Where each rule for arcs begins."""
+    return _crowded()[2]
 
 
 STEEPEST = 1e12  # the largest tangent of a direction: at exactly grazing the limit is reached to 1e-11
@@ -80,12 +130,12 @@ def groove_point(s, v, c, second):  # type: ignore[no-untyped-def]
 
 
 @device
-def twice_over_arc(half, sm, cm, smd, cmd, a, b, ti, tr, sine, c, work):  # type: ignore[no-untyped-def]
+def twice_over_arc(half, sm, cm, smd, cmd, a, b, ti, tr, sine, c, more, work):  # type: ignore[no-untyped-def]
     """The integral of min(S', 2) min(V, 2) J over one arc around an azimuth m, from sin and cos of m and of m - Delta.
 
-    Nodes crowd to both ends, t = tanh(reach x / 2), as far as the steepness asks. Where only one facet is cut, J has
-    the closed form V J = pi (1 - c + sin(theta_a) (sqrt(1 + w^2) - w)), w = tan(theta_r) cos(phi_a - Delta), and S'
-    is a plain cosine.
+    Nodes crowd to both ends as far as the steepness asks; `more` is the place in `MORE` that a ridge has. Where only
+    one facet is cut, J has the closed form V J = pi (1 - c + sin(theta_a) (sqrt(1 + w^2) - w)), w = tan(theta_r)
+    cos(phi_a - Delta), and S' is a plain cosine.
     """
     lit_cut = 1.0 - a * cm > 2.0
     seen_cut = 1.0 + b * cmd > 2.0
@@ -95,35 +145,28 @@ def twice_over_arc(half, sm, cm, smd, cmd, a, b, ti, tr, sine, c, work):  # type
     pc, ps = (-a * cm, -a * sm) if seen_cut else (b * cmd, b * smd)
     # cut on both sides, J has a ridge along S' = V as narrow as the smaller of 1/B and tan(theta_r)
     steep = (b if seen_cut else a) if one else max(a, b) + 1.0 / max(ti, tr)
-    spread = 1.0 + 4.0 * steep * half
-    reach = log(spread)
     ridge = not one and abs(a * cm + b * cmd) < 0.5 * (b * cmd - a * cm)
-    k = min(int(reach * 1.1 + (8.5 if ridge else 1.5)), 36)
-    x = NODES[2 * k * (k - 1) : 2 * k * (k + 1)]
-    weight = WEIGHTS[2 * k * (k - 1) : 2 * k * (k + 1)]
-    stretch = half * (spread + 1.0) / (spread - 1.0)
+    rule = len(MORE) * min(int(GRADES * log(1.0 + 4.0 * steep * half)), STEEPEST_GRADE - 1) + (more if ridge else 0)
+    x = ARC_NODES[ARC_BEGINS[rule] : ARC_BEGINS[rule + 1]]
+    weight = ARC_WEIGHTS[ARC_BEGINS[rule] : ARC_BEGINS[rule + 1]]
     if one:
         for j in range(x.size):
-            e = exp(reach * x[j])
-            t = (e - 1.0) / (e + 1.0)
-            sj, cj = sincos(stretch * t)
+            sj, cj = sincos(half * x[j])
             u = uc * cj - us * sj
             u = u if u > 0.0 else 0.0
-            work[j] = weight[j] * (1.0 - t * t) * (1.0 + pc * cj - ps * sj) * (1.0 - c + sine / (sqrt(1.0 + u * u) + u))
+            work[j] = weight[j] * (1.0 + pc * cj - ps * sj) * (1.0 - c + sine / (sqrt(1.0 + u * u) + u))
     else:
         for j in range(x.size):
-            e = exp(reach * x[j])
-            t = (e - 1.0) / (e + 1.0)
-            sj, cj = sincos(stretch * t)
+            sj, cj = sincos(half * x[j])
             opposite = 1.0 - a * (cm * cj - sm * sj)
             v = 1.0 + b * (cmd * cj - smd * sj)
             ms = 2.0 / opposite if opposite > 2.0 else 1.0
             mv = 2.0 / v if v > 2.0 else 1.0
-            work[j] = weight[j] * (1.0 - t * t) * (4.0 / pi) * mean_exchange(ms, mv, c)
+            work[j] = weight[j] * (4.0 / pi) * mean_exchange(ms, mv, c)
     total = 0.0
     for j in range(x.size):
         total += work[j]
-    return total * pi * 0.5 * reach * stretch
+    return total * pi * half
 
 
 @device
@@ -136,7 +179,7 @@ def sine_less(h):  # type: ignore[no-untyped-def]
 
 
 @device
-def around(ti, tr, delta, turns, tangent, c, second, edges, work):  # type: ignore[no-untyped-def]
+def around(ti, tr, delta, turns, tangent, c, second, more, edges, work):  # type: ignore[no-untyped-def]
     """The mean over phi_a for grooves of one slope, without cos(theta_a)."""
     a = ti * tangent
     b = tr * tangent
@@ -170,6 +213,7 @@ def around(ti, tr, delta, turns, tangent, c, second, edges, work):  # type: igno
             edges[k] = edges[k - 1]
             k -= 1
         edges[k] = edge
+    sd, cd = sincos(delta)
     total = 0.0
     for j in range(count):
         low = edges[j]
@@ -178,14 +222,15 @@ def around(ti, tr, delta, turns, tangent, c, second, edges, work):  # type: igno
         if half < 1e-16:
             continue
         mid = 0.5 * (low + high)
-        smd, cmd = sincos(mid - delta)
+        sm, cm = sincos(mid)
+        smd = sm * cd - cm * sd
+        cmd = cm * cd + sm * sd
         v = 1.0 + b * cmd
         if v <= 0.0:
             continue
-        sm, cm = sincos(mid)
         s = 1.0 + a * cm
         if second > 0.0 and s < 2.0 and (v > 2.0 or s < 0.0):
-            total += second * twice_over_arc(half, sm, cm, smd, cmd, a, b, ti, tr, tangent * c, c, work)
+            total += second * twice_over_arc(half, sm, cm, smd, cmd, a, b, ti, tr, tangent * c, c, more, work)
         if s <= 0.0:
             continue
         # integrals over the arc from the values at its middle: no difference of large terms
@@ -237,6 +282,7 @@ def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     steep = max(ti, tr)
     # near the forward direction S' and V are nearly equal at every azimuth, and rings change fast beside a knot
     forward = ti * ti + tr * tr + 2.0 * ti * tr * cos(delta) < 0.01 * steep * steep
+    more = 2 if forward else 1
     total = 0.0
     for j in range(count):
         low = knots[j]
@@ -246,7 +292,7 @@ def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
             if half > 1e-16:
                 smooth = steep * tan(low + half) <= 1.0
                 wide = half * sqrt(8.0 * p[2])  # the interval in units of sigma
-                rule = min(int((2.5 if smooth else 3.0) + 0.9 * wide), 16)
+                rule = min(int((2.5 if smooth else 3.5) + 0.9 * wide), 16)
                 if forward and not smooth:
                     rule += 2
                 if high > 1.2 and high * high * p[2] < 7.0:  # S and V grow without bound toward 90 degrees
@@ -256,7 +302,7 @@ def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
                     weight = half * WEIGHTS[k] * (1.0 if smooth else 1.5 * (1.0 - u * u))
                     theta = low + half * (1.0 + (u if smooth else 0.5 * u * (3.0 - u * u)))
                     sine, c = sincos(theta)
-                    ring = around(ti, tr, delta, turns, sine / c, c, p[1], edges, work)
+                    ring = around(ti, tr, delta, turns, sine / c, c, p[1], more, edges, work)
                     total += weight * exp(-theta * theta * p[2]) * sine * c * ring
             low = high
     value = p[0] * p[3] * total
@@ -270,7 +316,7 @@ def isotropic_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def
     p: rho/pi, rho/pi of the second bounce, tan and cos of theta_a.
     """
     ti, tr, delta, turns = directions(lx, ly, lz, vx, vy, vz)
-    value = p[0] * p[3] * around(ti, tr, delta, turns, p[2], p[3], p[1], np.empty(16), np.empty(144))
+    value = p[0] * p[3] * around(ti, tr, delta, turns, p[2], p[3], p[1], 2, np.empty(16), np.empty(144))
     return np.inf if lz <= 0.0 and vz <= 0.0 and value > 1e6 else value
 
 
