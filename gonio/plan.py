@@ -32,13 +32,16 @@ GRAZING_DEG = 1e-6
 EXPECTED_ALBEDO = 0.5
 """What time estimates take the sample for."""
 
+Angle = Annotated[float, Field(strict=True)]
+"""A number [deg]: neither a truth value nor text that looks like one."""
+
 
 class Range(Strict):
     """Equally spaced angles [deg], both ends included where the step meets them."""
 
-    start: float
-    stop: float
-    step: Annotated[float, Field(gt=0)]
+    start: Angle
+    stop: Angle
+    step: Annotated[Angle, Field(gt=0)]
 
     @model_validator(mode="after")
     def _ordered(self) -> Range:
@@ -54,7 +57,7 @@ class Range(Strict):
         return [round(self.start + k * self.step, 9) for k in range(count)]
 
 
-AngleList = tuple[float, ...]
+AngleList = tuple[Angle, ...]
 
 
 class Sweep(Strict):

@@ -145,8 +145,17 @@ def compare(
         fitting = {"models": models, "normalise": normalise, "ior": ior, "dask": dask}
         print(_change(measurements, out, wavelength_nm, [name for name, value in fitting.items() if value is not None]))
         return
-    chosen = [m.strip() for m in (models or MODELS).split(",") if m.strip()]
-    print(_report(measurements, out, chosen, normalise or Norm.mirror, ior, wavelength_nm, dask))
+    print(
+        _report(
+            measurements,
+            out,
+            _names(MODELS if models is None else models),
+            normalise or Norm.mirror,
+            ior,
+            wavelength_nm,
+            dask,
+        )
+    )
 
 
 def report(
@@ -162,8 +171,17 @@ def report(
 
     if not run.is_dir():
         raise ConfigError(f"{run}: there is no such folder; gonio report takes a run (for a file: gonio compare)")
-    chosen = [m.strip() for m in models.split(",") if m.strip()]
-    print(_report([str(run)], out or run / "report", chosen, normalise, ior, wavelength_nm))
+    print(_report([str(run)], out or run / "report", _names(models), normalise, ior, wavelength_nm))
+
+
+def _names(models: str) -> list[str]:
+    """The models that --models lists."""
+    from gonio.errors import ConfigError
+
+    names = [name.strip() for name in models.split(",")]
+    if not all(names):
+        raise ConfigError(f'--models "{models}": a name is missing; they are separated by single commas')
+    return names
 
 
 def read_ior(text: str | None) -> Ior:

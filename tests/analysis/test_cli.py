@@ -48,6 +48,9 @@ def test_compare_prints_the_path(table: Path, tmp_path: Path, capsys: pytest.Cap
 def test_unknown_model_is_told_before_anything_is_read(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no model named"):
         cli.compare([str(tmp_path / "absent.csv")], tmp_path / "out", models="no-such-model")
+    for models in ("", "lambert,,"):
+        with pytest.raises(ConfigError, match="a name is missing"):
+            cli.compare([str(tmp_path / "absent.csv")], tmp_path / "out", models=models)
     with pytest.raises(ConfigError, match="no such folder"):
         cli.report(tmp_path / "absent")
     (tmp_path / "run").mkdir()

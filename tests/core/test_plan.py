@@ -133,6 +133,8 @@ def test_name_and_layout_do_not_change_what_a_plan_is(tmp_path: Path) -> None:
         (HEAD + "[[sweep]]\ntheta_i_deg = [1]\ntheta_r_deg = {start=1,stop=5,stp=1}\n", ["stp", "step"]),
         (HEAD + "[[sweep]]\ntheta_i_deg = [1]\ntheta_r_deg = {start=1,stop=5,step=1e-9}\n", ["larger step"]),
         (HEAD + "[[sweep]]\ntheta_i_deg = [nan]\ntheta_r_deg = [1]\n", ["theta_i_deg"]),
+        (HEAD + "[[sweep]]\ntheta_i_deg = [true]\ntheta_r_deg = [1]\n", ["theta_i_deg", "number"]),
+        (HEAD + "[[sweep]]\ntheta_i_deg = [1]\ntheta_r_deg = {start=false,stop=5,step=1}\n", ["theta_r_deg", "start"]),
         (HEAD + "[[swep]]\ntheta_i_deg = [1]\n", ["swep", "sweep"]),
         (HEAD + '[[points]]\nfile = "absent.csv"\n', ["absent.csv", "no such file"]),
         (HEAD + '[[points]]\nfile = "columns.csv"\n', ["columns.csv", "phi_i_deg"]),
