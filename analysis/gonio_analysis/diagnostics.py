@@ -50,9 +50,10 @@ def profile(ax: Any, interval: Interval, *, value: float, threshold: float, unit
     artists.append(ax.axvline(value, color=INK, lw=0.8, zorder=2))
     ax.set_ylim(0.0, max(2.0 * threshold, 1.1 * float(rise[near].max(initial=0.0))))
     ax.set_title(interval.name + (f" [{unit}]" if unit else ""), fontsize=8, loc="left", color=INK)
-    ax.ticklabel_format(useOffset=False)
+    ax.ticklabel_format(useOffset=False, useMathText=True)
     ax.locator_params(axis="x", nbins=3)
     ax.tick_params(labelsize=7)
+    ax.xaxis.get_offset_text().set_size(7)
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
     return artists
