@@ -131,6 +131,12 @@ def write(frame: pd.DataFrame, path: str | Path, *, format: str | None = None) -
     if "flag" not in chosen.carries and (frame["flag"] != "").any():
         count = int((frame["flag"] != "").sum())
         lost.append(f"{chosen.title} has no room for flags: {count} flagged rows are left out")
+    others = sorted(set(frame["flag"]) - {"", chosen.only_flag})
+    if chosen.only_flag and others:
+        count = int(frame["flag"].isin(others).sum())
+        lost.append(
+            f"{chosen.title} knows one flag: {count} rows flagged {', '.join(others)} will read as {chosen.only_flag}"
+        )
     return lost
 
 

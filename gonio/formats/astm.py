@@ -167,4 +167,5 @@ FORMAT = Format(
     read=read,
     write=write,
     carries=frozenset({"flag"}),
+    only_flag="clamped",
 )

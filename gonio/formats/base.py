@@ -59,6 +59,8 @@ class Format:
     max_bytes: int = MAX_BYTES
     carries: frozenset[str] = frozenset()
     """What it has room for besides angles and values: "uncertainty", "flag", "solid angle"."""
+    only_flag: str = ""
+    """The one flag that reads back, where a flagged value is written as a zero."""
 
 
 class Text:

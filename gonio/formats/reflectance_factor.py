@@ -86,4 +86,5 @@ FORMAT = Format(
     read=read,
     write=write,
     carries=frozenset({"flag"}),
+    only_flag="blocked",
 )

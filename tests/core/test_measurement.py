@@ -215,6 +215,10 @@ def test_what_a_format_has_no_room_for_is_said(tmp_path: Path) -> None:
     assert measurement.write(frame.assign(brdf=frame["brdf"].abs()), tmp_path / "t.brdf") == []
     lost = measurement.write(frame, tmp_path / "t.astm")
     assert [sentence.split("no room for ")[1].split(":")[0] for sentence in lost] == ["uncertainties", "solid angles"]
+    frame["flag"] = "saturated"
+    assert measurement.write(frame, tmp_path / "t.astm")[-1].endswith(
+        f"{len(frame)} rows flagged saturated will read as clamped"
+    )
 
 
 def test_the_covariance_comes_in_factors() -> None:
