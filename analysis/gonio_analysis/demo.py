@@ -35,8 +35,8 @@ QUICK_PLAN = """\
 name = "aluminium at 500 nm, quickly"
 wavelength_nm = [500]
 [[sweep]]
-theta_i_deg = [10, 45, 75]
-theta_r_deg = { start = -75, stop = 85, step = 5 }
+theta_i_deg = [15, 45, 75]
+theta_r_deg = { start = -75, stop = 82.5, step = 7.5 }
 """
 
 MODELS = ("lambert", "oren-nayar", "cook-torrance", "he-torrance")
