@@ -151,7 +151,7 @@ class Joint:
             self.voltage_limits_v = self.get("Min Voltage Limit") / 10, highest_dv / 10
         self.count_limits = self.get("Min Position Limit"), self.get("Max Position Limit") or COUNTS - 1
         self.full_current = self.get("Current Limit") if "Current Limit" in self.table else 1000
-        self._check_reach(approach_deg)
+        self.check_reach(approach_deg)
         gear = self.servo.gear_ratio
         wish = int(self.axis.speed_deg_per_s * gear / VELOCITY_UNIT_DEG_S)
         speed = max(1, min(wish, self.get("Velocity Limit") or wish))
@@ -194,15 +194,16 @@ class Joint:
                 "middle of a move; released", self.name, self.id,
             )  # fmt: skip
 
-    def _check_reach(self, approach_deg: float) -> None:
+    def check_reach(self, approach_deg: float) -> None:
         """The axis's limits, with the way of approach, must lie within the servo's limits."""
         ends = [self.to_count(self.limits_deg[0] - approach_deg), self.to_count(self.limits_deg[1])]
         if min(ends) < self.count_limits[0] or max(ends) > self.count_limits[1]:
             raise ConfigError(
                 f"axis {self.name}: limits {self.limits_deg[0]:g} to {self.limits_deg[1]:g} deg, approached from "
                 f"{approach_deg:g} deg below, need counts {min(ends):.0f} to {max(ends):.0f}, and servo id "
-                f"{self.id} allows {self.count_limits[0]} to {self.count_limits[1]}; narrow the limits, or change "
-                f"{self.key}.zero_count or the servo's position limits"
+                f"{self.id} allows {self.count_limits[0]} to {self.count_limits[1]}; Position mode has 0 to "
+                f"{COUNTS - 1}: narrow the limits, or change {self.key}.zero_count or gear_ratio, or the servo's "
+                "position limits"
             )
 
     def check_health(self) -> None:
@@ -321,32 +322,21 @@ def joint(
     """The joint of an axis of the rig; `ConfigError` where its limits are beyond a turn of its servo."""
     axis = description.holder if name in ("tilt", "spin") else getattr(description.arms, name)
     table = dynamixel.control_table(servo.model, f"devices.servos.axes.{name}.model")
-    built = Joint(bus, name, servo, axis, limits, table)
-    _check_current_limit(built)
-    ends = sorted((built.to_count(limits[0] - approach_deg), built.to_count(limits[1])))
-    if ends[0] < 0 or ends[1] > COUNTS - 1:
-        raise ConfigError(
-            f"axis {name}: limits {limits[0]:g} to {limits[1]:g} deg, approached from {approach_deg:g} deg below, need "
-            f"counts {ends[0]:.0f} to {ends[1]:.0f}; a servo in Position mode has 0 to {COUNTS - 1}: narrow the limits "
-            f"or change devices.servos.axes.{name}.zero_count or gear_ratio"
-        )
-    return built
+    return _checked(Joint(bus, name, servo, axis, limits, table), approach_deg)
 
 
 def changer_joint(bus: Bus, changer: settings.Changer, approach_deg: float) -> Joint:
-    """The joint of the sample changer, which is no axis of a pose."""
+    """The joint of the sample changer, which is no axis of a pose; errors as of `joint`."""
     ends = sorted((changer.sample_deg, changer.reference_deg))
     axis = Axis(speed_deg_per_s=changer.speed_deg_per_s)
     table = dynamixel.control_table(changer.model, "devices.servos.changer.model")
-    built = Joint(bus, "changer", changer, axis, (ends[0], ends[1]), table)
-    _check_current_limit(built)
-    counts = sorted((built.to_count(ends[0] - approach_deg), built.to_count(ends[1])))
-    if counts[0] < 0 or counts[1] > COUNTS - 1:
-        raise ConfigError(
-            f"devices.servos.changer: its places need counts {counts[0]:.0f} to {counts[1]:.0f}; a servo in Position "
-            f"mode has 0 to {COUNTS - 1}"
-        )
-    return built
+    return _checked(Joint(bus, "changer", changer, axis, (ends[0], ends[1]), table), approach_deg)
+
+
+def _checked(joint: Joint, approach_deg: float) -> Joint:
+    _check_current_limit(joint)
+    joint.check_reach(approach_deg)
+    return joint
 
 
 def _check_current_limit(joint: Joint) -> None:
