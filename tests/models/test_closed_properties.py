@@ -157,9 +157,13 @@ def test_oren_nayar_without_roughness_is_lambert(
 
 @given(st.floats(0.2, 5.0), st.floats(0.0, 1.5), st.floats(0.0, 1.5), phis)
 def test_the_limit_of_no_absorption(n: float, theta_i: float, theta_r: float, phi: float) -> None:
-    dielectric, metal = (CookTorrance(ior=complex(n, k)).brdf(theta_i, 0.0, theta_r, phi) for k in (0.0, 1e-14))
-    # F changes by some k/n, and beyond the critical angle by sqrt(k): 1e-7
-    assert float(metal) == pytest.approx(float(dielectric), rel=1e-5, abs=1e-290)
+    dielectric, metal, mirror = (
+        float(CookTorrance(ior=ior).brdf(theta_i, 0.0, theta_r, phi))
+        for ior in (n, complex(n, 1e-14), complex(1.0, 1e8))
+    )
+    # F changes by some k/n, and beyond the critical angle by sqrt(k): 1e-7. Where n is nearly 1 it is of the order
+    # of k^2 / (4 c^4), with c at least cos(1.5): 1e-24 of what F = 1 gives
+    assert metal == pytest.approx(dielectric, rel=1e-5, abs=max(1e-24 * mirror, 1e-290))
 
 
 @given(st.floats(0.0, 1.0), indices)
