@@ -4,5 +4,6 @@ from __future__ import annotations
 
 from hypothesis import settings
 
-settings.register_profile("gonio", deadline=None)
+# the same examples in every run; `pytest --hypothesis-profile=default` draws others
+settings.register_profile("gonio", deadline=None, derandomize=True)
 settings.load_profile("gonio")
