@@ -170,7 +170,7 @@ class SerialLight:
             It was not; what has been exposed since the last look is worth nothing.
         """
         d = self._dialect
-        answer = self._ask(d.state.format(channel=self._channel))
+        answer = self._ask(d.state.format(channel=self._channel), f"{d.state_on}|{d.state_off}")
         is_on = re.fullmatch(d.state_on, answer) is not None
         if is_on == self.lit and (not self.lit or (self._level_kept() and self._band_kept())):
             return
@@ -190,7 +190,7 @@ class SerialLight:
         d = self._dialect
         if d.monitor is None:
             return None
-        return self._number(self._ask(d.monitor.format(channel=self._channel)), d.monitor_got)
+        return self._number(d.monitor.format(channel=self._channel), d.monitor_got)
 
     def __str__(self) -> str:
         return f"{self.identity or self._dialect.name} on {self._light.port}"
@@ -207,9 +207,13 @@ class SerialLight:
                     break
         for command in d.start:
             self._send(command)
-            self._line()
+            self._reply(d.acknowledge or "")
         try:
-            self.identity = self._ask(d.identify)
+            for _ in range(TRIES):
+                self.identity = self._ask(d.identify, d.identity)
+                if re.fullmatch(d.identity, self.identity):
+                    break
+                self._calm(missing=False)  # it may have answered what another program asked, or half a line
         except DeviceError as failure:
             raise DeviceError(
                 f'devices.light.port = "{self._light.port}": {failure}; is it on, is devices.light.dialect = '
@@ -247,7 +251,7 @@ class SerialLight:
         d = self._dialect
         for _ in range(TRIES):
             self._order(command.format(channel=channel))
-            state = self._ask(d.state.format(channel=channel))
+            state = self._ask(d.state.format(channel=channel), f"{d.state_on}|{d.state_off}")
             if re.fullmatch(wanted, state):
                 return
             log.warning('lamp on %s: after "%s" its state is "%s"; repeated', self._light.port, command, state)
@@ -257,7 +261,7 @@ class SerialLight:
         """A setting, read back; `resolution` is the largest difference that is none."""
         for _ in range(TRIES):
             self._order(command)
-            got = self._number(self._ask(query.format(channel=self._channel)), pattern)
+            got = self._number(query.format(channel=self._channel), pattern)
             if abs(got - value) <= resolution:
                 return
             log.warning('lamp on %s: after "%s" it reads back %g; repeated', self._light.port, command, got)
@@ -265,7 +269,7 @@ class SerialLight:
 
     def _level_kept(self) -> bool:
         d = self._dialect
-        got = self._number(self._ask(d.get.format(channel=self._channel)), d.got)
+        got = self._number(d.get.format(channel=self._channel), d.got)
         kept = abs(got - self._light.level * d.full_scale) <= d.resolution
         if kept and self._light.monitor_tolerance is not None and (seen := self.monitor()) is not None:
             first = self._monitored = self._monitored or seen
@@ -280,7 +284,7 @@ class SerialLight:
         d = self._dialect
         if d.selected is None or self._band is None:
             return True
-        return abs(self._number(self._ask(d.selected), d.selected_got) - self._band.centre_nm) <= WAVELENGTH_STEP_NM
+        return abs(self._number(d.selected, d.selected_got) - self._band.centre_nm) <= WAVELENGTH_STEP_NM
 
     def _settle(self) -> None:
         now = time.monotonic()
@@ -309,7 +313,7 @@ class SerialLight:
                     if not re.fullmatch(d.acknowledge, reply):
                         raise self._disappointment(command, reply)
                 if d.error_query is not None:
-                    error = self._ask(d.error_query)
+                    error = self._ask(d.error_query, d.no_error)
                     if not re.fullmatch(d.no_error, error):
                         raise Nak(f'the lamp on {self._light.port} refuses "{command}": {error}')
             except DeviceError as failure:
@@ -322,12 +326,12 @@ class SerialLight:
         assert last is not None
         raise last
 
-    def _ask(self, query: str) -> str:
-        """A query and its reply."""
+    def _ask(self, query: str, expected: str) -> str:
+        """A query and its reply; `expected` is the pattern of a usual one, which the caller compares."""
         last: DeviceError | None = None
         for attempt in range(TRIES):
             self._send(query)
-            reply = self._reply(f"{self._dialect.state_on}|{self._dialect.state_off}")
+            reply = self._reply(expected)
             if reply and not any(p and re.fullmatch(p, reply) for p in (self._dialect.refuse, self._dialect.banner)):
                 if attempt:
                     log.warning("lamp on %s: %s; answered at attempt %d", self._light.port, last, attempt + 1)
@@ -342,7 +346,8 @@ class SerialLight:
             return DeviceError(f'the lamp on {self._light.port} does not answer "{command}"')
         return Nak(f'the lamp on {self._light.port} answers "{command}" with "{reply}"')
 
-    def _number(self, reply: str, pattern: str) -> float:
+    def _number(self, query: str, pattern: str) -> float:
+        reply = self._ask(query, pattern)
         found = re.fullmatch(pattern, reply)
         try:
             return float(found.group(1))  # type: ignore[union-attr]
@@ -360,8 +365,10 @@ class SerialLight:
             raise ports.lost(self._light.port, error, "devices.light.port") from None
 
     def _reply(self, good: str) -> str:
-        """The first line that is no echo of what was sent (some controllers, and adapters, return it), or is `good`."""
-        while (line := self._line()) and line in self._sent and not re.fullmatch(good, line):
+        """The first line that is `good`, or that is neither an echo (some controllers return what was sent) nor the
+        acknowledgement of an earlier command."""
+        stale = re.compile(self._dialect.acknowledge or "(?!)")
+        while (line := self._line()) and not re.fullmatch(good, line) and (line in self._sent or stale.fullmatch(line)):
             pass
         self._silent = self._silent and not line
         return line
@@ -409,7 +416,7 @@ class SerialLight:
         d = self._dialect
         if d.error_query is not None:
             for _ in range(20):
-                if re.fullmatch(d.no_error, self._ask(d.error_query)):
+                if re.fullmatch(d.no_error, self._ask(d.error_query, d.no_error)):
                     return
             raise DeviceError(f"the lamp on {self._light.port} has an error queue that does not end")
 
