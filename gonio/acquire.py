@@ -296,10 +296,9 @@ class _Session:
         return self._taken(step, step.pose, readback, all_files, "", brightest)
 
     def _require_still(self, before: Pose, after: Pose) -> None:
-        for name, at in asdict(before).items():
-            axis = self._description.holder if name in ("tilt", "spin") else getattr(self._description.arms, name)
-            way_deg = math.degrees(abs(getattr(after, name) - at))
-            if axis is not None and way_deg > max(MOVED_STEPS * axis.encoder_step_deg, MOVED_DEG):
+        for name, axis in self._description.axes().items():
+            way_deg = math.degrees(abs(getattr(after, name) - getattr(before, name)))
+            if way_deg > max(MOVED_STEPS * axis.encoder_step_deg, MOVED_DEG):
                 raise Disturbed(f"axis {name} has moved by {way_deg:.2f} deg during the exposures")
 
     def _band(self, step: Step, seen: View, target: Target, band: Band) -> tuple[Files, float, float]:

@@ -264,6 +264,22 @@ class RigDescription(Strict):
     devices: dict[str, Any] = Field(default_factory=dict)
     """Ports, ids and dialects: checked by the rig's own driver."""
 
+    def axes(self) -> dict[str, Axis]:
+        """The axes that this rig has, by the name of their field in a `gonio.rig.Pose`, in the order of those fields.
+
+        Tilt and spin are both `holder`.
+        """
+        out: dict[str, Axis] = {"light": self.arms.light, "camera": self.arms.camera}
+        out |= {name: self.holder for name in ("tilt", "spin") if name in self.holder.axes}
+        if self.arms.azimuth is not None:
+            out["azimuth"] = self.arms.azimuth
+        return out
+
+    def limits_deg(self) -> dict[str, tuple[float, float]]:
+        """The range of each of `axes` [deg]."""
+        holder = {"tilt": self.holder.tilt_limits_deg, "spin": self.holder.spin_limits_deg}
+        return {n: axis.limits_deg if isinstance(axis, ArmAxis) else holder[n] for n, axis in self.axes().items()}
+
     @model_validator(mode="after")
     def _lens_focuses(self) -> RigDescription:
         if self.camera.focal_length_mm >= self.geometry.camera_distance_mm:

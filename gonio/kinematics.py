@@ -217,14 +217,7 @@ def _without_spin(poses: list[Pose], d: Directions) -> list[Pose]:
 
 def _inside_limits(description: RigDescription, pose: Pose) -> Pose:
     """The pose with every axis in its limits (whole turns are free), or `Unreachable` with the axis that is not."""
-    arms, holder = description.arms, description.holder
-    limits = {"light": arms.light.limits_deg, "camera": arms.camera.limits_deg}
-    if "tilt" in holder.axes:
-        limits["tilt"] = holder.tilt_limits_deg
-    if "spin" in holder.axes:
-        limits["spin"] = holder.spin_limits_deg
-    if arms.azimuth is not None:
-        limits["azimuth"] = arms.azimuth.limits_deg
+    limits = description.limits_deg()
     values = {name: getattr(pose, name) for name in limits}
     for name, (lower_deg, upper_deg) in limits.items():
         lower, upper = math.radians(lower_deg), math.radians(upper_deg)

@@ -19,7 +19,7 @@ from typing import Annotated
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from gonio.config import Strict, parse, read_toml
-from gonio.description import Axis, Band, Positive, RigDescription
+from gonio.description import Band, Positive, RigDescription
 from gonio.errors import ConfigError
 from gonio.kinematics import Directions, Unreachable, reach
 from gonio.rig import Pose, Step
@@ -371,19 +371,11 @@ def estimate_s(steps: list[Step], description: RigDescription, bands: int) -> fl
 
 
 def _move_s(start: Pose, goal: Pose, description: RigDescription) -> float:
-    arms, holder = description.arms, description.holder
-    axes: dict[str, Axis | None] = {
-        "light": arms.light,
-        "camera": arms.camera,
-        "tilt": holder,
-        "spin": holder,
-        "azimuth": arms.azimuth,
-    }
     approach = 2.0 * description.acquisition.approach_deg
     times = [
         (math.degrees(abs(getattr(goal, name) - getattr(start, name))) + approach) / axis.speed_deg_per_s
-        for name, axis in axes.items()
-        if axis is not None and getattr(goal, name) != getattr(start, name)
+        for name, axis in description.axes().items()
+        if getattr(goal, name) != getattr(start, name)
     ]
     return max(times, default=0.0)
 

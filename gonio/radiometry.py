@@ -178,13 +178,7 @@ def _columns(
 
 def _axes(description: RigDescription) -> dict[str, Axis]:
     """The axes whose angles a value depends on."""
-    arms = description.arms
-    axes: dict[str, Axis] = {"light": arms.light, "camera": arms.camera}
-    if "tilt" in description.holder.axes:
-        axes["tilt"] = description.holder
-    if arms.azimuth is not None:
-        axes["azimuth"] = arms.azimuth
-    return axes
+    return {name: axis for name, axis in description.axes().items() if name in CAUSES}
 
 
 def _encoder_steps(description: RigDescription) -> dict[str, float]:

@@ -66,8 +66,8 @@ class ServoArms:
         self._approach_deg = description.acquisition.approach_deg
         self.bus = Bus(servos.port, servos.baud)
         self.joints = {
-            name: joints.joint(self.bus, description, name, limits, servos.axes[name], self._approach_deg)  # type: ignore[index]
-            for name, limits in settings.axis_limits_deg(description).items()
+            name: joints.joint(self.bus, description, name, servos.axes[name], self._approach_deg)  # type: ignore[index]
+            for name in description.axes()
         }
         if servos.changer is not None:
             self.joints["changer"] = joints.changer_joint(self.bus, servos.changer, self._approach_deg)
@@ -76,7 +76,6 @@ class ServoArms:
         """An axis has failed: nothing moves any more until the rig is opened again."""
         self.stopped = False
         """Somebody has called `stop` since the last move."""
-        self._by_id = {joint.id: joint for joint in self.joints.values()}
 
     # ---- opening and leaving ----
 

@@ -311,17 +311,10 @@ def require_torque(bus: Bus, joints: Iterable[Joint]) -> None:
             raise DeviceError(f"axis {joint.name}: servo id {identity} has let go of its torque; all axes are stopped")
 
 
-def joint(
-    bus: Bus,
-    description: RigDescription,
-    name: str,
-    limits: tuple[float, float],
-    servo: settings.ServoAxis,
-    approach_deg: float,
-) -> Joint:
+def joint(bus: Bus, description: RigDescription, name: str, servo: settings.ServoAxis, approach_deg: float) -> Joint:
     """The joint of an axis of the rig; `ConfigError` where its limits are beyond a turn of its servo."""
-    axis = description.holder if name in ("tilt", "spin") else getattr(description.arms, name)
     table = dynamixel.control_table(servo.model, f"devices.servos.axes.{name}.model")
+    axis, limits = description.axes()[name], description.limits_deg()[name]
     return _checked(Joint(bus, name, servo, axis, limits, table), approach_deg)
 
 

@@ -145,23 +145,10 @@ class Devices(Strict):
         return self
 
 
-def axis_limits_deg(description: RigDescription) -> dict[str, tuple[float, float]]:
-    """Limits of the axes that a described rig has [deg]."""
-    arms, holder = description.arms, description.holder
-    out: dict[str, tuple[float, float]] = {"light": arms.light.limits_deg, "camera": arms.camera.limits_deg}
-    if "tilt" in holder.axes:
-        out["tilt"] = holder.tilt_limits_deg
-    if "spin" in holder.axes:
-        out["spin"] = holder.spin_limits_deg
-    if arms.azimuth is not None:
-        out["azimuth"] = arms.azimuth.limits_deg
-    return out
-
-
 def check_axes(servos: Servos, description: RigDescription) -> None:
     """Raise `ConfigError` where servos and axes of the rig do not belong together."""
-    limits = axis_limits_deg(description)
-    for name in limits:
+    known = description.axes()
+    for name in known:
         if name not in servos.axes:
             raise ConfigError(f"devices.servos.axes.{name} is missing: the rig has this axis, and no servo turns it")
     if (description.reference.how == "axis") != (servos.changer is not None):
@@ -170,5 +157,5 @@ def check_axes(servos: Servos, description: RigDescription) -> None:
             "way of reaching the reference has one"
         )
     for name in servos.axes:
-        if name not in limits:
-            raise ConfigError(f"devices.servos.axes.{name}: the rig has no axis {name}; it has {', '.join(limits)}")
+        if name not in known:
+            raise ConfigError(f"devices.servos.axes.{name}: the rig has no axis {name}; it has {', '.join(known)}")

@@ -162,12 +162,8 @@ def _verdict_lit(bright: float, black: float, scale: float, exposure_s: float) -
 
 def _small_moves(rig: Rig) -> list[tuple[str, float, float]]:
     """For every axis of the rig: how far from its goal it lands [deg], and how far it may."""
-    arms, holder = rig.description.arms, rig.description.holder
-    steps = {"light": arms.light, "camera": arms.camera} | {name: holder for name in holder.axes}
-    if arms.azimuth is not None:
-        steps["azimuth"] = arms.azimuth
     out = []
-    for name, axis in steps.items():
+    for name, axis in rig.description.axes().items():
         here = rig.arms.read()
         at = getattr(here, name)
         goal = replace(here, **{name: at - math.copysign(math.radians(LITTLE_DEG), at)})

@@ -21,7 +21,7 @@ from dataclasses import fields
 from gonio.description import Axis
 from gonio.errors import ConfigError
 from gonio.rig import Pose
-from gonio_sim.world import SETTLE_S, Stream, World, axes, limits_deg
+from gonio_sim.world import SETTLE_S, Stream, World
 
 AXES = tuple(field.name for field in fields(Pose))
 ROUNDING = 1e-9
@@ -72,14 +72,14 @@ class SimulatedArms:
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self._limits = {name: tuple(map(math.radians, pair)) for name, pair in limits_deg(world.description).items()}
+        self._limits = {name: tuple(map(math.radians, pair)) for name, pair in world.description.limits_deg().items()}
         self._approach = math.radians(world.description.acquisition.approach_deg)
         # out of each other's way: the light on its lower end, the camera on its upper end, the holder at zero
-        self._rest = {name: 0.0 for name in axes(world.description)}
+        self._rest = {name: 0.0 for name in world.description.axes()}
         self._rest["light"], self._rest["camera"] = self._limits["light"][0], self._limits["camera"][1]
         self._axes = {
             name: Mechanism(axis, world.zero_error[name], self._rest[name])
-            for name, axis in axes(world.description).items()
+            for name, axis in world.description.axes().items()
         }
         self._moves = 0
         self._publish()

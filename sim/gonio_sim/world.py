@@ -11,7 +11,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from gonio.description import Axis, Band, RigDescription, SampleDescription
+from gonio.description import Band, RigDescription, SampleDescription
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose, Target
 
@@ -66,7 +66,7 @@ class World:
         """True positions of the axes [rad]."""
         self.zero_error = {
             name: np.radians(axis.zero_u_deg) * self.normal(Stream.ZERO, number)
-            for number, (name, axis) in enumerate(axes(description).items())
+            for number, (name, axis) in enumerate(description.axes().items())
         }
         """What the calibration of each zero missed [rad]: the true position is the calibrated one minus this."""
         reference = description.reference
@@ -123,30 +123,8 @@ class World:
             raise DeviceError(f'the {device} of the simulated rig "{name}" is not open: enter the rig first')
 
 
-def axes(description: RigDescription) -> dict[str, Axis]:
-    """The axes that a described rig has, by the name of their field in a `Pose`."""
-    out: dict[str, Axis] = {"light": description.arms.light, "camera": description.arms.camera}
-    out |= {name: description.holder for name in ("tilt", "spin") if name in description.holder.axes}
-    if description.arms.azimuth is not None:
-        out["azimuth"] = description.arms.azimuth
-    return out
-
-
-def limits_deg(description: RigDescription) -> dict[str, tuple[float, float]]:
-    """The limits of the axes that a described rig has [deg]."""
-    arms, holder = description.arms, description.holder
-    known = {
-        "light": arms.light.limits_deg,
-        "camera": arms.camera.limits_deg,
-        "tilt": holder.tilt_limits_deg,
-        "spin": holder.spin_limits_deg,
-        "azimuth": arms.azimuth.limits_deg if arms.azimuth is not None else (0.0, 0.0),
-    }
-    return {name: known[name] for name in axes(description)}
-
-
 def slot_s(description: RigDescription) -> float:
     """Simulated duration of a step [s]: the longest travel of any axis, and `FRAMES_S` for the frames."""
-    limits = limits_deg(description)
-    travel = max((limits[n][1] - limits[n][0]) / axis.speed_deg_per_s for n, axis in axes(description).items())
+    limits = description.limits_deg()
+    travel = max((limits[n][1] - limits[n][0]) / axis.speed_deg_per_s for n, axis in description.axes().items())
     return travel + SETTLE_S + FRAMES_S

@@ -31,7 +31,7 @@ from gonio_sim.wire.lamps import LAMPS, Lamp, Shine
 from gonio_sim.wire.peer import Clock, Device, SerialPeer, scaled_clock
 from gonio_sim.wire.servo import Mechanics, Servo
 from gonio_sim.wire.tether import TetheredCamera
-from gonio_sim.world import World, axes
+from gonio_sim.world import World
 
 COUNTS = 4096
 START_DEG = {"light": -40.0, "camera": 40.0}
@@ -175,7 +175,7 @@ class Bench:
         built: dict[str, _Axis] = dict(servos.axes)
         if servos.changer is not None:
             built["changer"] = servos.changer
-        known = axes(description)
+        known = description.axes()
         self.servos: dict[str, Servo] = {}
         self.followers: dict[str, Follower] = {}
         for name, axis in built.items():
@@ -314,7 +314,7 @@ def _parsed(description: RigDescription) -> _Devices:
         raise ConfigError(
             f'devices.light.dialect = "{devices.light.dialect}" has no twin; twins speak {", ".join(LAMPS)}'
         )
-    missing = [name for name in axes(description) if name not in devices.servos.axes]
+    missing = [name for name in description.axes() if name not in devices.servos.axes]
     if missing:
         raise ConfigError(f"devices.servos.axes.{missing[0]} is missing: the rig has this axis, and no servo turns it")
     return devices
