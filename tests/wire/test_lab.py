@@ -68,7 +68,7 @@ def small(**changes: dict[str, Any]) -> RigDescription:
 
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
-    monkeypatch.setattr("gonio.frames.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
+    monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
     monkeypatch.setattr(tether, "FILE_LATE_S", 0.5)
     with Bench(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
         yield served
@@ -137,7 +137,7 @@ def test_an_unwell_servo_ends_the_measurement_in_the_dark_and_at_rest(bench: Ben
 @pytest.mark.skipif("GONIO_INJECTIONS" not in os.environ, reason="a campaign for a person: GONIO_INJECTIONS=200")
 def test_campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every fault at random moments, again and again; a line for each goes to GONIO_CAMPAIGN_LOG."""
-    monkeypatch.setattr("gonio.frames.os.fsync", lambda descriptor: None)
+    monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)
     monkeypatch.setattr(tether, "FILE_LATE_S", 0.5)
     rng = random.Random(2024)
     with open(os.environ.get("GONIO_CAMPAIGN_LOG", os.devnull), "a", encoding="utf-8") as log:
@@ -221,7 +221,10 @@ def test_nobody_is_told_that_arms_are_parked_that_are_not(bench: Bench, tmp_path
 
 
 def test_ctrl_c_in_a_check_says_what_it_has_done(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rigs, "checks", lambda choice, move: os.kill(os.getpid(), signal.SIGINT))
+    def pressed(choice: RigChoice, *, move: bool) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(rigs, "checks", pressed)
     monkeypatch.setattr("gonio.session.find_rig", lambda rig: RigChoice(LAB, bench.description, rig))
     with pytest.raises(Interrupted, match="the lamp is dark"):
         rigs.check("twin")
@@ -261,7 +264,7 @@ def test_rapid_ctrl_c_ends_with_130_and_one_message(bench: Bench, tmp_path: Path
     assert bench.quiet
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGQUIT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGUSR1])  # background jobs are deaf to SIGQUIT
 def test_a_signal_leaves_the_rig_dark(bench: Bench, number: signal.Signals) -> None:
     with pytest.raises(Interrupted, match=number.name), opened(bench) as rig:  # noqa: PT012
         rig.light.select(rig.description.bands.all()[0])
