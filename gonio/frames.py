@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-import os
 import struct
 from dataclasses import dataclass
 from fractions import Fraction
@@ -20,6 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gonio.disk import write_whole
 from gonio.errors import ArgumentError, DataError
 from gonio.rig import Frame
 
@@ -54,17 +54,9 @@ def write_dng(frame: Frame, path: str | Path) -> None:
     """
     path = Path(path)
     _check(frame)
-    data = encode_dng(frame)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        with open(temporary, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
+        write_whole(path, encode_dng(frame))
     except OSError as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
         raise DataError(f"{path}: the frame cannot be written: {error.strerror or error}") from None
 
 

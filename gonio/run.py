@@ -29,7 +29,9 @@ from typing import TYPE_CHECKING, Any, Self
 
 from gonio.config import Strict, parse, to_toml
 from gonio.description import Band, RigDescription, SampleDescription
+from gonio.disk import half_written, sync_folder, write_whole
 from gonio.errors import ConfigError, DataError
+from gonio.formats.native import meta_path
 from gonio.journal import Event, Journal, read_events
 from gonio.plan import ANGLES, Assessed, Plan
 
@@ -105,13 +107,13 @@ class Run:
             if journal.events:
                 raise _needs_resume(path)
             shutil.rmtree(path / "frames", ignore_errors=True)
-            for left in [entry for entry in path.iterdir() if _half(entry.name)]:
+            for left in [entry for entry in path.iterdir() if half_written(entry.name, OURS)]:
                 left.unlink()
             (path / "frames").mkdir()
             settings = _settings(request, _with_reference_table(path, request.description))
-            _write(path / "plan.csv", _plan_csv(request.points))
-            _write(path / "run.toml", to_toml(settings.model_dump(mode="json", exclude_none=True)))
-            _sync_folder(path)
+            write_whole(path / "plan.csv", _plan_csv(request.points).encode())
+            write_whole(path / "run.toml", to_toml(settings.model_dump(mode="json", exclude_none=True)).encode())
+            sync_folder(path)
         except BaseException as error:
             if journal is not None and not journal.events:  # the folder is ours, and nothing has happened in it
                 for name in OURS:
@@ -267,7 +269,8 @@ def check_new(path: Path) -> None:
     if path.is_dir():
         if begun(path):
             raise _needs_resume(path)
-        foreign = sorted(entry.name for entry in path.iterdir() if entry.name not in OURS and not _half(entry.name))
+        names = sorted(entry.name for entry in path.iterdir())
+        foreign = [name for name in names if name not in OURS and not half_written(name, OURS)]
         if foreign and not (path / "run.toml").exists():
             raise ConfigError(f'{path}: is not empty (it holds "{foreign[0]}"); a run needs a folder of its own')
     check_writable(path)
@@ -370,10 +373,9 @@ def _with_reference_table(path: Path, description: RigDescription) -> RigDescrip
     source = Path(table)
     name = "reference.csv"
     try:
-        _write(path / name, source.read_bytes())
-        meta = source.with_name(source.stem + ".meta.json")
-        if meta.exists():
-            _write(path / "reference.meta.json", meta.read_bytes())
+        write_whole(path / name, source.read_bytes())
+        if meta_path(source).exists():
+            write_whole(meta_path(path / name), meta_path(source).read_bytes())
     except FileNotFoundError:
         raise ConfigError(f"{source}: the table of the white reference ([reference] table) is not there") from None
     return description.model_copy(update={"reference": description.reference.model_copy(update={"table": name})})
@@ -408,33 +410,6 @@ def _make_folder(path: Path) -> list[Path]:
                 folder.rmdir()
         raise ConfigError(f"{path}: cannot be made: {error.strerror}") from None
     return missing
-
-
-def _write(path: Path, content: str | bytes) -> None:
-    """Write a whole file or nothing, synced to the disk."""
-    temporary = path.with_name(f".{path.name}.new")
-    try:
-        with temporary.open("wb") as file:
-            file.write(content.encode() if isinstance(content, str) else content)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-
-
-def _half(name: str) -> bool:
-    """Whether a file is one of ours that a process which died was writing."""
-    return name.startswith(".") and name.endswith(".new") and name[1:-4] in OURS
-
-
-def _sync_folder(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _needs_resume(path: Path) -> ConfigError:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import re
-import shutil
 import threading
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -13,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from gonio.description import Band
+from gonio.disk import sync_folder, write_whole
 from gonio.errors import DataError
 from gonio.frames import write_dng
 from gonio.rig import Frame, Step
@@ -39,7 +38,7 @@ class Store:
             if frame.file is None:
                 write_dng(frame, path)
             else:
-                _adopt(frame.file, path)
+                write_whole(path, frame.file.read_bytes())  # the camera's own
             with path.open("rb") as file:
                 return hashlib.file_digest(file, "sha256").hexdigest()
         except OSError as error:
@@ -49,13 +48,10 @@ class Store:
 
     def sync(self) -> None:
         """Wait until the names of the frames are on the disk too."""
-        handle = os.open(self._folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
+        sync_folder(self._folder)
 
     def close(self) -> None:
+        """End the thread; frames that wait are not written any more."""
         self._pool.shutdown(cancel_futures=True)
 
 
@@ -72,6 +68,7 @@ class Files:
     written: list[Future[str]] = field(default_factory=list)
 
     def keep(self, frame: Frame) -> None:
+        """Begin to write a frame, and note what the journal will say of it."""
         suffix = ".dng" if frame.file is None else frame.file.suffix.lower()
         name = f"{self.step.index:06d}-{self.slug}-{len(self.frames) + 1:02d}{suffix}"
         self.frames.append(
@@ -84,18 +81,6 @@ class Files:
             }
         )
         self.written.append(self.store.put(frame, name))
-
-
-def _adopt(source: Path, path: Path) -> None:
-    """Copy a camera's own raw file, whole or not at all."""
-    temporary = path.with_name(f".{path.name}.new")
-    try:
-        shutil.copyfile(source, temporary)
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def slugs(bands: tuple[Band, ...]) -> dict[str, str]:

@@ -11,7 +11,6 @@ import csv
 import io
 import json
 import math
-import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from gonio.disk import write_whole
 from gonio.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
@@ -361,7 +361,7 @@ def single(frame: pd.DataFrame, path: Path, format_name: str) -> None:
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:
-    """Write a whole file or nothing: under a temporary name, synced, then renamed.
+    """Write a whole file or nothing (`gonio.disk.write_whole`).
 
     Raises
     ------
@@ -371,15 +371,7 @@ def write_bytes(path: str | Path, data: bytes) -> None:
     path = Path(path)
     if not path.parent.is_dir():
         raise ConfigError(f"{path}: cannot be written: there is no folder {path.parent}")
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        try:
-            with open(partial, "wb") as stream:
-                stream.write(data)
-                stream.flush()
-                os.fsync(stream.fileno())
-            os.replace(partial, path)
-        finally:
-            partial.unlink(missing_ok=True)
+        write_whole(path, data)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None

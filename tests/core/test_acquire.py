@@ -276,7 +276,7 @@ def test_nothing_is_left_of_a_run_that_cannot_be_made(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("gonio.run._sync_folder", full)
+    monkeypatch.setattr("gonio.run.sync_folder", full)
     with pytest.raises(ConfigError, match="No space left"):
         measure("deep/er/run")
     assert not (tmp_path / "deep").exists()
@@ -288,9 +288,9 @@ def test_a_process_that_died_while_it_made_the_folder_is_no_obstacle(
 ) -> None:
     (tmp_path / "run" / "frames").mkdir(parents=True)
     (tmp_path / "run" / "journal.jsonl").touch()
-    (tmp_path / "run" / f".{name}.new").write_text("half")
+    (tmp_path / "run" / f".{name}.4711.new").write_text("half")
     run = measure("run")
-    assert not (run.path / f".{name}.new").exists()
+    assert not (run.path / f".{name}.4711.new").exists()
     assert len(run.steps()) == len(measure("other").steps())
 
 
