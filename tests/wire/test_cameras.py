@@ -53,7 +53,7 @@ class Tether:
 
 @pytest.fixture
 def tethered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Tether]:
-    monkeypatch.setattr("gonio.frames.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
+    monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
     monkeypatch.setattr(tether, "FILE_LATE_S", 1.4)  # later than the driver waits
     exposed: list[float] = []
 
