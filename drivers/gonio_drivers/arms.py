@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import logging
 import math
+import statistics
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -32,6 +33,8 @@ POLL_S = 0.020
 GRACE_S = 3.0
 """A move may take twice its time, and this."""
 RELEASES = 3
+LOOKS, SECOND_LOOKS = 5, 9
+"""Readings that tell where an axis has landed, and whether it has left that place."""
 ROUNDING = 1e-9
 
 
@@ -135,10 +138,9 @@ class ServoArms:
         self.stopped = False
         try:
             self._approach(goals)
-            reading = self._readback()
-            for name, count in reading.counts.items():
+            for name, count in self._places(LOOKS).items():
                 self.joints[name].stood_at = count
-            return reading.pose
+            return self._readback().pose
         except DeviceError:
             self.stop()
             self.faulted = True
@@ -211,25 +213,41 @@ class ServoArms:
         DeviceError
             It is far from its place, or its servo is unwell; every axis has been stopped.
         """
-        disturbed = ""
-        for name, report in joints.reports(self.bus, self.joints.values()).items():
+        reports = joints.reports(self.bus, self.joints.values())
+        for name, report in reports.items():
             joint = self.joints[name]
-            if joint.stood_at is not None and abs(report.position - joint.stood_at) > STILL_COUNTS:
-                disturbed = (
-                    f"axis {name} has moved by itself, from {joint.to_deg(joint.stood_at):.2f} to "
-                    f"{joint.to_deg(report.position):.2f} deg"
-                )
-                if joint.distance_deg(joint.stood_at, report.position) > LARGEST_CORRECTION_DEG:
-                    self._fail(f"{disturbed}; all axes are stopped")
-                joint.landed_at = joint.stood_at = None
             if report.profile != joint.profile:
                 self._fail(f"axis {name}: servo id {joint.id} has restarted by itself; all axes are stopped")
+        disturbed = ""
+        places: Mapping[str, float] = {name: report.position for name, report in reports.items()}
+        if self._strayed(places):  # or is it the encoder that flickers?
+            places = self._places(SECOND_LOOKS)
+        for name, place in self._strayed(places).items():
+            joint = self.joints[name]
+            assert joint.stood_at is not None
+            disturbed = (
+                f"axis {name} has moved by itself, from {joint.to_deg(joint.stood_at):.2f} to "
+                f"{joint.to_deg(place):.2f} deg"
+            )
+            if joint.distance_deg(joint.stood_at, place) > LARGEST_CORRECTION_DEG:
+                self._fail(f"{disturbed}; all axes are stopped")
+            joint.landed_at = joint.stood_at = None
         try:
             joints.require_torque(self.bus, self.joints.values())
         except DeviceError as failure:
             self._fail(str(failure))
         if disturbed:
             raise Disturbed(disturbed)
+
+    def _strayed(self, places: Mapping[str, float]) -> dict[str, float]:
+        """Those of these counts that are elsewhere than where their axes landed."""
+        landed = {name: joint.stood_at for name, joint in self.joints.items() if joint.stood_at is not None}
+        return {n: place for n, place in places.items() if n in landed and abs(place - landed[n]) > STILL_COUNTS}
+
+    def _places(self, looks: int) -> dict[str, float]:
+        """Where the axes stand: the mean of several readings [counts]."""
+        seen = [joints.reports(self.bus, self.joints.values()) for _ in range(looks)]
+        return {name: statistics.fmean(reports[name].position for reports in seen) for name in seen[0]}
 
     def _fail(self, message: str) -> NoReturn:
         self.stop()
@@ -352,7 +370,7 @@ class ServoArms:
             "axis %s: nothing came over the bus for %g s, and the servo stopped; sent on", joint.name, watchdog.PERIOD_S
         )
         joint.write(watchdog.ITEM, watchdog.OFF)
-        self.bus.write(joint.id, joint.table["Profile Acceleration"].address, joint.profile)
+        joint.send_profile()
         joint.write("Goal Position", landing.sent)
         joint.write(watchdog.ITEM, watchdog.UNITS)
         landing.begin(now)
@@ -403,6 +421,7 @@ class ServoArms:
         return (
             f"axis {name} (servo id {joint.id}) stands at {joint.to_deg(report.position):.2f} deg instead of "
             f"{joint.to_deg(landing.goal):.2f} deg, current {report.current} of {joint.full_current}"
+            f"{', and says that it moves' if report.moving or report.under_way else ''}"
         )
 
     # ---- reading ----

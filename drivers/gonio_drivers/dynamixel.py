@@ -49,6 +49,10 @@ ALERT = 0x80
 QUIET_S = 0.060
 """How long the line is left alone after a failure, for replies that are still on their way."""
 TRIES = 4
+ENOUGH = 3
+"""Sync reads without any answer, of servos that answer one by one, after which no more are asked."""
+BABBLE_S = 1.0
+"""A line that does not fall silent for this long never does."""
 BAUD_RATES = (57_600, 1_000_000, 115_200, 2_000_000, 3_000_000, 4_000_000, 9_600)
 
 ERRORS = {
@@ -153,6 +157,8 @@ class Bus:
         """Ids whose last status packet had the alert bit."""
         self.recovered = 0
         """Failures that a repetition has mended."""
+        self.unheard = 0
+        """Sync reads in a row that nobody has answered."""
         self.noisy = 0
         """Answers with bytes beside them that belong to none."""
         self._port = ExclusivePort(port)
@@ -207,22 +213,30 @@ class Bus:
 
     # ---- several servos ----
 
-    def discover(self) -> dict[int, tuple[int, int]]:
-        """Model number and firmware version by id of every servo that answers a broadcast ping at this line speed."""
+    def discover(self, rounds: int = 2) -> dict[int, tuple[int, int]]:
+        """Model number and firmware version by id of every servo that answers a broadcast ping at this line speed.
+
+        It is asked `rounds` times, 0.8 s each: what is damaged or lost in one is heard in another.
+        """
+        found: dict[int, tuple[int, int]] = {}
         with self._lock:
-            try:
-                self._calm(0.0)
-                found, _ = self._packets.broadcastPing(self._port)  # empty, or damaged where replies collided
-            except ports.FAILURES as error:
-                raise ports.lost(self.port, error, f"{self.key}.port") from None
-            finally:
-                self._port.is_using = False
-            return {identity: (entry[0], entry[1]) for identity, entry in sorted(found.items())}
+            for _ in range(rounds):
+                try:
+                    self._calm(0.0)
+                    heard, _ = self._packets.broadcastPing(self._port)  # empty, or damaged where replies collided
+                except ports.FAILURES as error:
+                    raise ports.lost(self.port, error, f"{self.key}.port") from None
+                finally:
+                    self._port.is_using = False
+                found |= {identity: (entry[0], entry[1]) for identity, entry in heard.items()}
+        return dict(sorted(found.items()))
 
     def read_all(self, ids: Iterable[int], address: int, size: int) -> dict[int, bytes]:
         """The same block of several servos, by one sync read; those that fail in it are read one by one."""
         wanted = list(ids)
         with self._lock:
+            if self.unheard >= ENOUGH:
+                return {identity: self.read(identity, address, size) for identity in wanted}
             try:
                 blocks = self._sync_read(wanted, address, size)
             except ports.FAILURES as error:
@@ -237,6 +251,9 @@ class Bus:
                     blocks[identity] = self.read(identity, address, size)
                 self.recovered += 1
                 log.warning("servo bus %s: sync read without an answer of id %s; repeated", self.port, missing)
+            self.unheard = self.unheard + 1 if missing == wanted else 0
+            if self.unheard == ENOUGH:
+                log.warning("servo bus %s: nobody answers a sync read; asking one by one from now on", self.port)
             return blocks
 
     def glance(self, ids: Iterable[int], address: int, size: int) -> dict[int, bytes]:
@@ -338,6 +355,8 @@ class Bus:
             reply, result = self._packets.rxPacket(self._port, False)
             answered += len(reply)
             if result == COMM_SUCCESS and reply[4] in ids:
+                if any(ids.index(known) >= ids.index(reply[4]) for known in blocks):
+                    return {}  # servos answer in turn: one of these is the answer to something older
                 try:
                     blocks[reply[4]] = self._data(reply[4], reply, size)
                 except BusError:
@@ -360,10 +379,16 @@ class Bus:
         """Let late replies come, and drop them."""
         self._require_open()
         self._port.is_using = False
+        end = time.monotonic() + quiet_s + BABBLE_S
         try:
             time.sleep(quiet_s)
             while self._port.readPort(1024):
                 time.sleep(WAIT_S)
+                if time.monotonic() > end:
+                    raise DeviceError(
+                        f'{self.key}.port = "{self.port}": something else talks on this line without a pause; is this '
+                        f"the servos' port, and {self.baud} their line speed?"
+                    )
             self._port.clearPort()
         except ports.FAILURES as error:
             raise ports.lost(self.port, error, f"{self.key}.port") from None
@@ -394,7 +419,7 @@ def scan(port: str, *, without: int, key: str = "devices.servos") -> tuple[int, 
     for baud in BAUD_RATES:
         if baud != without:
             with Bus(port, baud, key=key) as bus:
-                servos = bus.discover()
+                servos = bus.discover(rounds=1)
             if servos:
                 return baud, servos
     return None

@@ -21,6 +21,7 @@ COUNTS = 4096
 VELOCITY_UNIT_DEG_S = 0.229 * 6
 ACCELERATION_UNIT_DEG_S2 = 214.577 * 360 / 3600
 POSITION_MODE = 3
+SHADOW, LAST_ID, NO_ID = "Secondary(Shadow) ID", 252, 255
 PROFILE_ONGOING = 0x02
 """Bit of the Moving Status."""
 HOT_MARGIN_C = 3
@@ -56,7 +57,7 @@ class Joint:
     limits_deg: tuple[float, float]
     table: dict[str, Item]
     max_temperature_c: int = 80
-    voltage_limits_v: tuple[float, float] = (9.5, 16.0)
+    voltage_limits_v: tuple[float, float] = (3.5, 30.0)
     count_limits: tuple[int, int] = (0, COUNTS - 1)
     full_current: int = 0
     profile: bytes = b""
@@ -65,8 +66,8 @@ class Joint:
     """Of the axis, with that profile."""
     has_watchdog: bool = True
     health: Health | None = None
-    stood_at: int | None = None
-    """Count that was read where it landed."""
+    stood_at: float | None = None
+    """Count that was read where it landed; the mean of several, since encoders flicker."""
     landed_at: float | None = None
     """Goal [counts] that the axis stands at, reached from below; None where it may have been moved since."""
 
@@ -138,6 +139,8 @@ class Joint:
         wanted = {"Operating Mode": POSITION_MODE, "Drive Mode": 0, "Homing Offset": 0}
         if self.servo.current_limit is not None:
             wanted["Current Limit"] = self.servo.current_limit
+        if self.get(SHADOW) <= LAST_ID:  # it would obey what is meant for another servo
+            wanted[SHADOW] = NO_ID
         wrong = {name: value for name, value in wanted.items() if self.get(name) != value}
         if wrong:
             changes = ", ".join(f"{name} = {value}" for name, value in wrong.items())
@@ -159,7 +162,8 @@ class Joint:
         acceleration = max(1, int(acceleration_deg_per_s2 * gear / ACCELERATION_UNIT_DEG_S2))
         self.profile = self.table["Profile Acceleration"].encode(acceleration)
         self.profile += self.table["Profile Velocity"].encode(speed)
-        self.bus.write(self.id, self.table["Profile Acceleration"].address, self.profile)
+        self.send_profile()
+        self._require_profile()
         position = self.get("Present Position")
         if not self.count_limits[0] <= position <= self.count_limits[1]:
             raise DeviceError(
@@ -172,6 +176,24 @@ class Joint:
         if self.get("Torque Enable") != 1:
             raise DeviceError(f"axis {self.name}: servo id {self.id} does not take its torque")
 
+    def send_profile(self) -> None:
+        """Give the servo its acceleration and velocity."""
+        for name, value in self._profile(self.profile).items():
+            self.write(name, value)
+
+    def _require_profile(self) -> None:
+        """A servo without its profile would turn as fast as it can."""
+        kept = self.bus.read(self.id, self.table["Profile Acceleration"].address, len(self.profile))
+        if kept != self.profile:
+            raise DeviceError(
+                f"axis {self.name}: servo id {self.id} does not keep its profile: it has {self._profile(kept)} "
+                f"instead of {self._profile(self.profile)}"
+            )
+
+    def _profile(self, block: bytes) -> dict[str, int]:
+        start = self.table["Profile Acceleration"].address
+        return {n: self.table[n].decode(block, start) for n in ("Profile Acceleration", "Profile Velocity")}
+
     def _clear_watchdog(self) -> None:
         """One that has run out bars every goal, and tells of a program that died; old firmware has none."""
         found = watchdog.OFF
@@ -181,7 +203,7 @@ class Joint:
             self.write(watchdog.ITEM, watchdog.UNITS)
             self.has_watchdog = self.get(watchdog.ITEM) == watchdog.UNITS
             self.write(watchdog.ITEM, watchdog.OFF)
-        except dynamixel.Refusal:
+        except (dynamixel.Refusal, dynamixel.BusError):  # one that has gone silent altogether shows at the next step
             self.has_watchdog = False
         if not self.has_watchdog:
             log.warning(
@@ -218,7 +240,7 @@ class Joint:
                 f"{self.max_temperature_c} C; let it cool down, and look for what it works against"
             )
         low, high = self.voltage_limits_v
-        if not low <= health.voltage_v <= high:
+        if health.voltage_v and not low <= health.voltage_v <= high:  # a servo without a supply says nothing at all
             raise DeviceError(
                 f"axis {self.name}: servo id {self.id} has {health.voltage_v:.1f} V, needs {low:.1f} to {high:.1f} V"
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import pty
@@ -78,6 +79,12 @@ def at_rest(line: Line) -> bool:
     return False
 
 
+def deaf_to(line: Line, part: bytes) -> None:
+    """The servos hear nothing of a packet that holds these bytes."""
+    receive = line.bus.receive
+    line.bus.receive = lambda data, baud, send: None if part in data else receive(data, baud, send)  # type: ignore[method-assign]
+
+
 # ---- opening ----
 
 
@@ -113,9 +120,35 @@ def test_wrong_modes_offsets_and_silence_are_put_right(line: Line) -> None:
         assert line.servos[3].get("Status Return Level") == 2
 
 
-def test_discovery_by_broadcast_ping(line: Line) -> None:
+def test_discovery_by_broadcast_ping_hears_again_what_was_damaged(line: Line) -> None:
     with Bus(line.port, BAUD) as bus:
+        line.faults.arm("corrupt-crc", servo=2)
         assert bus.discover() == {k: (1020, 46) for k in (1, 2, 3)}
+
+
+def test_a_servo_that_obeys_a_second_id_is_put_right(line: Line) -> None:
+    line.servos[2].write(12, b"\x01")  # what is meant for servo 1
+    with ServoArms(describe(), servos(line.port)):
+        assert line.servos[2].get("Secondary(Shadow) ID") == 255
+
+
+def test_a_servo_that_keeps_no_profile_is_not_moved(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    put = line.servos[2]._put
+    monkeypatch.setattr(line.servos[2], "_put", lambda n, v: put(n, 0 if n == "Profile Velocity" else v))
+    fast = ServoArms(describe(), servos(line.port))
+    with (
+        pytest.raises(DeviceError, match=r"axis camera: servo id 2 does not keep its profile.*'Profile Velocity': 0"),
+        fast,
+    ):
+        pass
+    assert not line.servos[2].torque
+
+
+def test_a_servo_that_measures_no_voltage_is_not_taken_for_one_without_a_supply(line: Line) -> None:
+    put = line.servos[2]._put
+    line.servos[2]._put = lambda n, v: put(n, 0 if n == "Present Input Voltage" else v)  # type: ignore[method-assign]
+    with ServoArms(describe(), servos(line.port)) as arms:
+        assert arms.joints["camera"].health.voltage_v == 0  # type: ignore[union-attr]
 
 
 def test_wrong_id_names_what_is_there(line: Line) -> None:
@@ -402,16 +435,18 @@ def test_a_servo_that_stops_again_and_again_is_an_error_that_says_why(
     assert at_rest(line)
 
 
-@pytest.mark.parametrize("refuses", [True, False])
+@pytest.mark.parametrize("answer", ["a refusal", "nothing is kept", "none"])
 def test_old_firmware_without_a_watchdog_moves_and_says_so(
-    line: Line, caplog: pytest.LogCaptureFixture, refuses: bool
+    line: Line, caplog: pytest.LogCaptureFixture, answer: str
 ) -> None:
     for servo in line.servos.values():
         read, put = servo.read, servo._put
-        if refuses:
+        if answer == "a refusal":
             servo.read = lambda a, n, read=read: refuse() if a == 98 else read(a, n)  # type: ignore[method-assign]
-        else:  # there is nothing, and nothing is kept
+        else:
             servo._put = lambda n, v, put=put: put(n, 0 if n == "Bus Watchdog" else v)  # type: ignore[method-assign]
+    if answer == "none":
+        deaf_to(line, bytes([p2.READ, 98, 0]))
 
     def refuse() -> bytes:
         raise Refused(p2.ACCESS_ERROR)
@@ -502,6 +537,18 @@ def test_an_axis_that_moves_by_itself_is_noticed(arms: ServoArms, line: Line) ->
     while line.servos[1].moves():
         pass
     with pytest.raises(DeviceError, match=r"axis light has moved by itself"):
+        arms.still()
+
+
+def test_a_flicker_of_the_encoder_is_no_motion(arms: ServoArms, line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two counts to one side while it landed, and two to the other side: four apart, and nothing has moved."""
+    flicker: Iterator[int] = itertools.repeat(2)
+    put = line.servos[1]._put
+    flickers = lambda name, value: put(name, value + (next(flicker) if name == "Present Position" else 0))  # noqa: E731
+    monkeypatch.setattr(line.servos[1], "_put", flickers)
+    arms.move(pose(10, 0, 0))
+    flicker = itertools.cycle([-2, 2])
+    for _ in range(4):
         arms.still()
 
 
@@ -629,6 +676,42 @@ def test_one_silent_servo_fails_the_group_and_never_reads_as_zero(line: Line) ->
         assert {k: int.from_bytes(v, "little") for k, v in blocks.items()} == {1: 1500, 3: 2500}
         with pytest.raises(dynamixel.BusError, match=r"servo id 2"):
             bus.read_all([1, 2, 3], 132, 4)
+
+
+def test_servos_that_know_no_sync_read_are_asked_one_by_one(line: Line, caplog: pytest.LogCaptureFixture) -> None:
+    deaf_to(line, bytes([p2.SYNC_READ, 132, 0]))
+    with Bus(line.port, BAUD) as bus:
+        for _ in range(5):
+            blocks = bus.read_all([1, 2, 3], 132, 4)
+            assert {k: int.from_bytes(v, "little") for k, v in blocks.items()} == {1: 1500, 2: 2000, 3: 2500}
+        assert bus.unheard == 3  # it was tried three times, and no more
+    assert "nobody answers a sync read" in caplog.text
+
+
+def test_an_answer_out_of_turn_is_older_than_the_question() -> None:
+    """A repeated packet of the last servo comes first: its old position is none for now."""
+
+    def reply(packet: p2.Packet) -> bytes:
+        if packet.instruction == p2.PING:
+            return p2.status(packet.id, 0, b"\xfc\x03\x2e")
+        if packet.instruction == p2.READ:
+            return p2.status(packet.id, 0, bytes([packet.id]))
+        return p2.status(3, 0, b"\xee") + b"".join(p2.status(k, 0, bytes([k])) for k in (1, 2, 3))
+
+    port, end = answering(reply)
+    try:
+        with Bus(port, BAUD) as bus:
+            assert bus.read_all([1, 2, 3], 132, 1) == {1: b"\x01", 2: b"\x02", 3: b"\x03"}
+    finally:
+        end()
+
+
+def test_a_line_that_is_never_silent_is_no_servo_bus(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dynamixel, "BABBLE_S", 0.02)
+    with Bus(line.port, BAUD) as bus:
+        monkeypatch.setattr(bus._port, "readPort", lambda length: b"\x2a" * length)
+        with pytest.raises(DeviceError, match=r"something else talks on this line without a pause"):
+            bus.discover()
 
 
 def test_values_are_signed(line: Line) -> None:
