@@ -145,6 +145,14 @@ class Camera(Strict):
         """The highest value that a pixel can take [DN]."""
         return float(2**self.bits - 1)
 
+    def require_exposure(self, exposure_s: float) -> None:
+        """Raise `ConfigError` for an exposure outside `exposure_limits_s`."""
+        shortest, longest = self.exposure_limits_s
+        if not shortest * (1 - 1e-9) <= exposure_s <= longest * (1 + 1e-9):
+            raise ConfigError(
+                f"an exposure of {exposure_s:g} s is outside camera.exposure_limits_s, {shortest:g} to {longest:g} s"
+            )
+
 
 class Reference(Strict):
     """The white reference: how it is reached, and what its certificate says."""

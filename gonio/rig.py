@@ -7,6 +7,7 @@ arms.
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -16,8 +17,28 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.description import Band, RigDescription, SampleDescription
+from gonio.errors import DeviceError
 
 Target = Literal["sample", "reference"]
+PROMPTS: dict[Target, str] = {
+    "reference": "Put the white reference into the holder, then press Enter: ",
+    "sample": "Put the sample back into the holder, then press Enter: ",
+}
+
+
+def ask_for(target: Target) -> None:
+    """Ask on the terminal for sample or white reference to be put into the holder by hand, and wait until it is.
+
+    Raises
+    ------
+    DeviceError
+        There is no terminal.
+    """
+    print(PROMPTS[target], end="", file=sys.stderr, flush=True)
+    if not sys.stdin.readline():
+        raise DeviceError(
+            f"the {target} must be put into the holder, and there is no terminal to confirm it; --yes asks for none"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,13 +128,20 @@ class Rig(Protocol):
     """A goniometer that is open."""
 
     @property
-    def description(self) -> RigDescription: ...
+    def description(self) -> RigDescription:
+        """Its rig file."""
+
     @property
-    def arms(self) -> ArmsDevice: ...
+    def arms(self) -> ArmsDevice:
+        """Its axes, all together."""
+
     @property
-    def light(self) -> LightDevice: ...
+    def light(self) -> LightDevice:
+        """Its lamp."""
+
     @property
-    def camera(self) -> CameraDevice: ...
+    def camera(self) -> CameraDevice:
+        """Its camera."""
 
     @property
     def repeatable(self) -> bool:

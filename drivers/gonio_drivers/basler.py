@@ -75,11 +75,7 @@ class BaslerCamera:
 
         if self._camera is None:
             raise DeviceError("the Basler camera is not open: enter the rig first")
-        shortest, longest = self._description.exposure_limits_s
-        if not shortest * (1 - 1e-9) <= exposure_s <= longest * (1 + 1e-9):
-            raise ConfigError(
-                f"an exposure of {exposure_s:g} s is outside camera.exposure_limits_s, {shortest:g} to {longest:g} s"
-            )
+        self._description.require_exposure(exposure_s)
         try:
             feature = self._feature(*EXPOSURES)
             feature.SetValue(1e6 * exposure_s)
@@ -97,6 +93,8 @@ class BaslerCamera:
 
     def _set_up(self) -> None:
         """Size and bits of the rig file, and nothing automatic; what the camera does not take is an error."""
+        from pypylon import genicam
+
         camera = self._description
         for name in AUTOMATIC:
             feature = getattr(self._camera, name)
@@ -111,7 +109,7 @@ class BaslerCamera:
             feature = getattr(self._camera, name)
             try:
                 feature.SetValue(value)
-            except Exception as error:
+            except genicam.GenericException as error:
                 raise DeviceError(f"the Basler camera does not take {name} = {value}: {error}") from None
             if feature.GetValue() != value:
                 raise DeviceError(f"the Basler camera does not take {name} = {value}: it stays at {feature.GetValue()}")

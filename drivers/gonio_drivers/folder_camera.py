@@ -51,7 +51,7 @@ class FolderCamera:
     def __init__(self, description: RigDescription, camera: settings.FolderCamera) -> None:
         self._camera = camera
         self._folder = Path(camera.folder).expanduser()
-        self._limits_s = description.camera.exposure_limits_s
+        self._description = description.camera
         self._shape = description.camera.height, description.camera.width
         self._release: serial.Serial | None = None
         self._seen: set[tuple[str, int]] = set()
@@ -95,11 +95,7 @@ class FolderCamera:
         DeviceError
             No usable file came, after several attempts.
         """
-        shortest, longest = self._limits_s
-        if not shortest * (1 - 1e-9) <= exposure_s <= longest * (1 + 1e-9):
-            raise ConfigError(
-                f"an exposure of {exposure_s:g} s is outside camera.exposure_limits_s, {shortest:g} to {longest:g} s"
-            )
+        self._description.require_exposure(exposure_s)
         last: DeviceError | DataError | None = None
         for attempt in range(TRIES):
             self._await_stragglers(exposure_s)

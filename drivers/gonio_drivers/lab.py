@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,7 +20,7 @@ from typing import Any, Self
 from gonio.config import Strict, parse
 from gonio.description import RigDescription, SampleDescription
 from gonio.errors import DeviceError, GonioError, Interrupted
-from gonio.rig import Frame, Step, Target
+from gonio.rig import Frame, Step, Target, ask_for
 from gonio_drivers import cameras, diagnosis
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.light import LampReset, SerialLight
@@ -29,10 +28,6 @@ from gonio_drivers.settings import Devices
 
 log = logging.getLogger("gonio.devices")
 
-PROMPTS = {
-    "reference": "Put the white reference into the holder, then press Enter: ",
-    "sample": "Put the sample back into the holder, then press Enter: ",
-}
 RETAKES = 3
 ENDING = (
     signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM, signal.SIGVTALRM,
@@ -106,9 +101,7 @@ class LabRig:
         if how == "axis":
             self.arms.change(target)
         elif how == "swap" and self._confirm and target != self._target:
-            print(PROMPTS[target], end="", file=sys.stderr, flush=True)
-            if not sys.stdin.readline():
-                raise DeviceError(f"the {target} must be put into the holder, and there is no terminal to confirm it")
+            ask_for(target)
         self._target = target
 
     def time_s(self) -> float:

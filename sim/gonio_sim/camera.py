@@ -138,11 +138,7 @@ class SimulatedCamera:
         """
         world, camera = self._world, self._world.description.camera
         world.require_open("camera")
-        shortest, longest = camera.exposure_limits_s
-        if not shortest * (1 - 1e-9) <= exposure_s <= longest * (1 + 1e-9):
-            raise ConfigError(
-                f"an exposure of {exposure_s:g} s is outside camera.exposure_limits_s, {shortest:g} to {longest:g} s"
-            )
+        camera.require_exposure(exposure_s)
         rate = self._renderer.rate(self._lit_band()) if world.lamp_on else None
         mosaic = self._sensor.read_out(
             rate, exposure_s, world.lamp_level(), world.key(Stream.SENSOR, world.step, world.frame)

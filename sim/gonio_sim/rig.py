@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from importlib.resources import files
 from types import TracebackType
 from typing import Self
 
 from gonio.description import RigDescription, SampleDescription
-from gonio.errors import DeviceError
-from gonio.rig import Step, Target
+from gonio.rig import Step, Target, ask_for
 from gonio_sim.arms import SimulatedArms
 from gonio_sim.camera import SimulatedCamera
 from gonio_sim.light import SimulatedLight
 from gonio_sim.render import Renderer
 from gonio_sim.world import World
-
-PROMPTS = {
-    "reference": "Put the white reference into the holder, then press Enter: ",
-    "sample": "Put the sample back into the holder, then press Enter: ",
-}
 
 
 class SimulatedRig:
@@ -61,7 +54,7 @@ class SimulatedRig:
         if target == self.world.target:
             return
         if self.description.reference.how == "swap" and self._confirm:
-            self._ask(target)
+            ask_for(target)
         self.world.target = target
 
     def time_s(self) -> float:
@@ -79,13 +72,6 @@ class SimulatedRig:
         self.arms.park()
         self.camera.close()
         self.world.open = False
-
-    def _ask(self, target: Target) -> None:
-        print(PROMPTS[target], end="", file=sys.stderr, flush=True)
-        if not sys.stdin.readline():
-            raise DeviceError(
-                f"the {target} must be put into the holder, and there is no terminal to confirm it; --yes asks for none"
-            )
 
 
 @dataclass(frozen=True, slots=True)
