@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 import gonio
 from gonio import geometry, kinematics, level, sensitivity
+from gonio.darks import COLUMNS, PATTERNS, strongest
 from gonio.description import Axis, Band, RigDescription
 from gonio.errors import ConfigError, DataError
 from gonio.kinematics import Directions
@@ -33,7 +34,8 @@ Array = npt.NDArray[np.float64]
 
 CLIPPED = 1e-3
 """Dark frames with a larger part of their pixels at 0 DN are cut off there."""
-COMMON = ("s_reference", "s_reference_noise", "s_lamp_drift", "s_dark_short", "s_dark_long")
+COMMON = ("s_reference", "s_reference_noise", "s_lamp_drift")
+DARK = tuple(f"s_dark_{k + 1}" for k in range(COLUMNS))
 CAUSES = {"light": "s_theta_i_zero", "camera": "s_theta_r_zero", "tilt": "s_tilt_zero", "azimuth": "s_azimuth_zero"}
 """Axes whose zeros are common causes. A spin turns both directions alike: an isotropic surface does not notice it."""
 
@@ -54,8 +56,8 @@ def reduce(run: Run) -> pd.DataFrame:
         where `flag` says why: "blocked", "unreachable" and the plan's other reasons, "saturated" (in every frame),
         "below_horizon" (at the pose that was read), "not_measured" (the run ended before).
         Causes: `s_reference` (the certificate), `s_reference_noise` (mean level of the visits), `s_lamp_drift`,
-        `s_dark_short` and `s_dark_long` (noise of the shorter and of the longer dark frames), `s_theta_i_zero`,
-        `s_theta_r_zero` and, with those axes, `s_tilt_zero`, `s_azimuth_zero`.
+        `s_dark_1` to `s_dark_3` (noise of the dark frames), `s_theta_i_zero`, `s_theta_r_zero` and, with those axes,
+        `s_tilt_zero`, `s_azimuth_zero`.
 
     Raises
     ------
@@ -66,7 +68,9 @@ def reduce(run: Run) -> pd.DataFrame:
         The reference's table is missing, or neither a table nor an albedo is given.
     """
     bench = Bench(run)
-    return _assemble(run, [_reduce_band(bench, band) for band in run.bands], _notes_on_darks(bench))
+    results = [_reduce_band(bench, band) for band in run.bands]
+    _share_darks(results)
+    return _assemble(run, results, _notes_on_darks(bench))
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +79,8 @@ class _BandResult:
 
     band: Band
     rows: dict[int, dict[str, Any]]
+    darks: dict[int, Array]
+    """By point: change of its value [1/sr] by the noise of the dark frames, see `Merged.dark`."""
     flags: dict[int, str]
     level: level.Level
     reference_brdf: float
@@ -91,6 +97,7 @@ def _reduce_band(bench: Bench, band: Band) -> _BandResult:
     without = [(s, m) for s, m in zip(bench.steps, merged, strict=True) if isinstance(m, str) and s["kind"] == "point"]
     fitted, reference_brdf = _level(bench, visits, band)
     columns = _columns(bench, points, visits[0], fitted, bench.reference[band.channel].count)
+    levels = fitted.at(np.array([point.time_s for point in points]))
     rows = {
         int(point.point): _angle_columns(point.directions) | {name: float(c[k]) for name, c in columns.items()}
         for k, point in enumerate(points)
@@ -100,6 +107,7 @@ def _reduce_band(bench: Bench, band: Band) -> _BandResult:
     return _BandResult(
         band=band,
         rows=rows,
+        darks={int(m.point): m.dark / float(k) for m, k in zip(points, levels, strict=True) if m.point is not None},
         flags=bench.flags | {int(step["point"]): flag for step, flag in without},
         level=fitted,
         reference_brdf=reference_brdf,
@@ -159,8 +167,6 @@ def _columns(
         "s_reference": brdf * description.reference.u_rel,
         "s_reference_noise": -brdf * fitted.noise(times) / k,
         "s_lamp_drift": -brdf * fitted.drift(times) / k,
-        "s_dark_short": np.array([point.dark[0] for point in points]) / k,
-        "s_dark_long": np.array([point.dark[1] for point in points]) / k,
     }
     said, even_parts = np.zeros(len(points)), np.zeros(len(points))
     for axis, u in encoder.items():
@@ -172,8 +178,27 @@ def _columns(
         common[CAUSES[axis]] = odd - brdf * _change_of_cosine(description, visit, axis, u)
     rest = np.maximum(curves.spike_variance - said, 0.0)
     independent = independent + np.where(curves.spike != 0, rest, even_parts)
-    combined = np.sqrt(independent + sum(column**2 for column in common.values()))
+    darks = np.array([np.sum(point.dark**2) for point in points]) / k**2
+    combined = np.sqrt(independent + darks + sum(column**2 for column in common.values()))
     return {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent)} | common
+
+
+def _share_darks(results: list[_BandResult]) -> None:
+    """Give all rows the columns of the dark frames' noise, which bands of one channel share; the rest to `u_random`."""
+    channels = list(dict.fromkeys(result.band.channel for result in results))
+    rows = [row for result in results for row in result.rows.values()]
+    if not rows:
+        return
+    effects = np.zeros((len(rows), len(channels), 2 * PATTERNS))
+    place = 0
+    for result in results:
+        for dark in result.darks.values():
+            effects[place, channels.index(result.band.channel)] = dark.ravel()
+            place += 1
+    columns, rest = strongest(effects.reshape(len(rows), -1), np.array([row["u_random"] for row in rows]))
+    for row, column, more in zip(rows, columns, rest, strict=True):
+        row |= dict(zip(DARK, column.tolist(), strict=True))
+        row["u_random"] = math.hypot(row["u_random"], math.sqrt(more))
 
 
 def _axes(description: RigDescription) -> dict[str, Axis]:
@@ -254,7 +279,7 @@ def _assemble(run: Run, results: list[_BandResult], notes: list[str]) -> pd.Data
     import pandas as pd
 
     description, plan = run.description, run.plan
-    causes = [*COMMON, *(CAUSES[axis] for axis in _zeros(description))]
+    causes = [*COMMON, *DARK, *(CAUSES[axis] for axis in _zeros(description))]
     nothing = dict.fromkeys(["brdf", "u_brdf", "u_random", *causes], math.nan)
     rows = []
     for point, goal in zip(plan.index.astype(int).tolist(), plan.to_dict("records"), strict=True):

@@ -6,7 +6,6 @@ The formulas are explained in docs/radiometry.md, sections 1 to 3.
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio import kinematics
+from gonio.darks import PATTERNS, Darks, Patterns
 from gonio.description import Band, Camera, RigDescription
 from gonio.errors import DataError
 from gonio.frames import read_raw
@@ -35,48 +35,6 @@ USABLE = 0.95
 """A frame whose brightest used pixel lies above this fraction of full scale is not used at all: dropping single pixels,
 or frames that are only nearly full, would keep the darker half of the noise."""
 THREADS = 2
-
-
-class Darks:
-    """Each pixel's dark signal as a line over exposure time, for one rectangle of the sensor."""
-
-    def __init__(
-        self, frames: list[tuple[float, npt.NDArray[np.uint16]]], rows: slice, cols: slice, rate: float
-    ) -> None:
-        self._corner = rows.start, cols.start
-        times = np.array([t for t, _ in frames])
-        self._centre, self._count = float(times.mean()), len(frames)
-        self._spread = float(np.sum((times - self._centre) ** 2))
-        stack = np.stack([mosaic for _, mosaic in frames]).astype(float)
-        self._mean = stack.mean(axis=0)
-        if self._spread > 1e-6 * self._centre**2 and len(frames) > 1:
-            self._slope = np.tensordot(times - self._centre, stack, 1) / self._spread
-        else:  # one exposure only: the data sheet's dark current
-            self._slope, self._spread = np.full(self._mean.shape, rate), math.inf
-        longer = times > self._centre
-        self._groups = [times[group] for group in (~longer, longer) if group.any()]
-
-    def of(self, region: Roi, exposure_s: float) -> Array:
-        """Dark signal [DN] of the used pixels of a region, black level included."""
-        rows = slice(region.rows.start - self._corner[0], region.rows.stop - self._corner[0])
-        cols = slice(region.cols.start - self._corner[1], region.cols.stop - self._corner[1])
-        mean, slope = self._mean[rows, cols][region.mask], self._slope[rows, cols][region.mask]
-        return np.asarray(mean + slope * (exposure_s - self._centre))
-
-    @property
-    def exposures_s(self) -> Array:
-        """Mean exposure of the shorter and of the longer dark frames (where there are several exposures)."""
-        return np.array([group.mean() for group in self._groups])
-
-    def leverage(self, exposure_s: float) -> Array:
-        """What the noise of the shorter and of the longer dark frames does to the line at an exposure.
-
-        The change of the line for one standard deviation of a pixel of one such frame, with its sign: roots of sums of
-        squares over the frames of each kind.
-        """
-        away = (exposure_s - self._centre) / self._spread
-        shares = [1.0 / self._count + away * (group - self._centre) for group in self._groups]
-        return np.array([math.copysign(float(np.linalg.norm(share)), float(share.sum())) for share in shares])
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,9 +68,9 @@ class Merged:
     rate: float
     variance: float
     """Of everything that is independent from step to step, the pixels' responsivities left out."""
-    dark: tuple[float, float]
-    """Change of the rate for one standard deviation of what all points share of the noise of the shorter and of the
-    longer dark frames; zero for a visit to the reference."""
+    dark: Array
+    """Change of the rate for one standard deviation of the noise of the shorter and of the longer dark frames in each
+    of the patterns that points share (`darks.Patterns`), shape (2, n); zero for a visit to the reference."""
     time_s: float
     chi_square: float
     """Of the frames around their mean."""
@@ -137,8 +95,7 @@ class Bench:
         channels = dict.fromkeys(band.channel for band in run.bands)
         boxes: dict[Target, tuple[slice, slice]] = {}
         self.reference: dict[str, Roi] = {}
-        camera = self.description.camera
-        self._use = {channel: np.zeros((camera.height, camera.width)) for channel in channels}
+        regions: dict[Channel, list[Roi]] = {channel: [] for channel in channels}
         for step in self.steps:
             for channel in channels:
                 region = self._look(step, channel)
@@ -147,9 +104,10 @@ class Bench:
                     if region.target == "reference":
                         self.reference.setdefault(channel, region.roi)
                     else:
-                        self._use[channel][region.roi.rows, region.roi.cols] += region.roi.mask / region.roi.count
+                        regions[channel].append(region.roi)
         if not boxes:
             raise DataError(f"{run.path}: no point was measured in this run; finish it with --resume")
+        self._patterns = {channel: Patterns(regions[channel]) for channel in channels}
         self.clipped = 0.0
         """The part of the used pixels that read 0 DN in the dark frames."""
         self._darks = self._read_darks([f for s in steps if s["kind"] == "dark" for f in s["frames"]], boxes)
@@ -220,18 +178,6 @@ class Bench:
             leverage=darks.leverage(frame.exposure_s),
         )
 
-    def _in_common(self, region: Region, channel: Channel) -> float:
-        """Correlation of the mean dark signal of a region with that of the mean region of all points.
-
-        Points use nearly the same pixels, so what the noise of the dark frames does to one it does to all. Regions
-        differ with the foreshortening; the rest of each is taken as its own.
-        """
-        if region.target == "reference":
-            return 0.0
-        use = self._use[channel]
-        shared = float(np.mean(use[region.roi.rows, region.roi.cols][region.roi.mask]))
-        return min(shared * math.sqrt(region.roi.count) / float(np.linalg.norm(use)), 1.0)
-
     def merge(self, step: dict[str, Any], band: Band) -> Merged | str:
         """The merged frames of a step in a band, or the flag that says why there is no value."""
         found = self.shots(step, band)
@@ -245,11 +191,12 @@ class Bench:
             self.description, region, shots, self._darks[region.target].exposures_s
         )
         pose, reference = Pose(**step["pose"]), self.reference.get(band.channel)
-        common = self._in_common(region, band.channel)
+        share = self._patterns[band.channel].of(region.roi) if region.target == "sample" else np.zeros(PATTERNS)
+        shared = np.outer(of_darks, share)
         return Merged(
             rate=rate,
-            variance=variance + (1.0 - common**2) * float(np.sum(of_darks**2)),
-            dark=(common * float(of_darks[0]), common * float(np.sum(of_darks[1:]))),
+            variance=variance + max(float(np.sum(of_darks**2) - np.sum(shared**2)), 0.0),
+            dark=shared,
             time_s=time_s,
             chi_square=chi_square,
             frames=len(shots),
@@ -289,7 +236,8 @@ def pool(
     charge = camera.dark_current_e_per_s * dark_exposures_s
     of_pixels = (read + (charge if camera.photon_noise else 0.0)) / count + _rounding(camera, charge, count)
     lines = np.array([shot.leverage for shot in shots])
-    of_darks = -((weights / exposure) @ lines) * np.sqrt(of_pixels * mean_2)
+    of_darks = np.zeros(2)
+    of_darks[: charge.size] = -((weights / exposure) @ lines) * np.sqrt(of_pixels * mean_2)
     chi_square = float(np.sum((rates - pooled) ** 2 / variances))
     return pooled, float(1.0 / np.sum(1.0 / variances)), float(np.sum(weights * times)), chi_square, of_darks
 

@@ -1,0 +1,118 @@
+"""The dark signal of each pixel, and what its noise has in common at points that use nearly the same pixels.
+
+The formulas are explained in docs/radiometry.md, sections 1 and 2.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.imaging import Roi
+
+Array = npt.NDArray[np.float64]
+
+FEW = 300
+"""Regions of as many points tell the patterns of all: any patterns describe noise, these leave little of it."""
+PATTERNS = 6
+COLUMNS = 3
+"""Of a table, for what its values share of the noise of the dark frames."""
+
+
+class Darks:
+    """Each pixel's dark signal as a line over exposure time, for one rectangle of the sensor."""
+
+    def __init__(
+        self, frames: list[tuple[float, npt.NDArray[np.uint16]]], rows: slice, cols: slice, rate: float
+    ) -> None:
+        self._corner = rows.start, cols.start
+        times = np.array([t for t, _ in frames])
+        self._centre, self._count = float(times.mean()), len(frames)
+        self._spread = float(np.sum((times - self._centre) ** 2))
+        stack = np.stack([mosaic for _, mosaic in frames]).astype(float)
+        self._mean = stack.mean(axis=0)
+        if self._spread > 1e-6 * self._centre**2 and len(frames) > 1:
+            self._slope = np.tensordot(times - self._centre, stack, 1) / self._spread
+        else:  # one exposure only: the data sheet's dark current
+            self._slope, self._spread = np.full(self._mean.shape, rate), math.inf
+        longer = times > self._centre
+        self._groups = [times[group] for group in (~longer, longer) if group.any()]
+
+    def of(self, region: Roi, exposure_s: float) -> Array:
+        """Dark signal [DN] of the used pixels of a region, black level included."""
+        rows = slice(region.rows.start - self._corner[0], region.rows.stop - self._corner[0])
+        cols = slice(region.cols.start - self._corner[1], region.cols.stop - self._corner[1])
+        mean, slope = self._mean[rows, cols][region.mask], self._slope[rows, cols][region.mask]
+        return np.asarray(mean + slope * (exposure_s - self._centre))
+
+    @property
+    def exposures_s(self) -> Array:
+        """Mean exposure of the shorter and of the longer dark frames (where there are several exposures)."""
+        return np.array([group.mean() for group in self._groups])
+
+    def leverage(self, exposure_s: float) -> Array:
+        """What the noise of the shorter and of the longer dark frames does to the line at an exposure.
+
+        The change of the line for one standard deviation of a pixel of one such frame, with its sign: roots of sums of
+        squares over the frames of each kind.
+        """
+        away = (exposure_s - self._centre) / self._spread
+        shares = [1.0 / self._count + away * (group - self._centre) for group in self._groups]
+        return np.array([math.copysign(float(np.linalg.norm(share)), float(share.sum())) for share in shares])
+
+
+class Patterns:
+    """Orthonormal patterns of pixels that make up most of the regions of all points.
+
+    The noise of a dark frame is independent from pixel to pixel, so what it does to the mean over a region is a sum
+    over patterns, each with a normal number of its own that all points share.
+    """
+
+    def __init__(self, regions: list[Roi]) -> None:
+        self._corner = min((r.rows.start for r in regions), default=0), min((r.cols.start for r in regions), default=0)
+        shape = max((r.rows.stop for r in regions), default=0), max((r.cols.stop for r in regions), default=0)
+        few = regions[:: max(-(-len(regions) // FEW), 1)]
+        flat = np.zeros((len(few), *np.subtract(shape, self._corner)))
+        for image, region in zip(flat, few, strict=True):
+            image[self._place(region)] = region.mask / math.sqrt(region.count)
+        values, vectors = np.linalg.eigh(np.tensordot(flat, flat, ((1, 2), (1, 2))))
+        last = np.flatnonzero(values > 1e-9 * len(few))[-PATTERNS:]
+        self._images = np.tensordot(vectors[:, last] / np.sqrt(values[last]), flat, (0, 0))
+
+    def _place(self, region: Roi) -> tuple[slice, slice]:
+        top, left = self._corner
+        rows, cols = region.rows, region.cols
+        return slice(rows.start - top, rows.stop - top), slice(cols.start - left, cols.stop - left)
+
+    def of(self, region: Roi) -> Array:
+        """Coefficients of the mean over one of the regions, for noise with which that mean has the variance 1."""
+        out = np.zeros(PATTERNS)
+        images = self._images[:, *self._place(region)]
+        out[: len(images)] = images[:, region.mask].sum(axis=1) / math.sqrt(region.count)
+        return out
+
+
+def strongest(effects: Array, u: Array) -> tuple[Array, Array]:
+    """The columns that hold most of a covariance, and the variance that they leave to each value.
+
+    Parameters
+    ----------
+    effects
+        Change of each value for one standard deviation of each cause, shape (n, causes).
+    u
+        Independent standard uncertainties, in units of which the columns are the strongest, shape (n,).
+
+    Returns
+    -------
+    columns : shape (n, COLUMNS)
+        Each with a negative sum: more dark signal, less light.
+    rest : shape (n,)
+    """
+    scale = np.where(u > 0, u, 1.0)[:, None]
+    left, size, _ = np.linalg.svd(effects / scale, full_matrices=False)
+    columns = np.zeros((len(effects), COLUMNS))
+    found = (left * size)[:, :COLUMNS] * scale
+    columns[:, : found.shape[1]] = np.where(found.sum(axis=0) > 0, -found, found)
+    return columns, np.maximum(np.sum(effects**2, axis=1) - np.sum(columns**2, axis=1), 0.0)

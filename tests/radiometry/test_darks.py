@@ -1,0 +1,64 @@
+"""What the noise of dark frames has in common at points whose regions of interest are foreshortened differently."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gonio.darks import COLUMNS, PATTERNS, Patterns, strongest
+from gonio.imaging import Roi
+
+
+def ellipse(width: float, height: float) -> Roi:
+    """A round patch of 20 pixels' radius, seen at an angle."""
+    rows, cols = np.mgrid[-20:21, -20:21]
+    mask = (cols / width) ** 2 + (rows / height) ** 2 <= 1.0
+    (top, bottom), (left, right) = (np.flatnonzero(mask.any(axis=axis))[[0, -1]] for axis in (1, 0))
+    return Roi(
+        slice(30 + int(top), 31 + int(bottom)),
+        slice(50 + int(left), 51 + int(right)),
+        mask[top : bottom + 1, left : right + 1],
+    )
+
+
+def correlation(regions: list[Roi]) -> np.ndarray:
+    """Of means over regions, pixels being independent: counted, pixel by pixel."""
+    return np.array([[a.shared(b) / math.sqrt(a.count * b.count) for b in regions] for a in regions])
+
+
+REGIONS = [ellipse(20.0 * math.cos(math.radians(t)), 20.0) for t in range(0, 85, 4)]
+REGIONS += [ellipse(20.0, 20.0 * math.cos(math.radians(t))) for t in range(10, 80, 10)]
+
+
+def test_patterns_hold_what_regions_share() -> None:
+    patterns = Patterns(REGIONS)
+    coefficients = np.array([patterns.of(region) for region in REGIONS])
+    assert coefficients.shape == (len(REGIONS), PATTERNS)
+    assert np.all(np.sum(coefficients**2, axis=1) <= 1 + 1e-12)  # a part of a variance of 1
+    # each pattern behind the sixth holds less than 1 % of all variance, but more of the narrowest region's
+    np.testing.assert_allclose(coefficients @ coefficients.T, correlation(REGIONS), atol=0.15)
+    few = [REGIONS[0], REGIONS[10], REGIONS[20]]
+    found = np.array([Patterns(few).of(region) for region in few])
+    np.testing.assert_allclose(found @ found.T, correlation(few), atol=1e-12)  # as many patterns as regions: exact
+    assert Patterns([])  # a run without a single measured point
+
+
+def test_columns_say_how_well_a_black_sample_is_known() -> None:
+    """The standard error of a constant, from the columns and from the pixels' exact covariance."""
+    patterns = Patterns(REGIONS)
+    size = np.array([1.0 / math.sqrt(region.count) for region in REGIONS])  # of a mean over fewer pixels: larger
+    shared = np.array([patterns.of(region) for region in REGIONS]) * size[:, None]
+    columns, rest = strongest(shared, size)
+    assert columns.shape == (len(REGIONS), COLUMNS)
+    assert np.all(columns.sum(axis=0) <= 0)
+    own = 2.0 * size**2 - np.sum(shared**2, axis=1)  # as much noise again of the frames themselves
+    stated = np.diag(own + rest) + columns @ columns.T
+    exact = np.diag(size**2) + correlation(REGIONS) * np.outer(size, size)
+    np.testing.assert_allclose(np.diag(stated), np.diag(exact), rtol=1e-12)  # an identity
+    weights = np.linalg.solve(stated, np.ones(len(REGIONS)))
+    # the variance of a constant fitted with the stated covariance; 1.26 with one column instead of three
+    assert abs(weights @ exact @ weights / weights.sum() - 1.0) < 0.05
+    deviations = np.linalg.eigvals(np.linalg.solve(stated, exact)).real
+    assert deviations.min() > 0.8  # in any direction; with one column 0.67 and 2.8
+    assert deviations.max() < 2.0
