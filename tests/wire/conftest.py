@@ -41,7 +41,7 @@ def line() -> Iterator[Line]:
 
 @pytest.fixture
 def sdk(line: Line, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[PortHandler, PacketHandler]]:
-    monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 150)  # [ms], twice; patience on a busy machine
+    monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 500)  # [ms], twice; patience on a busy machine
     port = PortHandler(line.port)
     port.setBaudRate(BAUD)
     yield port, PacketHandler(2.0)

@@ -291,8 +291,8 @@ def test_the_bus_watchdog_counts_wall_time_whatever_the_time_scale(line) -> None
     servo.write(11, b"\x01")  # velocity mode: it turns until somebody stops it
     servo.write(TORQUE, b"\x01")
     servo.write(104, (10).to_bytes(4, "little"))
-    servo.write(WATCHDOG, b"\x02")
     servo.heard(heard := time.monotonic())
+    servo.write(WATCHDOG, b"\x02")  # counts from what was heard last, however late this comes
     while servo.get("Bus Watchdog") != -1:
         servo.shaft()
     end = servo._clock.at(heard + 0.040)  # two units of 20 ms
