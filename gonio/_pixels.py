@@ -22,12 +22,11 @@ def spots(
     x: Any,
     y: Any,
     cos_i: Any,
-    cos_r: Any,
     factor: Any,
 ) -> None:
-    """Fill x, y, cos(theta_i), cos(theta_r) and (distance/d)^2 for lines of sight by_row[i] + by_col[:, j] from `eye`.
+    """Fill x, y, cos(theta_i) and (distance/d)^2 for lines of sight by_row[i] + by_col[:, j] from `eye`.
 
-    A line that does not meet the plane z = 0 in front of the camera gives NaN, NaN, 0, 0, 0. The loop has no
+    A line that does not meet the plane z = 0 in front of the camera gives NaN, NaN, 0, 0. The loop has no
     branches, so that it runs on vectors.
     """
     up = max(source[2], 0.0)
@@ -36,7 +35,7 @@ def spots(
     above = eye[2] > 0.0
     for i in range(by_row.shape[0]):
         row_a, row_b, row_c = by_row[i, 0], by_row[i, 1], by_row[i, 2]
-        x_i, y_i, cos_i_i, cos_r_i, factor_i = x[i], y[i], cos_i[i], cos_r[i], factor[i]
+        x_i, y_i, cos_i_i, factor_i = x[i], y[i], cos_i[i], factor[i]
         for j in range(by_col.shape[1]):
             a = row_a + by_col[0, j]
             b = row_b + by_col[1, j]
@@ -51,7 +50,6 @@ def spots(
             x_i[j] = u if meets else np.nan
             y_i[j] = v if meets else np.nan
             cos_i_i[j] = up * math.sqrt(inverse) if meets else 0.0
-            cos_r_i[j] = -c / math.sqrt(a * a + b * b + c * c) if meets else 0.0
             factor_i[j] = distance_squared * inverse if meets else 0.0
 
 

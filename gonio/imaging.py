@@ -35,7 +35,7 @@ class PixelMap:
     """What a rectangle of pixels sees of the sample's plane, each array of shape (rows, columns).
 
     Nothing is computed before it is asked for. A pixel whose line of sight does not meet the plane in front of the
-    camera sees nothing: its `x_mm`, `y_mm` are NaN, and `cos_theta_i`, `cos_theta_r` and `distance_factor` are zero.
+    camera sees nothing: its `x_mm`, `y_mm` are NaN, and `cos_theta_i` and `distance_factor` are zero.
     """
 
     def __init__(self, description: RigDescription, view: View, rows: slice, cols: slice) -> None:
@@ -57,12 +57,12 @@ class PixelMap:
         self._by_row = axis + v[:, None] * np.asarray(view.image_y, dtype=float)
 
     @cached_property
-    def _spots(self) -> tuple[Array, Array, Array, Array, Array]:
+    def _spots(self) -> tuple[Array, Array, Array, Array]:
         from gonio._pixels import spots
 
-        out = np.empty((5, self._by_row.shape[0], self._by_col.shape[1]))
+        out = np.empty((4, self._by_row.shape[0], self._by_col.shape[1]))
         spots(self._by_row, self._by_col, self._camera, self._source, self._distance_mm, *out)
-        return out[0], out[1], out[2], out[3], out[4]
+        return out[0], out[1], out[2], out[3]
 
     @property
     def x_mm(self) -> Array:
@@ -80,14 +80,9 @@ class PixelMap:
         return self._spots[2]
 
     @property
-    def cos_theta_r(self) -> Array:
-        """Cosine of the local angle of reflection, toward the camera."""
-        return self._spots[3]
-
-    @property
     def distance_factor(self) -> Array:
         """(d0/d)^2 with d the spot's distance from the source and d0 = geometry.light_distance_mm."""
-        return self._spots[4]
+        return self._spots[3]
 
     @property
     def sees_plane(self) -> npt.NDArray[np.bool_]:
@@ -137,11 +132,6 @@ def pixel_map(
         Where source and camera are, and how the sensor's columns and rows run, in the sample's frame.
     rows, cols
         The rectangle (no step); the whole sensor when left out.
-
-    Raises
-    ------
-    ConfigError
-        The lens cannot focus at the camera's distance.
     """
     return PixelMap(description, view, rows, cols)
 

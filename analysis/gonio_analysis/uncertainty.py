@@ -104,8 +104,3 @@ class Covariance:
 def independent(u: Floats) -> Covariance:
     """A covariance without common causes."""
     return Covariance(u, np.zeros((u.size, 0)))
-
-
-def dense(covariance: Covariance) -> Floats:
-    """The matrix C itself, (n, n): for small tables and for tests."""
-    return np.diag(covariance.random**2) + covariance.common @ covariance.common.T

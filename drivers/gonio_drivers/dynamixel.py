@@ -35,7 +35,6 @@ from dynamixel_sdk import (
     COMM_SUCCESS,
     INST_PING,
     INST_READ,
-    INST_REBOOT,
     INST_WRITE,
 )
 
@@ -206,10 +205,6 @@ class Bus:
         """Change a servo's control table."""
         request = address.to_bytes(2, "little") + data
         self._repeat(identity, lambda: self._transact(identity, INST_WRITE, request, 0))
-
-    def reboot(self, identity: int) -> None:
-        """Restart a servo: RAM falls back to its defaults, and a hardware error is forgotten."""
-        self._repeat(identity, lambda: self._transact(identity, INST_REBOOT, b"", 0))
 
     # ---- several servos ----
 

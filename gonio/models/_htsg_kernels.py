@@ -83,12 +83,6 @@ def vector_states(count, l, v, p, s0, s1, s2, s3):  # noqa: E741
     return wrong
 
 
-@device
-def saddle_exponent(g, c, u, rise, m0):
-    """phi = m0 (1 - u) - g - c/m0 with m0 = g + g rise: stationary in u, and without cancellation for small u."""
-    return g * (rise * (1.0 - u) - u) - c / m0
-
-
 # --- the loops of engine.py, with a second pass ------------------------------------------------------------------
 
 

@@ -8,10 +8,16 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 from gonio_analysis.forward import seen
+from gonio_analysis.uncertainty import Covariance
 
 from gonio.formats.base import table
 
 Floats = npt.NDArray[np.float64]
+
+
+def dense(covariance: Covariance) -> Floats:
+    """The matrix diag(random^2) + common common^T itself, (n, n)."""
+    return np.diag(covariance.random**2) + covariance.common @ covariance.common.T
 
 
 def measure(

@@ -13,14 +13,14 @@ from gonio_analysis import cli
 from gonio_analysis.align import carry
 from gonio_analysis.change import Change, Side, change, discoveries, judge
 from gonio_analysis.observations import observations
-from gonio_analysis.uncertainty import Covariance, dense
+from gonio_analysis.uncertainty import Covariance
 
 from gonio import measurement
 from gonio.errors import ConfigError, DataError
 from gonio.formats.base import table
 from gonio.models import build
 
-from .synthetic import measure
+from .synthetic import dense, measure
 
 GLOSS = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30})
 SAMPLE = 'name = "gloss"\nmodel = "phong"\n[parameters]\nk_d = 0.3\nk_s = 0.5\nexponent = 30\n'

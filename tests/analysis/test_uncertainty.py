@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from gonio_analysis.uncertainty import Covariance, dense, independent
+from gonio_analysis.uncertainty import Covariance, independent
 
 from gonio.errors import ArgumentError
+
+from .synthetic import dense
 
 
 def some(seed: int, size: int = 30, causes: int = 3, strength: float = 1.0) -> Covariance:

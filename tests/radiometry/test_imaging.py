@@ -51,7 +51,7 @@ def traced(pose: Pose, i: int, j: int) -> dict[str, float]:
     to_sample = (rotation(0, -pose.tilt) @ rotation(2, pose.spin)).T
     normal = to_sample.T @ np.array([0.0, 0.0, 1.0])
     spot = eye - ray * (eye @ normal) / (ray @ normal)
-    toward_light, toward_eye = light - spot, eye - spot
+    toward_light = light - spot
     distance = np.linalg.norm(toward_light)
     x, y, z = to_sample @ spot
     assert abs(z) < 1e-9  # rounding of 500 mm
@@ -61,7 +61,6 @@ def traced(pose: Pose, i: int, j: int) -> dict[str, float]:
         "x": x,
         "y": y,
         "cos_i": toward_light @ normal / distance,
-        "cos_r": toward_eye @ normal / np.linalg.norm(toward_eye),
         "factor": (700.0 / distance) ** 2,
         "falloff": math.cos(math.atan(radius / image)) ** 4 * (1 - 0.3 * (radius / corner) ** 4),
     }
@@ -77,7 +76,6 @@ def test_every_quantity_against_single_rays(pose: Pose) -> None:
         assert seen.x_mm[i, j] == pytest.approx(one["x"], rel=1e-11, abs=1e-10)
         assert seen.y_mm[i, j] == pytest.approx(one["y"], rel=1e-11, abs=1e-10)
         assert seen.cos_theta_i[i, j] == pytest.approx(one["cos_i"], rel=1e-11)
-        assert seen.cos_theta_r[i, j] == pytest.approx(one["cos_r"], rel=1e-11)
         assert seen.distance_factor[i, j] == pytest.approx(one["factor"], rel=1e-11)
         assert seen.falloff[i, j] == pytest.approx(one["falloff"], rel=1e-11)
         assert seen.weight[i, j] == pytest.approx(one["cos_i"] * one["factor"] * one["falloff"], rel=1e-11)
@@ -92,7 +90,7 @@ def test_a_rectangle_is_a_part_of_the_frame() -> None:
     description = rig()
     at = view(description, POSES[2])
     whole, part = pixel_map(description, at), pixel_map(description, at, slice(5, 20), slice(30, 41))
-    for name in ("x_mm", "y_mm", "cos_theta_i", "cos_theta_r", "distance_factor", "falloff", "weight"):
+    for name in ("x_mm", "y_mm", "cos_theta_i", "distance_factor", "falloff", "weight"):
         np.testing.assert_array_equal(getattr(whole, name)[5:20, 30:41], getattr(part, name))
 
 
@@ -112,7 +110,7 @@ def test_pixels_that_look_past_the_plane_see_nothing() -> None:
     assert 20 < np.count_nonzero(~seen.sees_plane[0]) < 44
     dark = ~seen.sees_plane
     assert np.all(np.isnan(seen.x_mm[dark]))
-    for name in ("cos_theta_i", "cos_theta_r", "distance_factor", "weight"):
+    for name in ("cos_theta_i", "distance_factor", "weight"):
         assert np.all(getattr(seen, name)[dark] == 0.0)
 
 

@@ -22,13 +22,11 @@ class ServoBus:
         self.servos = list(servos)
         self.faults = faults or Faults()
         self._reader = p2.Reader()
-        self.packets = 0
 
     def receive(self, data: bytes, baud: int, send: Send) -> None:
         """Take bytes from the line."""
         for packet in self._reader.feed(data):
             if packet.instruction != p2.STATUS:
-                self.packets += 1
                 self._instruct(packet, [s for s in self.servos if s.answers and s.baud == baud], send)
 
     def opened(self, send: Send) -> None:
