@@ -45,6 +45,10 @@ class Cones:
         As `apparent_brdf` takes them, with its errors.
     tolerance
         Relative error of a lobe's average (see `apparent_lobe`).
+
+    The methods take a `gonio.models.Model` and a wavelength [nm], and return a float64 array of the shape that the
+    angles broadcast to; a wavelength that is no positive number, or at which the model's index is not known, raises
+    `ArgumentError`.
     """
 
     def __init__(

@@ -72,9 +72,14 @@ class Level:
 
 
 def fit(times_s: Array, values: Array, variances: Array) -> Level:
-    """Fit the level of the visits (n >= 1) by weighted least squares; see `Level`.
+    """Fit the level of the visits by weighted least squares; see `Level`.
 
     One visit gives a constant level without any knowledge of drift; two give a line without a test of it.
+
+    Parameters
+    ----------
+    times_s, values, variances : (n,) arrays, n >= 1
+        Of each visit: when it was [s], the signal per unit BRDF [e- sr/s], and that signal's variance.
     """
     order = np.argsort(times_s)
     times_s, values, variances = times_s[order], values[order], variances[order]

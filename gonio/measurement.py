@@ -69,7 +69,7 @@ def read(path: str | Path, *, format: str | None = None, sample: str | None = No
 
 
 def parse(data: bytes, path: Path, *, format: str | None = None) -> pd.DataFrame:
-    """The table in the bytes of a file, as `read` gives it; `path` names the file in messages."""
+    """The table in the bytes of a file, as `read` gives it, with the same errors; `path` names the file in messages."""
     chosen = formats.named(format) if format else formats.of_content(data, path)
     if len(data) > chosen.max_bytes:
         raise DataError(f"{path}: is larger than {chosen.max_bytes >> 20} MiB, the largest {chosen.title} that is read")

@@ -45,6 +45,7 @@ _QUANTITIES = ("INV_STERADIAN", "INV_STERADIAN_COSINE_FACTOR")
 
 
 def read(data: bytes, path: Path) -> pd.DataFrame:
+    """The measurement table in ALTA text; `DataError` says what is wrong with the file, and where."""
     text = Text(data, path)
     keywords: dict[str, str] = {}
     lines = []

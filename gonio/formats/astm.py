@@ -28,6 +28,7 @@ _WAVELENGTH = re.compile(r"(\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)\s*(nm|um|\u00b5m|\u0
 
 
 def read(data: bytes, path: Path) -> pd.DataFrame:
+    """The measurement table in ASTM E1392 text; `DataError` says what is wrong with the file, and where."""
     text = Text(data, path)
     keywords, first = _header(text)
     where = text.where(first - 1)

@@ -128,10 +128,12 @@ class CsvTable:
         return np.array([read(cell, self.where(j), name) for j, cell in enumerate(cells)])
 
     def words(self, name: str) -> list[str]:
+        """The cells of a column as text."""
         k = self.header.index(name)
         return [row[k].strip() for row in self.rows]
 
     def where(self, row: int) -> str:
+        """`file, line N`, for the row with index `row`."""
         return f"{self.path}, line {self.line_numbers[row]}"
 
 

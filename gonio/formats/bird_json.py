@@ -35,6 +35,7 @@ _OURS = re.compile(r"brdf|u_brdf|u_random|flag|sample|s_\w{1,60}")
 
 
 def read(data: bytes, path: Path) -> pd.DataFrame:
+    """The measurement table in BiRD JSON; `DataError` says what is wrong with the file, and where."""
     content = _load(data, path)
     section = content.get("data")
     if not isinstance(section, dict):

@@ -61,6 +61,7 @@ def _rings(rings: Iterator[tuple[float, int]]) -> Basis:
 
 
 def read(data: bytes, path: Path) -> pd.DataFrame:
+    """The measurement table in WINDOW's XML; `DataError` says what is wrong with the file, and where."""
     if re.search(rb"<!(DOCTYPE|ENTITY)", data):
         raise DataError(f"{path}: has a document type, which no Klems file needs")
     try:

@@ -34,6 +34,7 @@ _COLOURS = {"red": 1 / 1500, "green": 1.15 / 1500, "blue": 1.66 / 1500}
 
 
 def read(data: bytes, path: Path) -> pd.DataFrame:
+    """The measurement table in a MERL file; `DataError` says what is wrong with the file, and where."""
     if data[:12] != _HEADER:
         shape = struct.unpack_from("<3i", data) if len(data) >= 12 else "cut"
         raise DataError(f"{path}, byte 0: the cells are {shape}, and a MERL file has {_SHAPE}")

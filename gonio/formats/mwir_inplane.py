@@ -32,6 +32,7 @@ _RADIANCE = "L_reflected_W_m-2_sr-1"
 
 
 def read(data: bytes, path: Path) -> pd.DataFrame:
+    """The measurement table in an infrared in-plane CSV; `DataError` says what is wrong with the file, and where."""
     cells = csv_table(data, path, ["theta_o_deg", "theta_i_deg", _RADIANCE])
     column = next((name for name in ("sample_en", "sample_de") if name in cells.header), None)
     if column is None:

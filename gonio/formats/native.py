@@ -125,6 +125,7 @@ def _read_line_by_line(text: str, path: Path) -> pd.DataFrame:
 
 
 def write(frame: pd.DataFrame, path: Path) -> None:
+    """The table, its numbers to the last bit, and its attributes beside it."""
     check_columns(list(frame.columns), str(path))
     check(frame, lambda row: f"{path}, row {row + 1}")
     text = frame.to_csv(index=False, lineterminator="\n")

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 
 def read(data: bytes, path: Path) -> pd.DataFrame:
+    """The measurement table in one of NIST's Mueller CSVs; `DataError` says what is wrong with the file, and where."""
     names = column_names(data[:4096])
     value = "fr11" if "fr11" in names else "f_r11"
     azimuth = "phii" if "phii" in names else "phi"

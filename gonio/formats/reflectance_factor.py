@@ -26,6 +26,7 @@ _ANGLES = ["Incident_angle", "Measure_angle"]
 
 
 def read(data: bytes, path: Path) -> pd.DataFrame:
+    """The measurement table in a reflectance-factor CSV; `DataError` says what is wrong with the file, and where."""
     cells = csv_table(data, path, _ANGLES)
     columns = [name for name in cells.header if name not in _ANGLES]
     matches = [_WAVELENGTH.fullmatch(name) for name in columns]

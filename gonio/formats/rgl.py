@@ -233,6 +233,7 @@ def _bilinear(array: Floats, u: Floats, v: Floats, lead: tuple[Any, Any] | None 
 
 
 def read(data: bytes, path: Path) -> pd.DataFrame:
+    """The measurement table in an RGL tensor file; `DataError` says what is wrong with the file, and where."""
     measured = Measured(data, path)
     theta = np.arange(0.0, 86.0, 5.0)
     phi_i = np.zeros(1) if measured.isotropic else np.arange(0.0, 360.0, 45.0)

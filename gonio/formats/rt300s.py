@@ -33,6 +33,7 @@ _LIMITS = (360.0, 89.0, 89.0, math.inf)
 
 
 def read(data: bytes, path: Path) -> pd.DataFrame:
+    """The measurement table in an RT-300S workbook; `DataError` says what is wrong with the file, and where."""
     rows = _measurements(data, path)
     notes = ["wavelength: 650 nm, the instrument's laser; the file does not state it"]
     blank = _blank_beside(path)

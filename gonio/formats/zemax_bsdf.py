@@ -52,6 +52,7 @@ _OURS = re.compile(r"#\s*wavelength_nm\s+(\S+)")
 
 
 def read(data: bytes, path: Path) -> pd.DataFrame:
+    """The measurement table in a Zemax BSDF file; `DataError` says what is wrong with the file, and where."""
     text = Text(data, path)
     wavelength = math.nan
     lines = []

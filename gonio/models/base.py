@@ -128,7 +128,24 @@ class Model(ABC):
         return engine.over_vectors(kernel, constants, omega_i, omega_r, split=self.grain)
 
     def at(self, geometry: Geometry, *, wavelength_nm: float = 550.0) -> Any:
-        """BRDF [1/sr] at directions that `gonio.models.geometry` has checked: the fast way to try many parameters."""
+        """BRDF [1/sr] at directions that `gonio.models.geometry` has checked: the fast way to try many parameters.
+
+        Parameters
+        ----------
+        geometry
+            The directions.
+        wavelength_nm
+            Wavelength [nm] of models whose index of refraction depends on it.
+
+        Returns
+        -------
+        float64 array of the geometry's shape.
+
+        Raises
+        ------
+        ArgumentError
+            The wavelength is no positive number, or the index is not known at it.
+        """
         kernel, constants = self._evaluation(checked_wavelength(wavelength_nm))
         return engine.at_geometry(kernel, constants, geometry, split=self.grain)
 

@@ -273,7 +273,13 @@ class Blinn(Model):
 
     @classmethod
     def preset(cls, preset: str, **changes: Any) -> Blinn:
-        """One of the paper's parameter sets (`PRESETS`: "aluminium", "magnesium oxide"), with changes."""
+        """One of the paper's parameter sets (`PRESETS`: "aluminium", "magnesium oxide"), with changes.
+
+        Raises
+        ------
+        ArgumentError
+            There is no such set (with the nearest name), or a change is out of range.
+        """
         values = {**PRESETS[choice("preset", preset, tuple(PRESETS))], **changes}
         if "beta_deg" in changes:
             values.pop("c")
@@ -338,7 +344,13 @@ class Blinn(Model):
 
 
 def coefficient(distribution: str, beta: float) -> float:
-    """The coefficient c1, c2 or c3 for which a distribution falls to one half at `beta` [rad], in (0, pi/2)."""
+    """The coefficient c1, c2 or c3 for which a distribution falls to one half at `beta` [rad], in (0, pi/2).
+
+    Raises
+    ------
+    ArgumentError
+        There is no such distribution (with the nearest name), or `beta` is out of range.
+    """
     choice("distribution", distribution, DISTRIBUTIONS)
     if not 0.0 < beta < pi / 2:
         raise ArgumentError(f"beta_deg = {math.degrees(beta):g}: must lie between 0 and 90 deg")

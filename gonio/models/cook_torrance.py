@@ -202,6 +202,11 @@ class CookTorrance(Model):
         The paper gives Table I's materials without their reflectance: pass `ior` or `f0`. Where the set has a diffuse
         part and no `diffuse_albedo` is given, it is the normal reflectance of the material at 550 nm, as in the
         paper's figures (R_d = F_0/pi); for the copper-coloured "plastic" that of copper.
+
+        Raises
+        ------
+        ArgumentError
+            There is no such set (with the nearest name), it needs `ior` or `f0`, or a change is out of range.
         """
         chosen = choice("preset", preset, tuple(PRESETS))
         values = {**PRESETS[chosen], **changes}
@@ -324,6 +329,11 @@ def unblocked_fraction(horizon: ArrayLike) -> float:
     horizon
         Elevation of what blocks the view, above the plane of the surface [rad], in [0, pi/2], at azimuths equally
         spaced over 2 pi.
+
+    Raises
+    ------
+    ArgumentError
+        There is no elevation, or one is NaN or out of range.
     """
     elevation = engine.real_array("horizon", horizon)
     if elevation.size == 0 or not bool(np.all((elevation >= 0.0) & (elevation <= pi / 2))):
