@@ -29,7 +29,7 @@ Constants = tuple[float, ...]
 
 NORM_TOLERANCE: Final = 1e-6  # how far from 1 the length of a direction may be: what float32 vectors need, and no more
 BLOCK: Final = 8192  # pairs handled at a time: one constant argument is repeated that often, and stays in the cache
-CHUNK: Final = 256  # pairs of vectors whose components stay in the nearest cache between checking and evaluating
+CHUNK: Final = 64  # pairs taken apart at a time: so few that the next are fetched from memory while these are evaluated
 SPLIT: Final = 65536  # pairs a thread must have to be worth waking: a wake costs some 20 us
 PHI_LIMIT: Final = 1e6  # rad; beyond it an azimuth has fewer than ten digits left
 HALF_PI: Final = pi / 2
