@@ -6,7 +6,7 @@ import re
 from importlib.resources import files
 from pathlib import Path
 
-from pydantic import field_validator
+from pydantic import ValidationInfo, field_validator, model_validator
 
 from gonio import config
 from gonio.config import Strict
@@ -14,6 +14,8 @@ from gonio.description import NonNegative, Positive
 from gonio.errors import ConfigError
 
 DIALECTS = ("scpi", "mightex", "arduino")
+FILLS = {"set": ("value", "channel"), "select": ("wavelength_nm", "channel")}
+"""What is filled into a command; the channel into any other."""
 
 
 class Dialect(Strict):
@@ -70,6 +72,30 @@ class Dialect(Strict):
             except re.error as error:
                 raise ValueError(f"is not a regular expression: {error}") from None
         return pattern
+
+    @field_validator("got", "selected_got", "monitor_got")
+    @classmethod
+    def _number(cls, pattern: str) -> str:
+        if re.compile(pattern).groups < 1:
+            raise ValueError("needs a group, in round brackets, around the number")
+        return pattern
+
+    @field_validator("on", "off", "state", "set", "get", "select", "monitor")
+    @classmethod
+    def _template(cls, command: str | None, info: ValidationInfo) -> str | None:
+        fills = FILLS.get(str(info.field_name), ("channel",))
+        try:
+            (command or "").format(**dict.fromkeys(fills, 1.0))
+        except (KeyError, IndexError, ValueError):
+            known = " and ".join(f"{{{name}}}" for name in fills)
+            raise ValueError(f"only {known} can be filled in; write {{{{ and }}}} for braces") from None
+        return command
+
+    @model_validator(mode="after")
+    def _read_back(self) -> Dialect:
+        if (self.select is None) != (self.selected is None):
+            raise ValueError("select and selected go together: a wavelength that is set must be read back")
+        return self
 
 
 def dialect(name: str) -> Dialect:

@@ -72,7 +72,7 @@ class FolderCamera:
                 self._release = serial.Serial(
                     trigger.port, int(trigger.baud), timeout=2.0, write_timeout=1.0, exclusive=True
                 )
-            except ports.FAILURES as error:
+            except (*ports.FAILURES, ValueError) as error:
                 raise ports.unopened(trigger.port, error, "devices.camera.trigger.port") from None
         self._seen = {self._name(path) for path in self._files()}
         return self

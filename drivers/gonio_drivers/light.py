@@ -27,6 +27,12 @@ log = logging.getLogger("gonio.devices")
 TRIES = 3
 LATENESS = 2.0
 """How much longer than its timeout a missing reply is awaited, so that it is not taken for the next one's."""
+SLOWEST = 10.0
+"""Longest wait for a controller that answers late, in timeouts of its dialect."""
+ERROR = r"[-+]?\d.*"
+"""What an entry of an error queue looks like: a number first."""
+ERRORS_KEPT = 100
+"""No controller's error queue holds more."""
 WAVELENGTH_STEP_NM = 0.1
 
 
@@ -84,7 +90,7 @@ class SerialLight:
                 write_timeout=1.0,
                 exclusive=True,
             )
-        except ports.FAILURES as error:
+        except (*ports.FAILURES, ValueError) as error:
             raise ports.unopened(self._light.port, error, "devices.light.port") from None
         try:
             self._wake()
@@ -171,8 +177,8 @@ class SerialLight:
         """
         d = self._dialect
         answer = self._ask(d.state.format(channel=self._channel), f"{d.state_on}|{d.state_off}")
-        is_on = re.fullmatch(d.state_on, answer) is not None
-        if is_on == self.lit and (not self.lit or (self._level_kept() and self._band_kept())):
+        as_meant = re.fullmatch(d.state_on if self.lit else d.state_off, answer) is not None
+        if as_meant and (not self.lit or (self._level_kept() and self._band_kept())):
             return
         if not self.lit:
             self.off()
@@ -201,8 +207,8 @@ class SerialLight:
         d = self._dialect
         if d.banner is not None:
             end = time.monotonic() + d.banner_s
-            while not re.fullmatch(d.banner, line := self._line()):
-                if time.monotonic() > end and not line:
+            while not re.fullmatch(d.banner, self._line()):
+                if time.monotonic() > end:
                     log.warning("lamp on %s: no banner within %g s; asking anyway", self._light.port, d.banner_s)
                     break
         for command in d.start:
@@ -273,6 +279,8 @@ class SerialLight:
         kept = abs(got - self._light.level * d.full_scale) <= d.resolution
         if kept and self._light.monitor_tolerance is not None and (seen := self.monitor()) is not None:
             first = self._monitored = self._monitored or seen
+            if not first > 0:
+                raise DeviceError(f"the lamp's monitor reads {first:g} while the lamp is lit: is it connected?")
             if abs(seen / first - 1) > self._light.monitor_tolerance:
                 raise DeviceError(
                     f"the lamp's monitor reads {seen:g}, and read {first:g} after lighting up: more than "
@@ -313,7 +321,7 @@ class SerialLight:
                     if not re.fullmatch(d.acknowledge, reply):
                         raise self._disappointment(command, reply)
                 if d.error_query is not None:
-                    error = self._ask(d.error_query, d.no_error)
+                    error = self._ask(d.error_query, f"{d.no_error}|{ERROR}")
                     if not re.fullmatch(d.no_error, error):
                         raise Nak(f'the lamp on {self._light.port} refuses "{command}": {error}')
             except DeviceError as failure:
@@ -347,12 +355,14 @@ class SerialLight:
         return Nak(f'the lamp on {self._light.port} answers "{command}" with "{reply}"')
 
     def _number(self, query: str, pattern: str) -> float:
-        reply = self._ask(query, pattern)
-        found = re.fullmatch(pattern, reply)
-        try:
-            return float(found.group(1))  # type: ignore[union-attr]
-        except (AttributeError, ValueError):
-            raise DeviceError(f'the lamp on {self._light.port} answers "{reply}" where a number was expected') from None
+        for _ in range(TRIES):
+            reply = self._ask(query, pattern)
+            found = re.fullmatch(pattern, reply)
+            try:
+                return float(found.group(1))  # type: ignore[union-attr]
+            except (AttributeError, ValueError):
+                self._calm(missing=False)
+        raise DeviceError(f'the lamp on {self._light.port} answers "{reply}" where a number was expected')
 
     def _send(self, command: str) -> None:
         if self._port is None:
@@ -365,25 +375,41 @@ class SerialLight:
             raise ports.lost(self._light.port, error, "devices.light.port") from None
 
     def _reply(self, good: str) -> str:
-        """The first line that is `good`, or that is neither an echo (some controllers return what was sent) nor the
-        acknowledgement of an earlier command."""
-        stale = re.compile(self._dialect.acknowledge or "(?!)")
-        while (line := self._line()) and not re.fullmatch(good, line) and (line in self._sent or stale.fullmatch(line)):
-            pass
-        self._silent = self._silent and not line
-        return line
+        """The line that is `good`; where none comes in time, the first one that may be meant as the answer.
+
+        That is none that refuses, greets or is `good` itself: an echo (some controllers return what was sent), the
+        acknowledgement of an earlier command, or a line that nobody has asked for may come before the answer.
+        """
+        d = self._dialect
+        end = time.monotonic() + self._timeout_s()
+        answer = ""
+        while line := self._line():
+            if any(pattern is not None and re.fullmatch(pattern, line) for pattern in (good, d.refuse, d.banner)):
+                answer = line
+                break
+            if line not in self._sent and not re.fullmatch(d.acknowledge or "(?!)", line):
+                answer = answer or line
+            if time.monotonic() > end:
+                break
+        self._silent = self._silent and not answer
+        return answer
+
+    def _timeout_s(self) -> float:
+        assert self._port is not None
+        return float(self._port.timeout)
 
     def _line(self) -> str:
         """One line without its ending and without a prompt; empty where none comes in time."""
         assert self._port is not None
         prompt = (self._dialect.prompt or "").strip()
+        end = time.monotonic() + self._timeout_s()
         try:
             while True:
                 raw = self._port.read_until(self._dialect.reply_ending.encode())
                 text = str(raw, "ascii", "replace").strip()
                 while prompt and text.startswith(prompt):
                     text = text.removeprefix(prompt).strip()
-                if text or not raw:
+                if text or not raw or time.monotonic() > end:
                     return text
         except ports.FAILURES as error:
             raise ports.lost(self._light.port, error, "devices.light.port") from None
@@ -402,6 +428,7 @@ class SerialLight:
                 self._silent = not late
                 if late and not re.fullmatch(self._dialect.banner or "", late):
                     timeout_s += 2 * (time.monotonic() - begun)
+                    timeout_s = min(timeout_s, SLOWEST * self._dialect.timeout_s)
                     self._port.timeout = timeout_s
                     log.warning(
                         "lamp on %s: it answers late; waiting for %.1f s from now on (timeout_s of its dialect)",
@@ -415,8 +442,8 @@ class SerialLight:
     def _drain_errors(self) -> None:
         d = self._dialect
         if d.error_query is not None:
-            for _ in range(20):
-                if re.fullmatch(d.no_error, self._ask(d.error_query, d.no_error)):
+            for _ in range(ERRORS_KEPT):
+                if re.fullmatch(d.no_error, self._ask(d.error_query, f"{d.no_error}|{ERROR}")):
                     return
             raise DeviceError(f"the lamp on {self._light.port} has an error queue that does not end")
 

@@ -232,9 +232,72 @@ def test_a_dialect_from_a_file(tmp_path: Path) -> None:
         dialect(str(path))
 
 
-@pytest.mark.parametrize("habit", ["echo", "prompt", "slow", "bytewise"])
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ('select = "WAV {wavelength_nm}"', "select and selected go together"),
+        ('selected = "WAV?"', "select and selected go together"),
+        ("got = '[.0-9]+'", r"got = .*needs a group"),
+        ('set = "SET {level}"', r"set = .*only \{value\} and \{channel\} can be filled in"),
+        ('on = "{}"', r"on = .*only \{channel\} can be filled in; write \{\{ and \}\} for braces"),
+        ('state = \'{"ask": "state"}\'', r"state = .*only \{channel\} can be filled in"),
+    ],
+)
+def test_a_dialect_that_cannot_work_is_refused_when_it_is_read(tmp_path: Path, wrong: str, message: str) -> None:
+    text = (Path(lamps.__file__).parents[3] / "drivers/gonio_drivers/dialects/arduino.toml").read_text()
+    key = wrong.split(" = ")[0]
+    kept = [line for line in text.splitlines() if not line.startswith(f"{key} = ")]
+    (tmp_path / "mine.toml").write_text("\n".join([*kept, wrong]))
+    with pytest.raises(ConfigError, match=rf"mine\.toml: .*{message}|{message}"):
+        dialect(str(tmp_path / "mine.toml"))
+
+
+def test_a_device_that_never_stops_talking_is_no_lamp(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
+    light = lamp.driver()
+    light._dialect = light._dialect.model_copy(update={"timeout_s": 0.01, "banner": "READY.*", "banner_s": 0.01})
+    monkeypatch.setattr(light, "_line", lambda: "TEMP 31.2")
+    with pytest.raises(DeviceError, match=r'says it is "TEMP 31\.2", which is no'), light:
+        pass
+
+
+def test_a_line_of_blanks_ends_in_time(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
+    with lamp.driver() as light:
+        light._dialect = light._dialect.model_copy(update={"prompt": "> "})
+        monkeypatch.setattr(light._port, "timeout", 0.01)
+        monkeypatch.setattr(light._port, "read_until", lambda ending: b"> \r\n")
+        assert light._line() == ""
+        monkeypatch.undo()
+
+
+def test_a_number_is_asked_for_again_where_something_else_comes(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
+    with lamp.driver() as light:
+        real, answers = light._ask, iter(["TEMP is 31.2"])
+        monkeypatch.setattr(light, "_ask", lambda *asked: next(answers, None) or real(*asked))
+        assert light._number(light._dialect.get.format(channel=1), light._dialect.got) == 0
+
+
+def test_a_lamp_counts_as_dark_only_where_it_says_so(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
+    with lamp.driver() as light:
+        light.check()
+        real, answers = light._ask, iter(["who knows"])
+        monkeypatch.setattr(light, "_ask", lambda *asked: next(answers, None) or real(*asked))
+        with pytest.raises(LampReset):
+            light.check()
+
+
+def test_a_monitor_that_sees_nothing_of_a_lit_lamp_is_an_error(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
+    with lamp.driver(monitor_tolerance=0.02) as light:
+        monkeypatch.setattr(light, "monitor", lambda: 0.0)
+        light.select(BANDS[0])
+        light.on()
+        with pytest.raises(DeviceError, match="the lamp's monitor reads 0 while the lamp is lit"):
+            light.check()
+
+
+@pytest.mark.parametrize("habit", ["echo", "prompt", "slow", "bytewise", "chatter"])
 def test_habits_of_controllers(lamp: Plugged, tmp_path: Path, habit: str, caplog: pytest.LogCaptureFixture) -> None:
-    """An echo, a prompt, answers after the timeout (0.25 s), single bytes: the lamp shines as asked, and gets dark."""
+    """An echo, a prompt, answers after the timeout (0.25 s), single bytes, lines that nobody asked for: the lamp shines
+    as asked, and gets dark."""
     text = (Path(lamps.__file__).parents[3] / f"drivers/gonio_drivers/dialects/{lamp.name}.toml").read_text()
     (tmp_path / "mine.toml").write_text(text + ('prompt = "> "\n' if habit == "prompt" else ""))
     receive = lamp.twin.receive
@@ -247,6 +310,8 @@ def test_habits_of_controllers(lamp: Plugged, tmp_path: Path, habit: str, caplog
         if habit == "echo":
             send(data)
             time.sleep(0.05)  # the echo comes at once, the answer when the command has been carried out
+        if habit == "chatter":
+            send(b"\r\n\nTEMP 31.2\r\n\r")
         if habit == "slow" and b"?" in data:
             time.sleep(0.3)  # on the twin's side
         receive(data, baud, bytewise if habit == "bytewise" else send)
