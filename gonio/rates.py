@@ -19,6 +19,7 @@ from gonio import kinematics
 from gonio.darks import PATTERNS, Darks, Patterns
 from gonio.description import Band, Camera, RigDescription
 from gonio.errors import DataError
+from gonio.exposure import full_scale_dn
 from gonio.frames import read_raw
 from gonio.imaging import Channel, Roi, pixel_map, roi
 from gonio.kinematics import Directions
@@ -169,12 +170,11 @@ class Bench:
         camera, darks = self.description.camera, self._darks[region.target]
         values = region.roi.of(frame.mosaic).astype(float)
         signal = (values - darks.of(region.roi, frame.exposure_s)) * camera.electrons_per_dn
-        full = min(frame.white_level_dn - frame.black_level_dn, camera.full_well_e / camera.electrons_per_dn)
         return Shot(
             rate=float(np.mean(signal * region.per_weight)) / frame.exposure_s,
             exposure_s=frame.exposure_s,
             time_s=time_s,
-            peak=(float(values.max()) - frame.black_level_dn) / full,
+            peak=(float(values.max()) - frame.black_level_dn) / full_scale_dn(camera, frame),
             leverage=darks.leverage(frame.exposure_s),
         )
 
