@@ -87,7 +87,6 @@ class SerialLight:
                 self._light.port,
                 baud,
                 timeout=self._dialect.timeout_s,
-                write_timeout=1.0,
                 exclusive=True,
             )
         except (*ports.FAILURES, ValueError) as error:
@@ -370,7 +369,7 @@ class SerialLight:
         try:
             self._sent.append(command.strip())
             self._port.reset_input_buffer()
-            self._port.write((command + self._dialect.send_ending).encode())
+            ports.send(self._port, (command + self._dialect.send_ending).encode())
         except ports.FAILURES as error:
             raise ports.lost(self._light.port, error, "devices.light.port") from None
 
@@ -399,17 +398,22 @@ class SerialLight:
         return float(self._port.timeout)
 
     def _line(self) -> str:
-        """One line without its ending and without a prompt; empty where none comes in time."""
+        """One line without its ending and without a prompt; empty where no whole one comes in time."""
         assert self._port is not None
         prompt = (self._dialect.prompt or "").strip()
+        ending = self._dialect.reply_ending.encode()
         end = time.monotonic() + self._timeout_s()
         try:
             while True:
-                raw = self._port.read_until(self._dialect.reply_ending.encode())
+                raw = self._port.read_until(ending)
+                if raw and not raw.endswith(ending):  # this computer, or the adapter, was held up in mid-line
+                    raw += self._port.read_until(ending)
+                if not raw.endswith(ending):
+                    return ""  # half a number is none
                 text = str(raw, "ascii", "replace").strip()
                 while prompt and text.startswith(prompt):
                     text = text.removeprefix(prompt).strip()
-                if text or not raw or time.monotonic() > end:
+                if text or time.monotonic() > end:
                     return text
         except ports.FAILURES as error:
             raise ports.lost(self._light.port, error, "devices.light.port") from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import select
 import termios
 from pathlib import Path
 
@@ -15,6 +16,8 @@ FAILURES = (serial.SerialException, OSError, termios.error)
 """What a serial port raises that does not open, or goes away."""
 
 
+CLOGGED_S = 1.0
+"""A line that takes no byte for this long is dead."""
 MASTERS = {"/dev/ptmx", "/dev/pts/ptmx"}
 
 
@@ -42,6 +45,20 @@ def require_free(port: str, key: str) -> None:
     """Raise `DeviceError` where another process has a port open: few programs take or heed a lock."""
     if holder := _holder(port):
         raise DeviceError(f'{key} = "{port}": the port is taken{holder}; end what holds it, then try again')
+
+
+def send(line: serial.Serial, data: bytes) -> None:
+    """Write all of `data`; raise `SerialTimeoutException` where the line takes none.
+
+    `Serial.write` raises that too where all was written, but the computer was held up meanwhile.
+    """
+    while data:
+        if not select.select([], [line.fileno()], [], CLOGGED_S)[1]:
+            raise serial.SerialTimeoutException("Write timeout")
+        try:
+            data = data[os.write(line.fileno(), data) :]
+        except BlockingIOError:
+            continue
 
 
 def lost(port: str, error: Exception, key: str) -> DeviceError:

@@ -1,11 +1,14 @@
-"""Port and packets of the ROBOTIS SDK, mended where they have to be: locking, waiting, byte stuffing."""
+"""Port and packets of the ROBOTIS SDK, mended where they have to be: locking, waiting, clock, byte stuffing."""
 
 from __future__ import annotations
 
 import select
+import time
 
 import serial
 from dynamixel_sdk import PortHandler, Protocol2PacketHandler
+
+from gonio_drivers import ports
 
 WAIT_S = 0.002
 PATIENCE_MS = 50.0
@@ -33,13 +36,16 @@ class ExclusivePort(PortHandler):  # type: ignore[misc]
             baudrate=cflag_baud,
             bytesize=serial.EIGHTBITS,
             timeout=0,
-            write_timeout=1.0,
             exclusive=True,
         )
         self.is_open = True
         self.ser.reset_input_buffer()
         self.tx_time_per_byte = 1000.0 / cflag_baud * 10.0
         return True
+
+    def getCurrentTime(self) -> float:
+        """Milliseconds of a clock that nobody sets: the SDK's own jumps with the time of day."""
+        return 1e3 * time.monotonic()
 
     def setPacketTimeout(self, packet_length: int) -> None:
         """Start to wait for a packet."""
@@ -55,6 +61,11 @@ class ExclusivePort(PortHandler):  # type: ignore[misc]
         data = bytes(self.ser.read(length))
         self.received += len(data)
         return data
+
+    def writePort(self, packet: list[int]) -> int:
+        """Send a packet, however long the computer is held up meanwhile; its length."""
+        ports.send(self.ser, bytes(packet))
+        return len(packet)
 
     def clearPort(self) -> None:
         """Drop what nobody has asked for."""
