@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import select
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import pytest
 from dynamixel_sdk import PacketHandler, PortHandler
+from gonio_drivers.sdk import ExclusivePort
 from gonio_sim.wire.bus import ServoBus
 from gonio_sim.wire.faults import Faults
 from gonio_sim.wire.peer import SerialPeer, scaled_clock
@@ -40,8 +42,43 @@ def line() -> Iterator[Line]:
 
 
 @pytest.fixture
-def sdk(line: Line, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[PortHandler, PacketHandler]]:
-    monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 500)  # [ms], twice; patience on a busy machine
+def patient(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On this line silence is what the servos leave unanswered, and never what a busy machine has not come to yet."""
+    receive, is_over = line.bus.receive, PortHandler.isPacketTimeout
+    sent = heard = 0
+
+    def received(data: bytes, baud: int, send: Callable[[bytes], None]) -> None:
+        nonlocal heard
+        try:
+            receive(data, baud, send)
+        finally:
+            heard += len(data)
+
+    def counting(write: Callable[[PortHandler, list[int]], int]) -> Callable[[PortHandler, list[int]], int]:
+        def written(port: PortHandler, packet: list[int]) -> int:
+            nonlocal sent
+            sent += len(packet)
+            return write(port, packet)
+
+        return written
+
+    def is_silent(port: PortHandler) -> bool:
+        return is_over(port) and heard >= sent and not select.select([port.ser.fileno()], [], [], 0)[0]
+
+    monkeypatch.setattr(line.bus, "receive", received)
+    monkeypatch.setattr(PortHandler, "isPacketTimeout", is_silent)
+    for kind in (PortHandler, ExclusivePort):
+        monkeypatch.setattr(kind, "writePort", counting(kind.writePort))
+
+
+@pytest.fixture
+def unwatched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The servos' watchdogs never run out, however long this machine stands still."""
+    monkeypatch.setattr(Servo, "_watch", lambda servo, wall_s: None)
+
+
+@pytest.fixture
+def sdk(line: Line, patient: None) -> Iterator[tuple[PortHandler, PacketHandler]]:
     port = PortHandler(line.port)
     port.setBaudRate(BAUD)
     yield port, PacketHandler(2.0)
