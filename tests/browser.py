@@ -21,7 +21,7 @@ ARGUMENTS = (
     *("--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage"),
     "--remote-debugging-pipe",
 )
-PATIENCE_S = 30.0
+PATIENCE_S = 300.0
 """Longest wait for an answer; a loaded machine takes seconds to start the browser."""
 
 

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import signal
+
 from hypothesis import settings
 
 # the same examples in every run; `pytest --hypothesis-profile=default` draws others
 settings.register_profile("gonio", deadline=None, derandomize=True)
 settings.load_profile("gonio")
+
+# a shell without job control starts what it puts into the background deaf to these
+for _number, _usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGQUIT, signal.SIG_DFL)):
+    if signal.getsignal(_number) is signal.SIG_IGN:
+        signal.signal(_number, _usual)

@@ -104,7 +104,7 @@ def test_one_writer_at_a_time_across_processes(tmp_path: Path) -> None:
 
     def other() -> str:
         return subprocess.run(
-            [sys.executable, "-c", script, str(tmp_path / "j")], capture_output=True, text=True, check=True, timeout=60
+            [sys.executable, "-c", script, str(tmp_path / "j")], capture_output=True, text=True, check=True, timeout=600
         ).stdout
 
     with Journal(tmp_path / "j"):

@@ -10,6 +10,9 @@ from pathlib import Path
 
 import pytest
 
+HANGS_S = 600.0
+"""A command that takes longer than this hangs; an idle machine takes seconds, and a busy one a minute or two."""
+
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
 
 LAMBERT = 'name = "matte"\nmodel = "lambert"\n[parameters]\nalbedo = 0.5\n'
@@ -34,14 +37,14 @@ def environment() -> dict[str, str]:
 def gonio(tmp_path: Path) -> Command:
     """Run a command in `tmp_path` and return what it printed; fails when a traceback shows."""
 
-    def run(*arguments: str | Path, expect: int = 0, timeout: float = 120) -> subprocess.CompletedProcess[str]:
+    def run(*arguments: str | Path, expect: int = 0) -> subprocess.CompletedProcess[str]:
         done = subprocess.run(
             [*command_line(), *map(str, arguments)],
             capture_output=True,
             text=True,
             cwd=tmp_path,
             env=environment(),
-            timeout=timeout,
+            timeout=HANGS_S,
             stdin=subprocess.DEVNULL,
             check=False,
         )

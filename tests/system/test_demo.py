@@ -10,13 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from .conftest import Command
+from .conftest import HANGS_S, Command, command_line, environment
 
 
 @pytest.fixture(scope="module")
 def quick_demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    from .conftest import command_line, environment
-
     folder = tmp_path_factory.mktemp("demo")
     done = subprocess.run(
         [*command_line(), "demo", "--quick", "--out", "out"],
@@ -24,7 +22,7 @@ def quick_demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
         env=environment(),
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=HANGS_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr
@@ -77,7 +75,7 @@ def test_report_renders_without_errors(quick_demo: tuple[Path, str], tmp_path: P
         ],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=HANGS_S,
         check=False,
     )
     assert done.returncode == 0

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -12,15 +14,36 @@ import pytest
 
 from gonio.measurement import read
 
-from .conftest import Command, command_line, environment
+from .conftest import HANGS_S, Command, environment
 
 MEASURE = ("measure", "plan.toml", "--rig", "sim", "--sample", "sample.toml", "--seed", "5")
 
 
+HELD = """
+import sys, time
+from pathlib import Path
+from gonio.cli import main
+from gonio.journal import Journal
+
+steps, heard, write = int(sys.argv.pop(1)), Path(sys.argv.pop(1)), Journal.append
+
+def append(journal, event):
+    done = sum(other["event"] == "step" for other in journal.events)
+    while event["event"] == "step" and done > steps and not heard.exists():
+        time.sleep(0.001)
+    return write(journal, event)
+
+Journal.append = append
+main()
+"""
+"""The command `gonio`, but it does not get further than one step more until it has been sent its signal."""
+
+
 def kill_after(files: Path, out: str, steps: int, how: signal.Signals, *more: str) -> int:
     """Start a measurement, send `how` as soon as the journal holds `steps` steps, and return the exit code."""
+    heard = files / f"{out}-{steps}-heard"
     process = subprocess.Popen(
-        [*command_line(), *MEASURE, "--out", out, *more],
+        [sys.executable, "-c", HELD, str(steps), str(heard), *MEASURE, "--out", out, *more],
         cwd=files,
         env=environment(),
         stdin=subprocess.DEVNULL,
@@ -29,19 +52,19 @@ def kill_after(files: Path, out: str, steps: int, how: signal.Signals, *more: st
     )
     journal = files / out / "journal.jsonl"
     while process.poll() is None:
-        if journal.exists() and journal.read_bytes().count(b'"event":"step"'.replace(b" ", b"")) >= steps:
+        if journal.exists() and len(steps_in(files, out)) >= steps:
             process.send_signal(how)
+            heard.touch()
             break
-        if journal.exists() and journal.read_bytes().replace(b": ", b":").count(b'"event":"step"') >= steps:
-            process.send_signal(how)
-            break
-    process.communicate(timeout=60)
+        time.sleep(0.001)
+    process.communicate(timeout=HANGS_S)
     return process.returncode
 
 
 def steps_in(files: Path, out: str) -> list[int]:
-    lines = (files / out / "journal.jsonl").read_text().splitlines()
-    return [event["step"] for event in map(json.loads, lines) if event["event"] == "step"]
+    """The steps of a journal, which may be in the middle of its last line."""
+    whole, _, _ = (files / out / "journal.jsonl").read_bytes().rpartition(b"\n")
+    return [event["step"] for event in map(json.loads, whole.splitlines()) if event["event"] == "step"]
 
 
 def test_killed_run_resumes_to_the_same_table(gonio: Command, files: Path) -> None:
