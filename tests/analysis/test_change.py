@@ -109,7 +109,7 @@ def test_planes_of_other_azimuths_are_laid_on_each_other() -> None:
     b["phi_r_deg"] = (b["phi_r_deg"] + 90.0) % 360.0
     found = change(side(a), side(b))
     assert len(found.at) == len(a)
-    assert np.allclose(found.difference, 0.0, atol=1e-12)
+    assert np.allclose(found.difference, 0.0, atol=1e-12)  # rounding of the azimuths
     assert any("90°" in n for n in found.notes)
 
 

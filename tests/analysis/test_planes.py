@@ -19,7 +19,7 @@ def test_sign_is_positive_on_the_mirror_side() -> None:
     c = curves(observations(measure(GLOSS, incidences=(40.0,), noise=0.0, floor=1e-9)))[0]
     assert np.degrees(c.angle[0]) == pytest.approx(-80)
     assert np.degrees(c.angle[-1]) == pytest.approx(80)
-    assert np.degrees(c.angle[np.argmax(c.brdf)]) == pytest.approx(40, abs=5)
+    assert np.degrees(c.angle[np.argmax(c.brdf)]) == pytest.approx(40, abs=5)  # the spacing of the sweep
     assert c.mirror is not None
     assert np.degrees(c.angle[c.mirror]) == pytest.approx(40)
     assert c.label == "θi = 40°"
@@ -37,7 +37,7 @@ def test_turning_the_whole_plane_changes_nothing() -> None:
     turned["phi_i_deg"] = (table["phi_i_deg"] + 200) % 360
     turned["phi_r_deg"] = (table["phi_r_deg"] + 200) % 360
     for a, b in zip(curves(observations(table)), curves(observations(turned)), strict=True):
-        np.testing.assert_allclose(a.angle, b.angle, atol=1e-12)
+        np.testing.assert_allclose(a.angle, b.angle, atol=1e-12)  # rounding of the azimuths
         np.testing.assert_array_equal(a.brdf, b.brdf)
 
 

@@ -38,6 +38,7 @@ def test_whitening_is_a_square_root_of_the_inverse() -> None:
 def test_columns_are_whitened_like_vectors() -> None:
     c = some(4)
     m = np.random.default_rng(5).normal(size=(30, 4))
+    # rounding of the same sums in another order
     np.testing.assert_allclose(c.whiten(m), np.stack([c.whiten(column) for column in m.T], axis=1), rtol=1e-12)
 
 
@@ -56,7 +57,7 @@ def test_whitened_noise_is_white() -> None:
 
 def test_total_scaled_and_take() -> None:
     c = some(8)
-    np.testing.assert_allclose(c.total, np.sqrt(np.diag(dense(c))), rtol=1e-14)
+    np.testing.assert_allclose(c.total, np.sqrt(np.diag(dense(c))), rtol=1e-14)  # a few roundings
     np.testing.assert_array_equal(c.scaled(np.full(30, 2.0)).common, 2 * c.common)
     np.testing.assert_array_equal(c.take(np.array([3, 1])).common, c.common[[3, 1]])
 

@@ -82,7 +82,7 @@ def test_exposures_are_whole_microseconds_within_limits() -> None:
     short, long = exposure.dark_exposures_s(RIG)
     assert (short, long) == (SHORTEST, LONGEST)
     for value in (exposure.shorter(RIG, 0.123457), exposure.expected_exposure_s(RIG, Pose(light=1.0), 0.5)):
-        assert value * 1e6 == pytest.approx(round(value * 1e6), abs=1e-6)
+        assert value * 1e6 == pytest.approx(round(value * 1e6), abs=1e-6)  # rounding of a decimal fraction
     assert exposure.shorter(RIG, SHORTEST) == SHORTEST
 
 

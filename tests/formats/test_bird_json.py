@@ -36,7 +36,7 @@ def parse(content: Any, name: str = "x.brdf") -> pd.DataFrame:
 def test_units_are_those_that_the_file_states() -> None:
     frame = parse(example())
     assert frame["theta_i_deg"].tolist() == [30.0, 30.0, 45.5]
-    np.testing.assert_allclose(frame["theta_r_deg"], [30, 0, 45], rtol=1e-15)
+    np.testing.assert_allclose(frame["theta_r_deg"], [30, 0, 45], rtol=1e-15)  # a unit is one multiplication
     np.testing.assert_allclose(frame["phi_r_deg"], [180, 0, np.rad2deg(0.5)], rtol=1e-15)
     np.testing.assert_allclose(frame["wavelength_nm"], [550, 550, 600], rtol=1e-15)
     assert frame["u_brdf"].isna().all()
@@ -56,6 +56,7 @@ def constant(value: float, unit: str) -> dict[str, Any]:
     ],
 )  # fmt: skip
 def test_uncertainties_in_each_of_the_formats_ways(given: dict[str, Any], expected: list[float]) -> None:
+    # percent are two multiplications
     np.testing.assert_allclose(parse(example(**given))["u_brdf"], expected, rtol=1e-14)
 
 

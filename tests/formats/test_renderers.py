@@ -61,6 +61,7 @@ def test_merl_cells_hold_the_model(tmp_path: Path) -> None:
     measurement.write_model(GLOSSY, tmp_path / "g.binary", name="glossy")
     frame = measurement.read(tmp_path / "g.binary", sample="g green").iloc[::997]
     angles = np.deg2rad(frame[["theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg"]].to_numpy()).T
+    # rounding of the angles that the cells stand for
     np.testing.assert_allclose(frame["brdf"], GLOSSY.brdf(*angles), rtol=1e-12)
 
 

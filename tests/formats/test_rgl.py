@@ -72,7 +72,7 @@ def test_the_table_lies_on_a_grid(tmp_path: Path) -> None:
     frame = measurement.parse(material(), Path("m.bsdf"))
     assert frame.attrs["samples"] == ["test red", "test green", "test blue"]
     green = measurement.samples(frame)["test green"]
-    np.testing.assert_allclose(green["brdf"] * np.cos(np.deg2rad(green["theta_r_deg"])), 2.0, rtol=1e-12)
+    np.testing.assert_allclose(green["brdf"] * np.cos(np.deg2rad(green["theta_r_deg"])), 2.0, rtol=1e-12)  # rounding
     assert {0.0, 180.0} <= set(green["phi_r_deg"])
     assert (frame["flag"] == "").all()
     spectral = material(

@@ -100,7 +100,7 @@ def test_the_blank_beside_is_subtracted(tmp_path: Path) -> None:
     frame = measurement.read(tmp_path / "tile_20251115.xls")
     net = np.array([1.25, 1.0, 0.5, 0.25, 0.75]) - 0.125 * np.array([1, 2, 3, 1, 2])
     expected = (net - net.min()) / (math.pi * np.cos(np.deg2rad([60, 60, 60, 35, 0])))
-    np.testing.assert_allclose(frame["brdf"], expected, rtol=1e-12)
+    np.testing.assert_allclose(frame["brdf"], expected, rtol=1e-12)  # rounding of differences
     assert any("blank_v2_20250911" in note for note in frame.attrs["notes"])
     (tmp_path / "blank_v2_20250911.xls").write_bytes(workbook(SAMPLE[:1]))
     part = measurement.read(tmp_path / "tile_20251115.xls")

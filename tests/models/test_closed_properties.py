@@ -72,6 +72,7 @@ def test_reciprocity_of_the_groove_integrals(
 
 def test_phong_is_not_reciprocal() -> None:
     model = Phong(k_d=0.0)
+    # their ratio is cos 1 / cos 0.2 = 0.55
     assert model.brdf(0.2, 0.0, 1.0, PI) != pytest.approx(float(model.brdf(1.0, 0.0, 0.2, PI)), rel=0.1)
 
 
@@ -152,7 +153,7 @@ def test_oren_nayar_without_roughness_is_lambert(
     albedo: float, form: str, theta_i: float, phi_i: float, theta_r: float, phi_r: float
 ) -> None:
     got = float(OrenNayar(albedo, 0.0, form).brdf(theta_i, phi_i, theta_r, phi_r))
-    assert got == pytest.approx(albedo / PI, rel=1e-15)
+    assert got == pytest.approx(albedo / PI, rel=1e-15)  # a few roundings
 
 
 @given(st.floats(0.2, 5.0), st.floats(0.0, 1.5), st.floats(0.0, 1.5), phis)
@@ -199,6 +200,7 @@ def test_sum_passes_the_specular_spike_on() -> None:
 
     smooth = HeTorrance(sigma0_um=0.05)
     both = Sum((Lambert(), 0.5), (smooth, 0.25))
+    # one multiplication and one sum
     assert both.specular_reflectivity(0.3) == pytest.approx(0.25 * float(smooth.specular_reflectivity(0.3)), rel=1e-15)
 
 

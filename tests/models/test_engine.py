@@ -225,6 +225,7 @@ def test_wavelengths_broadcast() -> None:
     model = CookTorrance(ior=lambda nm: complex(nm / 400.0, 1.0))
     waves = np.array([400.0, 500.0, 400.0])
     expected = [model.brdf(0.3, 0.0, 0.4, 2.0, wavelength_nm=w) for w in waves]
+    # the same loop, in parts
     np.testing.assert_allclose(model.brdf(0.3, 0.0, 0.4, 2.0, wavelength_nm=waves), expected, rtol=1e-15)
     with pytest.raises(ArgumentError, match="wavelength_nm"):
         model.brdf(0.3, 0.0, 0.4, 2.0, wavelength_nm=-1.0)

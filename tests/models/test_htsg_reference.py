@@ -125,7 +125,7 @@ def test_series() -> None:
 
 def test_shadowing() -> None:
     for case in cases("htsg_shadowing"):
-        given, limit = case["in"], 1e-15 * (1 + case["cond"]["S1"])
+        given, limit = case["in"], 1e-15 * (1 + case["cond"]["S1"])  # some five roundings
         for form, key in (("smith", "S1"), ("paper", "S1_paper_noexp")):
             got = float(htsg.shadowing(given["theta"], given["sigma0"], given["tau"], form))
             assert got == pytest.approx(float(case["out"][key]), rel=limit), case["id"]

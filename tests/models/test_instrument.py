@@ -185,7 +185,7 @@ def test_broadcasts() -> None:
     assert seen.shape == (3, 4)
     one = apparent_brdf(surface, 0.5, 0.0, 0.4, MIRROR, **cones())
     assert np.shape(one) == ()
-    assert one == pytest.approx(seen[0, 0], rel=1e-12)
+    assert one == pytest.approx(seen[0, 0], rel=1e-12)  # the same rule, summed in other blocks
     assert apparent_brdf(surface, np.empty(0), 0.0, 0.1, 0.0, **cones()).shape == (0,)
 
 

@@ -66,7 +66,7 @@ def test_few_visits(count: int) -> None:
     times, values = np.array([50.0, 150.0])[:count], np.array([10.0, 12.0])[:count]
     fitted = level.fit(times, values, np.full(count, 0.04))
     assert fitted.straight
-    np.testing.assert_allclose(fitted.at(times), values, rtol=1e-12)
+    np.testing.assert_allclose(fitted.at(times), values, rtol=1e-12)  # a line through two points: rounding
     at = np.array([250.0])
     expected = 0.2 if count == 1 else math.hypot(0.2 / math.sqrt(2), 0.2 * math.sqrt(2) / 100 * 150)
     assert math.hypot(float(fitted.noise(at)[0]), float(fitted.drift(at)[0])) == pytest.approx(expected, rel=1e-9)
@@ -84,6 +84,7 @@ def table(waves: tuple[float, ...] = (500.0, 600.0)) -> pd.DataFrame:
     return out
 
 
+# values are linear in all three, so that what is read from the table is right to rounding: 1e-12
 def linear(theta_i: float, theta_r: float, wave: float) -> float:
     return 0.3 - 1e-3 * theta_i - 2e-4 * theta_r + 1e-4 * (0.0 if math.isnan(wave) else wave)
 

@@ -90,7 +90,7 @@ def test_the_table_is_a_valid_measurement_table_in_the_plan_s_order(tmp_path: Pa
     measurement.write(table, tmp_path / "brdf.csv")
     back = measurement.read(tmp_path / "brdf.csv")
     pd.testing.assert_frame_equal(back, table)
-    assert back.attrs["source_solid_angle_sr"] == pytest.approx(
+    assert back.attrs["source_solid_angle_sr"] == pytest.approx(  # 1 - cos cancels in the expectation: 1e-9
         2 * math.pi * (1 - math.cos(math.radians(0.5))), rel=1e-9
     )
     assert back.attrs["receiver_solid_angle_sr"] == pytest.approx(
@@ -102,7 +102,7 @@ def test_the_table_is_a_valid_measurement_table_in_the_plan_s_order(tmp_path: Pa
     assert set(table["wavelength_nm"]) == {550.0}
     parts = [name for name in table.columns if name.startswith("s_")]
     combined = np.sqrt(table["u_random"] ** 2 + (table[parts] ** 2).sum(axis=1))
-    np.testing.assert_allclose(table["u_brdf"][:-2], combined[:-2], rtol=1e-12)
+    np.testing.assert_allclose(table["u_brdf"][:-2], combined[:-2], rtol=1e-12)  # rounding of the same sum
 
 
 NOISY = {

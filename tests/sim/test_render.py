@@ -156,6 +156,7 @@ def test_point_source_and_pinhole_cost_no_cones_and_give_the_model_itself() -> N
     seen = pixel_map(description, view(description, pose))
     at = 240, 300
     value = models.build("cook-torrance", {}).brdf_vectors(seen.omega_i[at], seen.omega_r[at])
+    # the grid of nodes follows a lobe to 1e-4
     assert rendered[at] == pytest.approx(R * math.pi * seen.weight[at] * value, rel=1e-4)
 
 
