@@ -134,7 +134,8 @@ class _Point:
 def _relative(d: Directions, azimuth: float) -> _Point:
     """Coordinates that stay smooth where an angle passes through the normal."""
     along, across = d.theta_i * math.cos(d.phi_i - azimuth), d.theta_i * math.sin(d.phi_i - azimuth)
-    theta_i = math.copysign(d.theta_i, along)
+    # across a plane that the normal alone would define, theta_i does not change
+    theta_i = math.copysign(d.theta_i, along) if d.theta_i >= NORMAL else along
     turn = math.atan2(across, along) if theta_i >= NORMAL else 0.0  # rotate with the plane of incidence
     phi = d.phi_r - azimuth - turn
     return _Point(theta_i, -d.theta_r * math.cos(phi), d.theta_r * math.sin(phi))

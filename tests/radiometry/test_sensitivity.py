@@ -122,6 +122,19 @@ def test_normal_incidence_has_no_preferred_plane() -> None:
         assert odd == pytest.approx(slope * u, rel=0.15)  # differences over 5 degrees
 
 
+def test_a_source_that_leaves_the_normal_across_the_curve_does_not_come_nearer() -> None:
+    """To first order nothing on a curve through the normal changes where a tilt turns the source out of its plane."""
+    goals = [at(i, float(r)) for i in (0.0, 30.0, 60.0) for r in range(-75, 76, 5)]
+    model, u = curves(lobe, goals), math.radians(0.02)
+    for k, d in enumerate(goals[:31]):
+        plus, minus = (Directions(u, turn, d.theta_r, d.phi_r) for turn in (math.pi / 2, 3 * math.pi / 2))
+        # cos(u) - 1 = 6e-8 of the value is left
+        assert model.effects(k, d, plus, minus) == pytest.approx((0.0, 0.0), abs=1e-7 * lobe(d))
+        along = Directions(u, 0.0, d.theta_r, d.phi_r)
+        if 0.0 < d.theta_r < 1.0:
+            assert abs(model.effects(k, d, along, Directions(u, math.pi, d.theta_r, d.phi_r))[0]) > 1e-5 * lobe(d)
+
+
 SPIKED = [at(i, float(r)) for i in (60.0, 75.0) for r in np.arange(-80, 85.1, 2.5)]
 
 
