@@ -2,14 +2,17 @@
 
 The file says what was exposed: exposure and levels come from it, and an exposure that differs from what was asked is
 not used. Files are matched to exposures by count and order. A file that is late is waited for before the next exposure,
-so that it cannot be taken for that one; one that comes twice is recognised by its bytes. Files that have been used move
-into the subfolder `taken`, where the last of them stay until the run has copied them.
+so that it cannot be taken for that one; one that comes twice is recognised by its bytes; a camera that writes several
+files an exposure is refused. Files move into the subfolder `taken`, where the last of them stay until the run has
+copied them.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import logging
+import stat
 import subprocess
 import time
 from collections import deque
@@ -29,9 +32,11 @@ from gonio_drivers import ports, settings
 log = logging.getLogger("gonio.devices")
 
 POLL_S = 0.01
-WHOLE_S = 0.3
-"""A file that does not grow for this long, and still cannot be read, is damaged."""
+WHOLE_S = 1.0
+"""A file that does not change for this long, and still cannot be read, is damaged."""
 TRIES = 3
+CROWDED = 2
+"""Exposures in a row with files that nobody has asked for: it is the camera's habit."""
 REMEMBERED = 64
 """Frames that a run may still have to copy are far fewer."""
 TAKEN = "taken"
@@ -54,11 +59,13 @@ class FolderCamera:
         self._description = description.camera
         self._shape = description.camera.height, description.camera.width
         self._release: serial.Serial | None = None
-        self._seen: set[tuple[str, int]] = set()
+        self._seen: set[tuple[Path, int]] = set()
         self._known: deque[str] = deque(maxlen=REMEMBERED)
         self._taken: deque[Path] = deque()
         self._owed = 0
         """Exposures that were triggered and whose files have not come."""
+        self._crowded = 0
+        """Exposures in a row before which there were files that nobody had asked for."""
 
     def __enter__(self) -> Self:
         if not self._folder.is_dir():
@@ -74,7 +81,7 @@ class FolderCamera:
                 )
             except (*ports.FAILURES, ValueError) as error:
                 raise ports.unopened(trigger.port, error, "devices.camera.trigger.port") from None
-        self._seen = {self._name(path) for path in self._files()}
+        self._seen = set(self._files().items())
         return self
 
     def __exit__(
@@ -162,22 +169,26 @@ class FolderCamera:
         deviation = frame.exposure_s / exposure_s - 1
         if abs(deviation) > self._camera.exposure_tolerance:
             raise BadFile(f"{path}: was exposed {frame.exposure_s:g} s, and {exposure_s:g} s were asked")
-        return replace(frame, file=self._put_away(path))
+        return replace(frame, file=path)
 
     def _take(self, timeout_s: float) -> tuple[Path, Frame | DataError]:
-        """The next new file; one whose bytes have come before is passed over."""
+        """The next new file, put away; one whose bytes have come before is passed over."""
         end = time.monotonic() + timeout_s
         while True:
             for path in self._new():
-                self._seen.add(self._name(path))
-                digest, frame = self._whole(path)
+                try:
+                    digest, frame = self._whole(path)
+                    moved = self._put_away(path)
+                except FileNotFoundError:
+                    continue  # a temporary name, or one that somebody has taken away
+                except OSError as error:
+                    raise DeviceError(f"{path}: cannot be taken: {error.strerror}") from None
                 if digest in self._known:
                     log.warning("camera: %s holds an exposure that has come before; passed over", path)
-                    self._put_away(path)
                     continue
                 self._known.append(digest)
                 self._owed = max(0, self._owed - 1)
-                return path, frame
+                return moved, frame
             if time.monotonic() > end:
                 raise NoFile(f"no new file in {self._folder} within {timeout_s:.1f} s after the exposure was asked")
             time.sleep(POLL_S)
@@ -192,42 +203,59 @@ class FolderCamera:
                 break
             log.warning("camera: %s came late; passed over", path)
         self._owed = 0
-        for path in self._new():
+        self._pass_over()
+
+    def _pass_over(self) -> None:
+        """Files that nobody has asked for; one may be anybody's, but a camera that writes two each time is no use."""
+        others = self._new()
+        for path in others:
             log.warning("camera: %s was not asked for; passed over", path)
-            self._seen.add(self._name(path))
+        self._seen.update(others.items())
+        if self._camera.trigger.how != "none":  # one that exposes by itself makes more files than are asked for
+            self._crowded = self._crowded + 1 if others else 0
+            if self._crowded == CROWDED:
+                raise DeviceError(
+                    f"camera: more files than exposures come into {self._folder}, the last one {max(others).name}: "
+                    "they cannot be told apart; let the camera write one kind of file, or name that in "
+                    "devices.camera.suffixes"
+                )
 
     # ---- files ----
 
-    def _files(self) -> list[Path]:
+    def _files(self) -> dict[Path, int]:
+        """RAW files that are there now, by name, with their inodes: a program may write the same name again."""
+        out = {}
         try:
-            there = [p for p in self._folder.iterdir() if p.suffix.lower() in self._camera.suffixes]
+            for path in sorted(self._folder.iterdir(), key=lambda p: p.name):
+                if path.suffix.lower() in self._camera.suffixes and not path.name.startswith("."):
+                    with contextlib.suppress(FileNotFoundError):  # a temporary name
+                        status = path.stat()
+                        if stat.S_ISREG(status.st_mode):
+                            out[path] = status.st_ino
         except OSError as error:
             raise DeviceError(f"{self._folder}: cannot be looked into: {error.strerror}") from None
-        return sorted((p for p in there if not p.name.startswith(".")), key=lambda p: p.name)
+        return out
 
-    @staticmethod
-    def _name(path: Path) -> tuple[str, int]:
-        return path.name, path.stat().st_ino
-
-    def _new(self) -> list[Path]:
-        return [path for path in self._files() if self._name(path) not in self._seen]
+    def _new(self) -> dict[Path, int]:
+        there = self._files()
+        self._seen &= there.items()  # what has gone, with its inode, is forgotten: both may come again
+        return {path: node for path, node in there.items() if (path, node) not in self._seen}
 
     @staticmethod
     def _whole(path: Path) -> tuple[str, Frame | DataError]:
-        """Digest and frame of a file once it is whole: some programs write under the final name."""
-        size, since = -1, time.monotonic()
+        """Digest and frame of a file once it is whole: some programs write under the final name, bit by bit."""
+        before, since = None, time.monotonic()
         while True:
             data = path.read_bytes()
-            if len(data) != size:
-                size, since = len(data), time.monotonic()
-            try:
-                frame: Frame | DataError = read_raw(path, data)
-            except DataError as damage:
-                frame = damage
-                if time.monotonic() - since < WHOLE_S:
-                    time.sleep(POLL_S)
-                    continue
-            return hashlib.sha256(data).hexdigest(), frame
+            frame = _read(path, data)
+            status = path.stat()
+            now = status.st_size, status.st_mtime_ns
+            if now != before:
+                before, since = now, time.monotonic()
+            whole = isinstance(frame, Frame) and status.st_size == len(data)
+            if whole or time.monotonic() - since >= WHOLE_S:
+                return hashlib.sha256(data).hexdigest(), frame
+            time.sleep(POLL_S)
 
     def _put_away(self, path: Path) -> Path:
         """Move a file out of the watched folder; where it lies then."""
@@ -243,6 +271,16 @@ class FolderCamera:
         """Delete all but the last files that were put away; a run has copied the others long since."""
         while not self._camera.keep and len(self._taken) > keep:
             self._taken.popleft().unlink(missing_ok=True)
+
+
+def _read(path: Path, data: bytes) -> Frame | DataError:
+    try:
+        frame = read_raw(path, data)
+    except DataError as damage:
+        return damage
+    if frame.black_level_dn > 0 and not frame.mosaic[-1].any():  # made with its full size, and then filled
+        return DataError(f"{path}: its last row is empty: it has not been written to its end")
+    return frame
 
 
 class NoFile(DeviceError):

@@ -10,7 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from gonio_drivers import cameras, settings
+from gonio_drivers import cameras, folder_camera, settings
+from gonio_drivers.folder_camera import FolderCamera
 from gonio_drivers.uvc import UvcCamera
 from gonio_sim.wire import tether
 from gonio_sim.wire.faults import Faults
@@ -55,6 +56,7 @@ class Tether:
 def tethered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Tether]:
     monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
     monkeypatch.setattr(tether, "FILE_LATE_S", 1.4)  # later than the driver waits
+    monkeypatch.setattr(folder_camera, "WHOLE_S", 0.3)  # the twin writes a damaged file at once
     exposed: list[float] = []
 
     def expose(exposure_s: float) -> Frame:
@@ -138,6 +140,68 @@ def test_files_that_are_there_already_are_left_alone(tethered: Tether) -> None:
     with tethered.driver() as camera:
         assert number(camera.capture(0.01)) == 1
     assert old.exists()
+
+
+def plain(value: int) -> Frame:
+    return Frame(np.full(SIZE, value, np.uint16), 0.01, 64.0, 4095.0, "RGGB")
+
+
+def opened(folder: Path) -> FolderCamera:
+    table = {"folder": str(folder), "timeout_s": 1.0, "trigger": {"how": "command", "command": ["true"]}}
+    return FolderCamera(DESCRIPTION, settings.FolderCamera.model_validate(table))
+
+
+def test_a_program_may_write_the_same_name_again_and_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(folder_camera, "REMEMBERED", 1)  # the inodes of deleted files come again, too
+    with opened(tmp_path) as camera:
+        for k in range(100, 106):
+            write_dng(plain(k), tmp_path / "new")
+            (tmp_path / "capt0000.dng").write_bytes((tmp_path / "new").read_bytes())
+            assert number(camera._take(0.0)[1]) == k  # type: ignore[arg-type]
+
+
+def test_a_temporary_name_that_is_gone_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = folder_camera.read_raw
+
+    def renamed(path: Path, data: bytes) -> Frame:
+        if path.name == "part.dng":
+            path.rename(path.with_name("whole.dng"))
+        return real(path, data)
+
+    monkeypatch.setattr(folder_camera, "read_raw", renamed)
+    with opened(tmp_path) as camera:
+        (tmp_path / "folder.dng").mkdir()
+        write_dng(plain(7), tmp_path / "part.dng")
+        assert number(camera._take(5.0)[1]) == 7  # type: ignore[arg-type]
+
+
+def test_a_file_that_was_made_in_full_size_and_never_filled_is_damaged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(folder_camera, "WHOLE_S", 0.05)
+    with opened(tmp_path) as camera:
+        write_dng(plain(0x0111), tmp_path / "a.dng")
+        data = (tmp_path / "a.dng").read_bytes()
+        pixels = b"\x11" * (SIZE[0] * SIZE[1] * 3 // 2)  # two of 12 bits in three bytes
+        assert pixels in data
+        (tmp_path / "a.dng").write_bytes(data.replace(pixels, pixels[: len(pixels) // 2].ljust(len(pixels), b"\0")))
+        _, found = camera._take(0.0)
+    assert "its last row is empty" in str(found)
+
+
+def test_a_camera_that_writes_two_files_an_exposure_is_refused(
+    tethered: Tether, caplog: pytest.LogCaptureFixture
+) -> None:
+    with tethered.driver() as camera:
+        write_dng(plain(200), tethered.folder / "JUST_ONE.DNG")
+        assert number(camera.capture(0.01)) == 1
+        assert "JUST_ONE.DNG was not asked for; passed over" in caplog.text
+        assert number(camera.capture(0.01)) == 2
+        write_dng(plain(201), tethered.folder / "IMG_A.DNG")
+        assert number(camera.capture(0.01)) == 3
+        write_dng(plain(202), tethered.folder / "IMG_B.DNG")
+        with pytest.raises(DeviceError, match=r"more files than exposures.*IMG_B\.DNG.*devices\.camera\.suffixes"):
+            camera.capture(0.01)
 
 
 def test_a_tethering_program_is_run(tmp_path: Path) -> None:
