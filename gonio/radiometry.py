@@ -9,7 +9,9 @@ signal. A rate over the signal per unit BRDF, which visits to the white referenc
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,7 +42,7 @@ CAUSES = {"light": "s_theta_i_zero", "camera": "s_theta_r_zero", "tilt": "s_tilt
 """Axes whose zeros are common causes. A spin turns both directions alike: an isotropic surface does not notice it."""
 
 
-def reduce(run: Run) -> pd.DataFrame:
+def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> pd.DataFrame:
     """The measurement table of a run: BRDF [1/sr] with uncertainty for every point of its plan and every band.
 
     Parameters
@@ -48,6 +50,8 @@ def reduce(run: Run) -> pd.DataFrame:
     run
         A run, complete or not. Frames are checked against the journal's checksums while they are read, a few at a
         time.
+    progress
+        Told after every step of every band how many are done, and how many there are.
 
     Returns
     -------
@@ -68,7 +72,15 @@ def reduce(run: Run) -> pd.DataFrame:
         The reference's table is missing, or neither a table nor an albedo is given.
     """
     bench = Bench(run)
-    results = [_reduce_band(bench, band) for band in run.bands]
+    count = len(bench.steps)
+    results = []
+    for k, band in enumerate(run.bands):
+        merged = []
+        for step in in_threads(partial(bench.merge, band=band), bench.steps):
+            merged.append(step)
+            if progress is not None:
+                progress(k * count + len(merged), len(run.bands) * count)
+        results.append(_reduce_band(bench, band, merged))
     _share_darks(results)
     return _assemble(run, results, _notes_on_darks(bench))
 
@@ -90,8 +102,7 @@ class _BandResult:
     freedom: int
 
 
-def _reduce_band(bench: Bench, band: Band) -> _BandResult:
-    merged = list(in_threads(lambda step: bench.merge(step, band), bench.steps))
+def _reduce_band(bench: Bench, band: Band, merged: list[Merged | str]) -> _BandResult:
     points = [m for m in merged if isinstance(m, Merged) and m.point is not None]
     visits = [m for m in merged if isinstance(m, Merged) and m.point is None]
     without = [(s, m) for s, m in zip(bench.steps, merged, strict=True) if isinstance(m, str) and s["kind"] == "point"]

@@ -95,7 +95,8 @@ def run_demo(out: Path, *, quick: bool) -> Path:
             progress=progress,
         )
     _say(f"gonio reduce {run}")
-    table = radiometry.reduce(made)
+    with console.counter("reducing") as counting:
+        table = radiometry.reduce(made, progress=counting)
     measurement.write(table, run / "brdf.csv")
 
     _say(f"gonio fit {run / 'brdf.csv'} --model he-torrance --ior Al")

@@ -73,7 +73,7 @@ def build() -> typer.Typer:
     import typer
 
     from gonio import plugins
-    from gonio.cli import measuring, plans, rigs, tables
+    from gonio.cli import measuring, options, plans, rigs, tables
 
     class InOrder(typer.core.TyperGroup):
         def list_commands(self, ctx: Any) -> list[str]:
@@ -82,13 +82,13 @@ def build() -> typer.Typer:
 
     app = typer.Typer(
         cls=InOrder,
-        help="A goniometer workbench: plan, measure, reduce, fit, compare and report BRDFs.",
         no_args_is_help=True,
         add_completion=False,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,  # plain help: a coloured one costs twice the time until it shows
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     )
+    app.callback()(options.options)
     app.add_typer(rigs.app, name="rig")
     app.add_typer(plans.app, name="plan")
     app.command()(measuring.measure)

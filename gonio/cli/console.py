@@ -5,11 +5,12 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
+    from rich.progress import Progress as ProgressBar
     from rich.table import Table
 
     from gonio.acquire import Live, Progress
@@ -20,9 +21,11 @@ LINES = 20
 
 def show(*things: RenderableType) -> None:
     """Print results on stdout: tables are fitted to the terminal, and are plain text in a pipe."""
+    from rich.table import Table
+
     console = _console(stderr=False)
     for thing in things:
-        console.print(thing, highlight=False, markup=False)
+        console.print(thing, highlight=False, markup=False, end="\n\n" if isinstance(thing, Table) else "\n")
 
 
 def table(*headings: str, title: str | None = None) -> Table:
@@ -32,7 +35,10 @@ def table(*headings: str, title: str | None = None) -> Table:
     from rich.text import Text
 
     heading = Text(title, no_wrap=True, overflow="ignore") if title is not None else None
-    return Table(*headings, title=heading, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    return Table(
+        *headings, title=heading, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD,
+        show_edge=False, padding=(0, 1, 0, 0),
+    )  # fmt: skip
 
 
 def note(text: str) -> None:
@@ -58,10 +64,35 @@ def values(live: Live) -> str:
     what = live.step.kind if live.step.point is None else f"point {live.step.point}"
     if live.angles_deg is not None:
         theta_i, phi_i, theta_r, phi_r = live.angles_deg
-        what += f"  theta_i {theta_i:g}  theta_r {theta_r:g}  dphi {(phi_r - phi_i) % 360:g} deg"
-    if live.step.kind != "dark":
-        what += f"  signal {100 * live.level:.0f} % of full scale"
-    return what + f"  exposure {live.exposure_s:.3g} s" + (f"  [{live.flag}]" if live.flag else "")
+        what += f": theta_i {theta_i:g}, theta_r {theta_r:g}, dphi {(phi_r - phi_i) % 360:g} deg"
+    signal = "" if live.step.kind == "dark" else f"{100 * live.level:.0f} % of full scale in "
+    return f"{what}; {signal}{live.exposure_s:.3g} s" + (f"  [{live.flag}]" if live.flag else "")
+
+
+@contextlib.contextmanager
+def counter(what: str) -> Iterator[Callable[[int, int], None]]:
+    """Somebody who is told how much of a work is done: a bar on a terminal, which goes when it is done; else nobody."""
+    if not sys.stderr.isatty():
+        yield lambda done, total: None
+        return
+    with _progress_bar(what, _console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _progress_bar(what: str, console: Console, *, transient: bool = False) -> ProgressBar:
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (TextColumn(what), BarColumn(None), MofNCompleteColumn(), TimeElapsedColumn())
+    left = (TextColumn("left"), TimeRemainingColumn())
+    return Progress(*columns, *left, console=console, expand=True, transient=transient)
 
 
 class _Lines:
@@ -93,25 +124,8 @@ class _Bar:
 
     def __init__(self, console: Console) -> None:
         from rich.live import Live as Screen
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
-        )
 
-        self._bar = Progress(
-            TextColumn("measuring"),
-            BarColumn(None),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
-            console=console,
-            expand=True,
-        )
+        self._bar = _progress_bar("measuring", console)
         self._task = self._bar.add_task("", total=None)
         self._text = ""
         self.screen = Screen(get_renderable=self._render, console=console, refresh_per_second=8)

@@ -59,13 +59,14 @@ def measure(
 def reduce(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.", show_default=False)],
 ) -> None:
-    """Reduce the frames of a run to BRDF with uncertainty: RUN/brdf.csv."""
+    """Reduce a run's frames to BRDF with uncertainty: RUN/brdf.csv."""
     from gonio import measurement, radiometry
     from gonio.cli import console
     from gonio.run import Run
 
     opened = Run.open(run)
-    table = radiometry.reduce(opened)
+    with console.counter("reducing") as progress:
+        table = radiometry.reduce(opened, progress=progress)
     path = run / "brdf.csv"
     for remark in measurement.write(table, path):
         console.note(remark)

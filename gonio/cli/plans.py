@@ -28,7 +28,7 @@ def show(
         str | None, typer.Option(help="The rig that shall measure it: a name or a rig file.", show_default=False)
     ] = None,
 ) -> None:
-    """Show the points of a plan; with a rig also what it cannot reach and why, and how long it takes."""
+    """Show the points of a plan. With a rig also what it cannot reach and why, and how long it takes."""
     from gonio.plan import load_plan
     from gonio.session import find_rig
 
@@ -44,10 +44,10 @@ def describe(plan: Plan, rig: RigChoice | None) -> None:
     by_incidence: dict[float, list[Assessed]] = {}
     for a in points:
         by_incidence.setdefault(a.point.theta_i_deg, []).append(a)
-    headings = ["theta_i, deg", "theta_r in plane, deg", "dphi out of plane, deg", "points"]
+    headings = ["theta_i", "theta_r\nin plane", "dphi\nout of plane", "points"]
     if rig is not None:
-        headings += ["measured", "not measured, theta_r or theta_r/dphi"]
-    table = console.table(*headings, title=f"{plan.name}: {len(points)} points")
+        headings += ["measured", "not measured:\ntheta_r, or theta_r/dphi"]
+    table = console.table(*headings, title=f"{plan.name}: {len(points)} points, angles in degrees")
     for theta_i, group in sorted(by_incidence.items()):
         signed = sorted(t for a in group if (t := _signed(a.point)) is not None)
         dphi = sorted({_dphi(a.point) for a in group if _signed(a.point) is None})

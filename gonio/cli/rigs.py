@@ -41,7 +41,7 @@ def list_rigs() -> None:
 
 @app.command()
 def show(
-    rig: Annotated[str, typer.Argument(metavar="R", help="A rig's name, or a rig file.", show_default=False)],
+    rig: Annotated[str, typer.Argument(metavar="RIG", help="A rig's name, or a rig file.", show_default=False)],
 ) -> None:
     """Print a rig's file, to copy and to change."""
     from gonio.session import find_rig
@@ -56,7 +56,7 @@ def check(
     rig: Annotated[str, typer.Option(help="A rig's name, or a rig file.", show_default=False)],
     move: Annotated[bool, typer.Option(help="Move the axes a little, and light the lamp.")] = True,
 ) -> None:
-    """Open a rig, move every axis a little, switch the lamp, take a dark and a lit frame; exit 3 if any is bad."""
+    """Open a rig, and try every device. Moves each axis a little, takes a dark and a lit frame; exit 3 if any fails."""
     from rich.text import Text
 
     from gonio.cli import console

@@ -24,7 +24,7 @@ def convert(
         str | None, typer.Option("--to", help="Format of OUT, where its ending does not tell.", show_default=False)
     ] = None,
 ) -> None:
-    """Convert a measurement between file formats, by file ending or by name; or a model to a renderer's file."""
+    """Convert a measurement, or a model, to another file format. By file ending, or by a format's name."""
     from gonio import measurement
     from gonio.cli import console
 

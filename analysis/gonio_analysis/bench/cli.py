@@ -20,7 +20,7 @@ def models(
     out: Annotated[Path, typer.Option(help="Folder of the report.", show_default=False)],
     quick: Annotated[bool, typer.Option("--quick", help="Few pairs: errors are right, times are rough.")] = False,
 ) -> None:
-    """Speed against error of every way of evaluating the models, and the hard cases; prints the report's path last."""
+    """Speed against error of every way of evaluating the models. Also the hard cases; prints the report's path last."""
     from gonio.cli import console
     from gonio.run import command_line
     from gonio_analysis.bench.report import make

@@ -14,7 +14,7 @@ def figures(
     name: Annotated[str, typer.Argument(metavar="NAME", help=NAME_HELP, show_default=False)],
     out: Annotated[Path | None, typer.Option(help="Folder of the page.", show_default=False)] = None,
 ) -> None:
-    """Make a paper's figure again, with a verdict on each of the paper's claims about it; prints the page's path."""
+    """Make a paper's figure again, and judge the paper's claims. Prints the page's path."""
     from gonio.cli import console
     from gonio.errors import ConfigError
     from gonio.run import command_line

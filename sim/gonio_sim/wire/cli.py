@@ -30,7 +30,7 @@ def serve(
     ] = None,
     after: Annotated[float, typer.Option(min=0.0, help="Seconds from the start until the faults happen.")] = 0.0,
 ) -> None:
-    """Serve a twin of every device of a rig file on pseudo-terminals, until Ctrl-C."""
+    """Serve twins of a rig file's devices on pseudo-terminals. They run until Ctrl-C."""
     import signal
     import threading
 
