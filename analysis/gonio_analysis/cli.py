@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 MODELS = "lambert,oren-nayar,cook-torrance,he-torrance"
 MODELS_HELP = "Models to fit, with commas between (sums as oren-nayar+phong), or all."
-IOR_HELP = "Optical constants: a material (Al) or n + ik (0.77+6.08j)."
+IOR_HELP = "Optical constants: a material (Al) or n + ik (0.77+6.08j); without them a real n is fitted."
 WAVELENGTH_HELP = "Wavelength [nm] of a table with several, or the effective one of a broad band."
 
 
@@ -34,7 +34,7 @@ def demo(
     out: Annotated[Path, typer.Option(help="Folder for everything that is made.")] = Path("gonio-demo"),
     quick: Annotated[bool, typer.Option("--quick", help="Fewer directions: done in seconds.")] = False,
 ) -> None:
-    """Simulate, measure, reduce, fit, compare and report one sample; prints the report's path last."""
+    """Measure, reduce, fit and report one simulated sample. Prints the report's path last."""
     from gonio_analysis.demo import run_demo
 
     print(run_demo(out, quick=quick))
@@ -71,7 +71,7 @@ def fit(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
-    """Fit one model to a measurement, with the table's covariance and through the instrument's cones."""
+    """Fit one model to a measurement. With the table's covariance, and through the instrument's cones."""
     import json
 
     from gonio import measurement
@@ -123,12 +123,10 @@ def compare(
     out: Annotated[Path, typer.Option(help="Folder of the report.", show_default=False)],
     models: Annotated[
         str | None,
-        typer.Option(
-            help="Models to fit, with commas between (sums as oren-nayar+phong), or all.", show_default=MODELS
-        ),
+        typer.Option(help=f"{MODELS_HELP} Otherwise {MODELS.replace(',', ', ')}.", show_default=False),
     ] = None,
     normalise: Annotated[
-        Norm | None, typer.Option(help="What polar curves are divided by.", show_default="mirror")
+        Norm | None, typer.Option(help="What polar curves are divided by; otherwise mirror.", show_default=False)
     ] = None,
     ior: Annotated[str | None, typer.Option(help=IOR_HELP, show_default=False)] = None,
     wavelength_nm: Annotated[float | None, typer.Option(help=WAVELENGTH_HELP, show_default=False)] = None,
@@ -140,7 +138,7 @@ def compare(
         bool, typer.Option("--change", help="Compare two point by point; a model is given by its sample file (.toml).")
     ] = False,
 ) -> None:
-    """Fit several models to one or more measurements, and write a report; with --change, did A change into B?"""
+    """Fit several models to measurements, and write a report. With --change instead: did A change into B?"""
     if change:
         fitting = {"models": models, "normalise": normalise, "ior": ior, "dask": dask}
         print(_change(measurements, out, wavelength_nm, [name for name, value in fitting.items() if value is not None]))
@@ -160,7 +158,9 @@ def compare(
 
 def report(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a reduced run.", show_default=False)],
-    out: Annotated[Path | None, typer.Option(help="Folder of the report.", show_default="RUN/report")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of the report; otherwise RUN/report.", show_default=False)
+    ] = None,
     models: Annotated[str, typer.Option(help=MODELS_HELP)] = MODELS,
     normalise: Annotated[Norm, typer.Option(help="What polar curves are divided by.")] = Norm.mirror,
     ior: Annotated[str | None, typer.Option(help=IOR_HELP, show_default=False)] = None,
@@ -309,14 +309,14 @@ def _change(specs: list[str], out: Path, wavelength_nm: float | None, unused: li
 
 def _print(result: FitResult, sample: str, walked: dict[str, Interval]) -> None:
     from gonio.cli import console
-    from gonio_analysis.report.text import number, with_u
+    from gonio_analysis.report.text import number, quantity, with_u
 
     at = f" at {result.wavelength_nm:g} nm" if result.wavelength_nm == result.wavelength_nm else ""
     rows = console.table("parameter", "value", "", title=f"{result.name} on {sample}: {len(result.data)} values{at}")
     for name, e in [*result.parameters.items(), *result.derived.items()]:
         kind = "derived" if name in result.derived else "fixed" if e.fixed else "fitted"
-        value = with_u(e.value, 0.0 if e.fixed else e.u) + (f" ({e.material})" if e.material else "")
-        rows.add_row(name, f"{value} {e.unit}".strip(), kind + (f", at its {e.at_bound} bound" if e.at_bound else ""))
+        value = quantity(with_u(e.value, 0.0 if e.fixed else e.u), e.unit) + (f" ({e.material})" if e.material else "")
+        rows.add_row(name, value, kind + (f", at its {e.at_bound} bound" if e.at_bound else ""))
     for name, interval in walked.items():
         ends = [f"{x:.4g}" + (" (bound)" if is_open else "") for x, is_open in interval.ends]
         rows.add_row(name, " to ".join(ends), f"{100 * interval.level:g} % interval")

@@ -27,6 +27,7 @@ from gonio_analysis.uncertainty import Floats
 if TYPE_CHECKING:
     import pandas as pd
 
+REFERENCE = {"beside": "beside the sample", "axis": "brought by an axis", "swap": "swapped with the sample by hand"}
 MOST_WAVELENGTHS = 40
 """Parameters are tabulated over the wavelengths of a table that has at most this many."""
 
@@ -267,7 +268,7 @@ def run_facts(path: Path) -> dict[str, Any] | None:
         "versions": dict(settings.versions),
         "lamp_half_angle_deg": rig.lamp.half_angle_deg,
         "lens_half_angle_deg": rig.camera.lens_half_angle_deg,
-        "reference": f"{rig.reference.how}; u = {100 * rig.reference.u_rel:g} %",
+        "reference": f"{REFERENCE[rig.reference.how]}; standard uncertainty {100 * rig.reference.u_rel:g} %",
         "sample": None
         if settings.sample is None
         else {

@@ -68,4 +68,7 @@ def _combination(names: tuple[str, str], values: tuple[float, float], u: tuple[f
     value = values[0] ** p * abs(values[1]) ** q
     exponent = "" if abs(q) == 1.0 else f"^{abs(q):.3g}"
     sign = "/" if q < 0 else " "
-    return f"{names[0]}{sign}{names[1]}{exponent} = {value:.4g} ± {spread * abs(value):.2g}"
+    error = spread * abs(value)
+    decimals = 1 - math.floor(math.log10(error)) if error > 0 else 4
+    shown = f"{value:.{decimals}f} ± {error:.{decimals}f}" if 0 <= decimals <= 6 else f"{value:.4g} ± {error:.2g}"
+    return f"{names[0]}{sign}{names[1]}{exponent} = {shown}"

@@ -152,8 +152,9 @@ def slices(data: Observations, rows: Rows) -> list[Line]:
         if chosen.size < FEWEST:
             continue
         nothing = np.empty(0)
+        azimuth = round(float(np.mean(np.degrees(dphi[here]) % 180.0)), 1)
         out.append(
-            Line(f"Δφ = {half:g}°/{half + 180:g}°", nothing, nothing, angle[order], data.brdf[chosen], u[chosen])
+            Line(f"Δφ = {azimuth:g}°/{azimuth + 180:g}°", nothing, nothing, angle[order], data.brdf[chosen], u[chosen])
         )
     return out
 
@@ -185,13 +186,15 @@ def lobe(ax: Any, brdf: Any, *, measured: tuple[Floats, Floats, Floats] | None =
     reach = max(float(np.abs(x).max()), float(np.abs(y).max()), 0.3)
     artists += ax.plot(reach * np.cos(turn), reach * np.sin(turn), 0 * turn, color=FAINT, lw=0.7)
     artists += ax.plot([-reach, reach], [0, 0], [0, 0], color=FAINT, lw=0.7)
-    ax.text(reach * 1.05, 0, 0, "mirror side", fontsize=7, color="#5a6472")
+    ax.text(reach, 0, 0, "mirror side", fontsize=7, color="#5a6472", ha="right", va="top")
     ax.set_axis_off()
     high = max(float(z.max()), 0.2)
-    ax.set_box_aspect((1, 1, high / (2 * reach)), zoom=1.25)
+    tall = high / (2 * reach)
+    across = max(1.15, 0.75 + 0.93 * tall)  # of the drawing, seen from 22 degrees above, in widths of the disc
+    ax.set_box_aspect((1, 1, tall), zoom=1.03 * float(np.sqrt(2.0 + tall**2)) / across)
     ax.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(0, high))
     ax.view_init(elev=22, azim=-60)
-    ax.set_title(label, fontsize=7.5, color=INK, y=0.98)
+    ax.text2D(0.5, 0.0, label, fontsize=7.5, color=INK, ha="center", va="bottom", transform=ax.transAxes)
     return artists
 
 

@@ -206,41 +206,81 @@ def linear(ax: Any, lines: Sequence[Line], *, y_label: str) -> list[Any]:
 def residuals(
     ax: Any, lines: Sequence[Line], *, whitened: bool, others: tuple[Floats, Floats] | None = None
 ) -> list[Any]:
-    """Residuals (model - measurement) over the signed angle; whitened ones with the band of 2 standard deviations.
+    """Residuals over the signed angle: whitened ones, model - measurement, with the band of 2 standard deviations.
 
     Parameters
     ----------
+    whitened
+        False: residuals are model / measurement - 1, and drawn as that ratio on a logarithmic axis, where a model that
+        is ten times too low stands as far from 1 as one that is ten times too high; ratios not above 0 are left out.
     others
         Angles [rad] and residuals of values that belong to no curve (out of plane), in grey.
     """
     artists: list[Any] = []
     if whitened:
         artists.append(ax.axhspan(-2, 2, color="#e9eef5", zorder=0))
-    artists.append(ax.axhline(0, color=INK, lw=0.7, zorder=1))
-    everything = [line.residual for line in lines if line.residual is not None]
+    artists.append(ax.axhline(0 if whitened else 1, color=INK, lw=0.7, zorder=1))
+    everything: list[Floats] = []
+
+    def points(angle: Floats, residual: Floats, **look: Any) -> Any:
+        shown = np.isfinite(residual) if whitened else np.isfinite(residual) & (residual > -1.0)
+        value = residual[shown] if whitened else 1.0 + residual[shown]
+        everything.append(np.abs(value if whitened else np.log10(value)))
+        artists.extend(ax.plot(np.degrees(angle[shown]), value, ls="none", **look))
+        return artists[-1]
+
     if others is not None and others[0].size:
-        artists += ax.plot(np.degrees(others[0]), others[1], ls="none", marker=".", ms=2, color="#9aa3ae", zorder=2)
-        artists[-1].set_rasterized(others[0].size > 1000)  # an SVG element a point would be megabytes
-        everything.append(others[1])
+        grey = points(*others, marker=".", ms=2, color="#9aa3ae", zorder=2)
+        grey.set_rasterized(others[0].size > 1000)  # an SVG element a point would be megabytes
     for k, line in enumerate(lines):
         if line.residual is not None:
-            artists += ax.plot(np.degrees(line.angle), line.residual, ls="none", ms=3, zorder=3, **style(k))
-    sizes = [np.abs(r[np.isfinite(r)]) for r in everything]  # a measured zero has no relative residual
-    top = max((float(r.max()) for r in sizes if r.size), default=1.0)
-    threshold = 3.0 if whitened else 0.3
-    if top > 5 * threshold:
-        ax.set_yscale("symlog", linthresh=threshold)
-        powers = [10.0**p for p in range(0, int(np.ceil(np.log10(top))) + 1) if 10.0**p > threshold]
-        powers = powers[-1:] if len(powers) > 2 else powers
-        ticks = sorted({0.0, threshold, -threshold, *powers, *(-p for p in powers)})
-        ax.set_yticks(ticks, [f"{t:g}" for t in ticks])
-        ax.minorticks_off()
-        ax.set_ylim(-top * 1.6, top * 1.6)
+            points(line.angle, line.residual, ms=3, zorder=3, **style(k))
+    top = max((float(size.max()) for size in everything if size.size), default=0.0)
+    if not whitened:
+        _ratio_axis(ax, max(1.1 * top, 0.1))
+    elif top > 15.0:
+        _far_axis(ax, top)
     else:
-        ax.set_ylim(-max(top * 1.15, threshold), max(top * 1.15, threshold))
+        ax.set_ylim(-max(top * 1.15, 3.0), max(top * 1.15, 3.0))
     angle_axis(ax)
-    ax.set_ylabel("whitened\nresidual" if whitened else "relative\nresidual")
+    ax.set_ylabel("whitened\nresidual" if whitened else "model /\nmeasured")
     return artists
+
+
+def _far_axis(ax: Any, top: float) -> None:
+    """An axis that is linear up to 3 and logarithmic beyond, with the few labels that a low panel holds."""
+    near = 3.0
+    ax.set_yscale("symlog", linthresh=near)
+    ax.set_ylim(-top * 1.6, top * 1.6)
+    power = 10.0 ** np.floor(np.log10(top * 1.3))
+    far = 3.0 * power if 3.0 * power < top * 1.3 else power
+    steps = [near] if np.log10(top / near) < 2.5 else []
+    steps += [far] if far > 8 * near or not steps else []
+    ticks = [-t for t in reversed(steps)] + [0.0, *steps]
+    ax.set_yticks(ticks, [_plain(t) for t in ticks])
+    ax.minorticks_off()
+
+
+def _ratio_axis(ax: Any, reach: float) -> None:
+    """A logarithmic axis of so many decades on both sides of 1."""
+    from matplotlib.ticker import FixedLocator, NullLocator
+
+    ax.set_yscale("log")
+    ax.set_ylim(10.0**-reach, 10.0**reach)
+    if reach >= 1.0:
+        step = -(-int(reach) // 2)
+        ticks = [10.0 ** (step * k) for k in range(-2, 3)]
+    else:
+        ticks = [0.2, 0.5, 1.0, 2.0, 5.0] if reach > 0.4 else [0.5, 0.8, 1.0, 1.25, 2.0]
+    ax.yaxis.set_major_locator(FixedLocator(ticks))
+    ax.yaxis.set_minor_locator(NullLocator())
+    ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}" if 1e-3 < value < 1e4 else _power_of_ten(value))
+
+
+def _plain(value: float) -> str:
+    """A number of an axis, with a true minus sign."""
+    text = f"{value:g}" if abs(value) < 1e4 else ("-" if value < 0 else "") + _power_of_ten(abs(value))
+    return text.replace("-", "−", 1)
 
 
 def budget(ax: Any, parts: Sequence[tuple[str, float, float]]) -> list[Any]:
@@ -288,7 +328,7 @@ def _half_disc(ax: Any, rim: float, label: str) -> None:
     ax.set_aspect("equal")
     ax.axis("off")
     ax.set_xlim(-1.14 * rim, 1.14 * rim)
-    ax.set_ylim(-0.25 * rim, 1.13 * rim)
+    ax.set_ylim(-0.2 * rim, 1.13 * rim)
     turn = np.linspace(-np.pi / 2, np.pi / 2, 181)
     ticks = _ticks(rim)
     inner = [t for t in ticks[1:] if abs(t - rim) > 1e-9 * rim]

@@ -152,7 +152,7 @@ def _conclusion(c: Change) -> str:
     v, n = c.verdict, len(c.at)
     typical = f"They differ typically by {_words(c.metrics['log_ratio'])}"
     if v is None:
-        return f"{typical} over {n} directions. Without stated uncertainties nothing says whether that means anything."
+        return f"{typical} over {n} values. Without stated uncertainties nothing says whether that means anything."
     same = "the sample changed" if c.a.kind == c.b.kind else "the two disagree"
     head = f"{same[:1].upper()}{same[1:]}" if v.changed else f"No sign that {same}"
     chance = f"{v.beyond} of {n} values lie beyond 2 standard deviations, where {v.expected:.1f} are expected by chance"
@@ -269,7 +269,7 @@ def _facts(s: dict[str, Any]) -> list[tuple[str, str]]:
     if s["interpolated"]:
         error = percent(s["median_interpolation_error_rel"])
         shared += f", {s['interpolated']} of them by interpolation (median error {error})"
-    rows.append(("shared directions", shared))
+    rows.append(("shared values", shared))
     if s["without_counterpart"]:
         rows.append(
             ("not compared", "; ".join(f"{n} values of A {why}" for why, n in s["without_counterpart"].items()))

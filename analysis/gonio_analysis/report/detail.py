@@ -12,7 +12,8 @@ from gonio_analysis.compare import Dataset
 from gonio_analysis.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.planes import IN_PLANE, Curve, Rows, groups, labels
 from gonio_analysis.polar import Line
-from gonio_analysis.report.figures import Figure, rendered
+from gonio_analysis.report.figures import LEGEND_ROW_IN, Figure, budget_height, rendered
+from gonio_analysis.report.text import cause, unit
 
 MOST = 3
 """Incidences that are drawn, at most."""
@@ -99,14 +100,14 @@ def _lobe(d: Dataset, facts: dict[str, Any], rows: Rows) -> Figure:
         return seen(best.model, still, 0 * still, theta_r, geometry.wrap(dphi), wavelength_nm=nm, cones=cones)
 
     def on(figure: Any) -> None:
-        ax = figure.add_axes((0.0, 0.0, 1.0, 0.93), projection="3d")
+        ax = figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
         measured = (data.theta_r[rows], data.phi_r[rows] - data.phi_i[rows], data.brdf[rows])
         maps.lobe(ax, brdf, measured=measured, label="BRDF / largest value of the model's lobe")
 
     caption = (
         f"Lobe, θi = {np.degrees(theta):.1f}°: {best.name} as fitted, without a spike (mesh); measured values (points)."
     )
-    return rendered(f"{facts['slug']}-lobe", "lobe", "", caption, caption, (5.6, 3.4), on)
+    return rendered(f"{facts['slug']}-lobe", "lobe", "", caption, caption, (4.6, 4.0), on)
 
 
 def _profiles(d: Dataset, facts: dict[str, Any]) -> Figure:
@@ -125,7 +126,7 @@ def _profiles(d: Dataset, facts: dict[str, Any]) -> Figure:
         figure.subplots_adjust(0.085, 0.2 / wide, 0.985, 1 - 0.13 / wide, wspace=0.3, hspace=0.6)
         for ax, interval in zip(axes, intervals, strict=False):
             e = result.parameters[interval.name]
-            diagnostics.profile(ax, interval, value=e.value, threshold=threshold, unit=e.unit)
+            diagnostics.profile(ax, interval, value=e.value, threshold=threshold, unit=unit(e.unit))
         for ax in axes[len(intervals) :]:
             ax.set_axis_off()
 
@@ -145,23 +146,27 @@ def _budget(d: Dataset, facts: dict[str, Any]) -> Figure:
     assert d.data.covariance is not None
     names = labels(d.curves)
     shown = [(d.curves[k], names[k]) for k in _evenly(len(d.curves))]
-    legend = [c.replace("_", " ") for c in d.data.covariance.causes]
+    legend = [cause(c) for c in d.data.covariance.causes]
+    entries = [(part, diagnostics.look(k)) for k, part in enumerate(["combined", "random", *legend])]
+    high = budget_height(len(entries))
+    below = 0.5 + LEGEND_ROW_IN * -(-len(entries) // 4)
 
     def on(figure: Any) -> None:
         axes = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]
-        figure.subplots_adjust(0.1, 0.36, 0.985, 0.91, wspace=0.1)
+        figure.subplots_adjust(0.1, below / high, 0.985, 1 - 0.25 / high, wspace=0.1)
         for ax, (curve, name) in zip(axes, shown, strict=True):
             diagnostics.budget_over_angle(ax, *_parts(d, curve))
             ax.set_xticks(range(-60, 61, 60), [f"{a}°".replace("-", "−") for a in range(-60, 61, 60)])
+            ax.set_xlabel("θr" if curve.scanned == "theta_r" else "θi")
             ax.set_title(name, fontsize=8, loc="left", color=polar.INK)
         axes[0].set_ylabel("u / value [%]")
-        _legend(figure, [(part, diagnostics.look(k)) for k, part in enumerate(["combined", "random", *legend])])
+        _legend(figure, entries)
 
     caption = (
         "Uncertainty over the angle: standard uncertainty by cause, relative to the value, along in-plane curves;"
         " values within 3 u of zero are left out."
     )
-    return rendered(f"{facts['slug']}-budget-angle", "budget-angle", "", caption, caption, (5.6, 2.5), on)
+    return rendered(f"{facts['slug']}-budget-angle", "budget-angle", "", caption, caption, (5.6, high), on)
 
 
 def _parts(d: Dataset, curve: Curve) -> tuple[Any, list[tuple[str, Any]]]:
@@ -170,7 +175,7 @@ def _parts(d: Dataset, curve: Curve) -> tuple[Any, list[tuple[str, Any]]]:
     rows = curve.rows
     size = np.where(np.abs(curve.brdf) > 3 * curve.u, np.abs(curve.brdf), np.nan)
     parts = [("combined", c.total[rows] / size), ("random", c.random[rows] / size)]
-    parts += [(cause.replace("_", " "), np.abs(c.common[rows, k]) / size) for k, cause in enumerate(c.causes)]
+    parts += [(name, np.abs(c.common[rows, k]) / size) for k, name in enumerate(c.causes)]
     return curve.angle, parts
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from gonio import geometry
 from gonio_analysis import polar
 from gonio_analysis.compare import Dataset, Fitted
-from gonio_analysis.report.text import number
+from gonio_analysis.report.text import cause, number
 
 SVG = {
     "svg.fonttype": "none",
@@ -24,6 +24,7 @@ SVG = {
 FONTS = "'DejaVu Sans', Verdana, 'Segoe UI', sans-serif"
 """Metrics close to those that matplotlib lays out with, so that labels keep their places."""
 PNG_DPI = 160
+LEGEND_ROW_IN = 0.19
 
 
 @dataclass(frozen=True)
@@ -66,8 +67,10 @@ def _polar(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figure:
     lines = [c.normalised() for c in f.drawn]
     rim = polar.radius_of(lines)
 
+    below = LEGEND_ROW_IN * _legend_rows(f)
+
     def on(figure: Any) -> None:
-        ax = figure.add_axes((0.01, 0.085, 0.98, 0.90))
+        ax = figure.add_axes((0.01, below / (3.22 + below), 0.98, 3.2 / (3.22 + below)))
         polar.polar(ax, lines, radius=rim, radius_label=_radius_label(f))
         _legend(figure, f, "lower center")
 
@@ -80,7 +83,7 @@ def _polar(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figure:
         f"{c['label']}: measured peak at {c['measured_peak_deg']:.1f}°, theory's at {c['theory_peak_deg']:.1f}°."
         for c in facts["models"][model]["curves"]
     )
-    return rendered(f"{facts['slug']}-polar-{_slug(model)}", "polar", model, caption, alt, (5.6, 3.72), on)
+    return rendered(f"{facts['slug']}-polar-{_slug(model)}", "polar", model, caption, alt, (5.6, 3.22 + below), on)
 
 
 def _radius_label(f: Fitted) -> str:
@@ -137,9 +140,12 @@ def _absolute(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figur
         values = f.fit.whitened if stated else f.fit.predicted / data.brdf - 1.0
     others = (geometry.in_plane_angle(moving[rest], data.phi_r[rest] - data.phi_i[rest]), values[rest])
 
+    below = 0.46 + LEGEND_ROW_IN * _legend_rows(f)
+    high = 3.57 + below
+
     def on(figure: Any) -> None:
         top, low = figure.subplots(2, 1, height_ratios=(2.4, 1), sharex=True)
-        figure.subplots_adjust(0.135, 0.205, 0.985, 0.975, hspace=0.12)
+        figure.subplots_adjust(0.145, below / high, 0.975, 1 - 0.11 / high, hspace=0.12)
         if lines:
             polar.semilog(top, lines)
         else:
@@ -149,30 +155,30 @@ def _absolute(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figur
         running = "θr" if not d.curves or d.curves[0].scanned == "theta_r" else "θi"
         low.set_xlabel(f"{running}: retro side negative, mirror side positive")
         for ax in (top, low):  # a fixed place: to look for one, every tick would be laid out once more
-            ax.yaxis.set_label_coords(-0.105, 0.5)
+            ax.yaxis.set_label_coords(-0.1, 0.5)
         low.xaxis.set_label_coords(0.5, -0.235)
         _legend(figure, f, "lower center", star=False)
 
     kind = (
-        "Whitened residuals, model minus measurement (band: ±2)"
+        "whitened residuals: model minus measurement in standard deviations, correlations taken out (band: ±2)"
         if stated
-        else "Relative residuals, model / measurement − 1"
+        else "model divided by measurement"
     )
-    caption = f"{model}: absolute in-plane BRDF. Below: {kind.lower() if stated else kind}"
+    caption = f"{model}: absolute in-plane BRDF. Below: {kind}"
     caption += "; grey: values that belong to no curve shown." if rest.size else "."
     chi = facts["models"][model]["reduced_chi_square"]
     alt = f"Semilog curves and residuals for {d.name} and {model}" + (
         f"; reduced chi-square {number(chi)}." if chi is not None else "."
     )
-    return rendered(f"{facts['slug']}-absolute-{_slug(model)}", "absolute", model, caption, alt, (5.6, 4.5), on)
+    return rendered(f"{facts['slug']}-absolute-{_slug(model)}", "absolute", model, caption, alt, (5.6, high), on)
 
 
 def _budget(facts: dict[str, Any]) -> Figure:
-    parts = [(p["cause"], p["median"], p["p95"]) for p in facts["budget"]]
+    parts = [(cause(p["cause"]), p["median"], p["p95"]) for p in facts["budget"]]
 
     def on(figure: Any) -> None:
         ax = figure.add_subplot()
-        figure.subplots_adjust(0.25, 0.6 / (1.0 + 0.3 * len(parts)), 0.97, 0.97)
+        figure.subplots_adjust(0.25, 0.48 / budget_height(len(parts)), 0.97, 0.97)
         polar.budget(ax, parts)
 
     caption = (
@@ -182,7 +188,12 @@ def _budget(facts: dict[str, Any]) -> Figure:
     alt = "Uncertainty by cause. " + " ".join(
         f"{c}: median {100 * m:.2g} %, 95th percentile {100 * p:.2g} %." for c, m, p in parts
     )
-    return rendered(f"{facts['slug']}-budget", "budget", "", caption, alt, (5.6, 1.0 + 0.3 * len(parts)), on)
+    return rendered(f"{facts['slug']}-budget", "budget", "", caption, alt, (5.6, budget_height(len(parts))), on)
+
+
+def budget_height(parts: int) -> float:
+    """Of the figures of an uncertainty budget [in], which stand side by side."""
+    return 0.7 + 0.3 * parts
 
 
 def _series(facts: dict[str, Any], model: str, f: Fitted) -> Figure:
@@ -207,6 +218,15 @@ def _series(facts: dict[str, Any], model: str, f: Fitted) -> Figure:
     return rendered(f"{facts['slug']}-series-{_slug(model)}", "series", model, caption, caption, (5.6, 1.9), on)
 
 
+def _legend_columns(f: Fitted) -> int:
+    count = len(f.drawn)
+    return min(count, 6 if max(len(c.label) for c in f.drawn) < 10 else 4 if count != 6 else 3)
+
+
+def _legend_rows(f: Fitted) -> int:
+    return -(-len(f.drawn) // _legend_columns(f)) if f.drawn else 0
+
+
 def _legend(figure: Any, f: Fitted, where: str, star: bool = True) -> None:
     from matplotlib.lines import Line2D
 
@@ -221,7 +241,7 @@ def _legend(figure: Any, f: Fitted, where: str, star: bool = True) -> None:
     figure.legend(
         handles=handles,
         loc=where,
-        ncol=min(len(handles), 6 if max(len(c.label) for c in f.drawn) < 10 else 4 if len(handles) != 6 else 3),
+        ncol=_legend_columns(f),
         fontsize=7.5,
         frameon=False,
         handlelength=1.6,

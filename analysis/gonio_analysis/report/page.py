@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
 
+from gonio import geometry
 from gonio_analysis.report import html, viewer, which
 from gonio_analysis.report.figures import Figure
-from gonio_analysis.report.text import difference, number, percent, with_u
+from gonio_analysis.report.text import CAUSES, cause, difference, number, percent, with_u
 
 
 def render(summary: dict[str, Any], drawn: Sequence[Sequence[Figure]], views: Sequence[dict[str, Any] | None]) -> str:
@@ -46,12 +48,11 @@ def _overview(s: dict[str, Any]) -> str:
     rows = []
     for d in s["datasets"]:
         for name, f in d["models"].items():
-            chi = f["reduced_chi_square"]
             rows.append(
                 [
                     f'<a href="#{d["slug"]}">{escape(d["name"])}</a>',
                     f"<b>{escape(name)}</b>",
-                    (number(chi) if chi is not None else "none stated"),
+                    number(f["reduced_chi_square"]),
                     difference(f["metrics"]["log_ratio"]),
                     escape(_short(f)),
                 ]
@@ -138,11 +139,9 @@ def _facts(d: dict[str, Any]) -> str:
         )
     )
     cones = [("source", d["source_solid_angle_sr"]), ("receiver", d["receiver_solid_angle_sr"])]
-    rows.append(
-        ("solid angles", ", ".join(f"{n} {number(w) + ' sr' if w is not None else 'unknown'}" for n, w in cones))
-    )
+    rows.append(("solid angles", ", ".join(f"{n} {_cone(w)}" for n, w in cones)))
     if d["uncertainty_stated"]:
-        causes = ", ".join(c.replace("_", " ") for c in d["causes"]) or "none"
+        causes = ", ".join(cause(c) for c in d["causes"]) or "none"
         rows.append(("uncertainty", f"median {percent(d['median_u_rel'])}; causes common to all values: {causes}"))
     else:
         rows.append(("uncertainty", "none stated"))
@@ -221,7 +220,9 @@ def _parameters(d: dict[str, Any]) -> str:
     notes = [(m, n) for m, f in d["models"].items() for n in f["notes"] if n not in d["notes"] + d["data_notes"]]
     listed = "".join(f"<li><b>{escape(m)}</b>: {escape(n)}</li>" for m, n in notes)
     return html.table(
-        "Standard errors are those of least squares with the stated covariance; they are not scaled by χ².",
+        "Standard errors are those of least squares with the stated covariance; they are not scaled by χ²."
+        if d["uncertainty_stated"]
+        else "The table states no uncertainties: standard errors come from the scatter of the residuals.",
         ["model", "parameter", "value", "", "strongest correlation"],
         rows,
     ) + (f'<ul class="notes">{listed}</ul>' if listed else "")
@@ -236,20 +237,25 @@ def _strongest(f: dict[str, Any], parameter: str) -> str:
 
 
 def _metrics(s: dict[str, Any], d: dict[str, Any]) -> str:
-    names = list(s["metrics"])
+    names = [n for n in s["metrics"] if any(f["metrics"][n] is not None for f in d["models"].values())]
     rows = [[escape(m), *(number(f["metrics"][n]) for n in names)] for m, f in d["models"].items()]
-    listed = "; ".join(f"<b>{escape(v['label'])}</b>: {escape(v['meaning'])}" for v in s["metrics"].values())
-    return (
-        html.table(
-            "", ["model", *(s["metrics"][n]["label"] for n in names)], rows, right=tuple(range(1, len(names) + 1))
-        )
-        + f'<p class="note">{listed}.</p>'
+    table = html.table(
+        "", ["model", *(s["metrics"][n]["label"] for n in names)], rows, right=tuple(range(1, len(names) + 1))
     )
+    return table + html.facts((v["label"], v["meaning"]) for v in (s["metrics"][n] for n in names))
 
 
 def _budget(d: dict[str, Any]) -> str:
-    rows = [[escape(p["cause"]), percent(p["median"]), percent(p["p95"])] for p in d["budget"]]
-    return html.table("Relative to the value.", ["cause", "median", "95th percentile"], rows, right=(1, 2))
+    rows = [
+        [escape(cause(p["cause"])), percent(p["median"]), percent(p["p95"]), escape(CAUSES.get(p["cause"], ""))]
+        for p in d["budget"]
+    ]
+    return html.table(
+        "Standard uncertainties relative to the value.",
+        ["cause", "median", "95th percentile", "what it is"],
+        rows,
+        right=(1, 2),
+    )
 
 
 def _conventions(s: dict[str, Any]) -> str:
@@ -283,7 +289,10 @@ def _provenance(s: dict[str, Any]) -> str:
             rows += [("measured", r["created"]), ("command", r["command"]), ("plan's SHA-256", r["plan_sha256"])]
             rows += [("seed", str(r["seed"])), ("steps", str(r["steps"])), ("bands", ", ".join(r["bands"]))]
             rows.append(("versions", ", ".join(f"{k} {v}" for k, v in r["versions"].items())))
-        rows += list(_flat(d["provenance"]))
+        given = dict(d["provenance"])
+        visits = given.pop("reference", []) if d["run"] else []
+        rows += list(_flat(given))
+        rows += [("white reference", _reference(band)) for band in visits]
         out += [f"<h3>{escape(d['name'])}</h3>", html.facts(rows)]
     out.append("</section>")
     return "\n".join(out)
@@ -315,6 +324,25 @@ def _flat(values: Any, prefix: str = "") -> Iterable[tuple[str, str]]:
     else:
         shown = ", ".join(map(str, values)) if isinstance(values, list) else values
         yield prefix.replace("_", " "), number(shown, 5) if isinstance(shown, float) else str(shown)
+
+
+def _reference(band: dict[str, Any]) -> str:
+    """What the visits to the white reference said, as `gonio.radiometry.reduce` leaves it."""
+    level, slope = band["level_e_per_s_sr"], (100 * band["drift_per_hour"], 100 * band["u_drift_per_hour"])
+    steady = "on a straight line" if band["straight"] else "on no straight line"
+    return (
+        f"{band['band']}: BRDF {number(band['brdf'], 4)} sr⁻¹; {band['visits']} visits {steady} (chi-square "
+        f"{number(band['chi_square'])}); level {number(level, 4)} electrons a second and steradian, known to "
+        f"{percent(band['u_level_rel'])}; drift ({with_u(*slope)}) % an hour; frames of one step scatter as the noise "
+        f"model says, times {number(band['frame_scatter'])} in variance"
+    )
+
+
+def _cone(solid_angle_sr: float | None) -> str:
+    if solid_angle_sr is None:
+        return "unknown"
+    half = math.degrees(float(geometry.half_angle_of_cone(solid_angle_sr)))
+    return f"{number(solid_angle_sr)} sr (half-angle {half:.3g}°)"
 
 
 def _unreachable(run: dict[str, Any]) -> str:

@@ -7,6 +7,7 @@ dots per inch at 142 mm are 260 at the 86 mm that they have here.
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Mapping, Sequence
 from html.parser import HTMLParser
 from pathlib import Path
@@ -99,7 +100,7 @@ class _Reader(HTMLParser):
 
     def handle_endtag(self, tag: str) -> None:
         self._silent -= tag in SILENT
-        text = " ".join("".join(self._words).split())
+        text = re.sub(r"[ \t\r\n]+", " ", "".join(self._words)).strip(" ")
         if tag in TEXTS and text:
             self.blocks.append((tag, text))
             self.title = self.title or text

@@ -13,9 +13,8 @@ def number(value: float | None, digits: int = 3) -> str:
         return "0"
     if 1e-4 <= abs(value) < 10**6:
         decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
-        return _minus(f"{value:,.{decimals}f}".replace(",", " "))
-    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-    return _minus(f"{mantissa} × 10{_superscript(int(exponent))}")
+        return _minus(f"{value:,.{decimals}f}".replace(",", "\u00a0"))
+    return _scientific(value, digits)
 
 
 def with_u(value: float | None, u: float | None) -> str:
@@ -41,6 +40,41 @@ def with_u(value: float | None, u: float | None) -> str:
     return _minus(f"{value:.{decimals}f} ± {u:.{decimals}f}")
 
 
+CAUSES = {
+    "combined": "all of them together",
+    "random (independent)": "noise, encoder steps: what differs from value to value",
+    "reference": "certificate of the white reference",
+    "reference noise": "noise of the visits to the white reference",
+    "lamp drift": "drift of the lamp between the visits",
+    "dark 1": "noise of the dark frames: the strongest pattern that values share",
+    "dark 2": "noise of the dark frames: the second pattern",
+    "dark 3": "noise of the dark frames: the third pattern",
+    "theta i zero": "zero of the light arm",
+    "theta r zero": "zero of the camera arm",
+    "tilt zero": "zero of the holder's tilt",
+    "azimuth zero": "zero of the azimuth arm",
+}
+"""What the causes of an uncertainty are that our own reduction budgets (docs/radiometry.md), by their names."""
+
+
+def cause(name: str) -> str:
+    """The name of a cause as a page has it: that of its column without "s_", angles as Greek letters."""
+    words = name.replace("_", " ")
+    return words.replace("theta i ", "θi ").replace("theta r ", "θr ")
+
+
+def unit(symbol: str) -> str:
+    """A unit as a page has it."""
+    return {"um": "µm", "deg": "°"}.get(symbol, symbol)
+
+
+def quantity(value: str, symbol: str) -> str:
+    """A printed value with its unit, which stands behind the whole of value ± u."""
+    if not symbol or value == "–":
+        return value
+    return f"({value}) {unit(symbol)}" if "±" in value and not value.startswith("(") else f"{value} {unit(symbol)}"
+
+
 def difference(rms_of_logarithm: float | None) -> str:
     """A typical relative difference: in percent, or as a factor where percent would mislead."""
     if rms_of_logarithm is None:
@@ -48,12 +82,17 @@ def difference(rms_of_logarithm: float | None) -> str:
     if rms_of_logarithm < 0.3:
         return percent(rms_of_logarithm)
     factor = math.exp(min(rms_of_logarithm, 230.0))
-    return f"factor {number(factor, 2)}"
+    return f"factor {number(factor, 2) if factor < 1000 else _scientific(factor, 2)}"
 
 
 def percent(value: float | None) -> str:
     """A fraction in percent, two significant digits."""
     return "–" if value is None else f"{number(100 * value, 2)} %"
+
+
+def _scientific(value: float, digits: int) -> str:
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    return _minus(f"{mantissa} × 10{_superscript(int(exponent))}")
 
 
 def _minus(text: str) -> str:

@@ -20,6 +20,7 @@ def section(choice: dict[str, Any]) -> list[str]:
     tried = choice["candidates"]
     if len(tried) < 2:
         return []
+    stated = any(c["reduced_chi_square"] is not None for c in tried)
     least = {key: min(c[key] for c in tried) for key in ("aic", "bic")}
     rows = [
         [
@@ -40,9 +41,10 @@ def section(choice: dict[str, Any]) -> list[str]:
     out.append(
         html.table(
             "From the simplest up. AIC and BIC are differences to the lowest; the held-out error is the mean squared"
-            f" residual, in units of the uncertainty, of values left out by {choice['held_out_by']}. A model is"
-            f" rejected where the probability of its chi-square is below {100 * choice['significance']:g} %, or where"
-            f" another is better by more than {choice['decisive_aic']:g} in AIC.",
+            f" residual{', in units of the uncertainty,' if stated else ''} of values left out by"
+            f" {choice['held_out_by']}. A model is rejected where"
+            + (f" the probability of its chi-square is below {100 * choice['significance']:g} %, or where" * stated)
+            + f" another is better by more than {choice['decisive_aic']:g} in AIC.",
             ["model", "parameters", "reduced χ²", "ΔAIC", "ΔBIC", "held-out", "time", "verdict", "largest misfit"],
             rows,
             right=(1, 2, 3, 4, 5, 6),
