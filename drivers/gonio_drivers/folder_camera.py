@@ -32,6 +32,8 @@ from gonio_drivers import ports, settings
 log = logging.getLogger("gonio.devices")
 
 POLL_S = 0.01
+RELEASE_S = 2.0
+"""A release box answers within this time."""
 WHOLE_S = 1.0
 """A file that does not change for this long, and still cannot be read, is damaged."""
 TRIES = 3
@@ -76,9 +78,7 @@ class FolderCamera:
         if trigger.how == "serial":
             ports.require_free(trigger.port, "devices.camera.trigger.port")
             try:
-                self._release = serial.Serial(
-                    trigger.port, int(trigger.baud), timeout=2.0, write_timeout=1.0, exclusive=True
-                )
+                self._release = serial.Serial(trigger.port, int(trigger.baud), timeout=RELEASE_S, exclusive=True)
             except (*ports.FAILURES, ValueError) as error:
                 raise ports.unopened(trigger.port, error, "devices.camera.trigger.port") from None
         self._seen = set(self._files().items())
@@ -149,10 +149,11 @@ class FolderCamera:
         port = self._camera.trigger.port
         try:
             self._release.reset_input_buffer()
-            self._release.write(f"EXPOSE {exposure_s:.9g}\n".encode())
-            reply = self._release.readline().decode("ascii", "replace").strip()
+            ports.send(self._release, f"EXPOSE {exposure_s:.9g}\n".encode())
+            line = self._release.readline()
         except ports.FAILURES as error:
             raise ports.lost(port, error, "devices.camera.trigger.port") from None
+        reply = line.decode("ascii", "replace").strip() if line.endswith(b"\n") else ""  # half an OK may be one
         if reply != "OK":
             self._owed -= 1 if reply else 0
             raise NoFile(f'the release on {port} answers "{reply}" instead of OK')
@@ -175,6 +176,7 @@ class FolderCamera:
         """The next new file, put away; one whose bytes have come before is passed over."""
         end = time.monotonic() + timeout_s
         while True:
+            over = time.monotonic() > end  # a computer that is held up after its look must not miss a file
             for path in self._new():
                 try:
                     digest, frame = self._whole(path)
@@ -189,7 +191,7 @@ class FolderCamera:
                 self._known.append(digest)
                 self._owed = max(0, self._owed - 1)
                 return moved, frame
-            if time.monotonic() > end:
+            if over:
                 raise NoFile(f"no new file in {self._folder} within {timeout_s:.1f} s after the exposure was asked")
             time.sleep(POLL_S)
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 import serial
-from gonio_drivers import dynamixel, joints, sdk, settings, watchdog
+from gonio_drivers import dynamixel, joints, ports, sdk, settings, watchdog
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.joints import COUNTS
@@ -821,6 +821,15 @@ def test_a_port_that_goes_away() -> None:
         os.close(master)
         with pytest.raises(DeviceError, match=r"went away"):
             bus.ping(1)
+
+
+def test_a_line_that_takes_no_more_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ports, "CLOGGED_S", 0.05)
+    master, slave = pty.openpty()
+    with serial.Serial(os.ttyname(slave)) as line, pytest.raises(serial.SerialTimeoutException):
+        ports.send(line, bytes(1_000_000))
+    for descriptor in (slave, master):
+        os.close(descriptor)
 
 
 def test_an_absent_servo_costs_little_cpu(line: Line) -> None:
