@@ -115,13 +115,16 @@ class UvcCamera:
             good, image = self._capture.read()
             if not good or image is None:
                 raise DeviceError(f"the video camera {self._camera.device} gives no frames")
-            # V4L2 stamps frames with the monotonic clock; where a camera has no stamps, the time of arrival must do
-            stamp = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1e3
-            arrived = stamp if stamp > 0 and stamp * 1e3 != stamped else time.monotonic()
+            # V4L2 stamps frames with the monotonic clock; where a camera has no stamps, or such of another clock, which
+            # show by lying in the future, the time of arrival must do
+            stamp, now = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1e3, time.monotonic()
+            arrived = stamp if 0 < stamp <= now and stamp * 1e3 != stamped else now
             if arrived - exposure_s >= begin:
                 break
             if time.monotonic() - begin > 10 * exposure_s + 5.0:
-                raise DeviceError(f"the video camera {self._camera.device} gives only old frames")
+                raise DeviceError(
+                    f"the video camera {self._camera.device} gives only old frames, or its time stamps lag"
+                )
         # unconverted YUYV has its luminance first; a converted frame is blue, green, red, and green is nearest to it
         grey = image if image.ndim == 2 else image[..., 0 if image.shape[2] == 2 else 1]
         if grey.shape != (self._description.height, self._description.width):

@@ -333,6 +333,16 @@ def test_a_video_frame_is_fresh_manual_and_linear(response: str) -> None:
     assert frame.exposure_s == pytest.approx(0.006)
 
 
+def test_time_stamps_of_another_clock_make_no_queued_frame_fresh(
+    response: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = itertools.count(step=0.001)  # a millisecond a look: the four queued frames are read within the exposure
+    monkeypatch.setattr("gonio_drivers.uvc.time", SimpleNamespace(monotonic=lambda: next(clock)))
+    stand_in = VideoStandIn(images)  # it stamps its frames with the computer's clock, which is ahead of this one
+    with video(stand_in, response, drop=0) as camera:
+        assert camera.capture(0.006).mosaic[0, 0] > 0  # those in the queue are black
+
+
 def test_the_luminance_of_a_frame_that_is_not_converted_is_used(response: str) -> None:
     yuyv = VideoStandIn(lambda exposure_s: np.dstack([images(exposure_s), np.full(SIZE, 128, np.uint8)]))
     with video(yuyv, response) as camera, video(VideoStandIn(images), response) as grey:

@@ -57,9 +57,10 @@ _FACTORY = {
 }  # fmt: skip
 _FACTORY_BY_FAMILY = {
     "xl330": {"Current Limit": 1750, "Velocity Limit": 445, "Temperature Limit": 70, "Position P Gain": 400,
-              "Shutdown": 53},
+              "Velocity I Gain": 1600, "Velocity P Gain": 180, "Shutdown": 53},
     "xc330": {"Current Limit": 1750, "Velocity Limit": 445, "Temperature Limit": 70},
-    "xl430": {"Velocity Limit": 265, "Temperature Limit": 72, "Position P Gain": 640},
+    "xl430": {"Velocity Limit": 265, "Temperature Limit": 72, "Position P Gain": 640, "Position D Gain": 4000,
+              "Velocity I Gain": 1000},
     "xc430": {"Velocity Limit": 310, "Temperature Limit": 72},
     "xh430": {"Current Limit": 648, "Velocity Limit": 230},
     "xm540": {"Current Limit": 2047, "Velocity Limit": 128},
