@@ -150,12 +150,16 @@ def _shadowing(theta, slope, p):
 def _effective_roughness(k, zero, p):
     if k < 1e139:
         return math.sqrt(lambert_w(k * k * (0.125 / math.pi))[1])
-    # W0 of a number y by its logarithm: w + ln w = ln y, Newton in w from ln y - ln ln y
-    y = 2.0 * math.log(k) + math.log(0.125 / math.pi)
+    return 1.0 / math.sqrt(1.0 + _lambert_w_of_exp(2.0 * math.log(k) + math.log(0.125 / math.pi)))
+
+
+@device
+def _lambert_w_of_exp(y):
+    """W0(e^y) for large y: w + ln w = y, by Newton from y - ln y."""
     w = y - math.log(y)
     for _ in range(4):
         w -= (w + math.log(w) - y) * w / (1.0 + w)
-    return 1.0 / math.sqrt(1.0 + w)
+    return w
 
 
 @device
@@ -166,10 +170,7 @@ def _log_series(g, c, constants):
     if 2.0 * c < 1e280 * g * g:
         w, spread, rise = lambert_w(2.0 * c / (g * g))
     else:
-        y = math.log(2.0 * max(c, 1e-300)) - 2.0 * math.log(g)
-        w = y - math.log(y)
-        for _ in range(4):
-            w -= (w + math.log(w) - y) * w / (1.0 + w)
+        w = _lambert_w_of_exp(math.log(2.0 * max(c, 1e-300)) - 2.0 * math.log(g))
         spread, rise = 1.0 / (1.0 + w), expm1(0.5 * w)
     m0 = math.exp(0.5 * w + math.log(g))
     if m0 > 40.0 and m0 * spread > 1.9:
@@ -177,9 +178,14 @@ def _log_series(g, c, constants):
         x[0], p[0] = 1.0 / m0, spread
         expand(0, 3 if m0 < 120.0 else 4 if m0 < 1536.0 else 5, 1, x, p, bracket, work)
         return g * (rise * (1.0 - w) - w) + math.log(math.sqrt(spread) / m0 * bracket[0])
-    # terms on both sides of the largest, from their ratios
     top = max(1.0, math.floor(m0 + 0.5))
     log_top = top * math.log(g) - g - math.lgamma(top + 1.0) - math.log(top) - c / top
+    return log_top + log(sum_around(g, c, top))
+
+
+@device
+def sum_around(g, c, top):
+    """The series over its term at m = top, the largest, by ratios of terms to both sides until they no longer count."""
     total, term, m = 1.0, 1.0, top
     while term > 1e-18 * total:
         term *= g * m / ((m + 1.0) * (m + 1.0)) * math.exp(c / (m * (m + 1.0)))
@@ -190,4 +196,4 @@ def _log_series(g, c, constants):
         term *= m * m / (g * (m - 1.0)) * math.exp(-c / (m * (m - 1.0)))
         m -= 1.0
         total += term
-    return log_top + log(total)
+    return total

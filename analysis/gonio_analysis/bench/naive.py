@@ -16,6 +16,7 @@ from gonio.models._facets import fresnel
 from gonio.models._htsg_kernels import lobe_state, vector_states
 from gonio.models._htsg_series import lambert_w
 from gonio.models._math import exp
+from gonio.models.htsg import sum_around
 
 BLOCK = 1024
 BECKMANN_FROM = 18.5
@@ -119,16 +120,7 @@ def windowed(lx, ly, lz, vx, vy, vz, p):
         return p[0]
     w, _, _ = lambert_w(min(2.0 * c / (g * g), 1e280))
     top = max(1.0, math.floor(g * math.exp(0.5 * w) + 0.5))
-    total, term, m = 1.0, 1.0, top
-    while term > 1e-18 * total:
-        term *= g * m / ((m + 1.0) * (m + 1.0)) * math.exp(c / (m * (m + 1.0)))
-        m += 1.0
-        total += term
-    term, m = 1.0, top
-    while m > 1.0 and term > 1e-18 * total:
-        term *= m * m / (g * (m - 1.0)) * math.exp(-c / (m * (m - 1.0)))
-        m -= 1.0
-        total += term
+    total = sum_around(g, c, top)
     return p[0] + factor * narrowing * (math.exp(log_poisson(top, g) - c / top) / (top * g)) * total
 
 
