@@ -249,12 +249,7 @@ def _read_directories(data: bytes, path: Path) -> _Tags:
             seen.add(at)
             fields, following = _read_directory(data, at, order)
             queue += [following, *fields.get(34665, []), *fields.get(330, [])]
-            for starts, sizes in ((273, 279), (324, 325)):
-                for start, size in zip(fields.get(starts, []), fields.get(sizes, []), strict=False):
-                    if start + size > len(data):
-                        raise DataError(
-                            f"{path}: is truncated: its image ends at byte {start + size}, the file at {len(data)}"
-                        )
+            _require_image(fields, len(data), path)
             if 33434 in fields and tags.exposure_s is None and fields[33434][1]:
                 tags.exposure_s = fields[33434][0] / fields[33434][1]
             if 36867 in fields and 37521 in fields:
@@ -269,6 +264,14 @@ def _read_directories(data: bytes, path: Path) -> _Tags:
     except struct.error:
         raise DataError(f"{path}: is damaged: a directory reaches beyond the end at byte {len(data)}") from None
     return tags
+
+
+def _require_image(fields: dict[int, Any], length: int, path: Path) -> None:
+    """Raise `DataError` where strips or tiles reach beyond the end of the file."""
+    for starts, sizes in ((273, 279), (324, 325)):
+        for start, size in zip(fields.get(starts, []), fields.get(sizes, []), strict=False):
+            if start + size > length:
+                raise DataError(f"{path}: is truncated: its image ends at byte {start + size}, the file at {length}")
 
 
 def _read_directory(data: bytes, at: int, order: str) -> tuple[dict[int, Any], int]:
