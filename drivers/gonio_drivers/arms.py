@@ -353,6 +353,7 @@ class ServoArms:
         elif verdict == "short":
             self._correct(joint, landing, now, exact=exact)
         elif verdict == "stuck" and not self._release(joint, landing, now):
+            joints.require_torque(self.bus, [joint])
             raise DeviceError(f"{self._state(joint.name, landing, report)}: it is stuck; all axes are stopped")
 
     def _release(self, joint: Joint, landing: Landing, now: float) -> bool:

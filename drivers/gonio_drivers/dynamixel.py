@@ -351,6 +351,7 @@ class Bus:
             answered += len(reply)
             if result == COMM_SUCCESS and reply[4] in ids:
                 if any(ids.index(known) >= ids.index(reply[4]) for known in blocks):
+                    self.unheard = 0
                     return {}  # servos answer in turn: one of these is the answer to something older
                 try:
                     blocks[reply[4]] = self._data(reply[4], reply, size)

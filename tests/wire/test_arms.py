@@ -570,6 +570,23 @@ def test_an_axis_that_has_let_go_is_noticed(arms: ServoArms, line: Line) -> None
     assert at_rest(line)
 
 
+def test_an_axis_that_lets_go_on_its_way_is_not_called_stuck(
+    arms: ServoArms, line: Line, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, calls = arms.bus.read_all, []
+
+    def lets_go(*arguments: Any) -> Any:
+        calls.append(1)
+        if len(calls) == 4:
+            line.servos[2].write(64, b"\x00")
+        return real(*arguments)
+
+    monkeypatch.setattr(arms.bus, "read_all", lets_go)
+    with pytest.raises(DeviceError, match=r"axis camera: servo id 2 has let go of its torque"):
+        arms.move(pose(0, 80, 0))
+    assert at_rest(line)
+
+
 def test_the_hardware_error_byte_is_read_after_every_move_alert_or_not(
     arms: ServoArms, line: Line, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -711,7 +728,9 @@ def test_an_answer_out_of_turn_is_older_than_the_question() -> None:
     port, end = answering(reply)
     try:
         with Bus(port, BAUD) as bus:
-            assert bus.read_all([1, 2, 3], 132, 1) == {1: b"\x01", 2: b"\x02", 3: b"\x03"}
+            for _ in range(dynamixel.ENOUGH + 1):
+                assert bus.read_all([1, 2, 3], 132, 1) == {1: b"\x01", 2: b"\x02", 3: b"\x03"}
+            assert bus.unheard < dynamixel.ENOUGH
     finally:
         end()
 
