@@ -7,7 +7,7 @@ from typing import Any
 
 from gonio_analysis.report import html
 from gonio_analysis.report.figures import Figure
-from gonio_analysis.report.text import number
+from gonio_analysis.report.text import number, slug
 
 
 def render(s: dict[str, Any], drawn: dict[str, Figure]) -> str:
@@ -26,14 +26,10 @@ def render(s: dict[str, Any], drawn: dict[str, Figure]) -> str:
     return html.document(s["title"], body)
 
 
-def _slug(name: str) -> str:
-    return name.replace(" ", "-")
-
-
 def _header(s: dict[str, Any]) -> str:
-    links = [("targets", "Targets"), *((_slug(f["name"]), f["title"]) for f in s["families"])]
+    links = [("targets", "Targets"), *((slug(f["name"]), f["title"]) for f in s["families"])]
     links += [("hard-cases", "Hard cases"), ("calls", "Calls and start-up"), ("method", "Method and machine")]
-    nav = "".join(f'<li><a href="#{slug}">{escape(name)}</a></li>' for slug, name in links)
+    nav = "".join(f'<li><a href="#{anchor}">{escape(name)}</a></li>' for anchor, name in links)
     machine = f"{s['machine']['cpu']}, {s['machine']['cpus']} threads"
     what = f"{s['created'][:10]}, gonio {s['machine']['versions']['gonio']}, {machine}, {_vectors(s)}."
     rough = " A quick run: errors are right, times are rough." if s["quick"] else ""
@@ -140,7 +136,7 @@ def _family(f: dict[str, Any], figure: Figure | None) -> str:
     marks = ["best" if w.get("on_front_grid") else "" for w in f["ways"]]
     words = "Processor: summed over threads. Errors are relative. ● marks the Pareto front on the grid."
     return (
-        f'<section id="{_slug(f["name"])}"><h2>{escape(f["title"])}</h2>\n'
+        f'<section id="{slug(f["name"])}"><h2>{escape(f["title"])}</h2>\n'
         f"<p>{escape(f['about'])} Timed on {escape(f['inputs'])}.</p>\n"
         + (html.grid([figure]) if figure else "")
         + _note(words)

@@ -13,7 +13,7 @@ import numpy as np
 from gonio import geometry
 from gonio_analysis import polar
 from gonio_analysis.compare import Dataset, Fitted
-from gonio_analysis.report.text import cause, number
+from gonio_analysis.report.text import cause, number, slug
 
 SVG = {
     "svg.fonttype": "none",
@@ -83,7 +83,7 @@ def _polar(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figure:
         f"{c['label']}: measured peak at {c['measured_peak_deg']:.1f}°, theory's at {c['theory_peak_deg']:.1f}°."
         for c in facts["models"][model]["curves"]
     )
-    return rendered(f"{facts['slug']}-polar-{_slug(model)}", "polar", model, caption, alt, (5.6, 3.22 + below), on)
+    return rendered(f"{facts['slug']}-polar-{slug(model)}", "polar", model, caption, alt, (5.6, 3.22 + below), on)
 
 
 def _radius_label(f: Fitted) -> str:
@@ -170,7 +170,7 @@ def _absolute(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figur
     alt = f"Semilog curves and residuals for {d.name} and {model}" + (
         f"; reduced chi-square {number(chi)}." if chi is not None else "."
     )
-    return rendered(f"{facts['slug']}-absolute-{_slug(model)}", "absolute", model, caption, alt, (5.6, high), on)
+    return rendered(f"{facts['slug']}-absolute-{slug(model)}", "absolute", model, caption, alt, (5.6, high), on)
 
 
 def _budget(facts: dict[str, Any]) -> Figure:
@@ -215,7 +215,7 @@ def _series(facts: dict[str, Any], model: str, f: Fitted) -> Figure:
         f"{model}: fitted parameters at each of the {len(f.series)} wavelengths, with standard errors (those wider"
         " than the panel are not drawn)."
     )
-    return rendered(f"{facts['slug']}-series-{_slug(model)}", "series", model, caption, caption, (5.6, 1.9), on)
+    return rendered(f"{facts['slug']}-series-{slug(model)}", "series", model, caption, caption, (5.6, 1.9), on)
 
 
 def _legend_columns(f: Fitted) -> int:
@@ -265,11 +265,6 @@ def rendered(
         figure.savefig(png, format="png", dpi=PNG_DPI, metadata={"Software": "gonio"}, pil_kwargs=quick)
         figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": "gonio"})
     return Figure(name, kind, model, caption, alt, _tidy(svg.getvalue(), name), png.getvalue())
-
-
-def _slug(model: str) -> str:
-    """A model's label as file names and identifiers have it."""
-    return re.sub(r"[^a-z0-9]+", "-", model.lower()).strip("-")
 
 
 def _tidy(svg: str, name: str) -> str:

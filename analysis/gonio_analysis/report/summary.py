@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime
 import math
 import platform
-import re
 from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any
@@ -17,7 +16,7 @@ from gonio_analysis.fit import FitResult, finite
 from gonio_analysis.metrics import BELOW, DESCRIPTIONS
 from gonio_analysis.observations import describe_left_out
 from gonio_analysis.planes import AT_MIRROR, IN_PLANE, NORM_WORDS
-from gonio_analysis.report.text import difference
+from gonio_analysis.report.text import difference, slug
 
 VERSIONS = ("gonio", "numpy", "scipy", "numba", "pandas", "matplotlib")
 
@@ -26,7 +25,7 @@ def summarise(datasets: Sequence[Dataset], *, title: str, normalise: str, comman
     """The summary of a comparison; see `gonio_analysis.report.write`."""
     slugs: list[str] = []
     for d in datasets:
-        base = re.sub(r"[^a-z0-9]+", "-", d.name.lower()).strip("-") or "sample"
+        base = slug(d.name) or "sample"
         slugs.append(base if base not in slugs else f"{base}-{len(slugs) + 1}")
     models = list(dict.fromkeys(m for d in datasets for m in [*d.fitted, *d.skipped]))
     return {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -73,6 +74,11 @@ def quantity(value: str, symbol: str) -> str:
     if not symbol or value == "–":
         return value
     return f"({value}) {unit(symbol)}" if "±" in value and not value.startswith("(") else f"{value} {unit(symbol)}"
+
+
+def slug(name: str) -> str:
+    """A name as file names and the identifiers of a page have it."""
+    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")
 
 
 def difference(rms_of_logarithm: float | None) -> str:
