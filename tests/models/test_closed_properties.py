@@ -135,6 +135,21 @@ def test_the_printed_normalisation_of_cook_torrance_is_four_times_too_large() ->
         assert CookTorrance(slopes=m, ior=mirror).ambient_reflectance(0.0) == pytest.approx(expected, rel=1e-3)
 
 
+def test_the_m_of_cook_torrance_is_the_total_rms_slope() -> None:
+    """Not the slope along a line, which is 1/sqrt(2) of it. In retro-reflection G is 1 and D = pi cos^2 R_s / F_0."""
+    node, weight = np.polynomial.legendre.leggauss(200)
+    alpha = 0.35 * (node + 1.0)
+    facets = CookTorrance(slopes=0.1).specular(alpha, 0.0, alpha, 0.0) * np.cos(alpha) ** 3 * np.sin(alpha) * weight
+    # what lies beyond 0.7 rad is exp(-70) of all
+    assert facets @ np.tan(alpha) ** 2 / facets.sum() == pytest.approx(0.1**2, rel=1e-9)
+
+
+def test_the_c2_of_blinn_is_a_reciprocal_width() -> None:
+    model = Blinn(distribution="gaussian", c=20.0)
+    there, top = (model.highlight(a, 0.0, a, 0.0) * math.cos(a) for a in (1.0 / 20.0, 0.0))  # retro: s = D F_0/(N.E)
+    assert there / top == pytest.approx(math.exp(-1.0), rel=1e-12)  # D2 = exp(-(alpha c2)^2), to rounding
+
+
 @settings(max_examples=10, deadline=None)
 @given(st.floats(0.0, 1.3), st.floats(5.0, 60.0))
 def test_exact_oren_nayar_conserves_energy(theta_i: float, sigma_deg: float) -> None:

@@ -64,7 +64,7 @@ def test_perfect_conductor_keeps_unpolarised_light_unpolarised_and_all_polarisat
 @pytest.mark.parametrize("theta_i", [0.0, 0.5, 1.2])
 @pytest.mark.parametrize("theta_r", [0.1, 0.9])
 def test_large_roughness_is_beckmann_with_smith(theta_i: float, theta_r: float) -> None:
-    """g -> infinity: |F|^2 S D_B/(4 cos cos) with m = 2 sigma_eff/tau; the deviation falls as 1/g (equations 1.3)."""
+    """g -> infinity: |F|^2 S D_B/(4 cos cos) with m = 2 sigma_eff/tau; the deviation falls as 1/g."""
     sigma0, tau = 200.0, 1000.0
     surface = HeTorrance(sigma0_um=sigma0, tau_um=tau, ior=1e8 + 0j)
     dphi = math.pi - 0.3
@@ -115,7 +115,7 @@ def test_total_reflection_below_index_one() -> None:
 
 @pytest.mark.parametrize("theta", [0.0, 0.5])
 def test_energy_of_a_perfect_reflector(theta: float) -> None:
-    """Gentle slopes, F = 1, away from grazing: 1 within 0.3 % (equations 1.3: 1.0000 +- 0.0003 up to 30 degrees without
+    """Gentle slopes, F = 1, away from grazing: 1 within 0.3 % (1.0000 +- 0.0003 up to 30 degrees without
     shadowing; Smith and the effective roughness take up to 3 % at 30 degrees for steeper ones)."""
     surface = HeTorrance(sigma0_um=0.05, tau_um=2.0, ior=1e8 + 0j)
     assert surface.directional_hemispherical(theta, wavelength_nm=500.0) == pytest.approx(1.0, abs=3e-3)
