@@ -15,6 +15,7 @@ from gonio_analysis.figures import (
     blinn,
     colour,
     cook_torrance,
+    cook_torrance_3,
     experiment,
     htsg,
     htsg_10,
@@ -112,9 +113,9 @@ def test_fig_3_distribution_from_a_retro_scan() -> None:
         tangent = np.tan(alpha)
         beckmann = np.exp(-((tangent / m) ** 2)) / (m**2 * np.cos(alpha) ** 4)
         # rounding, and exp(-t) with t up to 190
-        np.testing.assert_allclose(cook_torrance.distribution(m, "beckmann", alpha), beckmann, rtol=1e-12)
+        np.testing.assert_allclose(cook_torrance_3.distribution(m, "beckmann", alpha), beckmann, rtol=1e-12)
         gaussian = np.exp(-((alpha / m) ** 2))
-        np.testing.assert_allclose(cook_torrance.distribution(m, "gaussian", alpha), gaussian, rtol=1e-12)
+        np.testing.assert_allclose(cook_torrance_3.distribution(m, "gaussian", alpha), gaussian, rtol=1e-12)
 
 
 def test_figs_3_to_5_verdicts() -> None:

@@ -1,4 +1,4 @@
-"""Cook and Torrance (1982), Figs. 3 to 5: facet distributions, the spectrum of copper, its colour over the angle."""
+"""Cook and Torrance (1982), Figs. 3 to 5: the spectrum of copper, its colour (Fig. 3: a file of its own)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio_analysis.figures import colour
+from gonio_analysis.figures import colour, cook_torrance_3
 from gonio_analysis.figures.base import (
     SIZE,
     Claim,
@@ -19,32 +19,27 @@ from gonio_analysis.figures.base import (
     Trace,
     agreed,
     plain_axes,
-    polar_panel,
-    theory,
     trace_panel,
 )
+from gonio_analysis.figures.cook_torrance_3 import PAPER, SIMILAR
 from gonio_analysis.report.text import number
 from gonio_analysis.uncertainty import Floats
 
-PAPER = "Cook and Torrance, A Reflectance Model for Computer Graphics, ACM Transactions on Graphics 1 (1982) 7-24"
-SLOPES = (0.2, 0.6)
-FORMS = ("beckmann", "gaussian")
-SHOWN_DEG = 30.0
 D65_SOURCE = "CIE 15, relative power at 380 to 780 nm in steps of 10 nm"
 ANGLES_DEG = (0.0, 30.0, 60.0, 75.0, 85.0, 89.0)
 EARLY_DEG = 70.0
-SIMILAR, SUFFICIENT = 0.1, 0.01
+SUFFICIENT = 0.01
 
 
 def build(figure: int, progress: Callable[[str], None]) -> Page:
     """The page of Fig. 3, 4 or 5."""
     progress(f"cook-torrance-{figure}: theory")
-    return {3: _distributions, 4: _spectrum, 5: _colours}[figure]()
+    return {3: cook_torrance_3.build, 4: _spectrum, 5: _colours}[figure]()
 
 
 def claims(figure: int) -> list[Claim]:
     """What the text says about a figure."""
-    return {3: _claims_3, 4: _claims_4, 5: _claims_5}[figure]()
+    return {3: cook_torrance_3.claims, 4: _claims_4, 5: _claims_5}[figure]()
 
 
 def copper() -> Parameter:
@@ -55,163 +50,6 @@ def copper() -> Parameter:
         f"{materials.ior('Cu').source}; the paper took a measured reflectance (refs. 10, 17) that it does not print"
     )
     return Parameter("copper, n + ik", "380 to 780 nm", "database", source)
-
-
-# --- Fig. 3: facet distributions ----------------------------------------------------------------------------------
-
-
-def distribution(slope: float, form: str, alpha: Floats) -> Floats:
-    """D(alpha), read off the model as a goniometer would: a scan of retro-reflection meets facets of every slope."""
-    from gonio.models import CookTorrance
-
-    f0 = 0.04
-    scanned = CookTorrance(1.0, 0.0, slope, distribution=form, f0=f0).specular(alpha, 0.0, alpha, 0.0)
-    cosine2 = np.cos(alpha) ** 2  # R_s = F0/pi D G/cos^2, G = min(1, 2 cos^2)
-    return np.asarray(scanned * math.pi * cosine2 / (f0 * np.minimum(1.0, 2.0 * cosine2)))
-
-
-def _alpha() -> Floats:
-    return np.asarray(np.radians(np.arange(0.0, 89.76, 0.25)))
-
-
-def _half_angle(slope: float, form: str) -> float:
-    """Where D falls to half of its value at 0 [deg]."""
-    alpha = _alpha()
-    d = distribution(slope, form, alpha)
-    k = int(np.argmax(d < 0.5 * d[0]))
-    return float(np.degrees(np.interp(0.5 * d[0], [d[k], d[k - 1]], [alpha[k], alpha[k - 1]])))
-
-
-def _projected(slope: float) -> float:
-    """Integral of Beckmann's D cos(alpha) over the hemisphere, over pi."""
-    node, weight = np.polynomial.legendre.leggauss(200)
-    alpha = (node + 1.0) * math.pi / 4
-    d = distribution(slope, "beckmann", alpha)
-    return float(2.0 * (weight * d * np.cos(alpha) * np.sin(alpha)).sum() * math.pi / 4)
-
-
-def _reflected(slope: float) -> float:
-    """What a surface of perfect mirrors reflects at normal incidence with R_s as printed."""
-    from gonio.models import CookTorrance
-
-    return CookTorrance(1.0, 0.0, slope, f0=0.9999999).ambient_reflectance(0.0)
-
-
-def _apart(slope: float) -> float:
-    alpha = _alpha()
-    first, second = (distribution(slope, form, alpha) for form in FORMS)
-    return float(np.max(np.abs(first / first[0] - second / second[0])))
-
-
-def _claims_3() -> list[Claim]:
-    half = {(m, form): _half_angle(m, form) for m in SLOPES for form in FORMS}
-    narrow, wide = SLOPES
-    apart = {m: _apart(m) for m in SLOPES}
-    projected = {m: _projected(m) for m in SLOPES}
-    reflected = {m: _reflected(m) for m in SLOPES}
-
-    def similar(m: float) -> Claim:
-        return Claim(
-            f"“Note the similarity between the two models”, m = {m:g}.",
-            apart[m] < SIMILAR,
-            f"D/D(0) differ by at most {number(apart[m], 2)}; half of it at {half[m, 'beckmann']:.1f}° (Beckmann) and "
-            f"{half[m, 'gaussian']:.1f}° (Gaussian)",
-            "nowhere more than a tenth of the peak apart",
-        )
-
-    return [
-        Claim(
-            "“Small values of m … give a distribution that is highly directional around the specular direction …; "
-            "large values … give a distribution that is spread out.”",
-            all(half[wide, form] > 2.0 * half[narrow, form] for form in FORMS),
-            "half of the peak at "
-            + "; ".join(
-                f"{half[narrow, f]:.1f}° for m = 0.2 and {half[wide, f]:.1f}° for m = 0.6 ({f})" for f in FORMS
-            ),
-            "the half-angle more than doubles from m = 0.2 to 0.6, in both models",
-        ),
-        similar(narrow),
-        similar(wide),
-        Claim(
-            "“The advantage of the Beckmann function is that it gives the absolute magnitude … without introducing "
-            "arbitrary constants.”",
-            all(abs(v - 1.0) < 1e-3 for v in projected.values()),
-            f"∫ D cos α dω = {', '.join(f'{v:.4f} π (m = {m:g})' for m, v in projected.items())}: the facets' "
-            "projected areas add up to the surface, up to the constant π",
-            "the integral is π, whatever m is",
-        ),
-        Claim(
-            "The absolute magnitude of R_s = (F/π) D G/((N·L)(N·V)), as printed with this D.",
-            all(v <= 1.0 for v in reflected.values()),
-            "perfect mirrors (F = 1) would reflect "
-            + ", ".join(f"{number(v)} of the light (m = {m:g})" for m, v in reflected.items())
-            + " at normal incidence: four times too much, for with ∫ D cos α dω = π the factor is 1/(4π)",
-            "no more is reflected than falls in",
-        ),
-    ]
-
-
-def _distributions() -> Page:
-    alpha = _alpha()
-    theta_r = np.radians(np.arange(-90.0, 90.01, 0.5))
-    off = np.abs(theta_r - math.radians(SHOWN_DEG)) / 2.0
-    lines, traces, text, numbers = [], [], [], []
-    for letter, (m, form) in zip("abcd", [(m, form) for m in SLOPES for form in FORMS], strict=True):
-        name = f"({letter}) {form.capitalize()}, m = {m:g}"
-        d = distribution(m, form, alpha)
-        lines.append(theory(name, theta_r, distribution(m, form, off) / d[0], math.radians(SHOWN_DEG)))
-        traces.append(Trace(name, np.degrees(alpha), d / d[0], dashed=form == "gaussian"))
-        beckmann = form == "beckmann"
-        row: dict[str, Any] = {
-            "distribution": form,
-            "m": m,
-            "d_0": float(d[0]),
-            "half_angle_deg": _half_angle(m, form),
-            "projected_over_pi": _projected(m) if beckmann else None,
-            "reflected_as_printed": _reflected(m) if beckmann else None,
-        }
-        numbers.append(row)
-        values = (number(row["d_0"]), f"{row['half_angle_deg']:.1f}°")
-        text.append([name, *values, number(row["projected_over_pi"], 5), number(row["reflected_as_printed"])])
-    return Page(
-        "cook-torrance-3",
-        "Cook-Torrance Fig. 3: facet distributions",
-        PAPER,
-        [
-            Parameter("m", "0.2 and 0.6", "paper", "the total rms slope: √2 times that along a line"),
-            Parameter("c of the Gaussian", "1", "paper", "arbitrary; drawings are divided by D(0)"),
-            Parameter(
-                "θi",
-                f"{SHOWN_DEG:g}°",
-                "assumed",
-                "the scan gives none; it only turns the drawing: no verdict uses it",
-            ),
-        ],
-        _claims_3(),
-        [
-            polar_panel(
-                "polar",
-                f"Around the mirror direction: D/D(0) of the facets that send light from θi = {SHOWN_DEG:g}° toward "
-                "θr, α = |θr − θi|/2.",
-                lines,
-                "D / D(0)",
-            ),
-            trace_panel(
-                "slopes",
-                "Over the facets' angle: D/D(0). Solid: Beckmann; dashed: Gaussian.",
-                traces,
-                "α, angle between facet and surface [deg]",
-                "D / D(0)",
-            ),
-        ],
-        Table(
-            "α½: where D is half of D(0). Reflected: with R_s as printed and F = 1, at normal incidence.",
-            ("distribution", "D(0)", "α½", "∫ D cos α dω / π", "reflected"),
-            text,
-        ),
-        numbers,
-        ["D is read off the model in retro-reflection, where H = L = V: a retro scan measures the distribution."],
-    )
 
 
 # --- Fig. 4: copper's spectrum ------------------------------------------------------------------------------------
