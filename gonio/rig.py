@@ -21,8 +21,8 @@ from gonio.errors import DeviceError
 
 Target = Literal["sample", "reference"]
 PROMPTS: dict[Target, str] = {
-    "reference": "Put the white reference into the holder, then press Enter: ",
-    "sample": "Put the sample back into the holder, then press Enter: ",
+    "reference": "Put the white reference into the holder, then press Enter (Ctrl-C twice stops): ",
+    "sample": "Put the sample back into the holder, then press Enter (Ctrl-C twice stops): ",
 }
 
 

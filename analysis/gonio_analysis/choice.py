@@ -304,7 +304,7 @@ def _reject(judged: Sequence[Judged]) -> list[Judged]:
         p = j.fit.p_value
         why = ""
         if p is not None and p < SIGNIFICANCE:
-            why = f"reduced chi-square {j.fit.reduced_chi_square:.4g} (p {'< 1e-4' if p < 1e-4 else f'= {p:.2g}'})"
+            why = f"reduced chi-square {j.fit.reduced_chi_square:.4g} (p {'< 0.0001' if p < 1e-4 else f'= {p:.2g}'})"
         elif j.aic - best.aic > DECISIVE and (best.fit.p_value is None or best.fit.p_value >= SIGNIFICANCE):
             behind = j.aic - best.aic
             why = f"{best.candidate.label} describes the same values better by {behind:.{behind < 100:d}f} in AIC"
@@ -326,7 +326,10 @@ def _words(judged: Sequence[Judged], named: Judged | None) -> str:
     if not stated:
         text += " Without stated uncertainties only a comparison with the others (AIC) can reject a model."
     simpler = [j for j in judged if len(j.fit.free) < len(named.fit.free)]
-    if simpler:
+    others = [j for j in judged if j is not named]
+    if others and all(j.rejected for j in others):
+        text += " The other model is rejected." if len(others) == 1 else f" The {len(others)} others are rejected."
+    elif simpler:
         text += f" {len(simpler)} simpler {'model is' if len(simpler) == 1 else 'models are'} rejected."
     equals = [j for j in judged if j is not named and not j.rejected and len(j.fit.free) == len(named.fit.free)]
     if equals:

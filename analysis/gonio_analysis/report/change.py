@@ -23,6 +23,8 @@ from gonio_analysis.report.summary import stamp
 from gonio_analysis.report.tables import write_csv
 from gonio_analysis.report.text import difference, number, percent
 
+SPIKE = 30.0
+"""A largest value so many times the median hides all others in a polar plot: a logarithmic one comes first."""
 COLUMNS = (
     *("wavelength_nm", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "a", "b", "u_interpolation", "change"),
     *("u_change", "standard_deviations", "changed"),
@@ -157,19 +159,21 @@ def _conclusion(c: Change) -> str:
     head = f"{same[:1].upper()}{same[1:]}" if v.changed else f"No sign that {same}"
     chance = f"{v.beyond} of {n} values lie beyond 2 standard deviations, where {v.expected:.1f} are expected by chance"
     marked = int(v.marked.sum())
+    between = int(np.count_nonzero(v.marked & (c.error > 0)))
     kept = (
         f"; judged together, {marked} {'values have' if marked != 1 else 'value has'} changed (about"
-        f" {100 * FALSE_DISCOVERIES:g} % of these by chance)"
+        f" {100 * FALSE_DISCOVERIES:g} % of these by chance"
+        + (f"; {between} of them compared by interpolation: measure there before believing it)" if between else ")")
         if marked
         else "; judged together, no single value stands out"
     )
-    test = f"chi-square is {v.chi_square:.4g} for {n} values (p = {_p(v.p_value)})"
+    test = f"chi-square is {v.chi_square:.4g} for {n} values (p {_p(v.p_value)})"
     scale = f"The common factor of B over A is {1 + v.scale:.4f} ± {v.u_scale:.4f}."
     return f"{head}: {test}; {chance}{kept}. {scale} {typical}."
 
 
 def _p(p: float) -> str:
-    return "below 0.0001" if p < 1e-4 else f"{p:.2g}"
+    return "< 0.0001" if p < 1e-4 else f"= {p:.2g}"
 
 
 def _words(ratio: float | None) -> str:
@@ -204,8 +208,11 @@ def _view(c: Change, at: Observations, listed: list[Curve], drawn: list[Curve], 
         rows = at.rows[curve.rows]
         series = [viewer.points(n, curve, values[rows], u[rows]) for n, (_, values, u) in sides.items()]
         entries.append({"label": name, "mirror": round(float(np.degrees(curve.parameter)), 4), "series": series})
+    values = np.concatenate([curve.brdf[curve.brdf > 0] for curve in drawn])
+    high = values.size > 0 and float(values.max()) > SPIKE * float(np.median(values))
     return {
         "name": f"{c.a.name} and {c.b.name}",
+        "plot": "log" if high else "polar",
         "moving": "θr" if drawn[0].scanned == "theta_r" else "θi",
         "at": 0,
         "labels": list(dict.fromkeys([*first, *names])),
@@ -297,8 +304,8 @@ def _method(s: dict[str, Any]) -> str:
         f"Of {v['n_points']} values {v['expected_beyond_2']:.1f} are expected beyond 2 standard deviations by chance."
         f" Values are marked by Benjamini and Hochberg's procedure, which lets"
         f" {100 * v['false_discoveries']:g} % of the marks be wrong."
-        f" The verdict rests on chi-square of all values (p = {_p(v['p_value'])}) and on the largest of"
-        f" them ({v['largest']:.2f} standard deviations, p = {_p(v['p_largest'])}); where nothing changed it says so in"
+        f" The verdict rests on chi-square of all values (p {_p(v['p_value'])}) and on the largest of"
+        f" them ({v['largest']:.2f} standard deviations, p {_p(v['p_largest'])}); where nothing changed it says so in"
         f" {100 * (1 - v['level']):g} % of the cases."
     )
     return f"<p>{escape(text)}</p>"

@@ -38,13 +38,13 @@ def _values(c: Change, at: Observations, drawn: list[Curve], where: str) -> Figu
         lines.append(Line(label, curve.angle, c.value_b[rows], curve.angle, c.value_a[rows], c.u_a[rows]))
 
     def on(figure: Any) -> None:
-        ax = figure.add_axes((0.135, 0.2, 0.85, 0.77))
+        ax = figure.add_axes((0.135, 0.17, 0.84, 0.805))
         polar.semilog(ax, lines)
         ax.set_xlabel("θr: retro side negative, mirror side positive")
         _legend(figure, lines)
 
     caption = f"In the plane of incidence{where}: markers and dashes {c.a.name}; solid lines {c.b.name}."
-    return rendered("values", "values", "", caption, caption, (5.6, 3.7), on)
+    return rendered("values", "values", "", caption, caption, (5.6, 4.4), on)
 
 
 def _changes(c: Change, at: Observations, drawn: list[Curve], where: str) -> Figure:
@@ -71,7 +71,7 @@ def _changes(c: Change, at: Observations, drawn: list[Curve], where: str) -> Fig
 
     def on(figure: Any) -> None:
         top, low = figure.subplots(2, 1, height_ratios=(1.7, 1), sharex=True)
-        figure.subplots_adjust(0.135, 0.19, 0.985, 0.975, hspace=0.12)
+        figure.subplots_adjust(0.135, 0.17, 0.975, 0.975, hspace=0.12)
         maps.changes(top, relative, marks)
         maps.significance(low, scores, limit)
         low.set_xlabel("θr: retro side negative, mirror side positive")
@@ -117,10 +117,11 @@ def _change_maps(c: Change, at: Observations, where: str) -> list[Figure]:
     if flat.size:
         angle = geometry.in_plane_angle(at.theta_r[flat], dphi[flat])
         levels = np.unique(np.round(np.degrees(at.theta_i[flat]), 1)).size
+        high = max(1.3 + 0.22 * levels, 2.1)
 
         def plane(figure: Any) -> None:
             ax = figure.add_subplot()
-            figure.subplots_adjust(0.1, 0.55 / (1.3 + 0.22 * levels), 0.97, 0.94)
+            figure.subplots_adjust(0.1, 0.55 / high, 0.9, 0.94)
             maps.plane_map(
                 ax, angle, at.theta_i[flat], value[flat], label=label, top=top, y_label="θi", marked=marked[flat]
             )
@@ -128,7 +129,7 @@ def _change_maps(c: Change, at: Observations, where: str) -> list[Figure]:
 
         if levels <= 24:
             caption = f"Map of the plane of incidence{where}: {what}{rings}."
-            out.append(rendered("map-plane", "map", "", caption, caption, (5.6, 1.3 + 0.22 * levels), plane))
+            out.append(rendered("map-plane", "map", "", caption, caption, (5.6, high), plane))
     every = [g for g in groups(at.theta_i, at.phi_i, np.arange(len(at))) if np.count_nonzero(off[g]) >= 4]
     some = (
         [every[k] for k in np.unique(np.round(np.linspace(0, len(every) - 1, min(MOST_DISCS, len(every)))).astype(int))]

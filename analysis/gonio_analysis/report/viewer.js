@@ -50,7 +50,7 @@
 
   class Viewer {
     constructor(root, data) {
-      Object.assign(this, { root, data, wave: data.at, norm: data.normalise, plot: "polar", at: null });
+      Object.assign(this, { root, data, wave: data.at, norm: data.normalise, plot: data.plot || "polar", at: null });
       this.labels = new Set(data.shown);
       this.series = new Set(data.chosen);
       this.build();

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from html import escape
 from typing import Any
 
@@ -31,7 +32,7 @@ def section(choice: dict[str, Any]) -> list[str]:
             number(c["bic"] - least["bic"]),
             number(c["held_out"]),
             f"{c['wall_s']:.1f} s",
-            escape(f"rejected: {c['rejected']}" if c["rejected"] else "not rejected"),
+            escape(_verdict(c)),
             escape(_fails(c)),
         ]
         for c in tried
@@ -60,6 +61,12 @@ def section(choice: dict[str, Any]) -> list[str]:
             + "</ul>"
         )
     return out
+
+
+def _verdict(c: dict[str, Any]) -> str:
+    """Without the chi-square that stands beside it."""
+    why = re.sub(r"^reduced chi-square \S+ \((.*)\)$", r"\1", c["rejected"])
+    return f"rejected: {why}" if why else "not rejected"
 
 
 def _fails(c: dict[str, Any]) -> str:
