@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 import gonio
-from gonio import geometry, kinematics, level, sensitivity
+from gonio import geometry, kinematics, sensitivity, white_reference
 from gonio.darks import COLUMNS, PATTERNS, strongest
 from gonio.description import Axis, Band, RigDescription
 from gonio.errors import ConfigError, DataError
@@ -95,7 +95,7 @@ class _BandResult:
     darks: dict[int, Array]
     """By point: change of its value [1/sr] by the noise of the dark frames, see `Merged.dark`."""
     flags: dict[int, str]
-    level: level.Level
+    level: white_reference.Level
     reference_brdf: float
     visits: int
     scatter: float
@@ -129,7 +129,7 @@ def _reduce_band(bench: Bench, band: Band, merged: list[Merged | str]) -> _BandR
     )
 
 
-def _level(bench: Bench, visits: list[Merged], band: Band) -> tuple[level.Level, float]:
+def _level(bench: Bench, visits: list[Merged], band: Band) -> tuple[white_reference.Level, float]:
     """The signal per unit BRDF over time, and the reference's BRDF [1/sr], mean over the visits."""
     run, description, reference = bench.run, bench.description, bench.description.reference
     if not visits:
@@ -141,7 +141,7 @@ def _level(bench: Bench, visits: list[Merged], band: Band) -> tuple[level.Level,
         from gonio import measurement
 
         table = measurement.read(reference.table)
-        known = np.array([level.brdf_of_table(table, visit.directions, band.centre_nm) for visit in visits])
+        known = np.array([white_reference.brdf_of_table(table, visit.directions, band.centre_nm) for visit in visits])
     elif reference.albedo:
         known = np.full(len(visits), reference.albedo / math.pi)
     else:
@@ -153,11 +153,11 @@ def _level(bench: Bench, visits: list[Merged], band: Band) -> tuple[level.Level,
     landing = sum(_change_of_cosine(description, visits[0], axis, u) ** 2 for axis, u in encoder.items())
     variances = np.array([visit.variance for visit in visits]) + landing * rates**2
     times = np.array([visit.time_s for visit in visits])
-    return level.fit(times, rates / known, variances / known**2), float(known.mean())
+    return white_reference.fit(times, rates / known, variances / known**2), float(known.mean())
 
 
 def _columns(
-    bench: Bench, points: list[Merged], visit: Merged, fitted: level.Level, reference_pixels: int
+    bench: Bench, points: list[Merged], visit: Merged, fitted: white_reference.Level, reference_pixels: int
 ) -> dict[str, Array]:
     """BRDF and its uncertainties for the measured points of a band (docs/radiometry.md, "The budget")."""
     description = bench.description

@@ -133,7 +133,7 @@ class Renderer:
         if reference.table is None:
             certified = (reference.albedo or 0.0) / math.pi
         else:
-            from gonio.level import brdf_of_table
+            from gonio.white_reference import brdf_of_table
 
             at_centre = directions(self._world.description, self._world.pose)
             certified = brdf_of_table(self._table, at_centre, band.centre_nm)

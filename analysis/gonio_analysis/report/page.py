@@ -8,7 +8,7 @@ from html import escape
 from typing import Any
 
 from gonio import geometry
-from gonio_analysis.report import html, viewer, which
+from gonio_analysis.report import html, model_choice, viewer
 from gonio_analysis.report.figures import Figure
 from gonio_analysis.report.text import CAUSES, cause, difference, number, percent, with_u
 
@@ -77,7 +77,7 @@ def _dataset(s: dict[str, Any], d: dict[str, Any], figures: Sequence[Figure], vi
     out += ["<h3>What was measured, and how</h3>", _facts(d)]
     if d["notes"]:
         out.append('<ul class="notes">' + "".join(f"<li>{escape(n)}</li>" for n in d["notes"]) + "</ul>")
-    out += which.section(d["choice"])
+    out += model_choice.section(d["choice"])
     out += ["<h3>Models</h3>", _models(d)]
     if d["skipped"]:
         out.append(

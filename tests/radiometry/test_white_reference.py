@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from gonio import level
+from gonio import white_reference
 from gonio.errors import DataError
 from gonio.kinematics import Directions
 
@@ -20,7 +20,7 @@ def test_a_straight_level_is_recovered_with_its_covariance() -> None:
     times = np.array([0.0, 100.0, 250.0, 400.0, 900.0])
     variances = np.array([1.0, 4.0, 2.0, 1.0, 3.0])
     values = 500.0 - 0.03 * times + np.array([0.3, -0.5, 0.2, 0.1, -0.4])
-    fitted = level.fit(times, values, variances)
+    fitted = white_reference.fit(times, values, variances)
     design = np.stack([np.ones(5), times], axis=1)
     covariance = np.linalg.inv(design.T @ np.diag(1 / variances) @ design)
     parameters = covariance @ design.T @ (values / variances)
@@ -36,21 +36,21 @@ def test_a_straight_level_is_recovered_with_its_covariance() -> None:
 
 def test_order_of_the_visits_does_not_matter() -> None:
     times, values = np.array([300.0, 0.0, 700.0]), np.array([9.0, 10.0, 8.0])
-    turned = level.fit(times[::-1], values[::-1], np.ones(3))
+    turned = white_reference.fit(times[::-1], values[::-1], np.ones(3))
     at = np.linspace(0, 700, 5)
-    np.testing.assert_array_equal(level.fit(times, values, np.ones(3)).at(at), turned.at(at))
+    np.testing.assert_array_equal(white_reference.fit(times, values, np.ones(3)).at(at), turned.at(at))
 
 
 def test_levels_that_are_straight_are_seldom_called_crooked() -> None:
     """1 % of them, by the test's own level: at most 10 of 300 with a chance of 1e-3."""
     times = np.arange(6) * 100.0
-    crooked = sum(not level.fit(times, 100 + RNG.normal(0, 1, 6), np.ones(6)).straight for _ in range(300))
+    crooked = sum(not white_reference.fit(times, 100 + RNG.normal(0, 1, 6), np.ones(6)).straight for _ in range(300))
     assert crooked <= 10
 
 
 def test_a_crooked_level_is_interpolated_and_the_departure_budgeted() -> None:
     times, values = np.array([0.0, 100.0, 200.0, 300.0]), np.array([100.0, 110.0, 90.0, 100.0])
-    fitted = level.fit(times, values, np.full(4, 0.01))
+    fitted = white_reference.fit(times, values, np.full(4, 0.01))
     assert not fitted.straight
     at = np.array([-10.0, 0.0, 150.0, 200.0, 400.0])
     np.testing.assert_allclose(fitted.at(at), [100.0, 100.0, 100.0, 90.0, 100.0], rtol=1e-12)
@@ -64,7 +64,7 @@ def test_a_crooked_level_is_interpolated_and_the_departure_budgeted() -> None:
 @pytest.mark.parametrize("count", [1, 2])
 def test_few_visits(count: int) -> None:
     times, values = np.array([50.0, 150.0])[:count], np.array([10.0, 12.0])[:count]
-    fitted = level.fit(times, values, np.full(count, 0.04))
+    fitted = white_reference.fit(times, values, np.full(count, 0.04))
     assert fitted.straight
     np.testing.assert_allclose(fitted.at(times), values, rtol=1e-12)  # a line through two points: rounding
     at = np.array([250.0])
@@ -97,23 +97,29 @@ def visit(theta_i: float, theta_r: float) -> Directions:
     ("theta_i", "theta_r", "wave"), [(0.0, 45.0, 500.0), (30.0, 44.0, 550.0), (30.0, -12.0, 600.0), (30.0, 0.0, 580.0)]
 )
 def test_a_table_is_interpolated(theta_i: float, theta_r: float, wave: float) -> None:
-    value = level.brdf_of_table(table(), visit(theta_i, theta_r), wave)
+    value = white_reference.brdf_of_table(table(), visit(theta_i, theta_r), wave)
     assert value == pytest.approx(linear(theta_i, theta_r, wave), rel=1e-12)
 
 
 def test_between_two_curves_of_a_table() -> None:
-    value = level.brdf_of_table(table(), visit(12.0, 35.0), 500.0)
+    value = white_reference.brdf_of_table(table(), visit(12.0, 35.0), 500.0)
     assert value == pytest.approx(linear(12.0, 35.0, 500.0), rel=1e-12)
 
 
 def test_a_read_angle_near_a_curve_lies_on_it() -> None:
-    assert level.brdf_of_table(table(), visit(30.2, 20.0), 500.0) == pytest.approx(linear(30.0, 20.0, 500.0), rel=1e-12)
-    assert level.brdf_of_table(table(), visit(0.03, -45.0), 500.0) == pytest.approx(linear(0.0, 45.0, 500.0), rel=1e-12)
+    assert white_reference.brdf_of_table(table(), visit(30.2, 20.0), 500.0) == pytest.approx(
+        linear(30.0, 20.0, 500.0), rel=1e-12
+    )
+    assert white_reference.brdf_of_table(table(), visit(0.03, -45.0), 500.0) == pytest.approx(
+        linear(0.0, 45.0, 500.0), rel=1e-12
+    )
 
 
 def test_a_broad_band_serves_every_wavelength() -> None:
     broad = table(waves=(math.nan,))
-    assert level.brdf_of_table(broad, visit(0.0, 45.0), 550.0) == pytest.approx(linear(0, 45, math.nan), rel=1e-12)
+    assert white_reference.brdf_of_table(broad, visit(0.0, 45.0), 550.0) == pytest.approx(
+        linear(0, 45, math.nan), rel=1e-12
+    )
 
 
 @pytest.mark.parametrize(
@@ -126,24 +132,24 @@ def test_a_broad_band_serves_every_wavelength() -> None:
 )
 def test_outside_of_a_table_is_an_error(theta_i: float, theta_r: float, wave: float, message: str) -> None:
     with pytest.raises(DataError, match=f"spectralon.csv.*{message}"):
-        level.brdf_of_table(table(), visit(theta_i, theta_r), wave)
+        white_reference.brdf_of_table(table(), visit(theta_i, theta_r), wave)
 
 
 def test_out_of_the_plane_is_an_error() -> None:
     across = Directions(math.radians(30), 0.0, math.radians(40), math.radians(90))
     with pytest.raises(DataError, match="in the plane of incidence"):
-        level.brdf_of_table(table(), across, 500.0)
+        white_reference.brdf_of_table(table(), across, 500.0)
 
 
 def test_flagged_rows_of_a_table_do_not_count() -> None:
     spoiled = table()
     bad = (spoiled["theta_r_deg"] == 40) & (spoiled["theta_i_deg"] == 0)
     spoiled.loc[bad, "brdf"], spoiled.loc[bad, "flag"] = 9.0, "saturated"
-    value = level.brdf_of_table(spoiled, visit(0.0, 45.0), 500.0)
+    value = white_reference.brdf_of_table(spoiled, visit(0.0, 45.0), 500.0)
     assert value == pytest.approx(linear(0.0, 45.0, 500.0), rel=1e-12)
 
 
 def test_a_polarised_table_is_refused() -> None:
     polarised = table().assign(polarisation="ss")
     with pytest.raises(DataError, match="must be unpolarised"):
-        level.brdf_of_table(polarised, visit(0.0, 45.0), 500.0)
+        white_reference.brdf_of_table(polarised, visit(0.0, 45.0), 500.0)
