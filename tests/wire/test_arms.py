@@ -461,7 +461,8 @@ def test_after_kill_9_in_mid_move_the_servos_stop_within_the_period(caplog: pyte
     servo = {k: Servo(k, clock, model="xm430-w350", baud=BAUD) for k in (1, 2, 3)}
     with SerialPeer(ServoBus(servo.values())) as peer:
         program = (
-            "from tests.wire.test_arms import ServoArms, describe, pose, sdk, servos\n"
+            "from gonio_drivers import sdk\n"
+            "from tests.wire.test_arms import ServoArms, describe, pose, servos\n"
             "sdk.PATIENCE_MS = 60_000\n"  # this process may be the one that is held up
             f"with ServoArms(describe(), servos({peer.port!r})) as arms:\n    arms.move(pose(85, 85, 0))\n"
         )
