@@ -17,22 +17,28 @@ OPPOSITE = 1e-30
 
 @device
 def above(z):  # type: ignore[no-untyped-def]
-    """The cosine of a direction, at least 1e-300: at exactly grazing this gives the limit along equal polar angles."""
-    return z if z > 1e-300 else 1e-300
+    """The cosine of a direction, at least 1e-200: at exactly grazing this gives the limit along equal polar angles."""
+    return max(z, 1e-200)
 
 
 @device
-def half(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
-    """(|s_xy|^2, s_z, |s|^2, cos^2(theta_h)) of s = L + V."""
+def facet(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
+    """(|s_xy|^2, s_z, |s|^2, g, N.L, N.V) of s = L + V; G/((N.L)(N.V)) is s_z/g, finite at grazing off the mirror.
+
+    G = min(1, 2 N.H N.V/V.H, 2 N.H N.L/V.H), where 2 N.H/V.H = 4 s_z/|s|^2.
+    """
     sx = lx + vx
     sy = ly + vy
+    lz = above(lz)
+    vz = above(vz)
     sz = lz + vz
     flat = sx * sx + sy * sy
     s2 = flat + sz * sz
-    opposite = s2 < OPPOSITE
-    c2 = 0.25 * s2
-    c2 = c2 if c2 < 1.0 else 1.0
-    return 0.0 if opposite else flat, 1e-15 if opposite else sz, OPPOSITE if opposite else s2, c2
+    apart = s2 >= OPPOSITE
+    flat = flat if apart else 0.0
+    sz = sz if apart else sqrt(OPPOSITE)
+    g = max(lz, vz) * max(sz * min(lz, vz), 0.25 * s2 if apart else 0.0)
+    return flat, sz, s2 if apart else OPPOSITE, g, lz, vz
 
 
 @device
@@ -63,19 +69,6 @@ def cos_power(flat, sz, s2, exponent):  # type: ignore[no-untyped-def]
 
 
 @device
-def groove(lz, vz, sz, s2):  # type: ignore[no-untyped-def]
-    """Numerator and denominator of G/((N.L)(N.V)), finite at grazing off the mirror.
-
-    G = min(1, 2 N.H N.V/V.H, 2 N.H N.L/V.H).
-    """
-    low = lz if lz < vz else vz
-    high = vz if lz < vz else lz
-    w = 4.0 * sz  # 2 N.H / V.H = 4 s_z / |s|^2
-    blocked = w * low < s2 and s2 > OPPOSITE
-    return w if blocked else 1.0, s2 * high if blocked else low * high
-
-
-@device
 def groove_over_viewer(lz, vz, sz, s2):  # type: ignore[no-untyped-def]
     """Numerator and denominator of Blinn's G/(N.E), by his branches: no division by a cosine that G takes out."""
     masked = vz < lz
@@ -96,15 +89,15 @@ def fresnel(c2, contrast, real, imag):  # type: ignore[no-untyped-def]
     """
     re = real + c2
     big = sqrt(re * re + 4.0 * imag * imag)
-    ct = sqrt(0.5 * c2 * (big + abs(re)) + 1e-100)  # c max(a, b); above 0, because it divides
-    # 2 c a is 2 ct, or 2 c^2 n k / ct where b is the larger: kept as the fraction up / down
-    use = re >= 0.0
-    up = 2.0 * (ct if use else imag * c2)
-    down = 1.0 if use else ct
+    turned = c2 * (big + abs(re))
+    square = 0.5 * turned + 1e-100  # above 0, because it divides
+    root = sqrt(square)  # c max(a, b)
+    # 2 c a is 2 root, or 2 c^2 n k / root where b is the larger: `twice` is 2 c a root
+    twice = turned if re >= 0.0 else 2.0 * imag * c2
     sin2 = 1.0 - c2
-    x = down * (c2 * big + sin2 * sin2)
-    den = down * (c2 + big) + up
-    return (contrast * down) * (down * x), (x + up * sin2) * (den * den)
+    x = root * (c2 * big + sin2 * sin2)
+    den = root * (c2 + big) + twice
+    return contrast * (square * x), (x + twice * sin2) * (den * den)
 
 
 def fresnel_constants(ior: complex) -> tuple[float, float, float]:

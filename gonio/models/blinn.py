@@ -15,16 +15,7 @@ import numpy as np
 from gonio.errors import ArgumentError
 from gonio.models import engine
 from gonio.models._compile import device
-from gonio.models._facets import (
-    above,
-    alpha_squared,
-    cos_power,
-    fresnel,
-    fresnel_constants,
-    groove,
-    groove_over_viewer,
-    half,
-)
+from gonio.models._facets import alpha_squared, cos_power, facet, fresnel, fresnel_constants, groove_over_viewer
 from gonio.models._math import _LOG2_E, exp2
 from gonio.models.base import Index, Model, checked_index, checked_wavelength, choice, index_at, number, positive, store
 from gonio.models.engine import Constants, Kernel
@@ -41,7 +32,7 @@ DISTRIBUTIONS = ("trowbridge-reitz", "gaussian", "phong")
 @device
 def phong_highlight(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     """s = (N.H)^c1."""
-    flat, sz, s2, _ = half(lx, ly, above(lz), vx, vy, above(vz))
+    flat, sz, s2, _, _, _ = facet(lx, ly, lz, vx, vy, vz)
     return p[1] * cos_power(flat, sz, s2, p[2])
 
 
@@ -72,20 +63,19 @@ def d3(flat, sz, s2, c):  # type: ignore[no-untyped-def]
 
 
 @device
-def torrance_sparrow(d, lz, vz, sz, s2, c2, p):  # type: ignore[no-untyped-def]
+def torrance_sparrow(d, sz, s2, g, p):  # type: ignore[no-untyped-def]
     """The BRDF for a distribution d (numerator, denominator): (k_d + k_s D F G/((N.E)(N.L))) / pi."""
     d_up, d_down = d
-    f_up, f_down = fresnel(c2, p[3], p[4], p[5])
-    g_up, g_down = groove(lz, vz, sz, s2)
-    up = p[1] * d_up * f_up * g_up
-    return p[0] + (up / ((d_down * f_down) * g_down) if up > 0.0 else 0.0)
+    f_up, f_down = fresnel(0.25 * s2, p[3], p[4], p[5])
+    up = p[1] * d_up * f_up * sz
+    return p[0] + (up / ((d_down * f_down) * g) if up > 0.0 else 0.0)
 
 
 @device
-def torrance_sparrow_highlight(d, lz, vz, sz, s2, c2, p):  # type: ignore[no-untyped-def]
+def torrance_sparrow_highlight(d, lz, vz, sz, s2, p):  # type: ignore[no-untyped-def]
     """s = D F G/(N.E), from a distribution d (numerator, denominator)."""
     d_up, d_down = d
-    f_up, f_down = fresnel(c2, p[3], p[4], p[5])
+    f_up, f_down = fresnel(0.25 * s2, p[3], p[4], p[5])
     g_up, g_down = groove_over_viewer(lz, vz, sz, s2)
     up = p[1] * d_up * f_up * g_up
     return up / ((d_down * f_down) * g_down) if up > 0.0 else 0.0
@@ -93,44 +83,38 @@ def torrance_sparrow_highlight(d, lz, vz, sz, s2, c2, p):  # type: ignore[no-unt
 
 @device
 def brdf_d1(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    lz, vz = above(lz), above(vz)
-    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
-    return torrance_sparrow(d1(flat, sz, s2, p[2]), lz, vz, sz, s2, c2, p)
+    flat, sz, s2, g, _, _ = facet(lx, ly, lz, vx, vy, vz)
+    return torrance_sparrow(d1(flat, sz, s2, p[2]), sz, s2, g, p)
 
 
 @device
 def brdf_d2(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    lz, vz = above(lz), above(vz)
-    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
-    return torrance_sparrow(d2(flat, sz, s2, p[2]), lz, vz, sz, s2, c2, p)
+    flat, sz, s2, g, _, _ = facet(lx, ly, lz, vx, vy, vz)
+    return torrance_sparrow(d2(flat, sz, s2, p[2]), sz, s2, g, p)
 
 
 @device
 def brdf_d3(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    lz, vz = above(lz), above(vz)
-    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
-    return torrance_sparrow(d3(flat, sz, s2, p[2]), lz, vz, sz, s2, c2, p)
+    flat, sz, s2, g, _, _ = facet(lx, ly, lz, vx, vy, vz)
+    return torrance_sparrow(d3(flat, sz, s2, p[2]), sz, s2, g, p)
 
 
 @device
 def highlight_d1(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    lz, vz = above(lz), above(vz)
-    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
-    return torrance_sparrow_highlight(d1(flat, sz, s2, p[2]), lz, vz, sz, s2, c2, p)
+    flat, sz, s2, _, lz, vz = facet(lx, ly, lz, vx, vy, vz)
+    return torrance_sparrow_highlight(d1(flat, sz, s2, p[2]), lz, vz, sz, s2, p)
 
 
 @device
 def highlight_d2(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    lz, vz = above(lz), above(vz)
-    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
-    return torrance_sparrow_highlight(d2(flat, sz, s2, p[2]), lz, vz, sz, s2, c2, p)
+    flat, sz, s2, _, lz, vz = facet(lx, ly, lz, vx, vy, vz)
+    return torrance_sparrow_highlight(d2(flat, sz, s2, p[2]), lz, vz, sz, s2, p)
 
 
 @device
 def highlight_d3(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    lz, vz = above(lz), above(vz)
-    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
-    return torrance_sparrow_highlight(d3(flat, sz, s2, p[2]), lz, vz, sz, s2, c2, p)
+    flat, sz, s2, _, lz, vz = facet(lx, ly, lz, vx, vy, vz)
+    return torrance_sparrow_highlight(d3(flat, sz, s2, p[2]), lz, vz, sz, s2, p)
 
 
 _KERNELS: dict[str, tuple[Kernel, Kernel]] = {

@@ -13,7 +13,7 @@ import numpy as np
 from gonio.errors import ArgumentError
 from gonio.models import engine
 from gonio.models._compile import device
-from gonio.models._facets import above, alpha_squared, fresnel, fresnel_constants, groove, half, tan2_alpha
+from gonio.models._facets import alpha_squared, facet, fresnel, fresnel_constants, tan2_alpha
 from gonio.models._math import _LOG2_E, exp2
 from gonio.models.base import Index, Model, checked_index, checked_wavelength, choice, index_at, number, positive, store
 from gonio.models.engine import Constants, Kernel
@@ -57,41 +57,36 @@ def gaussian_slopes(flat, sz, s2, p):  # type: ignore[no-untyped-def]
 
 
 @device
-def facets(lz, vz, sz, s2, base, up, down):  # type: ignore[no-untyped-def]
+def facets(sz, g, base, up, down):  # type: ignore[no-untyped-def]
     """The BRDF for D F = up / down."""
-    g_up, g_down = groove(lz, vz, sz, s2)
-    up *= g_up
-    return base + (up / (down * g_down) if up > 0.0 else 0.0)
+    up *= sz
+    return base + (up / (down * g) if up > 0.0 else 0.0)
 
 
 @device
 def beckmann(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    lz, vz = above(lz), above(vz)
-    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
-    f_up, f_down = fresnel(c2, p[1], p[2], p[3])
-    return facets(lz, vz, sz, s2, p[0], beckmann_slopes(flat, sz, p) * f_up, f_down)
+    flat, sz, s2, g, _, _ = facet(lx, ly, lz, vx, vy, vz)
+    f_up, f_down = fresnel(0.25 * s2, p[1], p[2], p[3])
+    return facets(sz, g, p[0], beckmann_slopes(flat, sz, p) * f_up, f_down)
 
 
 @device
 def gaussian(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    lz, vz = above(lz), above(vz)
-    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
-    f_up, f_down = fresnel(c2, p[1], p[2], p[3])
-    return facets(lz, vz, sz, s2, p[0], gaussian_slopes(flat, sz, s2, p) * f_up, f_down)
+    flat, sz, s2, g, _, _ = facet(lx, ly, lz, vx, vy, vz)
+    f_up, f_down = fresnel(0.25 * s2, p[1], p[2], p[3])
+    return facets(sz, g, p[0], gaussian_slopes(flat, sz, s2, p) * f_up, f_down)
 
 
 @device
 def beckmann_schlick(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    lz, vz = above(lz), above(vz)
-    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
-    return facets(lz, vz, sz, s2, p[0], beckmann_slopes(flat, sz, p) * schlick(c2, p[1], p[2]), 1.0)
+    flat, sz, s2, g, _, _ = facet(lx, ly, lz, vx, vy, vz)
+    return facets(sz, g, p[0], beckmann_slopes(flat, sz, p) * schlick(0.25 * s2, p[1], p[2]), 1.0)
 
 
 @device
 def gaussian_schlick(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    lz, vz = above(lz), above(vz)
-    flat, sz, s2, c2 = half(lx, ly, lz, vx, vy, vz)
-    return facets(lz, vz, sz, s2, p[0], gaussian_slopes(flat, sz, s2, p) * schlick(c2, p[1], p[2]), 1.0)
+    flat, sz, s2, g, _, _ = facet(lx, ly, lz, vx, vy, vz)
+    return facets(sz, g, p[0], gaussian_slopes(flat, sz, s2, p) * schlick(0.25 * s2, p[1], p[2]), 1.0)
 
 
 _KERNELS: dict[tuple[str, str], Kernel] = {
