@@ -1,10 +1,11 @@
-"""Compiled functions that use the whole width of the vector registers, and keep their constants at hand.
+"""Compiled functions that use whole vector registers, several side by side, and keep their constants at hand.
 
 LLVM halves 512-bit vectors on many processors, to spare mixed code a lower clock; the loops over kernels are all
-vectors. And it fetches a constant anew, with two instructions, wherever registers are short: a polynomial then spends
-a third of its instructions on that. A constant that it cannot see through is set up once before the loop and is an
-operand in memory (on an aligned stack). Both are properties of each function, so that no other compiled code of the
-process is touched.
+vectors. It takes one vector at a time through most loops, and waits for roots and divisions where others could go on.
+And it fetches a constant anew, with two instructions, wherever registers are short: a polynomial then spends a third
+of its instructions on that. A constant that it cannot see through is set up once before the loop and is an operand in
+memory (on an aligned stack). All are properties of each function, so that no other compiled code of the process is
+touched.
 """
 
 # mypy: allow-any-generics, disallow-subclassing-any=False
@@ -14,6 +15,7 @@ from __future__ import annotations
 from typing import Any
 
 from llvmlite import ir as llvm
+from llvmlite.ir.values import MDValue
 from numba.core import ir
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
@@ -22,6 +24,7 @@ from numba.core.typed_passes import NativeLowering
 
 ATTRIBUTES = ('"prefer-vector-width"="512"', '"frame-pointer"="all"')  # with a frame pointer the stack can be aligned
 PLAIN = (0.0, 0.5, 1.0, 2.0)  # what arithmetic with these can be simplified to is worth more
+VECTORS = llvm.Constant(llvm.IntType(32), 4)  # that a loop takes side by side
 BITS = llvm.IntType(64)
 
 
@@ -30,6 +33,14 @@ class _Lower(Lower):
         super().lower_normal_function(fndesc)
         for attribute in ATTRIBUTES:  # llvmlite's own `add` knows only attributes without a value
             set.add(self.function.attributes, attribute)
+        seen = set()
+        for block in self.function.blocks:
+            seen.add(block)
+            if not seen.isdisjoint(block.terminator.operands):  # the end of a loop
+                count = self.module.add_metadata(["llvm.loop.interleave.count", VECTORS])
+                loop = MDValue(self.module, [count], name=str(len(self.module.metadata)))
+                loop.operands = (loop, count)  # a loop's node names itself
+                block.terminator.set_metadata("llvm.loop", loop)
 
     def lower_assign(self, ty: Any, inst: Any) -> Any:
         value = super().lower_assign(ty, inst)
