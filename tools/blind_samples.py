@@ -153,7 +153,7 @@ def judged(folder: Path) -> dict[str, Any]:
     out["largest_difference_u"] = float(far.max())
     simpler = len(named.fit.free) <= len(true) + (0 if true.get("k", 1.0) else -1)
     out["right"] = out["right"] or (simpler and float(far.max()) < LEVEL)
-    if out["is_true"] and ("k" in named.fit.free or not true.get("k")):
+    if out["is_true"]:
         out["covered"] = {n: i.holds(true[n]) for n, i in chosen.intervals.items()}
     return out
 

@@ -22,7 +22,7 @@ from gonio_analysis.families import Ior, Values
 from gonio_analysis.fit import FitResult, finite, fit
 from gonio_analysis.near import Near, Rows
 from gonio_analysis.observations import Observations
-from gonio_analysis.profile import Interval, Profiles, profiles
+from gonio_analysis.profile import Interval, profiles
 from gonio_analysis.regions import Region, blocks, worst
 from gonio_analysis.search import pose
 from gonio_analysis.uncertainty import Floats
@@ -217,19 +217,38 @@ def choose(
         raise DataError(f"{name}: no model could be fitted. " + " ".join(dict.fromkeys(left_out.values())))
     folds, by = blocks(next(iter(fits.values())).data)
     judged = _reject([_judge(c, r, folds, walls[c]) for c, r in fits.items()])
+    named, intervals, lower = _walked(judged)
+    if lower:  # valleys met while walking: begin again from there
+        again = {j.candidate: fitted(j.candidate, [j.fit.problem.values(vector)]) for j, vector in lower}
+        better = {c: _judge(c, result, folds, walls[c]) for c, result in again.items()}
+        judged = _reject([better.get(j.candidate, j) for j in judged])
+        named, intervals, _ = _walked(judged)
+    return Choice(judged, named, intervals, _words(judged, named), by, left_out)
+
+
+def _walked(judged: Sequence[Judged]) -> tuple[Judged | None, dict[str, Interval], list[tuple[Judged, Floats]]]:
+    """The simplest model that is not rejected, its parameters' intervals, and the lower valleys that were met.
+
+    Where n was fitted with k = 0 and n + ik describes the data too, intervals hold for either: a level and an index
+    that follow k would otherwise look better known than they are.
+    """
     named = next((j for j in judged if not j.rejected), None)
-    walked = _walked(named)
-    if named is not None and walked.better is not None:  # a lower valley, met while walking: begin again from there
-        again = fitted(named.candidate, [named.fit.problem.values(walked.better)])
-        better = _judge(named.candidate, again, folds, named.wall_s)
-        judged = _reject([better if j is named else j for j in judged])
-        named = next((j for j in judged if not j.rejected), None)
-        walked = _walked(named)
-    return Choice(judged, named, walked.intervals, _words(judged, named), by, left_out)
+    if named is None or len(named.fit.data) > MANY:
+        return named, {}, []
+    found = [(named, profiles(named.fit))]
+    wider = next((j for j in judged if _follows(j, named)), None)
+    if wider is not None:
+        found.append((wider, profiles(wider.fit)))
+    intervals = dict(found[0][1].intervals)
+    for name, interval in found[-1][1].intervals.items():
+        intervals[name] = interval.extended(intervals.get(name, interval))
+    return named, intervals, [(j, walked.better) for j, walked in found if walked.better is not None]
 
 
-def _walked(named: Judged | None) -> Profiles:
-    return Profiles({}) if named is None or len(named.fit.data) > MANY else profiles(named.fit)
+def _follows(j: Judged, named: Judged) -> bool:
+    """Whether a candidate is the named one with k fitted beside n."""
+    alone = "ior" in named.fit.free and not named.candidate.free
+    return alone and not j.rejected and j.candidate == replace(named.candidate, free=("k",))
 
 
 def _parameters(candidate: Candidate, ior: Ior) -> int:
@@ -334,6 +353,8 @@ def _words(judged: Sequence[Judged], named: Judged | None) -> str:
     equals = [j for j in judged if j is not named and not j.rejected and len(j.fit.free) == len(named.fit.free)]
     if equals:
         text += f" As many parameters and not rejected either: {', '.join(j.candidate.label for j in equals)}."
+    if any(_follows(j, named) for j in judged):
+        text += " It takes k as 0; n + ik is not rejected either, and the intervals let k follow."
     return text
 
 

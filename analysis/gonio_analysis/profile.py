@@ -10,7 +10,7 @@ The small fits use the neighbourhood of the solution (`gonio_analysis.near`), so
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -60,6 +60,11 @@ class Interval:
             "level": self.level,
             "profile": {"values": self.values.tolist(), "rise": self.rise.tolist()},
         }
+
+    def extended(self, other: Interval) -> Interval:
+        """This interval, with the ends of another one of the same parameter where they lie farther out."""
+        low, high = min(self, other, key=lambda i: i.low), max(self, other, key=lambda i: i.high)
+        return replace(self, low=low.low, open_low=low.open_low, high=high.high, open_high=high.open_high)
 
     def holds(self, value: float) -> bool:
         """Whether a value lies inside."""

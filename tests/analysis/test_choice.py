@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from gonio_analysis.choice import Candidate, Choice, candidates, choose
 from gonio_analysis.observations import observations
+from gonio_analysis.profile import profiles
 from gonio_analysis.regions import blocks, incidences
 
 from gonio.errors import ConfigError
@@ -122,3 +123,21 @@ def test_blocks_to_leave_out_are_neighbours() -> None:
     assert sorted(np.concatenate(groups)) == list(range(len(one)))
     signed = np.where(one.phi_r > 1, one.theta_r, -one.theta_r)
     assert all(np.ptp(signed[g]) < np.radians(160 / 4) for g in groups)
+
+
+def test_intervals_of_a_model_without_absorption_let_k_follow_where_the_data_do_not_tell_it() -> None:
+    """Iron's n + ik and n = 4.6 reflect alike up to 60 degrees; the share of the gloss hangs on which it is."""
+    iron = {"s": 0.3, "d": 0.7, "slopes": ((0.25, 1.0),), "diffuse_albedo": 0.4, "ior": 2.9 + 3.05j}
+    views = np.arange(-70.0, 71.0, 10.0)
+    data = observations(measure(build("cook-torrance", iron), views=views, noise=0.01, seed=2))
+    choice = choose(data, [Candidate("cook-torrance"), Candidate("cook-torrance", ("k",))])
+    assert choice.named is not None
+    assert choice.named.candidate.label == "cook-torrance"
+    assert "let k follow" in choice.words
+    alone = profiles(choice.named.fit).intervals
+    assert not alone["s"].holds(0.3)
+    for name, truth in {"s": 0.3, "m": 0.25, "diffuse_albedo": 0.4, "ior": 2.9, "k": 3.05}.items():
+        assert choice.intervals[name].holds(truth), name
+        if name in alone:  # an end may lie anywhere within `CLOSE` of the rise that it should have
+            assert choice.intervals[name].low <= alone[name].low * (1 + 1e-12)
+            assert choice.intervals[name].high >= alone[name].high * (1 - 1e-12)
