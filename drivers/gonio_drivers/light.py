@@ -70,6 +70,9 @@ class SerialLight:
         """It has not answered for longer than even a late answer takes."""
         self._sent: deque[str] = deque(maxlen=4)
         """The last commands, as an echo would return them."""
+        self._ending = self._dialect.reply_ending.encode()
+        self._lines: deque[str] = deque()
+        """Lines that have come together, and have not been looked at."""
         self._warmed = False
         self.identity = ""
         self.lit = False
@@ -368,6 +371,7 @@ class SerialLight:
             raise DeviceError(f"the lamp on {self._light.port} is not open: enter the rig first")
         try:
             self._sent.append(command.strip())
+            self._lines.clear()
             self._port.reset_input_buffer()
             ports.send(self._port, (command + self._dialect.send_ending).encode())
         except ports.FAILURES as error:
@@ -400,23 +404,33 @@ class SerialLight:
     def _line(self) -> str:
         """One line without its ending and without a prompt; empty where no whole one comes in time."""
         assert self._port is not None
-        prompt = (self._dialect.prompt or "").strip()
-        ending = self._dialect.reply_ending.encode()
         end = time.monotonic() + self._timeout_s()
         try:
-            while True:
-                raw = self._port.read_until(ending)
-                if raw and not raw.endswith(ending):  # this computer, or the adapter, was held up in mid-line
-                    raw += self._port.read_until(ending)
-                if not raw.endswith(ending):
+            while not self._lines:
+                raw = self._port.read_until(self._ending)
+                if raw and not raw.endswith(self._ending):  # this computer, or the adapter, was held up in mid-line
+                    raw += self._port.read_until(self._ending)
+                if not raw.endswith((self._ending, b"\r", b"\n")):
                     return ""  # half a number is none
-                text = str(raw, "ascii", "replace").strip()
-                while prompt and text.startswith(prompt):
-                    text = text.removeprefix(prompt).strip()
-                if text or time.monotonic() > end:
-                    return text
+                parts = re.split(r"[\r\n]+", str(raw, "ascii", "replace"))
+                self._lines.extend(text for part in parts if (text := self._without_prompt(part)))
+                if not raw.endswith(self._ending) and self._lines and self._lines[-1] not in self._sent:
+                    self._ending = raw[-1:]  # an echo may end otherwise than an answer
+                    log.warning(
+                        "lamp on %s: its lines end with %r, and reply_ending of its dialect is %r",
+                        self._light.port, self._ending.decode(), self._dialect.reply_ending,
+                    )  # fmt: skip
+                if time.monotonic() > end:
+                    break
         except ports.FAILURES as error:
             raise ports.lost(self._light.port, error, "devices.light.port") from None
+        return self._lines.popleft() if self._lines else ""
+
+    def _without_prompt(self, text: str) -> str:
+        prompt, text = (self._dialect.prompt or "").strip(), text.strip()
+        while prompt and text.startswith(prompt):
+            text = text.removeprefix(prompt).strip()
+        return text
 
     def _calm(self, *, missing: bool) -> None:
         """Let what is still on its way arrive, and drop it; for one that answers late, wait longer from now on."""
@@ -439,6 +453,7 @@ class SerialLight:
                         self._light.port, timeout_s,
                     )  # fmt: skip
             time.sleep(0.05)
+            self._lines.clear()
             self._port.reset_input_buffer()
         except ports.FAILURES as error:
             raise ports.lost(self._light.port, error, "devices.light.port") from None

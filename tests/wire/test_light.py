@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import time
@@ -335,6 +336,31 @@ def test_habits_of_controllers(lamp: Plugged, tmp_path: Path, habit: str, caplog
         assert (lamp.twin.shine.lit, lamp.twin.shine.level, lamp.twin.shine.band) == (True, 0.8, BANDS[1])
     assert not lamp.twin.shine.lit
     assert habit == "slow" or not caplog.records  # nothing had to be repeated
+
+
+@pytest.mark.parametrize("ending", [b"\r", b"\n", b"\n\r", b"\r\n"])
+def test_lines_may_end_otherwise_than_the_dialect_says(lamp: Plugged, ending: bytes) -> None:
+    """And an echo may end otherwise than the answer that follows it."""
+    receive = lamp.twin.receive
+
+    def echoing(data: bytes, baud: int, send: Callable[[bytes], None]) -> None:
+        send(data.strip() + b"\r")
+        receive(data, baud, send)
+
+    lamp.twin.receive = echoing  # type: ignore[method-assign]
+    lamp.twin.ending = ending
+    with lamp.driver(timeout_s=0.25) as light:
+        light.select(BANDS[1])
+        light.on()
+        light.check()
+        assert (lamp.twin.shine.lit, lamp.twin.shine.level, lamp.twin.shine.band) == (True, 0.8, BANDS[1])
+    assert not lamp.twin.shine.lit
+
+
+@pytest.mark.parametrize("answer", ["0", "+0", '-0,"No error"', "0 No error"])
+def test_no_error_is_said_in_several_ways(answer: str) -> None:
+    assert re.fullmatch(dialect("scpi").no_error, answer)
+    assert not re.fullmatch(dialect("scpi").no_error, f"-10{answer}")
 
 
 def test_half_a_number_is_none(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
