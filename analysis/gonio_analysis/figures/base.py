@@ -137,7 +137,7 @@ def polar_panel(name: str, caption: str, lines: Sequence[Line], radius_label: st
     rim = polar.radius_of(lines, most)
 
     def on(figure: Any) -> None:
-        ax = figure.add_axes((0.01, 0.085, 0.98, 0.90))
+        ax = figure.add_axes((0.01, 0.1, 0.98, 0.89))
         polar.polar(ax, lines, radius=rim, radius_label=radius_label)
         legend(figure, [line.label for line in lines])
 
@@ -169,8 +169,8 @@ def trace_panel(
     def on(figure: Any) -> None:
         ax = figure.add_axes((0.13, 0.235, 0.85, 0.74))
         for k, trace in enumerate(traces):
-            look = {"color": polar.COLOURS[k % len(polar.COLOURS)], "ls": (0, (4, 2)) if trace.dashed else "-"}
-            ax.plot(trace.x, trace.y, lw=1.4, zorder=3, **look)
+            look = {"color": polar.style(k)["color"], "ls": (0, (4, 2)) if trace.dashed else "-"}
+            ax.plot(trace.x, trace.y, lw=1.4, zorder=3, **look | polar.sparse(k))
         ax.margins(x=0.0)
         if bottom is not None:
             ax.set_ylim(bottom=bottom)
@@ -199,7 +199,7 @@ def legend(figure: Any, labels: Sequence[str], dashed: Sequence[bool] = ()) -> N
 
     styles = [(0, (3, 1.5)) if d else "-" for d in dashed] or ["-"] * len(labels)
     handles = [
-        Line2D([], [], lw=1.5, ls=ls, color=polar.style(k)["color"], label=label)
+        Line2D([], [], lw=1.5, ls=ls, ms=3.5, label=label, **polar.style(k))
         for k, (label, ls) in enumerate(zip(labels, styles, strict=True))
         if label
     ]
