@@ -375,16 +375,17 @@ class Bus:
         """Let late replies come, and drop them."""
         self._require_open()
         self._port.is_using = False
-        end = time.monotonic() + quiet_s + BABBLE_S
         try:
             time.sleep(quiet_s)
-            while self._port.readPort(1024):
+            for _ in range(int(BABBLE_S / WAIT_S)):  # looks, and no clock: this computer may be held up between two
+                if not self._port.readPort(1024):
+                    break
                 time.sleep(WAIT_S)
-                if time.monotonic() > end:
-                    raise DeviceError(
-                        f'{self.key}.port = "{self.port}": something else talks on this line without a pause; is this '
-                        f"the servos' port, and {self.baud} their line speed?"
-                    )
+            else:
+                raise DeviceError(
+                    f'{self.key}.port = "{self.port}": something else talks on this line without a pause; is this '
+                    f"the servos' port, and {self.baud} their line speed?"
+                )
             self._port.clearPort()
         except ports.FAILURES as error:
             raise ports.lost(self.port, error, f"{self.key}.port") from None

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gonio_drivers import folder_camera
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.lab import LAB, LabRig
 from gonio_sim.wire import faults, motion, tether
@@ -51,6 +52,8 @@ dphi_deg = [90]
 """
 LONGEST_S = 60.0
 """A measurement takes 3 s, and the longest chain of timeouts and repetitions 10 s; the rest is for a busy machine."""
+SHORT_S = 3.0
+"""How long a file that may be missing is awaited."""
 
 
 def small(**changes: dict[str, Any]) -> RigDescription:
@@ -61,7 +64,7 @@ def small(**changes: dict[str, Any]) -> RigDescription:
     tables["camera"] |= {"width": 64, "height": 48}
     tables["reference"] |= {"frames": 3}
     tables["acquisition"] |= {"dark_frames": 2}
-    tables["devices"]["camera"]["timeout_s"] = 3.0
+    tables["devices"]["camera"]["timeout_s"] = LONGEST_S
     for name, table in changes.items():
         tables[name] |= table
     return parse(RigDescription, tables, "lab.toml")
@@ -71,6 +74,7 @@ def small(**changes: dict[str, Any]) -> RigDescription:
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
     monkeypatch.setattr(tether, "FILE_LATE_S", 0.5)
+    monkeypatch.setattr(folder_camera, "RELEASE_S", LONGEST_S)
     with Bench(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
         yield served
 
@@ -117,6 +121,7 @@ def test_a_measurement_over_the_wire_gives_the_sample(bench: Bench, tmp_path: Pa
 
 
 def test_wire_lamp_and_camera_faults_are_mended_in_a_measurement_and_told(bench: Bench, tmp_path: Path) -> None:
+    bench.world.description.devices["camera"]["timeout_s"] = SHORT_S  # of a missing file
     rng = random.Random(11)
     for fault in faults.WIRE:
         bench.inject(fault, axis=rng.choice(list(bench.servos)), skip=rng.randrange(30, 200))
@@ -152,7 +157,9 @@ def test_campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             fault = faults.NAMES[k % len(faults.NAMES)]
             folder = tmp_path / str(k)
             folder.mkdir()
-            with Bench(small(), SAMPLE, k, folder=folder / "twin", scale=SCALE) as bench:
+            description = small()
+            description.devices["camera"]["timeout_s"] = SHORT_S
+            with Bench(description, SAMPLE, k, folder=folder / "twin", scale=SCALE) as bench:
                 axis = rng.choice(list(bench.servos))
                 most = 25 if fault in faults.CAMERA else 100 if fault in faults.LAMP else 150
                 bench.inject(fault, axis=axis, skip=rng.randrange(most))

@@ -205,9 +205,7 @@ class Bench:
         except OSError as error:
             raise ConfigError(f"{self._folder}: cannot be made: {error.strerror}") from None
         self.world.open = True
-        encode_dng(
-            self._expose(self.world.description.camera.exposure_limits_s[0])
-        )  # loads compiled code: no late frames
+        self._warm_up()
         with contextlib.ExitStack() as stack:
             devices: dict[str, Device] = {"servos": self.bus, "lamp": self.lamp, "release": self.camera}
             for name, device in devices.items():
@@ -275,6 +273,17 @@ class Bench:
     def quiet(self) -> bool:
         """Whether nothing turns and the lamp is dark."""
         return not self.lamp.shine.lit and not any(servo.powered and servo.moves() for servo in self.servos.values())
+
+    def _warm_up(self) -> None:
+        """Load the compiled code of dark frames, and of what may lie under the lamp: no frame is late for it."""
+        world = self.world
+        targets: list[Target] = ["reference"] if world.sample is None else ["reference", "sample"]
+        world.pose = Pose(**{name: follower.true() for name, follower in self.followers.items()})
+        world.band = world.description.bands.all()[0]
+        for world.target in targets:
+            for world.lamp_on in (True, False):
+                encode_dng(self._render.capture(world.description.camera.exposure_limits_s[0]))
+        world.band = None
 
     # ---- what the devices tell the world ----
 
