@@ -6,6 +6,7 @@ imported before a command needs it, so that `gonio --help` answers at once.
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -39,6 +40,8 @@ def main() -> None:
     """Run the command line, and end the process with its exit code."""
     from gonio.errors import GonioError
 
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal that knows no ± shows a question mark
+        sys.stdout.reconfigure(errors="replace")
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _CtrlC())
     try:

@@ -202,7 +202,7 @@ def test_command_writes_a_report(tmp_path: Path, capsys: pytest.CaptureFixture[s
     before, after, model = (str(tmp_path / n) for n in ("before.csv", "after.csv", "gloss.toml"))
     cli.compare([before, after], tmp_path / "out", change=True)
     assert capsys.readouterr().out.strip() == str(tmp_path / "out" / "index.html")
-    facts = json.loads((tmp_path / "out" / "summary.json").read_text())
+    facts = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
     assert facts["verdict"]["changed"] is False
     assert facts["conclusion"].startswith("No sign that the sample changed")
     assert f"{facts['verdict']['expected_beyond_2']:.1f} are expected by chance" in facts["conclusion"]
@@ -211,10 +211,10 @@ def test_command_writes_a_report(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert len(rows) == facts["n_points"] == 99
     beyond = sum(abs(float(r["standard_deviations"])) > 2 for r in rows)
     assert beyond == facts["verdict"]["beyond_2"]
-    page = (tmp_path / "out" / "index.html").read_text()
+    page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
     assert page.count("<svg") == len(facts["figures"]) == 3
     cli.compare([after, model], tmp_path / "model", change=True)
-    assert "two disagree" in json.loads((tmp_path / "model" / "summary.json").read_text())["conclusion"]
+    assert "two disagree" in json.loads((tmp_path / "model" / "summary.json").read_text(encoding="utf-8"))["conclusion"]
     with pytest.raises(ConfigError, match="two"):
         cli.compare([before], tmp_path / "one", change=True)
     with pytest.raises(ConfigError, match="--ior has no part in --change"):

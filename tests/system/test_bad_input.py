@@ -98,3 +98,16 @@ def test_bad_argument(gonio: Command, files: Path, arguments: tuple[str, ...], c
     for word in words:
         assert word in text
     assert not (files / "x").exists()
+
+
+def test_a_terminal_that_knows_no_plus_minus_shows_something_else(
+    gonio: Command, files: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = "".join(
+        f"30,0,{theta},180,550,unpolarised,{0.15 + theta / 1e4},0.001,0.001,\n" for theta in range(10, 60, 10)
+    )
+    (files / "good.csv").write_text(
+        "theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,wavelength_nm,polarisation,brdf,u_brdf,u_random,flag\n" + rows
+    )
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
+    assert "albedo" in gonio("fit", "good.csv", "--model", "lambert").stdout

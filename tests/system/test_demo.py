@@ -56,7 +56,7 @@ def test_report_is_one_self_contained_file(quick_demo: tuple[Path, str]) -> None
 
 def test_summary_holds_the_fit(quick_demo: tuple[Path, str]) -> None:
     folder, _ = quick_demo
-    summary = json.loads(next((folder / "out").rglob("summary.json")).read_text())
+    summary = json.loads(next((folder / "out").rglob("summary.json")).read_text(encoding="utf-8"))
     text = json.dumps(summary)
     assert "sigma0_um" in text
     assert "reduced_chi_square" in text
@@ -74,7 +74,7 @@ def test_report_renders_without_errors(quick_demo: tuple[Path, str], tmp_path: P
             *("--enable-logging=stderr", "--window-size=1280,2000", "--dump-dom", html.as_uri()),
         ],
         capture_output=True,
-        text=True,
+        encoding="utf-8",
         timeout=HANGS_S,
         check=False,
     )
