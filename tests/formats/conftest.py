@@ -20,13 +20,17 @@ MUTATIONS = int(os.environ.get("GONIO_MUTATIONS", "400"))
 
 
 @pytest.fixture(scope="session")
-def shared() -> Path:
-    """The folder of measured BRDFs, or a skip."""
+def shared() -> Callable[[str], Path]:
+    """A file or folder of the measured BRDFs, or a skip where it is missing."""
     beside = Path(__file__).resolve().parents[2] / ".." / "shared" / "data"
     folder = Path(os.environ.get("GONIO_SHARED_DATA", beside)) / "brdf"
-    if not folder.is_dir():
-        pytest.skip(f"no measured data at {folder}")
-    return folder
+
+    def find(name: str) -> Path:
+        if not (folder / name).exists():
+            pytest.skip(f"no measured data at {folder / name}")
+        return folder / name
+
+    return find
 
 
 @pytest.fixture

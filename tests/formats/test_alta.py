@@ -78,8 +78,8 @@ def test_damaged_files(survives: Callable[..., None]) -> None:
     survives(TAPE.encode(), "tape.dat")
 
 
-def test_the_retroreflective_tape_shines_back_and_its_gloss_grows_at_grazing(shared: Path) -> None:
-    frame = measurement.read(shared / "cea_retro" / "retro-3M-jaune.dat")
+def test_the_retroreflective_tape_shines_back_and_its_gloss_grows_at_grazing(shared: Callable[[str], Path]) -> None:
+    frame = measurement.read(shared("cea_retro/retro-3M-jaune.dat"))
     gloss = []
     for theta_i, group in frame.groupby("theta_i_deg"):
         at = group[group["theta_r_deg"] == theta_i].set_index("phi_r_deg")["brdf"]

@@ -113,13 +113,13 @@ def test_a_round_trip_keeps_everything(tmp_path: Path, small: pd.DataFrame) -> N
     assert back.attrs["sample"] == "tile 7"
 
 
-def test_files_fit_the_schemas(tmp_path: Path, small: pd.DataFrame, shared: Path) -> None:
+def test_files_fit_the_schemas(tmp_path: Path, small: pd.DataFrame, shared: Callable[[str], Path]) -> None:
     jsonschema = pytest.importorskip("jsonschema")
     from referencing import Registry, Resource
 
     schemas = [
         json.loads(path.read_text(encoding="utf-8"))
-        for path in (shared / "bird_json").glob("*schema*.json")
+        for path in shared("bird_json").glob("*schema*.json")
         if not path.name.startswith("sample_holder")
     ]  # that one is not JSON, and no other refers to it
     registry = Registry().with_resources((schema["$id"], Resource.from_contents(schema)) for schema in schemas)
@@ -128,7 +128,7 @@ def test_files_fit_the_schemas(tmp_path: Path, small: pd.DataFrame, shared: Path
 
     polarised = small.copy()
     polarised["polarisation"] = ["ss", "sp", "ps", "pp"] * 3
-    own = measurement.read(shared / "bird_json" / "example.brdf")
+    own = measurement.read(shared("bird_json/example.brdf"))
     band = small.copy()
     band["wavelength_nm"] = np.nan
     for number, frame in enumerate((small, full(small.copy()), polarised, own, band)):
@@ -138,8 +138,8 @@ def test_files_fit_the_schemas(tmp_path: Path, small: pd.DataFrame, shared: Path
         pd.testing.assert_frame_equal(measurement.read(path), frame, check_exact=True)
 
 
-def test_the_projects_example(shared: Path) -> None:
-    frame = measurement.read(shared / "bird_json" / "example.brdf")
+def test_the_projects_example(shared: Callable[[str], Path]) -> None:
+    frame = measurement.read(shared("bird_json/example.brdf"))
     assert frame["brdf"].tolist() == [0.254, 0.263, 0.267, 0.273, 0.281, 0.295, 0.296, 0.301]
     assert frame["polarisation"].tolist() == ["s", "p"] * 4
     assert frame["wavelength_nm"].tolist() == [550, 550, 650, 650, 750, 750, 850, 850]

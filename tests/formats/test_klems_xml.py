@@ -65,16 +65,16 @@ def test_damaged_files(survives: Callable[..., None]) -> None:
     survives(window(), "blind.xml", format="klems")
 
 
-def test_round_trip_of_measured_matrices(shared: Path, tmp_path: Path) -> None:
+def test_round_trip_of_measured_matrices(shared: Callable[[str], Path], tmp_path: Path) -> None:
     for name, blocks in (("2011-SA1.XML", 4), ("aerc6216_kf.xml", 1)):
-        frame = measurement.read(shared / "klems" / name)
+        frame = measurement.read(shared(f"klems/{name}"))
         assert len(frame) == blocks * 145**2
         measurement.write(frame, tmp_path / "back.xml")
         pd.testing.assert_frame_equal(measurement.read(tmp_path / "back.xml"), frame, check_exact=True)
 
 
-def test_a_shade_obeys_helmholtz(shared: Path) -> None:
-    frame = measurement.read(shared / "klems" / "aerc6216_kf.xml")
+def test_a_shade_obeys_helmholtz(shared: Callable[[str], Path]) -> None:
+    frame = measurement.read(shared("klems/aerc6216_kf.xml"))
     swapped = frame.rename(columns=lambda c: c.replace("_i_", "_x_").replace("_r_", "_i_").replace("_x_", "_r_"))
     keys = ["theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg"]
     both = frame.merge(swapped, on=keys, suffixes=("", "_swapped"))

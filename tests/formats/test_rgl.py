@@ -120,10 +120,10 @@ def test_damaged_files(survives: Callable[..., None]) -> None:
     survives(material(), "m.bsdf", format="rgl", most_rows=60_000)  # the table is a fixed grid
 
 
-def test_against_an_independent_evaluation(shared: Path) -> None:
+def test_against_an_independent_evaluation(shared: Callable[[str], Path]) -> None:
     """Values of Mitsuba's plug-in beside the file, which states them as BRDF; it works in float32."""
-    path = shared / "rgl" / "acrylic_felt_green_rgb.bsdf"
-    reference = pd.read_csv(shared / "rgl" / "acrylic_felt_green_mitsuba391_values.csv")
+    path = shared("rgl/acrylic_felt_green_rgb.bsdf")
+    reference = pd.read_csv(shared("rgl/acrylic_felt_green_mitsuba391_values.csv"))
     angles = (np.deg2rad(reference[f"{name}_deg"].to_numpy(float)) for name in ("theta_i", "theta_r", "phi_r"))
     theta_i, theta_r, phi_r = angles
     brdf, _ = Measured(path.read_bytes(), path).brdf(theta_i, np.zeros_like(theta_i), theta_r, phi_r)

@@ -134,9 +134,9 @@ def test_damaged_files(survives: Callable[..., None]) -> None:
     survives(workbook(SAMPLE, split=True), "nowhere/tile.xls", format="rt300s")
 
 
-def test_the_laboratorys_own_results(shared: Path) -> None:
+def test_the_laboratorys_own_results(shared: Callable[[str], Path]) -> None:
     """The laboratory published means of the two half-turns, without the zone around retro."""
-    folder = shared / "loft_rt300s"
+    folder = shared("loft_rt300s")
     frame = measurement.read(folder / "raw" / "ANOPLATE_AnoBlack_EC1_Alum6061_v1o0_20251115.xls")
     assert len(frame) == 2508
     usable = frame[frame["flag"] == ""]

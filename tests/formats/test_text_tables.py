@@ -160,9 +160,9 @@ def test_damaged_tables_of_our_own(small: pd.DataFrame, survives: Callable[..., 
     survives(small.to_csv(index=False).encode(), "table.csv")
 
 
-def test_cornell(shared: Path) -> None:
+def test_cornell(shared: Callable[[str], Path]) -> None:
     for name, zeros in (("cayman", 11840), ("krylon_blue", 1218)):
-        frame = measurement.read(shared / "cornell_astm" / f"{name}.astm")
+        frame = measurement.read(shared(f"cornell_astm/{name}.astm"))
         assert len(frame) == 1439 * 31
         assert (frame["flag"] == "clamped").sum() == zeros  # counted with grep
         assert sorted(frame["theta_i_deg"].unique()) == [10, 20, 30, 40, 50, 60, 70, 80]
@@ -170,8 +170,8 @@ def test_cornell(shared: Path) -> None:
         assert lobe["phi_r_deg"] == 180.0  # the gloss is on the mirror side
 
 
-def test_nist_ptfe(shared: Path) -> None:
-    frame = measurement.read(shared / "nist_ptfe" / "PTFE.data.csv")
+def test_nist_ptfe(shared: Callable[[str], Path]) -> None:
+    frame = measurement.read(shared("nist_ptfe/PTFE.data.csv"))
     assert len(frame) == 7296
     red = frame[(frame["wavelength_nm"] == 633) & (frame["theta_r_deg"].sub(45).abs() < 1) & (frame["theta_i_deg"] < 1)]
     assert math.pi * red["brdf"].mean() == pytest.approx(
@@ -179,8 +179,8 @@ def test_nist_ptfe(shared: Path) -> None:
     )  # README of the data; 16 azimuths spread by 1 %
 
 
-def test_infrared_metals(shared: Path) -> None:
-    metals = measurement.tables(shared / "mwir_metals" / "mwir_inplane_reflected_radiance.csv")
+def test_infrared_metals(shared: Callable[[str], Path]) -> None:
+    metals = measurement.tables(shared("mwir_metals/mwir_inplane_reflected_radiance.csv"))
     assert len(metals) == 8
     assert {len(frame) for frame in metals.values()} == {890}
     rough = metals["sandblasted aluminium"]
@@ -190,8 +190,8 @@ def test_infrared_metals(shared: Path) -> None:
     assert (square / square.T).max() < 1.12  # Helmholtz: this sample is reciprocal within 12 %
 
 
-def test_reflectance_factor_table(shared: Path) -> None:
-    frame = measurement.read(shared / "reflectance_factor_table" / "two_dimensional_reflectance_factor.csv")
+def test_reflectance_factor_table(shared: Callable[[str], Path]) -> None:
+    frame = measurement.read(shared("reflectance_factor_table/two_dimensional_reflectance_factor.csv"))
     assert len(frame) == 329 * 35
     for theta_i, group in frame[frame["flag"] == ""].groupby("theta_i_deg"):
         peak = group.loc[group["brdf"].idxmax()]

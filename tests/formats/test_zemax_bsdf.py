@@ -93,9 +93,9 @@ def test_damaged_files(survives: Callable[..., None]) -> None:
     survives(FILE.encode(), "black.bsdf")
 
 
-def test_a_published_file_and_the_same_data_in_sample_angles(shared: Path, tmp_path: Path) -> None:
+def test_a_published_file_and_the_same_data_in_sample_angles(shared: Callable[[str], Path], tmp_path: Path) -> None:
     """The laboratory published the same measurement also by theta and phi of the sample, in FRED's format."""
-    folder = shared / "loft_rt300s"
+    folder = shared("loft_rt300s")
     frame = measurement.read(folder / "processed_zemax" / "AnoBlackEC1onAlum.bsdf")
     for theta_i, peak in ((10, 0.034800), (30, 0.04202), (50, 0.09325), (70, 1.234)):
         assert value(frame, theta_i, theta_i, 180) == pytest.approx(peak, rel=1e-3)  # four digits in the file
