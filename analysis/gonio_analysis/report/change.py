@@ -229,7 +229,7 @@ def _render(s: dict[str, Any], figures: Sequence[Figure], view: dict[str, Any] |
     body = [
         f'<header>\n<h1>{escape(s["title"])}</h1>\n<p class="sub">Point by point, {escape(s["created"][:10])}, gonio'
         f" {escape(s['versions']['gonio'])}. Uncertainties are standard uncertainties (k = 1).</p>\n</header>",
-        f'<p class="lead">{escape(s["conclusion"])}</p>',
+        f'<p class="lead">{escape(html.glued(s["conclusion"]))}</p>',
         "<h3>What was compared</h3>",
         html.facts(_facts(s)),
         '<ul class="notes">' + "".join(f"<li>{escape(n)}</li>" for n in s["notes"]) + "</ul>" if s["notes"] else "",

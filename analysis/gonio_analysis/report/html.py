@@ -31,7 +31,7 @@ def figure(f: Figure) -> str:
     """A figure with its caption; what stands before the caption's colon is bold."""
     svg = f.svg.replace("<svg", f'<svg role="img" aria-label="{escape(f.alt, quote=True)}"', 1)
     head, colon, rest = f.caption.partition(":")
-    caption = f"<b>{escape(_glued(head))}</b>{colon}{escape(_glued(rest))}"
+    caption = f"<b>{escape(glued(head))}</b>{colon}{escape(glued(rest))}"
     return f'<figure id="{f.name}">{svg}<figcaption>{caption}</figcaption></figure>'
 
 
@@ -44,7 +44,7 @@ def table(
     marks: Sequence[str] = (),
 ) -> str:
     """A table; cells are HTML already, the first of each row is its heading; columns that say nothing are left out."""
-    rows = [[_glued(cell) for cell in row] for row in rows]
+    rows = [[glued(cell) for cell in row] for row in rows]
     kept = [k for k in range(len(header)) if k == 0 or any(k < len(row) and row[k] not in ("", "–") for row in rows)]
     header, rows = [header[k] for k in kept], [[row[k] for k in kept if k < len(row)] for row in rows]
     right = tuple(new for new, k in enumerate(kept) if k in right)
@@ -63,11 +63,11 @@ def table(
 
 def facts(rows: Iterable[tuple[str, str]]) -> str:
     """A list of names and values in plain text."""
-    pairs = ((escape(k), escape(_glued(v))) for k, v in rows)
+    pairs = ((escape(k), escape(glued(v))) for k, v in rows)
     return '<dl class="facts">' + "".join(f"<dt>{k}</dt><dd>{v}</dd>" for k, v in pairs) + "</dl>"
 
 
-def _glued(text: str) -> str:
+def glued(text: str) -> str:
     """A text whose numbers stay on one line with what belongs to them: 1.2 ± 0.3, 4 × 10⁻⁷, 22 %, θi = 30°."""
     text = re.sub(r"(?<=[\d)]) (?=[±×%])|(?<=[±×]) (?=[\d−])", "\u00a0", text)
     return re.sub(r"(?<=θ[ir]) = (?=\d)", "\u00a0=\u00a0", text)

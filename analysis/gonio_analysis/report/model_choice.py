@@ -38,7 +38,7 @@ def section(choice: dict[str, Any]) -> list[str]:
         for c in tried
     ]
     marks = ["best" if c["label"] == choice["named"] else "" for c in tried]
-    out = ["<h3>Which model</h3>", f"<p>{escape(choice['words'])}</p>"]
+    out = ["<h3>Which model</h3>", f"<p>{escape(html.glued(choice['words']))}</p>"]
     out.append(
         html.table(
             "From the simplest up. AIC and BIC are differences to the lowest; the held-out error is the mean squared"

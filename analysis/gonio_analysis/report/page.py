@@ -73,7 +73,7 @@ def _dataset(s: dict[str, Any], d: dict[str, Any], figures: Sequence[Figure], vi
     for f in figures:
         by.setdefault(f.kind, []).append(f)
     out = [f'<section id="{d["slug"]}">', f"<h2>{escape(d['name'])}</h2>" if len(s["datasets"]) > 1 else ""]
-    out.append(f'<p class="lead">{escape(d["conclusion"])}</p>')
+    out.append(f'<p class="lead">{escape(html.glued(d["conclusion"]))}</p>')
     out += ["<h3>What was measured, and how</h3>", _facts(d)]
     if d["notes"]:
         out.append('<ul class="notes">' + "".join(f"<li>{escape(n)}</li>" for n in d["notes"]) + "</ul>")
