@@ -2,7 +2,7 @@
 
 The guard is a small process beside the program that lights the lamp. It waits at a pipe: a byte says that the lamp was
 left in order, and the end of the pipe without one says that the program is dead. Then it sends the commands that darken
-the lamp, unless another program has locked the port since: that one darkens it by itself.
+the lamp, unless another program has the port by now: that one darkens it by itself.
 """
 
 from __future__ import annotations
@@ -18,6 +18,9 @@ import tty
 
 TIMES = 3
 PAUSE_S = 0.1
+POLL_S = 0.02
+PATIENCE_S = 5.0
+"""A port that is locked for longer is another program's."""
 
 
 class Guard:
@@ -53,11 +56,22 @@ class Guard:
             self._process = None
 
 
+def _locked(line: int) -> bool:
+    """Whether the port is the guard's; the dead program's pipe may be closed a good while before its port is."""
+    end = time.monotonic() + PATIENCE_S
+    while True:
+        try:
+            fcntl.flock(line, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
+        except OSError:
+            if time.monotonic() > end:
+                return False
+            time.sleep(POLL_S)
+
+
 def _darken(port: str, baud: int, orders: list[bytes]) -> None:
     line = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-    try:
-        fcntl.flock(line, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
+    if not _locked(line):
         return
     tty.setraw(line)
     state = termios.tcgetattr(line)
