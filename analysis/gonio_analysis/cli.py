@@ -312,14 +312,18 @@ def _print(result: FitResult, sample: str, walked: dict[str, Interval]) -> None:
     from gonio_analysis.report.text import number, quantity, with_u
 
     at = f" at {result.wavelength_nm:g} nm" if result.wavelength_nm == result.wavelength_nm else ""
-    rows = console.table("parameter", "value", "", title=f"{result.name} on {sample}: {len(result.data)} values{at}")
+    level = [f"{100 * next(iter(walked.values())).level:g} % interval"] if walked else []
+    title = f"{result.name} on {sample}: {len(result.data)} values{at}"
+    rows = console.table("parameter", "value", *level, "", title=title)
     for name, e in [*result.parameters.items(), *result.derived.items()]:
         kind = "derived" if name in result.derived else "fixed" if e.fixed else "fitted"
         value = quantity(with_u(e.value, 0.0 if e.fixed else e.u), e.unit) + (f" ({e.material})" if e.material else "")
-        rows.add_row(name, value, kind + (f", at its {e.at_bound} bound" if e.at_bound else ""))
-    for name, interval in walked.items():
-        ends = [f"{x:.4g}" + (" (bound)" if is_open else "") for x, is_open in interval.ends]
-        rows.add_row(name, " to ".join(ends), f"{100 * interval.level:g} % interval")
+        ends = [
+            number(x, 4) + (" (bound)" if is_open else "")
+            for x, is_open in (walked[name].ends if name in walked else ())
+        ]
+        between = [" to ".join(ends)] if walked else []
+        rows.add_row(name, value, *between, kind + (f", at its {e.at_bound} bound" if e.at_bound else ""))
     chi = result.reduced_chi_square
     verdict = f"reduced chi-square {number(chi)}: {result.verdict}" if chi is not None else result.verdict
     console.show(rows, verdict)

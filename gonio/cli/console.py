@@ -25,7 +25,9 @@ def show(*things: RenderableType) -> None:
 
     console = _console(stderr=False)
     for thing in things:
-        console.print(thing, highlight=False, markup=False, end="\n\n" if isinstance(thing, Table) else "\n")
+        console.print(thing, highlight=False, markup=False)
+        if isinstance(thing, Table):
+            console.print()
 
 
 def table(*headings: str, title: str | None = None) -> Table:
