@@ -24,7 +24,7 @@ FEWEST = 4
 """Values that make a slice."""
 Marks = npt.NDArray[np.bool_]
 SEQUENTIAL, DIVERGING = "viridis", "RdBu_r"
-"""Colour maps that readers with any colour vision can tell, in print too."""
+"""Colour maps that readers with any colour vision can tell; signs are told by markers, too, for print in grey."""
 
 
 def heat_map(
@@ -69,7 +69,8 @@ def change_map(
     """Signed values over the hemisphere, white at 0 and saturated at +-`top`; `marked` ones get a ring."""
     from matplotlib.colors import Normalize
 
-    artists = _disc(ax, theta_r, dphi, value, DIVERGING, Normalize(-top, top), spread=False)
+    _hemisphere(ax)
+    artists = _signed(ax, *_on_disc(theta_r, dphi), value, Normalize(-top, top), size=20)
     artists += _rings(ax, *_on_disc(theta_r, dphi), marked)
     _bar(ax, artists[0], label)
     return artists
@@ -83,18 +84,17 @@ def plane_map(
 
     White is 0, colours are saturated at +-`top`; `marked` values get a ring.
     """
+    from matplotlib.colors import Normalize
+
     levels = np.unique(np.round(np.degrees(parameter), 1))
     y = np.searchsorted(levels, np.round(np.degrees(parameter), 1)).astype(np.float64)
-    cells = ax.scatter(
-        np.degrees(angle), y, c=value, cmap=DIVERGING, vmin=-top, vmax=top, marker="s", s=22, linewidths=0.3,
-        edgecolors="#77808c", zorder=3,
-    )  # fmt: skip
-    artists = [cells, *_rings(ax, np.degrees(angle), y, marked)]
+    cells = _signed(ax, np.degrees(angle), y, value, Normalize(-top, top), size=22)
+    artists = [*cells, *_rings(ax, np.degrees(angle), y, marked)]
     angle_axis(ax)
     ax.set_yticks(range(levels.size), [f"{v:g}°" for v in levels])
     ax.set_ylim(-0.6, levels.size - 0.4)
     ax.set_ylabel(y_label)
-    _bar(ax, cells, label)
+    _bar(ax, cells[0], label)
     return artists
 
 
@@ -198,10 +198,29 @@ def lobe(ax: Any, brdf: Any, *, measured: tuple[Floats, Floats, Floats] | None =
     return artists
 
 
-def _disc(
-    ax: Any, theta: Floats, dphi: Floats, value: Floats, colours: str, norm: Any, *, spread: bool = True
-) -> list[Any]:
+def _signed(ax: Any, x: Floats, y: Floats, value: Floats, norm: Any, *, size: float) -> list[Any]:
+    """Points of a diverging map: triangles point up above 0 and down below it, which grey print shows too."""
+    look = {"cmap": DIVERGING, "norm": norm, "s": size, "linewidths": 0.3, "edgecolors": "#555f6b", "zorder": 3}
+    up = value >= 0
+    parts = (("^", up), ("v", ~up))
+    return [ax.scatter(x[k], y[k], c=value[k], marker=m, rasterized=x.size > 1000, **look) for m, k in parts]
+
+
+def _disc(ax: Any, theta: Floats, dphi: Floats, value: Floats, colours: str, norm: Any) -> list[Any]:
+    """Points in colours, which are spread over the triangles between them."""
     x, y = _on_disc(theta, dphi)
+    _hemisphere(ax)
+    artists: list[Any] = []
+    mesh = _triangles(theta, dphi)
+    if mesh is not None:
+        artists.append(ax.tripcolor(mesh, value, cmap=colours, norm=norm, shading="gouraud", zorder=1, rasterized=True))
+    look = {"s": 7, "linewidths": 0.25, "edgecolors": "#444444", "zorder": 3}
+    artists.append(ax.scatter(x, y, c=value, cmap=colours, norm=norm, rasterized=x.size > 1000, **look))
+    return artists
+
+
+def _hemisphere(ax: Any) -> None:
+    """Rings of equal polar angle, spokes, and which side is which."""
     turn = np.linspace(0, 2 * np.pi, 181)
     for ring in (30, 60, 90):
         edge = ring == 90
@@ -212,17 +231,10 @@ def _disc(
     for k in range(4):
         c, s = 90 * np.cos(k * np.pi / 4), 90 * np.sin(k * np.pi / 4)
         ax.plot([-c, c], [-s, s], color=FAINT, lw=0.5, zorder=2)
-    artists: list[Any] = []
-    mesh = _triangles(theta, dphi) if spread else None
-    if mesh is not None:
-        artists.append(ax.tripcolor(mesh, value, cmap=colours, norm=norm, shading="gouraud", zorder=1, rasterized=True))
-    look = {"s": 7 if spread else 16, "linewidths": 0.25, "edgecolors": "#444444", "zorder": 3}
-    artists.append(ax.scatter(x, y, c=value, cmap=colours, norm=norm, rasterized=x.size > 1000, **look))
     ax.set_aspect("equal")
     ax.set(xlim=(-94, 94), ylim=(-94, 94))
     ax.set_axis_off()
     ax.text(0, -96, "retro side  ←  →  mirror side", fontsize=6.5, color="#5a6472", ha="center", va="top")
-    return artists
 
 
 def _triangles(theta: Floats, dphi: Floats) -> Any:

@@ -109,7 +109,7 @@ def _change_maps(c: Change, at: Observations, where: str) -> list[Figure]:
         value = np.where(np.isfinite(value), value, 0.0)
         top = max(float(np.quantile(np.abs(value), 0.95)), 1e-6)
         what = "ln(B/A)"
-    rings = "; rings mark values that changed" if c.verdict is not None else ""
+    rings = "; upright triangles: above 0" + ("; rings mark values that changed" if c.verdict is not None else "")
     dphi = at.phi_r - at.phi_i
     off = np.abs(np.sin(at.theta_r) * np.sin(dphi)) > np.sin(IN_PLANE)
     out = []
