@@ -172,7 +172,7 @@ def choose(
     Raises
     ------
     DataError
-        Not one candidate could be fitted.
+        Not one candidate could be fitted, though there are enough values for the simplest.
     ConfigError
         See `gonio_analysis.fit.fit`; in a broad band candidates that need a wavelength are left out instead.
     """
@@ -214,7 +214,12 @@ def choose(
         if result.p_value is not None and result.p_value >= SIGNIFICANCE:
             enough = min(enough, sizes[candidate] + BEYOND)
     if not fits:
-        raise DataError(f"{name}: no model could be fitted. " + " ".join(dict.fromkeys(left_out.values())))
+        simplest, why = next(iter(left_out.items()))
+        others = f" (nor {len(left_out) - 1} with more parameters)" if len(left_out) > 1 else ""
+        words = f"{simplest} could not be fitted{others}: {why.removeprefix(f'{name}: ')}"
+        if len(data.nearest(wavelength_nm)[0]) > min(sizes.values()):
+            raise DataError(f"{name}: {words}")
+        return Choice([], None, {}, f"{words}.", "", left_out)
     folds, by = blocks(next(iter(fits.values())).data)
     judged = _reject([_judge(c, r, folds, walls[c]) for c, r in fits.items()])
     named, intervals, lower = _walked(judged)
@@ -241,7 +246,8 @@ def _walked(judged: Sequence[Judged]) -> tuple[Judged | None, dict[str, Interval
         found.append((wider, profiles(wider.fit)))
     intervals = dict(found[0][1].intervals)
     for name, interval in found[-1][1].intervals.items():
-        intervals[name] = interval.extended(intervals.get(name, interval))
+        alone = intervals.get(name, replace(interval, low=0.0, open_low=True))  # of k: what the named model takes
+        intervals[name] = interval.extended(alone)
     return named, intervals, [(j, walked.better) for j, walked in found if walked.better is not None]
 
 

@@ -247,8 +247,10 @@ def fit(
         data, wavelength, notes = _one_wavelength(data, wavelength_nm, problem.family, name)
     names = problem.free
     if len(data) <= len(names):
+        at = "" if math.isnan(wavelength) else f" at {wavelength:g} nm"
         raise DataError(
-            f"{name}: {len(data)} usable values cannot determine the {len(names)} parameters {', '.join(names)}"
+            f"{name}: {len(data)} usable value{'s' * (len(data) != 1)}{at} cannot determine the parameter"
+            f"{'s' * (len(names) != 1)} {', '.join(names)} with an uncertainty: at least {len(names) + 1} are needed"
         )
     notes += problem.notes
 

@@ -14,7 +14,7 @@ from gonio_analysis.observations import observations
 from gonio_analysis.profile import profiles
 from gonio_analysis.regions import blocks, incidences
 
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, DataError
 from gonio.models import Lambert, OrenNayar, Phong, Sum, build
 
 from .synthetic import measure
@@ -123,6 +123,19 @@ def test_blocks_to_leave_out_are_neighbours() -> None:
     assert sorted(np.concatenate(groups)) == list(range(len(one)))
     signed = np.where(one.phi_r > 1, one.theta_r, -one.theta_r)
     assert all(np.ptp(signed[g]) < np.radians(160 / 4) for g in groups)
+
+
+def test_too_few_values_are_no_choice_and_no_error() -> None:
+    table = measure(MATTE, incidences=(0.0,), views=np.array([10.0]))
+    choice = decide(table, ("lambert", "oren-nayar"))
+    assert choice.named is None
+    assert not choice.judged
+    assert "1 usable value at 550 nm" in choice.words
+    json.dumps(choice.to_json(), allow_nan=False)
+    # enough values, but a broad band has no wavelength for the model that needs one
+    broad = measure(MATTE).assign(wavelength_nm=np.nan)
+    with pytest.raises(DataError, match="he-torrance could not be fitted"):
+        decide(broad, ("he-torrance",))
 
 
 def test_intervals_of_a_model_without_absorption_let_k_follow_where_the_data_do_not_tell_it() -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from gonio_analysis.report import make
 from gonio_analysis.report.files import staged
@@ -172,6 +173,25 @@ def test_truth_is_the_best_model_and_not_rejected(report: Path) -> None:
     assert good["models"]["lambert"]["verdict"].startswith("rejected")
     assert [b["cause"] for b in good["budget"]] == ["combined", "random (independent)", "reference"]
     assert good["budget"][2]["median"] == pytest.approx(0.005)
+
+
+def test_a_spectrum_in_one_direction_is_reported_without_a_model(tmp_path: Path) -> None:
+    """One value a wavelength, as BiRD's own example has it: no model follows from it, but the values are shown."""
+    one = measure(build("lambert", {"albedo": 0.5}), incidences=(0.0,), views=np.array([10.0]), noise=0.0, floor=0.0)
+    rows = [one.assign(wavelength_nm=nm, brdf=one["brdf"] * share) for nm, share in ((550.0, 1.0), (650.0, 1.2))]
+    table = pd.concat(rows, ignore_index=True)
+    table.attrs = one.attrs
+    table[["u_brdf", "u_random"]] = np.nan
+    measurement.write(table, tmp_path / "spectrum.csv")
+    make([str(tmp_path / "spectrum.csv")], tmp_path / "out", models=["lambert", "oren-nayar"], command="gonio compare")
+    found = summary(tmp_path / "out")["datasets"][0]
+    assert found["models"] == {}
+    assert set(found["skipped"]) == {"lambert", "oren-nayar"}
+    assert [v["brdf"] for v in found["values"]] == pytest.approx([0.5 / np.pi, 0.6 / np.pi])
+    text = page(tmp_path / "out")
+    assert "No model was fitted. lambert could not be fitted (nor 1 with more parameters): 1 usable value" in text
+    assert ">0.5<" in text or ">0.5000<" in text  # pi f
+    assert ">0.6<" in text or ">0.6000<" in text
 
 
 def test_a_report_is_replaced_and_anything_else_is_left_alone(tmp_path: Path) -> None:

@@ -78,7 +78,7 @@ def _dataset(s: dict[str, Any], d: dict[str, Any], figures: Sequence[Figure], vi
     if d["notes"]:
         out.append('<ul class="notes">' + "".join(f"<li>{escape(n)}</li>" for n in d["notes"]) + "</ul>")
     out += model_choice.section(d["choice"])
-    out += ["<h3>Models</h3>", _models(d)]
+    out += ["<h3>Models</h3>", _models(d)] if d["models"] else ["<h3>Measured values</h3>", _values(d)]
     if d["skipped"]:
         out.append(
             '<ul class="notes">'
@@ -88,12 +88,14 @@ def _dataset(s: dict[str, Any], d: dict[str, Any], figures: Sequence[Figure], vi
     if "polar" in by:
         out += ["<h3>In the plane of incidence, normalised</h3>", _polar_words(s, d)]
         out += [viewer.element(view, d["slug"]) if view else "", html.grid(by["polar"])]
-    out += ["<h3>In the plane of incidence, absolute, with residuals</h3>", html.grid(by["absolute"])]
+    if "absolute" in by:
+        out += ["<h3>In the plane of incidence, absolute, with residuals</h3>", html.grid(by["absolute"])]
     beyond = [f for kind in ("heat", "slices", "lobe") for f in by.get(kind, [])]
     if beyond:
         out += ["<h3>Out of the plane of incidence</h3>", html.grid(beyond)]
-    out += ["<h3>Parameters</h3>", _parameters(d), html.grid(by["profile"]) if "profile" in by else ""]
-    out += ["<h3>Metrics</h3>", _metrics(s, d)]
+    if d["models"]:
+        out += ["<h3>Parameters</h3>", _parameters(d), html.grid(by["profile"]) if "profile" in by else ""]
+        out += ["<h3>Metrics</h3>", _metrics(s, d)]
     if "budget" in by:
         shown = [*by["budget"], *by.get("budget-angle", [])]
         out += ["<h3>Uncertainty</h3>", html.grid(shown), _budget(d)]
@@ -106,6 +108,24 @@ def _dataset(s: dict[str, Any], d: dict[str, Any], figures: Sequence[Figure], vi
         out += ["<h3>Parameters over wavelength</h3>", html.grid(by["series"])]
     out.append("</section>")
     return "\n".join(out)
+
+
+def _values(d: dict[str, Any]) -> str:
+    rows = [
+        [
+            number(v["wavelength_nm"], 6),
+            *(number(v[f"{angle}_deg"], 4) for angle in ("theta_i", "phi_i", "theta_r", "phi_r")),
+            number(v["brdf"], 4) if v["u_brdf"] is None else with_u(v["brdf"], v["u_brdf"]),
+            number(math.pi * v["brdf"], 4),
+        ]
+        for v in d["values"]
+    ]
+    return html.table(
+        "π f is the albedo of a Lambertian surface with this BRDF, and the reflectance factor.",
+        ["wavelength/nm", "θi/°", "φi/°", "θr/°", "φr/°", "BRDF f/sr⁻¹", "π f"],
+        rows,
+        right=tuple(range(7)),
+    )
 
 
 def _facts(d: dict[str, Any]) -> str:

@@ -18,6 +18,8 @@ from gonio_analysis.observations import describe_left_out
 from gonio_analysis.planes import AT_MIRROR, IN_PLANE, NORM_WORDS
 from gonio_analysis.report.text import difference, slug
 
+MOST_VALUES = 200
+"""Measured values that a page lists where it has no model."""
 VERSIONS = ("gonio", "numpy", "scipy", "numba", "pandas", "matplotlib")
 
 
@@ -91,10 +93,18 @@ def _dataset(d: Dataset, slug: str) -> dict[str, Any]:
         "models": {name: _fitted(f) for name, f in d.fitted.items()},
         "skipped": dict(d.skipped),
         "choice": d.choice.to_json(),
+        "values": [] if d.fitted else _values(d),
     }
     out["best"] = _best(d)
     out["conclusion"] = _conclusion(d, out["best"])
     return out
+
+
+def _values(d: Dataset) -> list[dict[str, float | None]]:
+    """The measured values of every wavelength, where no model can say anything of them: the first few."""
+    names = ["wavelength_nm", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "brdf", "u_brdf"]
+    usable = d.table[(d.table["flag"].fillna("") == "") & d.table["brdf"].notna()]
+    return [{str(n): finite(x) for n, x in row.items()} for row in usable[names].head(MOST_VALUES).to_dict("records")]
 
 
 def _fitted(f: Fitted) -> dict[str, Any]:
@@ -148,7 +158,7 @@ def _best(d: Dataset) -> str | None:
 
 def _conclusion(d: Dataset, best: str | None) -> str:
     if best is None:
-        return "No model was fitted."
+        return f"No model was fitted. {d.choice.words}"
     f = d.fitted[best]
     others = "the best of the models tried" if len(d.fitted) > 1 else "the only model tried"
     ratio = f.metrics["log_ratio"]
