@@ -43,7 +43,7 @@ from gonio.models._math import (
 )
 
 BLOCK = 2048  # pairs sorted at a time: their state stays in the cache
-LANES = 32  # pairs summed at a time: their exponentials stay in the cache
+LANES = 64  # pairs summed at a time: their exponentials stay in the cache
 EXPANDED = 256  # pairs expanded at a time
 SUMS = len(TERMS)
 _COUNTS = np.array(TERMS)
