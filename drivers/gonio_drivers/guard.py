@@ -60,11 +60,12 @@ def _locked(line: int) -> bool:
     """Whether the port is the guard's; the dead program's pipe may be closed a good while before its port is."""
     end = time.monotonic() + PATIENCE_S
     while True:
+        over = time.monotonic() > end  # before the look: this process may be held up after it
         try:
             fcntl.flock(line, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return True
         except OSError:
-            if time.monotonic() > end:
+            if over:
                 return False
             time.sleep(POLL_S)
 

@@ -11,11 +11,12 @@ from dynamixel_sdk import PacketHandler, PortHandler
 from gonio_drivers.sdk import ExclusivePort
 from gonio_sim.wire.bus import ServoBus
 from gonio_sim.wire.faults import Faults
-from gonio_sim.wire.peer import SerialPeer, scaled_clock
+from gonio_sim.wire.peer import Device, SerialPeer, scaled_clock
 from gonio_sim.wire.servo import Servo
 
 SCALE = 50.0
 BAUD = 1_000_000
+HANGS_MS = 60_000.0
 
 
 @dataclass
@@ -35,8 +36,60 @@ def deaf_to(line: Line, part: bytes) -> None:
     line.bus.receive = lambda data, baud, send: None if part in data else receive(data, baud, send)  # type: ignore[method-assign]
 
 
+class Counted:
+    """A twin, and how much it has dealt with of what was sent to it."""
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self.bytes = 0
+        self.dawdles = False
+        """It answers late, because a fault is to make it so."""
+
+    def receive(self, data: bytes, baud: int, send: Callable[[bytes], None]) -> None:
+        try:
+            self._device.receive(data, baud, send)
+        finally:
+            self.bytes += len(data)
+            self.dawdles = False
+
+    def opened(self, send: Callable[[bytes], None]) -> None:
+        self._device.opened(send)
+
+
+def be_patient(peer: SerialPeer, faults: Faults, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On this line silence is what servos leave unanswered, and never what a busy machine has not come to yet."""
+    peer.device = twin = Counted(peer.device)
+    on_status, is_over = faults.on_status, PortHandler.isPacketTimeout
+    sent = 0
+
+    def told(servo: Servo, status: bytes) -> list[tuple[float, bytes]]:
+        chunks = on_status(servo, status)
+        twin.dawdles = any(delay_s for delay_s, _ in chunks)
+        return chunks
+
+    def counting(write: Callable[[PortHandler, list[int]], int]) -> Callable[[PortHandler, list[int]], int]:
+        def written(port: PortHandler, packet: list[int]) -> int:
+            nonlocal sent
+            sent += len(packet) if port.port_name == peer.port else 0
+            return write(port, packet)
+
+        return written
+
+    def is_silent(port: PortHandler) -> bool:
+        over = is_over(port)
+        if not over or port.port_name != peer.port:
+            return over
+        done = twin.bytes >= sent or twin.dawdles or port.getTimeSinceStart() > HANGS_MS
+        return done and not select.select([port.ser.fileno()], [], [], 0)[0]
+
+    monkeypatch.setattr(faults, "on_status", told)
+    monkeypatch.setattr(PortHandler, "isPacketTimeout", is_silent)
+    for kind in (PortHandler, ExclusivePort):
+        monkeypatch.setattr(kind, "writePort", counting(kind.writePort))
+
+
 @pytest.fixture
-def line() -> Iterator[Line]:
+def line(monkeypatch: pytest.MonkeyPatch) -> Iterator[Line]:
     clock = scaled_clock(SCALE)
     servos = {k: Servo(k, clock, model="xm430-w350", baud=BAUD, position=1000.0 + 500 * k) for k in (1, 2, 3)}
     for servo in servos.values():
@@ -44,37 +97,8 @@ def line() -> Iterator[Line]:
     faults = Faults()
     bus = ServoBus(servos.values(), faults)
     with SerialPeer(bus) as peer:
+        be_patient(peer, faults, monkeypatch)
         yield Line(peer.port, servos, faults, peer, bus)
-
-
-@pytest.fixture
-def patient(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
-    """On this line silence is what the servos leave unanswered, and never what a busy machine has not come to yet."""
-    receive, is_over = line.bus.receive, PortHandler.isPacketTimeout
-    sent = heard = 0
-
-    def received(data: bytes, baud: int, send: Callable[[bytes], None]) -> None:
-        nonlocal heard
-        try:
-            receive(data, baud, send)
-        finally:
-            heard += len(data)
-
-    def counting(write: Callable[[PortHandler, list[int]], int]) -> Callable[[PortHandler, list[int]], int]:
-        def written(port: PortHandler, packet: list[int]) -> int:
-            nonlocal sent
-            sent += len(packet)
-            return write(port, packet)
-
-        return written
-
-    def is_silent(port: PortHandler) -> bool:
-        return is_over(port) and heard >= sent and not select.select([port.ser.fileno()], [], [], 0)[0]
-
-    monkeypatch.setattr(line.bus, "receive", received)
-    monkeypatch.setattr(PortHandler, "isPacketTimeout", is_silent)
-    for kind in (PortHandler, ExclusivePort):
-        monkeypatch.setattr(kind, "writePort", counting(kind.writePort))
 
 
 @pytest.fixture
@@ -84,7 +108,7 @@ def unwatched(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def sdk(line: Line, patient: None) -> Iterator[tuple[PortHandler, PacketHandler]]:
+def sdk(line: Line) -> Iterator[tuple[PortHandler, PacketHandler]]:
     port = PortHandler(line.port)
     port.setBaudRate(BAUD)
     yield port, PacketHandler(2.0)

@@ -26,7 +26,7 @@ from gonio_sim.wire.servo import Mechanics, Refused, Servo
 from gonio.description import Acquisition, ArmAxis, Arms, Band, Bands, Holder, Reference, RigDescription
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose
-from tests.wire.conftest import BAUD, Line, deaf_to
+from tests.wire.conftest import BAUD, Line, be_patient, deaf_to
 
 TOLERANCE_DEG = 0.15
 COUNT_DEG = 360 / COUNTS
@@ -114,7 +114,7 @@ def test_wrong_modes_offsets_and_silence_are_put_right(line: Line) -> None:
         assert line.servos[3].get("Status Return Level") == 2
 
 
-def test_discovery_by_broadcast_ping_hears_again_what_was_damaged(line: Line, patient: None) -> None:
+def test_discovery_by_broadcast_ping_hears_again_what_was_damaged(line: Line) -> None:
     with Bus(line.port, BAUD) as bus:
         line.faults.arm("corrupt-crc", servo=2)
         assert bus.discover() == {k: (1020, 46) for k in (1, 2, 3)}
@@ -145,13 +145,13 @@ def test_a_servo_that_measures_no_voltage_is_not_taken_for_one_without_a_supply(
         assert arms.joints["camera"].health.voltage_v == 0  # type: ignore[union-attr]
 
 
-def test_wrong_id_names_what_is_there(line: Line, patient: None) -> None:
+def test_wrong_id_names_what_is_there(line: Line) -> None:
     wrong = ServoArms(describe(), servos(line.port, tilt={"id": 7}))
     with pytest.raises(DeviceError, match=r"axes\.tilt\.id = 7.*found there: id 1 xm430-w350, id 2"), wrong:
         pass
 
 
-def test_wrong_baud_names_the_right_one(line: Line, patient: None) -> None:
+def test_wrong_baud_names_the_right_one(line: Line) -> None:
     wrong = ServoArms(describe(), servos(line.port, baud=2_000_000))
     with pytest.raises(DeviceError, match=r"at 2000000 baud, but at 1000000 baud: id 1.*devices\.servos\.baud"), wrong:
         pass
@@ -316,11 +316,14 @@ def test_an_axis_that_creeps_is_not_taken_for_one_that_has_landed(
     told: list[int] = []
     twins[0].leaving = lambda: told.append(twins[0].get("Goal Position"))
     slow = ArmAxis(speed_deg_per_s=1.4)  # a count in three polls, and below the threshold of the servo's moving flag
-    with SerialPeer(ServoBus(twins)) as peer, ServoArms(describe(light=slow), servos(peer.port, settle_s=0.0)) as arms:
-        read = degrees(arms.move(pose(0.8, 0, 0)))
-        assert not twins[0].moves()
-        assert read[0] == pytest.approx(0.8, abs=TOLERANCE_DEG)
-        assert told == [2048, 2046, 2057]  # torque, 1 deg below, the goal: no correction
+    bus = ServoBus(twins)
+    with SerialPeer(bus) as peer:
+        be_patient(peer, bus.faults, monkeypatch)
+        with ServoArms(describe(light=slow), servos(peer.port, settle_s=0.0)) as arms:
+            read = degrees(arms.move(pose(0.8, 0, 0)))
+            assert not twins[0].moves()
+            assert read[0] == pytest.approx(0.8, abs=TOLERANCE_DEG)
+            assert told == [2048, 2046, 2057]  # torque, 1 deg below, the goal: no correction
 
 
 def test_a_repeated_goal_moves_nothing(arms: ServoArms, line: Line) -> None:
@@ -602,7 +605,12 @@ def test_the_hardware_error_byte_is_read_after_every_move_alert_or_not(
     ],
 )
 def test_models_speeds_delays_and_ways_of_mounting(
-    baud: int, delay: int, level: int, mode: int, built: dict[str, tuple[int, str, int, float]]
+    baud: int,
+    delay: int,
+    level: int,
+    mode: int,
+    built: dict[str, tuple[int, str, int, float]],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     clock = scaled_clock(50.0)
     built = built | {"tilt": (9, "xm430-w350", 1, 1.0)}
@@ -613,18 +621,18 @@ def test_models_speeds_delays_and_ways_of_mounting(
         for address, value in ((9, delay), (11, mode), (68, level)):
             servo.write(address, bytes([value]))
     limits = ArmAxis(limits_deg=(-80, 80))
-    with (
-        SerialPeer(ServoBus(twins)) as peer,
-        ServoArms(describe(light=limits, camera=limits), servos(peer.port, baud=baud, **axes)) as arms,
-    ):
-        for target in [(35, -70, 20), (-79, 79, -20)]:
-            read = degrees(arms.move(pose(*target)))
-            for name, servo, angle, goal in zip(built, twins, read, target, strict=True):
-                count_deg = COUNT_DEG / axes[name]["gear_ratio"]  # type: ignore[operator]
-                shaft_deg = (servo.shaft()[0] - 2048) * count_deg * axes[name]["direction"]  # type: ignore[operator]
-                # a reading is whole counts, with 1.4 of flicker
-                assert angle == pytest.approx(shaft_deg, abs=2 * count_deg)
-                assert shaft_deg == pytest.approx(goal, abs=max(TOLERANCE_DEG, 1.5 * count_deg) + count_deg)
+    bus = ServoBus(twins)
+    with SerialPeer(bus) as peer:
+        be_patient(peer, bus.faults, monkeypatch)
+        with ServoArms(describe(light=limits, camera=limits), servos(peer.port, baud=baud, **axes)) as arms:
+            for target in [(35, -70, 20), (-79, 79, -20)]:
+                read = degrees(arms.move(pose(*target)))
+                for name, servo, angle, goal in zip(built, twins, read, target, strict=True):
+                    count_deg = COUNT_DEG / axes[name]["gear_ratio"]  # type: ignore[operator]
+                    shaft_deg = (servo.shaft()[0] - 2048) * count_deg * axes[name]["direction"]  # type: ignore[operator]
+                    # a reading is whole counts, with 1.4 of flicker
+                    assert angle == pytest.approx(shaft_deg, abs=2 * count_deg)
+                    assert shaft_deg == pytest.approx(goal, abs=max(TOLERANCE_DEG, 1.5 * count_deg) + count_deg)
 
 
 # ---- faults of the wire ----

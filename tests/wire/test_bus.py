@@ -26,7 +26,7 @@ def test_a_late_reply_is_not_the_answer_to_the_next_request(line: Line) -> None:
     assert (position, acceleration) == (1500, 0)
 
 
-def test_noise_is_passed_over_and_told(line: Line, patient: None, caplog: pytest.LogCaptureFixture) -> None:
+def test_noise_is_passed_over_and_told(line: Line, caplog: pytest.LogCaptureFixture) -> None:
     with Bus(line.port, BAUD) as bus:
         for _ in range(5):
             line.faults.arm("noise")

@@ -35,6 +35,7 @@ from gonio.plan import load_plan
 from gonio.rig import Pose, Step
 from gonio.run import Run
 from gonio.session import RigChoice, carry_out, find_rig
+from tests.wire.conftest import be_patient
 
 SCALE = 50.0
 ALBEDO = 0.5
@@ -76,6 +77,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     monkeypatch.setattr(tether, "FILE_LATE_S", 0.5)
     monkeypatch.setattr(folder_camera, "RELEASE_S", LONGEST_S)
     with Bench(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
+        be_patient(served.peers["servos"], served.faults, monkeypatch)
         yield served
 
 

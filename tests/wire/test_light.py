@@ -140,7 +140,7 @@ def test_the_guard_waits_for_a_port_that_the_dead_program_still_holds(
     monkeypatch.setattr(guard, "time", unlocks)
     lamp.twin.shine.lit = True
     guard._darken(lamp.port, lamp.twin.bauds[0], lamp.driver()._orders_to_darken())
-    end = time.monotonic() + 10
+    end = time.monotonic() + PATIENCE_S
     while lamp.twin.shine.lit:
         assert time.monotonic() < end
     os.close(dead)
@@ -368,7 +368,7 @@ def test_lines_may_end_otherwise_than_the_dialect_says(lamp: Plugged, ending: by
 
     lamp.twin.receive = echoing  # type: ignore[method-assign]
     lamp.twin.ending = ending
-    with lamp.driver(timeout_s=0.25) as light:
+    with lamp.driver(timeout_s=1.0) as light:
         light.select(BANDS[1])
         light.on()
         light.check()
@@ -402,7 +402,8 @@ def test_half_a_number_is_none(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -
 
 def test_warm_up_is_waited_for_once(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
     waits: list[float] = []
-    monkeypatch.setattr("gonio_drivers.light.time.sleep", waits.append)
+    clock = SimpleNamespace(sleep=waits.append, monotonic=time.monotonic)
+    monkeypatch.setattr("gonio_drivers.light.time", clock)  # the twin sleeps as it likes
     light = SerialLight(
         DESCRIPTION.model_copy(update={"lamp": Lamp(warm_up_s=900.0)}),
         settings.Light.model_validate({"port": lamp.port, "dialect": lamp.name, "settle_s": 0.25}),
