@@ -8,8 +8,10 @@ where neighbours are more than `FARTHEST` apart there is none.
 Lobes follow the mirror direction, so that positions are counted from it: r = sin(theta_r) (cos dphi, sin dphi) +
 (sin(theta_i), 0). A difference of a few hundredths of a degree between two incidences then moves the lobe along.
 
-The error of an interpolation between x_k with weights w_k is stated as sum_k w_k |g_k - g| |x_k - x| / 2, g_k being
-the gradient that the values around x_k have, and g that of the interpolant: exact for a parabola in one dimension.
+The error of an interpolation between x_k with weights w_k is stated as the larger of two: sum_k w_k |g_k - g| |x_k -
+x| / 2, g_k being the gradient that the values around x_k have, and g that of the interpolant, which is exact for a
+parabola in one dimension; and the difference from the interpolation of the logarithms, which rules at the edge of a
+lobe that rises by a large factor from one neighbour to the next, where the gradients say too little.
 """
 
 from __future__ import annotations
@@ -214,7 +216,15 @@ def _along(
     nodes, weights, error = out
     nodes[rows] = np.stack([line[k], line[k + 1], line[k]], axis=1)
     weights[rows, 0], weights[rows, 1] = 1 - w, w
-    error[rows] = 0.5 * gap * w * (1 - w) * (np.abs(slope[k] - chord) + np.abs(slope[k + 1] - chord))
+    parabola = 0.5 * gap * w * (1 - w) * (np.abs(slope[k] - chord) + np.abs(slope[k + 1] - chord))
+    error[rows] = np.maximum(parabola, _off_logarithms(values[nodes[rows]], weights[rows]))
+
+
+def _off_logarithms(values: Floats, weights: Floats) -> Floats:
+    """Difference (n,) of interpolating (n, 3) values or their logarithms; 0 where one is not positive."""
+    positive = np.asarray((values > 0).all(axis=1))
+    logs = np.log(np.where(positive[:, None], values, 1.0))
+    return np.where(positive, (weights * values).sum(axis=1) - np.exp((weights * logs).sum(axis=1)), 0.0)
 
 
 def _across(
@@ -247,7 +257,8 @@ def _across(
     step = np.linalg.norm(flat[near] - goal.points[rows, None, :2], axis=2)
     nodes, weights, error = out
     nodes[rows], weights[rows] = near, w
-    error[rows] = 0.5 * (w * np.linalg.norm(own[near] - chord[:, None], axis=2) * step).sum(axis=1)
+    parabola = 0.5 * (w * np.linalg.norm(own[near] - chord[:, None], axis=2) * step).sum(axis=1)
+    error[rows] = np.maximum(parabola, _off_logarithms(f, w))
 
 
 def _gradients(mesh: Any, flat: Floats, values: Floats) -> Floats:

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from gonio import geometry
 from gonio.errors import ConfigError, DataError
-from gonio_analysis.align import carry
+from gonio_analysis.align import Carried, carry
 from gonio_analysis.forward import apparent
 from gonio_analysis.metrics import metrics
 from gonio_analysis.objective import scaled_to
@@ -104,6 +104,8 @@ class Change:
     """Standard uncertainty of each alone [1/sr], NaN where none is stated."""
     error: Floats
     """Of the interpolation [1/sr]; 0 where there was none."""
+    onto: str
+    """Whose directions they are: "A" or "B"; the values of the other were carried there."""
     covariance: Covariance | None
     """Of B - A; None where neither side states an uncertainty."""
     metrics: dict[str, float | None]
@@ -206,15 +208,20 @@ def _measurements(a: Side, b: Side) -> Change:
             f"The planes of incidence differ by {off:.3g}° in azimuth; they are laid on each other, as if the sample"
             " had no grain."
         )
-    carried = carry(a.data, data, table)
+    assert a.table is not None
+    onto, carried = "A", carry(a.data, data, table)
+    finer = carry(data, a.data, a.table)
+    if _roughness(finer) < 0.5 * _roughness(carried):  # what was sampled finely is interpolated, and not the other
+        onto, carried = "B", finer
+    name, other = (a.name, b.name) if onto == "A" else (b.name, a.name)
     if not carried.rows.size:
         why = describe_left_out(carried.missing)
         raise DataError(f"{a.source} and {b.source} share no direction: of the values of {a.source}, {why}")
-    at = a.data.take(carried.rows)
-    for x, name in ((a.data, a.name), (data, b.name)):
+    at = (a.data if onto == "A" else data).take(carried.rows)
+    for x, its_name in ((a.data, a.name), (data, b.name)):
         if x.covariance is None:
             notes.append(
-                f"{name} states no uncertainties"
+                f"{its_name} states no uncertainties"
                 + (
                     ": its values count as exact."
                     if a.data.covariance is not None or data.covariance is not None
@@ -229,25 +236,35 @@ def _measurements(a: Side, b: Side) -> Change:
     if carried.interpolated:
         share = carried.error[carried.error > 0] / np.maximum(np.abs(carried.value[carried.error > 0]), 1e-300)
         notes.append(
-            f"{carried.interpolated} of {len(at)} values of {b.name} are interpolated between measured neighbours; the"
-            f" error of that is stated for each (median {100 * float(np.median(share)):.2g} %) and part of the"
-            " uncertainty."
+            f"{carried.interpolated} of {len(at)} values of {other} are interpolated between measured neighbours, in"
+            f" the directions of {name}; the error of that is stated for each (median"
+            f" {100 * float(np.median(share)):.2g} %) and part of the uncertainty."
         )
     covariance = None
-    if a.data.covariance is not None or data.covariance is not None:
+    far = (data if onto == "A" else a.data).covariance
+    if at.covariance is not None or far is not None:
         own = at.covariance
         random = np.hypot(np.hypot(own.random if own is not None else 0.0, carried.random), carried.error)
-        common = [] if own is None else [-own.common]
-        common += [carried.common]
-        causes = [f"{c} of A" for c in (own.causes if own is not None else ())]
-        causes += [f"{c} of B" for c in (data.covariance.causes if data.covariance is not None else ())]
+        common = [carried.common] if own is None else [own.common, carried.common]
+        causes = [f"{c} of {onto}" for c in (own.causes if own is not None else ())]
+        causes += [f"{c} of {'B' if onto == 'A' else 'A'}" for c in (far.causes if far is not None else ())]
         floor = 1e-6 * np.maximum(np.abs(at.brdf), np.abs(carried.value))
         covariance = Covariance(np.maximum(random, np.maximum(floor, 1e-300)), np.hstack(common), tuple(causes))
-    u_b = np.full(len(at), np.nan)
-    if data.covariance is not None:
-        u_b = np.sqrt(carried.random**2 + (carried.common**2).sum(axis=1) + carried.error**2)
-    values = _Values(at.brdf, carried.value, at.u, u_b, carried.error)
+    u_carried = np.full(len(at), np.nan)
+    if far is not None:
+        u_carried = np.sqrt(carried.random**2 + (carried.common**2).sum(axis=1) + carried.error**2)
+    if onto == "A":
+        values = _Values(at.brdf, carried.value, at.u, u_carried, carried.error)
+    else:
+        values = _Values(carried.value, at.brdf, u_carried, at.u, carried.error, onto)
     return _judged(a, b, at, values, covariance, carried.missing, notes)
+
+
+def _roughness(carried: Carried) -> float:
+    """Mean relative error of the interpolation; infinite where nothing was carried."""
+    if not carried.rows.size:
+        return np.inf
+    return float(np.mean(carried.error / np.maximum(np.abs(carried.value), 1e-300)))
 
 
 @dataclass(frozen=True)
@@ -257,6 +274,7 @@ class _Values:
     u_a: Floats
     u_b: Floats
     error: Floats
+    onto: str = "A"
 
 
 def _judged(
@@ -272,7 +290,9 @@ def _judged(
     numbers = metrics(of.b, of.a, np.cos(at.theta_i), None if covariance is None else covariance.total, white)
     verdict = None if covariance is None else judge(of.a, of.b, covariance)
     told = tuple(dict.fromkeys(notes))
-    return Change(a, b, at, of.a, of.b, of.u_a, of.u_b, of.error, covariance, numbers, verdict, missing, told)
+    return Change(
+        a, b, at, of.a, of.b, of.u_a, of.u_b, of.error, of.onto, covariance, numbers, verdict, missing, told
+    )  # fmt: skip
 
 
 def judge(value_a: Floats, value_b: Floats, covariance: Covariance) -> Verdict:

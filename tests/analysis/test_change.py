@@ -154,6 +154,37 @@ def test_one_changed_value_is_found_under_a_change_of_scale() -> None:
     assert found.verdict.u_scale == pytest.approx(np.hypot(0.01, 0.01), rel=0.05)  # the noise adds little
 
 
+def test_a_coarse_table_agrees_with_a_fine_one_of_the_same_sample() -> None:
+    """A lobe 8 degrees wide, every 7.5 and every 2.5 degrees: in the coarse directions, whichever comes first."""
+    shiny = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 300})
+    other = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 320})
+    coarse, fine = np.arange(-75.0, 75.1, 7.5), np.arange(-80.0, 80.1, 2.5)
+    between = np.arange(-78.0, 79.0, 4.0)
+
+    def against(b_model: object, a_views: np.ndarray, b_views: np.ndarray, seed: int) -> Change:
+        a = measure(shiny, views=a_views, noise=0.005, reference=0.003, seed=seed)
+        return change(side(a), side(measure(b_model, views=b_views, noise=0.005, reference=0.003, seed=100 + seed)))
+
+    # 12 verdicts of which 1 % are wrong by chance; the seeds are fixed
+    for seed in range(3):
+        for views, onto in (
+            ((coarse, fine), "A"),
+            ((fine, coarse), "B"),
+            ((coarse, between), "A"),
+            ((between, coarse), "B"),
+        ):
+            found = against(shiny, *views, seed)
+            assert found.verdict is not None
+            assert found.onto == onto
+            assert not found.verdict.changed
+    # in common directions nothing is interpolated, and a lobe 3 % narrower is seen from either side
+    for views in (coarse, fine), (fine, coarse):
+        found = against(other, *views, 0)
+        assert found.verdict is not None
+        assert not found.error.any()
+        assert found.verdict.changed
+
+
 def test_step_up_of_benjamini_and_hochberg() -> None:
     # their example: 15 p-values, four discoveries at 5 % (Benjamini and Hochberg 1995, section 4.1)
     p = [

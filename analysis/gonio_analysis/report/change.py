@@ -125,6 +125,7 @@ def summary(c: Change, command: str, runs: Sequence[Any]) -> dict[str, Any]:
         "a": _side(c.a, runs[0]),
         "b": _side(c.b, runs[1]),
         "n_points": len(c.at),
+        "in_directions_of": c.onto,
         "interpolated": int(np.count_nonzero(c.error)),
         "median_interpolation_error_rel": _median_error(c),
         "without_counterpart": c.missing,
@@ -146,8 +147,9 @@ def _side(s: Side, run: Any) -> dict[str, Any]:
 
 
 def _median_error(c: Change) -> float | None:
-    used = (c.error > 0) & (c.value_b != 0)
-    return float(np.median(c.error[used] / np.abs(c.value_b[used]))) if used.any() else None
+    carried = c.value_b if c.onto == "A" else c.value_a
+    used = (c.error > 0) & (carried != 0)
+    return float(np.median(c.error[used] / np.abs(carried[used]))) if used.any() else None
 
 
 def _conclusion(c: Change) -> str:
@@ -272,14 +274,19 @@ def _facts(s: dict[str, Any]) -> list[tuple[str, str]]:
         left = f"; left out: {describe_left_out(x['left_out'])}" if x["left_out"] else ""
         run = f"; rig {x['run']['rig']}, {x['run']['created'][:10]}, seed {x['run']['seed']}" if x["run"] else ""
         rows.append((key.upper(), f"{x['name']} ({x['source']}): {x['values']} values, {stated}{left}{run}"))
-    shared = f"{s['n_points']}"
+    shared = f"{s['n_points']}, in the directions of {s['in_directions_of']}"
     if s["interpolated"]:
         error = percent(s["median_interpolation_error_rel"])
         shared += f", {s['interpolated']} of them by interpolation (median error {error})"
     rows.append(("shared values", shared))
     if s["without_counterpart"]:
         rows.append(
-            ("not compared", "; ".join(f"{n} values of A {why}" for why, n in s["without_counterpart"].items()))
+            (
+                "not compared",
+                "; ".join(
+                    f"{n} values of {s['in_directions_of']} {why}" for why, n in s["without_counterpart"].items()
+                ),
+            )
         )
     return rows
 
