@@ -45,6 +45,7 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _CtrlC())
     try:
+        _require_text(*sys.argv[1:])
         build()(prog_name="gonio")
     except GonioError as error:
         fail(str(error), error.exit_code)
@@ -61,6 +62,22 @@ def main() -> None:
             "  GONIO_TRACEBACK=1 shows where; please report it with that",
             1,
         )
+
+
+def _require_text(*names: str) -> None:
+    """Runs and reports are text (UTF-8) and name the files that they come from: those have to have names in text."""
+    from gonio.errors import ConfigError
+
+    try:
+        here = os.getcwd()
+    except OSError as error:
+        raise ConfigError(f"the current folder cannot be used ({error.strerror}): change to another one") from None
+    for name in (here, *names):
+        try:
+            name.encode("utf-8")
+        except UnicodeEncodeError:
+            shown = os.fsencode(name).decode("utf-8", "backslashreplace")
+            raise ConfigError(f"{shown}: the name is not valid UTF-8; rename the file or folder") from None
 
 
 def fail(message: str, code: int) -> None:

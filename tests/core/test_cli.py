@@ -133,6 +133,7 @@ def test_a_dark_lamp_fails_the_check(tmp_path: Path) -> None:
         (("reduce", "absent"), ["absent"]),
         (("reduce", "."), ["run.toml"]),
         (("nonsense",), ["nonsense"]),
+        (("reduce", "od\udcffd"), ["od\\xffd", "UTF-8"]),  # the byte 255 in a file's name
     ],
 )
 def test_usage_and_configuration_end_with_2(tmp_path: Path, arguments: tuple[str, ...], words: list[str]) -> None:
