@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
+import subprocess
+import sys
 from html import escape
 from html.parser import HTMLParser
 from pathlib import Path
@@ -213,6 +216,20 @@ def test_failure_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError), staged(tmp_path / "other" / "out") as stage:
         (stage.work / "half.html").write_text(str(1 / 0))
     assert [p.name for p in tmp_path.iterdir()] == ["bad.csv"]
+
+
+def test_what_a_killed_process_left_is_tidied_up(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as gone:
+        pass
+    begun, moved = tmp_path / f".out.{gone.pid}.x1.part", tmp_path / f".out.{gone.pid}.x2.old"
+    others = [tmp_path / f".out.{os.getpid()}.x3.part", tmp_path / f".out2.{gone.pid}.x4.part", tmp_path / ".out.part"]
+    for folder in (begun, moved / "report", *others):
+        folder.mkdir(parents=True)
+    (moved / "report" / "index.html").write_text("the earlier one")
+    with pytest.raises(ZeroDivisionError), staged(tmp_path / "out"):
+        assert 1 / 0
+    assert sorted(tmp_path.iterdir()) == sorted([tmp_path / "out", *others])
+    assert (tmp_path / "out" / "index.html").read_text() == "the earlier one"
 
 
 def test_unwritable_folder_is_one_message(tmp_path: Path) -> None:

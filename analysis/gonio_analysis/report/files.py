@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
@@ -37,7 +38,8 @@ class Staged:
 def staged(folder: str | Path) -> Iterator[Staged]:
     """A temporary folder beside `folder` that takes its place when the block ends, and vanishes when the block fails.
 
-    An earlier report in `folder` is replaced; anything else there is left alone.
+    An earlier report in `folder` is replaced; anything else there is left alone. What a killed process had begun beside
+    it is tidied up.
 
     Raises
     ------
@@ -53,7 +55,8 @@ def staged(folder: str | Path) -> Iterator[Staged]:
             if not parent.exists():
                 parent.mkdir()
                 made.append(parent)
-        work = Path(tempfile.mkdtemp(prefix=f".{final.name}.", suffix=".part", dir=final.parent))
+        _tidy(final)
+        work = _beside(final, "part")
     except OSError as error:
         _remove(made)
         raise ConfigError(f"{shown}: cannot be written: {error.strerror}") from None
@@ -97,7 +100,7 @@ def _put(work: Path, final: Path) -> None:
     if not final.exists():
         os.rename(work, final)
         return
-    old = Path(tempfile.mkdtemp(prefix=f".{final.name}.", suffix=".old", dir=final.parent))
+    old = _beside(final, "old")
     os.rename(final, old / "report")
     try:
         os.rename(work, final)
@@ -106,6 +109,32 @@ def _put(work: Path, final: Path) -> None:
         raise
     finally:
         shutil.rmtree(old, ignore_errors=True)
+
+
+def _beside(final: Path, what: str) -> Path:
+    """A new hidden folder beside the report, whose name tells the process that made it."""
+    return Path(tempfile.mkdtemp(prefix=f".{final.name}.{os.getpid()}.", suffix=f".{what}", dir=final.parent))
+
+
+def _tidy(final: Path) -> None:
+    """Remove the hidden folders of processes that died; a report that one had moved aside comes back."""
+    for left in final.parent.iterdir():
+        found = re.fullmatch(rf"\.{re.escape(final.name)}\.(\d+)\.\w+\.(part|old)", left.name)
+        if found is None or _alive(int(found[1])):
+            continue
+        if (left / "report").is_dir() and not final.exists():
+            os.rename(left / "report", final)
+        shutil.rmtree(left, ignore_errors=True)
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:  # another user's
+        return True
+    return True
 
 
 def _remove(folders: list[Path]) -> None:
