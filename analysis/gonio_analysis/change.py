@@ -105,7 +105,7 @@ class Change:
     error: Floats
     """Of the interpolation [1/sr]; 0 where there was none."""
     onto: str
-    """Whose directions they are: "A" or "B"; the values of the other were carried there."""
+    """Whose directions they are: "A" or "B"; the other's values were carried or evaluated there."""
     covariance: Covariance | None
     """Of B - A; None where neither side states an uncertainty."""
     metrics: dict[str, float | None]
@@ -190,7 +190,8 @@ def change(a: Side, b: Side, *, wavelength_nm: float | None = None) -> Change:
         covariance = Covariance(weights.random, weights.common * (-1 if measured_is_a else 1), weights.causes)
     none = np.full(len(at), np.nan)
     u_a, u_b = (x.data.u if x.data is not None else none for x in (a, b))
-    of = _Values(values[0], values[1], u_a, u_b, np.zeros(len(at)))
+    onto = "B" if a.data is None and b.data is not None else "A"
+    of = _Values(values[0], values[1], u_a, u_b, np.zeros(len(at)), onto)
     return _judged(a, b, at, of, covariance, {}, [*at.notes, *notes])
 
 
@@ -209,25 +210,20 @@ def _measurements(a: Side, b: Side) -> Change:
             " had no grain."
         )
     assert a.table is not None
-    onto, carried = "A", carry(a.data, data, table)
+    sides = {"A": (a.name, a.data), "B": (b.name, data)}
+    onto, away, carried = "A", "B", carry(a.data, data, table)
     finer = carry(data, a.data, a.table)
     if _roughness(finer) < 0.5 * _roughness(carried):  # what was sampled finely is interpolated, and not the other
-        onto, carried = "B", finer
-    name, other = (a.name, b.name) if onto == "A" else (b.name, a.name)
+        onto, away, carried = "B", "A", finer
     if not carried.rows.size:
         why = describe_left_out(carried.missing)
         raise DataError(f"{a.source} and {b.source} share no direction: of the values of {a.source}, {why}")
-    at = (a.data if onto == "A" else data).take(carried.rows)
-    for x, its_name in ((a.data, a.name), (data, b.name)):
+    at = sides[onto][1].take(carried.rows)
+    own, far = at.covariance, sides[away][1].covariance
+    for name, x in sides.values():
         if x.covariance is None:
-            notes.append(
-                f"{its_name} states no uncertainties"
-                + (
-                    ": its values count as exact."
-                    if a.data.covariance is not None or data.covariance is not None
-                    else "."
-                )
-            )
+            alone = "." if own is None and far is None else ": its values count as exact."
+            notes.append(f"{name} states no uncertainties{alone}")
     cones = [(x.source_solid_angle_sr, x.receiver_solid_angle_sr) for x in (a.data, data)]
     if not np.allclose(cones[0], cones[1], rtol=0.02):
         notes.append(
@@ -236,25 +232,22 @@ def _measurements(a: Side, b: Side) -> Change:
     if carried.interpolated:
         share = carried.error[carried.error > 0] / np.maximum(np.abs(carried.value[carried.error > 0]), 1e-300)
         notes.append(
-            f"{carried.interpolated} of {len(at)} values of {other} are interpolated between measured neighbours, in"
-            f" the directions of {name}; the error of that is stated for each (median"
+            f"{carried.interpolated} of {len(at)} values of {sides[away][0]} are interpolated between measured"
+            f" neighbours, in the directions of {sides[onto][0]}; the error of that is stated for each (median"
             f" {100 * float(np.median(share)):.2g} %) and part of the uncertainty."
         )
     covariance = None
-    far = (data if onto == "A" else a.data).covariance
-    if at.covariance is not None or far is not None:
-        own = at.covariance
+    if own is not None or far is not None:
         random = np.hypot(np.hypot(own.random if own is not None else 0.0, carried.random), carried.error)
         common = [carried.common] if own is None else [own.common, carried.common]
-        causes = [f"{c} of {onto}" for c in (own.causes if own is not None else ())]
-        causes += [f"{c} of {'B' if onto == 'A' else 'A'}" for c in (far.causes if far is not None else ())]
+        causes = [f"{c} of {s}" for s, x in ((onto, own), (away, far)) if x is not None for c in x.causes]
         floor = 1e-6 * np.maximum(np.abs(at.brdf), np.abs(carried.value))
         covariance = Covariance(np.maximum(random, np.maximum(floor, 1e-300)), np.hstack(common), tuple(causes))
     u_carried = np.full(len(at), np.nan)
     if far is not None:
         u_carried = np.sqrt(carried.random**2 + (carried.common**2).sum(axis=1) + carried.error**2)
     if onto == "A":
-        values = _Values(at.brdf, carried.value, at.u, u_carried, carried.error)
+        values = _Values(at.brdf, carried.value, at.u, u_carried, carried.error, onto)
     else:
         values = _Values(carried.value, at.brdf, u_carried, at.u, carried.error, onto)
     return _judged(a, b, at, values, covariance, carried.missing, notes)
@@ -274,7 +267,7 @@ class _Values:
     u_a: Floats
     u_b: Floats
     error: Floats
-    onto: str = "A"
+    onto: str
 
 
 def _judged(

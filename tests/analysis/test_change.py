@@ -219,6 +219,7 @@ def test_models_compare_with_files_and_with_each_other() -> None:
     assert not changed(change(data, same))
     assert changed(change(data, other))
     assert changed(change(other, data))
+    assert (change(data, same).onto, change(same, data).onto) == ("A", "B")
     both = change(same, other)
     assert both.verdict is None
     assert both.metrics["log_ratio"]

@@ -274,7 +274,9 @@ def _facts(s: dict[str, Any]) -> list[tuple[str, str]]:
         left = f"; left out: {describe_left_out(x['left_out'])}" if x["left_out"] else ""
         run = f"; rig {x['run']['rig']}, {x['run']['created'][:10]}, seed {x['run']['seed']}" if x["run"] else ""
         rows.append((key.upper(), f"{x['name']} ({x['source']}): {x['values']} values, {stated}{left}{run}"))
-    shared = f"{s['n_points']}, in the directions of {s['in_directions_of']}"
+    shared = f"{s['n_points']}"
+    if {s["a"]["kind"], s["b"]["kind"]} == {"measurement"}:
+        shared += f", in the directions of {s['in_directions_of']}"
     if s["interpolated"]:
         error = percent(s["median_interpolation_error_rel"])
         shared += f", {s['interpolated']} of them by interpolation (median error {error})"
