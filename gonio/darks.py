@@ -16,6 +16,8 @@ Array = npt.NDArray[np.float64]
 
 FEW = 300
 """Regions of as many points tell the patterns of all: any patterns describe noise, these leave little of it."""
+HELD = 2**24
+"""Pixels of all these regions together that are held at once: 128 MB."""
 PATTERNS = 6
 COLUMNS = 3
 """Of a table, for what its values share of the noise of the dark frames."""
@@ -70,11 +72,12 @@ class Patterns:
     over patterns, each with a normal number of its own that all points share.
     """
 
-    def __init__(self, regions: list[Roi]) -> None:
-        self._corner = min((r.rows.start for r in regions), default=0), min((r.cols.start for r in regions), default=0)
-        shape = max((r.rows.stop for r in regions), default=0), max((r.cols.stop for r in regions), default=0)
-        few = regions[:: max(-(-len(regions) // FEW), 1)]
-        flat = np.zeros((len(few), *np.subtract(shape, self._corner)))
+    def __init__(self, regions: list[Roi], box: tuple[slice, slice]) -> None:
+        rows, cols = box  # around the regions of all points, of which `regions` are some
+        self._corner = rows.start, cols.start
+        shape = rows.stop - rows.start, cols.stop - cols.start
+        few = regions[:: max(-(-len(regions) * shape[0] * shape[1] // HELD), 1)]
+        flat = np.zeros((len(few), *shape))
         for image, region in zip(flat, few, strict=True):
             image[self._place(region)] = region.mask / math.sqrt(region.count)
         values, vectors = np.linalg.eigh(np.tensordot(flat, flat, ((1, 2), (1, 2))))

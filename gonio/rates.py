@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio import kinematics
-from gonio.darks import PATTERNS, Darks, Patterns
+from gonio.darks import FEW, PATTERNS, Darks, Patterns
 from gonio.description import Band, Camera, RigDescription
 from gonio.errors import DataError
 from gonio.exposure import full_scale_dn
@@ -97,6 +97,8 @@ class Bench:
         boxes: dict[Target, tuple[slice, slice]] = {}
         self.reference: dict[str, Roi] = {}
         regions: dict[Channel, list[Roi]] = {channel: [] for channel in channels}
+        seen = dict.fromkeys(channels, 0)
+        every = -(-len(self.steps) // FEW)
         for step in self.steps:
             for channel in channels:
                 region = self._look(step, channel)
@@ -105,10 +107,13 @@ class Bench:
                     if region.target == "reference":
                         self.reference.setdefault(channel, region.roi)
                     else:
-                        regions[channel].append(region.roi)
+                        if seen[channel] % every == 0:
+                            regions[channel].append(region.roi)
+                        seen[channel] += 1
         if not boxes:
             raise DataError(f"{run.path}: no point was measured in this run; finish it with --resume")
-        self._patterns = {channel: Patterns(regions[channel]) for channel in channels}
+        box = boxes.get("sample", (slice(0, 0), slice(0, 0)))
+        self._patterns = {channel: Patterns(regions[channel], box) for channel in channels}
         self.clipped = 0.0
         """The part of the used pixels that read 0 DN in the dark frames."""
         self._darks = self._read_darks([f for s in steps if s["kind"] == "dark" for f in s["frames"]], boxes)
