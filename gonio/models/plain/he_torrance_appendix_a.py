@@ -2,6 +2,7 @@
 
 Vectors, units and symbols are those of `gonio.models.plain.he_torrance`, which has the rest of the paper. Steps that
 are averages over surfaces (eqs. 13, 16, 19, 21, 29 and 49) have no function: eqs. 52 and 58 are what becomes of them.
+sigma0 is above 0: a smooth surface is the limit.
 """
 
 from __future__ import annotations
