@@ -1,7 +1,8 @@
 """Plots of BRDFs in the plane of incidence: each draws on the `ax` that it is given and returns its artists.
 
 Nothing here shows a window, makes a figure or touches matplotlib's settings. Theory is solid and measurement dashed
-with error bars, as in He et al. 1991; colours are those of Okabe and Ito, and each curve has a marker of its own.
+with error bars, as in He et al. 1991; colours are those of Okabe and Ito (2008), and each curve has a marker of its
+own.
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@ reach 6.6 standard deviations. The loop over them has no branch and works in sin
 below any noise), so that it vectorises. Charge is a Gaussian number of the right mean and variance from `EXACT_BELOW`
 expected electrons on, and an exact Poisson number below, in a second loop over the dim pixels.
 
-References: splitmix64, Steele, Lea and Flood, OOPSLA 2014; inversion with a guide table, Chen and Asau, AIIE
-Transactions 6, 1974; the chain of effects, EMVA Standard 1288, release 4.0, section 2.
+References: splitmix64, Steele, Lea and Flood (2014); inversion with a guide table, Chen and Asau (1974); the
+chain of effects, EMVA Standard 1288, release 4.0, section 2.
 """
 
 from __future__ import annotations

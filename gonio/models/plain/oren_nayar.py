@@ -80,12 +80,15 @@ def L1_rp(s: Vectors, v: Vectors, a: Vectors, rho: float, E0: float = 1) -> Numb
 
 
 def L2_at(
-    x: float, L1: Callable[[Numbers], Numbers], theta_a: float, rho: float, w: float, nodes: int = 200
+    x: float, L1: Callable[[Numbers], Numbers], theta_a: float, rho: float, dark: float, w: float, nodes: int = 60
 ) -> Numbers:
-    """Oren1994 eq. 7: the radiance at x by light from the opposite facet, of width w and radiance L1(y)."""
+    """Oren1994 eq. 7: the radiance at x by light from the opposite facet, of width w and radiance L1(y).
+
+    y runs from where the facet's shadow ends, at `dark`, to w.
+    """
     t, weight = np.polynomial.legendre.leggauss(nodes)
-    y = w * (1 + t) / 2
-    return rho / PI * np.sum(K_prime(x, y, theta_a) * L1(y) * weight) * w / 2
+    y = dark + (w - dark) * (1 + t) / 2
+    return rho / PI * np.sum(K_prime(x, y, theta_a) * L1(y) * weight) * (w - dark) / 2
 
 
 def K_prime(x: Numbers, y: Numbers, theta_a: Numbers) -> Numbers:
@@ -97,7 +100,7 @@ def K_prime(x: Numbers, y: Numbers, theta_a: Numbers) -> Numbers:
 
 
 def L2_rp_of_width(
-    v: Vectors, a: Vectors, L2: Callable[[Numbers], Numbers], hidden: float, w: float, nodes: int = 200
+    v: Vectors, a: Vectors, L2: Callable[[Numbers], Numbers], hidden: float, w: float, nodes: int = 60
 ) -> Numbers:
     """Oren1994 eq. 9: the projected radiance by interreflection of a facet of width w, masked at x < hidden."""
     t, weight = np.polynomial.legendre.leggauss(nodes)
