@@ -260,7 +260,10 @@ def _vectors_and_angles(build: Callable[[dict[str, Any]], Any]) -> tuple[Way, ..
 def _closed(name: str, title: str, about: str, build: Callable[[dict[str, Any]], Any], form: Any) -> Family:
     samples = _samples(name, {"grid": "grid", "hard": "hard"})
     first = next(s for s in samples if s.kind == "grid")
-    ways = (*_vectors_and_angles(build), Way("plain numpy", _over_plain(form)))
+    ways = (
+        *_vectors_and_angles(build),
+        Way("plain numpy", _over_plain(form), note="the specification, written to be read"),
+    )
     return Family(name, title, about, samples, _split([first.parameters]), EVEN, ways)
 
 
