@@ -17,14 +17,15 @@ OUT = Path(__file__).resolve().parents[1] / "docs" / "equations.md"
 
 HEAD = """# The papers' equations
 
-Where each equation stands. Every formula is written once, slowly and obviously, in `gonio/models/plain/`: one module a
-paper, in the paper's order and symbols. The models evaluate the same formulas by compiled kernels, which
-`tests/models/test_plain.py` holds against the plain ones.
+Where each equation stands. Every formula is written once, slowly and obviously, in
+`gonio/models/plain/`: one module a paper, in the paper's order and symbols. The models evaluate the
+same formulas by compiled kernels, which `tests/models/test_plain.py` holds against the plain ones.
 
-To find an equation, search this page or the paper's module for its number, as "He1991 eq. 25". Equations without a
-number go by the letter on their left, as "Cook1982 R_s". Names such as He1991 are keys of
-[references.bib](references.bib). A dagger marks formulas whose print is wrong or must be read with care: the docstring
-says how. Names under "compiled" begin with `gonio.models.` unless they begin with `gonio.`
+To find an equation, search the paper's module for its number, as "eq. 25", or this page. Equations
+without a number go by the letter on their left, as "Cook1982 R_s". Names such as He1991 are keys of
+[references.bib](references.bib). A dagger marks formulas whose print is wrong or must be read with
+care: the docstring says how. Names under "plain" begin with `gonio.models.plain.`, names under
+"compiled" with `gonio.models.` unless they begin with `gonio.`
 
 `python tools/equations.py` writes this page from the docstrings, and a test compares the two.
 """

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gonio.instrument import apparent_spike
 from gonio.models import Blinn, CookTorrance, HeTorrance, OrenNayar, Phong, fresnel, htsg
 from gonio.models.blinn import coefficient
 from gonio.models.cook_torrance import unblocked_fraction
@@ -316,6 +317,27 @@ def test_he_torrance_polarised(surface: tuple[float, float, float, complex]) -> 
     plain = he_torrance.mueller(*at, sigma0, tau, lam, n, 0.2)
     loss = (polarised + lobe_loss(*at, sigma0, tau, lam))[:, None, None]
     agree(model.mueller(*at, wavelength_nm=1000.0 * lam), plain, loss, scale=np.abs(plain).max((1, 2), keepdims=True))
+
+
+def test_he_torrance_spike_in_its_cone() -> None:
+    """Eqs. 6, 10 and 74, by an instrument whose receiver takes in less than the cone of specular reflection."""
+    sigma0, tau, lam, n = SURFACES[0]
+    source, theta_i = 1e-3, 0.8
+    for model, plain in (
+        (
+            HeTorrance(sigma0, tau, n),
+            he_torrance.rho_sp(he_torrance.rho_s(theta_i, sigma0, tau, lam, n), theta_i, source),
+        ),
+        (HeTorrance(0.0, tau, n), he_torrance.rho_sp_smooth(theta_i, source, n)),
+    ):
+        for away in (0.0, 0.1):  # the cone is 0.018 rad wide
+            theta_r = theta_i + away
+            cones = {"source_solid_angle_sr": source, "receiver_solid_angle_sr": 1e-5}
+            at = (theta_i, 0.0, theta_r, PI)
+            got = apparent_spike(model, *at, wavelength_nm=1000.0 * lam, spike="nominal", **cones)
+            inside = he_torrance.Delta(direction(theta_r, 0.0), direction(theta_i, 0.0), source)
+            # the overlap of the cones is all of the receiver's, or nothing
+            assert got == pytest.approx(plain * inside, rel=1e-12)
 
 
 def test_he_torrance_hemisphere() -> None:

@@ -78,8 +78,11 @@ def test_every_equation_has_a_place_and_every_compiled_form_exists() -> None:
     stated: dict[str, set[int]] = {}
     for module in (plain.he_torrance, plain.he_torrance_appendix_a, plain.oren_nayar, plain.cook_torrance, plain.blinn,
                    plain.fresnel):  # fmt: skip
+        source = Path(str(module.__file__)).read_text(encoding="utf-8")
         for formula in tool.formulas(module):
             stated.setdefault(formula.paper, set()).update(formula.numbers)
+            for number in formula.numbers:  # a search for it finds it
+                assert re.search(rf"eq\. {number}\b", source), f"{module.__name__}: eq. {number}"
             for name in formula.compiled:
                 assert _exists(name), f'{module.__name__}.{formula.name} says "Compiled: {name}", which does not exist'
     assert stated["He1991"] | set(tool.STEPS) == set(range(1, 87))

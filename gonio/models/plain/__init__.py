@@ -1,11 +1,12 @@
 """Every formula of the four papers once, in numpy, in the papers' order and symbols: the specification of the models.
 
-One module a paper. To find an equation, open its paper's module and search for its number, "He1991 eq. 25"; equations
+One module a paper. To find an equation, open its paper's module and search for its number, "eq. 25"; equations
 without a number stand under their paper's section and go by their symbol, "Cook1982 R_s". docs/equations.md lists all.
 "Compiled:" in a docstring names what evaluates the formula in the models.
 
 This is written from the papers and shares nothing with the models' kernels. It is slow and obvious: nothing is
-rearranged for speed or for accuracy, no argument is checked, and where a formula divides 0 by 0 so does the function.
+rearranged for speed or for accuracy save where a docstring says so, no argument is checked, and where a formula
+divides 0 by 0 so does the function.
 Where it loses digits its docstring says how many, as a factor by which rounding errors grow. Where a print is wrong the
 docstring says so; the formula is the corrected one, and `printed=True` gives the print where the models offer it too.
 """

@@ -67,7 +67,7 @@ def rho_bd(dI_r: Numbers, I_i: Numbers, theta_i: Numbers, domega_i: Numbers) -> 
 
 
 def rho_bd_parts(sp: Numbers, dd: Numbers, ud: Numbers) -> Numbers:
-    """He1991 eqs. 5 and 69: specular + directional diffuse + uniform diffuse.
+    """He1991 eq. 5, eq. 69: specular + directional diffuse + uniform diffuse.
 
     The workbench's `brdf` is the last two; `gonio.instrument` adds the spike.
 
@@ -77,7 +77,7 @@ def rho_bd_parts(sp: Numbers, dd: Numbers, ud: Numbers) -> Numbers:
 
 
 def rho_sp(rho_s: Numbers, theta_i: Numbers, domega_i: float, Delta: Numbers = 1) -> Numbers:
-    """He1991 eqs. 6 and 70: rho_s Delta/(cos theta_i domega_i) [1/sr], in the cone of specular reflection.
+    """He1991 eq. 6, eq. 70: rho_s Delta/(cos theta_i domega_i) [1/sr], in the cone of specular reflection.
 
     Delta (eq. 74) is 1 in that cone and 0 outside.
 
@@ -109,7 +109,7 @@ def rho_dd_polarised(
 
 
 def rho_ud(a: Numbers) -> Numbers:
-    """He1991 eqs. 8 and 72: the uniform diffuse part [1/sr], with a factor 1/pi that the print lacks.
+    """He1991 eq. 8, eq. 72: the uniform diffuse part [1/sr], with a factor 1/pi that the print lacks.
 
     The paper's values of a (0.15, 0.28, 0.9) are albedos: its rho_dh = 0.195 for a = 0.15 (sec. 4) is less than
     0.15 pi, and a = 0.9 as a BRDF would reflect 283 %.
@@ -120,7 +120,7 @@ def rho_ud(a: Numbers) -> Numbers:
 
 
 def g(theta_i: Numbers, theta_r: Numbers, sigma: Numbers, lam: float) -> Numbers:
-    """He1991 eqs. 9 and 79: the surface roughness function, of the effective roughness sigma.
+    """He1991 eq. 9, eq. 79: the surface roughness function, of the effective roughness sigma.
 
     Compiled: gonio.models._htsg_kernels.lobe_state, gonio.models._htsg_kernels.spike_reflectivity
     """

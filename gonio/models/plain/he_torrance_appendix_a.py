@@ -21,7 +21,7 @@ PI = np.pi
 
 
 def s_hat(k: Vectors) -> Vectors:
-    """He1991 eqs. 14, 35, 85 and 86: k x z/|k x z|, across the plane of k and the normal; 0/0 along the normal.
+    """He1991 eq. 14, eq. 35, eq. 85, eq. 86: k x z/|k x z|, across the plane of k and the normal; 0/0 along the normal.
 
     Compiled: gonio.models._htsg_kernels.jones
     """
@@ -29,7 +29,7 @@ def s_hat(k: Vectors) -> Vectors:
 
 
 def p_hat(k: Vectors) -> Vectors:
-    """He1991 eqs. 14, 35, 85 and 86: s x k, in the plane of k and the normal; 0/0 along the normal.
+    """He1991 eq. 14, eq. 35, eq. 85, eq. 86: s x k, in the plane of k and the normal; 0/0 along the normal.
 
     Compiled: gonio.models._htsg_kernels.jones
     """
@@ -37,7 +37,7 @@ def p_hat(k: Vectors) -> Vectors:
 
 
 def brackets(E: Vectors, curl_E: Vectors, n: Vectors, k_r: Vectors, k: float) -> tuple[Numbers, Numbers]:
-    """He1991 eqs. 17, 30 and 31: the terms in braces, of a field E on the surface, its curl and the local normal n.
+    """He1991 eq. 17, eq. 30, eq. 31: the terms in braces, of a field E on the surface, its curl and the local normal n.
 
     The first is that of the s component of what is reflected along k_r, the second that of the p component.
     """
@@ -53,7 +53,7 @@ def dGamma(dA: Numbers, n: Vectors) -> Numbers:
 
 
 def v(k_i: Vectors, k_r: Vectors, lam: float) -> Vectors:
-    """He1991 eqs. 20 and 84: the change of the wave vector [1/length].
+    """He1991 eq. 20, eq. 84: the change of the wave vector [1/length].
 
     Eq. 78 needs this one. Eq. 76 needs unit vectors, k_r - k_i: the print has one v for both.
     """
@@ -72,7 +72,7 @@ def v_xy(k_i: Vectors, k_r: Vectors, lam: float) -> Numbers:
 
 
 def S(theta_i: Numbers, theta_r: Numbers, sigma0: float, tau: float, printed: bool = False) -> Numbers:
-    """He1991 eqs. 23 and 77: the shadowing function, the fraction of the surface that is lit and seen.
+    """He1991 eq. 23, eq. 77: the shadowing function, the fraction of the surface that is lit and seen.
 
     Compiled: gonio.models._htsg_kernels.shadowing
     """
@@ -105,7 +105,7 @@ def Lambda(theta: Numbers, sigma0: float, tau: float, printed: bool = False) -> 
 
 
 def p_state(k_i: Vectors, c_s: Numbers, c_p: Numbers) -> Vectors:
-    """He1991 eqs. 33, 34 and 36: the incident field at phase 0, for polarisation coefficients |c_s|^2 + |c_p|^2 = 1."""
+    """He1991 eq. 33, eq. 34, eq. 36: the incident field at phase 0, for coefficients |c_s|^2 + |c_p|^2 = 1."""
     return np.asarray(c_s)[..., np.newaxis] * s_hat(k_i) + np.asarray(c_p)[..., np.newaxis] * p_hat(k_i)
 
 
@@ -116,7 +116,7 @@ def local_incident(k_i: Vectors, n: Vectors) -> tuple[Vectors, Vectors]:
 
 
 def T(k_i: Vectors, n: Vectors) -> Numbers:
-    """He1991 eqs. 38 and 39: from (s_i, p_i) to the local (s, p), an array (..., 2, 2)."""
+    """He1991 eq. 38, eq. 39: from (s_i, p_i) to the local (s, p), an array (..., 2, 2)."""
     s, p = local_incident(k_i, n)
     s_i, p_i = s_hat(k_i), p_hat(k_i)
     return np.stack([np.stack([dot(s, s_i), dot(s, p_i)], -1), np.stack([dot(p, s_i), dot(p, p_i)], -1)], -2)
@@ -134,7 +134,7 @@ def local_reflected(k_i: Vectors, n: Vectors) -> tuple[Vectors, Vectors]:
 
 
 def F_matrix(theta: Numbers, n: complex) -> Numbers:
-    """He1991 eqs. 41 and 44: the Fresnel matrix diag(F_s, F_p), an array (..., 2, 2).
+    """He1991 eq. 41, eq. 44: the Fresnel matrix diag(F_s, F_p), an array (..., 2, 2).
 
     Compiled: gonio.models.fresnel.amplitudes
     """
@@ -144,7 +144,7 @@ def F_matrix(theta: Numbers, n: complex) -> Numbers:
 
 
 def E_s(k_i: Vectors, normal: Vectors, c_s: complex, c_p: complex, n: complex) -> Vectors:
-    """He1991 eqs. 40, 45 and 46: the field that the tangent plane with a local normal reflects, at phase 0."""
+    """He1991 eq. 40, eq. 45, eq. 46: the field that the tangent plane with a local normal reflects, at phase 0."""
     theta = np.arctan2(length(np.cross(k_i, normal)), -dot(k_i, normal))
     local = F_matrix(theta, n) @ T(k_i, normal) @ np.array([c_s, c_p])
     s, p = local_reflected(k_i, normal)
@@ -188,7 +188,7 @@ def characteristic(r: Numbers, g: Numbers, tau: float) -> Numbers:
 
 
 def sigma(theta_i: Numbers, theta_r: Numbers, sigma0: float, tau: float) -> Numbers:
-    """He1991 eqs. 53 and 80: the effective roughness, of the parts of the surface that are lit and seen.
+    """He1991 eq. 53, eq. 80: the effective roughness, of the parts of the surface that are lit and seen.
 
     Compiled: gonio.models.htsg.effective_roughness, gonio.models._htsg_kernels.spike_reflectivity
     """
@@ -197,7 +197,7 @@ def sigma(theta_i: Numbers, theta_r: Numbers, sigma0: float, tau: float) -> Numb
 
 
 def z0_over_sigma0(K: Numbers) -> Numbers:
-    """He1991 eqs. 54 and 81: the root x = z0/sigma0 of sqrt(pi/2) x = (K/4) exp(-x^2/2), K = K_i + K_r, by bisection.
+    """He1991 eq. 54, eq. 81: the root x = z0/sigma0 of sqrt(pi/2) x = (K/4) exp(-x^2/2), K = K_i + K_r, by bisection.
 
     Eq. 54 has the factor 1/4 in its K, eq. 81 in front. For K up to 1e40.
 
@@ -212,7 +212,7 @@ def z0_over_sigma0(K: Numbers) -> Numbers:
 
 
 def K(theta: Numbers, sigma0: float, tau: float) -> Numbers:
-    """He1991 eqs. 55, 82 and 83: tan(theta) erfc(tau cot(theta)/(2 sigma0)), K_i or K_r.
+    """He1991 eq. 55, eq. 82, eq. 83: tan(theta) erfc(tau cot(theta)/(2 sigma0)), K_i or K_r.
 
     Compiled: gonio.models._htsg_kernels.shadowing
     """
@@ -281,7 +281,7 @@ def delta(k_i: Vectors, k_r: Vectors, lam: float) -> Numbers:
 
 
 def dI(theta_r: Numbers, E0_squared: Numbers, F: Numbers, S: Numbers, script_N: Numbers) -> Numbers:
-    """He1991 eqs. 26, 27, 50 and 66: the reflected intensity, of the s or p component as F is `F_s` or `F_p`."""
+    """He1991 eq. 26, eq. 27, eq. 50, eq. 66: the reflected intensity, of the s or p component by `F_s` or `F_p`."""
     return E0_squared / np.cos(theta_r) * S / (4 * PI) ** 2 * F * script_N
 
 
@@ -291,12 +291,12 @@ def E0_squared(I_i: Numbers, domega_i: Numbers) -> Numbers:
 
 
 def F_total(k_i: Vectors, k_r: Vectors, c_s: complex, c_p: complex, n: complex, lam: float) -> Numbers:
-    """He1991 eqs. 32 and 68: F_s + F_p [1/length^2]."""
+    """He1991 eq. 32, eq. 68: F_s + F_p [1/length^2]."""
     return F_s(k_i, k_r, c_s, c_p, n, lam) + F_p(k_i, k_r, c_s, c_p, n, lam)
 
 
 def log_series(g: Numbers, c: Numbers) -> Numbers:
-    """He1991 eqs. 7, 56, 58 and 78: ln of the sum over m >= 1 of g^m exp(-g)/(m! m) exp(-c/m), c = v_xy^2 tau^2/4.
+    """He1991 eq. 7, eq. 56, eq. 58, eq. 78: ln of the sum over m > 0 of g^m e^-g/(m! m) e^(-c/m), c = v_xy^2 tau^2/4.
 
     Term by term from m = 1. Beyond m = max(2 g, sqrt(2 c/ln 2)) each term is at most 2^-1/2 times the one before, and
     120 more are summed: 2^-58 of the sum is left out. The terms are taken by logarithms, over the largest of them,
