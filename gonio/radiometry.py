@@ -98,6 +98,8 @@ class _BandResult:
     level: white_reference.Level
     reference_brdf: float
     visits: int
+    unusable: list[str]
+    """The flags of the other visits."""
     scatter: float
     """Reduced chi-square of the frames around the means of their steps."""
     freedom: int
@@ -107,7 +109,7 @@ def _reduce_band(bench: Bench, band: Band, merged: list[Merged | str]) -> _BandR
     points = [m for m in merged if isinstance(m, Merged) and m.point is not None]
     visits = [m for m in merged if isinstance(m, Merged) and m.point is None]
     without = [(s, m) for s, m in zip(bench.steps, merged, strict=True) if isinstance(m, str) and s["kind"] == "point"]
-    fitted, reference_brdf = _level(bench, visits, band)
+    fitted, reference_brdf = _level(bench, points, visits, band)
     columns = _columns(bench, points, visits[0], fitted, bench.reference[band.channel].count)
     levels = fitted.at(np.array([point.time_s for point in points]))
     rows = {
@@ -124,12 +126,14 @@ def _reduce_band(bench: Bench, band: Band, merged: list[Merged | str]) -> _BandR
         level=fitted,
         reference_brdf=reference_brdf,
         visits=len(visits),
+        unusable=bench.lost_visits
+        + [m for s, m in zip(bench.steps, merged, strict=True) if isinstance(m, str) and s["kind"] == "reference"],
         scatter=sum(step.chi_square for step in (*points, *visits)) / max(freedom, 1),
         freedom=freedom,
     )
 
 
-def _level(bench: Bench, visits: list[Merged], band: Band) -> tuple[white_reference.Level, float]:
+def _level(bench: Bench, points: list[Merged], visits: list[Merged], band: Band) -> tuple[white_reference.Level, float]:
     """The signal per unit BRDF over time, and the reference's BRDF [1/sr], mean over the visits."""
     run, description, reference = bench.run, bench.description, bench.description.reference
     if not visits:
@@ -153,7 +157,8 @@ def _level(bench: Bench, visits: list[Merged], band: Band) -> tuple[white_refere
     landing = sum(_change_of_cosine(description, visits[0], axis, u) ** 2 for axis, u in encoder.items())
     variances = np.array([visit.variance for visit in visits]) + landing * rates**2
     times = np.array([visit.time_s for visit in visits])
-    return white_reference.fit(times, rates / known, variances / known**2), float(known.mean())
+    wanted = np.array([point.time_s for point in points])
+    return white_reference.fit(times, rates / known, variances / known**2, wanted), float(known.mean())
 
 
 def _columns(
@@ -329,14 +334,15 @@ def _assemble(run: Run, results: list[_BandResult], notes: list[str]) -> pd.Data
 def _account(result: _BandResult) -> dict[str, Any]:
     """What the visits to the reference said."""
     fitted = result.level
+    known = not fitted.unknown
     return {
         "band": result.band.name,
         "brdf": result.reference_brdf,
         "visits": result.visits,
         "level_e_per_s_sr": fitted.level,
         "u_level_rel": fitted.u_level / fitted.level,
-        "drift_per_hour": fitted.slope / fitted.level * 3600.0,
-        "u_drift_per_hour": fitted.u_slope / fitted.level * 3600.0,
+        "drift_per_hour": fitted.slope / fitted.level * 3600.0 if known else None,
+        "u_drift_per_hour": fitted.u_slope / fitted.level * 3600.0 if known else None,
         "chi_square": fitted.chi_square,
         "straight": fitted.straight,
         "frame_scatter": result.scatter,
@@ -362,14 +368,8 @@ def _notes_on_darks(bench: Bench) -> list[str]:
 
 
 def _notes(result: _BandResult) -> list[str]:
-    out, name = [], result.band.name
-    if result.visits == 1:
-        out.append(f"{name}: one visit to the white reference only, so a drift of the lamp is not in u_brdf")
-    if not result.level.straight:
-        out.append(
-            f"{name}: the visits to the white reference do not lie on a straight line (chi-square "
-            f"{result.level.chi_square:.1f} of {result.visits} visits): the level is interpolated between them"
-        )
+    name = result.band.name
+    out = white_reference.notes(result.level, result.visits, result.unusable, name)
     # three standard deviations of a reduced chi-square, and enough to matter: uncertainties 20 % too small
     if result.scatter > max(1.44, 1.0 + 3.0 * math.sqrt(2.0 / max(result.freedom, 1))):
         out.append(

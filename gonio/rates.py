@@ -93,6 +93,8 @@ class Bench:
         steps = run.steps()
         self.steps = [s for s in steps if s["kind"] != "dark" and not s.get("flag")]
         self.flags = {int(s["point"]): str(s["flag"]) for s in steps if s["kind"] == "point" and s.get("flag")}
+        self.lost_visits = [str(s["flag"]) for s in steps if s["kind"] == "reference" and s.get("flag")]
+        """The flags of the visits to the reference without frames."""
         channels = dict.fromkeys(band.channel for band in run.bands)
         boxes: dict[Target, tuple[slice, slice]] = {}
         self.reference: dict[str, Roi] = {}

@@ -201,6 +201,33 @@ def test_one_visit_says_that_the_drift_is_unknown(tmp_path: Path) -> None:
     table = radiometry.reduce(run)
     assert "drift of the lamp is not in u_brdf" in table.attrs["notes"][0]
     assert np.all(table["s_lamp_drift"] == 0)
+    account = table.attrs["provenance"]["reference"][0]
+    assert account["drift_per_hour"] is None  # not 0 +- 0
+    assert account["u_drift_per_hour"] is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_run_cut_to_its_first_visit_has_the_uncertainty_of_its_noise(tmp_path: Path, seed: int) -> None:
+    """Against the same run with all of its visits: what one visit of four leaves out is noise of the level and drift."""
+    description = describe(camera=NOISY, reference={"frames": 8})
+    run = Maker(tmp_path, description, glossy, np.random.default_rng(seed)).make(POINTS, (0.25, 0.0625), every=3)
+    whole = radiometry.reduce(run)
+    first = next(e["step"] for e in run.events if e["kind"] == "reference")
+    run.events = [e for e in run.events if e["kind"] != "reference" or e["step"] == first]
+    cut = radiometry.reduce(run)
+    assert np.all(cut["u_brdf"] < 1.5 * whole["u_brdf"])
+    assert np.mean(abs(pulls(cut, glossy)) <= 2) > 0.85
+
+
+def test_visits_that_were_lost_are_told(tmp_path: Path) -> None:
+    """One of the visits saturated, one was moved: the third serves alone."""
+    run = Maker(tmp_path, describe(), glossy).make(POINTS[:2], (0.25,), every=1)
+    visits = [e for e in run.events if e["kind"] == "reference"]
+    visits[0] |= {"flag": "moved", "frames": []}
+    visits[2]["frames"] = []
+    notes = radiometry.reduce(run).attrs["notes"]
+    assert notes[0].endswith("2 of 3 visits to the white reference cannot be used (1 moved, 1 not_measured)")
+    assert "one visit to the white reference only" in notes[1]
 
 
 def test_saturated_frames_are_left_out_and_saturated_points_flagged(tmp_path: Path) -> None:

@@ -348,12 +348,14 @@ def _flat(values: Any, prefix: str = "") -> Iterable[tuple[str, str]]:
 
 def _reference(band: dict[str, Any]) -> str:
     """What the visits to the white reference said, as `gonio.radiometry.reduce` leaves it."""
-    level, slope = band["level_e_per_s_sr"], (100 * band["drift_per_hour"], 100 * band["u_drift_per_hour"])
+    level, slope, u_slope = band["level_e_per_s_sr"], band["drift_per_hour"], band["u_drift_per_hour"]
+    drift = "unknown" if slope is None else f"({with_u(100 * slope, 100 * u_slope)}) % an hour"
     steady = "on a straight line" if band["straight"] else "on no straight line"
+    steady = "that tell no drift" if slope is None else steady
     return (
         f"{band['band']}: BRDF {number(band['brdf'], 4)} sr⁻¹; {band['visits']} visits {steady} (chi-square "
         f"{number(band['chi_square'])}); level {number(level, 4)} electrons a second and steradian, known to "
-        f"{percent(band['u_level_rel'])}; drift ({with_u(*slope)}) % an hour; frames of one step scatter as the noise "
+        f"{percent(band['u_level_rel'])}; drift {drift}; frames of one step scatter as the noise "
         f"model says, times {number(band['frame_scatter'])} in variance"
     )
 
