@@ -43,6 +43,7 @@ class PixelMap:
         self._camera_model = camera
         self._image_distance_mm = image_distance_mm(description)
         self._distance_mm = description.geometry.light_distance_mm
+        self._lambertian = description.lamp.radiation == "lambertian"
         self._source = np.asarray(view.source_mm, dtype=float)
         self._camera = np.asarray(view.camera_mm, dtype=float)
         self.rows = slice(*rows.indices(camera.height)[:2])
@@ -95,10 +96,25 @@ class PixelMap:
         camera, distance = self._camera_model, self._image_distance_mm
         return _falloff(camera, distance, self.rows.start, self.rows.stop, self.cols.start, self.cols.stop)
 
+    @property
+    def radiation(self) -> Array:
+        """The lamp's radiant intensity toward the spot, relative to that toward the sample's centre (`lamp.radiation`).
+
+        A Lambertian lamp faces the centre, and the intensity falls with the cosine of the angle at the lamp between
+        centre and spot: with S from the centre to the lamp and x the spot, S (S - x) / (|S| |S - x|).
+        """
+        if not self._lambertian:
+            return np.ones(self.x_mm.shape)
+        (sx, sy, _), squared = self._source, float(self._source @ self._source)
+        across = (sx * self.x_mm + sy * self.y_mm) / squared
+        away = np.sqrt(squared * self.distance_factor) / self._distance_mm  # |S| / |S - x|
+        return np.where(self.sees_plane, np.maximum((1.0 - across) * away, 0.0), 0.0)
+
     @cached_property
     def weight(self) -> Array:
-        """falloff cos(theta_i) (d0/d)^2: all of the measurement equation that depends on the pixel alone."""
-        return self.falloff * self.cos_theta_i * self.distance_factor
+        """falloff cos(theta_i) (d0/d)^2 radiation: all of the measurement equation that depends on the pixel alone."""
+        weight = self.falloff * self.cos_theta_i * self.distance_factor
+        return weight * self.radiation if self._lambertian else weight
 
     @cached_property
     def omega_i(self) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from gonio.description import Acquisition, Band, Bands, Camera, Geometry, Reference, RigDescription
+from gonio.description import Acquisition, Band, Bands, Camera, Geometry, Lamp, Reference, RigDescription
 from gonio.errors import ConfigError
 from gonio.imaging import of_channel, pixel_map, roi
 from gonio.kinematics import View, view
@@ -86,6 +86,53 @@ def test_every_quantity_against_single_rays(pose: Pose) -> None:
             np.testing.assert_allclose(omega[i, j], toward / np.linalg.norm(toward), rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("pose", POSES)
+def test_a_lambertian_lamp_falls_off_with_the_cosine_at_the_lamp(pose: Pose) -> None:
+    """The angle at the lamp between the sample's centre and the spot, by arccos of unit vectors in the lab's frame."""
+    alike, description = rig(), rig(lamp=Lamp(radiation="lambertian"))
+    seen, before = (pixel_map(d, view(d, pose)) for d in (description, alike))
+    light = np.array([math.sin(pose.light), 0.0, math.cos(pose.light)])
+    to_lab = rotation(0, -pose.tilt) @ rotation(2, pose.spin)
+    for i, j in [(0, 0), (47, 63), (0, 63), (23, 31), (11, 50)]:
+        one = traced(pose, i, j)
+        beam = to_lab @ np.array([one["x"], one["y"], 0.0]) - 700.0 * light
+        off = math.acos(beam @ -light / np.linalg.norm(beam))
+        assert seen.radiation[i, j] == pytest.approx(math.cos(off), rel=1e-11)  # rounding, as above
+        assert seen.weight[i, j] == pytest.approx(before.weight[i, j] * math.cos(off), rel=1e-11)
+    np.testing.assert_array_equal(before.radiation, 1.0)
+    np.testing.assert_array_equal(before.weight, before.falloff * before.cos_theta_i * before.distance_factor)
+
+
+@pytest.mark.parametrize(("theta_i_deg", "spot"), [(0.0, (14.0, 0.0)), (50.0, (14.0, 0.0)), (50.0, (-3.0, 9.0))])
+def test_a_lambertian_lamp_lights_a_spot_as_a_glowing_disc_does(theta_i_deg: float, spot: tuple[float, float]) -> None:
+    """Irradiance beside the centre over that at the centre: L cos cos / d^2 summed over a disc of 0.1 mm at 300 mm.
+
+    The disc's own size changes the ratio by a few (r/d)^2 (x/d) = (0.1/300)^2 (14/300) = 5e-9.
+    """
+    theta, distance = math.radians(theta_i_deg), 300.0
+    axis = np.array([math.sin(theta), 0.0, math.cos(theta)])
+    u, v = np.array([math.cos(theta), 0.0, -math.sin(theta)]), np.array([0.0, 1.0, 0.0])
+    a, b = np.meshgrid(*[0.1 * ((np.arange(200) + 0.5) / 100 - 1)] * 2)
+    on_disc = a**2 + b**2 <= 0.1**2
+    elements = distance * axis + a[on_disc][:, None] * u + b[on_disc][:, None] * v
+
+    def irradiance(x: float, y: float) -> float:
+        beam = elements - np.array([x, y, 0.0])
+        length = np.linalg.norm(beam, axis=1)
+        return float(np.sum((beam @ axis / length) * (beam[:, 2] / length) / length**2))
+
+    geometry = Geometry(light_distance_mm=distance, camera_distance_mm=500.0)
+    wide = Camera(width=64, height=48, pixel_um=40.0, focal_length_mm=30.0)
+    description = rig(lamp=Lamp(radiation="lambertian"), geometry=geometry, camera=wide)
+    seen = pixel_map(description, view(description, Pose(light=theta, camera=-0.3)))
+    row, column = np.unravel_index(np.nanargmin((seen.x_mm - spot[0]) ** 2 + (seen.y_mm - spot[1]) ** 2), (48, 64))
+    at = float(seen.x_mm[row, column]), float(seen.y_mm[row, column])
+    assert math.dist(at, spot) < 0.6  # half a pixel's diagonal
+    expected = irradiance(*at) / irradiance(0.0, 0.0)
+    got = seen.weight[row, column] / seen.falloff[row, column] / math.cos(theta)
+    assert got == pytest.approx(expected, rel=3e-8)
+
+
 def test_a_rectangle_is_a_part_of_the_frame() -> None:
     description = rig()
     at = view(description, POSES[2])
@@ -112,6 +159,8 @@ def test_pixels_that_look_past_the_plane_see_nothing() -> None:
     assert np.all(np.isnan(seen.x_mm[dark]))
     for name in ("cos_theta_i", "distance_factor", "weight"):
         assert np.all(getattr(seen, name)[dark] == 0.0)
+    diffuse = rig(lamp=Lamp(radiation="lambertian"))
+    assert np.all(pixel_map(diffuse, at).weight[dark] == 0.0)
 
 
 def traced_z(at: View, i: int, j: int) -> float:

@@ -208,7 +208,7 @@ def test_one_visit_says_that_the_drift_is_unknown(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_run_cut_to_its_first_visit_has_the_uncertainty_of_its_noise(tmp_path: Path, seed: int) -> None:
-    """Against the same run with all of its visits: what one visit of four leaves out is noise of the level and drift."""
+    """Against the same run with all of its visits: one visit of four leaves out noise of level and drift."""
     description = describe(camera=NOISY, reference={"frames": 8})
     run = Maker(tmp_path, description, glossy, np.random.default_rng(seed)).make(POINTS, (0.25, 0.0625), every=3)
     whole = radiometry.reduce(run)
