@@ -217,8 +217,7 @@ def roi(description: RigDescription, view: View, target: Target = "sample", chan
     ConfigError
         The camera is not above the plane, or does not see the target's centre.
     """
-    camera, reference = description.camera, description.reference
-    centre = reference.offset_mm if target == "reference" and reference.how == "beside" else (0.0, 0.0)
+    camera, centre = description.camera, _centre(description, target)
     if view.camera_mm[2] <= 0:
         raise ConfigError("the camera is not above the sample's plane: it sees no region of interest")
     radius = description.acquisition.roi_radius_mm
@@ -246,22 +245,60 @@ def roi(description: RigDescription, view: View, target: Target = "sample", chan
     return Roi(box_rows, box_cols, inside)
 
 
+def patch_extent(description: RigDescription, view: View, target: Target = "sample") -> tuple[float, ...]:
+    """Lowest and highest column, lowest and highest row (fractional) that the whole patch around a target covers.
+
+    The patch is the disc of `acquisition.roi_radius_mm` around the target's centre. Pixel k reaches from k - 1/2 to
+    k + 1/2. Infinite where a part of the patch does not lie in front of the camera.
+    """
+    (x, y), radius = _centre(description, target), description.acquisition.roi_radius_mm
+    turn = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
+    columns, rows = _project(description, view, x + radius * np.cos(turn), y + radius * np.sin(turn))
+    return float(columns.min()), float(columns.max()), float(rows.min()), float(rows.max())
+
+
+def frame_holds(description: RigDescription, extent: tuple[float, ...]) -> bool:
+    """Whether the frame holds a `patch_extent` whole."""
+    left, right, top, bottom = extent
+    camera = description.camera
+    return min(left, top) >= -0.5 and right <= camera.width - 0.5 and bottom <= camera.height - 0.5
+
+
+def always_holds_sample(description: RigDescription) -> bool:
+    """Whether the frame holds the patch of the sample from every direction; False says nothing.
+
+    No spot of the patch lies farther from the optical axis than its radius, nor nearer to the camera than that allows.
+    """
+    camera, radius = description.camera, description.acquisition.roi_radius_mm
+    nearest = description.geometry.camera_distance_mm - radius
+    half = 0.5e-3 * camera.pixel_um * min(camera.width, camera.height)
+    return nearest > 0 and image_distance_mm(description) * radius <= half * nearest
+
+
+def _centre(description: RigDescription, target: Target) -> tuple[float, float]:
+    """Where a target's patch lies on the sample's plane [mm]."""
+    reference = description.reference
+    return reference.offset_mm if target == "reference" and reference.how == "beside" else (0.0, 0.0)
+
+
 def _project(
     description: RigDescription, view: View, x: float | Array, y: float | Array
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Column and row (fractional) on which spots of the sample's plane fall."""
+    """Column and row (fractional) on which spots of the sample's plane fall; infinite for those behind the camera."""
     camera, eye = description.camera, np.asarray(view.camera_mm, dtype=float)
     x, y = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
     ray = np.stack([x - eye[0], y - eye[1], np.full(x.shape, -eye[2])], axis=-1)
     depth = ray @ (-eye / np.linalg.norm(eye))
+    depth = np.where(depth > 0.0, depth, np.nan)
     scale = image_distance_mm(description) / (1e-3 * camera.pixel_um)
     columns = scale * (ray @ np.asarray(view.image_x)) / depth + 0.5 * (camera.width - 1)
     rows = scale * (ray @ np.asarray(view.image_y)) / depth + 0.5 * (camera.height - 1)
-    return columns, rows
+    return np.where(depth > 0.0, columns, np.inf), np.where(depth > 0.0, rows, np.inf)
 
 
 def _span(pixels: Array, size: int) -> slice:
     """The pixels around fractional positions, with a margin of one Bayer cell, inside the frame."""
+    pixels = np.clip(pixels, 0, size)
     return slice(max(int(np.floor(pixels.min())) - 2, 0), min(int(np.ceil(pixels.max())) + 3, size))
 
 

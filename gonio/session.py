@@ -14,11 +14,11 @@ from gonio import plugins
 from gonio.config import load, parse
 from gonio.description import RigDescription, SampleDescription
 from gonio.errors import ConfigError, DeviceError
-from gonio.plan import Plan, assess, schedule
+from gonio.plan import Assessed, Plan, assess, schedule
 
 if TYPE_CHECKING:
     from gonio.acquire import Progress
-    from gonio.rig import Rig, RigPlugin
+    from gonio.rig import Pose, Rig, RigPlugin, Step, Target
     from gonio.run import Run
 
 
@@ -38,6 +38,18 @@ class RigChoice:
             if Path(self.source).is_file():
                 raise ConfigError(f"{self.source}: {error}") from None
             raise
+
+    def schedule(self, plan: Plan, points: list[Assessed] | None = None) -> list[Step]:
+        """The steps of a run, see `gonio.plan.schedule`, of which every patch that is measured lies in the frame.
+
+        Raises
+        ------
+        ConfigError
+            No point or not the reference can be reached, or the frame does not hold a patch.
+        """
+        steps = schedule(plan, self.description, points)
+        _check_frame(self, steps)
+        return steps
 
     @contextlib.contextmanager
     def naming(self) -> Iterator[None]:
@@ -147,7 +159,7 @@ def carry_out(
     progress = progress or Silent()
     plan.bands(rig.description)
     points = assess(plan, rig.description)
-    steps = schedule(plan, rig.description, points)
+    steps = rig.schedule(plan, points)
     device = _open(rig, out, sample, seed, resume, yes)
     going_on = resume and begun(out)
     request = Request(plan, points, rig.description, sample, seed, command)
@@ -169,7 +181,7 @@ def check(
 ) -> None:
     """Raise what `carry_out` would raise before it touches a device; its parameters."""
     plan.bands(rig.description)
-    schedule(plan, rig.description)
+    rig.schedule(plan)
     _open(rig, out, sample, seed, resume, yes)
 
 
@@ -212,4 +224,38 @@ def _check_patches(rig: RigChoice, sample: SampleDescription | None) -> None:
             f"{rig.source}: [reference] offset_mm = [{x:g}, {y:g}] puts the patch of the reference on the sample: "
             f"beside a sample of {diameter:g} mm its centre lies at least {diameter / 2 + patch:g} mm from the "
             "sample's centre (and the frame must hold both)"
+        )
+
+
+def _check_frame(rig: RigChoice, steps: list[Step]) -> None:
+    """The frame must hold the measured patch of sample and reference whole, in every pose that they are looked at."""
+    from gonio import imaging, kinematics
+
+    description = rig.description
+    reference, patch, camera = description.reference, description.acquisition.roi_radius_mm, description.camera
+    looks: dict[tuple[Target, Pose], None] = {}
+    for step in steps:
+        if step.kind == "reference":
+            looks["reference", step.pose] = None
+        elif step.kind == "point" and not imaging.always_holds_sample(description):
+            looks["sample", step.pose] = None
+    for target, pose in looks:
+        extent = imaging.patch_extent(description, kinematics.view(description, pose), target)
+        if imaging.frame_holds(description, extent):
+            continue
+        at = kinematics.directions(description, pose)
+        radius = f"[acquisition] roi_radius_mm = {patch:g}"
+        if target == "reference" and reference.how == "beside":
+            x, y = reference.offset_mm
+            key = f"[reference] offset_mm = [{x:g}, {y:g}] puts the patch of the reference ({radius}) on"
+            remedy = "bring the reference nearer to the sample, or let the frame hold more"
+        else:
+            key = f"{radius} makes the patch of the {'white reference' if target == 'reference' else target} cover"
+            remedy = "measure a smaller patch, or let the frame hold more"
+        left, right, top, bottom = extent
+        raise ConfigError(
+            f"{rig.source}: {key} columns {left:.0f} to {right:.0f} and rows {top:.0f} to {bottom:.0f}, seen at "
+            f"theta_i = {math.degrees(at.theta_i):g}, theta_r = {math.degrees(at.theta_r):g} deg; the frame has "
+            f"{camera.width} columns and {camera.height} rows, counted from 0: {remedy} (a shorter [camera] "
+            "focal_length_mm, or a longer [geometry] camera_distance_mm)"
         )

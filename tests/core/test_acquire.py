@@ -15,7 +15,7 @@ import pytest
 from gonio import radiometry
 from gonio.acquire import Live, Silent
 from gonio.config import to_toml
-from gonio.description import Reference, RigDescription
+from gonio.description import Holder, Reference, RigDescription
 from gonio.errors import ConfigError, DataError, DeviceError, GonioError, Interrupted
 from gonio.frames import read_raw
 from gonio.plan import Plan, load_plan
@@ -315,6 +315,49 @@ def test_no_device_is_opened_before_everything_is_checked(plan: Plan, tmp_path: 
     check(plan, choice, tmp_path / "run", sample=SAMPLE, **options)  # type: ignore[arg-type]
     assert all(not opened.inside and not opened.log for opened in rig.opened)
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [  # the frame of this bench is 23 mm wide and 17 mm high
+        ({"reference": {"how": "beside", "offset_mm": [0.0, 14.0]}}, r"\[reference\] offset_mm = \[0, 14\].*rows"),
+        ({"reference": {"how": "beside", "offset_mm": [30.0, 0.0]}}, r"\[reference\] offset_mm = \[30, 0\].*nearer"),
+        # its centre is in the frame, and its patch is cut
+        ({"reference": {"how": "beside", "offset_mm": [0.0, -8.0]}, "holder": {"sample_diameter_mm": 8.0}},
+         r"\[reference\] offset_mm = \[0, -8\].*focal_length_mm"),
+        ({"acquisition": {"roi_radius_mm": 9.0}}, r"\[acquisition\] roi_radius_mm = 9 .*smaller patch"),
+    ],
+    ids=["above", "beside", "cut", "patch"],
+)  # fmt: skip
+def test_what_the_frame_does_not_hold_is_refused_before_anything_is_opened(
+    plan: Plan, tmp_path: Path, changes: dict[str, dict[str, object]], words: str
+) -> None:
+    tables = describe().model_dump(exclude_none=True)
+    for name, keys in changes.items():
+        tables[name] |= keys
+    rig = Plugin()
+    choice = RigChoice(rig, RigDescription.model_validate(tables), "my.toml")
+    options = {"sample": SAMPLE, "seed": 0, "resume": False, "yes": True}
+    with pytest.raises(ConfigError, match=f"my.toml: {words}"):
+        check(plan, choice, tmp_path / "run", **options)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match=f"my.toml: {words}"):
+        carry_out(plan, choice, tmp_path / "run", **options)  # type: ignore[arg-type]
+    assert rig.opened == []
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_patch_counts_in_the_poses_that_are_used(plan: Plan, tmp_path: Path) -> None:
+    """14 mm beside the centre, along the arms' plane, fits into 23 mm only foreshortened: at 60 degrees, not at 0."""
+    for theta_r_deg, good in ((60.0, True), (0.0, False)):
+        reference = Reference(
+            how="beside", offset_mm=(14.0, 0.0), theta_r_deg=theta_r_deg, theta_i_deg=20.0, every=3, frames=2
+        )
+        choice = RigChoice(Plugin(), describe(reference=reference, holder=Holder(axes=("tilt", "spin"))), "my.toml")
+        if good:
+            assert choice.schedule(plan)[1].kind == "reference"
+        else:
+            with pytest.raises(ConfigError, match="theta_r = 0 deg"):
+                choice.schedule(plan)
 
 
 def test_a_full_disk_ends_the_run_and_it_can_go_on(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from gonio.description import Acquisition, Band, Bands, Camera, Geometry, Lamp, Reference, RigDescription
 from gonio.errors import ConfigError
-from gonio.imaging import of_channel, pixel_map, roi
+from gonio.imaging import always_holds_sample, frame_holds, of_channel, patch_extent, pixel_map, roi
 from gonio.kinematics import View, view
 from gonio.rig import Pose
 
@@ -244,3 +244,49 @@ def test_a_bayer_region_holds_the_pixels_of_its_channel(pattern: str) -> None:
     assert sum(counts.values()) == every.count
     part = of_channel(pattern, "G", slice(3, 10), slice(5, 9))
     np.testing.assert_array_equal(part, mosaic[3:10, 5:9] == "G")
+
+
+@pytest.mark.parametrize("pose", POSES)
+@pytest.mark.parametrize("offset_mm", [(0.0, 0.0), (2.5, -1.5)])
+def test_the_extent_of_a_patch_is_where_its_rim_is_seen(pose: Pose, offset_mm: tuple[float, float]) -> None:
+    description = rig(
+        acquisition=Acquisition(roi_radius_mm=1.0), reference=Reference(how="beside", offset_mm=offset_mm),
+        camera=Camera(width=640, height=480, pixel_um=4.0, focal_length_mm=60.0),
+    )  # fmt: skip
+    at = view(description, pose)
+    seen = pixel_map(description, at)
+    rows, columns = np.nonzero(np.hypot(seen.x_mm - offset_mm[0], seen.y_mm - offset_mm[1]) <= 1.0)
+    # the outermost pixels whose centres lie inside are within one of the rim, and 64 spots of it within 0.2 of the rim
+    assert patch_extent(description, at, "reference") == pytest.approx(
+        (columns.min(), columns.max(), rows.min(), rows.max()), abs=1.2
+    )
+
+
+def test_a_patch_that_reaches_behind_the_camera_is_in_no_frame() -> None:
+    description = rig(
+        geometry=Geometry(camera_distance_mm=30.0), camera=Camera(focal_length_mm=20.0, width=8000, height=8000),
+        reference=Reference(how="beside", offset_mm=(40.0, 0.0)),
+    )  # fmt: skip
+    at = view(description, Pose(camera=math.radians(80.0)))
+    assert not frame_holds(description, patch_extent(description, at, "reference"))
+    with pytest.raises(ConfigError, match="outside the 8000 x 8000 frame"):
+        roi(description, at, "reference")
+
+
+def test_what_always_holds_the_sample_holds_it_from_everywhere() -> None:
+    """Frames a little larger and a little smaller than the promise needs, over random poses; both are met."""
+    rng = np.random.default_rng(11)
+    promised = 0
+    for _ in range(300):
+        radius, distance = rng.uniform(0.5, 20.0), rng.uniform(60.0, 900.0)
+        size = int(rng.uniform(0.9, 1.3) * 2 * radius / distance * 60.0 / 0.005)
+        description = rig(
+            geometry=Geometry(camera_distance_mm=distance), acquisition=Acquisition(roi_radius_mm=radius),
+            camera=Camera(width=max(size, 32), height=max(size, 32), focal_length_mm=50.0),
+        )  # fmt: skip
+        if always_holds_sample(description):
+            promised += 1
+            for tilt in (0.0, 0.6):
+                pose = Pose(light=0.1, camera=rng.uniform(-1.5, 1.5), tilt=tilt, spin=rng.uniform(-3, 3))
+                assert frame_holds(description, patch_extent(description, view(description, pose)))
+    assert 50 < promised < 250
