@@ -159,6 +159,7 @@ def carry_out(
     progress = progress or Silent()
     plan.bands(rig.description)
     points = assess(plan, rig.description)
+    _check_patches(rig, sample)
     steps = rig.schedule(plan, points)
     device = _open(rig, out, sample, seed, resume, yes)
     going_on = resume and begun(out)
@@ -181,6 +182,7 @@ def check(
 ) -> None:
     """Raise what `carry_out` would raise before it touches a device; its parameters."""
     plan.bands(rig.description)
+    _check_patches(rig, sample)
     rig.schedule(plan)
     _open(rig, out, sample, seed, resume, yes)
 
@@ -198,7 +200,6 @@ def _open(rig: RigChoice, out: Path, sample: SampleDescription | None, seed: int
             f'the rig "{rig.source}" has its white reference swapped by hand ([reference] how), and there is no '
             "terminal to ask for it; --yes measures without asking"
         )
-    _check_patches(rig, sample)
     if resume and begun(out):
         check_writable(out)
     else:
