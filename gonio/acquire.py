@@ -25,7 +25,7 @@ from gonio.imaging import Roi, roi
 from gonio.journal import Event
 from gonio.kinematics import View, view
 from gonio.plan import ANGLES
-from gonio.rig import Pose, Rig, Step, Target
+from gonio.rig import Frame, Pose, Rig, Step, Target
 from gonio.run import Run
 from gonio.store import Files, Store, slugs
 
@@ -226,6 +226,11 @@ class _Session:
         self._names = slugs(run.bands)
         self._reference = next((e for e in run.steps() if e["kind"] == "reference" and not e["flag"]), None)
         self._angles = run.plan[list(ANGLES)].to_numpy()
+        self._last_s = -math.inf
+        """When the last frame that counts was taken."""
+        if not rig.repeatable:
+            self._last_s = max((f["time_s"] for e in run.steps() for f in e["frames"]), default=-math.inf)
+        self._resumed = math.isfinite(self._last_s)
 
     def __enter__(self) -> Self:
         return self
@@ -262,17 +267,19 @@ class _Session:
         files = Files(self._store, step, "dark", "", lamp=False)
         for exposure_s in exposure.dark_exposures_s(self._description):
             for _ in range(self._description.acquisition.dark_frames):
-                files.keep(self._rig.camera.capture(exposure_s))
+                files.keep(self._capture(exposure_s))
         pose = self._rig.arms.read()
         return self._taken(step, pose, _readback(pose, self._rig.time_s()), [files], "", 0.0)
 
     def _lit_step(self, step: Step) -> _Taken:
         target: Target = "reference" if step.kind == "reference" else "sample"
         self._present(target)
+        before_s = self._last_s
         for attempt in range(1, ATTEMPTS + 1):
             try:
                 return self._exposed(step, target)
             except Disturbed as disturbed:
+                self._last_s = before_s
                 then = "it is taken again" if attempt < ATTEMPTS else 'it is flagged "moved"'
                 log.warning("step %d: %s; %s", step.index, disturbed, then)
         readback = _readback(self._rig.arms.read(), self._rig.time_s())
@@ -295,6 +302,30 @@ class _Session:
         self._require_still(pose, after)
         return self._taken(step, step.pose, readback, all_files, "", brightest)
 
+    def _capture(self, exposure_s: float) -> Frame:
+        """A frame, later than the one before it; raises `DeviceError` where its time does not say so."""
+        frame, last_s = self._rig.camera.capture(exposure_s), self._last_s
+        if frame.time_s > last_s and 0.0 <= frame.time_s < math.inf:
+            self._last_s, self._resumed = frame.time_s, False
+            return frame
+        camera = f'the camera of the rig "{self._description.name}"'
+        if not 0.0 <= frame.time_s < math.inf:
+            raise DeviceError(
+                f"{camera} stamps a frame with time_s = {frame.time_s!r}: seconds of at least 0 are needed. In the "
+                "rig's driver, give each Frame the rig's time_s() at the start of its exposure"
+            )
+        if self._resumed:
+            raise DeviceError(
+                f"{camera} stamps its first frame with time_s = {frame.time_s!r}, and this run holds a frame of "
+                f"{last_s!r} s: the rig's clock was set back, or starts anew at every sitting. Set the computer's "
+                "clock right, or let the rig's time_s() go on from sitting to sitting; or measure into a new folder"
+            )
+        raise DeviceError(
+            f"{camera} stamps a frame with time_s = {frame.time_s!r}, and the one before it had {last_s!r} s: the "
+            "drift of the lamp cannot be told from times that do not grow. In the rig's driver, give each Frame the "
+            "rig's time_s() at the start of its exposure, from a clock that never goes back (time.monotonic)"
+        )
+
     def _require_still(self, before: Pose, after: Pose) -> None:
         for name, axis in self._description.axes().items():
             way_deg = math.degrees(abs(getattr(after, name) - getattr(before, name)))
@@ -309,15 +340,15 @@ class _Session:
         if not self._lit:
             rig.light.on()
             self._lit = True
-        found = exposure.meter(description, rig.camera.capture, region.of, self._expected(step, band))
+        found = exposure.meter(description, self._capture, region.of, self._expected(step, band))
         files = Files(self._store, step, self._names[band.name], band.name, lamp=True)
         level = 0.0
         for _ in range(description.reference.frames if step.kind == "reference" else description.acquisition.frames):
-            frame = rig.camera.capture(found.exposure_s)
+            frame = self._capture(found.exposure_s)
             level = exposure.level(description.camera, frame, region.of)
             files.keep(frame)
         if step.kind == "point":
-            files.keep(rig.camera.capture(exposure.shorter(description, found.exposure_s)))
+            files.keep(self._capture(exposure.shorter(description, found.exposure_s)))
         return files, found.level_per_s, level
 
     def _expected(self, step: Step, band: Band) -> float:

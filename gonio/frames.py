@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import math
 import struct
 from dataclasses import dataclass
 from fractions import Fraction
@@ -25,6 +26,7 @@ from gonio.rig import Frame
 
 BAYER = ("RGGB", "BGGR", "GRBG", "GBRG")
 _EPOCH = datetime.datetime(1970, 1, 1)
+_LATEST_S = (datetime.datetime(9999, 12, 31) - _EPOCH).total_seconds()
 _LARGEST = 2**32 - 1
 # TIFF 6.0 field types: struct code and size
 _TYPES = {1: ("B", 1), 2: ("c", 1), 3: ("H", 2), 4: ("I", 4), 5: ("II", 8), 7: ("B", 1), 9: ("i", 4), 10: ("ii", 8)}
@@ -35,7 +37,7 @@ def write_dng(frame: Frame, path: str | Path) -> None:
 
     The file is written under a temporary name in the same folder, synced to the disk, and then renamed. Values fit
     into packed 12-bit words where `white_level_dn` is at most 4095, and into 16-bit words otherwise. The rig's clock
-    stands in DateTime and SubSecTime, counted from 1970-01-01 00:00:00 at the start of the run.
+    stands in DateTime and SubSecTime, to the microsecond, counted from 1970-01-01 00:00:00.
 
     Parameters
     ----------
@@ -48,7 +50,7 @@ def write_dng(frame: Frame, path: str | Path) -> None:
     ------
     ArgumentError
         The frame is not a two-dimensional array of 16-bit values of at least 32 x 32 pixels, its pattern is unknown, a
-        value lies above the white level, or exposure or levels are not positive numbers that the format can hold.
+        value lies above the white level, or exposure, time or levels are not numbers that the format can hold.
     DataError
         The file cannot be written.
     """
@@ -70,6 +72,8 @@ def _check(frame: Frame) -> None:
         raise ArgumentError(f'pattern = "{frame.pattern}": known are mono, {", ".join(BAYER)}')
     if not 0 < frame.exposure_s <= 1e6:
         raise ArgumentError(f"exposure_s = {frame.exposure_s!r} must be positive, and at most 1e6 s")
+    if not 0 <= frame.time_s < _LATEST_S:
+        raise ArgumentError(f"time_s = {frame.time_s!r} must be at least 0, and seconds that reach to the year 9999")
     if not 0 < frame.white_level_dn <= 65535 or not 0 <= frame.black_level_dn < frame.white_level_dn:
         raise ArgumentError(
             f"black_level_dn = {frame.black_level_dn!r}, white_level_dn = {frame.white_level_dn!r}: "
@@ -85,7 +89,7 @@ def encode_dng(frame: Frame) -> bytes:
     rows, columns = frame.mosaic.shape
     bits = 12 if frame.white_level_dn <= 4095 else 16
     strip = _pack(frame.mosaic) if bits == 12 else np.ascontiguousarray(frame.mosaic, dtype="<u2")
-    exposure, moment = _rational(frame.exposure_s), _EPOCH + datetime.timedelta(seconds=max(frame.time_s, 0.0))
+    exposure, moment = _rational(frame.exposure_s), _EPOCH + datetime.timedelta(seconds=frame.time_s)
     stamp = _text(moment.strftime("%Y:%m:%d %H:%M:%S"))
     exif = {
         33434: (5, exposure),  # ExposureTime
@@ -169,7 +173,8 @@ def _directory(tags: dict[int, tuple[int, Any]], offset: int) -> bytes:
 def read_raw(path: str | Path, data: bytes | None = None) -> Frame:
     """Read a raw frame: the linear mosaic exactly as it lies in the file, through rawpy (DNG, CR2, NEF, ARW, ...).
 
-    Exposure, fractional black level and clock are read from the file's own directories, where rawpy rounds them.
+    Exposure, fractional black level and clock are read from the file's own directories, where rawpy rounds them. A file
+    that does not say its time to a fraction of a second has `time_s` = NaN.
 
     Parameters
     ----------
@@ -212,7 +217,7 @@ def read_raw(path: str | Path, data: bytes | None = None) -> Frame:
     # Makers' colours may differ by a count; every frame is measured against dark frames, pixel by pixel.
     mean = black[0] if pattern == "mono" else sum(black) / len(black)
     level = mean if tags.black_level_dn is None else tags.black_level_dn
-    return Frame(mosaic, exposure, level, white, pattern, tags.time_s, file=path)
+    return Frame(mosaic, exposure, level, white, pattern, time_s=tags.time_s, file=path)
 
 
 def _pattern(raw: Any) -> str:
@@ -230,7 +235,7 @@ class _Tags:
 
     exposure_s: float | None = None
     black_level_dn: float | None = None
-    time_s: float = 0.0
+    time_s: float = math.nan
 
 
 def _read_directories(data: bytes, path: Path) -> _Tags:

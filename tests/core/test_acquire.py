@@ -19,6 +19,7 @@ from gonio.description import Holder, Reference, RigDescription
 from gonio.errors import ConfigError, DataError, DeviceError, GonioError, Interrupted
 from gonio.frames import read_raw
 from gonio.plan import Plan, load_plan
+from gonio.rig import Frame
 from gonio.run import Run
 from gonio.session import RigChoice, carry_out, check
 
@@ -220,6 +221,52 @@ def test_a_laboratory_takes_fresh_darks_and_references(measure: Measure) -> None
     assert taken[5:8] == [(9, "dark"), (10, "reference"), (5, "reference")]
     assert len(taken) == 11
     assert len(set(taken)) == 11
+
+
+@pytest.mark.parametrize(
+    ("stamps", "words"),
+    [
+        (lambda now: 0.0, r"time_s = 0\.0, and the one before it had 0\.0 s"),
+        (lambda now: 7.5, r"time_s = 7\.5, and the one before it had 7\.5 s"),
+        (lambda now: 5000.0 - now, r"time_s = 4999\.0, and the one before it had 5000\.0 s"),
+        (lambda now: now % 400.0, r"time_s = 0\.0, and the one before it had 30\d\.0 s"),  # set back in the middle
+        (lambda now: math.nan, r"time_s = nan: seconds of at least 0"),
+        (lambda now: math.inf, r"time_s = inf: seconds of at least 0"),
+        (lambda now: -1.0, r"time_s = -1\.0: seconds of at least 0"),
+    ],
+    ids=["never", "always the same", "backwards", "set back", "nan", "infinite", "negative"],
+)
+@pytest.mark.parametrize("repeatable", [True, False])
+def test_frames_whose_times_do_not_grow_end_the_run(
+    measure: Measure, stamps: Callable[[float], float], words: str, repeatable: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Bench, "time_s", lambda self: 100.0 * self.step + self.frame)
+    rig = Plugin(options={"stamps": stamps, "repeatable": repeatable})
+    with pytest.raises(DeviceError, match=f'the camera of the rig "bench of numpy" .*{words}') as caught:
+        measure("run", rig=rig, yes=True)
+    assert "In the rig's driver, give each Frame the rig's time_s()" in str(caught.value)
+    assert caught.value.exit_code == 3
+    assert rig.opened[0].log[-3:] == ["stop", "off", "park"]
+
+
+def test_a_frame_without_a_time_cannot_be_made() -> None:
+    with pytest.raises(TypeError, match="time_s"):
+        Frame(np.zeros((32, 32), np.uint16), 1.0, 64.0, 4095.0)  # type: ignore[call-arg]
+
+
+def test_a_clock_that_was_set_back_between_two_sittings(measure: Measure) -> None:
+    """Times of the second sitting lie before those of the first; set right, the run goes on."""
+    with pytest.raises(Interrupted):
+        measure("run", rig=Plugin(options={"repeatable": False}), yes=True, progress=StopAfter(4))
+    again: dict[str, object] = {"yes": True, "resume": True}
+    for stamps in (lambda now: now - 1.9e9, lambda now: now - 3600.0):
+        late = Plugin(options={"repeatable": False, "stamps": stamps})
+        with pytest.raises(DeviceError, match=r"this run holds a frame of 19\d+\.0 s: .*computer's clock"):
+            measure("run", rig=late, **again)
+    run = measure("run", rig=Plugin(options={"repeatable": False}), **again)
+    assert len([step for step in run.steps() if step["kind"] == "point"]) == 5
+    times = [f["time_s"] for e in run.events() if e["event"] == "step" for f in e["frames"]]
+    assert np.all(np.diff(times) > 0)
 
 
 def test_resuming_a_finished_run_does_nothing(measure: Measure) -> None:

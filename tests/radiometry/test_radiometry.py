@@ -51,6 +51,7 @@ class Exact(Maker):
             frame.exposure_s,
             frame.black_level_dn,
             frame.white_level_dn,
+            time_s=frame.time_s,
         )
 
 
