@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future
 from dataclasses import asdict, dataclass
+from numbers import Real
 from types import FrameType, TracebackType
 from typing import Any, Protocol, Self
 
@@ -305,11 +306,12 @@ class _Session:
     def _capture(self, exposure_s: float) -> Frame:
         """A frame, later than the one before it; raises `DeviceError` where its time does not say so."""
         frame, last_s = self._rig.camera.capture(exposure_s), self._last_s
-        if frame.time_s > last_s and 0.0 <= frame.time_s < math.inf:
-            self._last_s, self._resumed = frame.time_s, False
+        sound = isinstance(frame.time_s, Real) and 0.0 <= frame.time_s < math.inf
+        if sound and frame.time_s > last_s:
+            self._last_s, self._resumed = float(frame.time_s), False
             return frame
         camera = f'the camera of the rig "{self._description.name}"'
-        if not 0.0 <= frame.time_s < math.inf:
+        if not sound:
             raise DeviceError(
                 f"{camera} stamps a frame with time_s = {frame.time_s!r}: seconds of at least 0 are needed. In the "
                 "rig's driver, give each Frame the rig's time_s() at the start of its exposure"

@@ -76,7 +76,7 @@ class Files:
                 "file": name,
                 "band": self.band,
                 "exposure_s": frame.exposure_s,
-                "time_s": frame.time_s,
+                "time_s": float(frame.time_s),
                 "lamp": self.lamp,
             }
         )

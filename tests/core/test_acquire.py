@@ -232,9 +232,10 @@ def test_a_laboratory_takes_fresh_darks_and_references(measure: Measure) -> None
         (lambda now: now % 400.0, r"time_s = 0\.0, and the one before it had 30\d\.0 s"),  # set back in the middle
         (lambda now: math.nan, r"time_s = nan: seconds of at least 0"),
         (lambda now: math.inf, r"time_s = inf: seconds of at least 0"),
+        (lambda now: None, r"time_s = None: seconds of at least 0"),
         (lambda now: -1.0, r"time_s = -1\.0: seconds of at least 0"),
     ],
-    ids=["never", "always the same", "backwards", "set back", "nan", "infinite", "negative"],
+    ids=["never", "always the same", "backwards", "set back", "nan", "infinite", "none", "negative"],
 )
 @pytest.mark.parametrize("repeatable", [True, False])
 def test_frames_whose_times_do_not_grow_end_the_run(
