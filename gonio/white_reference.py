@@ -38,7 +38,8 @@ class Level:
     parameters are uncorrelated; `departure` and `extra` are zero. Otherwise K is interpolated linearly between the
     visits (and constant beyond the first and the last): `departure` is half of the difference between that and the
     line, `extra` what the noise of the nearest visits adds to the noise of the mean level. Where the visits do not
-    tell the lamp's drift, K is their mean, `slope` and `u_slope` are zero, and `unknown` says why.
+    tell the lamp's drift, K is their mean, `slope` and `u_slope` are zero, and `unknown` says why; `extra` is then what
+    they scatter beyond their noise.
     """
 
     centre_s: float
@@ -53,6 +54,8 @@ class Level:
     variances: Array
     unknown: str = ""
     """Why a drift of the lamp is in neither K nor its uncertainty; "" where the visits tell it."""
+    scatter: float = 0.0
+    """Standard deviation of K around a constant level, where the visits differ by more than their noise."""
 
     def at(self, time_s: Array) -> Array:
         """K at given times."""
@@ -71,7 +74,7 @@ class Level:
     def extra(self, time_s: Array) -> Array:
         """Standard deviation of K from single visits, beyond that of the mean level."""
         if self.straight:
-            return np.zeros(np.shape(time_s))
+            return np.full(np.shape(time_s), self.scatter)
         share = np.stack([np.interp(time_s, self.times_s, row) for row in np.eye(len(self.times_s))])
         return np.asarray(np.sqrt(np.maximum(np.einsum("vt,v->t", share**2, self.variances) - self.u_level**2, 0.0)))
 
@@ -125,9 +128,11 @@ def fit(times_s: Array, values: Array, variances: Array, wanted_s: Array | None 
 
 def _constant(times_s: Array, values: Array, variances: Array, unknown: str) -> Level:
     """The mean of all visits, without any drift."""
-    times_s, values, variances = _means(times_s, values, variances, np.arange(len(times_s)) == 0)
-    level, u_level = float(values[0]), float(variances[0] ** 0.5)
-    return Level(float(times_s[0]), level, u_level, 0.0, 0.0, True, 0.0, times_s, values, variances, unknown)
+    time, mean, variance = _means(times_s, values, variances, np.arange(len(times_s)) == 0)
+    level, u_level = float(mean[0]), float(variance[0] ** 0.5)
+    noise = 1.0 / float(np.sum(1.0 / variances))
+    scatter = math.sqrt(max(float(variance[0]) - noise, 0.0) * len(values))
+    return Level(float(time[0]), level, u_level, 0.0, 0.0, True, 0.0, time, mean, variance, unknown, scatter)
 
 
 def _means(times_s: Array, values: Array, variances: Array, first: npt.NDArray[np.bool_]) -> tuple[Array, Array, Array]:
@@ -177,7 +182,8 @@ def notes(fitted: Level, visits: int, unusable: list[str], name: str) -> list[st
             f"{name}: {len(unusable)} of {visits + len(unusable)} visits to the white reference cannot be used ({why})"
         )
     if fitted.unknown:
-        out.append(f"{name}: {fitted.unknown}, so a drift of the lamp is not in u_brdf")
+        only = " except for what the visits scatter" if fitted.scatter else ""
+        out.append(f"{name}: {fitted.unknown}, so a drift of the lamp is not in u_brdf{only}")
     if not fitted.straight:
         out.append(
             f"{name}: the visits to the white reference do not lie on a straight line (chi-square "

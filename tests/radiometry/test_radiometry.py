@@ -207,6 +207,20 @@ def test_one_visit_says_that_the_drift_is_unknown(tmp_path: Path) -> None:
     assert account["u_drift_per_hour"] is None
 
 
+def test_a_run_whose_frames_all_have_one_time(tmp_path: Path) -> None:
+    """A lamp that drifts by 60 %/h, and a rig that stamped nothing: no drift is made up, and u_brdf holds it."""
+    description = describe(camera=NOISY, reference={"frames": 4})
+    maker = Maker(tmp_path, description, glossy, np.random.default_rng(4), lamp=lambda t: 1.0 + 0.6 * t / 3600)
+    run = maker.make(POINTS, (0.25, 0.0625), every=3)
+    for frame in (frame for event in run.events for frame in event["frames"]):
+        frame["time_s"] = 0.0
+    table = radiometry.reduce(run)
+    assert "have one and the same time, so a drift of the lamp is not in u_brdf except" in table.attrs["notes"][0]
+    assert not any("straight line" in note for note in table.attrs["notes"])
+    assert np.all(table["s_lamp_drift"] == 0)
+    assert np.mean(abs(pulls(table, glossy)) <= 2) > 0.85
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_run_cut_to_its_first_visit_has_the_uncertainty_of_its_noise(tmp_path: Path, seed: int) -> None:
     """Against the same run with all of its visits: one visit of four leaves out noise of level and drift."""

@@ -107,6 +107,8 @@ def test_visits_at_one_time_that_differ_beyond_noise_widen_their_mean() -> None:
     fitted = white_reference.fit(np.zeros(4), np.array([9.0, 11.0, 9.0, 11.0]), np.full(4, 0.01))
     # standard error of the mean of four values that scatter by sqrt(4/3)
     assert fitted.u_level == pytest.approx(math.sqrt(4 / 3 / 4), rel=1e-12)
+    # a point's level differs from the mean as those of the visits do, less the noise of a visit
+    np.testing.assert_allclose(fitted.extra(np.array([0.0, 60.0])), math.sqrt(4 / 3 - 0.01), rtol=1e-12)
 
 
 def test_two_of_three_visits_at_one_time_are_one_end_of_the_line() -> None:
