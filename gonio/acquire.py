@@ -224,7 +224,9 @@ class _Session:
         self._pending: deque[_Taken] = deque()
         self._store = Store(run.path / "frames")
         self._names = slugs(run.bands)
-        self._reference = next((e for e in run.steps() if e["kind"] == "reference" and not e["flag"]), None)
+        done = run.steps()
+        self._reference = next((e for e in done if e["kind"] == "reference" and not e["flag"]), None)
+        self._chosen = {int(e["step"]): self._exposures(e) for e in done if e["kind"] == "point" and e["frames"]}
         self._angles = run.plan[list(ANGLES)].to_numpy()
 
     def __enter__(self) -> Self:
@@ -241,6 +243,8 @@ class _Session:
         taken = self._dark(step) if step.kind == "dark" else self._lit_step(step)
         if step.kind == "reference" and self._reference is None and not taken.event["flag"]:
             self._reference = taken.event
+        if step.kind == "point" and taken.event["frames"]:
+            self._chosen[step.index] = self._exposures(taken.event)
         self._pending.append(taken)
         while len(self._pending) > 1:
             self._write(self._pending.popleft())
@@ -320,12 +324,29 @@ class _Session:
             files.keep(rig.camera.capture(exposure.shorter(description, found.exposure_s)))
         return files, found.level_per_s, level
 
+    def _exposures(self, step: Event) -> tuple[Pose, tuple[float, ...]]:
+        """Where a step was taken, and the exposure [s] of its full frames for each band of the run."""
+        longest = dict.fromkeys((band.name for band in self._run.bands), 0.0)
+        for frame in step["frames"]:
+            longest[frame["band"]] = max(longest[frame["band"]], float(frame["exposure_s"]))
+        return Pose(**step["goal"]), tuple(longest.values())
+
     def _expected(self, step: Step, band: Band) -> float:
-        """The level for one second that a white surface gives at this pose, by the first visit to the reference."""
+        """The level for one second that a step is expected to have; the same however often the run was interrupted.
+
+        That of the point before it in the schedule, by the exposure that it was measured with; where there is none,
+        that of a white surface, by the first visit to the reference.
+        """
+        cosine = exposure.cosine_of_incidence(step.pose)
+        before = next((self._chosen[n] for n in range(step.index - 1, 0, -1) if n in self._chosen), None)
+        if step.kind == "point" and before is not None:
+            pose, exposures = before
+            exposure_s = exposures[self._run.bands.index(band)]
+            target = self._description.acquisition.exposure_target
+            return target / exposure_s * cosine / exposure.cosine_of_incidence(pose)
         if self._reference is None:
             return exposure.expected_level_per_s(self._description, step.pose, 1.0)
-        at_reference = Pose(**self._reference["goal"])
-        ratio = exposure.cosine_of_incidence(step.pose) / exposure.cosine_of_incidence(at_reference)
+        ratio = cosine / exposure.cosine_of_incidence(Pose(**self._reference["goal"]))
         return max(float(self._reference["level_per_s"][band.name]), 1e-6) * ratio
 
     def _taken(
