@@ -8,6 +8,7 @@ own error is smaller still, by about 16 where the function is smooth.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -38,17 +39,24 @@ class NodeGrid:
     bottom: float
     side: float
 
-    def fill(self, x: Array, y: Array, inside: npt.NDArray[np.bool_], out: Array) -> None:
-        """Write the interpolated function into `out` at every pixel of `inside`; all of one two-dimensional shape."""
-        spacing = self.side / (self.values.shape[0] - 1)
-        _interpolate(self.values, self.left, self.bottom, spacing, x, y, inside, out)
+    def paint(self, x: Array, y: Array, centre: tuple[float, float], radius: float, out: Array) -> None:
+        """Write the interpolated function into `out` where (x, y) lies in a disc; arrays of one two-dimensional shape.
+
+        Where x or y is NaN nothing is written.
+        """
+        _paint(self.values, self.left, self.bottom, self._spacing, x, y, *centre, radius * radius, out)
 
     def at(self, x: Array, y: Array) -> Array:
         """The interpolated function at points of any shape."""
         out = np.empty(np.shape(x))
         flat = (1, out.size)
-        self.fill(x.reshape(flat), y.reshape(flat), np.ones(flat, np.bool_), out.reshape(flat))
+        everywhere = (0.0, 0.0), math.inf
+        self.paint(x.reshape(flat), y.reshape(flat), *everywhere, out.reshape(flat))
         return out
+
+    @property
+    def _spacing(self) -> float:
+        return self.side / (self.values.shape[0] - 1)
 
 
 def sample_function(
@@ -99,13 +107,24 @@ def _evaluate(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _interpolate(values: Any, left: float, bottom: float, h: float, x: Any, y: Any, inside: Any, out: Any) -> None:
+def _paint(
+    values: Any,
+    left: float,
+    bottom: float,
+    h: float,
+    x: Any,
+    y: Any,
+    centre_x: float,
+    centre_y: float,
+    radius_squared: float,
+    out: Any,
+) -> None:
     """Lagrange's cubic through the four nearest nodes in each direction, one-sided at the edges."""
     last = values.shape[0] - 4
     for i in range(x.shape[0]):
         for j in range(x.shape[1]):
-            if not inside[i, j]:
-                continue
+            if not (x[i, j] - centre_x) ** 2 + (y[i, j] - centre_y) ** 2 <= radius_squared:
+                continue  # as for a NaN, which is below nothing
             s = (x[i, j] - left) / h
             t = (y[i, j] - bottom) / h
             col = min(max(int(s) - 1, 0), last)
@@ -124,3 +143,11 @@ def _weights(t: float) -> tuple[float, float, float, float]:
     """Weights of nodes 0, 1, 2, 3 at the position t in units of their spacing."""
     u, v, w = t - 1.0, t - 2.0, t - 3.0
     return -u * v * w / 6.0, t * v * w / 2.0, -t * u * w / 2.0, t * u * v / 6.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def electrons_per_s(scale: float, weight: Any, brdf: Any, most: float, out: Any) -> None:
+    """Fill `out`, of single precision, with scale weight brdf, kept between 0 and `most`."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = min(max(scale * weight[i, j] * brdf[i, j], 0.0), most)
