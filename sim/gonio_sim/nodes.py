@@ -67,18 +67,26 @@ def sample_function(
     Below a spacing of `finest`, and beyond `MOST` nodes a side, it is not refined: a function with finer features is
     followed as well as that grid can.
     """
-    grid = _evaluate(function, None, FEWEST, left, bottom, side)
-    while grid.values.shape[0] < MOST and side / (grid.values.shape[0] - 1) >= 2.0 * finest:
-        finer = _evaluate(function, grid, 2 * grid.values.shape[0] - 1, left, bottom, side)
-        new = np.ones(finer.values.shape, dtype=bool)
-        new[::2, ::2] = False
-        x, y = _node_positions(finer.values.shape[0], left, bottom, side)
-        error = np.abs(grid.at(x[new], y[new]) - finer.values[new])
-        size = np.abs(finer.values[new]) + FLOOR * np.max(np.abs(finer.values)) + DARK
-        grid = finer
-        if not np.any(error > TOLERANCE * size):
+    if side < 2.0 * finest * (FEWEST - 1):
+        return _evaluate(function, None, FEWEST, left, bottom, side)
+    finer = _evaluate(function, None, 2 * FEWEST - 1, left, bottom, side)  # the two coarsest grids in one evaluation
+    grid = NodeGrid(np.ascontiguousarray(finer.values[::2, ::2]), left, bottom, side)
+    while not _predicts(grid, finer):
+        nodes = finer.values.shape[0]
+        if nodes >= MOST or side < 2.0 * finest * (nodes - 1):
             break
-    return grid
+        grid, finer = finer, _evaluate(function, finer, 2 * nodes - 1, left, bottom, side)
+    return finer
+
+
+def _predicts(grid: NodeGrid, finer: NodeGrid) -> bool:
+    """Whether a grid gives the values at the nodes that only the next finer one has."""
+    new = np.ones(finer.values.shape, dtype=bool)
+    new[::2, ::2] = False
+    x, y = _node_positions(finer.values.shape[0], finer.left, finer.bottom, finer.side)
+    error = np.abs(grid.at(x[new], y[new]) - finer.values[new])
+    size = np.abs(finer.values[new]) + FLOOR * np.max(np.abs(finer.values)) + DARK
+    return not np.any(error > TOLERANCE * size)
 
 
 def _node_positions(count: int, left: float, bottom: float, side: float) -> tuple[Array, Array]:
@@ -121,12 +129,13 @@ def _paint(
 ) -> None:
     """Lagrange's cubic through the four nearest nodes in each direction, one-sided at the edges."""
     last = values.shape[0] - 4
+    per_h = 1.0 / h
     for i in range(x.shape[0]):
         for j in range(x.shape[1]):
             if not (x[i, j] - centre_x) ** 2 + (y[i, j] - centre_y) ** 2 <= radius_squared:
                 continue  # as for a NaN, which is below nothing
-            s = (x[i, j] - left) / h
-            t = (y[i, j] - bottom) / h
+            s = (x[i, j] - left) * per_h
+            t = (y[i, j] - bottom) * per_h
             col = min(max(int(s) - 1, 0), last)
             row = min(max(int(t) - 1, 0), last)
             a0, a1, a2, a3 = _weights(s - col)
