@@ -11,6 +11,7 @@ import logging
 import math
 import signal
 import threading
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future
@@ -224,9 +225,10 @@ class _Session:
         self._pending: deque[_Taken] = deque()
         self._store = Store(run.path / "frames")
         self._names = slugs(run.bands)
-        done = run.steps()
-        self._reference = next((e for e in done if e["kind"] == "reference" and not e["flag"]), None)
-        self._chosen = {int(e["step"]): self._exposures(e) for e in done if e["kind"] == "point" and e["frames"]}
+        self._done = run.steps()
+        self._last: Event | None = None
+        """The last point of this sitting that has frames."""
+        self._reference = next((e for e in self._done if e["kind"] == "reference" and not e["flag"]), None)
         self._angles = run.plan[list(ANGLES)].to_numpy()
 
     def __enter__(self) -> Self:
@@ -244,7 +246,7 @@ class _Session:
         if step.kind == "reference" and self._reference is None and not taken.event["flag"]:
             self._reference = taken.event
         if step.kind == "point" and taken.event["frames"]:
-            self._chosen[step.index] = self._exposures(taken.event)
+            self._last = taken.event
         self._pending.append(taken)
         while len(self._pending) > 1:
             self._write(self._pending.popleft())
@@ -324,12 +326,16 @@ class _Session:
             files.keep(rig.camera.capture(exposure.shorter(description, found.exposure_s)))
         return files, found.level_per_s, level
 
-    def _exposures(self, step: Event) -> tuple[Pose, tuple[float, ...]]:
-        """Where a step was taken, and the exposure [s] of its full frames for each band of the run."""
-        longest = dict.fromkeys((band.name for band in self._run.bands), 0.0)
-        for frame in step["frames"]:
-            longest[frame["band"]] = max(longest[frame["band"]], float(frame["exposure_s"]))
-        return Pose(**step["goal"]), tuple(longest.values())
+    def _before(self, step: Step, band: Band) -> Event | None:
+        """The last point before a step in the schedule that has frames of a band."""
+        at = bisect_left(self._done, step.index, key=lambda event: int(event["step"]))
+        for k in range(at - 1, -1, -1):
+            event = self._done[k]
+            if self._last is not None and self._last["step"] > event["step"]:
+                break
+            if event["kind"] == "point" and any(frame["band"] == band.name for frame in event["frames"]):
+                return event
+        return self._last
 
     def _expected(self, step: Step, band: Band) -> float:
         """The level for one second that a step is expected to have; the same however often the run was interrupted.
@@ -338,12 +344,11 @@ class _Session:
         that of a white surface, by the first visit to the reference.
         """
         cosine = exposure.cosine_of_incidence(step.pose)
-        before = next((self._chosen[n] for n in range(step.index - 1, 0, -1) if n in self._chosen), None)
-        if step.kind == "point" and before is not None:
-            pose, exposures = before
-            exposure_s = exposures[self._run.bands.index(band)]
-            target = self._description.acquisition.exposure_target
-            return target / exposure_s * cosine / exposure.cosine_of_incidence(pose)
+        before = self._before(step, band) if step.kind == "point" else None
+        if before is not None:
+            exposure_s = max(frame["exposure_s"] for frame in before["frames"] if frame["band"] == band.name)
+            ratio = cosine / exposure.cosine_of_incidence(Pose(**before["goal"]))
+            return self._description.acquisition.exposure_target / exposure_s * ratio
         if self._reference is None:
             return exposure.expected_level_per_s(self._description, step.pose, 1.0)
         ratio = cosine / exposure.cosine_of_incidence(Pose(**self._reference["goal"]))
