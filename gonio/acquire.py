@@ -346,7 +346,7 @@ class _Session:
         cosine = exposure.cosine_of_incidence(step.pose)
         before = self._before(step, band) if step.kind == "point" else None
         if before is not None:
-            exposure_s = max(frame["exposure_s"] for frame in before["frames"] if frame["band"] == band.name)
+            exposure_s: float = max(frame["exposure_s"] for frame in before["frames"] if frame["band"] == band.name)
             ratio = cosine / exposure.cosine_of_incidence(Pose(**before["goal"]))
             return self._description.acquisition.exposure_target / exposure_s * ratio
         if self._reference is None:

@@ -56,7 +56,7 @@ class NodeGrid:
 
     @property
     def _spacing(self) -> float:
-        return self.side / (self.values.shape[0] - 1)
+        return self.side / (len(self.values) - 1)
 
 
 def sample_function(
@@ -86,7 +86,7 @@ def _predicts(grid: NodeGrid, finer: NodeGrid) -> bool:
     x, y = _node_positions(finer.values.shape[0], finer.left, finer.bottom, finer.side)
     error = np.abs(grid.at(x[new], y[new]) - finer.values[new])
     size = np.abs(finer.values[new]) + FLOOR * np.max(np.abs(finer.values)) + DARK
-    return not np.any(error > TOLERANCE * size)
+    return bool(np.all(error <= TOLERANCE * size))
 
 
 def _node_positions(count: int, left: float, bottom: float, side: float) -> tuple[Array, Array]:
