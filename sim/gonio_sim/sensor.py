@@ -24,7 +24,7 @@ from numba import njit
 
 FEW_ELECTRONS = 25.0
 """Expected electrons below which a table is drawn from. From here on the expansion's distribution is the Poisson one
-but for 2e-5 of the probability, which falls as 1/mean^2."""
+but for 2e-5 of the probability, and less at larger means."""
 BLOCK = 512
 """Pixels that are worked on together: few, so that most blocks are bright or dim throughout."""
 COUNTS = 64
