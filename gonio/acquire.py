@@ -11,6 +11,7 @@ import logging
 import math
 import signal
 import threading
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future
@@ -225,7 +226,10 @@ class _Session:
         self._pending: deque[_Taken] = deque()
         self._store = Store(run.path / "frames")
         self._names = slugs(run.bands)
-        self._reference = next((e for e in run.steps() if e["kind"] == "reference" and not e["flag"]), None)
+        self._done = run.steps()
+        self._last: Event | None = None
+        """The last point of this sitting that has frames."""
+        self._reference = next((e for e in self._done if e["kind"] == "reference" and not e["flag"]), None)
         self._angles = run.plan[list(ANGLES)].to_numpy()
         self._last_s = -math.inf
         """When the last frame that counts was taken."""
@@ -247,6 +251,8 @@ class _Session:
         taken = self._dark(step) if step.kind == "dark" else self._lit_step(step)
         if step.kind == "reference" and self._reference is None and not taken.event["flag"]:
             self._reference = taken.event
+        if step.kind == "point" and taken.event["frames"]:
+            self._last = taken.event
         self._pending.append(taken)
         while len(self._pending) > 1:
             self._write(self._pending.popleft())
@@ -353,12 +359,32 @@ class _Session:
             files.keep(self._capture(exposure.shorter(description, found.exposure_s)))
         return files, found.level_per_s, level
 
+    def _before(self, step: Step, band: Band) -> Event | None:
+        """The last point before a step in the schedule that has frames of a band."""
+        at = bisect_left(self._done, step.index, key=lambda event: int(event["step"]))
+        for k in range(at - 1, -1, -1):
+            event = self._done[k]
+            if self._last is not None and self._last["step"] > event["step"]:
+                break
+            if event["kind"] == "point" and any(frame["band"] == band.name for frame in event["frames"]):
+                return event
+        return self._last
+
     def _expected(self, step: Step, band: Band) -> float:
-        """The level for one second that a white surface gives at this pose, by the first visit to the reference."""
+        """The level for one second that a step is expected to have; the same however often the run was interrupted.
+
+        That of the point before it in the schedule, by the exposure that it was measured with; where there is none,
+        that of a white surface, by the first visit to the reference.
+        """
+        cosine = exposure.cosine_of_incidence(step.pose)
+        before = self._before(step, band) if step.kind == "point" else None
+        if before is not None:
+            exposure_s: float = max(frame["exposure_s"] for frame in before["frames"] if frame["band"] == band.name)
+            ratio = cosine / exposure.cosine_of_incidence(Pose(**before["goal"]))
+            return self._description.acquisition.exposure_target / exposure_s * ratio
         if self._reference is None:
             return exposure.expected_level_per_s(self._description, step.pose, 1.0)
-        at_reference = Pose(**self._reference["goal"])
-        ratio = exposure.cosine_of_incidence(step.pose) / exposure.cosine_of_incidence(at_reference)
+        ratio = cosine / exposure.cosine_of_incidence(Pose(**self._reference["goal"]))
         return max(float(self._reference["level_per_s"][band.name]), 1e-6) * ratio
 
     def _taken(

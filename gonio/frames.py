@@ -1,4 +1,4 @@
-"""Raw frames on disk: DNG written atomically; DNG and the makers' RAW files read through rawpy, bit-exact.
+"""Raw frames on disk: DNG written atomically; our own read back directly, other DNG and makers' RAW through rawpy.
 
 The writer makes the smallest DNG 1.4 file that raw converters open: one uncompressed strip, as a Bayer mosaic or as a
 monochrome LinearRaw image, 12-bit packed where the white level allows it and 16-bit otherwise. The exposure is an
@@ -11,7 +11,7 @@ import contextlib
 import datetime
 import math
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from io import BytesIO
 from pathlib import Path
@@ -171,9 +171,10 @@ def _directory(tags: dict[int, tuple[int, Any]], offset: int) -> bytes:
 
 
 def read_raw(path: str | Path, data: bytes | None = None) -> Frame:
-    """Read a raw frame: the linear mosaic exactly as it lies in the file, through rawpy (DNG, CR2, NEF, ARW, ...).
+    """Read a raw frame: the linear mosaic exactly as it lies in the file (DNG, CR2, NEF, ARW, ...).
 
-    Exposure, fractional black level and clock are read from the file's own directories, where rawpy rounds them. A file
+    A file that `write_dng` wrote is read directly, many times faster than through rawpy, which reads all others. Of
+    these, too, exposure, fractional black level and clock come from the directories, where rawpy rounds them. A file
     that does not say its time to a fraction of a second has `time_s` = NaN.
 
     Parameters
@@ -189,8 +190,6 @@ def read_raw(path: str | Path, data: bytes | None = None) -> Frame:
         The file is missing, truncated, damaged, not a raw file, has several samples a pixel, or does not say its
         exposure.
     """
-    import rawpy
-
     path = Path(path)
     if data is None:
         try:
@@ -198,6 +197,12 @@ def read_raw(path: str | Path, data: bytes | None = None) -> Frame:
         except OSError as error:
             raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
     tags = _read_directories(data, path)
+    own = _read_own(tags, data)
+    if own is not None and tags.exposure_s and tags.black_level_dn is not None:
+        mosaic, pattern, white = own
+        return Frame(mosaic, tags.exposure_s, tags.black_level_dn, white, pattern, tags.time_s, file=path)
+    import rawpy
+
     try:
         with rawpy.RawPy() as raw:
             raw.open_buffer(BytesIO(data))
@@ -220,6 +225,32 @@ def read_raw(path: str | Path, data: bytes | None = None) -> Frame:
     return Frame(mosaic, exposure, level, white, pattern, time_s=tags.time_s, file=path)
 
 
+def _read_own(tags: _Tags, data: bytes) -> tuple[npt.NDArray[np.uint16], str, float] | None:
+    """Mosaic, pattern and white level [DN] of a file as `encode_dng` makes it; None where anything is otherwise."""
+    one = {tag: values[0] for tag, values in tags.own.items() if isinstance(values, list) and len(values) == 1}
+    columns, rows, bits, start, size, white = (one.get(tag, 0) for tag in (256, 257, 258, 273, 279, 50717))
+    layout = one.get(259), one.get(262), one.get(277), one.get(278), one.get(274)
+    if bits not in (12, 16) or min(columns, rows, start, white) <= 0 or size != rows * -(-columns * bits // 8):
+        return None
+    if layout == (1, 34892, 1, rows, 1):
+        pattern = "mono"
+    elif layout == (1, 32803, 1, rows, 1) and tags.own.get(33421) == [2, 2]:
+        pattern = "".join("RGB"[k] if k < 3 else "?" for k in tags.own.get(33422, []))
+        if pattern not in BAYER:
+            return None
+    else:
+        return None
+    strip = np.frombuffer(data, np.uint8, size, start)
+    mosaic = np.empty((rows, columns), np.uint16)
+    if bits == 16:
+        mosaic[:] = strip.view("<u2").reshape(mosaic.shape)
+    else:
+        from gonio._pixels import unpack12
+
+        unpack12(strip.reshape(rows, -1), mosaic)
+    return mosaic, pattern, float(white)
+
+
 def _pattern(raw: Any) -> str:
     """The mosaic's pattern in raster order."""
     cells = raw.raw_pattern
@@ -236,6 +267,8 @@ class _Tags:
     exposure_s: float | None = None
     black_level_dn: float | None = None
     time_s: float = math.nan
+    own: dict[int, Any] = field(default_factory=dict)
+    """All fields of the image's directory, where this program wrote the file."""
 
 
 def _read_directories(data: bytes, path: Path) -> _Tags:
@@ -253,6 +286,8 @@ def _read_directories(data: bytes, path: Path) -> _Tags:
                 continue
             seen.add(at)
             fields, following = _read_directory(data, at, order)
+            if fields.get(305) == b"gonio":
+                tags.own = fields
             queue += [following, *fields.get(34665, []), *fields.get(330, [])]
             _require_image(fields, len(data), path)
             if 33434 in fields and tags.exposure_s is None and fields[33434][1]:
@@ -281,7 +316,8 @@ def _require_image(fields: dict[int, Any], length: int, path: Path) -> None:
 
 def _read_directory(data: bytes, at: int, order: str) -> tuple[dict[int, Any], int]:
     """The fields that matter here, and the offset of the next directory (0 for none)."""
-    wanted = (273, 279, 324, 325, 330, 33434, 34665, 36867, 37521, 50706, 50714)
+    wanted = {256, 257, 258, 259, 262, 273, 274, 277, 278, 279, 305, 324, 325, 330}
+    wanted |= {33421, 33422, 33434, 34665, 36867, 37521, 50706, 50714, 50717}
     (count,) = struct.unpack_from(order + "H", data, at)
     fields: dict[int, Any] = {}
     for k in range(count):

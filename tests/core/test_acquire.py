@@ -8,6 +8,7 @@ import signal
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -146,6 +147,28 @@ def test_one_seed_gives_one_run(measure: Measure) -> None:
     first, again, other = measure("a"), measure("b"), measure("c", seed=2)
     assert content(first) == content(again)
     assert content(first) != content(other)
+
+
+def metering_frames(step: dict[str, Any]) -> int:
+    """How many frames a step took before those that it kept: on this rig a frame's time counts the step's frames."""
+    return round(step["frames"][-1]["time_s"]) - 100 * int(step["step"]) + 1 - len(step["frames"])
+
+
+def test_a_point_is_metered_with_what_the_point_before_it_needed(measure: Measure) -> None:
+    """Fifty times darker than white, a sample costs a search at its first point and one frame a band from then on."""
+    rig = Plugin(options={"albedo": 0.02})
+    points = [step for step in measure("run", rig=rig).steps() if step["kind"] == "point"]
+    taken = [metering_frames(step) for step in points]
+    assert taken[0] > 2
+    assert taken[1:] == [2] * (len(points) - 1)
+
+
+def test_a_point_without_frames_is_no_guide(measure: Measure) -> None:
+    """The point before it is: with step 3 flagged, step 4 is metered by step 2."""
+    rig = Plugin(options={"albedo": 0.02, "pushes": {3: 9}})
+    steps = measure("run", rig=rig).steps()
+    assert steps[3]["frames"] == []
+    assert metering_frames(steps[4]) == 2
 
 
 @pytest.mark.parametrize("stops", [[1], [2], [5], [7], [1, 1, 2]])

@@ -38,6 +38,28 @@ def test_every_layout_and_depth_comes_back_bit_for_bit(tmp_path: Path, pattern: 
     assert (back.white_level_dn, back.time_s, back.file) == (WHITE[bits], 83.25, tmp_path / "a.dng")
 
 
+@pytest.mark.parametrize("shape", [(480, 640), (33, 35)])
+@pytest.mark.parametrize("bits", [12, 16])
+@pytest.mark.parametrize("pattern", ["mono", "GBRG"])
+def test_libraw_reads_what_we_read_ourselves(tmp_path: Path, pattern: str, bits: int, shape: tuple[int, int]) -> None:
+    """The same file under another program's name goes through LibRaw: every value of the frame is the same."""
+    write_dng(Frame(noise(bits, shape), 1 / 3, 64.25, WHITE[bits], pattern, time_s=83.25), tmp_path / "own.dng")
+    data = (tmp_path / "own.dng").read_bytes()
+    assert data.count(b"gonio\0") == 2  # make and software
+    (tmp_path / "other.dng").write_bytes(data.replace(b"gonio\0", b"other\0"))
+    own, other = (read_raw(tmp_path / name) for name in ("own.dng", "other.dng"))
+    np.testing.assert_array_equal(own.mosaic, other.mosaic)
+    for name in ("exposure_s", "black_level_dn", "white_level_dn", "pattern", "time_s"):
+        assert getattr(own, name) == getattr(other, name)
+
+
+def test_our_own_frames_need_no_libraw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its decoder takes most of the time of a reduction."""
+    write_dng(Frame(noise(12), 0.5, 64.0, 4095.0), tmp_path / "a.dng")
+    monkeypatch.delattr(rawpy, "RawPy")
+    np.testing.assert_array_equal(read_raw(tmp_path / "a.dng").mosaic, noise(12))
+
+
 @pytest.mark.parametrize("shape", [(32, 32), (33, 35), (47, 64), (64, 101)])
 @pytest.mark.parametrize("bits", [12, 16])
 def test_odd_sizes_come_back(tmp_path: Path, shape: tuple[int, int], bits: int) -> None:
