@@ -12,7 +12,7 @@ import math
 import signal
 import threading
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import asdict, dataclass
 from types import FrameType, TracebackType
@@ -24,10 +24,9 @@ from gonio.errors import DeviceError, Disturbed, Interrupted
 from gonio.imaging import Roi, roi
 from gonio.journal import Event
 from gonio.kinematics import View, view
-from gonio.plan import ANGLES
 from gonio.rig import Pose, Rig, Step, Target
 from gonio.run import Run
-from gonio.store import Files, Store, slugs
+from gonio.store import Files, Store, Written, slugs
 
 log = logging.getLogger("gonio.devices")
 
@@ -129,7 +128,7 @@ class Stop:
             raise Interrupted("stopped at once, in the middle of a step")
 
 
-def measure(rig: Rig, run: Run, steps: list[Step], progress: Progress, stop: Stop) -> None:
+def measure(rig: Rig, run: Run, steps: Sequence[Step], progress: Progress, stop: Stop) -> None:
     """Take every step of a run that its journal does not hold yet.
 
     Parameters
@@ -138,7 +137,7 @@ def measure(rig: Rig, run: Run, steps: list[Step], progress: Progress, stop: Sto
         Entered: its devices are open.
     run : Run
         Created or resumed, so that it can be written.
-    steps : list of Step
+    steps : sequence of Step
         The schedule of the run's plan on this rig.
     progress, stop
         Who watches, and who may ask to stop.
@@ -152,8 +151,8 @@ def measure(rig: Rig, run: Run, steps: list[Step], progress: Progress, stop: Sto
     DataError
         The disk is full or fails.
     """
-    done = {int(event["step"]) for event in run.steps()}
-    left = [step for step in steps if step.index not in done]
+    done = set(run.steps().numbers)
+    left = [steps[number] for number in range(len(steps)) if number not in done]
     if not left:
         progress.say(f"{run.path}: every step is done")
         return
@@ -192,7 +191,7 @@ def _take_all(rig: Rig, run: Run, left: list[Step], progress: Progress, stop: St
             raise
 
 
-def _fresh(steps: list[Step], done: set[int]) -> list[Step]:
+def _fresh(steps: Sequence[Step], done: set[int]) -> list[Step]:
     """New darks and a new reference visit for a rig on which time went by since the run was left."""
     number = max(len(steps), max(done) + 1)
     again = [step for step in (steps[0], steps[1]) if step.index in done]
@@ -209,7 +208,8 @@ class _Taken:
     """A step whose frames are on their way to the disk."""
 
     event: Event
-    files: list[Future[str]]
+    """Its frames without what their files are."""
+    files: list[Future[Written]]
     live: Live
 
 
@@ -225,7 +225,7 @@ class _Session:
         self._store = Store(run.path / "frames")
         self._names = slugs(run.bands)
         self._reference = next((e for e in run.steps() if e["kind"] == "reference" and not e["flag"]), None)
-        self._angles = run.plan[list(ANGLES)].to_numpy()
+        self._angles = run.points.angles_deg
 
     def __enter__(self) -> Self:
         return self
@@ -251,20 +251,20 @@ class _Session:
             self._write(self._pending.popleft())
 
     def _write(self, taken: _Taken) -> None:
-        for frame, file in zip(taken.event["frames"], taken.files, strict=True):
-            frame["sha256"] = file.result()
+        frames = [{**frame, **file.result()} for frame, file in zip(taken.event["frames"], taken.files, strict=True)]
         self._store.sync()
-        self._run.append(taken.event)
+        self._run.append({**taken.event, "frames": frames})
         self._progress.step(taken.live)
 
     def _dark(self, step: Step) -> _Taken:
         self._darken()
-        files = Files(self._store, step, "dark", "", lamp=False)
-        for exposure_s in exposure.dark_exposures_s(self._description):
-            for _ in range(self._description.acquisition.dark_frames):
-                files.keep(self._rig.camera.capture(exposure_s))
+        exposures, number = exposure.dark_exposures_s(self._description), self._description.acquisition.dark_frames
+        files = Files(self._store, step, self._run.key, len(exposures) * number, {})
+        for exposure_s in exposures:
+            for _ in range(number):
+                files.keep(self._rig.camera.capture(exposure_s), "dark", "", lamp=False)
         pose = self._rig.arms.read()
-        return self._taken(step, pose, _readback(pose, self._rig.time_s()), [files], "", 0.0)
+        return self._taken(step, pose, _readback(pose, self._rig.time_s()), files, "", 0.0)
 
     def _lit_step(self, step: Step) -> _Taken:
         target: Target = "reference" if step.kind == "reference" else "sample"
@@ -276,7 +276,7 @@ class _Session:
                 then = "it is taken again" if attempt < ATTEMPTS else 'it is flagged "moved"'
                 log.warning("step %d: %s; %s", step.index, disturbed, then)
         readback = _readback(self._rig.arms.read(), self._rig.time_s())
-        return self._taken(step, step.pose, readback, [], "moved", 0.0)
+        return self._taken(step, step.pose, readback, None, "moved", 0.0)
 
     def _exposed(self, step: Step, target: Target) -> _Taken:
         """Move, and take the frames of every band; raises `Disturbed` where an axis did not stand still meanwhile."""
@@ -284,16 +284,21 @@ class _Session:
         readback = _readback(pose, self._rig.time_s())
         seen = view(self._description, pose)
         if seen.camera_mm[2] <= 0.0 or seen.source_mm[2] <= 0.0:
-            return self._taken(step, step.pose, readback, [], "below_horizon", 0.0)
-        all_files, levels, brightest = [], {}, 0.0
+            return self._taken(step, step.pose, readback, None, "below_horizon", 0.0)
+        levels, brightest = {}, 0.0
+        count = len(self._run.bands) * (self._frames(step) + (step.kind == "point"))
+        files = Files(self._store, step, self._run.key, count, {"goal": asdict(step.pose), **readback})
         for band in self._run.bands:
-            files, levels[band.name], level = self._band(step, seen, target, band)
-            all_files.append(files)
+            levels[band.name], level = self._band(step, seen, target, band, files)
             brightest = max(brightest, level)
         after = self._rig.arms.read()
         readback |= {"pose_after": asdict(after), "pose_after_time_s": self._rig.time_s(), "level_per_s": levels}
         self._require_still(pose, after)
-        return self._taken(step, step.pose, readback, all_files, "", brightest)
+        return self._taken(step, step.pose, readback, files, "", brightest)
+
+    def _frames(self, step: Step) -> int:
+        """How many equal frames a step has in a band."""
+        return self._description.reference.frames if step.kind == "reference" else self._description.acquisition.frames
 
     def _require_still(self, before: Pose, after: Pose) -> None:
         for name, axis in self._description.axes().items():
@@ -301,8 +306,8 @@ class _Session:
             if way_deg > max(MOVED_STEPS * axis.encoder_step_deg, MOVED_DEG):
                 raise Disturbed(f"axis {name} has moved by {way_deg:.2f} deg during the exposures")
 
-    def _band(self, step: Step, seen: View, target: Target, band: Band) -> tuple[Files, float, float]:
-        """Meter and measure one band: its files, its level for one second, and the level of the last full frame."""
+    def _band(self, step: Step, seen: View, target: Target, band: Band, files: Files) -> tuple[float, float]:
+        """Meter and measure one band: its level for one second, and the level of the last full frame."""
         description, rig = self._description, self._rig
         region: Roi = roi(description, seen, target, band.channel)
         rig.light.select(band)
@@ -310,15 +315,15 @@ class _Session:
             rig.light.on()
             self._lit = True
         found = exposure.meter(description, rig.camera.capture, region.of, self._expected(step, band))
-        files = Files(self._store, step, self._names[band.name], band.name, lamp=True)
-        level = 0.0
-        for _ in range(description.reference.frames if step.kind == "reference" else description.acquisition.frames):
+        slug, level = self._names[band.name], 0.0
+        for _ in range(self._frames(step)):
             frame = rig.camera.capture(found.exposure_s)
             level = exposure.level(description.camera, frame, region.of)
-            files.keep(frame)
+            files.keep(frame, slug, band.name, lamp=True)
         if step.kind == "point":
-            files.keep(rig.camera.capture(exposure.shorter(description, found.exposure_s)))
-        return files, found.level_per_s, level
+            frame = rig.camera.capture(exposure.shorter(description, found.exposure_s))
+            files.keep(frame, slug, band.name, lamp=True)
+        return found.level_per_s, level
 
     def _expected(self, step: Step, band: Band) -> float:
         """The level for one second that a white surface gives at this pose, by the first visit to the reference."""
@@ -329,9 +334,9 @@ class _Session:
         return max(float(self._reference["level_per_s"][band.name]), 1e-6) * ratio
 
     def _taken(
-        self, step: Step, goal: Pose, readback: dict[str, Any], files: list[Files], flag: str, level: float
+        self, step: Step, goal: Pose, readback: dict[str, Any], files: Files | None, flag: str, level: float
     ) -> _Taken:
-        frames = [frame for each in files for frame in each.frames]
+        frames = files.frames if files is not None else []
         event = {
             "event": "step",
             "step": step.index,
@@ -343,10 +348,12 @@ class _Session:
             "flag": flag,
             "frames": frames,
         }
+        if files is not None:
+            files.close(event)
         angles = None if step.point is None else tuple(map(float, self._angles[step.point]))
         exposure_s = max((frame["exposure_s"] for frame in frames), default=0.0)
         live = Live(step, angles, level, exposure_s, flag)  # type: ignore[arg-type]
-        return _Taken(event, [file for each in files for file in each.written], live)
+        return _Taken(event, files.written if files is not None else [], live)
 
     def _present(self, target: Target) -> None:
         if target != self._target:

@@ -35,10 +35,10 @@ def write_whole(path: Path, data: bytes) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def half_written(name: str, of: Iterable[str]) -> bool:
-    """Whether `name` is that of a file among `of` which a process was writing when it died."""
+def half_written(name: str, of: Collection[str] | re.Pattern[str]) -> bool:
+    """Whether `name` is that of a file among `of` (names, or their pattern) that a process was writing when it died."""
     found = re.fullmatch(r"\.(.+)\.\d+\.new", name)
-    return found is not None and found[1] in of
+    return found is not None and bool(of.fullmatch(found[1]) if isinstance(of, re.Pattern) else found[1] in of)
 
 
 def sync_folder(folder: Path) -> None:
@@ -130,7 +130,7 @@ def strangers(folder: Path, own: Manifest) -> list[str]:
             else:
                 out.append(start)
         elif entry.name == MANIFEST:
-            if entry.is_symlink() or not read_manifest(folder) and entry.stat().st_size:
+            if entry.is_symlink() or (not read_manifest(folder) and entry.stat().st_size):
                 out.append(entry.name)
         elif not is_own(Path(entry.path), own.get(entry.name, ())):
             out.append(entry.name)
@@ -160,7 +160,8 @@ def remove_own(folder: Path, own: Manifest) -> None:
 def require_own(folder: Path, names: Iterable[str], own: Manifest | None = None) -> None:
     """Raise `ConfigError` where files of these names are in a folder and are not what this program wrote there."""
     own = read_manifest(folder) if own is None else own
-    foreign = [name for name in names if os.path.lexists(folder / name) and not is_own(folder / name, own.get(name, ()))]
+    there = [name for name in names if os.path.lexists(folder / name)]
+    foreign = [name for name in there if not is_own(folder / name, own.get(name, ()))]
     if foreign:
         raise ConfigError(
             f"{folder / foreign[0]}: was not written by this program, or was changed since: it is not replaced; "

@@ -35,7 +35,8 @@ def write_dng(frame: Frame, path: str | Path) -> None:
 
     The file is written under a temporary name in the same folder, synced to the disk, and then renamed. Values fit
     into packed 12-bit words where `white_level_dn` is at most 4095, and into 16-bit words otherwise. The rig's clock
-    stands in DateTime and SubSecTime, counted from 1970-01-01 00:00:00 at the start of the run.
+    stands in DateTime and SubSecTime, counted from 1970-01-01 00:00:00 at the start of the run; the frame's record (in
+    ASCII) in ImageDescription.
 
     Parameters
     ----------
@@ -119,6 +120,8 @@ def encode_dng(frame: Frame) -> bytes:
         50721: (10, [1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1]),  # ColorMatrix1: identity
         50778: (3, [23]),  # D50
     }
+    if frame.record:
+        main[270] = (2, _text(frame.record))  # ImageDescription
     if frame.pattern != "mono":
         main[33421] = (3, [2, 2])
         main[33422] = (1, ["RGB".index(colour) for colour in frame.pattern])
@@ -215,6 +218,18 @@ def read_raw(path: str | Path, data: bytes | None = None) -> Frame:
     return Frame(mosaic, exposure, level, white, pattern, tags.time_s, file=path)
 
 
+def read_record(data: bytes) -> str:
+    """The record in the ImageDescription of a frame's file; "" where the file has none, or is damaged there."""
+    order = {b"II*\0": "<", b"MM\0*": ">"}.get(data[:4])
+    if order is None:
+        return ""
+    try:
+        fields, _ = _read_directory(data, struct.unpack_from(order + "I", data, 4)[0], order)
+    except struct.error:
+        return ""
+    return str(fields.get(270, b"").decode("ascii", "replace"))
+
+
 def _pattern(raw: Any) -> str:
     """The mosaic's pattern in raster order."""
     cells = raw.raw_pattern
@@ -276,7 +291,7 @@ def _require_image(fields: dict[int, Any], length: int, path: Path) -> None:
 
 def _read_directory(data: bytes, at: int, order: str) -> tuple[dict[int, Any], int]:
     """The fields that matter here, and the offset of the next directory (0 for none)."""
-    wanted = (273, 279, 324, 325, 330, 33434, 34665, 36867, 37521, 50706, 50714)
+    wanted = (270, 273, 279, 324, 325, 330, 33434, 34665, 36867, 37521, 50706, 50714)
     (count,) = struct.unpack_from(order + "H", data, at)
     fields: dict[int, Any] = {}
     for k in range(count):

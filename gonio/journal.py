@@ -35,10 +35,7 @@ def encode(event: Event) -> bytes:
 
 
 def decode(line: bytes, number: int | None = None) -> Event | None:
-    """The event of one whole line (with its end), or None where it is damaged or out of sequence (if a number is given).
-
-    Without a number the event is taken as it is.
-    """
+    """The event of one whole line (with its end), or None where it is damaged, or has not the number that is wanted."""
     body, mark, tail = line.rpartition(MARK)
     if not mark or tail != b'%08x"}\n' % zlib.crc32(body):
         return None

@@ -62,7 +62,8 @@ class Frame:
     """One raw frame: the linear mosaic as the sensor gave it.
 
     `file` is set when a camera delivered a raw file of its own (CR2, NEF, ARW, DNG); the engine keeps that file.
-    Levels are in DN; `pattern` is "mono" or a Bayer pattern in raster order.
+    Levels are in DN; `pattern` is "mono" or a Bayer pattern in raster order. `record` is the engine's: what a frame's
+    own file says of the step that it belongs to (`gonio.store`).
     """
 
     mosaic: npt.NDArray[np.uint16]
@@ -72,6 +73,7 @@ class Frame:
     pattern: str = "mono"
     time_s: float = 0.0
     file: Path | None = None
+    record: str = ""
 
 
 @dataclass(frozen=True, slots=True)
