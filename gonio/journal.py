@@ -167,7 +167,7 @@ def locked(path: Path) -> Iterator[BinaryIO]:
     """
     file = _lock(path)
     try:
-        yield file  # type: ignore[misc]
+        yield file
     finally:
         file.close()
 

@@ -80,9 +80,9 @@ def find_damage(run: Run, *, whole: bool = False, progress: Progress | None = No
     named, order = np.array(names, dtype=np.int64), np.argsort(there)
     at = np.minimum(np.searchsorted(there, named, sorter=order), max(len(there) - 1, 0))
     found = there[order][at] == named if len(there) else np.zeros(len(named), dtype=bool)
-    size = sizes[order][at] if len(there) else np.zeros(len(named), dtype=np.int64)
+    lengths = sizes[order][at] if len(there) else np.zeros(len(named), dtype=np.int64)
     expected = np.array(known, dtype=np.int64)
-    wrong = ~found | ((expected >= 0) & (size != expected))
+    wrong = ~found | ((expected >= 0) & (lengths != expected))
     suspects = set(np.array(owners, dtype=np.int64)[wrong].tolist())
     orphaned = ~np.isin(there, named)
     if orphaned.any():
@@ -91,9 +91,7 @@ def find_damage(run: Run, *, whole: bool = False, progress: Progress | None = No
     return out
 
 
-def _read(
-    run: Run, steps: Steps, suspects: set[int], out: Found, *, whole: bool, progress: Progress | None
-) -> None:
+def _read(run: Run, steps: Steps, suspects: set[int], out: Found, *, whole: bool, progress: Progress | None) -> None:
     """Read frames from end to end, the last ones first, as many as may be, and those of the suspects."""
     room, count, done = LOOKED_INTO_BYTES, LOOKED_INTO, 0
     for at in range(len(steps) - 1, -1, -1):
@@ -161,8 +159,8 @@ def _listed(folder: Path) -> tuple[np.ndarray[Any, np.dtype[np.int64]], np.ndarr
         raise ConfigError(f"{folder}: cannot be read: {error.strerror}") from None
     if foreign:
         raise ConfigError(
-            f'{folder}: holds "{min(foreign)}", which is not a file (or a link that leads nowhere); move it out of this '
-            "folder, which belongs to the run"
+            f'{folder}: holds "{min(foreign)}", which is not a file (or a link that leads nowhere); move it out of '
+            "this folder, which belongs to the run"
         )
     return np.array(names, dtype=np.int64), np.array(sizes, dtype=np.int64)
 

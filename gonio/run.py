@@ -36,18 +36,30 @@ import numpy.typing as npt
 
 from gonio.config import Strict, parse, to_toml
 from gonio.description import Band, RigDescription, SampleDescription
-from gonio.disk import MANIFEST, half_written, is_own, read_manifest, require_name, sync_folder, write_own
+from gonio.disk import (
+    MANIFEST,
+    Manifest,
+    half_written,
+    is_own,
+    read_manifest,
+    require_name,
+    require_own,
+    sha256_of,
+    sync_folder,
+    write_own,
+)
 from gonio.errors import ConfigError, DataError
 from gonio.formats.native import meta_path
 from gonio.journal import Event, Events, Journal, has_lines, read_events
 from gonio.plan import ANGLES, Assessed, Plan, assess, points_sha256
-from gonio.store import NAME
+from gonio.store import NAME, record_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
 FORMAT = 1
 OURS = ("run.toml", "plan.csv", "journal.jsonl", "frames", "reference.csv", "reference.meta.json")
+TABLE = ("brdf.csv", "brdf.meta.json")
 RESTORE = "restore it, or move it away: `gonio measure ... --resume` writes it again"
 RECORDED = ("gonio", "numpy", "scipy", "numba", "pandas", "rawpy")
 
@@ -331,18 +343,35 @@ class Run:
             self.append({"event": "lost", "steps": sorted(damaged), "frames": what})
         return what
 
-    def write(self, files: Mapping[str, bytes]) -> None:
-        """Write what was made of the run into its folder; what is there is replaced only if it was written so.
+    def check_table(self) -> None:
+        """Raise `ConfigError` where the folder takes no table: brdf.csv is somebody else's there, or was changed."""
+        require_own(self.path, TABLE)
+        check_writable(self.path)
+
+    def write_table(self, table: pd.DataFrame) -> Path:
+        """Write the measurement table of the run, brdf.csv; one that is there is replaced only if it was written so.
 
         Raises
         ------
         ConfigError
-            A file of such a name is somebody else's, or was changed; or it cannot be written.
+            See `check_table`; or it cannot be written.
+        DataError
+            The table is not valid.
         """
+        import tempfile
+
+        from gonio import measurement
+
         try:
-            write_own(self.path, files)
+            with tempfile.TemporaryDirectory(prefix=".table-", dir=self.path) as work:
+                try:
+                    measurement.write(table, Path(work) / TABLE[0])
+                except ConfigError as error:
+                    raise ConfigError(str(error).replace(work, str(self.path))) from None
+                write_own(self.path, {name: (Path(work) / name).read_bytes() for name in TABLE})
         except OSError as error:
-            raise ConfigError(f"{self.path}: cannot be written: {error.strerror}") from None
+            raise ConfigError(f"{self.path / TABLE[0]}: cannot be written: {error.strerror}") from None
+        return self.path / TABLE[0]
 
     def __enter__(self) -> Self:
         return self
@@ -412,6 +441,27 @@ class Steps(Sequence[Event]):
     def raw(self) -> Iterator[bytes]:
         """Their lines, as they lie in the journal."""
         return self._events.lines(self._lines) if isinstance(self._events, Events) else iter(())
+
+
+def own_files(path: Path) -> Manifest:
+    """What the program wrote into the folder of a run: beside what the manifest names the journal, the frames that it
+    names, and those that say themselves that they are of this run.
+
+    Nothing where there is no run, or a damaged one.
+    """
+    out = read_manifest(path)
+    with contextlib.suppress(DataError, ConfigError, OSError):
+        run = Run.open(path)
+        for step in run.steps():
+            out |= {f"frames/{frame['file']}": {frame["sha256"]} for frame in step["frames"]}
+        if (path / "journal.jsonl").is_file():
+            out["journal.jsonl"] = {sha256_of(path / "journal.jsonl")}
+        for file in (path / "frames").iterdir():
+            if f"frames/{file.name}" not in out and NAME.fullmatch(file.name) and file.is_file():
+                record = record_of(file, file.read_bytes())
+                if record is not None and record.get("run") == run.key:
+                    out[f"frames/{file.name}"] = {sha256_of(file)}
+    return out
 
 
 def begun(path: Path) -> bool:

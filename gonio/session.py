@@ -177,7 +177,7 @@ def _say_what_was_found(run: Run, progress: Progress) -> None:
         for text in run.lost[:SHOWN]:
             progress.say(f"  {text}")
         if len(run.lost) > SHOWN:
-            progress.say(f"  and {len(run.lost) - SHOWN} more; the journal names all (event \"lost\")")
+            progress.say(f'  and {len(run.lost) - SHOWN} more; the journal names all (event "lost")')
     if run.unchecked:
         progress.say(
             f"{run.path}: of {run.unchecked} frames only the size was compared; `gonio run check {run.path}` reads all"
