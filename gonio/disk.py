@@ -78,16 +78,27 @@ Manifest = dict[str, set[str]]
 
 def read_manifest(folder: Path) -> Manifest:
     """The manifest of a folder; empty where there is none, or one that cannot be read."""
-    path, found = folder / MANIFEST, Manifest()
-    try:
-        text = path.read_text(encoding="utf-8") if not path.is_symlink() else ""
-    except (OSError, UnicodeDecodeError):
-        return found
-    for line in text.splitlines():
-        digest, gap, name = line[:64], line[64:66], line[66:]
-        if gap == "  " and re.fullmatch("[0-9a-f]{64}", digest):
+    found = Manifest()
+    if is_manifest(folder / MANIFEST):
+        for line in _lines(folder / MANIFEST):
+            digest, _, name = line.partition("  ")
             found.setdefault(name, set()).add(digest)
     return found
+
+
+def is_manifest(path: Path) -> bool:
+    """Whether a path is a file, and no link, with the lines of a manifest."""
+    try:
+        return not path.is_symlink() and path.is_file() and all(_LINE.fullmatch(line) for line in _lines(path))
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
+_LINE = re.compile("([0-9a-f]{64})  (.+)")
+
+
+def _lines(path: Path) -> list[str]:
+    return path.read_text(encoding="utf-8").splitlines()
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
@@ -130,7 +141,7 @@ def strangers(folder: Path, own: Manifest) -> list[str]:
             else:
                 out.append(start)
         elif entry.name == MANIFEST:
-            if entry.is_symlink() or (not read_manifest(folder) and entry.stat().st_size):
+            if not is_manifest(Path(entry.path)):
                 out.append(entry.name)
         elif not is_own(Path(entry.path), own.get(entry.name, ())):
             out.append(entry.name)
@@ -162,6 +173,8 @@ def require_own(folder: Path, names: Iterable[str], own: Manifest | None = None)
     own = read_manifest(folder) if own is None else own
     there = [name for name in names if os.path.lexists(folder / name)]
     foreign = [name for name in there if not is_own(folder / name, own.get(name, ()))]
+    if os.path.lexists(folder / MANIFEST) and not is_manifest(folder / MANIFEST):
+        foreign.insert(0, MANIFEST)
     if foreign:
         raise ConfigError(
             f"{folder / foreign[0]}: was not written by this program, or was changed since: it is not replaced; "
@@ -194,7 +207,9 @@ def set_aside(path: Path, folder: Path) -> Path:
     Raises `OSError`.
     """
     folder.mkdir(exist_ok=True)
-    names = (path.name, *(f"{path.stem}.{count}{path.suffix}" for count in range(2, 1_000_000)))
-    free = next(folder / name for name in names if not os.path.lexists(folder / name))
+    free, count = folder / path.name, 1
+    while os.path.lexists(free):
+        count += 1
+        free = folder / f"{path.stem}.{count}{path.suffix}"
     path.rename(free)
     return free

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 import os
-import re
 from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -25,7 +23,7 @@ from gonio.journal import Event, decode, encode, locked, now
 from gonio.run import Run, Steps, begun
 from gonio.store import BESIDE, NAME, record_of
 
-LOOKED_INTO = 10_000
+LOOKED_INTO = 2_500
 """At most so many frames, the last ones, are read from end to end when a run is resumed, ..."""
 LOOKED_INTO_BYTES = 2 * 10**9
 """... and at most so many bytes: a second or two. Of the others the sizes are compared."""
@@ -57,7 +55,7 @@ def find_damage(run: Run, *, whole: bool = False, progress: Progress | None = No
         A run.
     whole
         Whether every frame is read from end to end. Otherwise all are looked for and their sizes compared, and the
-        last 10 000 (or 2 GB) are read.
+        last 2500 (or 2 GB) are read.
     progress
         Told how many frames have been read, and how many there are to read.
 
@@ -72,7 +70,7 @@ def find_damage(run: Run, *, whole: bool = False, progress: Progress | None = No
     there, sizes = _listed(run.path / "frames")
     names, known, owners = array("q"), array("q"), array("q")
     for number, line in zip(steps.numbers, steps.raw(), strict=True):
-        for name, _, size in _frames(line):
+        for name, size in _frames(line):
             names.append(hash(name))
             known.append(size)
             owners.append(number)
@@ -131,27 +129,21 @@ def state_of(path: Path, frame: dict[str, Any]) -> str:
     return ""
 
 
-_FRAME = re.compile(rb'\{"file":"([^"\\]+)","band":[^{}]*?"sha256":"([0-9a-f]{64})"(?:,"bytes":(\d+))?\}')
-
-
-def _frames(line: bytes) -> Iterator[tuple[str, str, int]]:
-    """Name, checksum and size (-1 where it is not known) of every frame that a line of the journal names."""
-    found = _FRAME.findall(line)
-    if len(found) == line.count(b'"sha256":'):
-        for name, digest, size in found:
-            yield name.decode(), digest.decode(), int(size or -1)
-    else:  # written in another order
-        for frame in json.loads(line)["frames"]:
-            yield frame["file"], frame["sha256"], frame.get("bytes", -1)
+def _frames(line: bytes) -> Iterator[tuple[bytes, int]]:
+    """Name and size (-1 where it is not known) of every frame that a line of the journal names, without parsing it."""
+    for part in line.split(b'"file":"')[1:]:
+        at = part.find(b'"bytes":')
+        size = -1 if at < 0 else int(part[at + 8 : part.index(b"}", at)].split(b",")[0])
+        yield part[: part.index(b'"')], size
 
 
 def _listed(folder: Path) -> tuple[np.ndarray[Any, np.dtype[np.int64]], np.ndarray[Any, np.dtype[np.int64]]]:
     """Hashes of the names in a folder, and the sizes of the files."""
     names, sizes, foreign = array("q"), array("q"), []
     try:
-        for entry in os.scandir(folder):
+        for entry in os.scandir(os.fsencode(folder)):
             if not entry.is_file():
-                foreign.append(entry.name)
+                foreign.append(os.fsdecode(entry.name))
                 continue
             names.append(hash(entry.name))
             sizes.append(entry.stat().st_size)
@@ -166,7 +158,8 @@ def _listed(folder: Path) -> tuple[np.ndarray[Any, np.dtype[np.int64]], np.ndarr
 
 
 def _orphans(run: Run, hashes: set[int]) -> list[str]:
-    names = sorted(entry.name for entry in os.scandir(run.path / "frames") if hash(entry.name) in hashes)
+    frames = os.fsencode(run.path / "frames")
+    names = sorted(os.fsdecode(entry.name) for entry in os.scandir(frames) if hash(entry.name) in hashes)
     beside = {name for name in names if name.endswith(BESIDE) and (run.frame_path(name[: -len(BESIDE)])).exists()}
     return [name for name in names if name not in beside]
 
@@ -326,8 +319,10 @@ def _numbered(event: Event, number: int) -> Event:
 
 def _keep(journal: Path) -> Path:
     """Give a journal a second name, which stays when the first is taken by another file."""
-    names = (f"journal.damaged{suffix}.jsonl" for suffix in ("", *(f"-{count}" for count in range(2, 1_000_000))))
-    free = next(journal.with_name(name) for name in names if not os.path.lexists(journal.with_name(name)))
+    free, count = journal.with_name("journal.damaged.jsonl"), 1
+    while os.path.lexists(free):
+        count += 1
+        free = journal.with_name(f"journal.damaged-{count}.jsonl")
     os.link(journal, free)
     return free
 

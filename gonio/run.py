@@ -40,6 +40,7 @@ from gonio.disk import (
     MANIFEST,
     Manifest,
     half_written,
+    is_manifest,
     is_own,
     read_manifest,
     require_name,
@@ -58,7 +59,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 FORMAT = 1
-OURS = ("run.toml", "plan.csv", "journal.jsonl", "frames", "reference.csv", "reference.meta.json")
+OURS = ("run.toml", "plan.csv", "journal.jsonl", "frames", "reference.csv", "reference.meta.json", MANIFEST)
+PLAN_COLUMNS = ["point", *ANGLES, "flag", "reason"]
 TABLE = ("brdf.csv", "brdf.meta.json")
 RESTORE = "restore it, or move it away: `gonio measure ... --resume` writes it again"
 RECORDED = ("gonio", "numpy", "scipy", "numba", "pandas", "rawpy")
@@ -289,19 +291,22 @@ class Run:
         angles, flags, reasons = array("d"), [], []
         try:
             with path.open(encoding="utf-8", newline="") as file:
-                for number, row in enumerate(csv.DictReader(file, strict=True)):
-                    if int(row["point"]) != number:
-                        raise ValueError(f'point {number} is missing, or stands at another place ("{row["point"]}")')
-                    angles.extend(float(row[name]) for name in ANGLES)
-                    flags.append(sys.intern(row["flag"] or ""))
-                    reasons.append(sys.intern(row["reason"] or ""))
-        except (OSError, ValueError, TypeError, KeyError, csv.Error) as error:
+                rows = csv.reader(file, strict=True)
+                if next(rows, None) != PLAN_COLUMNS:
+                    raise ValueError(f"its columns are not {', '.join(PLAN_COLUMNS)}")
+                for number, (point, *cells, flag, reason) in enumerate(rows):
+                    if int(point) != number or len(cells) != len(ANGLES):
+                        raise ValueError(f'point {number} is missing, or stands at another place ("{point}")')
+                    angles.extend(map(float, cells))
+                    flags.append(sys.intern(flag))
+                    reasons.append(sys.intern(reason))
+        except (OSError, ValueError, csv.Error) as error:
             told = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
             raise DataError(f"{path}: cannot be read as the points of the run: {told}; {RESTORE}") from None
-        rows = np.array(angles).reshape(-1, len(ANGLES))
-        if points_sha256(run.wavelength_nm, rows.tolist()) != run.plan_sha256:
+        table = np.array(angles).reshape(-1, len(ANGLES))
+        if own is None and points_sha256(run.wavelength_nm, table.tolist()) != run.plan_sha256:
             raise DataError(f"{path}: does not hold the points that the run was begun with; {RESTORE}")
-        return Points(rows, flags, reasons)
+        return Points(table, flags, reasons)
 
     def events(self) -> Sequence[Event]:
         """Every event so far, without a torn last line; `DataError` where the journal is damaged before that."""
@@ -504,14 +509,11 @@ def _check_holds_nothing(path: Path) -> None:
                     f"`gonio run repair {path}` makes it again from what the frames carry"
                 )
             foreign += [f"frames/{file}" for file in inside]
-        elif entry.is_symlink() or not (
-            entry.is_file()
-            and (
-                name in ("journal.jsonl", MANIFEST)
-                or half_written(name, (*OURS, MANIFEST))
-                or is_own(entry, own.get(name, ()))
-            )
-        ):
+        elif name == MANIFEST:
+            foreign += [] if is_manifest(entry) else [name]
+        elif entry.is_symlink() or not entry.is_file():
+            foreign.append(name)
+        elif not (name == "journal.jsonl" or half_written(name, OURS) or is_own(entry, own.get(name, ()))):
             foreign.append(name)
     if foreign:
         shown = ", ".join(f'"{name}"' for name in foreign[:5]) + (" ..." if len(foreign) > 5 else "")
@@ -529,7 +531,7 @@ def _remove_begun(path: Path) -> None:
             if name == "journal.jsonl" or is_own(path / name, own[name]):
                 (path / name).unlink()
     for left in path.iterdir():
-        if left.name == MANIFEST or half_written(left.name, (*OURS, MANIFEST)):
+        if left.name == MANIFEST or half_written(left.name, OURS):
             left.unlink(missing_ok=True)
     with contextlib.suppress(OSError):
         (path / "frames").rmdir()
@@ -618,7 +620,7 @@ def _plan_csv(points: list[Assessed]) -> str:
 
     out = io.StringIO()
     lines = csv.writer(out, lineterminator="\n")
-    lines.writerow(["point", *ANGLES, "flag", "reason"])
+    lines.writerow(PLAN_COLUMNS)
     for row, a in enumerate(points):
         lines.writerow([row, *(repr(getattr(a.point, name)) for name in ANGLES), a.flag, a.reason])
     return out.getvalue()
