@@ -239,8 +239,8 @@ class _Session:
         """Take a step; journal the one before it, whose frames were being written meanwhile."""
         self._rig.begin(step)
         taken = self._dark(step) if step.kind == "dark" else self._lit_step(step)
-        if step.kind == "reference" and self._reference is None and not taken.event["flag"]:
-            self._reference = taken.event
+        if step.kind == "reference" and not taken.event["flag"]:
+            self._reference = min(self._reference or taken.event, taken.event, key=lambda event: int(event["step"]))
         self._pending.append(taken)
         while len(self._pending) > 1:
             self._write(self._pending.popleft())
@@ -326,8 +326,11 @@ class _Session:
         return found.level_per_s, level
 
     def _expected(self, step: Step, band: Band) -> float:
-        """The level for one second that a white surface gives at this pose, by the first visit to the reference."""
-        if self._reference is None:
+        """The level for one second that a white surface gives at this pose, by the first visit to the reference.
+
+        A visit after this step is none: a step that is taken again starts from what it started from.
+        """
+        if self._reference is None or int(self._reference["step"]) >= step.index:
             return exposure.expected_level_per_s(self._description, step.pose, 1.0)
         at_reference = Pose(**self._reference["goal"])
         ratio = exposure.cosine_of_incidence(step.pose) / exposure.cosine_of_incidence(at_reference)

@@ -509,11 +509,7 @@ def _check_holds_nothing(path: Path) -> None:
                     f"`gonio run repair {path}` makes it again from what the frames carry"
                 )
             foreign += [f"frames/{file}" for file in inside]
-        elif name == MANIFEST:
-            foreign += [] if is_manifest(entry) else [name]
-        elif entry.is_symlink() or not entry.is_file():
-            foreign.append(name)
-        elif not (name == "journal.jsonl" or half_written(name, OURS) or is_own(entry, own.get(name, ()))):
+        elif entry.is_symlink() or not entry.is_file() or not _left(entry, own):
             foreign.append(name)
     if foreign:
         shown = ", ".join(f'"{name}"' for name in foreign[:5]) + (" ..." if len(foreign) > 5 else "")
@@ -521,6 +517,13 @@ def _check_holds_nothing(path: Path) -> None:
             f"{path}: is not empty (it holds {shown}), and what this program did not write it leaves alone; "
             "a run needs a folder of its own"
         )
+
+
+def _left(file: Path, own: Manifest) -> bool:
+    """Whether a file is one that a run which never began may leave; of a journal this was looked at before."""
+    if file.name == MANIFEST:
+        return is_manifest(file)
+    return file.name == "journal.jsonl" or half_written(file.name, OURS) or is_own(file, own.get(file.name, ()))
 
 
 def _remove_begun(path: Path) -> None:
