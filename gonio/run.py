@@ -443,6 +443,10 @@ class Steps(Sequence[Event]):
     def __iter__(self) -> Iterator[Event]:
         return map(json.loads, self.raw())
 
+    def latest(self) -> Event:
+        """The one that was written last."""
+        return self._events[max(self._lines)]
+
     def raw(self) -> Iterator[bytes]:
         """Their lines, as they lie in the journal."""
         return self._events.lines(self._lines) if isinstance(self._events, Events) else iter(())
