@@ -19,6 +19,10 @@ class DataError(GonioError):
     exit_code = 1
 
 
+class DamagedFrame(DataError):
+    """A raw frame of a run is missing, or is not the one that the journal names (exit code 1)."""
+
+
 class ConfigError(GonioError):
     """A wrong option, a wrong key or value in a configuration, or a missing input file (exit code 2)."""
 

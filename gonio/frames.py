@@ -37,7 +37,8 @@ def write_dng(frame: Frame, path: str | Path) -> None:
 
     The file is written under a temporary name in the same folder, synced to the disk, and then renamed. Values fit
     into packed 12-bit words where `white_level_dn` is at most 4095, and into 16-bit words otherwise. The rig's clock
-    stands in DateTime and SubSecTime, to the microsecond, counted from 1970-01-01 00:00:00.
+    stands in DateTime and SubSecTime, to the microsecond, counted from 1970-01-01 00:00:00; the frame's record (in
+    ASCII) in ImageDescription.
 
     Parameters
     ----------
@@ -123,6 +124,8 @@ def encode_dng(frame: Frame) -> bytes:
         50721: (10, [1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1]),  # ColorMatrix1: identity
         50778: (3, [23]),  # D50
     }
+    if frame.record:
+        main[270] = (2, _text(frame.record))  # ImageDescription
     if frame.pattern != "mono":
         main[33421] = (3, [2, 2])
         main[33422] = (1, ["RGB".index(colour) for colour in frame.pattern])
@@ -200,7 +203,7 @@ def read_raw(path: str | Path, data: bytes | None = None) -> Frame:
     own = _read_own(tags, data)
     if own is not None and tags.exposure_s and tags.black_level_dn is not None:
         mosaic, pattern, white = own
-        return Frame(mosaic, tags.exposure_s, tags.black_level_dn, white, pattern, tags.time_s, file=path)
+        return Frame(mosaic, tags.exposure_s, tags.black_level_dn, white, pattern, time_s=tags.time_s, file=path)
     import rawpy
 
     try:
@@ -249,6 +252,18 @@ def _read_own(tags: _Tags, data: bytes) -> tuple[npt.NDArray[np.uint16], str, fl
 
         unpack12(strip.reshape(rows, -1), mosaic)
     return mosaic, pattern, float(white)
+
+
+def read_record(data: bytes) -> str:
+    """The record in the ImageDescription of a frame's file; "" where the file has none, or is damaged there."""
+    order = {b"II*\0": "<", b"MM\0*": ">"}.get(data[:4])
+    if order is None:
+        return ""
+    try:
+        fields, _ = _read_directory(data, struct.unpack_from(order + "I", data, 4)[0], order)
+    except struct.error:
+        return ""
+    return str(fields.get(270, b"").decode("ascii", "replace"))
 
 
 def _pattern(raw: Any) -> str:
@@ -316,7 +331,7 @@ def _require_image(fields: dict[int, Any], length: int, path: Path) -> None:
 
 def _read_directory(data: bytes, at: int, order: str) -> tuple[dict[int, Any], int]:
     """The fields that matter here, and the offset of the next directory (0 for none)."""
-    wanted = {256, 257, 258, 259, 262, 273, 274, 277, 278, 279, 305, 324, 325, 330}
+    wanted = {256, 257, 258, 259, 262, 270, 273, 274, 277, 278, 279, 305, 324, 325, 330}
     wanted |= {33421, 33422, 33434, 34665, 36867, 37521, 50706, 50714, 50717}
     (count,) = struct.unpack_from(order + "H", data, at)
     fields: dict[int, Any] = {}

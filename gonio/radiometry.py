@@ -24,7 +24,7 @@ from gonio.description import Axis, Band, RigDescription
 from gonio.errors import ConfigError, DataError
 from gonio.kinematics import Directions
 from gonio.plan import ANGLES
-from gonio.rates import Bench, Merged, in_threads
+from gonio.rates import RETAKE, Bench, Merged, in_threads
 from gonio.rig import Pose
 
 if TYPE_CHECKING:
@@ -36,6 +36,9 @@ Array = npt.NDArray[np.float64]
 
 CLIPPED = 1e-3
 """Dark frames with a larger part of their pixels at 0 DN are cut off there."""
+DAMAGED = "missing or damaged and are left out"
+NAMED = 10
+"""At most so many damaged frames are named in a note."""
 COMMON = ("s_reference", "s_reference_noise", "s_lamp_drift")
 DARK = tuple(f"s_dark_{k + 1}" for k in range(COLUMNS))
 CAUSES = {"light": "s_theta_i_zero", "camera": "s_theta_r_zero", "tilt": "s_tilt_zero", "azimuth": "s_azimuth_zero"}
@@ -58,8 +61,8 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
     pandas.DataFrame
         As `gonio.measurement` describes it, in the order of the plan. Angles are what the encoders read. `brdf` is NaN
         where `flag` says why: "blocked", "unreachable" and the plan's other reasons, "saturated" (in every frame),
-        "below_horizon" (at the pose that was read), "moved" (an axis did not stand still), "not_measured" (the run
-        ended before).
+        "below_horizon" (at the pose that was read), "moved" (an axis did not stand still), "damaged" (a frame of the
+        point is missing or was changed), "not_measured" (the run ended before).
         Causes: `s_reference` (the certificate), `s_reference_noise` (mean level of the visits), `s_lamp_drift`,
         `s_dark_1` to `s_dark_3` (noise of the dark frames), `s_theta_i_zero`, `s_theta_r_zero` and, with those axes,
         `s_tilt_zero`, `s_azimuth_zero`.
@@ -67,8 +70,8 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
     Raises
     ------
     DataError
-        There are no dark frames or no usable visit to the white reference, or a frame is missing, damaged or not
-        the one that the journal names.
+        There are no dark frames or no usable visit to the white reference, or none of them is whole. Other frames that
+        are missing, or not those that the journal names, are left out, with a note.
     ConfigError
         The reference's table is missing, or neither a table nor an albedo is given.
     """
@@ -83,7 +86,7 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
                 progress(k * count + len(merged), len(run.bands) * count)
         results.append(_reduce_band(bench, band, merged))
     _share_darks(results)
-    return _assemble(run, results, _notes_on_darks(bench))
+    return _assemble(run, results, _notes_on_damage(bench) + _notes_on_darks(bench))
 
 
 @dataclass(frozen=True, slots=True)
@@ -355,6 +358,20 @@ def _notes_on_zeros(description: RigDescription) -> list[str]:
         for name, axis in _axes(description).items()
         if not axis.zero_offset_known
     ]
+
+
+def _notes_on_damage(bench: Bench) -> list[str]:
+    if not bench.damaged:
+        return []
+    names = sorted(bench.damaged)
+    shown = ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
+    out = [f'{len(names)} frames are {DAMAGED} ({shown}); points that lack one are flagged "damaged", and {RETAKE}']
+    if bench.darks_taken > 1 and bench.darks_used == 1:
+        out.append(
+            "the dark frames of one exposure alone are left: the dark current is that of the rig file, and its "
+            "uncertainty is not in u_brdf"
+        )
+    return out
 
 
 def _notes_on_darks(bench: Bench) -> list[str]:

@@ -14,12 +14,17 @@ from gonio import plugins
 from gonio.config import load, parse
 from gonio.description import RigDescription, SampleDescription
 from gonio.errors import ConfigError, DeviceError
-from gonio.plan import Assessed, Plan, assess, schedule
+from gonio.plan import Assessed, Plan, schedule
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from gonio.acquire import Progress
     from gonio.rig import Pose, Rig, RigPlugin, Step, Target
     from gonio.run import Run
+
+SHOWN = 20
+"""At most so many frames are named on the terminal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,20 +158,22 @@ def carry_out(
         See `gonio.acquire.measure`, `Run.create`, `Run.resume` and the rig's own documentation.
     """
     from gonio.acquire import Silent, Stop, measure
+    from gonio.plan import going_on
     from gonio.run import Request, Run, begun
 
     out = Path(out)
     progress = progress or Silent()
     plan.bands(rig.description)
-    points = assess(plan, rig.description)
+    request = Request(plan, rig.description, sample, seed, command)
+    begun_before = resume and begun(out)
     _check_patches(rig, sample)
-    steps = rig.schedule(plan, points)
+    steps: Sequence[Step] = [] if begun_before else rig.schedule(plan, request.points)
     device = _open(rig, out, sample, seed, resume, yes)
-    going_on = resume and begun(out)
-    request = Request(plan, points, rig.description, sample, seed, command)
     with Stop(progress, last=last) as stop, contextlib.ExitStack() as stack:
-        if going_on:
+        if begun_before:
             run = stack.enter_context(Run.resume(out, request))
+            _say_what_was_found(run, progress)
+            steps = going_on(plan, rig.description, run.points.flags)
             with rig.naming():
                 stack.enter_context(device)
         else:
@@ -174,7 +181,20 @@ def carry_out(
                 stack.enter_context(device)
             run = stack.enter_context(Run.create(out, request))
         measure(device, run, steps, progress, stop)
-    return Run.open(out)
+    return run
+
+
+def _say_what_was_found(run: Run, progress: Progress) -> None:
+    if run.lost:
+        progress.say(f"{run.path}: {len(run.lost)} frames are missing or damaged; their steps are taken again:")
+        for text in run.lost[:SHOWN]:
+            progress.say(f"  {text}")
+        if len(run.lost) > SHOWN:
+            progress.say(f'  and {len(run.lost) - SHOWN} more; the journal names all (event "lost")')
+    if run.unchecked:
+        progress.say(
+            f"{run.path}: of {run.unchecked} frames only the size was compared; `gonio run check {run.path}` reads all"
+        )
 
 
 def check(

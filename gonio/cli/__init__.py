@@ -93,7 +93,7 @@ def build() -> typer.Typer:
     import typer
 
     from gonio import plugins
-    from gonio.cli import measuring, options, plans, rigs, tables
+    from gonio.cli import measuring, options, plans, rigs, runs, tables
 
     class InOrder(typer.core.TyperGroup):
         def list_commands(self, ctx: Any) -> list[str]:
@@ -113,6 +113,7 @@ def build() -> typer.Typer:
     app.add_typer(plans.app, name="plan")
     app.command()(measuring.measure)
     app.command()(measuring.reduce)
+    app.add_typer(runs.app, name="run")
     for name, point in plugins.available("gonio.commands").items():
         _add(app, name, point)
     app.command()(tables.convert)

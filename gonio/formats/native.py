@@ -10,13 +10,15 @@ import io
 import itertools
 import json
 import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gonio.errors import DataError
+from gonio.disk import require_name
+from gonio.errors import ConfigError, DataError
 from gonio.formats.base import (
     COLUMNS,
     POLARISATIONS,
@@ -133,8 +135,22 @@ def write(frame: pd.DataFrame, path: Path) -> None:
         meta = json.dumps(_plain(frame.attrs), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     except (TypeError, ValueError) as error:
         raise DataError(f"{path}: an attribute of the table cannot be written as JSON: {error}") from None
+    _require_own_attributes(meta_path(path))
     write_bytes(meta_path(path), meta.encode())
     write_bytes(path, text.encode())
+
+
+def _require_own_attributes(meta: Path) -> None:
+    """Nobody has named the file beside the table: `ConfigError` where one is there that holds something else."""
+    require_name(meta)
+    if not os.path.lexists(meta):
+        return
+    try:
+        stored = json.loads(meta.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        stored = None
+    if not isinstance(stored, dict) or not stored.keys() <= attributes().keys() | {"samples"}:
+        raise ConfigError(f"{meta}: is not the attributes of a table, and is not replaced; give the table another name")
 
 
 def check_columns(header: list[str], where: str, *, needed: tuple[str, ...] = COLUMNS) -> None:

@@ -333,7 +333,7 @@ def pixels_of_a_disc(theta_r_deg: float) -> float:
 
 
 @pytest.mark.parametrize("kind", ["changed", "missing", "cut"])
-def test_a_frame_that_is_not_the_journal_s_is_named(tmp_path: Path, kind: str) -> None:
+def test_a_frame_that_is_not_the_journal_s_is_left_out_and_named(tmp_path: Path, kind: str) -> None:
     run = Maker(tmp_path, describe(), glossy).make(POINTS[:3], (0.25,))
     path = run.frame_path(run.events[3]["frames"][0]["file"])
     data = path.read_bytes()
@@ -341,8 +341,9 @@ def test_a_frame_that_is_not_the_journal_s_is_named(tmp_path: Path, kind: str) -
         path.unlink()
     else:
         path.write_bytes(data[:-1] + b"\x55" if kind == "changed" else data[:5000])
-    with pytest.raises(DataError, match=path.name):
-        radiometry.reduce(run)
+    table = radiometry.reduce(run)
+    assert list(table["flag"]).count("damaged") == 1
+    assert any(path.name in note for note in table.attrs["notes"])
 
 
 @pytest.mark.parametrize(
