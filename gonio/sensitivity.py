@@ -19,105 +19,26 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
 
 from gonio.geometry import direction
 from gonio.kinematics import Directions
+from gonio.spikes import Scene, Share, find, mirror_offset, overlap
 
 Array = npt.NDArray[np.float64]
 
-STANDS_OUT = 0.05
-"""A curve has a spike where it exceeds its lobe by more than this part of it and three times its noise."""
-EDGE = 1e-3
-"""A spike that overlaps the lens less on average is not looked for. Points at the edge alone tell its height badly, and
-their uncertainty says so: the variance of their overlap is a multiple of its square."""
 TOGETHER = 1e-4
 """Points whose nominal angles of incidence differ by less [rad] belong to one curve."""
 NARROWEST = math.radians(0.2)
 """Points closer than this do not tell a slope: encoder steps and noise would."""
-QUANTILES = np.array([NormalDist().inv_cdf((k + 0.5) / 41) for k in range(41)])
-QUANTILES /= QUANTILES.std()
-"""Equally probable values of a standard normal number."""
 PROBE = math.radians(0.5)
 """Step of differences along a curve."""
 ALIKE = math.radians(10.0)
 """Curves whose angles of difference differ by this much are alike."""
 NORMAL = math.radians(1.0)
 """Below this angle of incidence the plane of incidence is not a direction that f could depend on."""
-
-
-def overlap(offset: npt.ArrayLike, half_angle_1: float, half_angle_2: float) -> Array:
-    """Common area of two discs of given radii whose centres are `offset` apart, over the area of the smaller one.
-
-    Two discs without extent, or one, overlap fully inside the other and not at all outside. Cones of half-angles below
-    five degrees overlap like flat discs within 0.2 %.
-    """
-    d = np.abs(np.asarray(offset, dtype=float))
-    small, large = sorted((half_angle_1, half_angle_2))
-    if small <= 0:
-        return np.where(d <= large, 1.0, 0.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        a = np.arccos(np.clip((d**2 + small**2 - large**2) / (2 * d * small), -1, 1))
-        b = np.arccos(np.clip((d**2 + large**2 - small**2) / (2 * d * large), -1, 1))
-    lens = small**2 * (a - np.sin(a) * np.cos(a)) + large**2 * (b - np.sin(b) * np.cos(b))
-    return np.where(d <= large - small, 1.0, np.where(d >= large + small, 0.0, lens / (np.pi * small**2)))
-
-
-def from_mirror(d: Directions) -> tuple[float, float, float]:
-    """Unit vector to the detector less that of the mirror direction."""
-    return (
-        math.sin(d.theta_r) * math.cos(d.phi_r) + math.sin(d.theta_i) * math.cos(d.phi_i),
-        math.sin(d.theta_r) * math.sin(d.phi_r) + math.sin(d.theta_i) * math.sin(d.phi_i),
-        math.cos(d.theta_r) - math.cos(d.theta_i),
-    )
-
-
-def mirror_offset(d: Directions) -> float:
-    """Angle [rad] between the mirror direction and the detector, for angles small or large."""
-    return 2.0 * math.asin(min(0.5 * math.hypot(*from_mirror(d)), 1.0))
-
-
-def over_patch(d: Directions, radius_mm: float, light_mm: float, camera_mm: float) -> Array:
-    """What `from_mirror` changes by at 24 places spread evenly over a round patch, shape (24, 3).
-
-    A spot x sees source and camera turned by -(x - (x . w) w) / distance, to first order.
-    """
-    turn = (np.arange(24) + 0.5) * math.pi * (3.0 - math.sqrt(5.0))  # Vogel's spiral
-    radius = radius_mm * np.sqrt((np.arange(24) + 0.5) / 24)
-    x = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(24)], axis=1)
-    source, detector = direction(d.theta_i, d.phi_i), direction(d.theta_r, d.phi_r)
-    to_source = -(x - (x @ source)[:, None] * source) / light_mm
-    to_detector = -(x - (x @ detector)[:, None] * detector) / camera_mm
-    return np.asarray(to_detector - to_source * (-1.0, -1.0, 1.0))
-
-
-def blurred_overlap(
-    read: Directions, moved: Sequence[Directions], half_angles: tuple[float, float], patch: Array | None = None
-) -> tuple[float, float]:
-    """Mean and variance of the overlap, averaged over a patch, at directions whose true place is uncertain.
-
-    Parameters
-    ----------
-    read
-        The directions that were read.
-    moved
-        The directions for one standard deviation of each independent error; together they are taken for normal.
-    half_angles
-        Of the lamp and of the lens [rad].
-    patch
-        What `from_mirror` changes by at places of the patch, shape (n, 3); none for a point.
-    """
-    centre = np.array(from_mirror(read))
-    shifts = np.array([from_mirror(d) for d in moved]).reshape(-1, 3) - centre
-    values, vectors = np.linalg.eigh(shifts.T @ shifts)
-    first, second = (math.sqrt(max(values[k], 0.0)) * vectors[:, k] for k in (2, 1))
-    place = centre + QUANTILES[:, None, None] * first + QUANTILES[None, :, None] * second
-    spots = np.zeros((1, 3)) if patch is None else patch
-    share = np.mean([overlap(np.linalg.norm(place + spot, axis=-1), *half_angles) for spot in spots], axis=0)
-    return float(share.mean()), float(share.var())
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +76,7 @@ class Curves:
     half_angles
         Of the lamp and of the lens [rad].
     shares
-        Mean and variance of the overlap at each point (`blurred_overlap`), shape (n, 2).
+        What each point sees of a spike (`gonio.spikes.blurred_overlap`).
     """
 
     def __init__(
@@ -165,7 +86,7 @@ class Curves:
         brdf: Array,
         u: Array,
         half_angles: tuple[float, float],
-        shares: Array,
+        shares: Sequence[Share],
     ) -> None:
         self._half_angles = half_angles
         self._azimuth = [goal.phi_i for goal in goals]
@@ -173,43 +94,21 @@ class Curves:
         self._x = np.array([p.x for p in self._points])
         self._y = np.array([p.y for p in self._points])
         self._theta_i = np.array([p.theta_i for p in self._points])
-        self._offset = np.array([mirror_offset(d) for d in read])
         goal_x = [_relative(goal, a) for goal, a in zip(goals, self._azimuth, strict=True)]
         in_plane = np.array([abs(p.y) < TOGETHER for p in goal_x])
         incidence = np.round(np.array([goal.theta_i for goal in goals]) / TOGETHER)
         self._groups = [np.flatnonzero(incidence == value) for value in np.unique(incidence)]
         self._lines = [group[in_plane[group]] for group in self._groups]
         self._lines = [line[np.argsort(self._x[line])] for line in self._lines]
-        self.lobe, self.spike = brdf.astype(float), np.zeros(len(brdf))
-        for line in self._lines:
-            self._split(line, u, shares[:, 0])
-        at_read = overlap(self._offset, *half_angles)
-        self.correction = np.where(self.spike != 0, self.spike * (at_read - shares[:, 0]), 0.0)
-        """What the values lack on average [1/sr], because every error leads down from the top of a spike."""
-        self.spike_variance = self.spike**2 * shares[:, 1]
-        """Variance [1/sr^2] of the spike's part, from all errors of the angles together."""
+        middle = np.array([0.5 * (d.theta_i + d.theta_r) for d in read])
+        scene = Scene(self._theta_i, self._x - self._theta_i, in_plane, middle, brdf, u, shares, half_angles)
+        self.spikes = find(scene, self._groups)
+        self.lobe, self.spike = self.spikes.lobe, self.spikes.amplitude
         small = max(3.0 * float(np.min(u, initial=np.inf)), 1e-9 * float(np.max(np.abs(brdf), initial=0.0)), 1e-300)
         self._log, self._size = np.arcsinh(self.lobe / (2 * small)), np.hypot(self.lobe, 2 * small)
         self.slope = np.zeros((len(brdf), 3))
         for k, group in enumerate(self._groups):
             self._slopes_of(k, group, in_plane)
-
-    def _split(self, line: npt.NDArray[np.intp], u: Array, shares: Array) -> None:
-        """Take a spike out of an in-plane curve; `spike` holds its amplitude at full overlap for the curve's points."""
-        reach = sum(self._half_angles)
-        outside = line[self._offset[line] > reach + np.radians(0.05)]
-        inside = line[self._offset[line] <= reach + np.radians(0.05)]
-        if inside.size == 0 or outside.size < 4 or reach <= 0 or np.max(shares[inside]) < EDGE:
-            return
-        lobe = _cubic(self._x[inside], self._x[outside], self.lobe[outside])
-        excess, ratio = self.lobe[inside] - lobe, shares[inside]
-        weight = float(np.sum(ratio**2))
-        amplitude, u_amplitude = float(np.sum(excess * ratio)) / weight, float(np.sum((u[inside] * ratio) ** 2)) ** 0.5
-        u_amplitude /= weight
-        seen = amplitude * float(np.max(ratio))
-        if amplitude > 3 * u_amplitude and seen > STANDS_OUT * float(np.max(np.abs(lobe))):
-            self.spike[line] = amplitude
-            self.lobe[inside] = lobe
 
     def _slopes_of(self, number: int, group: npt.NDArray[np.intp], in_plane: npt.NDArray[np.bool_]) -> None:
         """Derivatives of the lobe along x, y and theta_i for the points of one angle of incidence."""
