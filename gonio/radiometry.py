@@ -103,6 +103,8 @@ class _BandResult:
     freedom: int
     untold: list[Directions]
     """Nominal directions of points that may see a spike of which only a bound is known."""
+    coarse: list[Directions]
+    """Nominal directions of points beside a lobe that is narrower than the plan's steps."""
 
 
 def _reduce_band(bench: Bench, band: Band, merged: list[Merged | str]) -> _BandResult:
@@ -110,7 +112,7 @@ def _reduce_band(bench: Bench, band: Band, merged: list[Merged | str]) -> _BandR
     visits = [m for m in merged if isinstance(m, Merged) and m.point is None]
     without = [(s, m) for s, m in zip(bench.steps, merged, strict=True) if isinstance(m, str) and s["kind"] == "point"]
     fitted, reference_brdf = _level(bench, visits, band)
-    columns, untold = _columns(bench, points, visits[0], fitted, band)
+    columns, untold, coarse = _columns(bench, points, visits[0], fitted, band)
     levels = fitted.at(np.array([point.time_s for point in points]))
     rows = {
         int(point.point): _angle_columns(point.directions) | {name: float(c[k]) for name, c in columns.items()}
@@ -129,6 +131,7 @@ def _reduce_band(bench: Bench, band: Band, merged: list[Merged | str]) -> _BandR
         scatter=sum(step.chi_square for step in (*points, *visits)) / max(freedom, 1),
         freedom=freedom,
         untold=untold,
+        coarse=coarse,
     )
 
 
@@ -161,10 +164,11 @@ def _level(bench: Bench, visits: list[Merged], band: Band) -> tuple[white_refere
 
 def _columns(
     bench: Bench, points: list[Merged], visit: Merged, fitted: white_reference.Level, band: Band
-) -> tuple[dict[str, Array], list[Directions]]:
+) -> tuple[dict[str, Array], list[Directions], list[Directions]]:
     """BRDF and its uncertainties for the measured points of a band (docs/radiometry.md, "The budget").
 
-    And the nominal directions of points whose blur by the angles' errors is only bounded.
+    And the nominal directions of points whose blur by the angles' errors is only bounded, and of those whose slope the
+    plan's steps are too coarse to tell.
     """
     description = bench.description
     encoder, zeros = _encoder_steps(description), _zeros(description)
@@ -186,21 +190,27 @@ def _columns(
         "s_reference_noise": -brdf * fitted.noise(times) / k,
         "s_lamp_drift": -brdf * fitted.drift(times) / k,
     }
-    said, even_parts = np.zeros(len(points)), np.zeros(len(points))
+    said, even_parts, unresolved = np.zeros((3, len(points)))
     for axis, u in encoder.items():
         odd, even = _effects(description, curves, points, axis, u)
         said, even_parts, independent = said + odd**2, even_parts + even**2, independent + odd**2
+        unresolved = unresolved + _doubts(description, curves, points, axis, u) ** 2
     for axis, u in zeros.items():
         odd, even = _effects(description, curves, points, axis, u)
         said, even_parts = said + odd**2, even_parts + even**2
+        unresolved = unresolved + _doubts(description, curves, points, axis, u) ** 2
         common[CAUSES[axis]] = odd - brdf * _change_of_cosine(description, visit, axis, u)
     blur = curves.spikes.variance
-    independent = independent + np.where(curves.spike != 0, np.maximum(blur - said, 0.0), blur + even_parts)
+    independent = (
+        independent + np.where(curves.spike != 0, np.maximum(blur - said, 0.0), blur + even_parts) + unresolved
+    )
     darks = np.array([np.sum(point.dark**2) for point in points]) / k**2
     combined = np.sqrt(independent + darks + sum(column**2 for column in common.values()))
     bounded = ~curves.spikes.told & (blur > noise)
     untold = [goal for goal, bound in zip(goals, bounded, strict=True) if bound]
-    return {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent)} | common, untold
+    steep = curves.coarse | (unresolved > noise)
+    coarse = [goal for goal, narrow in zip(goals, steep, strict=True) if narrow]
+    return {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent)} | common, untold, coarse
 
 
 def _share_darks(results: list[_BandResult]) -> None:
@@ -252,6 +262,13 @@ def _effects(
             plus, minus = (_moved(description, point.pose, axis, by) for by in (u, -u))
             out[:, k] = curves.effects(k, point.directions, plus, minus)
     return out[0], out[1]
+
+
+def _doubts(
+    description: RigDescription, curves: sensitivity.Curves, points: list[Merged], axis: str, u: float
+) -> Array:
+    """How uncertain [1/sr] the odd changes of `_effects` are, because steps are coarser than the lobe is wide."""
+    return np.array([curves.doubt(k, _moved(description, p.pose, axis, u)) for k, p in enumerate(points)])
 
 
 def _shares(
@@ -392,12 +409,16 @@ def _notes(result: _BandResult) -> list[str]:
             f"{result.level.chi_square:.1f} of {result.visits} visits): the level is interpolated between them"
         )
     if result.untold:
-        listed = ", ".join(f"({math.degrees(d.theta_i):g}, {math.degrees(d.theta_r):g})" for d in result.untold[:3])
-        more = f" and {len(result.untold) - 3} more" if len(result.untold) > 3 else ""
         out.append(
-            f"{name}: nothing tells whether a specular spike stands at (theta_i, theta_r) = {listed}{more} deg: what "
+            f"{name}: nothing tells whether a specular spike stands at {_listed(result.untold)}: what "
             "errors of the angles would do to one is in u_brdf, which is large; measure the mirror direction too, and "
             "points on both sides of it that the spike does not reach"
+        )
+    if result.coarse:
+        out.append(
+            f"{name}: the plan's steps are too coarse for the lobe at {_listed(result.coarse)}: u_brdf there rests on "
+            "what neighbouring points leave open, and may be too small; measure in finer steps around the mirror "
+            "direction"
         )
     # three standard deviations of a reduced chi-square, and enough to matter: uncertainties 20 % too small
     if result.scatter > max(1.44, 1.0 + 3.0 * math.sqrt(2.0 / max(result.freedom, 1))):
@@ -406,3 +427,12 @@ def _notes(result: _BandResult) -> list[str]:
             "says (see lamp.noise and the camera's noise there): u_random is too small"
         )
     return out
+
+
+def _listed(points: list[Directions]) -> str:
+    """The first points of a list, for people, in degrees."""
+    first = ", ".join(
+        f"({', '.join(f'{math.degrees(a):g}' for a in (d.theta_i, d.theta_r, (d.phi_r - d.phi_i) % (2 * math.pi)))})"
+        for d in points[:3]
+    )
+    return f"(theta_i, theta_r, dphi) = {first} deg" + (f" and {len(points) - 3} more" if len(points) > 3 else "")

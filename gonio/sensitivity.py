@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from gonio.geometry import direction
 from gonio.kinematics import Directions
-from gonio.spikes import Scene, Share, find, mirror_offset, overlap
+from gonio.spikes import Scene, Share, find, lagrange, mirror_offset, overlap
 
 Array = npt.NDArray[np.float64]
 
@@ -33,6 +33,8 @@ TOGETHER = 1e-4
 """Points whose nominal angles of incidence differ by less [rad] belong to one curve."""
 NARROWEST = math.radians(0.2)
 """Points closer than this do not tell a slope: encoder steps and noise would."""
+FALL = 0.5
+"""A curve has a peak at the mirror direction where its logarithm falls by more to the next point."""
 PROBE = math.radians(0.5)
 """Step of differences along a curve."""
 ALIKE = math.radians(10.0)
@@ -107,33 +109,69 @@ class Curves:
         small = max(3.0 * float(np.min(u, initial=np.inf)), 1e-9 * float(np.max(np.abs(brdf), initial=0.0)), 1e-300)
         self._log, self._size = np.arcsinh(self.lobe / (2 * small)), np.hypot(self.lobe, 2 * small)
         self.slope = np.zeros((len(brdf), 3))
+        self._doubt = np.zeros(len(brdf))
+        self.coarse = np.zeros(len(brdf), dtype=bool)
+        """Points beside a peak that falls within one step: nothing tells how steep it is (docs/radiometry.md)."""
+        logs = np.arcsinh(brdf / (2 * small))
+        near = np.array([share.near for share in shares], dtype=bool)
+        for line, group in zip(self._lines, self._groups, strict=True):
+            gap = self._fall(line, logs) if np.count_nonzero(near[line]) < 3 else 0.0
+            apart = np.hypot(self._x[group] - self._theta_i[group], self._y[group])
+            self.coarse[group] = ~near[group] & (apart < 1.6 * gap)
         for k, group in enumerate(self._groups):
             self._slopes_of(k, group, in_plane)
+
+    def _fall(self, line: npt.NDArray[np.intp], logs: Array) -> float:
+        """The widest step [rad] of a curve beside the mirror direction over which its peak falls to its foot, or 0."""
+        from_mirror, f = self._x[line] - self._theta_i[line], logs[line]
+        widest = 0.0
+        for side in (from_mirror, -from_mirror):
+            order = np.argsort(side)
+            order = order[side[order] > -0.6 * np.max(np.diff(np.sort(side)), initial=0.0)]
+            steps, falls = np.diff(side[order]), -np.diff(f[order])
+            for k in np.flatnonzero((side[order][:-1] < 0.6 * steps) & (falls > FALL) & (steps > 2 * NARROWEST)):
+                if (
+                    k + 1 >= falls.size or falls[k + 1] < falls[k]
+                ):  # a lobe that the steps resolve falls faster farther out
+                    widest = max(widest, float(steps[k]))
+        return widest
 
     def _slopes_of(self, number: int, group: npt.NDArray[np.intp], in_plane: npt.NDArray[np.bool_]) -> None:
         """Derivatives of the lobe along x, y and theta_i for the points of one angle of incidence."""
         line = self._lines[number]
         for place, k in enumerate(line):
-            self.slope[k, 0] = self._along_line(line, place)
+            self.slope[k, 0], self._doubt[k] = self._along_line(line, place)
         diagonal = np.array([self._along_mirror(number, int(k)) if in_plane[k] else 0.0 for k in group])
         self.slope[group, 2] = diagonal - self.slope[group, 0]
         for k in group[~in_plane[group]]:
-            self.slope[k] = self._beyond(int(k), group)
+            self.slope[k], self._doubt[k] = self._beyond(int(k), group)
 
-    def _along_line(self, line: npt.NDArray[np.intp], place: int) -> float:
-        """Slope of the lobe along its curve, from the nearest points on each side that the cones tell apart."""
+    def _along_line(self, line: npt.NDArray[np.intp], place: int) -> tuple[float, float]:
+        """Slope of the lobe along its curve, from the nearest points on each side that the cones tell apart.
+
+        And its standard uncertainty: how much it differs from the slopes of the parabolas through two points on one
+        side. Where the points resolve a lobe they agree; at its foot, or where it falls by a large factor from one
+        point to the next, they do not.
+        """
         x, f = self._x[line] - self._x[line[place]], self._log[line] - self._log[line[place]]
         apart = max(NARROWEST, 0.5 * sum(self._half_angles))
-        found = [(f[j] / x[j], abs(x[j])) for j in (*np.flatnonzero(x <= -apart)[-1:], *np.flatnonzero(x >= apart)[:1])]
-        return _weighted(found) * float(self._size[line[place]])
+        found, parabolas = [], []
+        for side in (np.flatnonzero(x <= -apart)[::-1], np.flatnonzero(x >= apart)):
+            if side.size:
+                a = side[0]
+                found.append((f[a] / x[a], abs(x[a])))
+                for b in side[abs(x[side] - x[a]) >= apart][:1]:
+                    parabolas.append((f[a] * x[b] ** 2 - f[b] * x[a] ** 2) / (x[a] * x[b] * (x[b] - x[a])))
+        slope, size = _weighted(found), float(self._size[line[place]])
+        return slope * size, max((abs(p - slope) for p in parabolas), default=0.0) * size
 
-    def _beyond(self, k: int, group: npt.NDArray[np.intp]) -> Array:
-        """Slopes along x, y and theta_i of a point out of the plane of incidence.
+    def _beyond(self, k: int, group: npt.NDArray[np.intp]) -> tuple[Array, float]:
+        """Slopes along x, y and theta_i of a point out of the plane of incidence, and their standard uncertainty.
 
         Where a lobe is narrower than the points are apart, they do not tell its flank. The curves in the plane do: what
         they say of its shape over the angle of the half vector is taken out, and only the rest is interpolated: by a
         parabola in x and in y, even in y, through the nearest points of the same incidence (both sides of the plane of
-        incidence are alike).
+        incidence are alike). What is interpolated is uncertain by itself: where it is steep, points are too far apart.
         """
         here = np.array([self._x[k], self._y[k], self._theta_i[k]])
         distance = np.hypot(self._x[group] - here[0], np.abs(self._y[group]) - abs(here[1]))
@@ -145,6 +183,7 @@ class Curves:
         half, difference = _halves(*np.concatenate([probes, places]).T)
         shape = self._profile(half, float(difference[6]))
         slopes: Array = (shape[:3] - shape[3:6]) / (2 * PROBE)
+        doubt = 0.0
         if near.size >= 2:
             dx, dy2 = self._x[near] - here[0], self._y[near] ** 2 - here[1] ** 2
             design = np.stack([dx, dy2, dx**2], axis=1)[:, : min(3, near.size)] * weight[:, None]
@@ -152,7 +191,8 @@ class Curves:
             change = (self._log[near] - self._log[k] - (shape[7:] - shape[6])) * weight
             along, across = (np.linalg.lstsq(design / length, change, rcond=1e-3)[0] / length)[:2]
             slopes += np.array([along, 2.0 * here[1] * across, -along])
-        return slopes * float(self._size[k])
+            doubt = math.hypot(along, 2.0 * here[1] * across)
+        return slopes * float(self._size[k]), doubt * float(self._size[k])
 
     def _profile(self, half: Array, difference: float) -> Array:
         """Logarithm of the lobe in the plane of incidence, over angles of the half vector, near one of difference."""
@@ -211,6 +251,12 @@ class Curves:
         down = self.value(k, minus) * math.cos(minus.theta_i) / cosine - here
         return 0.5 * (up - down), 0.5 * (up + down)
 
+    def doubt(self, k: int, plus: Directions) -> float:
+        """Standard uncertainty [1/sr] of the odd part of `effects`, where steps are too coarse to tell a slope."""
+        here, there = self._points[k], _relative(plus, self._azimuth[k])
+        # a lobe moves with the mirror direction
+        return float(self._doubt[k]) * math.hypot((there.x - here.x) - (there.theta_i - here.theta_i), there.y - here.y)
+
 
 def _halves(x: Array, y: Array, theta_i: Array) -> tuple[Array, Array]:
     """Angles [rad] of the half vector to the normal and to the source, for detectors at (x, y) of `_Point`."""
@@ -227,7 +273,7 @@ def _weighted(secants: list[tuple[float, float]]) -> float:
 
 
 def _cubic(x: npt.ArrayLike, at: Array, values: Array) -> Array:
-    """Lagrange's cubic through the two points on each side of x; through all, where there are fewer than four.
+    """The cubic through the two points on each side of x; through all, where there are fewer than four.
 
     Points that are read closer together than a slope can be told from count once.
     """
@@ -235,8 +281,4 @@ def _cubic(x: npt.ArrayLike, at: Array, values: Array) -> Array:
     at, values, x = at[apart], values[apart], np.asarray(x, dtype=float)
     start = np.clip(np.searchsorted(at, x) - 2, 0, max(at.size - 4, 0))
     place = start[..., None] + np.arange(min(4, at.size))
-    p, v, out = at[place], values[place], np.zeros(x.shape)
-    for j in range(place.shape[-1]):
-        others = np.delete(p, j, axis=-1)
-        out += v[..., j] * np.prod((x[..., None] - others) / (p[..., j, None] - others), axis=-1)
-    return out
+    return lagrange(x, at[place], values[place])

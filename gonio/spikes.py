@@ -30,7 +30,7 @@ QUANTILES /= QUANTILES.std()
 FAR = 4.0
 """Standard deviations of the angles' errors beyond which a point sees nothing of a spike."""
 STEEPEST = 20.0
-"""Prior of d ln(amplitude) / d theta [1/rad]; (4 pi sigma0/lambda)^2 sin(2 theta) is that large at sigma0/lambda = 0.4."""
+"""Prior of d ln(amplitude) / d theta [1/rad]; (4 pi sigma0/lambda)^2 sin(2 theta) for sigma0/lambda = 0.4."""
 TELLS = 9.0
 """Points tell an amplitude whose errors of the angles leave it a third of itself: sum of mean^2 / variance."""
 TOGETHER = math.radians(1.5)
@@ -355,14 +355,21 @@ def _lobe_below(scene: Scene, group: Places, near: npt.NDArray[np.bool_]) -> tup
     line = free[scene.in_plane[free]]
     line = line[np.argsort(scene.across[line])]
     place, logs = scene.across[line], np.log(scene.brdf[line])
-    left, right = np.flatnonzero(place < np.min(x))[-2:], np.flatnonzero(place > np.max(x))[:2]
-    if left.size == 2 and right.size == 2:
-        four = np.concatenate([left, right])
-        inside = np.clip(x, place[left[-1]], place[right[0]])
-        cubic = np.polyval(np.polyfit(place[four], logs[four], 3), inside)
-        straight = np.interp(inside, place[four], logs[four])
-        noise = float(np.max(scene.u[line[four]] / scene.brdf[line[four]]))
-        return np.exp(cubic), max(0.5 * float(np.max(abs(cubic - straight))), noise, 0.01)
+    left, right = np.flatnonzero(place < np.min(x))[::-1], np.flatnonzero(place > np.max(x))
+    if left.size and right.size:
+        # points far enough from the next one to tell a slope: noise would, and the gap is as wide as the cones
+        ends = [
+            (side[0], side[abs(place[side] - place[side[0]]) > 0.5 * sum(scene.half_angles)][:1])
+            for side in (left, right)
+        ]
+        inside = np.clip(x, place[left[0]], place[right[0]])
+        straight = np.interp(inside, place[[left[0], right[0]]], logs[[left[0], right[0]]])
+        noise = float(np.max(scene.u[line[[left[0], right[0]]]] / scene.brdf[line[[left[0], right[0]]]]))
+        if ends[0][1].size and ends[1][1].size:
+            four = np.array([ends[0][1][0], left[0], right[0], ends[1][1][0]])
+            cubic = lagrange(inside, place[four], logs[four])
+            return np.exp(cubic), max(0.5 * float(np.max(abs(cubic - straight))), noise, 0.01)
+        return np.exp(straight), max(0.5 * float(abs(logs[left[0]] - logs[right[0]])), noise, 0.05)
     if free.size:
         nearest = free[np.argsort(abs(scene.across[free]))[:4]]
         logs = np.log(scene.brdf[nearest])
@@ -402,3 +409,13 @@ def _from_neighbours(fit: _Fit, told: list[_Fit]) -> _Fit:
         most=most,
         stands_out=amplitude > 0.0,
     )
+
+
+def lagrange(x: Array, at: Array, values: Array) -> Array:
+    """Lagrange's polynomial through `values` at `at`, both shape (..., n) with the n points of each x last."""
+    out = np.zeros(np.shape(x))
+    for j in range(at.shape[-1]):
+        others = np.delete(at, j, axis=-1)
+        steps = (np.asarray(x)[..., None] - others) / (at[..., j, None] - others)
+        out += values[..., j] * np.prod(steps, axis=-1)
+    return out
