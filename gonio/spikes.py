@@ -265,6 +265,8 @@ def find(scene: Scene, groups: Sequence[Places]) -> Spikes:
         out.told[k] = fit.told
         if not fit.told:
             out.u_amplitude[k] = fit.most
+            if fit.u_lobe < 1.0:  # whatever stands on the lobe, neighbours' slopes are not its flanks
+                out.lobe[k] = np.minimum(out.lobe[k], fit.lobe)
             spread = fit.most * np.sqrt(variance[k] + (at_read[k] - mean[k]) ** 2)
             # the spike's part lies between 0 and the whole value
             out.variance[k] = np.minimum(spread, np.maximum(abs(scene.brdf[k]), fit.most * at_read[k])) ** 2
