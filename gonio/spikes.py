@@ -37,6 +37,8 @@ TOGETHER = math.radians(1.5)
 """Angles of incidence this close share a spike, where one alone has too few points."""
 SHAPE = 0.03
 """Relative error of the lobe's shape under a spike, point by point."""
+WITHIN = 0.03
+"""Relative standard deviation of a spike's reflectivity within the cones: what a patch's mean overlap is worth."""
 COARSE = 0.3
 """Relative error of a lobe that only its nearest points tell."""
 
@@ -282,14 +284,13 @@ def find(scene: Scene, groups: Sequence[Places]) -> Spikes:
         out.u_amplitude[group] = u
         lacks = at_read - mean
         out.correction[k] = out.amplitude[k] * lacks[k]
-        out.variance[k] = (out.amplitude[k] ** 2 + out.u_amplitude[k] ** 2) * variance[k] + (
-            out.u_amplitude[k] * lacks[k]
-        ) ** 2
+        of_correction = np.hypot(out.u_amplitude[k], WITHIN * out.amplitude[k]) * lacks[k]
+        out.variance[k] = (out.amplitude[k] ** 2 + out.u_amplitude[k] ** 2) * variance[k] + of_correction**2
         if fit.stands_out:
             departs = scene.brdf[k] - out.lobe[k] - out.amplitude[k] * at_read[k]
             known = scene.u[k] ** 2 + ((fit.u_lobe + SHAPE) * out.lobe[k]) ** 2 + (out.u_amplitude[k] * at_read[k]) ** 2
             rare = np.maximum(abs(departs) - 2.0 * np.sqrt(known), 0.0) / 3.0
-            out.variance[k] = np.maximum(out.variance[k], rare**2)
+            out.variance[k] = np.maximum(out.variance[k], np.where(variance[k] > 0.0, rare, 0.0) ** 2)
     return out
 
 
