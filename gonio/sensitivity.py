@@ -103,7 +103,7 @@ class Curves:
         self._lines = [group[in_plane[group]] for group in self._groups]
         self._lines = [line[np.argsort(self._x[line])] for line in self._lines]
         middle = np.array([0.5 * (d.theta_i + d.theta_r) for d in read])
-        scene = Scene(self._theta_i, self._x - self._theta_i, in_plane, middle, brdf, u, shares, half_angles)
+        scene = Scene(self._theta_i, self._x - self._theta_i, self._y, in_plane, middle, brdf, u, shares, half_angles)
         self.spikes = find(scene, self._groups)
         self.lobe, self.spike = self.spikes.lobe, self.spikes.amplitude
         small = max(3.0 * float(np.min(u, initial=np.inf)), 1e-9 * float(np.max(np.abs(brdf), initial=0.0)), 1e-300)
@@ -113,7 +113,7 @@ class Curves:
         self.coarse = np.zeros(len(brdf), dtype=bool)
         """Points beside a peak that falls within one step: nothing tells how steep it is (docs/radiometry.md)."""
         logs = np.arcsinh(brdf / (2 * small))
-        near = np.array([share.near for share in shares], dtype=bool)
+        near = scene.most > 0.0
         for line, group in zip(self._lines, self._groups, strict=True):
             gap = self._fall(line, logs) if np.count_nonzero(near[line]) < 3 else 0.0
             apart = np.hypot(self._x[group] - self._theta_i[group], self._y[group])

@@ -39,6 +39,8 @@ SHAPE = 0.03
 """Relative error of the lobe's shape under a spike, point by point."""
 WITHIN = 0.03
 """Relative standard deviation of a spike's reflectivity within the cones: what a patch's mean overlap is worth."""
+BESIDE = math.radians(10.0)
+"""Points farther from the mirror direction than this, unless on both sides, do not tell a lobe's height there."""
 COARSE = 0.3
 """Relative error of a lobe that only its nearest points tell."""
 
@@ -104,8 +106,8 @@ class Share:
     """Over the patch, and over the errors of the angles."""
     variance: float = 0.0
     """Over the errors of the angles."""
-    near: bool = False
-    """Whether errors of the angles can bring anything of the spike into the lens."""
+    most: float = 0.0
+    """For the largest errors of the angles, of `FAR` standard deviations."""
 
 
 def blurred_overlap(
@@ -149,13 +151,12 @@ def blurred_overlap(
         mean, variance = float(share.mean()), float(share.var())
         if pixels is not None:
             mean = max(mean + fixed - float(np.mean(of(centre + spots))), 0.0)
-    turn = np.linspace(0.0, 2.0 * math.pi, 16, endpoint=False)[:, None]
-    around = centre + FAR * (np.cos(turn) * first + np.sin(turn) * second)
-    reach = max(float(np.max(np.linalg.norm(s, axis=-1), initial=0.0)) for s in (spots, pixels) if s is not None)
-    distance = min(float(np.min(np.linalg.norm(around, axis=1))), math.hypot(*centre))
-    # the ellipse of the errors may enclose the mirror direction itself
-    near = mean > 0.0 or at_read > 0.0 or distance < reach + 2.0 * math.sin(0.5 * sum(half_angles))
-    return Share(at_read, mean, variance, near)
+    most = max(mean, at_read)
+    if first.any():
+        turn = np.linspace(0.0, 2.0 * math.pi, 16, endpoint=False)[:, None]
+        around = centre + FAR * (np.cos(turn) * first + np.sin(turn) * second)
+        most = max(most, float(np.max(np.mean([of(around + spot) for spot in spots], axis=0))))
+    return Share(at_read, mean, variance, most)
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +167,8 @@ class Scene:
     """As read [rad]."""
     across: Array
     """Detector from the mirror direction in the plane of incidence, theta_r - theta_i, signed [rad]."""
+    aside: Array
+    """Detector from the plane of incidence [rad]."""
     in_plane: npt.NDArray[np.bool_]
     middle: Array
     """Where a spike reflects: (theta_i + theta_r) / 2 [rad]."""
@@ -191,9 +194,9 @@ class Scene:
         return np.array([share.at_read for share in self.shares])
 
     @property
-    def near(self) -> npt.NDArray[np.bool_]:
-        """`Share.near`."""
-        return np.array([share.near for share in self.shares], dtype=bool)
+    def most(self) -> Array:
+        """`Share.most`."""
+        return np.array([share.most for share in self.shares])
 
 
 @dataclass(slots=True)
@@ -249,7 +252,7 @@ def find(scene: Scene, groups: Sequence[Places]) -> Spikes:
     out = Spikes(zero.copy(), zero.copy(), scene.brdf.astype(float), np.ones(count, bool), zero.copy(), zero.copy())
     if sum(scene.half_angles) <= 0:
         return out
-    near, centres = scene.near, [float(np.mean(scene.theta_i[group])) for group in groups]
+    near, centres = scene.most > 0.0, [float(np.mean(scene.theta_i[group])) for group in groups]
     fits: list[_Fit | None] = []
     for group, centre in zip(groups, centres, strict=True):
         fit = _fit(scene, group, near) if near[group].any() else None
@@ -286,11 +289,11 @@ def find(scene: Scene, groups: Sequence[Places]) -> Spikes:
         out.correction[k] = out.amplitude[k] * lacks[k]
         of_correction = np.hypot(out.u_amplitude[k], WITHIN * out.amplitude[k]) * lacks[k]
         out.variance[k] = (out.amplitude[k] ** 2 + out.u_amplitude[k] ** 2) * variance[k] + of_correction**2
-        if fit.stands_out:
+        if fit.stands_out and variance[k].any():
             departs = scene.brdf[k] - out.lobe[k] - out.amplitude[k] * at_read[k]
             known = scene.u[k] ** 2 + ((fit.u_lobe + SHAPE) * out.lobe[k]) ** 2 + (out.u_amplitude[k] * at_read[k]) ** 2
             rare = np.maximum(abs(departs) - 2.0 * np.sqrt(known), 0.0) / 3.0
-            out.variance[k] = np.maximum(out.variance[k], np.where(variance[k] > 0.0, rare, 0.0) ** 2)
+            out.variance[k] = np.maximum(out.variance[k], rare**2)
     return out
 
 
@@ -298,6 +301,8 @@ def _fit(scene: Scene, group: Places, near: npt.NDArray[np.bool_], own: Places |
     """Lobe and spike of a group of points; `lobe` is that of the points of `own`, all by default."""
     k = group[near[group]]
     values, share, variance = scene.brdf[k], scene.mean[k], scene.variance[k]
+    # at an edge rare errors are larger than the variance says: no such point may tell the lobe
+    blur = np.maximum(variance, ((scene.most[k] - share) / FAR) ** 2)
     lobe, u_lobe = _lobe_below(scene, group, near)
     theta = float(np.mean(scene.theta_i[group if own is None else own]))
     t = scene.middle[k] - theta
@@ -309,8 +314,7 @@ def _fit(scene: Scene, group: Places, near: npt.NDArray[np.bool_], own: Places |
     for _ in range(12):
         slope = STEEPEST * max(amplitude, 1e-9 * most)
         prior[2] = 1.0 / slope**2
-        spread = amplitude**2 * variance
-        weight = 1.0 / (scene.u[k] ** 2 + spread + (SHAPE * lobe) ** 2)
+        weight = 1.0 / (scene.u[k] ** 2 + amplitude**2 * blur + (SHAPE * lobe) ** 2)
         normal = design.T @ (design * weight[:, None]) + np.diag(prior)
         size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
         covariance = np.linalg.pinv(normal / np.outer(size, size), rcond=1e-12, hermitian=True) / np.outer(size, size)
@@ -373,8 +377,9 @@ def _lobe_below(scene: Scene, group: Places, near: npt.NDArray[np.bool_]) -> tup
             cubic = lagrange(inside, place[four], logs[four])
             return np.exp(cubic), max(0.5 * float(np.max(abs(cubic - straight))), noise, 0.01)
         return np.exp(straight), max(0.5 * float(abs(logs[left[0]] - logs[right[0]])), noise, 0.05)
-    if free.size:
-        nearest = free[np.argsort(abs(scene.across[free]))[:4]]
+    apart = np.hypot(scene.across[free], scene.aside[free])
+    if apart.size and apart.min() < BESIDE:
+        nearest = free[np.argsort(apart)[:4]]
         logs = np.log(scene.brdf[nearest])
         return np.full(k.size, math.exp(float(np.mean(logs)))), max(COARSE, float(np.ptp(logs)))
     return np.full(k.size, max(float(np.min(scene.brdf[k])), 1e-12)), 10.0

@@ -18,7 +18,7 @@ import math
 import tomllib
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -38,19 +38,19 @@ MOST = 90
 """Points of a plan."""
 
 
-def rig(azimuth: bool, **camera: Any) -> RigChoice:
-    """The rig file of "sim" with a sensor just large enough; with a camera arm on an azimuth axis instead of a tilt."""
-    from gonio_sim.rig import SIM
+def rig(azimuth: bool = False, name: str = "sim") -> RigChoice:
+    """A shipped rig with a sensor just large enough; with a camera arm on an azimuth axis instead of a tilt."""
+    from gonio_sim.rig import SimulatedRigPlugin
 
-    table = tomllib.loads((files("gonio_sim") / "rigs" / "sim.toml").read_text(encoding="utf-8"))
-    table["camera"] |= {"width": 48, "height": 48} | camera
+    table = tomllib.loads((files("gonio_sim") / "rigs" / f"{name}.toml").read_text(encoding="utf-8"))
+    table["camera"] |= {"width": 48, "height": 48}
     table["holder"]["sample_diameter_mm"] = 3.0
     if azimuth:
         table["holder"]["axes"] = ["spin"]
         table["arms"]["azimuth"] = {
             "limits_deg": [-180.0, 180.0], "encoder_step_deg": 0.088, "backlash_deg": 0.1, "zero_u_deg": 0.02,
         }  # fmt: skip
-    return RigChoice(SIM, parse(RigDescription, table, "sim.toml"), "sim")
+    return RigChoice(SimulatedRigPlugin(name), parse(RigDescription, table, f"{name}.toml"), name)
 
 
 def sample(rng: np.random.Generator) -> SampleDescription:
@@ -68,12 +68,12 @@ def sample(rng: np.random.Generator) -> SampleDescription:
     )
 
 
-def plan(rng: np.random.Generator, kind: str) -> Plan:
+def plan(rng: np.random.Generator, kind: str, most: int = MOST) -> Plan:
     """Points around the mirror directions of one to three angles of incidence."""
     incidences = np.round(np.sort(rng.uniform(30.0, 80.0, int(rng.integers(1, 4)))), int(rng.integers(0, 2)))
     out: list[tuple[float, float, float]] = []
     for theta_i in incidences:
-        share = MOST // len(incidences)
+        share = most // len(incidences)
         step = float(np.round(math.exp(rng.uniform(math.log(0.1), math.log(5.0))), 2))
         start = float(rng.choice([0.0, round(float(rng.uniform(0.0, step)), 2)]))
         if kind == "zoom":
@@ -98,10 +98,10 @@ def plan(rng: np.random.Generator, kind: str) -> Plan:
     return Plan(kind, (500.0,), tuple(dict.fromkeys(points)), 0, "campaign")
 
 
-def measured(folder: Path, seed: int, number: int) -> tuple[pd.DataFrame, SampleDescription, Plan]:
+def measured(folder: Path, seed: int, number: int, most: int = MOST) -> tuple[pd.DataFrame, SampleDescription, Plan]:
     """The table of one plan, measured unless its run is there, and reduced."""
     rng = np.random.default_rng([seed, number])
-    what, chosen = sample(rng), plan(rng, KINDS[number % len(KINDS)])
+    what, chosen = sample(rng), plan(rng, KINDS[number % len(KINDS)], most)
     out = folder / f"{seed}-{number}"
     if not (out / "run.toml").exists():
         carry_out(chosen, rig(bool((number // len(KINDS)) % 2)), out, sample=what, seed=1000 * seed + number, yes=True)

@@ -44,7 +44,14 @@ def test_overlap_of_caps_against_counting() -> None:
         small, large = sorted((first, second))
         z, angle = 1 - (1 - math.cos(small)) * rng.uniform(0, 1, 400_000), rng.uniform(0, 2 * np.pi, 400_000)
         across = np.sqrt(1 - z**2)
-        for offset in (0.0, 0.2 * small, large - 0.3 * small, large + 0.4 * small, large + 0.95 * small, 1.2 * (small + large)):
+        for offset in (
+            0.0,
+            0.2 * small,
+            large - 0.3 * small,
+            large + 0.4 * small,
+            large + 0.95 * small,
+            1.2 * (small + large),
+        ):
             away = np.array([math.sin(offset), 0.0, math.cos(offset)])
             chord = np.hypot(np.hypot(across * np.cos(angle) - away[0], across * np.sin(angle)), z - away[2])
             counted = np.mean(chord <= 2 * math.sin(large / 2))
