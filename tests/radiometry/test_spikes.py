@@ -54,8 +54,11 @@ def test_a_zoom_into_a_spike_gets_back_what_its_top_lacks(tmp_path: Path, seed: 
 @pytest.mark.parametrize("azimuth", [False, True])
 def test_points_out_of_the_plane_share_the_spike_of_their_incidence(tmp_path: Path, azimuth: bool) -> None:
     aside = [(75.0, 75.0, 180.0 + turn) for turn in (0.5, 1.0)]
-    z = pulls(reduced(tmp_path, CURVE + aside, 2, azimuth=azimuth), ALUMINIUM)
-    assert np.all(abs(z) < 4.0)  # 11 values; 1 degree aside they were 7 stated uncertainties off
+    table = reduced(tmp_path, CURVE + aside, 2, azimuth=azimuth)
+    # 11 values; uncorrected, those aside lay up to 7 stated uncertainties off
+    assert np.all(abs(pulls(table, ALUMINIUM)) < 4.0)
+    # across the plane errors of 0.017 deg (tilt) or 0.031 deg (azimuth) move the overlap of 0.39 by 0.02 or 0.04
+    assert 0.02 < table["u_brdf"].iloc[-2] / table["brdf"].iloc[-2] < 0.3
 
 
 def test_edges_of_a_spike_without_noise(tmp_path: Path) -> None:
@@ -86,12 +89,12 @@ def test_drawn_plans_around_spikes(tmp_path: Path) -> None:
     """One plan of each kind of the campaign, every other one on the rig with an azimuth axis."""
     found = []
     for number in (1, 3, 4, 5, 8, 9):
-        table, what, _ = measured(tmp_path, 11, number, most=20)
+        table, what, _ = measured(tmp_path, 11, number, most=14)
         z = pulls(table, what)
         found.append(z[np.isfinite(z)])
     z = np.concatenate(found)
-    assert z.size > 80
-    # 12 000 pulls of 192 whole plans have a standard deviation of 0.95 and none beyond 4.5; of about 100, a fifth of
+    assert z.size > 60
+    # 12 000 pulls of 192 whole plans have a standard deviation of 0.95 and none beyond 4.5; of about 80, a fifth of
     # whose variance is common to a run, it is known to 0.1: three of these
     assert 0.65 < z.std() < 1.25
     assert abs(z).max() < 5.0
