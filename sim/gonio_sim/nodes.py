@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from gonio.compiled import njit
 
 Array = npt.NDArray[np.float64]
 
@@ -98,7 +99,7 @@ def _evaluate(
     return NodeGrid(values, left, bottom, side)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(nogil=True, error_model="numpy")
 def _interpolate(values: Any, left: float, bottom: float, h: float, x: Any, y: Any, inside: Any, out: Any) -> None:
     """Lagrange's cubic through the four nearest nodes in each direction, one-sided at the edges."""
     last = values.shape[0] - 4
@@ -119,7 +120,7 @@ def _interpolate(values: Any, left: float, bottom: float, h: float, x: Any, y: A
             out[i, j] = total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(nogil=True, error_model="numpy")
 def _weights(t: float) -> tuple[float, float, float, float]:
     """Weights of nodes 0, 1, 2, 3 at the position t in units of their spacing."""
     u, v, w = t - 1.0, t - 2.0, t - 3.0

@@ -16,9 +16,11 @@ import math
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
+import numba
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from gonio.compiled import njit
 
 EXACT_BELOW = 100.0
 """Expected electrons from which on the Gaussian stands for the Poisson distribution (its skewness there is 0.1)."""
@@ -64,11 +66,13 @@ _CUMULATED, _GUIDE = _poisson_tables()
 
 
 def _jit(function: Kernel) -> Kernel:
-    return cast(Kernel, njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})(function))
+    return cast(Kernel, njit(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})(function))
 
 
 def _inline(function: Kernel) -> Kernel:
-    return cast(Kernel, njit(nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)(function))
+    return cast(
+        Kernel, numba.njit(nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)(function)
+    )
 
 
 @_inline
