@@ -293,14 +293,32 @@ def table(
         frame.insert(6, "sample", _words(sample, count))
     frame["flag"] = _words(flag, count)
     frame.attrs.update(attributes(**attrs))
-    holes = (frame["brdf"].isna() & (frame["flag"] == "")).to_numpy()
+    flag_holes(frame)
+    return frame
+
+
+def flag_holes(frame: pd.DataFrame) -> None:
+    """Flag rows whose `brdf` is NaN and that have no flag as "not_measured", and note how many they are."""
+    holes = np.isnan(frame["brdf"].to_numpy(np.float64))
+    if holes.any():
+        holes &= frame["flag"].to_numpy() == ""
     if holes.any():
         frame.loc[holes, "flag"] = "not_measured"
-        frame.attrs["notes"] = [
-            *frame.attrs["notes"],
-            f'{holes.sum()} of {count} values are empty: flagged "not_measured"',
-        ]
-    return frame
+        note = f'{holes.sum()} of {len(frame)} values are empty: flagged "not_measured"'
+        frame.attrs["notes"] = [*frame.attrs.get("notes", ()), note]
+
+
+_FORMULA = re.compile(r"'*[=+\-@\t\r\n＝＋－＠]")
+
+
+def cell_of(word: str) -> str:
+    """A text as a cell of a CSV, with an apostrophe before what a spreadsheet would run as a formula."""
+    return f"'{word}" if _FORMULA.match(word) else word
+
+
+def plain_word(cell: str) -> str:
+    """The text that `cell_of` made a cell of."""
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
 
 
 def _words(words: str | Sequence[str] | npt.NDArray[Any], count: int) -> npt.NDArray[Any]:
