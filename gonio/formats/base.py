@@ -285,9 +285,14 @@ def table(
         "theta_i_deg": theta_i_deg, "phi_i_deg": phi_i_deg, "theta_r_deg": theta_r_deg, "phi_r_deg": phi_r_deg,
         "wavelength_nm": wavelength_nm, "brdf": brdf, "u_brdf": u_brdf, "u_random": u_random,
     }  # fmt: skip
-    arrays = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in values.values()))
-    count = arrays[0].size
-    frame = pd.DataFrame({name: np.array(array) for name, array in zip(values, arrays, strict=True)})
+    arrays = [np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in values.values()]
+    (count,) = np.broadcast_shapes(*(array.shape for array in arrays))
+    # a whole column that is its own array is taken as it is: millions of rows are held once
+    whole = (
+        np.require(np.broadcast_to(array, count) if array.size != count else array, requirements=["C", "O", "W"])
+        for array in arrays
+    )
+    frame = pd.DataFrame(dict(zip(values, whole, strict=True)), copy=False)
     frame.insert(5, "polarisation", _words(polarisation, count))
     if sample is not None:
         frame.insert(6, "sample", _words(sample, count))
@@ -322,7 +327,11 @@ def plain_word(cell: str) -> str:
 
 
 def _words(words: str | Sequence[str] | npt.NDArray[Any], count: int) -> npt.NDArray[Any]:
-    return np.full(count, words, dtype=object) if isinstance(words, str) else np.asarray(words, dtype=object)
+    if not isinstance(words, str):
+        return np.asarray(words, dtype=object)
+    same = np.empty(count, dtype=object)
+    same.fill(words)  # np.full would make a text of its own for every row
+    return same
 
 
 def attributes(**known: Any) -> dict[str, Any]:
