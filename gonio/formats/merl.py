@@ -114,7 +114,7 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     cubes = np.full((3, _CELLS), -1.0)
     for k, (cube, scale) in enumerate(zip(cubes, _COLOURS.values(), strict=True)):
         part = frame.iloc[k * cell.size : (k + 1) * cell.size]
-        columns = zip(ANGLES, (angles[0], 0.0, angles[1], angles[2]), strict=True)
+        columns = zip(ANGLES, (angles[0], np.zeros(cell.size), angles[1], angles[2]), strict=True)
         if not all(np.allclose(part[name].to_numpy(np.float64), a, rtol=0, atol=1e-6) for name, a in columns):
             raise DataError(f"{path}: the directions of {names[k]} are not the cells of a MERL file, in their order")
         cube[cell] = np.where(part["flag"].to_numpy() == "", part["brdf"].to_numpy(np.float64) / scale, -1.0)

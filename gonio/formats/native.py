@@ -143,9 +143,11 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     check_columns(list(frame.columns), str(path))
     check(frame, lambda row: f"{path}, row {row + 1}")
     words = [name for name in _WORDS[1:] if name in frame.columns]
-    text = frame.assign(**{name: _per_word(frame[name], cell_of) for name in words}).to_csv(
-        index=False, lineterminator="\n"
-    )
+    cells = frame.assign(**{name: _per_word(frame[name], cell_of) for name in words})
+    # pandas writes a carriage return without quotes, as if it ended no line
+    ends = any("\r" in word for name in words for word in cells[name].unique())
+    quoting: Any = csv.QUOTE_NONNUMERIC if ends else csv.QUOTE_MINIMAL
+    text = cells.to_csv(index=False, lineterminator="\n", quoting=quoting)
     try:
         meta = json.dumps(_plain(frame.attrs), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     except (TypeError, ValueError) as error:
