@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.disk import write_whole
-from gonio.errors import ConfigError, DataError
+from gonio.errors import ConfigError, DataError, refuse_masked
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -285,6 +285,8 @@ def table(
         "theta_i_deg": theta_i_deg, "phi_i_deg": phi_i_deg, "theta_r_deg": theta_r_deg, "phi_r_deg": phi_r_deg,
         "wavelength_nm": wavelength_nm, "brdf": brdf, "u_brdf": u_brdf, "u_random": u_random,
     }  # fmt: skip
+    for name, value in values.items():
+        refuse_masked(name, value)
     arrays = [np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in values.values()]
     (count,) = np.broadcast_shapes(*(array.shape for array in arrays))
     # a whole column that is its own array is taken as it is: millions of rows are held once
