@@ -49,3 +49,13 @@ class Interrupted(GonioError):
     """The run was stopped by the user, after the arms were parked and the lamp was dark (exit code 130)."""
 
     exit_code = 130
+
+
+def refuse_masked(name: str, value: object) -> None:
+    """Raise `ArgumentError` for a masked array with masked elements, whose values numpy would use without a word."""
+    if not hasattr(value, "filled"):
+        return
+    from numpy import ma
+
+    if ma.is_masked(value):
+        raise ArgumentError(f"{name} is a masked array: hidden values have no result; pass the others: .compressed()")

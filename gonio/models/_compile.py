@@ -98,11 +98,10 @@ def template(layout: str) -> Callable[[F], F]:
 
 
 def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int) -> Any:
-    import numba
+    from numba import types
 
+    from gonio.compiled import njit
     from gonio.models._wide import Wide
-
-    types = numba.types
 
     def kind(code: str) -> Any:
         if code == "i":
@@ -111,22 +110,14 @@ def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int) -
             return types.UniTuple(types.float64, size)
         return types.Array(types.float64, int(code[1]), "C", readonly=code[0] == "r")
 
-    def compiled(cache: bool) -> Any:
-        options = {"fastmath": set(FASTMATH), "error_model": "numpy", "pipeline_class": Wide}
-        return numba.njit(signature, nogil=True, cache=cache, **options)(plain)
-
     function = kernel.__dict__.get(function.__name__, function)  # a kernel of several passes brings its own loops
     signature = tuple(kind(code) for code in function.__dict__["__layout__"])
     plain = _clone(function, {"kernel": kernel})
     sources = _sources(kernel.__code__.co_filename)
     plain.__name__ = f"{function.__name__}_{kernel.__module__.rsplit('.', 1)[-1]}_{kernel.__name__}_{sources}"
     plain.__qualname__ = plain.__name__
-    try:
-        return compiled(cache=True)
-    except RuntimeError as error:
-        if "cannot cache" not in str(error):
-            raise
-        return compiled(cache=False)  # neither the package's folder nor the user's cache can be written
+    options = {"fastmath": set(FASTMATH), "error_model": "numpy", "pipeline_class": Wide}
+    return njit(*signature, nogil=True, **options)(plain)
 
 
 def loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int) -> Any:

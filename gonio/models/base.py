@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 
-from gonio.errors import ArgumentError
+from gonio.errors import ArgumentError, refuse_masked
 from gonio.models import engine
 from gonio.models.engine import SPLIT, Constants, Geometry, Kernel
 
@@ -175,6 +175,7 @@ def store(model: Model, **values: Any) -> None:
 
 def number(name: str, value: Any, low: float = -math.inf, high: float = math.inf, unit: str = "") -> float:
     """A real parameter in [low, high]; raises `ArgumentError` naming it otherwise."""
+    refuse_masked(name, value)
     if type(value) is not float and (
         isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating))
     ):

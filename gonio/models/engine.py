@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from gonio.errors import ArgumentError
+from gonio.errors import ArgumentError, refuse_masked
 from gonio.models._compile import loop, template
 from gonio.models._math import sincos, sincos_polar
 
@@ -154,6 +154,7 @@ def real_array(name: str, value: ArrayLike) -> NDArray[np.float64]:
     """An argument as a float64 array; raises `ArgumentError` naming it when it is not made of real numbers."""
     if type(value) is float:
         return np.array(value)
+    refuse_masked(name, value)
     try:
         array = np.asarray(value)
     except ValueError as error:

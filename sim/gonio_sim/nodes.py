@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from gonio.compiled import njit
 
 Array = npt.NDArray[np.float64]
 
@@ -114,7 +115,7 @@ def _evaluate(
     return NodeGrid(values, left, bottom, side)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(nogil=True, error_model="numpy")
 def _paint(
     values: Any,
     left: float,
@@ -147,14 +148,14 @@ def _paint(
             out[i, j] = total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(nogil=True, error_model="numpy")
 def _weights(t: float) -> tuple[float, float, float, float]:
     """Weights of nodes 0, 1, 2, 3 at the position t in units of their spacing."""
     u, v, w = t - 1.0, t - 2.0, t - 3.0
     return -u * v * w / 6.0, t * v * w / 2.0, -t * u * w / 2.0, t * u * v / 6.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(nogil=True, error_model="numpy")
 def electrons_per_s(scale: float, weight: Any, brdf: Any, most: float, out: Any) -> None:
     """Fill `out`, of single precision, with scale weight brdf, kept between 0 and `most`."""
     for i in range(out.shape[0]):

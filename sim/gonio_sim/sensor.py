@@ -18,9 +18,11 @@ import math
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
+import numba
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from gonio.compiled import njit
 
 FEW_ELECTRONS = 25.0
 """Expected electrons below which a table is drawn from. From here on the expansion's distribution is the Poisson one
@@ -87,11 +89,13 @@ _STAYS, _OTHER = (table.reshape(-1) for table in _alias_table())
 
 
 def _jit(function: Kernel) -> Kernel:
-    return cast(Kernel, njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})(function))
+    return cast(Kernel, njit(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})(function))
 
 
 def _inline(function: Kernel) -> Kernel:
-    return cast(Kernel, njit(nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)(function))
+    return cast(
+        Kernel, numba.njit(nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)(function)
+    )
 
 
 @_inline

@@ -308,3 +308,31 @@ def test_a_model_is_rebuilt_from_its_parameters(model: object) -> None:
     assert build(model.name, model.parameters) == model
     assert model.convention.endswith(".")
     assert repr(model).startswith(type(model).__name__)
+
+
+def test_masked_values_are_refused_and_not_computed_with() -> None:
+    """numpy would go on with what lies under the mask, and drop the mask."""
+    from gonio import materials
+    from gonio.formats.base import table
+    from gonio.instrument import apparent_brdf
+    from gonio.models import Lambert, fresnel, geometry
+
+    some, none = np.ma.array([0.1, 0.2], mask=[False, True]), np.ma.array([0.1, 0.2])
+    model = Lambert(0.5)
+    assert np.all(model.brdf(none, 0.0, 0.3, 0.0) == model.brdf(none.data, 0.0, 0.3, 0.0))
+    cones = {"source_solid_angle_sr": 1e-4, "receiver_solid_angle_sr": 1e-4}
+    for name, call in {
+        "theta_r": lambda: model.brdf(0.1, 0.0, some, 0.0),
+        "phi_i": lambda: geometry(0.1, some, 0.1, 0.0),
+        "omega_i": lambda: model.brdf_vectors(np.ma.array([0.0, 0.0, 1.0], mask=[1, 0, 0]), [0.0, 0.0, 1.0]),
+        "wavelength_nm": lambda: model.brdf(0.1, 0.0, 0.2, 0.0, wavelength_nm=np.ma.array([500.0], mask=[True])),
+        "theta_i": lambda: apparent_brdf(model, some, 0.0, 0.1, 0.0, wavelength_nm=550.0, **cones),
+        "cos_theta": lambda: fresnel.amplitudes(some, 1.5),
+        "albedo": lambda: Lambert(np.ma.masked),
+        "wavelength_nm ": lambda: materials.ior("Al")(np.ma.array([500.0], mask=[True])),
+        "brdf": lambda: table(
+            theta_i_deg=0, phi_i_deg=0, theta_r_deg=0, phi_r_deg=0, wavelength_nm=550, brdf=some, attrs={}
+        ),
+    }.items():
+        with pytest.raises(ArgumentError, match=f"{name.strip()} is a masked array"):
+            call()

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from gonio.formats.base import cell_of
 from gonio_analysis.compare import Dataset
 from gonio_analysis.report import viewer
 from gonio_analysis.uncertainty import Floats
@@ -128,7 +129,7 @@ def _degrees(angle: Floats) -> Floats:
 
 
 def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """A CSV in which None and NaN are empty cells and floats keep every digit."""
+    """A CSV in which None and NaN are empty cells, floats keep every digit, and no text is a spreadsheet's formula."""
     with open(path, "w", encoding="utf-8", newline="") as stream:
         out = csv.writer(stream, lineterminator="\n")
         out.writerow(header)
@@ -140,4 +141,6 @@ def _cell(value: object) -> object:
         return ""
     if isinstance(value, float | np.floating):
         return "" if np.isnan(value) else repr(float(value))
+    if isinstance(value, str):
+        return cell_of(value)
     return value
