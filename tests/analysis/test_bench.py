@@ -97,8 +97,8 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two families, and no processes to time the start-up of."""
     everything = ways.families
 
-    def chosen(more: dict[str, tuple[Way, ...]]) -> list[Family]:
-        return [f for f in everything(more) if f.name in ("cook-torrance", "roughness")]
+    def chosen() -> list[Family]:
+        return [f for f in everything() if f.name in ("cook-torrance", "roughness")]
 
     monkeypatch.setattr(ways, "families", chosen)
     case = hard._Case()
