@@ -138,6 +138,24 @@ def test_a_section_that_is_too_large_names_its_largest_drawings() -> None:
     assert html.within(section, 10_000) == section
 
 
+def test_hundreds_of_causes_and_reasons_leave_a_page_readable(tmp_path: Path) -> None:
+    table = measure(GLOSS, name="wide")
+    causes = {f"s_cause_{k}": table["brdf"] * 1e-5 * (1 + k % 97) for k in range(400)}
+    table = pd.concat([table, pd.DataFrame(causes)], axis=1)
+    table.attrs = measure(GLOSS, name="wide").attrs
+    table.loc[:39, "flag"] = [f"reason {k}" for k in range(40)]
+    measurement.write(table, tmp_path / "wide.csv")
+    make([str(tmp_path / "wide.csv")], tmp_path / "out", models=["lambert"])
+    text = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+    assert len(text.encode()) < LIMIT / 4
+    assert "The first 300 of 402 rows; all are in tables/wide-budget.csv." in text
+    with open(tmp_path / "out" / "tables" / "wide-budget.csv", encoding="utf-8") as stream:
+        assert sum(1 for _ in stream) == 403
+    assert "28 for 28 other reasons" in text
+    assert len(summary(tmp_path / "out")["datasets"][0]["left_out"]) == 40
+    assert "The 20 largest of 400 common causes" in text
+
+
 # --- which values are drawn ----------------------------------------------------------------------------------------
 
 

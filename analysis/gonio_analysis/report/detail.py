@@ -14,7 +14,7 @@ from gonio_analysis.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.planes import IN_PLANE, Curve, Rows, groups, labels
 from gonio_analysis.polar import Line
 from gonio_analysis.profile import Interval
-from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, Drawing, budget_height
+from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, Drawing, budget_height, largest
 from gonio_analysis.report.text import cause, unit
 from gonio_analysis.uncertainty import Floats
 
@@ -183,11 +183,12 @@ def _budget(d: Dataset, facts: dict[str, Any], most: int) -> Drawing:
     assert d.data.covariance is not None
     names = labels(d.curves)
     shown = [(d.curves[k], names[k]) for k in _evenly(len(d.curves))]
-    legend = [cause(c) for c in d.data.covariance.causes]
+    common = largest([p["median"] for p in facts["budget"][2:]])
+    legend = [cause(d.data.covariance.causes[k]) for k in common]
     entries = [(part, diagnostics.look(k)) for k, part in enumerate(["combined", "random", *legend])]
     # every cause is a line over the same angles
     each = max(most // (len(entries) * len(shown)), 16)
-    panels = [(name, curve.scanned, *_parts(d, thinning.of_curve(curve, each))) for curve, name in shown]
+    panels = [(name, curve.scanned, *_parts(d, thinning.of_curve(curve, each), common)) for curve, name in shown]
     caption = (
         "Uncertainty over the angle: standard uncertainty by cause, relative to the value, along in-plane curves;"
         " values within 3 u of zero are left out."
@@ -212,13 +213,13 @@ def _on_budget(figure: Any, *, panels: list[Any], entries: list[tuple[str, dict[
     _legend(figure, entries)
 
 
-def _parts(d: Dataset, curve: Curve) -> tuple[Any, list[tuple[str, Any]]]:
+def _parts(d: Dataset, curve: Curve, common: list[int]) -> tuple[Any, list[tuple[str, Any]]]:
     c = d.data.covariance
     assert c is not None
     rows = curve.rows
     size = np.where(np.abs(curve.brdf) > 3 * curve.u, np.abs(curve.brdf), np.nan)
     parts = [("combined", c.total[rows] / size), ("random", c.random[rows] / size)]
-    parts += [(name, np.abs(c.common[rows, k]) / size) for k, name in enumerate(c.causes)]
+    parts += [(c.causes[k], np.abs(c.common[rows, k]) / size) for k in common]
     return curve.angle, parts
 
 

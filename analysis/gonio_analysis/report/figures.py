@@ -29,6 +29,8 @@ PNG_DPI = 160
 PANEL_PT = 335.0
 """Width of a panel over the angle."""
 LEGEND_ROW_IN = 0.19
+MOST_CAUSES = 20
+"""Of uncertainty, common to all values, in one figure."""
 
 
 @dataclass(frozen=True)
@@ -214,12 +216,21 @@ def _on_two_panels(
     legend.draw(figure)
 
 
+def largest(medians: list[float]) -> list[int]:
+    """Which causes of a budget are drawn, in their order: all but the smallest of very many."""
+    first = sorted(range(len(medians)), key=lambda k: -medians[k])[:MOST_CAUSES]
+    return sorted(first)
+
+
 def _budget(facts: dict[str, Any]) -> Drawing:
-    parts = [(cause(p["cause"]), p["median"], p["p95"]) for p in facts["budget"]]
+    every = [(cause(p["cause"]), p["median"], p["p95"]) for p in facts["budget"]]
+    parts = every[:2] + [every[2:][k] for k in largest([p[1] for p in every[2:]])]
     caption = (
         "Uncertainty budget: standard uncertainty by cause, relative to the value. Bar: median over the values; tick:"
         " 95th percentile. Values within 3 u of zero are left out."
     )
+    if len(parts) < len(every):
+        caption += f" The {len(parts) - 2} largest of {len(every) - 2} common causes."
     alt = "Uncertainty by cause. " + " ".join(
         f"{c}: median {100 * m:.2g} %, 95th percentile {100 * p:.2g} %." for c, m, p in parts
     )

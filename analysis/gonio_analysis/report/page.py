@@ -15,6 +15,8 @@ from gonio_analysis.report.text import CAUSES, cause, difference, number, percen
 
 MOST_BYTES = 4_500_000
 """Of one page: what a mail takes and a browser shows at once."""
+MOST_SOURCES = 50
+"""Samples whose provenance stands on the page."""
 MOST_ROWS = 300
 """Of a table on a page; the files in `tables/` have all of them."""
 
@@ -356,7 +358,9 @@ def _provenance(s: dict[str, Any]) -> str:
     rows = [("report made", s["created"]), ("command", s["command"] or "–")]
     rows.append(("versions", ", ".join(f"{k} {v}" for k, v in s["versions"].items())))
     out.append(html.facts(rows))
-    for d in s["datasets"]:
+    if len(s["datasets"]) > MOST_SOURCES:
+        out.append(f"<p>The first {MOST_SOURCES} of {len(s['datasets'])} samples; summary.json has all.</p>")
+    for d in s["datasets"][:MOST_SOURCES]:
         rows = [("file", d["source"] or "–"), ("format", str(d["format"] or "–"))]
         if d["run"]:
             r = d["run"]
