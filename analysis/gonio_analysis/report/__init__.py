@@ -143,7 +143,7 @@ def write(
     for name, html in pages.items():
         (folder / name).write_text(html, encoding="utf-8")
     files.write(folder, pages["index.html"], summary, every)
-    pdf.write(folder / "report.pdf", list(pages.values()), {f.name: f.png for f in every})
+    pdf.write(folder / "report.pdf", "".join(pages.values()), {f.name: f.png for f in every})
     return summary
 
 

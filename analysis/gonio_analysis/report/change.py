@@ -95,7 +95,7 @@ def _write(
     view = _view(c, at, listed, drawn, shown) if drawn else None
     page = html.within(_render(facts, figures, view), MOST_BYTES)
     files.write(folder, page, facts, figures)
-    pdf.write(folder / "report.pdf", [page], {f.name: f.png for f in figures})
+    pdf.write(folder / "report.pdf", page, {f.name: f.png for f in figures})
 
 
 def summary(c: Change, command: str, runs: Sequence[Any]) -> dict[str, Any]:

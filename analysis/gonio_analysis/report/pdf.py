@@ -27,15 +27,15 @@ TEXTS = {"h1": 18.0, "h2": 13.5, "h3": 10.5, "p": 8.6, "li": 8.2, "footer": 7.4}
 """Size [pt] of what stands on lines of its own."""
 
 
-def write(path: Path, pages: Sequence[str], figures: Mapping[str, bytes]) -> None:
-    """Set the pages of a report as one PDF.
+def write(path: Path, page: str, figures: Mapping[str, bytes]) -> None:
+    """Set a page as PDF.
 
     Parameters
     ----------
     path
         Of the PDF.
-    pages
-        The HTML text of each page.
+    page
+        The HTML text of the page.
     figures
         PNG of each figure, by the `id` of its element.
     """
@@ -43,8 +43,7 @@ def write(path: Path, pages: Sequence[str], figures: Mapping[str, bytes]) -> Non
     from matplotlib.backends.backend_pdf import PdfPages
 
     reader = _Reader()
-    for page in pages:
-        reader.feed(page)
+    reader.feed(page)
     look = {"pdf.fonttype": 3, "font.family": ["sans-serif"], "font.sans-serif": ["DejaVu Sans"]}
     about = {"CreationDate": None, "Producer": "gonio", "Title": reader.title}
     with rc_context(look), PdfPages(path, metadata=about) as sink:
