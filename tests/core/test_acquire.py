@@ -229,6 +229,26 @@ def test_a_laboratory_takes_fresh_darks_and_references(measure: Measure) -> None
     assert len(set(taken)) == 11
 
 
+def test_a_computer_s_clock_that_jumps_changes_nothing(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:
+    years = iter(range(2100, 1900, -1))
+    monkeypatch.setattr("gonio.journal.now", lambda: f"{next(years)}-01-01T00:00:00.000Z")
+    with pytest.raises(Interrupted):
+        measure("run", progress=StopAfter(4))
+    run = measure("run", resume=True)
+    assert content(run) == content(measure("whole"))
+    walls = [event["wall"] for event in run.events()]
+    assert walls == sorted(walls, reverse=True)
+    assert set(radiometry.reduce(run)["flag"]) == {"", "blocked"}
+
+
+def test_a_clock_that_was_set_back_between_two_sittings_is_said(measure: Measure) -> None:
+    with pytest.raises(Interrupted):
+        measure("run", rig=Plugin(options={"repeatable": False}), yes=True, progress=StopAfter(4))
+    run = measure("run", rig=Plugin(options={"repeatable": False}), yes=True, resume=True)
+    (remark,) = (event["message"] for event in run.events() if event["event"] == "remark")
+    assert "clock is 400 s behind" in remark  # this rig's clock starts anew
+
+
 def test_resuming_a_finished_run_does_nothing(measure: Measure) -> None:
     before = (measure("run").path / "journal.jsonl").read_bytes()
     assert (measure("run", resume=True).path / "journal.jsonl").read_bytes() == before
