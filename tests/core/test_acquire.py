@@ -246,7 +246,7 @@ def test_a_clock_that_was_set_back_between_two_sittings_is_said(measure: Measure
         measure("run", rig=Plugin(options={"repeatable": False}), yes=True, progress=StopAfter(4))
     run = measure("run", rig=Plugin(options={"repeatable": False}), yes=True, resume=True)
     (remark,) = (event["message"] for event in run.events() if event["event"] == "remark")
-    assert "clock is 400 s behind" in remark  # this rig's clock starts anew
+    assert "clock is 401 s behind" in remark  # this rig's clock starts anew, and step 4 began its frames at 401 s
 
 
 def test_resuming_a_finished_run_does_nothing(measure: Measure) -> None:
