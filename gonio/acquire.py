@@ -158,18 +158,9 @@ def measure(rig: Rig, run: Run, steps: Sequence[Step], progress: Progress, stop:
     if not left:
         progress.say(f"{run.path}: every step is done")
         return
-    behind_s = 0.0
     if done and not rig.repeatable:
         left = _fresh(steps, done) + left
-        behind_s = float(run.steps().latest()["time_s"]) - rig.time_s()
     run.append({"event": "session", "gonio": __version__, "steps": len(steps), "left": len(left)})
-    if behind_s > 0:
-        text = (
-            f"the rig's clock is {behind_s:.0f} s behind the last step: the computer's clock was set back between the "
-            "sittings, and the drift of the lamp that the reduction finds is wrong"
-        )
-        run.append({"event": "remark", "message": text})
-        progress.say(text)
     progress.start(len(done) + len(left), len(done))
     try:
         _take_all(rig, run, left, progress, stop)

@@ -93,7 +93,7 @@ class Bench:
         self.damaged: dict[str, str] = {}
         """What is wrong with frames that were left out, by their names."""
         self.description: RigDescription = run.description
-        steps = run.steps()
+        steps = [_needed(step) for step in run.steps()]
         self.steps = [s for s in steps if s["kind"] != "dark" and not s.get("flag")]
         self.flags = {int(s["point"]): str(s["flag"]) for s in steps if s["kind"] == "point" and s.get("flag")}
         self.lost_visits = [str(s["flag"]) for s in steps if s["kind"] == "reference" and s.get("flag")]
@@ -243,6 +243,13 @@ class Bench:
             pose=pose,
             point=None if step["kind"] == "reference" else int(step["point"]),
         )
+
+
+def _needed(step: dict[str, Any]) -> dict[str, Any]:
+    """What the reduction needs of a step: a run may have very many."""
+    out = {name: step[name] for name in ("kind", "point", "pose", "flag") if name in step}
+    names = ("file", "band", "exposure_s", "time_s", "lamp", "sha256")
+    return out | {"frames": [{name: frame[name] for name in names} for frame in step["frames"]]}
 
 
 def pool(

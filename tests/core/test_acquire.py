@@ -253,6 +253,18 @@ def test_a_laboratory_takes_fresh_darks_and_references(measure: Measure) -> None
     assert len(set(taken)) == 11
 
 
+def test_a_computer_s_clock_that_jumps_changes_nothing(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:
+    years = iter(range(2100, 1900, -1))
+    monkeypatch.setattr("gonio.journal.now", lambda: f"{next(years)}-01-01T00:00:00.000Z")
+    with pytest.raises(Interrupted):
+        measure("run", progress=StopAfter(4))
+    run = measure("run", resume=True)
+    assert content(run) == content(measure("whole"))
+    walls = [event["wall"] for event in run.events()]
+    assert walls == sorted(walls, reverse=True)
+    assert set(radiometry.reduce(run)["flag"]) == {"", "blocked"}
+
+
 @pytest.mark.parametrize(
     ("stamps", "words"),
     [

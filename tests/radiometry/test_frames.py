@@ -55,7 +55,7 @@ def test_libraw_reads_what_we_read_ourselves(tmp_path: Path, pattern: str, bits:
 
 def test_our_own_frames_need_no_libraw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its decoder takes most of the time of a reduction."""
-    write_dng(Frame(noise(12), 0.5, 64.0, 4095.0), tmp_path / "a.dng")
+    write_dng(Frame(noise(12), 0.5, 64.0, 4095.0, time_s=1.0), tmp_path / "a.dng")
     monkeypatch.delattr(rawpy, "RawPy")
     np.testing.assert_array_equal(read_raw(tmp_path / "a.dng").mosaic, noise(12))
 
