@@ -11,12 +11,15 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from gonio.errors import ConfigError, DataError
 
 FEW = 4
 """Fewer jobs than this run here: to start a process and its imports takes longer than most fits."""
+
+PATIENCE_S = 20.0
+"""So long a Dask scheduler may take to answer."""
 
 In = TypeVar("In")
 Out = TypeVar("Out")
@@ -99,9 +102,19 @@ def _on_cluster(function: Callable[[In], Out], jobs: Sequence[In], address: str)
         from distributed import Client
     except ImportError:
         raise ConfigError("--dask needs the package distributed: pip install 'gonio[dask]'") from None
+    found: Future[Any] = Future()
+
+    def call() -> None:  # what takes the connection and says nothing is waited for beyond Client's own timeout
+        try:
+            found.set_result(Client(address, timeout=10, set_as_default=False))
+        except Exception as error:
+            found.set_exception(error)
+
+    threading.Thread(target=call, daemon=True).start()
     try:
-        client = Client(address, timeout=10, set_as_default=False)
+        client = found.result(timeout=PATIENCE_S)
     except (OSError, ValueError) as error:
-        raise ConfigError(f"--dask {address}: no scheduler answers there: {error}") from None
+        reason = str(error) or f"nothing was said for {PATIENCE_S:g} s"
+        raise ConfigError(f"--dask {address}: no scheduler answers there: {reason}") from None
     with client:
         yield from client.gather(client.map(function, jobs, pure=False))

@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -117,3 +118,12 @@ def test_models_in_a_pool_of_processes(method: str) -> None:
     angles = [0.1, 0.5, 0.9]
     with multiprocessing.get_context(method).Pool(2) as pool:
         assert pool.map(_at_30_degrees, angles) == [_at_30_degrees(angle) for angle in angles]
+
+
+def test_a_scheduler_that_takes_the_connection_and_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed", reason="the extra gonio[dask] is not installed")
+    monkeypatch.setattr(parallel, "PATIENCE_S", 0.2)
+    with socket.create_server(("127.0.0.1", 0)) as deaf:
+        address = f"tcp://127.0.0.1:{deaf.getsockname()[1]}"
+        with pytest.raises(ConfigError, match="nothing was said"):
+            list(parallel.each(abs, [1], dask=address))
