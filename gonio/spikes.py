@@ -35,6 +35,8 @@ TELLS = 9.0
 """Points tell an amplitude whose errors of the angles leave it a third of itself: sum of mean^2 / variance."""
 TOGETHER = math.radians(1.5)
 """Angles of incidence this close share a spike, where one alone has too few points."""
+SEEN = 2.5
+"""At an edge rare errors are large: a departure from lobe and spike that they explain is at most so many sigma."""
 SHAPE = 0.03
 """Relative error of the lobe's shape under a spike, point by point."""
 WITHIN = 0.03
@@ -290,10 +292,9 @@ def find(scene: Scene, groups: Sequence[Places]) -> Spikes:
         of_correction = np.hypot(out.u_amplitude[k], WITHIN * out.amplitude[k]) * lacks[k]
         out.variance[k] = (out.amplitude[k] ** 2 + out.u_amplitude[k] ** 2) * variance[k] + of_correction**2
         if fit.stands_out and variance[k].any():
-            departs = scene.brdf[k] - out.lobe[k] - out.amplitude[k] * at_read[k]
-            known = scene.u[k] ** 2 + ((fit.u_lobe + SHAPE) * out.lobe[k]) ** 2 + (out.u_amplitude[k] * at_read[k]) ** 2
-            rare = np.maximum(abs(departs) - 2.0 * np.sqrt(known), 0.0) / 3.0
-            out.variance[k] = np.maximum(out.variance[k], rare**2)
+            departs = abs(scene.brdf[k] - out.lobe[k] - out.amplitude[k] * at_read[k])
+            rare = out.amplitude[k] * (scene.most[k] - mean[k]) / FAR
+            out.variance[k] = np.maximum(out.variance[k], np.minimum(rare, departs / SEEN) ** 2)
     return out
 
 
