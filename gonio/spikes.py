@@ -33,8 +33,12 @@ STEEPEST = 20.0
 """Prior of d ln(amplitude) / d theta [1/rad]; (4 pi sigma0/lambda)^2 sin(2 theta) for sigma0/lambda = 0.4."""
 TELLS = 9.0
 """Points tell an amplitude whose errors of the angles leave it a third of itself: sum of mean^2 / variance."""
+SURELY = 25.0
+"""Below this sum they tell it within a factor: its uncertainty is the largest amplitude that goes with the values."""
 TOGETHER = math.radians(1.5)
 """Angles of incidence this close share a spike, where one alone has too few points."""
+SEEN = 2.5
+"""At an edge rare errors are large: a departure from lobe and spike that they explain is at most so many sigma."""
 SHAPE = 0.03
 """Relative error of the lobe's shape under a spike, point by point."""
 WITHIN = 0.03
@@ -290,10 +294,9 @@ def find(scene: Scene, groups: Sequence[Places]) -> Spikes:
         of_correction = np.hypot(out.u_amplitude[k], WITHIN * out.amplitude[k]) * lacks[k]
         out.variance[k] = (out.amplitude[k] ** 2 + out.u_amplitude[k] ** 2) * variance[k] + of_correction**2
         if fit.stands_out and variance[k].any():
-            departs = scene.brdf[k] - out.lobe[k] - out.amplitude[k] * at_read[k]
-            known = scene.u[k] ** 2 + ((fit.u_lobe + SHAPE) * out.lobe[k]) ** 2 + (out.u_amplitude[k] * at_read[k]) ** 2
-            rare = np.maximum(abs(departs) - 2.0 * np.sqrt(known), 0.0) / 3.0
-            out.variance[k] = np.maximum(out.variance[k], rare**2)
+            departs = abs(scene.brdf[k] - out.lobe[k] - out.amplitude[k] * at_read[k])
+            rare = out.amplitude[k] * (scene.most[k] - mean[k]) / FAR
+            out.variance[k] = np.maximum(out.variance[k], np.minimum(rare, departs / SEEN) ** 2)
     return out
 
 
@@ -327,10 +330,16 @@ def _fit(scene: Scene, group: Places, near: npt.NDArray[np.bool_], own: Places |
     covariance = covariance * max(scatter, 1.0)
     u = math.sqrt(covariance[1, 1])
     strength = float(np.sum(weight * share**2))
-    common = 0.6 * amplitude * float(np.sum(weight * share * np.sqrt(variance))) / strength if strength > 0 else 0.0
+    scaled = lobe * max(float(solution[0]), 0.0)
     with np.errstate(divide="ignore"):
         tells = float(np.sum(share**2 / np.maximum(variance, 1e-300)))
-    lobe = lobe * max(float(solution[0]), 0.0)
+    if tells < SURELY:
+        # errors that took most of a spike leave a small amplitude, and a small error of it
+        highest = _largest(share, variance, values - scaled + 2.0 * np.hypot(scene.u[k], SHAPE * scaled))
+        u = max(u, min(highest, most))
+    common = 0.6 * amplitude * float(np.sum(weight * share * np.sqrt(variance))) / strength if strength > 0 else 0.0
+    covariance[1, 1] = u**2
+    lobe = scaled
     top = amplitude * float(np.max(share))
     return _Fit(
         theta=theta,
@@ -348,11 +357,15 @@ def _fit(scene: Scene, group: Places, near: npt.NDArray[np.bool_], own: Places |
 def _bound(scene: Scene, k: Places, theta: float) -> float:
     """The largest amplitude that points allow: a spike reflects at most all light, and is part of each value."""
     most = 1.0 / (math.cos(theta) * float(solid_angle_of_cone(max(scene.half_angles))))
-    surely = scene.mean[k] - 2.0 * np.sqrt(scene.variance[k])
+    values = np.maximum(scene.brdf[k], 0.0) + 2.0 * scene.u[k]
+    return min(most, _largest(scene.mean[k], scene.variance[k], values))
+
+
+def _largest(share: Array, variance: Array, values: Array) -> float:
+    """The largest amplitude with which no point exceeds its value by more than two standard deviations of its share."""
+    surely = share - 2.0 * np.sqrt(variance)
     seen = surely > 0.0
-    if seen.any():
-        most = min(most, float(np.min((np.maximum(scene.brdf[k], 0.0) + 2.0 * scene.u[k])[seen] / surely[seen])))
-    return most
+    return max(float(np.min(values[seen] / surely[seen])), 0.0) if seen.any() else math.inf
 
 
 def _lobe_below(scene: Scene, group: Places, near: npt.NDArray[np.bool_]) -> tuple[Array, float]:
