@@ -7,8 +7,7 @@ taken from the run's own curves, which the instrument's cones have smoothed alre
   fixed distance from the mirror direction comes from the curves of the neighbouring angles of incidence at that
   distance (zero without neighbours), because lobes move with the mirror direction; out of the plane of incidence it has
   the shape over the half vector's angle that the curves in the plane have, times what changes smoothly between points;
-- a specular spike, present where a curve stands out of its lobe around the mirror direction: its shape is known,
-  namely the overlap of the lamp's mirror image with the lens.
+- a specular spike, which `gonio.spikes` finds: its shape is the overlap of the lamp's mirror image with the lens.
 
 Lobes change by ratios: between points the logarithm of f (asinh, which goes through zero) is taken for smooth.
 Effects are differences over finite steps of +-u, since a slope is undefined at the top and at the edge of a spike.
