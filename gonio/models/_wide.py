@@ -12,6 +12,7 @@ touched.
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 from llvmlite import ir as llvm
@@ -24,20 +25,23 @@ from numba.core.typed_passes import NativeLowering
 
 ATTRIBUTES = ('"prefer-vector-width"="512"', '"frame-pointer"="all"')  # with a frame pointer the stack can be aligned
 PLAIN = (0.0, 0.5, 1.0, 2.0)  # what arithmetic with these can be simplified to is worth more
-VECTORS = llvm.Constant(llvm.IntType(32), 4)  # that a loop takes side by side
+SIDE_BY_SIDE = 4  # vectors that a loop takes, unless it asks for another number
 BITS = llvm.IntType(64)
 
 
 class _Lower(Lower):
+    side_by_side = SIDE_BY_SIDE
+
     def lower_normal_function(self, fndesc: Any) -> None:
         super().lower_normal_function(fndesc)
         for attribute in ATTRIBUTES:  # llvmlite's own `add` knows only attributes without a value
             set.add(self.function.attributes, attribute)
+        vectors = llvm.Constant(llvm.IntType(32), self.side_by_side)
         seen = set()
         for block in self.function.blocks:
             seen.add(block)
             if not seen.isdisjoint(block.terminator.operands):  # the end of a loop
-                count = self.module.add_metadata(["llvm.loop.interleave.count", VECTORS])
+                count = self.module.add_metadata(["llvm.loop.interleave.count", vectors])
                 loop = MDValue(self.module, [count], name=str(len(self.module.metadata)))
                 loop.operands = (loop, count)  # a loop's node names itself
                 block.terminator.set_metadata("llvm.loop", loop)
@@ -57,20 +61,24 @@ class _Lower(Lower):
             return self.builder.bitcast(held, llvm.DoubleType())
 
 
-@register_pass(mutates_CFG=True, analysis_only=False)
-class _Lowering(NativeLowering):
-    _name = "wide_native_lowering"
+@functools.cache
+def wide(side_by_side: int = SIDE_BY_SIDE) -> type[CompilerBase]:
+    """numba's usual pipeline, with the attributes on what it lowers and so many vectors side by side in its loops."""
+    lower = type("_Lower", (_Lower,), {"side_by_side": side_by_side})
 
-    @property
-    def lowering_class(self) -> type[Lower]:
-        return _Lower
+    @register_pass(mutates_CFG=True, analysis_only=False)
+    class Lowering(NativeLowering):
+        _name = f"wide_native_lowering_{side_by_side}"
 
+        @property
+        def lowering_class(self) -> type[Lower]:
+            return lower
 
-class Wide(CompilerBase):
-    """numba's usual pipeline, with the attributes on what it lowers."""
+    class Wide(CompilerBase):
+        def define_pipelines(self) -> list[Any]:
+            pipeline = DefaultPassBuilder.define_nopython_pipeline(self.state)
+            pipeline.passes = [(Lowering if step is NativeLowering else step, text) for step, text in pipeline.passes]
+            pipeline.finalize()
+            return [pipeline]
 
-    def define_pipelines(self) -> list[Any]:
-        pipeline = DefaultPassBuilder.define_nopython_pipeline(self.state)
-        pipeline.passes = [(_Lowering if step is NativeLowering else step, text) for step, text in pipeline.passes]
-        pipeline.finalize()
-        return [pipeline]
+    return Wide

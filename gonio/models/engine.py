@@ -11,7 +11,7 @@ import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import pi, prod
 from typing import TYPE_CHECKING, Any, Final
 
@@ -29,7 +29,6 @@ Constants = tuple[float, ...]
 
 NORM_TOLERANCE: Final = 1e-6  # how far from 1 the length of a direction may be: what float32 vectors need, and no more
 BLOCK: Final = 8192  # pairs handled at a time: one constant argument is repeated that often, and stays in the cache
-CHUNK: Final = 64  # pairs taken apart at a time: so few that the next are fetched from memory while these are evaluated
 SPLIT: Final = 65536  # pairs a thread must have to be worth waking: a wake costs some 20 us
 PHI_LIMIT: Final = 1e6  # rad; beyond it an azimuth has fewer than ten digits left
 HALF_PI: Final = pi / 2
@@ -38,13 +37,11 @@ HALF_PI: Final = pi / 2
 # --- the loops: `kernel` is put in by _compile.loop -------------------------------------------------------------
 
 
-@template("r1 i r1 i p w1 i i")
+@template("r1 i r1 i p w1 i i", side_by_side=2)
 def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop):  # type: ignore[no-untyped-def]
     wrong = 0
-    parts = np.empty((7, CHUNK))
-    lx, ly, lz, vx, vy, vz, low = parts[0], parts[1], parts[2], parts[3], parts[4], parts[5], parts[6]
-    for first in range(start, stop, CHUNK):
-        count = min(CHUNK, stop - first)
+    for first in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - first)
         l = omega_i[3 * first * step_i : 3 * (first * step_i + count)]  # noqa: E741
         v = omega_r[3 * first * step_r : 3 * (first * step_r + count)]
         o = out[first : first + count]
@@ -54,16 +51,11 @@ def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop)
             bx, by, bz = v[3 * j], v[3 * j + 1], v[3 * j + 2]
             ea = ax * ax + ay * ay + (az * az - 1.0)
             eb = bx * bx + by * by + (bz * bz - 1.0)
-            unit = abs(ea) <= 2.0 * NORM_TOLERANCE and abs(eb) <= 2.0 * NORM_TOLERANCE
-            low[j] = (az if az < bz else bz) if unit else np.nan
+            wrong |= 0 if abs(ea) <= 2.0 * NORM_TOLERANCE and abs(eb) <= 2.0 * NORM_TOLERANCE else 1
             fa = 1.0 - ea * (0.5 - 0.375 * ea)  # 1/sqrt(1 + e): the next term is below 3e-18
             fb = 1.0 - eb * (0.5 - 0.375 * eb)
-            lx[j], ly[j], lz[j] = ax * fa, ay * fa, az * fa
-            vx[j], vy[j], vz[j] = bx * fb, by * fb, bz * fb
-        for j in range(count):
-            value = kernel(lx[j], ly[j], lz[j], vx[j], vy[j], vz[j], constants)  # type: ignore[name-defined]  # noqa: F821
-            o[j] = value if low[j] >= 0.0 else 0.0
-            wrong |= 0 if low[j] == low[j] else 1
+            value = kernel(ax * fa, ay * fa, az * fa, bx * fb, by * fb, bz * fb, constants)  # type: ignore[name-defined]  # noqa: F821
+            o[j] = value if (az if az < bz else bz) >= 0.0 else 0.0
     return wrong
 
 
@@ -105,6 +97,49 @@ def _over_absolute_angles(  # type: ignore[no-untyped-def]
         sin_q, cos_q = sincos(q)
         out[j] = kernel(sin_i * cos_p, sin_i * sin_p, cos_i, sin_r * cos_q, sin_r * sin_q, cos_r, constants)  # type: ignore[name-defined]  # noqa: F821
     return wrong
+
+
+@template("r1 r1 i w1")
+def _columns(omega_i, omega_r, count, out):  # type: ignore[no-untyped-def]
+    """What the kernel needs of each pair of directions, column after column."""
+    pairs = omega_i.size // 3
+    for j in range(pairs):
+        i = 3 * j
+        numbers = kernel(omega_i[i], omega_i[i + 1], omega_i[i + 2], omega_r[i], omega_r[i + 1], omega_r[i + 2])  # type: ignore[name-defined]  # noqa: F821
+        for k in range(count):
+            out[k * pairs + j] = numbers[k]
+    return 0
+
+
+@template("r1 p w1 i i", columns=True)
+def _at_2(columns, constants, out, start, stop):  # type: ignore[no-untyped-def]
+    n = out.size
+    a, b, o = columns[start:stop], columns[n + start : n + stop], out[start:stop]
+    for j in range(stop - start):
+        o[j] = kernel(a[j], b[j], constants)  # type: ignore[name-defined]  # noqa: F821
+    return 0
+
+
+@template("r1 p w1 i i", columns=True)
+def _at_3(columns, constants, out, start, stop):  # type: ignore[no-untyped-def]
+    n = out.size
+    a, b, c, o = columns[start:stop], columns[n + start : n + stop], columns[2 * n + start : 2 * n + stop], out[start:stop]
+    for j in range(stop - start):
+        o[j] = kernel(a[j], b[j], c[j], constants)  # type: ignore[name-defined]  # noqa: F821
+    return 0
+
+
+@template("r1 p w1 i i", columns=True)
+def _at_4(columns, constants, out, start, stop):  # type: ignore[no-untyped-def]
+    n = out.size
+    a, b, c = columns[start:stop], columns[n + start : n + stop], columns[2 * n + start : 2 * n + stop]
+    d, o = columns[3 * n + start : 3 * n + stop], out[start:stop]
+    for j in range(stop - start):
+        o[j] = kernel(a[j], b[j], c[j], d[j], constants)  # type: ignore[name-defined]  # noqa: F821
+    return 0
+
+
+_AT: Final = {2: _at_2, 3: _at_3, 4: _at_4}
 
 
 # --- threads: our own, over serial compiled code, so that no numba threading layer is involved -------------------
@@ -296,6 +331,9 @@ def over_vectors(
 class Geometry:
     """Pairs of directions, checked and turned into vectors once: what a fit evaluates many parameter sets at.
 
+    What the models make of the directions alone is kept with them from the first evaluation on: up to 32 bytes a pair
+    for each family of models.
+
     Attributes
     ----------
     omega_i, omega_r
@@ -307,6 +345,17 @@ class Geometry:
     omega_i: NDArray[np.float64]
     omega_r: NDArray[np.float64]
     shape: tuple[int, ...]
+    _kept: dict[Kernel, NDArray[np.float64]] = field(default_factory=dict, repr=False, compare=False)
+
+    def columns(self, kernel: Kernel) -> NDArray[np.float64]:
+        """What a kernel marked by `of_columns` needs of the directions, column after column."""
+        take, count = kernel.__dict__["columns"], kernel.__dict__["count"]
+        found = self._kept.get(take)
+        if found is None:
+            found = np.empty(count * (self.omega_i.size // 3))
+            loop(_columns, take, 0)(self.omega_i, self.omega_r, count, found)
+            self._kept[take] = found
+        return found
 
 
 def geometry(theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: ArrayLike) -> Geometry:
@@ -326,7 +375,11 @@ def at_geometry(kernel: Kernel, constants: Constants, where: Geometry, *, split:
     """A kernel at a checked `Geometry`."""
     out = np.empty(where.shape)
     flat = out.reshape(-1)
-    run = loop(_over_vectors, kernel, len(constants))
-    if out.size:
+    if out.size and "columns" in kernel.__dict__:
+        columns = where.columns(kernel)
+        shade = loop(_AT[kernel.__dict__["count"]], kernel, len(constants))
+        in_parts(lambda i, j: shade(columns, constants, flat, i, j), out.size, split)
+    elif out.size:
+        run = loop(_over_vectors, kernel, len(constants))
         in_parts(lambda i, j: run(where.omega_i, 1, where.omega_r, 1, constants, flat, i, j), out.size, split)
     return out if where.shape else out[()]

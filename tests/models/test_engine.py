@@ -138,10 +138,10 @@ def test_importing_the_models_imports_no_numba() -> None:
 def test_whole_vectors_and_held_constants_are_asked_for_function_by_function() -> None:
     import numba
 
-    from gonio.models._wide import ATTRIBUTES, Wide
+    from gonio.models._wide import ATTRIBUTES, wide
 
     MODEL.brdf(0.1, 0.0, 0.2, 1.0)
-    ours = numba.njit("f8(f8)", pipeline_class=Wide)(lambda x: x + 0.3)
+    ours = numba.njit("f8(f8)", pipeline_class=wide())(lambda x: x + 0.3)
     theirs = numba.njit("f8(f8)")(lambda x: x + 0.3)
     (asked,), (plain,) = ours.inspect_llvm().values(), theirs.inspect_llvm().values()
     for sign in (*ATTRIBUTES, "asm"):
