@@ -74,7 +74,7 @@ def _copy(function: FunctionType, names: Mapping[str, Any]) -> Any:
 
 
 def _clone(function: Callable[..., Any], names: dict[str, Any], others: Others = ()) -> Any:
-    """The same code with the marked functions that it calls, or the `others` in their place, replaced by compiled ones."""
+    """The same code with the marked functions that it calls, or `others` in their place, replaced by compiled ones."""
     assert isinstance(function, FunctionType)
     called = {}
     for name in function.__code__.co_names:

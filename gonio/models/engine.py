@@ -123,7 +123,12 @@ def _at_2(columns, constants, out, start, stop):  # type: ignore[no-untyped-def]
 @template("r1 p w1 i i", columns=True)
 def _at_3(columns, constants, out, start, stop):  # type: ignore[no-untyped-def]
     n = out.size
-    a, b, c, o = columns[start:stop], columns[n + start : n + stop], columns[2 * n + start : 2 * n + stop], out[start:stop]
+    a, b, c, o = (
+        columns[start:stop],
+        columns[n + start : n + stop],
+        columns[2 * n + start : 2 * n + stop],
+        out[start:stop],
+    )
     for j in range(stop - start):
         o[j] = kernel(a[j], b[j], c[j], constants)  # type: ignore[name-defined]  # noqa: F821
     return 0
@@ -257,12 +262,26 @@ def _explain_vectors(arrays: list[NDArray[np.float64]]) -> ArgumentError:
     raise AssertionError("a check failed that no argument explains")
 
 
+def explain(arrays: list[NDArray[np.float64]]) -> ArgumentError:
+    """What is wrong with four angles or two arrays of vectors, of which a check failed."""
+    return _explain_angles(arrays) if len(arrays) == 4 else _explain_vectors(arrays)
+
+
 def angle_arrays(
     theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: ArrayLike
 ) -> tuple[list[NDArray[np.float64]], tuple[int, ...]]:
     """The four angles as float64 arrays and the shape that they broadcast to; their ranges are not yet checked."""
     arrays = [real_array(name, value) for name, value in zip(ANGLES, (theta_i, phi_i, theta_r, phi_r), strict=True)]
     return arrays, common_shape(ANGLES, [array.shape for array in arrays])
+
+
+def vector_arrays(omega_i: ArrayLike, omega_r: ArrayLike) -> tuple[list[NDArray[np.float64]], tuple[int, ...]]:
+    """Two arrays of vectors (..., 3) as float64 and the shape that they broadcast to; their lengths are not checked."""
+    arrays = [real_array("omega_i", omega_i), real_array("omega_r", omega_r)]
+    for name, array in zip(("omega_i", "omega_r"), arrays, strict=True):
+        if array.ndim == 0 or array.shape[-1] != 3:
+            raise ArgumentError(f"{name} has shape {array.shape}: its last axis must have the 3 components of a vector")
+    return arrays, common_shape(("omega_i", "omega_r"), [array.shape[:-1] for array in arrays])
 
 
 def check_angles(arrays: list[NDArray[np.float64]]) -> None:
@@ -306,11 +325,7 @@ def over_vectors(
     kernel: Kernel, constants: Constants, omega_i: ArrayLike, omega_r: ArrayLike, *, split: int = SPLIT
 ) -> Any:
     """A kernel over broadcast unit vectors (..., 3); 0 where either lies below the surface."""
-    arrays = [real_array("omega_i", omega_i), real_array("omega_r", omega_r)]
-    for name, array in zip(("omega_i", "omega_r"), arrays, strict=True):
-        if array.ndim == 0 or array.shape[-1] != 3:
-            raise ArgumentError(f"{name} has shape {array.shape}: its last axis must have the 3 components of a vector")
-    shape = common_shape(("omega_i", "omega_r"), [array.shape[:-1] for array in arrays])
+    arrays, shape = vector_arrays(omega_i, omega_r)
     count = prod(shape)
     out = np.empty(shape)
     if count == 0:

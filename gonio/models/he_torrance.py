@@ -100,6 +100,22 @@ class HeTorrance(Model):
             0.0,  # 1: without Fresnel
         )
 
+    def _spectra(self, arguments: list[NDArray[np.float64]], waves: list[float]) -> NDArray[np.float64]:
+        several = [self._constants(wave) for wave in waves]
+        diffuse, _, _, _, slope, printed, _, _, _, tier, _ = several[0]
+        shared = (diffuse, slope, printed, tier)
+        each = np.array([[scale, phase, width, *index] for _, scale, phase, width, _, _, *index, _, _ in several])
+        pairs = arguments[0].size // (3 if len(arguments) == 2 else 1)
+        loop_over = kernels.spectrum_over_vectors if len(arguments) == 2 else kernels.spectrum_over_angles
+        flat = [part for array in arguments for part in (np.ascontiguousarray(array).reshape(-1), 1)]
+        out = np.empty((len(waves), pairs))
+        run = loop(loop_over, kernels.pair_state, len(shared))
+        numbers, target = each.reshape(-1), out.reshape(-1)
+        split = max(1, self.grain // len(waves))
+        if pairs and engine.in_parts(lambda i, j: run(*flat, pairs, shared, numbers, target, i, j), pairs, split):
+            raise engine.explain(arguments)
+        return out
+
     # --- the specular spike -------------------------------------------------------------------------------------
 
     def specular_reflectivity(self, theta_i: ArrayLike, *, wavelength_nm: ArrayLike = 550.0) -> Any:

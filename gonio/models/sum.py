@@ -86,7 +86,7 @@ class Sum(Model):
             _weighted(w, m.brdf(theta_i, phi_i, theta_r, phi_r, wavelength_nm=wavelength_nm)) for m, w in self.terms
         )
 
-    def brdf_vectors(self, omega_i: ArrayLike, omega_r: ArrayLike, *, wavelength_nm: float = 550.0) -> Any:
+    def brdf_vectors(self, omega_i: ArrayLike, omega_r: ArrayLike, *, wavelength_nm: ArrayLike = 550.0) -> Any:
         return sum(_weighted(w, m.brdf_vectors(omega_i, omega_r, wavelength_nm=wavelength_nm)) for m, w in self.terms)
 
     def at(self, geometry: Geometry, *, wavelength_nm: float = 550.0) -> Any:
