@@ -11,6 +11,8 @@ from math import sqrt
 from gonio.models._compile import device
 from gonio.models._math import _LOG2_E, atan_over, exp2, log
 
+# Sizes of constants for which all products of facet models stay within float32: rms slopes from 1e-5 to 12 among them.
+SINGLE_RANGE = (1e-2, 1e10)
 # Below this |L + V|^2 the directions are opposite to the last digit: forward grazing, where H is taken as the normal.
 OPPOSITE = 1e-30
 

@@ -70,6 +70,7 @@ class Model(ABC):
         phi_r: ArrayLike,
         *,
         wavelength_nm: ArrayLike = 550.0,
+        out: Any = None,
     ) -> Any:
         """BRDF [1/sr] at angles, without any specular spike.
 
@@ -84,10 +85,14 @@ class Model(ABC):
         wavelength_nm
             Wavelength [nm]; an array broadcasts with the directions. On an axis of its own, as (n, 1) angles with (m,)
             wavelengths, all wavelengths share what does not depend on them.
+        out
+            Where the result goes: a writable array of its shape and type, which may overlap the arguments. Nothing is
+            written into it before all arguments are checked.
 
         Returns
         -------
-        float64 array of the shape that the arguments broadcast to (a float64 scalar for scalars).
+        float64 array of the shape that the arguments broadcast to (a float64 scalar for scalars). Where all directions
+        that are arrays are float32, the result is float32 (see docs/models.md for its error).
 
         Raises
         ------
@@ -98,18 +103,20 @@ class Model(ABC):
         if isinstance(wavelength_nm, (int, float)) or engine.real_array("wavelength_nm", wavelength_nm).ndim == 0:
             kernel, constants = self._evaluation(checked_wavelength(wavelength_nm))
             return engine.over_angles(
-                kernel, constants, theta_i, phi_i, theta_r, phi_r, absolute=self._absolute, split=self.grain
+                kernel, constants, theta_i, phi_i, theta_r, phi_r, absolute=self._absolute, split=self.grain, out=out
             )
         arrays, shape = engine.angle_arrays(theta_i, phi_i, theta_r, phi_r)
         engine.check_angles(arrays)
-        return _by_wavelength(self._spectra, wavelength_nm, arrays, shape, ())
+        return engine.delivered(out, _by_wavelength(self._spectra, wavelength_nm, arrays, shape, ()))
 
     def _spectra(self, arguments: list[Any], waves: list[float]) -> NDArray[np.float64]:
         """The BRDF (wavelengths, pairs) at four angles of one shape, or at two arrays of vectors."""
         evaluate = self.brdf if len(arguments) == 4 else self.brdf_vectors
         return np.stack([np.reshape(evaluate(*arguments, wavelength_nm=wave), -1) for wave in waves])
 
-    def brdf_vectors(self, omega_i: ArrayLike, omega_r: ArrayLike, *, wavelength_nm: ArrayLike = 550.0) -> Any:
+    def brdf_vectors(
+        self, omega_i: ArrayLike, omega_r: ArrayLike, *, wavelength_nm: ArrayLike = 550.0, out: Any = None
+    ) -> Any:
         """BRDF [1/sr] at unit vectors toward the source and the detector, without any specular spike.
 
         Parameters
@@ -120,11 +127,14 @@ class Model(ABC):
         wavelength_nm
             Wavelength [nm]; an array broadcasts with the directions. On an axis of its own, as (n, 1) angles with (m,)
             wavelengths, all wavelengths share what does not depend on them.
+        out
+            Where the result goes: a writable array of its shape and type, which may overlap the arguments. Nothing is
+            written into it before all arguments are checked.
 
         Returns
         -------
         float64 array of the shape that the arguments broadcast to without the last axis; 0 where either vector is
-        below the surface.
+        below the surface. Two float32 arrays give a float32 result, by float32 arithmetic where a model has it.
 
         Raises
         ------
@@ -133,11 +143,11 @@ class Model(ABC):
         """
         if isinstance(wavelength_nm, (int, float)) or engine.real_array("wavelength_nm", wavelength_nm).ndim == 0:
             kernel, constants = self._evaluation(checked_wavelength(wavelength_nm))
-            return engine.over_vectors(kernel, constants, omega_i, omega_r, split=self.grain)
+            return engine.over_vectors(kernel, constants, omega_i, omega_r, split=self.grain, out=out)
         vectors, shape = engine.vector_arrays(omega_i, omega_r)
-        return _by_wavelength(self._spectra, wavelength_nm, vectors, shape, (3,))
+        return engine.delivered(out, _by_wavelength(self._spectra, wavelength_nm, vectors, shape, (3,)))
 
-    def at(self, geometry: Geometry, *, wavelength_nm: float = 550.0) -> Any:
+    def at(self, geometry: Geometry, *, wavelength_nm: float = 550.0, out: Any = None) -> Any:
         """BRDF [1/sr] at directions that `gonio.models.geometry` has checked: the fast way to try many parameters.
 
         Parameters
@@ -146,6 +156,9 @@ class Model(ABC):
             The directions.
         wavelength_nm
             Wavelength [nm] of models whose index of refraction depends on it.
+        out
+            Where the result goes: a writable array of its shape and type, which may overlap the arguments. Nothing is
+            written into it before all arguments are checked.
 
         Returns
         -------
@@ -157,7 +170,7 @@ class Model(ABC):
             The wavelength is no positive number, or the index is not known at it.
         """
         kernel, constants = self._evaluation(checked_wavelength(wavelength_nm))
-        return engine.at_geometry(kernel, constants, geometry, split=self.grain)
+        return engine.at_geometry(kernel, constants, geometry, split=self.grain, out=out)
 
 
 def _by_wavelength(

@@ -16,6 +16,7 @@ from gonio.errors import ArgumentError
 from gonio.models import engine
 from gonio.models._compile import device, of_columns, with_others
 from gonio.models._facets import (
+    SINGLE_RANGE,
     alpha_squared,
     by_angle,
     by_flat,
@@ -95,18 +96,18 @@ def torrance_sparrow_highlight(d_up, d_down, lz, vz, s2, sz, p):  # type: ignore
     return up / ((d_down * f_down) * g_down) if up > 0.0 else 0.0
 
 
-@of_columns(by_log_cos, 4)
+@of_columns(by_log_cos, 4, single_range=SINGLE_RANGE)
 def brdf_d1(log_square, s2, sz, g, p):  # type: ignore[no-untyped-def]
     """With D1 = cos^c1(alpha)."""
     return torrance_sparrow(cos_power(log_square, p[2]), 1.0, s2, sz, g, p)
 
 
-@of_columns(by_angle, 4)
+@of_columns(by_angle, 4, single_range=SINGLE_RANGE)
 def brdf_d2(alpha2, s2, sz, g, p):  # type: ignore[no-untyped-def]
     return torrance_sparrow(d2(alpha2, p[2]), 1.0, s2, sz, g, p)
 
 
-@of_columns(by_flat, 4)
+@of_columns(by_flat, 4, single_range=SINGLE_RANGE)
 def brdf_d3(flat, s2, sz, g, p):  # type: ignore[no-untyped-def]
     d_up, d_down = d3(flat, s2, sz, p[2])
     return torrance_sparrow(d_up, d_down, s2, sz, g, p)
@@ -186,9 +187,11 @@ class Phong(Model):
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
         return phong, (self.k_d / pi, self.k_s / pi, self.exponent)
 
-    def highlight(self, theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: ArrayLike) -> Any:
+    def highlight(
+        self, theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: ArrayLike, *, out: Any = None
+    ) -> Any:
         """Blinn's s = (N.H)^c1 without its weight; arguments as `brdf`."""
-        return engine.over_angles(phong_highlight, (0.0, 1.0, self.exponent), theta_i, phi_i, theta_r, phi_r)
+        return engine.over_angles(phong_highlight, (0.0, 1.0, self.exponent), theta_i, phi_i, theta_r, phi_r, out=out)
 
 
 PRESETS: dict[str, dict[str, Any]] = {
@@ -308,10 +311,11 @@ class Blinn(Model):
         phi_r: ArrayLike,
         *,
         wavelength_nm: float = 550.0,
+        out: Any = None,
     ) -> Any:
         """Blinn's s = D F G/(N.E) without its weight; arguments as `brdf`."""
         constants = self._constants(checked_wavelength(wavelength_nm), 0.0, 1.0)
-        return engine.over_angles(_HIGHLIGHTS[self.distribution], constants, theta_i, phi_i, theta_r, phi_r)
+        return engine.over_angles(_HIGHLIGHTS[self.distribution], constants, theta_i, phi_i, theta_r, phi_r, out=out)
 
     @staticmethod
     def textured_d3(cos_alpha: ArrayLike, c_min: float, t: ArrayLike) -> Any:

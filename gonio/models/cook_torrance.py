@@ -13,7 +13,7 @@ import numpy as np
 from gonio.errors import ArgumentError
 from gonio.models import engine
 from gonio.models._compile import device, of_columns, with_others
-from gonio.models._facets import by_angle, by_tan2, fresnel, fresnel_constants, fresnel_real
+from gonio.models._facets import SINGLE_RANGE, by_angle, by_tan2, fresnel, fresnel_constants, fresnel_real
 from gonio.models._math import _LOG2_E, exp2
 from gonio.models.base import Index, Model, checked_index, checked_wavelength, choice, index_at, number, positive, store
 from gonio.models.engine import Constants, Kernel
@@ -61,27 +61,27 @@ def facets(sz, g, base, up, down):  # type: ignore[no-untyped-def]
     return base + (up / (down * g) if up > 0.0 else 0.0)
 
 
-@of_columns(by_tan2, 4)
+@of_columns(by_tan2, 4, single_range=SINGLE_RANGE)
 def beckmann(tan2, s2, sz, g, p):  # type: ignore[no-untyped-def]
     base, contrast, real, imag = p[0], p[1], p[2], p[3]
     f_up, f_down = fresnel(0.25 * s2, contrast, real, imag)
     return facets(sz, g, base, beckmann_slopes(tan2, p) * f_up, f_down)
 
 
-@of_columns(by_angle, 4)
+@of_columns(by_angle, 4, single_range=SINGLE_RANGE)
 def gaussian(alpha2, s2, sz, g, p):  # type: ignore[no-untyped-def]
     base, contrast, real, imag = p[0], p[1], p[2], p[3]
     f_up, f_down = fresnel(0.25 * s2, contrast, real, imag)
     return facets(sz, g, base, gaussian_slopes(alpha2, p) * f_up, f_down)
 
 
-@of_columns(by_tan2, 4)
+@of_columns(by_tan2, 4, single_range=SINGLE_RANGE)
 def beckmann_schlick(tan2, s2, sz, g, p):  # type: ignore[no-untyped-def]
     base, f0, rest = p[0], p[1], p[2]
     return facets(sz, g, base, beckmann_slopes(tan2, p) * schlick(0.25 * s2, f0, rest), 1.0)
 
 
-@of_columns(by_angle, 4)
+@of_columns(by_angle, 4, single_range=SINGLE_RANGE)
 def gaussian_schlick(alpha2, s2, sz, g, p):  # type: ignore[no-untyped-def]
     base, f0, rest = p[0], p[1], p[2]
     return facets(sz, g, base, gaussian_slopes(alpha2, p) * schlick(0.25 * s2, f0, rest), 1.0)
@@ -267,10 +267,11 @@ class CookTorrance(Model):
         phi_r: ArrayLike,
         *,
         wavelength_nm: float = 550.0,
+        out: Any = None,
     ) -> Any:
         """R_s [1/sr] without its share s, in the model's normalisation; arguments as `brdf`."""
         kernel, constants = self._weighted(checked_wavelength(wavelength_nm), 0.0, 1.0)
-        return engine.over_angles(kernel, constants, theta_i, phi_i, theta_r, phi_r)
+        return engine.over_angles(kernel, constants, theta_i, phi_i, theta_r, phi_r, out=out)
 
     def ambient_reflectance(self, theta_r: float | None = None, *, wavelength_nm: float = 550.0) -> float:
         """R_a, the reflectance for light that falls in evenly from everywhere.

@@ -7,9 +7,10 @@ checked in the same pass that evaluates them, into a private array that is throw
 
 from __future__ import annotations
 
+import math
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from math import pi, prod
@@ -18,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from gonio.errors import ArgumentError
-from gonio.models._compile import loop, template
+from gonio.models._compile import device, loop, template
 from gonio.models._math import sincos, sincos_polar
 
 if TYPE_CHECKING:
@@ -96,6 +97,21 @@ def _over_absolute_angles(  # type: ignore[no-untyped-def]
         sin_p, cos_p = sincos(p)
         sin_q, cos_q = sincos(q)
         out[j] = kernel(sin_i * cos_p, sin_i * sin_p, cos_i, sin_r * cos_q, sin_r * sin_q, cos_r, constants)  # type: ignore[name-defined]  # noqa: F821
+    return wrong
+
+
+@device
+def off_unit(x, y, z):  # type: ignore[no-untyped-def]
+    """1 where a vector's length is not 1, else 0."""
+    return 0 if abs(x * x + y * y + (z * z - 1.0)) <= 2.0 * NORM_TOLERANCE else 1
+
+
+@template("r1 i i")
+def _off_unit(vectors, start, stop):  # type: ignore[no-untyped-def]
+    wrong = 0
+    part = vectors[3 * start : 3 * stop]
+    for j in range(stop - start):
+        wrong |= kernel(part[3 * j], part[3 * j + 1], part[3 * j + 2])  # type: ignore[name-defined]  # noqa: F821
     return wrong
 
 
@@ -190,17 +206,17 @@ def in_parts(work: Callable[[int, int], int | None], count: int, split: int = SP
 # --- arguments ----------------------------------------------------------------------------------------------------
 
 
-def real_array(name: str, value: ArrayLike) -> NDArray[np.float64]:
+def real_array(name: str, value: ArrayLike, real: type[np.floating[Any]] = np.float64) -> NDArray[Any]:
     """An argument as a float64 array; raises `ArgumentError` naming it when it is not made of real numbers."""
     if type(value) is float:
-        return np.array(value)
+        return np.array(value, real)
     try:
         array = np.asarray(value)
     except ValueError as error:
         raise ArgumentError(f"{name} is not an array of numbers: {error}") from error
     if array.dtype.kind not in "fiu":
         raise ArgumentError(f"{name} must hold real numbers, not {array.dtype}")
-    return array.astype(np.float64, copy=False)
+    return array.astype(real, copy=False)
 
 
 def _flat(array: NDArray[np.float64], shape: tuple[int, ...], count: int) -> tuple[NDArray[np.float64], int]:
@@ -275,9 +291,11 @@ def angle_arrays(
     return arrays, common_shape(ANGLES, [array.shape for array in arrays])
 
 
-def vector_arrays(omega_i: ArrayLike, omega_r: ArrayLike) -> tuple[list[NDArray[np.float64]], tuple[int, ...]]:
+def vector_arrays(
+    omega_i: ArrayLike, omega_r: ArrayLike, real: type[np.floating[Any]] = np.float64
+) -> tuple[list[NDArray[Any]], tuple[int, ...]]:
     """Two arrays of vectors (..., 3) as float64 and the shape that they broadcast to; their lengths are not checked."""
-    arrays = [real_array("omega_i", omega_i), real_array("omega_r", omega_r)]
+    arrays = [real_array("omega_i", omega_i, real), real_array("omega_r", omega_r, real)]
     for name, array in zip(("omega_i", "omega_r"), arrays, strict=True):
         if array.ndim == 0 or array.shape[-1] != 3:
             raise ArgumentError(f"{name} has shape {array.shape}: its last axis must have the 3 components of a vector")
@@ -290,6 +308,41 @@ def check_angles(arrays: list[NDArray[np.float64]]) -> None:
         low, high = (0.0, HALF_PI) if name.startswith("theta") else (-PHI_LIMIT, PHI_LIMIT)
         if not bool(np.all((array >= low) & (array <= high))):
             raise _explain_angles(arrays)
+
+
+# --- results ------------------------------------------------------------------------------------------------------
+
+
+def checked_out(out: Any, shape: tuple[int, ...], real: type[np.floating[Any]] = np.float64) -> None:
+    """Raise `ArgumentError` unless `out` is None, or a writable array of a shape and type."""
+    if out is None:
+        return
+    if not isinstance(out, np.ndarray):
+        raise ArgumentError(f"out must be an array, not {type(out).__name__}")
+    if out.dtype != real or out.shape != shape:
+        raise ArgumentError(f"out is {out.dtype} {out.shape}: must be {np.dtype(real)} {shape}")
+    if not out.flags.writeable:
+        raise ArgumentError("out is read-only")
+
+
+def room(
+    out: Any, shape: tuple[int, ...], arrays: Sequence[NDArray[Any]], real: type[np.floating[Any]] = np.float64
+) -> NDArray[Any]:
+    """Where results go: `out` itself where it lies in one piece, away from the arguments; else a private array."""
+    checked_out(out, shape, real)
+    if out is None or not (out.flags.c_contiguous and out.flags.aligned and out.dtype.isnative):
+        return np.empty(shape, real)
+    return np.empty(shape, real) if any(np.may_share_memory(out, array) for array in arrays) else out
+
+
+def delivered(out: Any, values: Any) -> Any:
+    """`values`, or `out` filled with them; raises `ArgumentError` where it has another shape or type."""
+    if out is None:
+        return values if getattr(values, "ndim", 0) else values[()]
+    if out is not values:
+        checked_out(out, np.shape(values), values.dtype.type)
+        out[...] = values
+    return out
 
 
 # --- evaluation ---------------------------------------------------------------------------------------------------
@@ -305,41 +358,95 @@ def over_angles(
     *,
     absolute: bool = False,
     split: int = SPLIT,
+    out: Any = None,
 ) -> Any:
-    """A kernel over broadcast angles [rad]; `absolute` when it depends on both azimuths and not on their difference."""
-    arrays, shape = angle_arrays(theta_i, phi_i, theta_r, phi_r)
+    """A kernel over broadcast angles [rad]; `absolute` when it depends on both azimuths and not on their difference.
+
+    Four float32 arrays give a float32 result, by float64 arithmetic. Into `out` nothing is written before all
+    arguments are checked.
+    """
+    given = (theta_i, phi_i, theta_r, phi_r)
+    if _all_single(*given):
+        # the float32 nearest pi/2 is beyond the double that is, and as grazing
+        theta_i, theta_r = (_down(theta) for theta in (theta_i, theta_r))
+        double = over_angles(kernel, constants, theta_i, phi_i, theta_r, phi_r, absolute=absolute, split=split)
+        return delivered(out, _to_single(double))
+    arrays, shape = angle_arrays(*given)
     count = prod(shape)
-    out = np.empty(shape)
-    if count == 0:
+    values = room(out, shape, arrays)
+    if count == 0 or values is out:
         check_angles(arrays)
-        return out
-    run = loop(_over_absolute_angles if absolute else _over_angles, kernel, len(constants))
-    (a, sa), (b, sb), (c, sc), (d, sd) = (_flat(array, shape, count) for array in arrays)
-    flat = out.reshape(-1)
-    if in_parts(lambda i, j: run(a, sa, b, sb, c, sc, d, sd, constants, flat, i, j), count, split):
-        raise _explain_angles(arrays)
-    return out if shape else out[()]
+    if count:
+        run = loop(_over_absolute_angles if absolute else _over_angles, kernel, len(constants))
+        (a, sa), (b, sb), (c, sc), (d, sd) = (_flat(array, shape, count) for array in arrays)
+        flat = values.reshape(-1)
+        if in_parts(lambda i, j: run(a, sa, b, sb, c, sc, d, sd, constants, flat, i, j), count, split):
+            raise _explain_angles(arrays)
+    return delivered(out, values)
 
 
 def over_vectors(
-    kernel: Kernel, constants: Constants, omega_i: ArrayLike, omega_r: ArrayLike, *, split: int = SPLIT
+    kernel: Kernel, constants: Constants, omega_i: ArrayLike, omega_r: ArrayLike, *, split: int = SPLIT, out: Any = None
 ) -> Any:
-    """A kernel over broadcast unit vectors (..., 3); 0 where either lies below the surface."""
-    arrays, shape = vector_arrays(omega_i, omega_r)
+    """A kernel over broadcast unit vectors (..., 3); 0 where either lies below the surface.
+
+    Two float32 arrays give a float32 result: by float32 arithmetic where kernel and constants allow it, else by
+    float64. Into `out` nothing is written before all arguments are checked.
+    """
+    single = _all_single(omega_i, omega_r)
+    if single and not _in_single(kernel, constants):
+        return delivered(out, _to_single(over_vectors(kernel, constants, *_doubles(omega_i, omega_r), split=split)))
+    real: type[np.floating[Any]] = np.float32 if single else np.float64
+    arrays, shape = vector_arrays(omega_i, omega_r, real)
     count = prod(shape)
-    out = np.empty(shape)
-    if count == 0:
-        if any(
-            not bool(np.all(np.abs(np.einsum("...k,...k->...", a, a) - 1.0) <= 2.0 * NORM_TOLERANCE)) for a in arrays
-        ):
+    values = room(out, shape, arrays, real)
+    if count == 0 or values is out:
+        _check_vectors(arrays)
+    if count:
+        run = loop(_over_vectors, kernel, len(constants), in_single=single)
+        (l, sl), (v, sv) = (_flat_vectors(array, shape, count) for array in arrays)  # noqa: E741
+        flat, numbers = values.reshape(-1), tuple(real(constant) for constant in constants) if single else constants
+        if in_parts(lambda i, j: run(l, sl, v, sv, numbers, flat, i, j), count, split):
+            if single:  # the lengths in float64 decide
+                double = over_vectors(kernel, constants, *_doubles(omega_i, omega_r), split=split)
+                return delivered(out, _to_single(double))
             raise _explain_vectors(arrays)
-        return out
-    run = loop(_over_vectors, kernel, len(constants))
-    (l, sl), (v, sv) = (_flat_vectors(array, shape, count) for array in arrays)  # noqa: E741
-    flat = out.reshape(-1)
-    if in_parts(lambda i, j: run(l, sl, v, sv, constants, flat, i, j), count, split):
-        raise _explain_vectors(arrays)
-    return out if shape else out[()]
+    return delivered(out, values)
+
+
+def _check_vectors(arrays: list[NDArray[Any]]) -> None:
+    for array in arrays:
+        run = loop(_off_unit, off_unit, 0)
+        flat = np.ascontiguousarray(array, np.float64).reshape(-1)
+        if flat.size and in_parts(lambda i, j, run=run, flat=flat: run(flat, i, j), flat.size // 3):  # type: ignore[misc]
+            raise _explain_vectors(arrays)
+
+
+def _all_single(*arguments: Any) -> bool:
+    """Whether every argument that has an axis is a float32 array, and there is one."""
+    arrays = [x for x in arguments if not isinstance(x, (int, float)) and getattr(x, "ndim", 1)]
+    return bool(arrays) and all(getattr(x, "dtype", None) == np.float32 for x in arrays)
+
+
+def _in_single(kernel: Kernel, constants: Constants) -> bool:
+    """Whether float32 holds all that a kernel makes of these constants."""
+    low, high = kernel.__dict__.get("single_range", (math.inf, 0.0))
+    return all(constant == 0.0 or low <= abs(constant) <= high for constant in constants)
+
+
+def _doubles(*arrays: ArrayLike) -> list[NDArray[np.float64]]:
+    return [np.asarray(array, np.float64) for array in arrays]
+
+
+def _to_single(values: Any) -> Any:
+    with np.errstate(over="ignore", under="ignore"):  # beyond float32: infinite, as the formula's own poles are
+        return np.asarray(values).astype(np.float32)
+
+
+def _down(theta: Any) -> Any:
+    grazing = np.float32(HALF_PI)
+    array = np.asarray(theta)
+    return np.where(array == grazing, HALF_PI, array) if array.dtype == np.float32 else theta
 
 
 @dataclass(frozen=True)
@@ -386,15 +493,15 @@ def geometry(theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: Ar
     return Geometry(vectors(arrays[0], arrays[1]), vectors(arrays[2], arrays[3]), shape)
 
 
-def at_geometry(kernel: Kernel, constants: Constants, where: Geometry, *, split: int = SPLIT) -> Any:
+def at_geometry(kernel: Kernel, constants: Constants, where: Geometry, *, split: int = SPLIT, out: Any = None) -> Any:
     """A kernel at a checked `Geometry`."""
-    out = np.empty(where.shape)
-    flat = out.reshape(-1)
-    if out.size and "columns" in kernel.__dict__:
+    values = room(out, where.shape, [where.omega_i, where.omega_r])
+    flat = values.reshape(-1)
+    if flat.size and "columns" in kernel.__dict__:
         columns = where.columns(kernel)
         shade = loop(_AT[kernel.__dict__["count"]], kernel, len(constants))
-        in_parts(lambda i, j: shade(columns, constants, flat, i, j), out.size, split)
-    elif out.size:
+        in_parts(lambda i, j: shade(columns, constants, flat, i, j), flat.size, split)
+    elif flat.size:
         run = loop(_over_vectors, kernel, len(constants))
-        in_parts(lambda i, j: run(where.omega_i, 1, where.omega_r, 1, constants, flat, i, j), out.size, split)
-    return out if where.shape else out[()]
+        in_parts(lambda i, j: run(where.omega_i, 1, where.omega_r, 1, constants, flat, i, j), flat.size, split)
+    return delivered(out, values)

@@ -118,7 +118,7 @@ class HeTorrance(Model):
 
     # --- the specular spike -------------------------------------------------------------------------------------
 
-    def specular_reflectivity(self, theta_i: ArrayLike, *, wavelength_nm: ArrayLike = 550.0) -> Any:
+    def specular_reflectivity(self, theta_i: ArrayLike, *, wavelength_nm: ArrayLike = 550.0, out: Any = None) -> Any:
         """rho_s, the reflectivity of the specular spike (He1991 eq. 73), for unpolarised light.
 
         Parameters
@@ -137,7 +137,7 @@ class HeTorrance(Model):
         ArgumentError
             An angle is NaN or out of range; it names the argument.
         """
-        return self._over_thetas(self._spike, theta_i, wavelength_nm)
+        return engine.delivered(out, self._over_thetas(self._spike, theta_i, wavelength_nm))
 
     def _over_thetas(self, evaluate: Any, theta_i: ArrayLike, wavelength_nm: ArrayLike) -> Any:
         """``evaluate(flat theta, wavelength) -> flat`` over broadcast arguments."""
@@ -169,6 +169,7 @@ class HeTorrance(Model):
         phi_r: ArrayLike,
         *,
         wavelength_nm: float = 550.0,
+        out: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float64]:
         """Mueller matrix of the BRDF [1/sr], lobe and uniform diffuse (which depolarises), He1991 eqs. 59-68.
 
@@ -192,16 +193,15 @@ class HeTorrance(Model):
         """
         constants = self._constants(checked_wavelength(wavelength_nm))
         bare = (0.0, *constants[1:10], 1.0)  # the lobe without Fresnel
-        lobe = np.asarray(
-            engine.over_angles(kernels.lobe_state, bare, theta_i, phi_i, theta_r, phi_r, split=self.grain)
-        )
         arrays, shape = engine.angle_arrays(theta_i, phi_i, theta_r, phi_r)
+        lobe = np.asarray(engine.over_angles(kernels.lobe_state, bare, *arrays, split=self.grain))
         flat = [part for array in arrays for part in engine._flat(array, shape, lobe.size)]
-        out = np.empty((*shape, 4, 4))
+        values = engine.room(out, (*shape, 4, 4), arrays)
         run = loop(kernels.mueller_over_angles, kernels.jones, len(constants))
-        factor, target = lobe.reshape(-1), out.reshape(-1)
+        factor, target = lobe.reshape(-1), values.reshape(-1)
         engine.in_parts(lambda i, j: run(*flat, constants, factor, target, i, j), lobe.size, self.grain)
-        return out
+        matrices: NDArray[np.float64] = engine.delivered(out, values)
+        return matrices
 
     def jones(
         self,

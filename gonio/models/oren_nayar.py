@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 FORMS = ("functional", "exact", "qualitative", "single-slope")
 TWO_OVER_PI = 2.0 / pi
+INFINITE = math.inf
 FLAT = 1e-75  # smaller cosines, and products of sines below its square, count as this: their powers stay in range
 STEEP = 1e60  # the functional form beyond this is infinite at exactly grazing
 
@@ -97,7 +98,7 @@ def functional(second, third, bounce, p):  # type: ignore[no-untyped-def]
     """
     c1, c2, c3, twice = p[0], p[1], p[2], p[3]
     value = c1 + c2 * second + c3 * third + twice * bounce
-    return value if value < STEEP else math.inf
+    return value if value < STEEP else INFINITE
 
 
 @device
