@@ -36,19 +36,25 @@ BEYOND = {1e-75: 1e-9}
 
 class _Lower(Lower):
     side_by_side = SIDE_BY_SIDE
+    in_single = False
 
     def lower_normal_function(self, fndesc: Any) -> None:
         super().lower_normal_function(fndesc)
         for attribute in ATTRIBUTES:  # llvmlite's own `add` knows only attributes without a value
             set.add(self.function.attributes, attribute)
-        vectors = llvm.Constant(llvm.IntType(32), self.side_by_side)
+        hints = [("interleave.count", self.side_by_side)]
+        if self.in_single:  # LLVM would go by the width of a loop's integers
+            hints.append(("vectorize.width", 16))
         seen = set()
         for block in self.function.blocks:
             seen.add(block)
             if not seen.isdisjoint(block.terminator.operands):  # the end of a loop
-                count = self.module.add_metadata(["llvm.loop.interleave.count", vectors])
-                loop = MDValue(self.module, [count], name=str(len(self.module.metadata)))
-                loop.operands = (loop, count)  # a loop's node names itself
+                asked = [
+                    self.module.add_metadata([f"llvm.loop.{name}", llvm.Constant(llvm.IntType(32), number)])
+                    for name, number in hints
+                ]
+                loop = MDValue(self.module, asked, name=str(len(self.module.metadata)))
+                loop.operands = (loop, *asked)  # a loop's node names itself
                 block.terminator.set_metadata("llvm.loop", loop)
 
     def lower_assign(self, ty: Any, inst: Any) -> Any:
@@ -100,11 +106,11 @@ def wide(side_by_side: int = SIDE_BY_SIDE, in_single: bool = False) -> type[Comp
 
     `in_single`: constants are float32.
     """
-    lower = type("_Lower", (_Lower,), {"side_by_side": side_by_side})
+    lower = type("_Lower", (_Lower,), {"side_by_side": side_by_side, "in_single": in_single})
 
     @register_pass(mutates_CFG=True, analysis_only=False)
     class Lowering(NativeLowering):
-        _name = f"wide_native_lowering_{side_by_side}"
+        _name = f"wide_native_lowering_{side_by_side}_{in_single}"
 
         @property
         def lowering_class(self) -> type[Lower]:
