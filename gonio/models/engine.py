@@ -424,7 +424,7 @@ def _check_vectors(arrays: list[NDArray[Any]]) -> None:
 
 def _all_single(*arguments: Any) -> bool:
     """Whether every argument that has an axis is a float32 array, and there is one."""
-    arrays = [x for x in arguments if not isinstance(x, (int, float)) and getattr(x, "ndim", 1)]
+    arrays = [x for x in arguments if not isinstance(x, (int, float)) and getattr(x, "ndim", None) != 0]
     return bool(arrays) and all(getattr(x, "dtype", None) == np.float32 for x in arrays)
 
 

@@ -238,7 +238,9 @@ class HeTorrance(Model):
 
     # --- energy -------------------------------------------------------------------------------------------------
 
-    def directional_hemispherical(self, theta_i: ArrayLike, *, wavelength_nm: ArrayLike = 550.0) -> Any:
+    def directional_hemispherical(
+        self, theta_i: ArrayLike, *, wavelength_nm: ArrayLike = 550.0, out: Any = None
+    ) -> Any:
         """Directional-hemispherical reflectance: spike + lobe + diffuse_albedo.
 
         Parameters
@@ -253,7 +255,7 @@ class HeTorrance(Model):
         float64 array of the shape that the arguments broadcast to. Nothing forces it below 1: the paper's own Figs. 9,
         11 and 14 exceed it.
         """
-        return self._over_thetas(self._hemispherical, theta_i, wavelength_nm)
+        return engine.delivered(out, self._over_thetas(self._hemispherical, theta_i, wavelength_nm))
 
     def _hemispherical(self, theta: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
         constants = self._constants(wavelength_nm)
