@@ -368,8 +368,8 @@ def over_angles(
     given = (theta_i, phi_i, theta_r, phi_r)
     if _all_single(*given):
         # the float32 nearest pi/2 is beyond the double that is, and as grazing
-        theta_i, theta_r = (_down(theta) for theta in (theta_i, theta_r))
-        double = over_angles(kernel, constants, theta_i, phi_i, theta_r, phi_r, absolute=absolute, split=split)
+        doubles, _ = angle_arrays(_down(theta_i), phi_i, _down(theta_r), phi_r)
+        double = over_angles(kernel, constants, *doubles, absolute=absolute, split=split)
         return delivered(out, _to_single(double))
     arrays, shape = angle_arrays(*given)
     count = prod(shape)
@@ -395,7 +395,9 @@ def over_vectors(
     """
     single = _all_single(omega_i, omega_r)
     if single and not _in_single(kernel, constants):
-        return delivered(out, _to_single(over_vectors(kernel, constants, *_doubles(omega_i, omega_r), split=split)))
+        return delivered(
+            out, _to_single(over_vectors(kernel, constants, *vector_arrays(omega_i, omega_r)[0], split=split))
+        )
     real: type[np.floating[Any]] = np.float32 if single else np.float64
     arrays, shape = vector_arrays(omega_i, omega_r, real)
     count = prod(shape)
@@ -408,7 +410,7 @@ def over_vectors(
         flat, numbers = values.reshape(-1), tuple(real(constant) for constant in constants) if single else constants
         if in_parts(lambda i, j: run(l, sl, v, sv, numbers, flat, i, j), count, split):
             if single:  # the lengths in float64 decide
-                double = over_vectors(kernel, constants, *_doubles(omega_i, omega_r), split=split)
+                double = over_vectors(kernel, constants, *vector_arrays(omega_i, omega_r)[0], split=split)
                 return delivered(out, _to_single(double))
             raise _explain_vectors(arrays)
     return delivered(out, values)
@@ -434,19 +436,16 @@ def _in_single(kernel: Kernel, constants: Constants) -> bool:
     return all(constant == 0.0 or low <= abs(constant) <= high for constant in constants)
 
 
-def _doubles(*arrays: ArrayLike) -> list[NDArray[np.float64]]:
-    return [np.asarray(array, np.float64) for array in arrays]
-
-
 def _to_single(values: Any) -> Any:
     with np.errstate(over="ignore", under="ignore"):  # beyond float32: infinite, as the formula's own poles are
         return np.asarray(values).astype(np.float32)
 
 
 def _down(theta: Any) -> Any:
+    """Polar angles in which the float32 nearest pi/2 is the double nearest to it."""
     grazing = np.float32(HALF_PI)
     array = np.asarray(theta)
-    return np.where(array == grazing, HALF_PI, array) if array.dtype == np.float32 else theta
+    return np.where(array == grazing, np.float64(HALF_PI), array) if array.dtype == np.float32 else theta
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,8 @@ CLOSED = [
     OrenNayar(),
     OrenNayar(form="qualitative"),
 ]
+PATHS = [CookTorrance(), HeTorrance(), OrenNayar(form="single-slope", slope_deg=20, groove_azimuth_deg=30)]
+"""One model for each way through the engine: by columns, in several passes, by absolute azimuths."""
 ALL = [*CLOSED, HeTorrance(), OrenNayar(form="single-slope", slope_deg=20, groove_azimuth_deg=30)]
 
 
@@ -57,8 +59,7 @@ def hard_pairs() -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("model", CLOSED, ids=repr)
 def test_float32_vectors_give_float32_results_within_the_stated_error(model: Model) -> None:
-    random, hard = pairs(20_000), hard_pairs()
-    light, view = (np.concatenate(both).astype(np.float32) for both in zip(random, hard, strict=True))
+    light, view = (np.concatenate(both).astype(np.float32) for both in zip(pairs(20_000), hard_pairs(), strict=True))
     found = model.brdf_vectors(light, view)
     assert found.dtype == np.float32
     expected = np.asarray(model.brdf_vectors(unit(light), unit(view)))
@@ -76,7 +77,13 @@ def test_float32_vectors_give_float32_results_within_the_stated_error(model: Mod
 
 def test_float32_is_evaluated_in_float64_where_its_range_does_not_hold() -> None:
     light, view = (x.astype(np.float32) for x in pairs(500))
-    for model in (CookTorrance(slopes=50.0), Blinn(c=1e-3), CookTorrance(ior=1e7), HeTorrance(), OrenNayar(form="exact")):
+    for model in (
+        CookTorrance(slopes=50.0),
+        Blinn(c=1e-3),
+        CookTorrance(ior=1e7),
+        HeTorrance(),
+        OrenNayar(form="exact"),
+    ):
         n = 20 if isinstance(model, OrenNayar) else 500
         found = model.brdf_vectors(light[:n], view[:n])
         expected = model.brdf_vectors(light[:n].astype(np.float64), view[:n].astype(np.float64))
@@ -119,7 +126,7 @@ def calls(n: int) -> list[tuple[str, Callable[..., Any], tuple[int, ...]]]:
     angles = np.arccos(light[:, 2]), 0.1, np.arccos(view[:, 2]), np.arctan2(view[:, 1], view[:, 0])
     where = geometry(*angles)
     out: list[tuple[str, Callable[..., Any], tuple[int, ...]]] = []
-    models = [*ALL, Sum((Lambert(), 0.5), (CookTorrance(), 0.5))]
+    models = [*PATHS, Sum((Lambert(), 0.5), (CookTorrance(), 0.5))]
     for model in models:
         out.append((f"{model.name} brdf", lambda m=model, **k: m.brdf(*angles, **k), (n,)))
         out.append((f"{model.name} brdf_vectors", lambda m=model, **k: m.brdf_vectors(light, view, **k), (n,)))
@@ -150,11 +157,10 @@ def test_out_takes_the_result_wherever_it_lies() -> None:
 def test_out_of_another_shape_or_type_is_refused() -> None:
     frozen = np.zeros(40)
     frozen.flags.writeable = False
-    for name, call, shape in calls(40):
+    for _, call, shape in calls(40):
         for bad in (np.zeros((*shape, 1)), np.zeros(shape, np.float32), np.zeros(shape, int), [0.0] * 40, frozen):
             with pytest.raises(ArgumentError, match="out"):
                 call(out=bad)
-                pytest.fail(name)
 
 
 def test_out_may_overlap_the_arguments() -> None:
@@ -176,7 +182,7 @@ def test_nothing_is_written_into_out_when_an_argument_is_refused() -> None:
     theta = np.full(len(light), 0.3)
     theta[-1] = 1.6
     out = np.full(len(light), 7.0)
-    for model in ALL:
+    for model in PATHS:
         with pytest.raises(ArgumentError, match="omega_r"):
             model.brdf_vectors(light, bad, out=out)
         with pytest.raises(ArgumentError, match="theta_r"):
