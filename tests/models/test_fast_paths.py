@@ -1,4 +1,4 @@
-"""float32, `out=`, wavelengths on an axis of their own, and what a checked geometry keeps: each against the plain call."""
+"""float32, `out=`, wavelengths on their own axis, and what a checked geometry keeps, against the plain call."""
 
 from __future__ import annotations
 
