@@ -91,8 +91,7 @@ class Model(ABC):
 
         Returns
         -------
-        float64 array of the shape that the arguments broadcast to (a float64 scalar for scalars). Where all directions
-        that are arrays are float32, the result is float32 (see docs/models.md for its error).
+        float64 array of the shape that the arguments broadcast to (a float64 scalar for scalars).
 
         Raises
         ------
@@ -134,7 +133,8 @@ class Model(ABC):
         Returns
         -------
         float64 array of the shape that the arguments broadcast to without the last axis; 0 where either vector is
-        below the surface. Two float32 arrays give a float32 result, by float32 arithmetic where a model has it.
+        below the surface. Two float32 arrays give a float32 result, by float32 arithmetic where a model has it
+        (docs/models.md states its error).
 
         Raises
         ------

@@ -362,16 +362,9 @@ def over_angles(
 ) -> Any:
     """A kernel over broadcast angles [rad]; `absolute` when it depends on both azimuths and not on their difference.
 
-    Four float32 arrays give a float32 result, by float64 arithmetic. Into `out` nothing is written before all
-    arguments are checked.
+    Into `out` nothing is written before all arguments are checked.
     """
-    given = (theta_i, phi_i, theta_r, phi_r)
-    if _all_single(*given):
-        # the float32 nearest pi/2 is beyond the double that is, and as grazing
-        doubles, _ = angle_arrays(_down(theta_i), phi_i, _down(theta_r), phi_r)
-        double = over_angles(kernel, constants, *doubles, absolute=absolute, split=split)
-        return delivered(out, _to_single(double))
-    arrays, shape = angle_arrays(*given)
+    arrays, shape = angle_arrays(theta_i, phi_i, theta_r, phi_r)
     count = prod(shape)
     values = room(out, shape, arrays)
     if count == 0 or values is out:
@@ -439,13 +432,6 @@ def _in_single(kernel: Kernel, constants: Constants) -> bool:
 def _to_single(values: Any) -> Any:
     with np.errstate(over="ignore", under="ignore"):  # beyond float32: infinite, as the formula's own poles are
         return np.asarray(values).astype(np.float32)
-
-
-def _down(theta: Any) -> Any:
-    """Polar angles in which the float32 nearest pi/2 is the double nearest to it."""
-    grazing = np.float32(HALF_PI)
-    array = np.asarray(theta)
-    return np.where(array == grazing, np.float64(HALF_PI), array) if array.dtype == np.float32 else theta
 
 
 @dataclass(frozen=True)
