@@ -162,6 +162,18 @@ def test_loops_over_kernels_are_vectors(model: Model, tmp_path: Path, monkeypatc
     assert re.search(r"fdiv [a-z ]*<\d+ x double>", code)
 
 
+def test_loops_over_columns_and_in_float32_are_vectors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import numba
+
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    kernel, constants = MODEL._evaluation(550.0)
+    (code,) = _loop(engine._at_4, kernel, len(constants)).inspect_llvm().values()
+    assert re.search(r"fdiv [a-z ]*<\d+ x double>", code)
+    (code,) = _loop(engine._over_vectors, kernel, len(constants), in_single=True).inspect_llvm().values()
+    assert re.search(r"fdiv [a-z ]*<16 x float>", code)
+    assert "double" not in code.split("define", 1)[1].split("}", 1)[0]  # nothing is widened on the way
+
+
 BAD_ANGLES = [
     ("theta_i", (float("nan"), 0.0, 0.1, 0.0)),
     ("theta_i", (-1e-9, 0.0, 0.1, 0.0)),
