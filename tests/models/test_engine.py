@@ -138,10 +138,10 @@ def test_importing_the_models_imports_no_numba() -> None:
 def test_whole_vectors_and_held_constants_are_asked_for_function_by_function() -> None:
     import numba
 
-    from gonio.models._wide import ATTRIBUTES, Wide
+    from gonio.models._wide import ATTRIBUTES, wide
 
     MODEL.brdf(0.1, 0.0, 0.2, 1.0)
-    ours = numba.njit("f8(f8)", pipeline_class=Wide)(lambda x: x + 0.3)
+    ours = numba.njit("f8(f8)", pipeline_class=wide())(lambda x: x + 0.3)
     theirs = numba.njit("f8(f8)")(lambda x: x + 0.3)
     (asked,), (plain,) = ours.inspect_llvm().values(), theirs.inspect_llvm().values()
     for sign in (*ATTRIBUTES, "asm"):
@@ -160,6 +160,18 @@ def test_loops_over_kernels_are_vectors(model: Model, tmp_path: Path, monkeypatc
     compiled = _loop(engine._over_vectors, kernel, len(constants))
     (code,) = compiled.inspect_llvm().values()
     assert re.search(r"fdiv [a-z ]*<\d+ x double>", code)
+
+
+def test_loops_over_columns_and_in_float32_are_vectors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import numba
+
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    kernel, constants = MODEL._evaluation(550.0)
+    (code,) = _loop(engine._at_4, kernel, len(constants)).inspect_llvm().values()
+    assert re.search(r"fdiv [a-z ]*<\d+ x double>", code)
+    (code,) = _loop(engine._over_vectors, kernel, len(constants), in_single=True).inspect_llvm().values()
+    assert re.search(r"fdiv [a-z ]*<16 x float>", code)
+    assert "double" not in code.split("define", 1)[1].split("}", 1)[0]  # nothing is widened on the way
 
 
 BAD_ANGLES = [
