@@ -6,13 +6,14 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from gonio.compiled import njit
 
 # No term may be moved between operations (reassoc), and NaN must live: it marks pixels that see nothing.
 FAST = {"contract", "arcp", "nsz"}
 
 
-@njit(cache=True, error_model="numpy", nogil=True, fastmath=FAST)  # type: ignore[untyped-decorator]
+@njit(error_model="numpy", nogil=True, fastmath=FAST)
 def spots(
     by_row: Any,
     by_col: Any,
@@ -53,7 +54,7 @@ def spots(
             factor_i[j] = distance_squared * inverse if meets else 0.0
 
 
-@njit(cache=True, error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
+@njit(error_model="numpy", nogil=True)
 def pack12(mosaic: Any, packed: Any) -> None:
     """Pack rows of 12-bit values, most significant bit first, each row ending on a whole byte (TIFF 6.0)."""
     width = mosaic.shape[1]
@@ -69,3 +70,18 @@ def pack12(mosaic: Any, packed: Any) -> None:
         if width % 2:
             packed[i, k] = mosaic[i, width - 1] >> 4
             packed[i, k + 1] = (mosaic[i, width - 1] & 15) << 4
+
+
+@njit(error_model="numpy", nogil=True)
+def unpack12(packed: Any, mosaic: Any) -> None:
+    """The inverse of `pack12`."""
+    width = mosaic.shape[1]
+    for i in range(mosaic.shape[0]):
+        line, out = packed[i], mosaic[i]
+        for j in range(width // 2):
+            first, second, third = np.uint16(line[3 * j]), np.uint16(line[3 * j + 1]), np.uint16(line[3 * j + 2])
+            out[2 * j] = (first << 4) | (second >> 4)
+            out[2 * j + 1] = ((second & 15) << 8) | third
+        if width % 2:
+            k = 3 * (width // 2)
+            out[width - 1] = (np.uint16(line[k]) << 4) | (line[k + 1] >> 4)

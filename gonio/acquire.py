@@ -11,10 +11,12 @@ import logging
 import math
 import signal
 import threading
+from bisect import bisect_left
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import asdict, dataclass
+from numbers import Real
 from types import FrameType, TracebackType
 from typing import Any, Protocol, Self
 
@@ -24,10 +26,9 @@ from gonio.errors import DeviceError, Disturbed, Interrupted
 from gonio.imaging import Roi, roi
 from gonio.journal import Event
 from gonio.kinematics import View, view
-from gonio.plan import ANGLES
-from gonio.rig import Pose, Rig, Step, Target
+from gonio.rig import Frame, Pose, Rig, Step, Target
 from gonio.run import Run
-from gonio.store import Files, Store, slugs
+from gonio.store import Files, Store, Written, slugs
 
 log = logging.getLogger("gonio.devices")
 
@@ -129,7 +130,7 @@ class Stop:
             raise Interrupted("stopped at once, in the middle of a step")
 
 
-def measure(rig: Rig, run: Run, steps: list[Step], progress: Progress, stop: Stop) -> None:
+def measure(rig: Rig, run: Run, steps: Sequence[Step], progress: Progress, stop: Stop) -> None:
     """Take every step of a run that its journal does not hold yet.
 
     Parameters
@@ -138,7 +139,7 @@ def measure(rig: Rig, run: Run, steps: list[Step], progress: Progress, stop: Sto
         Entered: its devices are open.
     run : Run
         Created or resumed, so that it can be written.
-    steps : list of Step
+    steps : sequence of Step
         The schedule of the run's plan on this rig.
     progress, stop
         Who watches, and who may ask to stop.
@@ -152,8 +153,8 @@ def measure(rig: Rig, run: Run, steps: list[Step], progress: Progress, stop: Sto
     DataError
         The disk is full or fails.
     """
-    done = {int(event["step"]) for event in run.steps()}
-    left = [step for step in steps if step.index not in done]
+    done = set(run.steps().numbers)
+    left = [steps[number] for number in range(len(steps)) if number not in done]
     if not left:
         progress.say(f"{run.path}: every step is done")
         return
@@ -192,7 +193,7 @@ def _take_all(rig: Rig, run: Run, left: list[Step], progress: Progress, stop: St
             raise
 
 
-def _fresh(steps: list[Step], done: set[int]) -> list[Step]:
+def _fresh(steps: Sequence[Step], done: set[int]) -> list[Step]:
     """New darks and a new reference visit for a rig on which time went by since the run was left."""
     number = max(len(steps), max(done) + 1)
     again = [step for step in (steps[0], steps[1]) if step.index in done]
@@ -209,7 +210,8 @@ class _Taken:
     """A step whose frames are on their way to the disk."""
 
     event: Event
-    files: list[Future[str]]
+    """Its frames without what their files are."""
+    files: list[Future[Written]]
     live: Live
 
 
@@ -224,8 +226,17 @@ class _Session:
         self._pending: deque[_Taken] = deque()
         self._store = Store(run.path / "frames")
         self._names = slugs(run.bands)
-        self._reference = next((e for e in run.steps() if e["kind"] == "reference" and not e["flag"]), None)
-        self._angles = run.plan[list(ANGLES)].to_numpy()
+        self._done = run.steps()
+        self._last: Event | None = None
+        """The last point of this sitting that has frames."""
+        self._reference = next((e for e in self._done if e["kind"] == "reference" and not e["flag"]), None)
+        self._angles = run.points.angles_deg
+        self._last_s = -math.inf
+        """When the last frame that counts was taken."""
+        if not rig.repeatable and self._done:
+            latest = self._done.latest()
+            self._last_s = max((float(frame["time_s"]) for frame in latest["frames"]), default=float(latest["time_s"]))
+        self._resumed = math.isfinite(self._last_s)
 
     def __enter__(self) -> Self:
         return self
@@ -239,8 +250,10 @@ class _Session:
         """Take a step; journal the one before it, whose frames were being written meanwhile."""
         self._rig.begin(step)
         taken = self._dark(step) if step.kind == "dark" else self._lit_step(step)
-        if step.kind == "reference" and self._reference is None and not taken.event["flag"]:
-            self._reference = taken.event
+        if step.kind == "reference" and not taken.event["flag"]:
+            self._reference = min(self._reference or taken.event, taken.event, key=lambda event: int(event["step"]))
+        if step.kind == "point" and taken.event["frames"]:
+            self._last = taken.event
         self._pending.append(taken)
         while len(self._pending) > 1:
             self._write(self._pending.popleft())
@@ -251,32 +264,34 @@ class _Session:
             self._write(self._pending.popleft())
 
     def _write(self, taken: _Taken) -> None:
-        for frame, file in zip(taken.event["frames"], taken.files, strict=True):
-            frame["sha256"] = file.result()
+        frames = [{**frame, **file.result()} for frame, file in zip(taken.event["frames"], taken.files, strict=True)]
         self._store.sync()
-        self._run.append(taken.event)
+        self._run.append({**taken.event, "frames": frames})
         self._progress.step(taken.live)
 
     def _dark(self, step: Step) -> _Taken:
         self._darken()
-        files = Files(self._store, step, "dark", "", lamp=False)
-        for exposure_s in exposure.dark_exposures_s(self._description):
-            for _ in range(self._description.acquisition.dark_frames):
-                files.keep(self._rig.camera.capture(exposure_s))
+        exposures, number = exposure.dark_exposures_s(self._description), self._description.acquisition.dark_frames
+        files = Files(self._store, step, self._run.key, len(exposures) * number, {})
+        for exposure_s in exposures:
+            for _ in range(number):
+                files.keep(self._capture(exposure_s), "dark", "", lamp=False)
         pose = self._rig.arms.read()
-        return self._taken(step, pose, _readback(pose, self._rig.time_s()), [files], "", 0.0)
+        return self._taken(step, pose, _readback(pose, self._rig.time_s()), files, "", 0.0)
 
     def _lit_step(self, step: Step) -> _Taken:
         target: Target = "reference" if step.kind == "reference" else "sample"
         self._present(target)
+        before_s = self._last_s
         for attempt in range(1, ATTEMPTS + 1):
             try:
                 return self._exposed(step, target)
             except Disturbed as disturbed:
+                self._last_s = before_s
                 then = "it is taken again" if attempt < ATTEMPTS else 'it is flagged "moved"'
                 log.warning("step %d: %s; %s", step.index, disturbed, then)
         readback = _readback(self._rig.arms.read(), self._rig.time_s())
-        return self._taken(step, step.pose, readback, [], "moved", 0.0)
+        return self._taken(step, step.pose, readback, None, "moved", 0.0)
 
     def _exposed(self, step: Step, target: Target) -> _Taken:
         """Move, and take the frames of every band; raises `Disturbed` where an axis did not stand still meanwhile."""
@@ -284,16 +299,46 @@ class _Session:
         readback = _readback(pose, self._rig.time_s())
         seen = view(self._description, pose)
         if seen.camera_mm[2] <= 0.0 or seen.source_mm[2] <= 0.0:
-            return self._taken(step, step.pose, readback, [], "below_horizon", 0.0)
-        all_files, levels, brightest = [], {}, 0.0
+            return self._taken(step, step.pose, readback, None, "below_horizon", 0.0)
+        levels, brightest = {}, 0.0
+        count = len(self._run.bands) * (self._frames(step) + (step.kind == "point"))
+        files = Files(self._store, step, self._run.key, count, {"goal": asdict(step.pose), **readback})
         for band in self._run.bands:
-            files, levels[band.name], level = self._band(step, seen, target, band)
-            all_files.append(files)
+            levels[band.name], level = self._band(step, seen, target, band, files)
             brightest = max(brightest, level)
         after = self._rig.arms.read()
         readback |= {"pose_after": asdict(after), "pose_after_time_s": self._rig.time_s(), "level_per_s": levels}
         self._require_still(pose, after)
-        return self._taken(step, step.pose, readback, all_files, "", brightest)
+        return self._taken(step, step.pose, readback, files, "", brightest)
+
+    def _frames(self, step: Step) -> int:
+        """How many equal frames a step has in a band."""
+        return self._description.reference.frames if step.kind == "reference" else self._description.acquisition.frames
+
+    def _capture(self, exposure_s: float) -> Frame:
+        """A frame, later than the one before it; raises `DeviceError` where its time does not say so."""
+        frame, last_s = self._rig.camera.capture(exposure_s), self._last_s
+        sound = isinstance(frame.time_s, Real) and 0.0 <= frame.time_s < math.inf
+        if sound and frame.time_s > last_s:
+            self._last_s, self._resumed = float(frame.time_s), False
+            return frame
+        camera = f'the camera of the rig "{self._description.name}"'
+        if not sound:
+            raise DeviceError(
+                f"{camera} stamps a frame with time_s = {frame.time_s!r}: seconds of at least 0 are needed. In the "
+                "rig's driver, give each Frame the rig's time_s() at the start of its exposure"
+            )
+        if self._resumed:
+            raise DeviceError(
+                f"{camera} stamps its first frame with time_s = {frame.time_s!r}, and this run holds a frame of "
+                f"{last_s!r} s: the rig's clock was set back, or starts anew at every sitting. Set the computer's "
+                "clock right, or let the rig's time_s() go on from sitting to sitting; or measure into a new folder"
+            )
+        raise DeviceError(
+            f"{camera} stamps a frame with time_s = {frame.time_s!r}, and the one before it had {last_s!r} s: the "
+            "drift of the lamp cannot be told from times that do not grow. In the rig's driver, give each Frame the "
+            "rig's time_s() at the start of its exposure, from a clock that never goes back (time.monotonic)"
+        )
 
     def _require_still(self, before: Pose, after: Pose) -> None:
         for name, axis in self._description.axes().items():
@@ -301,37 +346,58 @@ class _Session:
             if way_deg > max(MOVED_STEPS * axis.encoder_step_deg, MOVED_DEG):
                 raise Disturbed(f"axis {name} has moved by {way_deg:.2f} deg during the exposures")
 
-    def _band(self, step: Step, seen: View, target: Target, band: Band) -> tuple[Files, float, float]:
-        """Meter and measure one band: its files, its level for one second, and the level of the last full frame."""
+    def _band(self, step: Step, seen: View, target: Target, band: Band, files: Files) -> tuple[float, float]:
+        """Meter and measure one band: its level for one second, and the level of the last full frame."""
         description, rig = self._description, self._rig
         region: Roi = roi(description, seen, target, band.channel)
         rig.light.select(band)
         if not self._lit:
             rig.light.on()
             self._lit = True
-        found = exposure.meter(description, rig.camera.capture, region.of, self._expected(step, band))
-        files = Files(self._store, step, self._names[band.name], band.name, lamp=True)
-        level = 0.0
-        for _ in range(description.reference.frames if step.kind == "reference" else description.acquisition.frames):
-            frame = rig.camera.capture(found.exposure_s)
+        found = exposure.meter(description, self._capture, region.of, self._expected(step, band))
+        slug, level = self._names[band.name], 0.0
+        for _ in range(self._frames(step)):
+            frame = self._capture(found.exposure_s)
             level = exposure.level(description.camera, frame, region.of)
-            files.keep(frame)
+            files.keep(frame, slug, band.name, lamp=True)
         if step.kind == "point":
-            files.keep(rig.camera.capture(exposure.shorter(description, found.exposure_s)))
-        return files, found.level_per_s, level
+            frame = self._capture(exposure.shorter(description, found.exposure_s))
+            files.keep(frame, slug, band.name, lamp=True)
+        return found.level_per_s, level
+
+    def _before(self, step: Step, band: Band) -> Event | None:
+        """The last point before a step in the schedule that has frames of a band."""
+        at = bisect_left(self._done.numbers, step.index)
+        for k in range(at - 1, -1, -1):
+            event = self._done[k]
+            if self._last is not None and self._last["step"] > event["step"]:
+                break
+            if event["kind"] == "point" and any(frame["band"] == band.name for frame in event["frames"]):
+                return event
+        return self._last
 
     def _expected(self, step: Step, band: Band) -> float:
-        """The level for one second that a white surface gives at this pose, by the first visit to the reference."""
-        if self._reference is None:
+        """The level for one second that a step is expected to have; the same however often the run was interrupted.
+
+        That of the point before it in the schedule, by the exposure that it was measured with; where there is none,
+        that of a white surface, by the first visit to the reference. A visit after this step is none: a step that is
+        taken again starts from what it started from.
+        """
+        cosine = exposure.cosine_of_incidence(step.pose)
+        before = self._before(step, band) if step.kind == "point" else None
+        if before is not None:
+            exposure_s: float = max(frame["exposure_s"] for frame in before["frames"] if frame["band"] == band.name)
+            ratio = cosine / exposure.cosine_of_incidence(Pose(**before["goal"]))
+            return self._description.acquisition.exposure_target / exposure_s * ratio
+        if self._reference is None or int(self._reference["step"]) >= step.index:
             return exposure.expected_level_per_s(self._description, step.pose, 1.0)
-        at_reference = Pose(**self._reference["goal"])
-        ratio = exposure.cosine_of_incidence(step.pose) / exposure.cosine_of_incidence(at_reference)
+        ratio = cosine / exposure.cosine_of_incidence(Pose(**self._reference["goal"]))
         return max(float(self._reference["level_per_s"][band.name]), 1e-6) * ratio
 
     def _taken(
-        self, step: Step, goal: Pose, readback: dict[str, Any], files: list[Files], flag: str, level: float
+        self, step: Step, goal: Pose, readback: dict[str, Any], files: Files | None, flag: str, level: float
     ) -> _Taken:
-        frames = [frame for each in files for frame in each.frames]
+        frames = files.frames if files is not None else []
         event = {
             "event": "step",
             "step": step.index,
@@ -343,10 +409,12 @@ class _Session:
             "flag": flag,
             "frames": frames,
         }
+        if files is not None:
+            files.close(event)
         angles = None if step.point is None else tuple(map(float, self._angles[step.point]))
         exposure_s = max((frame["exposure_s"] for frame in frames), default=0.0)
         live = Live(step, angles, level, exposure_s, flag)  # type: ignore[arg-type]
-        return _Taken(event, [file for each in files for file in each.written], live)
+        return _Taken(event, files.written if files is not None else [], live)
 
     def _present(self, target: Target) -> None:
         if target != self._target:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import re
 import tomllib
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -11,6 +12,11 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from gonio.errors import ConfigError
+
+MAX_DEPTH = 32
+"""Tables and lists within each other; a rig file has four levels."""
+_LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{2 * MAX_DEPTH}}}""")
+"""A dotted key for whose length squared tomllib takes memory; no text that has a space between two words is one."""
 
 
 class Strict(BaseModel):
@@ -31,16 +37,33 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         The file is missing, cannot be read, or is not TOML (with the line).
     """
     path = Path(path)
+    too_deep = ConfigError(f"{path}: is nested too deeply: at most {MAX_DEPTH} levels are read")
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        text = path.read_text(encoding="utf-8-sig")
+        if _LONG_KEY.search(text):
+            raise too_deep
+        tables = tomllib.loads(text)
     except FileNotFoundError:
         raise ConfigError(f"{path}: there is no such file") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start})") from None
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # a TOMLDecodeError, or a number of thousands of digits
         raise ConfigError(f"{path}: is not valid TOML: {error}") from None
+    except RecursionError:
+        raise too_deep from None
+    inside: list[Any] = [tables]
+    for _ in range(MAX_DEPTH):
+        inside = [
+            part
+            for whole in inside
+            for part in (whole.values() if isinstance(whole, dict) else whole)
+            if isinstance(part, dict | list)
+        ]
+        if not inside:
+            return tables
+    raise too_deep
 
 
 def parse(table: type[Table], values: dict[str, Any], source: str | Path) -> Table:

@@ -88,10 +88,12 @@ class Holder(Axis):
 
 
 class Lamp(Strict):
-    """The lamp: its size, its noise, its drift."""
+    """The lamp: its size, its radiation pattern, its noise, its drift."""
 
     half_angle_deg: Annotated[float, Field(ge=0, lt=90)] = 0.0
     """Half-angle of the disc of the lamp, seen from the sample's centre."""
+    radiation: Literal["isotropic", "lambertian"] = "isotropic"
+    """Radiant intensity around the direction to the sample's centre: alike in all directions, or with its cosine."""
     noise: NonNegative = 0.0
     """Relative standard deviation of the lamp's output from frame to frame."""
     drift_per_hour: float = 0.0

@@ -1,11 +1,19 @@
-"""Files that are whole or not there: what a process that dies and a disk that is full may leave behind."""
+"""Files that are whole or not there, and files that are our own: what may be replaced, and what may not."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
+
+from gonio.errors import ConfigError
+
+MANIFEST = "gonio.sha256"
+"""The file of a folder that names what this program wrote there."""
+LONGEST_NAME, LONGEST_PATH = 255, 4000
+"""Bytes that file systems take; the path leaves room for what is written below it."""
 
 
 def write_whole(path: Path, data: bytes) -> None:
@@ -27,10 +35,10 @@ def write_whole(path: Path, data: bytes) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def half_written(name: str, of: Iterable[str]) -> bool:
-    """Whether `name` is that of a file among `of` which a process was writing when it died."""
+def half_written(name: str, of: Collection[str] | re.Pattern[str]) -> bool:
+    """Whether `name` is that of a file among `of` (names, or their pattern) that a process was writing when it died."""
     found = re.fullmatch(r"\.(.+)\.\d+\.new", name)
-    return found is not None and found[1] in of
+    return found is not None and bool(of.fullmatch(found[1]) if isinstance(of, re.Pattern) else found[1] in of)
 
 
 def sync_folder(folder: Path) -> None:
@@ -40,3 +48,168 @@ def sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def require_name(path: str | Path) -> None:
+    """Raise `ConfigError` where a path is longer than file systems take."""
+    for part in Path(path).parts:
+        if len(os.fsencode(part)) > LONGEST_NAME:
+            raise ConfigError(
+                f"{part[:40]}...: a name of {len(os.fsencode(part))} bytes is too long; "
+                f"files and folders have names of at most {LONGEST_NAME}"
+            )
+    if len(os.fsencode(path)) > LONGEST_PATH:
+        raise ConfigError(f"{str(path)[:40]}...: a path of {len(os.fsencode(path))} bytes is too long")
+
+
+def sha256_of(path: Path) -> str:
+    """The SHA-256 of a file, in hexadecimal; raises `OSError`."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+# Whose files these are. A folder that this program writes into holds a manifest: path and SHA-256 of each file that it
+# wrote, as `sha256sum -c` reads it. Only a file whose content is still the one that the manifest names is replaced or
+# removed. While files are replaced the manifest names the old content and the new, so that a process may die anywhere.
+
+Manifest = dict[str, set[str]]
+"""By path inside the folder: SHA-256 of what was written there."""
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """The manifest of a folder; empty where there is none, or one that cannot be read."""
+    found = Manifest()
+    if is_manifest(folder / MANIFEST):
+        for line in _lines(folder / MANIFEST):
+            digest, _, name = line.partition("  ")
+            found.setdefault(name, set()).add(digest)
+    return found
+
+
+def is_manifest(path: Path) -> bool:
+    """Whether a path is a file, and no link, with the lines of a manifest."""
+    try:
+        return not path.is_symlink() and path.is_file() and all(_LINE.fullmatch(line) for line in _lines(path))
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
+_LINE = re.compile("([0-9a-f]{64})  (.+)")
+
+
+def _lines(path: Path) -> list[str]:
+    return path.read_text(encoding="utf-8").splitlines()
+
+
+def write_manifest(folder: Path, manifest: Manifest) -> None:
+    """Write a folder's manifest; raises `OSError`."""
+    lines = [f"{digest}  {name}\n" for name in sorted(manifest) for digest in sorted(manifest[name])]
+    write_whole(folder / MANIFEST, "".join(lines).encode())
+
+
+def manifest_of(folder: Path) -> Manifest:
+    """What a manifest of all files in a folder holds; raises `OSError`."""
+    files = (path for path in sorted(folder.rglob("*")) if path.is_file() and path.name != MANIFEST)
+    return {path.relative_to(folder).as_posix(): {sha256_of(path)} for path in files}
+
+
+def is_own(path: Path, digests: Collection[str]) -> bool:
+    """Whether a path is a file, and no link, with one of these contents."""
+    try:
+        return not path.is_symlink() and path.is_file() and bool(digests) and sha256_of(path) in digests
+    except OSError:
+        return False
+
+
+def strangers(folder: Path, own: Manifest) -> list[str]:
+    """What lies in a folder, and below it, that this program did not write, or that was changed since; no link is
+    followed. A manifest inside the folder, or inside a folder of it, says what is ours there, beside `own`.
+
+    Raises
+    ------
+    OSError
+        A folder cannot be read.
+    """
+    own, out = own | read_manifest(folder), []
+    for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
+        if entry.is_dir(follow_symlinks=False):
+            start = entry.name + "/"
+            below = {name.removeprefix(start): found for name, found in own.items() if name.startswith(start)}
+            inside = Path(entry.path)
+            if below or (inside / MANIFEST).is_file():
+                out += [start + name for name in strangers(inside, below)]
+            else:
+                out.append(start)
+        elif entry.name == MANIFEST:
+            if not is_manifest(Path(entry.path)):
+                out.append(entry.name)
+        elif not is_own(Path(entry.path), own.get(entry.name, ())):
+            out.append(entry.name)
+    return out
+
+
+def remove_own(folder: Path, own: Manifest) -> None:
+    """Remove what `strangers` does not name, and the folders that are empty then; raises `OSError`.
+
+    The manifest goes last, so that what a process that dies leaves is still known.
+    """
+    own = own | read_manifest(folder)
+    for entry in list(os.scandir(folder)):
+        path = Path(entry.path)
+        if entry.is_dir(follow_symlinks=False):
+            start = entry.name + "/"
+            below = {name.removeprefix(start): found for name, found in own.items() if name.startswith(start)}
+            if below or (path / MANIFEST).is_file():
+                remove_own(path, below)
+        elif entry.name != MANIFEST and is_own(path, own.get(entry.name, ())):
+            path.unlink()
+    if [entry.name for entry in os.scandir(folder)] in ([], [MANIFEST]):
+        (folder / MANIFEST).unlink(missing_ok=True)
+        folder.rmdir()
+
+
+def require_own(folder: Path, names: Iterable[str], own: Manifest | None = None) -> None:
+    """Raise `ConfigError` where files of these names are in a folder and are not what this program wrote there."""
+    own = read_manifest(folder) if own is None else own
+    there = [name for name in names if os.path.lexists(folder / name)]
+    foreign = [name for name in there if not is_own(folder / name, own.get(name, ()))]
+    if os.path.lexists(folder / MANIFEST) and not is_manifest(folder / MANIFEST):
+        foreign.insert(0, MANIFEST)
+    if foreign:
+        raise ConfigError(
+            f"{folder / foreign[0]}: was not written by this program, or was changed since: it is not replaced; "
+            "move it, or give it another name"
+        )
+
+
+def write_own(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files into a folder that exists, each whole; one that is there is replaced only where it is our own.
+
+    Raises
+    ------
+    ConfigError
+        A file of such a name is not our own; nothing is written then.
+    OSError
+        A file cannot be written.
+    """
+    own = read_manifest(folder)
+    require_own(folder, files, own)
+    new = {name: {hashlib.sha256(data).hexdigest()} for name, data in files.items()}
+    write_manifest(folder, own | {name: own.get(name, set()) | new[name] for name in new})
+    for name, data in files.items():
+        write_whole(folder / name, data)
+    write_manifest(folder, own | new)
+
+
+def set_aside(path: Path, folder: Path) -> Path:
+    """Move a file into a folder, made where it is absent, under a name that is free there; where it lies then.
+
+    Raises `OSError`.
+    """
+    folder.mkdir(exist_ok=True)
+    free, count = folder / path.name, 1
+    while os.path.lexists(free):
+        count += 1
+        free = folder / f"{path.stem}.{count}{path.suffix}"
+    path.rename(free)
+    return free

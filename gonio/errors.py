@@ -19,6 +19,10 @@ class DataError(GonioError):
     exit_code = 1
 
 
+class DamagedFrame(DataError):
+    """A raw frame of a run is missing, or is not the one that the journal names (exit code 1)."""
+
+
 class ConfigError(GonioError):
     """A wrong option, a wrong key or value in a configuration, or a missing input file (exit code 2)."""
 
@@ -45,3 +49,13 @@ class Interrupted(GonioError):
     """The run was stopped by the user, after the arms were parked and the lamp was dark (exit code 130)."""
 
     exit_code = 130
+
+
+def refuse_masked(name: str, value: object) -> None:
+    """Raise `ArgumentError` for a masked array with masked elements, whose values numpy would use without a word."""
+    if not hasattr(value, "filled"):
+        return
+    from numpy import ma
+
+    if ma.is_masked(value):
+        raise ArgumentError(f"{name} is a masked array: hidden values have no result; pass the others: .compressed()")

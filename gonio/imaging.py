@@ -43,6 +43,7 @@ class PixelMap:
         self._camera_model = camera
         self._image_distance_mm = image_distance_mm(description)
         self._distance_mm = description.geometry.light_distance_mm
+        self._lambertian = description.lamp.radiation == "lambertian"
         self._source = np.asarray(view.source_mm, dtype=float)
         self._camera = np.asarray(view.camera_mm, dtype=float)
         self.rows = slice(*rows.indices(camera.height)[:2])
@@ -95,10 +96,25 @@ class PixelMap:
         camera, distance = self._camera_model, self._image_distance_mm
         return _falloff(camera, distance, self.rows.start, self.rows.stop, self.cols.start, self.cols.stop)
 
+    @property
+    def radiation(self) -> Array:
+        """The lamp's radiant intensity toward the spot, relative to that toward the sample's centre (`lamp.radiation`).
+
+        A Lambertian lamp faces the centre, and the intensity falls with the cosine of the angle at the lamp between
+        centre and spot: with S from the centre to the lamp and x the spot, S (S - x) / (|S| |S - x|).
+        """
+        if not self._lambertian:
+            return np.ones(self.x_mm.shape)
+        (sx, sy, _), squared = self._source, float(self._source @ self._source)
+        across = (sx * self.x_mm + sy * self.y_mm) / squared
+        away = np.sqrt(squared * self.distance_factor) / self._distance_mm  # |S| / |S - x|
+        return np.where(self.sees_plane, np.maximum((1.0 - across) * away, 0.0), 0.0)
+
     @cached_property
     def weight(self) -> Array:
-        """falloff cos(theta_i) (d0/d)^2: all of the measurement equation that depends on the pixel alone."""
-        return self.falloff * self.cos_theta_i * self.distance_factor
+        """falloff cos(theta_i) (d0/d)^2 radiation: all of the measurement equation that depends on the pixel alone."""
+        weight = self.falloff * self.cos_theta_i * self.distance_factor
+        return weight * self.radiation if self._lambertian else weight
 
     @cached_property
     def omega_i(self) -> Array:
@@ -201,8 +217,7 @@ def roi(description: RigDescription, view: View, target: Target = "sample", chan
     ConfigError
         The camera is not above the plane, or does not see the target's centre.
     """
-    camera, reference = description.camera, description.reference
-    centre = reference.offset_mm if target == "reference" and reference.how == "beside" else (0.0, 0.0)
+    camera, centre = description.camera, _centre(description, target)
     if view.camera_mm[2] <= 0:
         raise ConfigError("the camera is not above the sample's plane: it sees no region of interest")
     radius = description.acquisition.roi_radius_mm
@@ -230,22 +245,60 @@ def roi(description: RigDescription, view: View, target: Target = "sample", chan
     return Roi(box_rows, box_cols, inside)
 
 
+def patch_extent(description: RigDescription, view: View, target: Target = "sample") -> tuple[float, ...]:
+    """Lowest and highest column, lowest and highest row (fractional) that the whole patch around a target covers.
+
+    The patch is the disc of `acquisition.roi_radius_mm` around the target's centre. Pixel k reaches from k - 1/2 to
+    k + 1/2. Infinite where a part of the patch does not lie in front of the camera.
+    """
+    (x, y), radius = _centre(description, target), description.acquisition.roi_radius_mm
+    turn = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
+    columns, rows = _project(description, view, x + radius * np.cos(turn), y + radius * np.sin(turn))
+    return float(columns.min()), float(columns.max()), float(rows.min()), float(rows.max())
+
+
+def frame_holds(description: RigDescription, extent: tuple[float, ...]) -> bool:
+    """Whether the frame holds a `patch_extent` whole."""
+    left, right, top, bottom = extent
+    camera = description.camera
+    return min(left, top) >= -0.5 and right <= camera.width - 0.5 and bottom <= camera.height - 0.5
+
+
+def always_holds_sample(description: RigDescription) -> bool:
+    """Whether the frame holds the patch of the sample from every direction; False says nothing.
+
+    No spot of the patch lies farther from the optical axis than its radius, nor nearer to the camera than that allows.
+    """
+    camera, radius = description.camera, description.acquisition.roi_radius_mm
+    nearest = description.geometry.camera_distance_mm - radius
+    half = 0.5e-3 * camera.pixel_um * min(camera.width, camera.height)
+    return nearest > 0 and image_distance_mm(description) * radius <= half * nearest
+
+
+def _centre(description: RigDescription, target: Target) -> tuple[float, float]:
+    """Where a target's patch lies on the sample's plane [mm]."""
+    reference = description.reference
+    return reference.offset_mm if target == "reference" and reference.how == "beside" else (0.0, 0.0)
+
+
 def _project(
     description: RigDescription, view: View, x: float | Array, y: float | Array
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Column and row (fractional) on which spots of the sample's plane fall."""
+    """Column and row (fractional) on which spots of the sample's plane fall; infinite for those behind the camera."""
     camera, eye = description.camera, np.asarray(view.camera_mm, dtype=float)
     x, y = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
     ray = np.stack([x - eye[0], y - eye[1], np.full(x.shape, -eye[2])], axis=-1)
     depth = ray @ (-eye / np.linalg.norm(eye))
+    depth = np.where(depth > 0.0, depth, np.nan)
     scale = image_distance_mm(description) / (1e-3 * camera.pixel_um)
     columns = scale * (ray @ np.asarray(view.image_x)) / depth + 0.5 * (camera.width - 1)
     rows = scale * (ray @ np.asarray(view.image_y)) / depth + 0.5 * (camera.height - 1)
-    return columns, rows
+    return np.where(depth > 0.0, columns, np.inf), np.where(depth > 0.0, rows, np.inf)
 
 
 def _span(pixels: Array, size: int) -> slice:
     """The pixels around fractional positions, with a margin of one Bayer cell, inside the frame."""
+    pixels = np.clip(pixels, 0, size)
     return slice(max(int(np.floor(pixels.min())) - 2, 0), min(int(np.ceil(pixels.max())) + 3, size))
 
 

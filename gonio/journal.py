@@ -3,6 +3,8 @@
 A line is an object with the event, a sequence number `n`, the wall-clock time `wall` (UTC), and at its end `crc`, the
 CRC-32 of all that stands before it. A process that dies while it writes leaves a torn last line: it counts as never
 written, and the next writer cuts it off. Damage anywhere else is an error, because the file was changed.
+
+The order of events is that of their lines. `wall` is for people: a computer's clock may be set while a run is measured.
 """
 
 from __future__ import annotations
@@ -13,9 +15,11 @@ import fcntl
 import json
 import os
 import zlib
+from array import array
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, BinaryIO, Self, overload
 
 from gonio.errors import ConfigError, DataError
 
@@ -30,42 +34,102 @@ def encode(event: Event) -> bytes:
     return body + MARK + b'%08x"}\n' % zlib.crc32(body)
 
 
-def decode(line: bytes, number: int) -> Event | None:
-    """The event of one whole line (with its end), or None where it is damaged or out of sequence."""
+def decode(line: bytes, number: int | None = None) -> Event | None:
+    """The event of one whole line (with its end), or None where it is damaged, or has not the number that is wanted."""
     body, mark, tail = line.rpartition(MARK)
     if not mark or tail != b'%08x"}\n' % zlib.crc32(body):
         return None
     event: Event = json.loads(body + b"}")
-    return event if event.get("n") == number else None
+    return event if number is None or event.get("n") == number else None
 
 
-def scan(data: bytes, path: Path) -> tuple[list[Event], int]:
-    """The events of a journal's bytes, and the length of the part that they fill; the rest is a torn last line.
+def now() -> str:
+    """The time of day (UTC), as events hold it."""
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+class Events(Sequence[Event]):
+    """The events of a journal, in order. They are read from the file when they are asked for: a long run's are many."""
+
+    def __init__(self, path: Path, starts: array[int]) -> None:
+        self._path, self._starts = path, starts
+
+    def __len__(self) -> int:
+        return len(self._starts)
+
+    @overload
+    def __getitem__(self, at: int) -> Event: ...
+    @overload
+    def __getitem__(self, at: slice) -> list[Event]: ...
+    def __getitem__(self, at: int | slice) -> Event | list[Event]:
+        if isinstance(at, slice):
+            return list(map(_event, self.lines(range(len(self))[at])))
+        return next(map(_event, self.lines([range(len(self))[at]])))
+
+    def __iter__(self) -> Iterator[Event]:
+        return map(_event, self.lines(range(len(self))))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and len(self) == len(other) and all(a == b for a, b in zip(self, other))  # noqa: B905
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def lines(self, wanted: Sequence[int]) -> Iterator[bytes]:
+        """The lines of some events, as they lie in the file."""
+        if not len(wanted):
+            return
+        with self._open() as file:
+            at = -1
+            for number in wanted:
+                if self._starts[number] != at:
+                    file.seek(self._starts[number])
+                line = file.readline()
+                at = self._starts[number] + len(line)
+                yield line
+
+    def _open(self) -> BinaryIO:
+        try:
+            return self._path.open("rb")
+        except OSError as error:
+            raise DataError(f"{self._path}: cannot be read: {error.strerror}") from None
+
+
+def _event(line: bytes) -> Event:
+    event: Event = json.loads(line)
+    return event
+
+
+def _scan(path: Path) -> tuple[array[int], int]:
+    """Where the lines of a journal start, and the length of the part that they fill; the rest is a torn last line.
 
     Raises
     ------
     DataError
-        A line before the last is damaged; the message names it.
+        A line before the last is damaged (the message names it), or the file is no journal.
     """
-    events: list[Event] = []
-    good = 0
-    *lines, _ = data.split(b"\n")
-    for number, body in enumerate(lines):
-        line = body + b"\n"
-        event = decode(line, number)
-        if event is None:
-            if good + len(line) < len(data):
-                raise DataError(
-                    f"{path}: line {number + 1} is damaged (its checksum or its number is wrong): the file was changed "
-                    "after it was written; restore it from a copy, or measure into a new folder"
-                )
-            break
-        events.append(event)
-        good += len(line)
-    return events, good
+    starts, good, number = array("q"), 0, 0
+    with path.open("rb") as file:
+        for line in file:
+            body, mark, tail = line.rpartition(MARK)
+            whole = mark and tail == b'%08x"}\n' % zlib.crc32(body)
+            if not whole or not (body.startswith(b'{"n":%d,' % number) or decode(line, number)):
+                if line.endswith(b"\n") and file.read(1):
+                    raise DataError(
+                        f"{path}: line {number + 1} is damaged (its checksum or its number is wrong): the file was "
+                        f"changed after it was written; `gonio run repair {path.parent}` keeps what can be read, or "
+                        "restore the file from a copy"
+                    )
+                # what a power cut leaves may be zeros
+                if not (good or line.startswith((b'{"', b"{\n")) or line.strip(b"\0") in (b"", b"{")):
+                    raise DataError(f"{path}: is not the journal of a run; choose another folder, or move the file")
+                break
+            starts.append(good)
+            good += len(line)
+            number += 1
+    return starts, good
 
 
-def read_events(path: Path) -> list[Event]:
+def read_events(path: Path) -> Sequence[Event]:
     """The events of a journal, without a torn last line; none where there is no file.
 
     Raises
@@ -74,11 +138,51 @@ def read_events(path: Path) -> list[Event]:
         The file cannot be read, or a line before the last is damaged.
     """
     try:
-        return scan(path.read_bytes(), path)[0]
+        return Events(path, _scan(path)[0])
     except FileNotFoundError:
         return []
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def has_lines(path: Path) -> bool:
+    """Whether a journal begins with a whole line, however it goes on; `DataError` where it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return decode(file.readline(), 0) is not None
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+@contextlib.contextmanager
+def locked(path: Path) -> Iterator[BinaryIO]:
+    """A journal, made where it is absent, open for appending by nobody else.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be opened for writing, or another process holds it.
+    """
+    file = _lock(path)
+    try:
+        yield file
+    finally:
+        file.close()
+
+
+def _lock(path: Path) -> Any:
+    try:
+        file = path.open("a+b", buffering=0)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        file.close()
+        raise ConfigError(f"{path.parent}: another process is measuring into this folder") from None
+    return file
 
 
 class Journal:
@@ -91,26 +195,19 @@ class Journal:
     ConfigError
         The file cannot be opened for writing, or another process holds it.
     DataError
-        A line before the last is damaged.
+        A line before the last is damaged, or the file is no journal.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._file = _lock(path)
         try:
-            self._file = path.open("a+b", buffering=0)
-        except OSError as error:
-            raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            self._file.seek(0)
-            self.events, good = scan(self._file.read(), path)
+            self._starts, good = _scan(path)
             self._file.truncate(good)
-        except BlockingIOError:
-            self._file.close()
-            raise ConfigError(f"{path.parent}: another process is measuring into this folder") from None
         except BaseException:
             self._file.close()
             raise
+        self.events = Events(path, self._starts)
 
     def append(self, event: Event) -> Event:
         """Write one event and wait until it is on the disk; the event with its number and time.
@@ -120,16 +217,15 @@ class Journal:
         DataError
             The disk is full or fails; a part of a line that was written is cut off.
         """
-        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-        event = {"n": len(self.events), **event, "wall": now}
+        event = {"n": len(self._starts), **event, "wall": now()}
         line, before = encode(event), os.fstat(self._file.fileno()).st_size
         try:
             if self._file.write(line) != len(line):
                 raise OSError(28, "no space left on the device")
             os.fsync(self._file.fileno())
-            self.events.append(event)
+            self._starts.append(before)
         except BaseException as error:  # a signal too: file and events must not tell different stories
-            del self.events[event["n"] :]
+            del self._starts[event["n"] :]
             with contextlib.suppress(OSError):  # the next writer cuts what cannot be cut now
                 self._file.truncate(before)
             if isinstance(error, OSError):

@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio.errors import ArgumentError, ConfigError, DataError
+from gonio.errors import ArgumentError, ConfigError, DataError, refuse_masked
 
 _PMMA = "organic/(C5H8O2)n - poly(methyl methacrylate)/nk"
 _PC = "organic/(C16H14O3)n - polycarbonate/nk"
@@ -101,6 +101,7 @@ class Material:
         ArgumentError
             A wavelength is not a number, or outside `wavelength_range_nm`.
         """
+        refuse_masked("wavelength_nm", wavelength_nm)
         nm = np.asarray(wavelength_nm, dtype=np.float64)
         lower, upper = self.wavelength_range_nm
         outside = ~((nm >= lower * (1 - _EDGE)) & (nm <= upper * (1 + _EDGE)))

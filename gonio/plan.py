@@ -12,9 +12,10 @@ import io
 import json
 import math
 from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, overload
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
@@ -179,8 +180,8 @@ class Plan:
     @property
     def sha256(self) -> str:
         """What tells plans apart: a hash of points and wavelengths; name, comments and layout are free."""
-        content = [list(self.wavelength_nm), [[getattr(p, name) for name in ANGLES] for p in self.points]]
-        return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+        rows = [[p.theta_i_deg, p.phi_i_deg, p.theta_r_deg, p.phi_r_deg] for p in self.points]
+        return points_sha256(self.wavelength_nm, rows)
 
     def bands(self, description: RigDescription) -> tuple[Band, ...]:
         """The rig's bands that contain the plan's wavelengths, each once.
@@ -194,6 +195,11 @@ class Plan:
             return tuple(dict.fromkeys(description.bands.containing(w) for w in self.wavelength_nm))
         except ConfigError as error:
             raise ConfigError(f"{self.source}: {error}") from None
+
+
+def points_sha256(wavelength_nm: Sequence[float], rows: list[list[float]]) -> str:
+    """The hash of wavelengths and points, the four angles [deg] of each; see `Plan.sha256`."""
+    return hashlib.sha256(json.dumps([list(wavelength_nm), rows]).encode()).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
@@ -330,17 +336,68 @@ def schedule(plan: Plan, description: RigDescription, points: list[Assessed] | N
         No point can be reached, or the reference cannot.
     """
     points = assess(plan, description) if points is None else points
-    reachable = [(row, a.pose) for row, a in enumerate(points) if a.pose is not None]
+    reachable = {row: a.pose for row, a in enumerate(points) if a.pose is not None}
     if not reachable:
         reasons = "".join(f"\n  {count} {flag}: {cause}" for (flag, cause), count in count_reasons(points)[:3])
         raise ConfigError(f'{plan.source}: no point can be reached on the rig "{description.name}":{reasons}')
-    at_reference, every = reference_pose(description), description.reference.every
-    steps = [Step(0, "dark"), Step(1, "reference", pose=at_reference)]
-    for count, (row, pose) in enumerate(reachable, 1):
-        steps.append(Step(len(steps), "point", row, pose))
-        if count == len(reachable) or (every and count % every == 0):
-            steps.append(Step(len(steps), "reference", pose=at_reference))
-    return steps
+    return list(Schedule(description, list(reachable), lambda row: reachable[row]))
+
+
+class Schedule(Sequence[Step]):
+    """The steps of a run by their numbers, made when they are asked for.
+
+    Parameters
+    ----------
+    description
+        The rig.
+    rows
+        The points that it can reach, as rows of the plan.
+    pose
+        The pose of such a point.
+
+    Raises
+    ------
+    ConfigError
+        The reference cannot be reached.
+    """
+
+    def __init__(self, description: RigDescription, rows: Sequence[int], pose: Callable[[int], Pose]) -> None:
+        self._rows, self._pose = rows, pose
+        self._at_reference = reference_pose(description)
+        self._every = description.reference.every or len(rows)
+
+    def __len__(self) -> int:
+        return 2 + len(self._rows) + -(-len(self._rows) // self._every)
+
+    @overload
+    def __getitem__(self, at: int) -> Step: ...
+    @overload
+    def __getitem__(self, at: slice) -> list[Step]: ...
+    def __getitem__(self, at: int | slice) -> Step | list[Step]:
+        if isinstance(at, slice):
+            return [self[number] for number in range(len(self))[at]]
+        number = range(len(self))[at]
+        if number == 0:
+            return Step(0, "dark")
+        group, place = divmod(number - 2, self._every + 1)
+        if number == 1 or place == self._every or number == len(self) - 1:
+            return Step(number, "reference", pose=self._at_reference)
+        row = self._rows[group * self._every + place]
+        return Step(number, "point", row, self._pose(row))
+
+
+def going_on(plan: Plan, description: RigDescription, flags: Sequence[str]) -> Schedule:
+    """The schedule of a run that has begun; poses are sought for the steps that are asked for alone.
+
+    Parameters
+    ----------
+    plan, description
+        What is measured, and on which rig.
+    flags
+        Of each point: "", or why it cannot be measured, as `assess` found when the run began.
+    """
+    rows = [row for row, flag in enumerate(flags) if not flag]
+    return Schedule(description, rows, lambda row: reach(description, plan.points[row].directions))
 
 
 def count_reasons(points: list[Assessed]) -> list[tuple[tuple[str, str], int]]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
+import sys
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Literal
 
@@ -31,10 +33,31 @@ def load(group: Group, name: str) -> Any:
         hint = f'did you mean "{near[0]}"?' if near else f"installed: {', '.join(points) or 'none'}"
         raise ConfigError(f'there is no {kind} named "{name}"; {hint}')
     try:
-        return points[name].load()
-    except GonioError:
+        return imported(points[name])
+    except Broken as error:
+        raise ConfigError(f'the {kind} "{name}" ({points[name].value}) cannot be loaded: {error}') from error
+
+
+class Broken(Exception):
+    """What an entry point names cannot be imported; the text is one line."""
+
+
+def imported(point: EntryPoint) -> Any:
+    """What an entry point names, whatever its module does while it is imported (but for `os._exit`).
+
+    What the module prints goes to standard error: standard output is for results.
+
+    Raises
+    ------
+    Broken
+        The import fails, or ends the program (`sys.exit`), or the module lacks the name.
+    """
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            return point.load()
+    except (KeyboardInterrupt, MemoryError, GonioError):
         raise
-    except Exception as error:
-        raise ConfigError(
-            f'the {kind} "{name}" ({points[name].value}) cannot be loaded: {type(error).__name__}: {error}'
-        ) from error
+    except SystemExit as end:
+        raise Broken(f"its module ends the program on import (sys.exit({end.code!r}))") from end
+    except BaseException as error:
+        raise Broken(" ".join(f"{type(error).__name__}: {error}".split())) from error

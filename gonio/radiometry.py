@@ -18,13 +18,13 @@ import numpy as np
 import numpy.typing as npt
 
 import gonio
-from gonio import geometry, kinematics, sensitivity, white_reference
+from gonio import geometry, imaging, kinematics, sensitivity, spikes, white_reference
 from gonio.darks import COLUMNS, PATTERNS, strongest
 from gonio.description import Axis, Band, RigDescription
 from gonio.errors import ConfigError, DataError
 from gonio.kinematics import Directions
 from gonio.plan import ANGLES
-from gonio.rates import Bench, Merged, in_threads
+from gonio.rates import RETAKE, Bench, Merged, in_threads
 from gonio.rig import Pose
 
 if TYPE_CHECKING:
@@ -36,6 +36,9 @@ Array = npt.NDArray[np.float64]
 
 CLIPPED = 1e-3
 """Dark frames with a larger part of their pixels at 0 DN are cut off there."""
+DAMAGED = "missing or damaged and are left out"
+NAMED = 10
+"""At most so many damaged frames are named in a note."""
 COMMON = ("s_reference", "s_reference_noise", "s_lamp_drift")
 DARK = tuple(f"s_dark_{k + 1}" for k in range(COLUMNS))
 CAUSES = {"light": "s_theta_i_zero", "camera": "s_theta_r_zero", "tilt": "s_tilt_zero", "azimuth": "s_azimuth_zero"}
@@ -58,8 +61,8 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
     pandas.DataFrame
         As `gonio.measurement` describes it, in the order of the plan. Angles are what the encoders read. `brdf` is NaN
         where `flag` says why: "blocked", "unreachable" and the plan's other reasons, "saturated" (in every frame),
-        "below_horizon" (at the pose that was read), "moved" (an axis did not stand still), "not_measured" (the run
-        ended before).
+        "below_horizon" (at the pose that was read), "moved" (an axis did not stand still), "damaged" (a frame of the
+        point is missing or was changed), "not_measured" (the run ended before).
         Causes: `s_reference` (the certificate), `s_reference_noise` (mean level of the visits), `s_lamp_drift`,
         `s_dark_1` to `s_dark_3` (noise of the dark frames), `s_theta_i_zero`, `s_theta_r_zero` and, with those axes,
         `s_tilt_zero`, `s_azimuth_zero`.
@@ -67,8 +70,8 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
     Raises
     ------
     DataError
-        There are no dark frames or no usable visit to the white reference, or a frame is missing, damaged or not
-        the one that the journal names.
+        There are no dark frames or no usable visit to the white reference, or none of them is whole. Other frames that
+        are missing, or not those that the journal names, are left out, with a note.
     ConfigError
         The reference's table is missing, or neither a table nor an albedo is given.
     """
@@ -83,7 +86,7 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
                 progress(k * count + len(merged), len(run.bands) * count)
         results.append(_reduce_band(bench, band, merged))
     _share_darks(results)
-    return _assemble(run, results, _notes_on_darks(bench))
+    return _assemble(run, results, _notes_on_damage(bench) + _notes_on_darks(bench))
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,17 +101,23 @@ class _BandResult:
     level: white_reference.Level
     reference_brdf: float
     visits: int
+    unusable: list[str]
+    """The flags of the other visits."""
     scatter: float
     """Reduced chi-square of the frames around the means of their steps."""
     freedom: int
+    untold: list[Directions]
+    """Nominal directions of points that may see a spike of which only a bound is known."""
+    coarse: list[Directions]
+    """Nominal directions of points beside a lobe that is narrower than the plan's steps."""
 
 
 def _reduce_band(bench: Bench, band: Band, merged: list[Merged | str]) -> _BandResult:
     points = [m for m in merged if isinstance(m, Merged) and m.point is not None]
     visits = [m for m in merged if isinstance(m, Merged) and m.point is None]
     without = [(s, m) for s, m in zip(bench.steps, merged, strict=True) if isinstance(m, str) and s["kind"] == "point"]
-    fitted, reference_brdf = _level(bench, visits, band)
-    columns = _columns(bench, points, visits[0], fitted, bench.reference[band.channel].count)
+    fitted, reference_brdf = _level(bench, points, visits, band)
+    columns, untold, coarse = _columns(bench, points, visits[0], fitted, band)
     levels = fitted.at(np.array([point.time_s for point in points]))
     rows = {
         int(point.point): _angle_columns(point.directions) | {name: float(c[k]) for name, c in columns.items()}
@@ -124,12 +133,16 @@ def _reduce_band(bench: Bench, band: Band, merged: list[Merged | str]) -> _BandR
         level=fitted,
         reference_brdf=reference_brdf,
         visits=len(visits),
+        unusable=bench.lost_visits
+        + [m for s, m in zip(bench.steps, merged, strict=True) if isinstance(m, str) and s["kind"] == "reference"],
         scatter=sum(step.chi_square for step in (*points, *visits)) / max(freedom, 1),
         freedom=freedom,
+        untold=untold,
+        coarse=coarse,
     )
 
 
-def _level(bench: Bench, visits: list[Merged], band: Band) -> tuple[white_reference.Level, float]:
+def _level(bench: Bench, points: list[Merged], visits: list[Merged], band: Band) -> tuple[white_reference.Level, float]:
     """The signal per unit BRDF over time, and the reference's BRDF [1/sr], mean over the visits."""
     run, description, reference = bench.run, bench.description, bench.description.reference
     if not visits:
@@ -153,46 +166,59 @@ def _level(bench: Bench, visits: list[Merged], band: Band) -> tuple[white_refere
     landing = sum(_change_of_cosine(description, visits[0], axis, u) ** 2 for axis, u in encoder.items())
     variances = np.array([visit.variance for visit in visits]) + landing * rates**2
     times = np.array([visit.time_s for visit in visits])
-    return white_reference.fit(times, rates / known, variances / known**2), float(known.mean())
+    wanted = np.array([point.time_s for point in points])
+    return white_reference.fit(times, rates / known, variances / known**2, wanted), float(known.mean())
 
 
 def _columns(
-    bench: Bench, points: list[Merged], visit: Merged, fitted: white_reference.Level, reference_pixels: int
-) -> dict[str, Array]:
-    """BRDF and its uncertainties for the measured points of a band (docs/radiometry.md, "The budget")."""
+    bench: Bench, points: list[Merged], visit: Merged, fitted: white_reference.Level, band: Band
+) -> tuple[dict[str, Array], list[Directions], list[Directions]]:
+    """BRDF and its uncertainties for the measured points of a band (docs/radiometry.md, "The budget").
+
+    And the nominal directions of points whose blur by the angles' errors is only bounded, and of those whose slope the
+    plan's steps are too coarse to tell.
+    """
     description = bench.description
     encoder, zeros = _encoder_steps(description), _zeros(description)
     times = np.array([point.time_s for point in points])
     k = fitted.at(times)
     brdf = np.array([point.rate for point in points]) / k
     noise = np.array([point.variance for point in points]) / k**2
-    prnu = np.array([_prnu(description, point, reference_pixels) for point in points])
+    prnu = np.array([_prnu(description, point, bench.reference[band.channel].count) for point in points])
     independent = noise + (brdf * prnu) ** 2 + (brdf * fitted.extra(times) / k) ** 2
     nominal = np.radians(bench.run.plan[list(ANGLES)].to_numpy(dtype=float))
     goals = [Directions(*nominal[point.point].tolist()) for point in points if point.point is not None]
     cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
-    shares = _shares(description, points, [*encoder.items(), *zeros.items()], cones)
+    shares = _shares(description, points, [*encoder.items(), *zeros.items()], cones, band)
     read = [point.directions for point in points]
     curves = sensitivity.Curves(goals, read, brdf, np.sqrt(independent), cones, shares)
-    brdf = brdf + curves.correction
+    brdf = brdf + curves.spikes.correction
     common = {
         "s_reference": brdf * description.reference.u_rel,
         "s_reference_noise": -brdf * fitted.noise(times) / k,
         "s_lamp_drift": -brdf * fitted.drift(times) / k,
     }
-    said, even_parts = np.zeros(len(points)), np.zeros(len(points))
+    said, even_parts, unresolved = np.zeros((3, len(points)))
     for axis, u in encoder.items():
         odd, even = _effects(description, curves, points, axis, u)
         said, even_parts, independent = said + odd**2, even_parts + even**2, independent + odd**2
+        unresolved = unresolved + _doubts(description, curves, points, axis, u) ** 2
     for axis, u in zeros.items():
         odd, even = _effects(description, curves, points, axis, u)
         said, even_parts = said + odd**2, even_parts + even**2
+        unresolved = unresolved + _doubts(description, curves, points, axis, u) ** 2
         common[CAUSES[axis]] = odd - brdf * _change_of_cosine(description, visit, axis, u)
-    rest = np.maximum(curves.spike_variance - said, 0.0)
-    independent = independent + np.where(curves.spike != 0, rest, even_parts)
+    blur = curves.spikes.variance
+    independent = (
+        independent + np.where(curves.spike != 0, np.maximum(blur - said, 0.0), blur + even_parts) + unresolved
+    )
     darks = np.array([np.sum(point.dark**2) for point in points]) / k**2
     combined = np.sqrt(independent + darks + sum(column**2 for column in common.values()))
-    return {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent)} | common
+    bounded = ~curves.spikes.told & (blur > noise)
+    untold = [goal for goal, bound in zip(goals, bounded, strict=True) if bound]
+    steep = curves.coarse | (unresolved > noise)
+    coarse = [goal for goal, narrow in zip(goals, steep, strict=True) if narrow]
+    return {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent)} | common, untold, coarse
 
 
 def _share_darks(results: list[_BandResult]) -> None:
@@ -246,23 +272,43 @@ def _effects(
     return out[0], out[1]
 
 
-def _shares(
-    description: RigDescription, points: list[Merged], errors: list[tuple[str, float]], cones: tuple[float, float]
+def _doubts(
+    description: RigDescription, curves: sensitivity.Curves, points: list[Merged], axis: str, u: float
 ) -> Array:
-    """Mean and variance of the overlap of the lamp's mirror image with the lens at each point, shape (n, 2)."""
-    g = description.geometry
-    out = np.zeros((len(points), 2))
-    for k, point in enumerate(points):
-        # beyond six standard deviations of the errors nothing of the mirror image is seen
-        blur = 6.0 * sum(u for _, u in errors)
-        blur += description.acquisition.roi_radius_mm * (1.0 / g.light_distance_mm + 1.0 / g.camera_distance_mm)
-        if sensitivity.mirror_offset(point.directions) < sum(cones) + blur:
-            moved = [_moved(description, point.pose, axis, u) for axis, u in errors]
-            patch = sensitivity.over_patch(
-                point.directions, description.acquisition.roi_radius_mm, g.light_distance_mm, g.camera_distance_mm
-            )
-            out[k] = sensitivity.blurred_overlap(point.directions, moved, cones, patch)
+    """How uncertain [1/sr] the odd changes of `_effects` are, because steps are coarser than the lobe is wide."""
+    return np.array([curves.doubt(k, _moved(description, p.pose, axis, u)) for k, p in enumerate(points)])
+
+
+def _shares(
+    description: RigDescription,
+    points: list[Merged],
+    errors: list[tuple[str, float]],
+    cones: tuple[float, float],
+    band: Band,
+) -> list[spikes.Share]:
+    """What each point sees of a specular spike."""
+    g, radius = description.geometry, description.acquisition.roi_radius_mm
+    # beyond six standard deviations of the errors nothing of the mirror image is seen
+    blur = 6.0 * sum(u for _, u in errors) + 2.0 * radius * (1.0 / g.light_distance_mm + 1.0 / g.camera_distance_mm)
+    out = []
+    for point in points:
+        d = point.directions
+        if spikes.mirror_offset(d) >= sum(cones) + blur:
+            out.append(spikes.Share())
+            continue
+        moved = [_moved(description, point.pose, axis, u) for axis, u in errors]
+        patch = spikes.over_patch(d, radius, g.light_distance_mm, g.camera_distance_mm)
+        out.append(spikes.blurred_overlap(d, moved, cones, patch, _over_pixels(description, point, band)))
     return out
+
+
+def _over_pixels(description: RigDescription, point: Merged, band: Band) -> Array:
+    """What `spikes.from_mirror` changes by at the pixels that a point's value is the mean of, shape (n, 3)."""
+    view = kinematics.view(description, point.pose)
+    region = imaging.roi(description, view, "sample", band.channel)
+    seen = imaging.pixel_map(description, view, region.rows, region.cols)
+    there = seen.omega_r[region.mask] - seen.omega_i[region.mask] * (-1.0, -1.0, 1.0)
+    return np.asarray(there - spikes.from_mirror(point.directions))
 
 
 def _change_of_cosine(description: RigDescription, visit: Merged, axis: str, u: float) -> float:
@@ -329,14 +375,15 @@ def _assemble(run: Run, results: list[_BandResult], notes: list[str]) -> pd.Data
 def _account(result: _BandResult) -> dict[str, Any]:
     """What the visits to the reference said."""
     fitted = result.level
+    known = not fitted.unknown
     return {
         "band": result.band.name,
         "brdf": result.reference_brdf,
         "visits": result.visits,
         "level_e_per_s_sr": fitted.level,
         "u_level_rel": fitted.u_level / fitted.level,
-        "drift_per_hour": fitted.slope / fitted.level * 3600.0,
-        "u_drift_per_hour": fitted.u_slope / fitted.level * 3600.0,
+        "drift_per_hour": fitted.slope / fitted.level * 3600.0 if known else None,
+        "u_drift_per_hour": fitted.u_slope / fitted.level * 3600.0 if known else None,
         "chi_square": fitted.chi_square,
         "straight": fitted.straight,
         "frame_scatter": result.scatter,
@@ -351,6 +398,20 @@ def _notes_on_zeros(description: RigDescription) -> list[str]:
     ]
 
 
+def _notes_on_damage(bench: Bench) -> list[str]:
+    if not bench.damaged:
+        return []
+    names = sorted(bench.damaged)
+    shown = ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
+    out = [f'{len(names)} frames are {DAMAGED} ({shown}); points that lack one are flagged "damaged", and {RETAKE}']
+    if bench.darks_taken > 1 and bench.darks_used == 1:
+        out.append(
+            "the dark frames of one exposure alone are left: the dark current is that of the rig file, and its "
+            "uncertainty is not in u_brdf"
+        )
+    return out
+
+
 def _notes_on_darks(bench: Bench) -> list[str]:
     # all at 0 is a camera without noise; some at 0 is one whose noise is cut off there
     if not CLIPPED < bench.clipped < 1.0:
@@ -362,13 +423,19 @@ def _notes_on_darks(bench: Bench) -> list[str]:
 
 
 def _notes(result: _BandResult) -> list[str]:
-    out, name = [], result.band.name
-    if result.visits == 1:
-        out.append(f"{name}: one visit to the white reference only, so a drift of the lamp is not in u_brdf")
-    if not result.level.straight:
+    name = result.band.name
+    out = white_reference.notes(result.level, result.visits, result.unusable, name)
+    if result.untold:
         out.append(
-            f"{name}: the visits to the white reference do not lie on a straight line (chi-square "
-            f"{result.level.chi_square:.1f} of {result.visits} visits): the level is interpolated between them"
+            f"{name}: nothing tells whether a specular spike stands at {_listed(result.untold)}: what "
+            "errors of the angles would do to one is in u_brdf, which is large; measure the mirror direction too, and "
+            "points on both sides of it that the spike does not reach"
+        )
+    if result.coarse:
+        out.append(
+            f"{name}: the plan's steps are too coarse for the lobe at {_listed(result.coarse)}: u_brdf there rests on "
+            "what neighbouring points leave open, and may be too small; measure in finer steps around the mirror "
+            "direction"
         )
     # three standard deviations of a reduced chi-square, and enough to matter: uncertainties 20 % too small
     if result.scatter > max(1.44, 1.0 + 3.0 * math.sqrt(2.0 / max(result.freedom, 1))):
@@ -377,3 +444,12 @@ def _notes(result: _BandResult) -> list[str]:
             "says (see lamp.noise and the camera's noise there): u_random is too small"
         )
     return out
+
+
+def _listed(points: list[Directions]) -> str:
+    """The first points of a list, for people, in degrees."""
+    first = ", ".join(
+        f"({', '.join(f'{math.degrees(a):g}' for a in (d.theta_i, d.theta_r, (d.phi_r - d.phi_i) % (2 * math.pi)))})"
+        for d in points[:3]
+    )
+    return f"(theta_i, theta_r, dphi) = {first} deg" + (f" and {len(points) - 3} more" if len(points) > 3 else "")

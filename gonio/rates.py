@@ -18,7 +18,7 @@ import numpy.typing as npt
 from gonio import kinematics
 from gonio.darks import FEW, PATTERNS, Darks, Patterns
 from gonio.description import Band, Camera, RigDescription
-from gonio.errors import DataError
+from gonio.errors import DamagedFrame, DataError
 from gonio.exposure import full_scale_dn
 from gonio.frames import read_raw
 from gonio.imaging import Channel, Roi, pixel_map, roi
@@ -36,6 +36,7 @@ USABLE = 0.95
 """A frame whose brightest used pixel lies above this fraction of full scale is not used at all: dropping single pixels,
 or frames that are only nearly full, would keep the darker half of the noise."""
 THREADS = 2
+RETAKE = "`gonio measure ... --resume` takes their steps again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,10 +90,14 @@ class Bench:
 
     def __init__(self, run: Run) -> None:
         self.run = run
+        self.damaged: dict[str, str] = {}
+        """What is wrong with frames that were left out, by their names."""
         self.description: RigDescription = run.description
-        steps = run.steps()
+        steps = [_needed(step) for step in run.steps()]
         self.steps = [s for s in steps if s["kind"] != "dark" and not s.get("flag")]
         self.flags = {int(s["point"]): str(s["flag"]) for s in steps if s["kind"] == "point" and s.get("flag")}
+        self.lost_visits = [str(s["flag"]) for s in steps if s["kind"] == "reference" and s.get("flag")]
+        """The flags of the visits to the reference without frames."""
         channels = dict.fromkeys(band.channel for band in run.bands)
         boxes: dict[Target, tuple[slice, slice]] = {}
         self.reference: dict[str, Roi] = {}
@@ -116,6 +121,8 @@ class Bench:
         self._patterns = {channel: Patterns(regions[channel], box) for channel in channels}
         self.clipped = 0.0
         """The part of the used pixels that read 0 DN in the dark frames."""
+        self.darks_taken = self.darks_used = 0
+        """How many exposures the dark frames were taken with, and of how many some are left."""
         self._darks = self._read_darks([f for s in steps if s["kind"] == "dark" for f in s["frames"]], boxes)
 
     def _look(self, step: dict[str, Any], channel: Channel) -> Region | None:
@@ -136,9 +143,14 @@ class Bench:
             raise DataError(f"{self.run.path}: the run has no dark frames; finish it with --resume")
         camera = self.description.camera
         crops: dict[Target, list[tuple[float, npt.NDArray[np.uint16]]]] = {target: [] for target in boxes}
-        for frame in in_threads(self.read, frames):
-            for target, box in boxes.items():
-                crops[target].append((frame.exposure_s, frame.mosaic[box].copy()))
+        for frame in in_threads(self._read_or_note, frames):
+            if frame is not None:
+                for target, box in boxes.items():
+                    crops[target].append((frame.exposure_s, frame.mosaic[box].copy()))
+        if not all(crops.values()):
+            raise DataError(f"{self.run.path}: every dark frame is missing or damaged ({self._first()}); {RETAKE}")
+        used = {exposure_s for taken in crops.values() for exposure_s, _ in taken}
+        self.darks_taken, self.darks_used = len({float(f["exposure_s"]) for f in frames}), len(used)
         empty = [float(np.mean(crop == 0)) for taken in crops.values() for _, crop in taken]
         self.clipped = sum(empty) / len(empty)
         rate = camera.dark_current_e_per_s / camera.electrons_per_dn
@@ -150,9 +162,11 @@ class Bench:
         try:
             data = path.read_bytes()
         except OSError as error:
-            raise DataError(f"{path}: a frame of the run cannot be read: {error.strerror or error}") from None
+            raise DamagedFrame(f"{path}: a frame of the run cannot be read: {error.strerror or error}") from None
         if hashlib.sha256(data).hexdigest() != entry["sha256"]:
-            raise DataError(f"{path}: is not the frame that the journal names (its checksum differs): it was changed")
+            raise DamagedFrame(
+                f"{path}: is not the frame that the journal names (its checksum differs): it was changed"
+            )
         frame = read_raw(path, data)
         camera = self.description.camera
         if frame.mosaic.shape != (camera.height, camera.width) or frame.pattern != camera.pattern:
@@ -163,13 +177,27 @@ class Bench:
             )
         return frame
 
+    def _read_or_note(self, entry: dict[str, Any]) -> Frame | None:
+        """A frame that the journal names, or None where it is missing or damaged."""
+        try:
+            return self.read(entry)
+        except DamagedFrame as error:
+            self.damaged[entry["file"]] = str(error)
+            return None
+
+    def _first(self) -> str:
+        return next(iter(self.damaged.values()), "")
+
     def shots(self, step: dict[str, Any], band: Band) -> tuple[Region, list[Shot]] | None:
-        """The frames of a step in a band, each reduced to its region; None for a region below the horizon."""
+        """The frames of a step in a band, each reduced to its region, without those that are damaged; None for a
+        region below the horizon.
+        """
         region = self._look(step, band.channel)
         if region is None:
             return None
         entries = [f for f in step["frames"] if f["band"] == band.name and f["lamp"]]
-        return region, [self._shot(region, self.read(entry), float(entry["time_s"])) for entry in entries]
+        read = ((entry, self._read_or_note(entry)) for entry in entries)
+        return region, [self._shot(region, frame, float(entry["time_s"])) for entry, frame in read if frame is not None]
 
     def _shot(self, region: Region, frame: Frame, time_s: float) -> Shot:
         camera, darks = self.description.camera, self._darks[region.target]
@@ -189,6 +217,10 @@ class Bench:
         if found is None:
             return "below_horizon"
         region, every = found
+        named = [f["file"] for f in step["frames"] if f["band"] == band.name and f["lamp"]]
+        # a point is taken again; a visit to the reference is worth what is left of it
+        if not self.damaged.keys().isdisjoint(named) and (step["kind"] == "point" or not every):
+            return "damaged"
         shots = [shot for shot in every if shot.peak < USABLE]
         if not shots:
             return "saturated" if every else "not_measured"
@@ -211,6 +243,13 @@ class Bench:
             pose=pose,
             point=None if step["kind"] == "reference" else int(step["point"]),
         )
+
+
+def _needed(step: dict[str, Any]) -> dict[str, Any]:
+    """What the reduction needs of a step: a run may have very many."""
+    out = {name: step[name] for name in ("kind", "point", "pose", "flag") if name in step}
+    names = ("file", "band", "exposure_s", "time_s", "lamp", "sha256")
+    return out | {"frames": [{name: frame[name] for name in names} for frame in step["frames"]]}
 
 
 def pool(

@@ -61,8 +61,8 @@ class Pose:
 class Frame:
     """One raw frame: the linear mosaic as the sensor gave it.
 
-    `file` is set when a camera delivered a raw file of its own (CR2, NEF, ARW, DNG); the engine keeps that file.
-    Levels are in DN; `pattern` is "mono" or a Bayer pattern in raster order.
+    Row 0 is the top of `gonio.kinematics.View`: rows grow along the arms' axis y. Levels are in DN; `pattern` is "mono"
+    or a Bayer pattern in raster order.
     """
 
     mosaic: npt.NDArray[np.uint16]
@@ -70,8 +70,13 @@ class Frame:
     black_level_dn: float
     white_level_dn: float
     pattern: str = "mono"
-    time_s: float = 0.0
-    file: Path | None = None
+    time_s: float = field(kw_only=True)
+    """Start of the exposure on the rig's clock (`Rig.time_s`) [s]. It grows from frame to frame, or a measurement ends:
+    the lamp's drift is told from it. A file that does not say its time is read with NaN."""
+    file: Path | None = field(default=None, kw_only=True)
+    """Set when a camera delivered a raw file of its own (CR2, NEF, ARW, DNG); the engine keeps that file."""
+    record: str = field(default="", kw_only=True)
+    """The engine's: what a frame's own file says of the step that it belongs to (`gonio.store`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +150,10 @@ class Rig(Protocol):
 
     @property
     def repeatable(self) -> bool:
-        """True where a resumed run needs no new darks and references, because time stands still (simulation)."""
+        """True for a simulation alone: a step gives the same frames at the same times whenever it is taken.
+
+        A resumed run then needs no new darks and references; a sample file must be named, and no hand swaps anything.
+        """
 
     def begin(self, step: Step) -> None:
         """Called before anything of a step is done; a simulated rig sets its clock and random numbers from it."""
@@ -154,7 +162,7 @@ class Rig(Protocol):
         """Put the sample or the white reference into the beam (an axis, or a prompt that the user confirms)."""
 
     def time_s(self) -> float:
-        """Seconds on the rig's own clock, since the start of the run."""
+        """Seconds on the rig's own clock, at least 0. It never goes back, nor from one sitting of a run to the next."""
 
     def __enter__(self) -> Self: ...
     def __exit__(

@@ -4,8 +4,10 @@
           plan.csv       the points in order, with the flag and the reason of those that this rig cannot measure
           journal.jsonl  what has happened (gonio.journal)
           frames/        raw frames
+          gonio.sha256   what the program wrote beside journal and frames (gonio.disk)
 
-A run whose journal holds no complete line counts as not started: `create` starts it again, whatever else lies there.
+A run whose journal holds no complete line, and that has no frames, counts as not started. Frames without a readable
+journal are not touched: `gonio.repair` makes the journal again.
 """
 
 from __future__ import annotations
@@ -17,29 +19,50 @@ import hashlib
 import json
 import os
 import platform
-import shutil
+import re
 import sys
 import tomllib
-from dataclasses import dataclass
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, overload
+
+import numpy as np
+import numpy.typing as npt
 
 from gonio.config import Strict, parse, to_toml
 from gonio.description import Band, RigDescription, SampleDescription
-from gonio.disk import half_written, sync_folder, write_whole
+from gonio.disk import (
+    MANIFEST,
+    Manifest,
+    half_written,
+    is_manifest,
+    is_own,
+    read_manifest,
+    require_name,
+    require_own,
+    sha256_of,
+    sync_folder,
+    write_own,
+)
 from gonio.errors import ConfigError, DataError
 from gonio.formats.native import meta_path
-from gonio.journal import Event, Journal, read_events
-from gonio.plan import ANGLES, Assessed, Plan
+from gonio.journal import Event, Events, Journal, has_lines, read_events
+from gonio.plan import ANGLES, Assessed, Plan, assess, points_sha256
+from gonio.store import NAME, record_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
 FORMAT = 1
-OURS = ("run.toml", "plan.csv", "journal.jsonl", "frames", "reference.csv", "reference.meta.json")
+OURS = ("run.toml", "plan.csv", "journal.jsonl", "frames", "reference.csv", "reference.meta.json", MANIFEST)
+PLAN_COLUMNS = ["point", *ANGLES, "flag", "reason"]
+TABLE = ("brdf.csv", "brdf.meta.json")
+RESTORE = "restore it, or move it away: `gonio measure ... --resume` writes it again"
 RECORDED = ("gonio", "numpy", "scipy", "numba", "pandas", "rawpy")
 
 
@@ -58,6 +81,17 @@ class Header(Strict):
     seed: int
 
 
+@dataclass(frozen=True, slots=True)
+class Points:
+    """A plan.csv."""
+
+    angles_deg: npt.NDArray[np.float64]
+    """theta_i, phi_i, theta_r, phi_r of each point, shape (points, 4)."""
+    flags: list[str]
+    """"" for a point that is measured, or why not."""
+    reasons: list[str]
+
+
 class Settings(Strict):
     """A run.toml."""
 
@@ -67,18 +101,21 @@ class Settings(Strict):
     sample: SampleDescription | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Request:
     """What a run is asked to be."""
 
     plan: Plan
-    points: list[Assessed]
-    """The plan's points, as `description` sees them."""
     description: RigDescription
     sample: SampleDescription | None
     seed: int
     command: str
     """The command line, for the record."""
+
+    @cached_property
+    def points(self) -> list[Assessed]:
+        """The plan's points, as `description` sees them: a second for ten thousand."""
+        return assess(self.plan, self.description)
 
 
 @dataclass
@@ -88,6 +125,13 @@ class Run:
     path: Path
     settings: Settings
     journal: Journal | None = None
+    lost: list[str] = field(default_factory=list)
+    """Which frames were found missing or damaged when it was resumed, and how."""
+    unchecked: int = 0
+    """Of how many frames only the size was looked at then."""
+    _index: Index | None = None
+    _closed: Sequence[Event] | None = None
+    """The events of a run that was written by this object, and is closed."""
 
     @classmethod
     def create(cls, path: str | Path, request: Request) -> Run:
@@ -104,22 +148,20 @@ class Run:
         journal = None
         try:
             journal = Journal(path / "journal.jsonl")
-            if journal.events:
-                raise _needs_resume(path)
-            shutil.rmtree(path / "frames", ignore_errors=True)
+            check_new(path)  # once more: nobody else writes a run here now
             for left in [entry for entry in path.iterdir() if half_written(entry.name, OURS)]:
                 left.unlink()
-            (path / "frames").mkdir()
-            settings = _settings(request, _with_reference_table(path, request.description))
-            write_whole(path / "plan.csv", _plan_csv(request.points).encode())
-            write_whole(path / "run.toml", to_toml(settings.model_dump(mode="json", exclude_none=True)).encode())
+            (path / "frames").mkdir(exist_ok=True)
+            reference, description = _reference_table(request.description)
+            settings = _settings(request, description)
+            plan = _plan_csv(request.points).encode()
+            toml = to_toml(settings.model_dump(mode="json", exclude_none=True)).encode()
+            write_own(path, reference | {"plan.csv": plan, "run.toml": toml})
             sync_folder(path)
         except BaseException as error:
-            if journal is not None and not journal.events:  # the folder is ours, and nothing has happened in it
-                for name in OURS:
-                    shutil.rmtree(path / name, ignore_errors=True)
-                    (path / name).unlink(missing_ok=True)
             if journal is not None:
+                if not len(journal.events):  # nothing has happened in it
+                    _remove_begun(path)
                 journal.close()
             for folder in reversed(made):
                 with contextlib.suppress(OSError):
@@ -133,19 +175,24 @@ class Run:
     def resume(cls, path: str | Path, request: Request) -> Run:
         """Go on with a run, or start it where it has not begun.
 
+        Frames that the journal names and that are missing or damaged are found (`gonio.repair.find_damage` says how
+        thoroughly); the journal takes back their steps with the event "lost", and `lost` names them.
+
         Raises
         ------
         ConfigError
-            Plan, rig, sample or seed are not those of the run (the message names what differs), or another process
-            writes to it.
+            Plan, rig, sample or seed are not those of the run (the message names what differs), another process
+            writes to it, or among its frames lies something that is none.
         DataError
             The journal is damaged before its last line.
         """
+        from gonio.repair import drop_orphans, find_damage
+
         path = Path(path)
         if not begun(path):
             return cls.create(path, request)
         run = cls.open(path)
-        journal = Journal(path / "journal.jsonl")
+        run.journal = Journal(path / "journal.jsonl")
         try:
             differing = _differences(run.settings, _settings(request, request.description))
             if differing:
@@ -154,11 +201,19 @@ class Run:
                     + "\n".join(f"  {line}" for line in differing[:8])
                     + "\nresume with what it was begun with, or measure into a new folder"
                 )
-            _drop_orphans(path, journal.events)
+            if not os.path.lexists(path / "plan.csv"):
+                write_own(path, {"plan.csv": _plan_csv(request.points).encode()})
+            (path / "frames").mkdir(exist_ok=True)
+            found = find_damage(run)
+            drop_orphans(run, found)
+            run.lost = run.take_back(found.damaged)
+            run.unchecked = found.unchecked
+        except OSError as error:
+            run.journal.close()
+            raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
         except BaseException:
-            journal.close()
+            run.journal.close()
             raise
-        run.journal = journal
         return run
 
     @classmethod
@@ -173,6 +228,7 @@ class Run:
             Its run.toml is damaged.
         """
         path = Path(path)
+        require_name(path)
         if not path.is_dir():
             raise ConfigError(f"{path}: there is no such folder; a run is a folder that `gonio measure` has written")
         try:
@@ -217,26 +273,64 @@ class Run:
         Raises
         ------
         DataError
-            plan.csv is missing or damaged.
+            plan.csv is missing or damaged, or does not hold the points that the run was begun with.
         """
         import pandas as pd
 
-        path = self.path / "plan.csv"
+        points = self.points
+        table = pd.DataFrame(points.angles_deg, columns=list(ANGLES))
+        return table.assign(flag=pd.Series(points.flags, dtype=str), reason=pd.Series(points.reasons, dtype=str))
+
+    @cached_property
+    def points(self) -> Points:
+        """What `plan` holds, without a data frame."""
+        path, run = self.path / "plan.csv", self.settings.run
+        own = read_manifest(self.path).get("plan.csv")
+        if own is not None and path.is_file() and not is_own(path, own):
+            raise DataError(f"{path}: was changed after it was written (its checksum differs); {RESTORE}")
+        angles, flags, reasons = array("d"), [], []
         try:
-            table = pd.read_csv(path, dtype={"flag": str, "reason": str}, keep_default_na=False)
-            table = table.set_index("point")[[*ANGLES, "flag", "reason"]].astype(dict.fromkeys(ANGLES, float))
-        except (OSError, ValueError, KeyError, UnicodeDecodeError) as error:
-            raise DataError(f"{path}: cannot be read as the points of a run: {error}") from None
-        table.index.name = None
-        return table
+            with path.open(encoding="utf-8", newline="") as file:
+                rows = csv.reader(file, strict=True)
+                if next(rows, None) != PLAN_COLUMNS:
+                    raise ValueError(f"its columns are not {', '.join(PLAN_COLUMNS)}")
+                for number, (point, *cells, flag, reason) in enumerate(rows):
+                    if int(point) != number or len(cells) != len(ANGLES):
+                        raise ValueError(f'point {number} is missing, or stands at another place ("{point}")')
+                    angles.extend(map(float, cells))
+                    flags.append(sys.intern(flag))
+                    reasons.append(sys.intern(reason))
+        except (OSError, ValueError, csv.Error) as error:
+            told = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
+            raise DataError(f"{path}: cannot be read as the points of the run: {told}; {RESTORE}") from None
+        table = np.array(angles).reshape(-1, len(ANGLES))
+        if own is None and points_sha256(run.wavelength_nm, table.tolist()) != run.plan_sha256:
+            raise DataError(f"{path}: does not hold the points that the run was begun with; {RESTORE}")
+        return Points(table, flags, reasons)
 
-    def events(self) -> list[Event]:
+    def events(self) -> Sequence[Event]:
         """Every event so far, without a torn last line; `DataError` where the journal is damaged before that."""
-        return self.journal.events if self.journal is not None else read_events(self.path / "journal.jsonl")
+        if self.journal is not None:
+            return self.journal.events
+        if self._closed is not None:
+            return self._closed
+        return read_events(self.path / "journal.jsonl")
 
-    def steps(self) -> list[Event]:
-        """The completed steps, in the order of their numbers."""
-        return sorted((e for e in self.events() if e["event"] == "step"), key=lambda e: int(e["step"]))
+    def steps(self) -> Steps:
+        """The completed steps, in the order of their numbers; without those whose frames were lost."""
+        events = self.events()
+        if self._index is None:
+            self._index = Index()
+        self._index.go_on(events)
+        return Steps(events, self._index)
+
+    @property
+    def key(self) -> str:
+        """What tells the frames of this run from those of others: a hash of plan, seed, rig and sample."""
+        run, sample = self.settings.run, self.settings.sample
+        content = [run.plan_sha256, run.seed, run.rig, self.settings.rig.name]
+        content += [sample.name, sample.model] if sample is not None else []
+        return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
 
     def frame_path(self, name: str) -> Path:
         """Where a frame that an event names lies."""
@@ -247,6 +341,43 @@ class Run:
         assert self.journal is not None, "a run that was opened for reading takes no events"
         return self.journal.append(event)
 
+    def take_back(self, damaged: Mapping[int, Sequence[str]]) -> list[str]:
+        """Say in the journal which steps count no more, because of which frames; what is wrong with each frame."""
+        what = [text for number in sorted(damaged) for text in damaged[number]]
+        if damaged:
+            self.append({"event": "lost", "steps": sorted(damaged), "frames": what})
+        return what
+
+    def check_table(self) -> None:
+        """Raise `ConfigError` where the folder takes no table: brdf.csv is somebody else's there, or was changed."""
+        require_own(self.path, TABLE)
+        check_writable(self.path)
+
+    def write_table(self, table: pd.DataFrame) -> Path:
+        """Write the measurement table of the run, brdf.csv; one that is there is replaced only if it was written so.
+
+        Raises
+        ------
+        ConfigError
+            See `check_table`; or it cannot be written.
+        DataError
+            The table is not valid.
+        """
+        import tempfile
+
+        from gonio import measurement
+
+        try:
+            with tempfile.TemporaryDirectory(prefix=".table-", dir=self.path) as work:
+                try:
+                    measurement.write(table, Path(work) / TABLE[0])
+                except ConfigError as error:
+                    raise ConfigError(str(error).replace(work, str(self.path))) from None
+                write_own(self.path, {name: (Path(work) / name).read_bytes() for name in TABLE})
+        except OSError as error:
+            raise ConfigError(f"{self.path / TABLE[0]}: cannot be written: {error.strerror}") from None
+        return self.path / TABLE[0]
+
     def __enter__(self) -> Self:
         return self
 
@@ -255,25 +386,162 @@ class Run:
     ) -> None:
         if self.journal is not None:
             self.journal.close()
+            self._closed, self.journal = self.journal.events, None
+
+
+class Index:
+    """Which line of a journal holds which step, in a few bytes a step."""
+
+    def __init__(self) -> None:
+        self.lines: dict[int, int] = {}
+        """Number of a step: number of its line."""
+        self._seen = 0
+
+    def go_on(self, events: Sequence[Event]) -> None:
+        """Read the events that were not there before."""
+        if isinstance(events, Events):
+            for at, line in enumerate(events.lines(range(self._seen, len(events))), self._seen):
+                found = _STEP.match(line)
+                if found is not None and found[2] is not None:
+                    self.lines[int(found[2])] = at
+                elif found is None or found[1] in (b"step", b"lost"):
+                    self._note(at, json.loads(line))
+        self._seen = len(events)
+
+    def _note(self, at: int, event: Event) -> None:
+        if event.get("event") == "step":
+            self.lines[int(event["step"])] = at
+        elif event.get("event") == "lost":
+            for number in event["steps"]:
+                self.lines.pop(int(number), None)
+
+
+_STEP = re.compile(rb'\{"n":\d+,"event":"(\w+)"(?:,"step":(\d+),"kind":)?')
+"""How a line begins, as `gonio.acquire` writes it."""
+
+
+class Steps(Sequence[Event]):
+    """The events of the steps that are done, by their numbers; read when they are asked for, as `Events` are."""
+
+    def __init__(self, events: Sequence[Event], index: Index) -> None:
+        self._events = events
+        self.numbers = sorted(index.lines)
+        self._lines = [index.lines[number] for number in self.numbers]
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    @overload
+    def __getitem__(self, at: int) -> Event: ...
+    @overload
+    def __getitem__(self, at: slice) -> list[Event]: ...
+    def __getitem__(self, at: int | slice) -> Event | list[Event]:
+        if isinstance(at, slice):
+            return [self._events[line] for line in self._lines[at]]
+        return self._events[self._lines[at]]
+
+    def __iter__(self) -> Iterator[Event]:
+        return map(json.loads, self.raw())
+
+    def latest(self) -> Event:
+        """The one that was written last."""
+        return self._events[max(self._lines)]
+
+    def raw(self) -> Iterator[bytes]:
+        """Their lines, as they lie in the journal."""
+        return self._events.lines(self._lines) if isinstance(self._events, Events) else iter(())
+
+
+def own_files(path: Path) -> Manifest:
+    """What the program wrote into the folder of a run: beside what the manifest names the journal, the frames that it
+    names, and those that say themselves that they are of this run.
+
+    Nothing where there is no run, or a damaged one.
+    """
+    out = read_manifest(path)
+    with contextlib.suppress(DataError, ConfigError, OSError):
+        run = Run.open(path)
+        for step in run.steps():
+            out |= {f"frames/{frame['file']}": {frame["sha256"]} for frame in step["frames"]}
+        if (path / "journal.jsonl").is_file():
+            out["journal.jsonl"] = {sha256_of(path / "journal.jsonl")}
+        for file in (path / "frames").iterdir():
+            if f"frames/{file.name}" not in out and NAME.fullmatch(file.name) and file.is_file():
+                record = record_of(file, file.read_bytes())
+                if record is not None and record.get("run") == run.key:
+                    out[f"frames/{file.name}"] = {sha256_of(file)}
+    return out
 
 
 def begun(path: Path) -> bool:
-    """Whether a folder's journal holds a complete line (`DataError` where it is damaged)."""
-    return bool(read_events(path / "journal.jsonl"))
+    """Whether a folder's journal begins with a complete line (`DataError` where it cannot be read)."""
+    require_name(path)
+    return has_lines(path / "journal.jsonl")
 
 
 def check_new(path: Path) -> None:
-    """Raise `ConfigError` where a run cannot be started in a folder; touches nothing."""
+    """Raise `ConfigError` where a run cannot be started in a folder, `DataError` where its journal was lost; touches
+    nothing.
+
+    A run is started in an absent or empty folder, or in one that holds nothing but what a run that was never begun
+    left there: no other file is removed or replaced.
+    """
+    require_name(path)
     if path.exists() and not path.is_dir():
         raise ConfigError(f"{path}: is not a folder")
     if path.is_dir():
-        if begun(path):
-            raise _needs_resume(path)
-        names = sorted(entry.name for entry in path.iterdir())
-        foreign = [name for name in names if name not in OURS and not half_written(name, OURS)]
-        if foreign and not (path / "run.toml").exists():
-            raise ConfigError(f'{path}: is not empty (it holds "{foreign[0]}"); a run needs a folder of its own')
+        try:
+            _check_holds_nothing(path)
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     check_writable(path)
+
+
+def _check_holds_nothing(path: Path) -> None:
+    if begun(path):
+        raise _needs_resume(path)
+    if (path / "journal.jsonl").is_file():
+        read_events(path / "journal.jsonl")  # damaged in its first line, or somebody else's
+    own, foreign = read_manifest(path), []
+    for entry in sorted(path.iterdir(), key=lambda entry: (entry.name != "frames", entry.name)):
+        name = entry.name
+        if name == "frames" and entry.is_dir() and not entry.is_symlink():
+            inside = sorted(file.name for file in entry.iterdir() if not half_written(file.name, NAME))
+            if any(NAME.fullmatch(file) for file in inside):
+                raise DataError(
+                    f"{path}: holds {len(inside)} frames, and no journal that says what they are; "
+                    f"`gonio run repair {path}` makes it again from what the frames carry"
+                )
+            foreign += [f"frames/{file}" for file in inside]
+        elif entry.is_symlink() or not entry.is_file() or not _left(entry, own):
+            foreign.append(name)
+    if foreign:
+        shown = ", ".join(f'"{name}"' for name in foreign[:5]) + (" ..." if len(foreign) > 5 else "")
+        raise ConfigError(
+            f"{path}: is not empty (it holds {shown}), and what this program did not write it leaves alone; "
+            "a run needs a folder of its own"
+        )
+
+
+def _left(file: Path, own: Manifest) -> bool:
+    """Whether a file is one that a run which never began may leave; of a journal this was looked at before."""
+    if file.name == MANIFEST:
+        return is_manifest(file)
+    return file.name == "journal.jsonl" or half_written(file.name, OURS) or is_own(file, own.get(file.name, ()))
+
+
+def _remove_begun(path: Path) -> None:
+    """Remove what `Run.create` has written, and nothing else."""
+    own = read_manifest(path)
+    for name in (*own, "journal.jsonl"):
+        with contextlib.suppress(OSError):
+            if name == "journal.jsonl" or is_own(path / name, own[name]):
+                (path / name).unlink()
+    for left in path.iterdir():
+        if left.name == MANIFEST or half_written(left.name, OURS):
+            left.unlink(missing_ok=True)
+    with contextlib.suppress(OSError):
+        (path / "frames").rmdir()
 
 
 def check_writable(path: Path) -> None:
@@ -359,26 +627,25 @@ def _plan_csv(points: list[Assessed]) -> str:
 
     out = io.StringIO()
     lines = csv.writer(out, lineterminator="\n")
-    lines.writerow(["point", *ANGLES, "flag", "reason"])
+    lines.writerow(PLAN_COLUMNS)
     for row, a in enumerate(points):
         lines.writerow([row, *(repr(getattr(a.point, name)) for name in ANGLES), a.flag, a.reason])
     return out.getvalue()
 
 
-def _with_reference_table(path: Path, description: RigDescription) -> RigDescription:
-    """Copy the reference's table into the run, so that the run can be reduced without the rig file's folder."""
+def _reference_table(description: RigDescription) -> tuple[dict[str, bytes], RigDescription]:
+    """The reference's table, to be copied into the run so that this can be reduced without the rig file's folder."""
     table = description.reference.table
     if table is None:
-        return description
-    source = Path(table)
-    name = "reference.csv"
+        return {}, description
+    source, name = Path(table), "reference.csv"
     try:
-        write_whole(path / name, source.read_bytes())
+        files = {name: source.read_bytes()}
         if meta_path(source).exists():
-            write_whole(meta_path(path / name), meta_path(source).read_bytes())
+            files[meta_path(name).name] = meta_path(source).read_bytes()
     except FileNotFoundError:
         raise ConfigError(f"{source}: the table of the white reference ([reference] table) is not there") from None
-    return description.model_copy(update={"reference": description.reference.model_copy(update={"table": name})})
+    return files, description.model_copy(update={"reference": description.reference.model_copy(update={"table": name})})
 
 
 def _resolved(settings: Settings, path: Path) -> Settings:
@@ -388,15 +655,6 @@ def _resolved(settings: Settings, path: Path) -> Settings:
         return settings
     reference = settings.rig.reference.model_copy(update={"table": str(path / table)})
     return settings.model_copy(update={"rig": settings.rig.model_copy(update={"reference": reference})})
-
-
-def _drop_orphans(path: Path, events: list[Event]) -> None:
-    """Remove the frames of a step that was cut short; the step is taken again."""
-    named = {frame["file"] for event in events for frame in event.get("frames", ())}
-    (path / "frames").mkdir(exist_ok=True)
-    for file in (path / "frames").iterdir():
-        if file.name not in named:
-            file.unlink()
 
 
 def _make_folder(path: Path) -> list[Path]:

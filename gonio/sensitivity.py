@@ -7,8 +7,7 @@ taken from the run's own curves, which the instrument's cones have smoothed alre
   fixed distance from the mirror direction comes from the curves of the neighbouring angles of incidence at that
   distance (zero without neighbours), because lobes move with the mirror direction; out of the plane of incidence it has
   the shape over the half vector's angle that the curves in the plane have, times what changes smoothly between points;
-- a specular spike, present where a curve stands out of its lobe around the mirror direction: its shape is known,
-  namely the overlap of the lamp's mirror image with the lens.
+- a specular spike, which `gonio.spikes` finds: its shape is the overlap of the lamp's mirror image with the lens.
 
 Lobes change by ratios: between points the logarithm of f (asinh, which goes through zero) is taken for smooth.
 Effects are differences over finite steps of +-u, since a slope is undefined at the top and at the edge of a spike.
@@ -19,105 +18,28 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
 
 from gonio.geometry import direction
 from gonio.kinematics import Directions
+from gonio.spikes import Scene, Share, find, lagrange, mirror_offset, overlap
 
 Array = npt.NDArray[np.float64]
 
-STANDS_OUT = 0.05
-"""A curve has a spike where it exceeds its lobe by more than this part of it and three times its noise."""
-EDGE = 1e-3
-"""A spike that overlaps the lens less on average is not looked for. Points at the edge alone tell its height badly, and
-their uncertainty says so: the variance of their overlap is a multiple of its square."""
 TOGETHER = 1e-4
 """Points whose nominal angles of incidence differ by less [rad] belong to one curve."""
 NARROWEST = math.radians(0.2)
 """Points closer than this do not tell a slope: encoder steps and noise would."""
-QUANTILES = np.array([NormalDist().inv_cdf((k + 0.5) / 41) for k in range(41)])
-QUANTILES /= QUANTILES.std()
-"""Equally probable values of a standard normal number."""
+FALL = 0.5
+"""A curve has a peak at the mirror direction where its logarithm falls by more to the next point."""
 PROBE = math.radians(0.5)
 """Step of differences along a curve."""
 ALIKE = math.radians(10.0)
 """Curves whose angles of difference differ by this much are alike."""
 NORMAL = math.radians(1.0)
 """Below this angle of incidence the plane of incidence is not a direction that f could depend on."""
-
-
-def overlap(offset: npt.ArrayLike, half_angle_1: float, half_angle_2: float) -> Array:
-    """Common area of two discs of given radii whose centres are `offset` apart, over the area of the smaller one.
-
-    Two discs without extent, or one, overlap fully inside the other and not at all outside. Cones of half-angles below
-    five degrees overlap like flat discs within 0.2 %.
-    """
-    d = np.abs(np.asarray(offset, dtype=float))
-    small, large = sorted((half_angle_1, half_angle_2))
-    if small <= 0:
-        return np.where(d <= large, 1.0, 0.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        a = np.arccos(np.clip((d**2 + small**2 - large**2) / (2 * d * small), -1, 1))
-        b = np.arccos(np.clip((d**2 + large**2 - small**2) / (2 * d * large), -1, 1))
-    lens = small**2 * (a - np.sin(a) * np.cos(a)) + large**2 * (b - np.sin(b) * np.cos(b))
-    return np.where(d <= large - small, 1.0, np.where(d >= large + small, 0.0, lens / (np.pi * small**2)))
-
-
-def from_mirror(d: Directions) -> tuple[float, float, float]:
-    """Unit vector to the detector less that of the mirror direction."""
-    return (
-        math.sin(d.theta_r) * math.cos(d.phi_r) + math.sin(d.theta_i) * math.cos(d.phi_i),
-        math.sin(d.theta_r) * math.sin(d.phi_r) + math.sin(d.theta_i) * math.sin(d.phi_i),
-        math.cos(d.theta_r) - math.cos(d.theta_i),
-    )
-
-
-def mirror_offset(d: Directions) -> float:
-    """Angle [rad] between the mirror direction and the detector, for angles small or large."""
-    return 2.0 * math.asin(min(0.5 * math.hypot(*from_mirror(d)), 1.0))
-
-
-def over_patch(d: Directions, radius_mm: float, light_mm: float, camera_mm: float) -> Array:
-    """What `from_mirror` changes by at 24 places spread evenly over a round patch, shape (24, 3).
-
-    A spot x sees source and camera turned by -(x - (x . w) w) / distance, to first order.
-    """
-    turn = (np.arange(24) + 0.5) * math.pi * (3.0 - math.sqrt(5.0))  # Vogel's spiral
-    radius = radius_mm * np.sqrt((np.arange(24) + 0.5) / 24)
-    x = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(24)], axis=1)
-    source, detector = direction(d.theta_i, d.phi_i), direction(d.theta_r, d.phi_r)
-    to_source = -(x - (x @ source)[:, None] * source) / light_mm
-    to_detector = -(x - (x @ detector)[:, None] * detector) / camera_mm
-    return np.asarray(to_detector - to_source * (-1.0, -1.0, 1.0))
-
-
-def blurred_overlap(
-    read: Directions, moved: Sequence[Directions], half_angles: tuple[float, float], patch: Array | None = None
-) -> tuple[float, float]:
-    """Mean and variance of the overlap, averaged over a patch, at directions whose true place is uncertain.
-
-    Parameters
-    ----------
-    read
-        The directions that were read.
-    moved
-        The directions for one standard deviation of each independent error; together they are taken for normal.
-    half_angles
-        Of the lamp and of the lens [rad].
-    patch
-        What `from_mirror` changes by at places of the patch, shape (n, 3); none for a point.
-    """
-    centre = np.array(from_mirror(read))
-    shifts = np.array([from_mirror(d) for d in moved]).reshape(-1, 3) - centre
-    values, vectors = np.linalg.eigh(shifts.T @ shifts)
-    first, second = (math.sqrt(max(values[k], 0.0)) * vectors[:, k] for k in (2, 1))
-    place = centre + QUANTILES[:, None, None] * first + QUANTILES[None, :, None] * second
-    spots = np.zeros((1, 3)) if patch is None else patch
-    share = np.mean([overlap(np.linalg.norm(place + spot, axis=-1), *half_angles) for spot in spots], axis=0)
-    return float(share.mean()), float(share.var())
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +77,7 @@ class Curves:
     half_angles
         Of the lamp and of the lens [rad].
     shares
-        Mean and variance of the overlap at each point (`blurred_overlap`), shape (n, 2).
+        What each point sees of a spike (`gonio.spikes.blurred_overlap`).
     """
 
     def __init__(
@@ -165,7 +87,7 @@ class Curves:
         brdf: Array,
         u: Array,
         half_angles: tuple[float, float],
-        shares: Array,
+        shares: Sequence[Share],
     ) -> None:
         self._half_angles = half_angles
         self._azimuth = [goal.phi_i for goal in goals]
@@ -173,68 +95,82 @@ class Curves:
         self._x = np.array([p.x for p in self._points])
         self._y = np.array([p.y for p in self._points])
         self._theta_i = np.array([p.theta_i for p in self._points])
-        self._offset = np.array([mirror_offset(d) for d in read])
         goal_x = [_relative(goal, a) for goal, a in zip(goals, self._azimuth, strict=True)]
         in_plane = np.array([abs(p.y) < TOGETHER for p in goal_x])
         incidence = np.round(np.array([goal.theta_i for goal in goals]) / TOGETHER)
         self._groups = [np.flatnonzero(incidence == value) for value in np.unique(incidence)]
         self._lines = [group[in_plane[group]] for group in self._groups]
         self._lines = [line[np.argsort(self._x[line])] for line in self._lines]
-        self.lobe, self.spike = brdf.astype(float), np.zeros(len(brdf))
-        for line in self._lines:
-            self._split(line, u, shares[:, 0])
-        at_read = overlap(self._offset, *half_angles)
-        self.correction = np.where(self.spike != 0, self.spike * (at_read - shares[:, 0]), 0.0)
-        """What the values lack on average [1/sr], because every error leads down from the top of a spike."""
-        self.spike_variance = self.spike**2 * shares[:, 1]
-        """Variance [1/sr^2] of the spike's part, from all errors of the angles together."""
+        middle = np.array([0.5 * (d.theta_i + d.theta_r) for d in read])
+        scene = Scene(self._theta_i, self._x - self._theta_i, self._y, in_plane, middle, brdf, u, shares, half_angles)
+        self.spikes = find(scene, self._groups)
+        self.lobe, self.spike = self.spikes.lobe, self.spikes.amplitude
         small = max(3.0 * float(np.min(u, initial=np.inf)), 1e-9 * float(np.max(np.abs(brdf), initial=0.0)), 1e-300)
         self._log, self._size = np.arcsinh(self.lobe / (2 * small)), np.hypot(self.lobe, 2 * small)
         self.slope = np.zeros((len(brdf), 3))
+        self._doubt = np.zeros(len(brdf))
+        self.coarse = np.zeros(len(brdf), dtype=bool)
+        """Points beside a peak that falls within one step: nothing tells how steep it is (docs/radiometry.md)."""
+        logs = np.arcsinh(brdf / (2 * small))
+        near = scene.most > 0.0
+        for line, group in zip(self._lines, self._groups, strict=True):
+            gap = self._fall(line, logs) if np.count_nonzero(near[line]) < 3 else 0.0
+            apart = np.hypot(self._x[group] - self._theta_i[group], self._y[group])
+            self.coarse[group] = ~near[group] & (apart < 1.6 * gap)
         for k, group in enumerate(self._groups):
             self._slopes_of(k, group, in_plane)
 
-    def _split(self, line: npt.NDArray[np.intp], u: Array, shares: Array) -> None:
-        """Take a spike out of an in-plane curve; `spike` holds its amplitude at full overlap for the curve's points."""
-        reach = sum(self._half_angles)
-        outside = line[self._offset[line] > reach + np.radians(0.05)]
-        inside = line[self._offset[line] <= reach + np.radians(0.05)]
-        if inside.size == 0 or outside.size < 4 or reach <= 0 or np.max(shares[inside]) < EDGE:
-            return
-        lobe = _cubic(self._x[inside], self._x[outside], self.lobe[outside])
-        excess, ratio = self.lobe[inside] - lobe, shares[inside]
-        weight = float(np.sum(ratio**2))
-        amplitude, u_amplitude = float(np.sum(excess * ratio)) / weight, float(np.sum((u[inside] * ratio) ** 2)) ** 0.5
-        u_amplitude /= weight
-        seen = amplitude * float(np.max(ratio))
-        if amplitude > 3 * u_amplitude and seen > STANDS_OUT * float(np.max(np.abs(lobe))):
-            self.spike[line] = amplitude
-            self.lobe[inside] = lobe
+    def _fall(self, line: npt.NDArray[np.intp], logs: Array) -> float:
+        """The widest step [rad] of a curve beside the mirror direction over which its peak falls to its foot, or 0."""
+        from_mirror, f = self._x[line] - self._theta_i[line], logs[line]
+        widest = 0.0
+        for side in (from_mirror, -from_mirror):
+            order = np.argsort(side)
+            order = order[side[order] > -0.6 * np.max(np.diff(np.sort(side)), initial=0.0)]
+            steps, falls = np.diff(side[order]), -np.diff(f[order])
+            for k in np.flatnonzero((side[order][:-1] < 0.6 * steps) & (falls > FALL) & (steps > 2 * NARROWEST)):
+                if (
+                    k + 1 >= falls.size or falls[k + 1] < falls[k]
+                ):  # a lobe that the steps resolve falls faster farther out
+                    widest = max(widest, float(steps[k]))
+        return widest
 
     def _slopes_of(self, number: int, group: npt.NDArray[np.intp], in_plane: npt.NDArray[np.bool_]) -> None:
         """Derivatives of the lobe along x, y and theta_i for the points of one angle of incidence."""
         line = self._lines[number]
         for place, k in enumerate(line):
-            self.slope[k, 0] = self._along_line(line, place)
+            self.slope[k, 0], self._doubt[k] = self._along_line(line, place)
         diagonal = np.array([self._along_mirror(number, int(k)) if in_plane[k] else 0.0 for k in group])
         self.slope[group, 2] = diagonal - self.slope[group, 0]
         for k in group[~in_plane[group]]:
-            self.slope[k] = self._beyond(int(k), group)
+            self.slope[k], self._doubt[k] = self._beyond(int(k), group)
 
-    def _along_line(self, line: npt.NDArray[np.intp], place: int) -> float:
-        """Slope of the lobe along its curve, from the nearest points on each side that the cones tell apart."""
+    def _along_line(self, line: npt.NDArray[np.intp], place: int) -> tuple[float, float]:
+        """Slope of the lobe along its curve, from the nearest points on each side that the cones tell apart.
+
+        And its standard uncertainty: how much it differs from the slopes of the parabolas through two points on one
+        side. Where the points resolve a lobe they agree; at its foot, or where it falls by a large factor from one
+        point to the next, they do not.
+        """
         x, f = self._x[line] - self._x[line[place]], self._log[line] - self._log[line[place]]
         apart = max(NARROWEST, 0.5 * sum(self._half_angles))
-        found = [(f[j] / x[j], abs(x[j])) for j in (*np.flatnonzero(x <= -apart)[-1:], *np.flatnonzero(x >= apart)[:1])]
-        return _weighted(found) * float(self._size[line[place]])
+        found, parabolas = [], []
+        for side in (np.flatnonzero(x <= -apart)[::-1], np.flatnonzero(x >= apart)):
+            if side.size:
+                a = side[0]
+                found.append((f[a] / x[a], abs(x[a])))
+                for b in side[abs(x[side] - x[a]) >= apart][:1]:
+                    parabolas.append((f[a] * x[b] ** 2 - f[b] * x[a] ** 2) / (x[a] * x[b] * (x[b] - x[a])))
+        slope, size = _weighted(found), float(self._size[line[place]])
+        return slope * size, max((abs(p - slope) for p in parabolas), default=0.0) * size
 
-    def _beyond(self, k: int, group: npt.NDArray[np.intp]) -> Array:
-        """Slopes along x, y and theta_i of a point out of the plane of incidence.
+    def _beyond(self, k: int, group: npt.NDArray[np.intp]) -> tuple[Array, float]:
+        """Slopes along x, y and theta_i of a point out of the plane of incidence, and their standard uncertainty.
 
         Where a lobe is narrower than the points are apart, they do not tell its flank. The curves in the plane do: what
         they say of its shape over the angle of the half vector is taken out, and only the rest is interpolated: by a
         parabola in x and in y, even in y, through the nearest points of the same incidence (both sides of the plane of
-        incidence are alike).
+        incidence are alike). What is interpolated is uncertain by itself: where it is steep, points are too far apart.
         """
         here = np.array([self._x[k], self._y[k], self._theta_i[k]])
         distance = np.hypot(self._x[group] - here[0], np.abs(self._y[group]) - abs(here[1]))
@@ -246,6 +182,7 @@ class Curves:
         half, difference = _halves(*np.concatenate([probes, places]).T)
         shape = self._profile(half, float(difference[6]))
         slopes: Array = (shape[:3] - shape[3:6]) / (2 * PROBE)
+        doubt = 0.0
         if near.size >= 2:
             dx, dy2 = self._x[near] - here[0], self._y[near] ** 2 - here[1] ** 2
             design = np.stack([dx, dy2, dx**2], axis=1)[:, : min(3, near.size)] * weight[:, None]
@@ -253,7 +190,8 @@ class Curves:
             change = (self._log[near] - self._log[k] - (shape[7:] - shape[6])) * weight
             along, across = (np.linalg.lstsq(design / length, change, rcond=1e-3)[0] / length)[:2]
             slopes += np.array([along, 2.0 * here[1] * across, -along])
-        return slopes * float(self._size[k])
+            doubt = math.hypot(along, 2.0 * here[1] * across)
+        return slopes * float(self._size[k]), doubt * float(self._size[k])
 
     def _profile(self, half: Array, difference: float) -> Array:
         """Logarithm of the lobe in the plane of incidence, over angles of the half vector, near one of difference."""
@@ -312,6 +250,12 @@ class Curves:
         down = self.value(k, minus) * math.cos(minus.theta_i) / cosine - here
         return 0.5 * (up - down), 0.5 * (up + down)
 
+    def doubt(self, k: int, plus: Directions) -> float:
+        """Standard uncertainty [1/sr] of the odd part of `effects`, where steps are too coarse to tell a slope."""
+        here, there = self._points[k], _relative(plus, self._azimuth[k])
+        # a lobe moves with the mirror direction
+        return float(self._doubt[k]) * math.hypot((there.x - here.x) - (there.theta_i - here.theta_i), there.y - here.y)
+
 
 def _halves(x: Array, y: Array, theta_i: Array) -> tuple[Array, Array]:
     """Angles [rad] of the half vector to the normal and to the source, for detectors at (x, y) of `_Point`."""
@@ -328,7 +272,7 @@ def _weighted(secants: list[tuple[float, float]]) -> float:
 
 
 def _cubic(x: npt.ArrayLike, at: Array, values: Array) -> Array:
-    """Lagrange's cubic through the two points on each side of x; through all, where there are fewer than four.
+    """The cubic through the two points on each side of x; through all, where there are fewer than four.
 
     Points that are read closer together than a slope can be told from count once.
     """
@@ -336,8 +280,4 @@ def _cubic(x: npt.ArrayLike, at: Array, values: Array) -> Array:
     at, values, x = at[apart], values[apart], np.asarray(x, dtype=float)
     start = np.clip(np.searchsorted(at, x) - 2, 0, max(at.size - 4, 0))
     place = start[..., None] + np.arange(min(4, at.size))
-    p, v, out = at[place], values[place], np.zeros(x.shape)
-    for j in range(place.shape[-1]):
-        others = np.delete(p, j, axis=-1)
-        out += v[..., j] * np.prod((x[..., None] - others) / (p[..., j, None] - others), axis=-1)
-    return out
+    return lagrange(x, at[place], values[place])

@@ -14,12 +14,17 @@ from gonio import plugins
 from gonio.config import load, parse
 from gonio.description import RigDescription, SampleDescription
 from gonio.errors import ConfigError, DeviceError
-from gonio.plan import Plan, assess, schedule
+from gonio.plan import Assessed, Plan, schedule
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from gonio.acquire import Progress
-    from gonio.rig import Rig, RigPlugin
+    from gonio.rig import Pose, Rig, RigPlugin, Step, Target
     from gonio.run import Run
+
+SHOWN = 20
+"""At most so many frames are named on the terminal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +43,18 @@ class RigChoice:
             if Path(self.source).is_file():
                 raise ConfigError(f"{self.source}: {error}") from None
             raise
+
+    def schedule(self, plan: Plan, points: list[Assessed] | None = None) -> list[Step]:
+        """The steps of a run, see `gonio.plan.schedule`, of which every patch that is measured lies in the frame.
+
+        Raises
+        ------
+        ConfigError
+            No point or not the reference can be reached, or the frame does not hold a patch.
+        """
+        steps = schedule(plan, self.description, points)
+        _check_frame(self, steps)
+        return steps
 
     @contextlib.contextmanager
     def naming(self) -> Iterator[None]:
@@ -141,19 +158,22 @@ def carry_out(
         See `gonio.acquire.measure`, `Run.create`, `Run.resume` and the rig's own documentation.
     """
     from gonio.acquire import Silent, Stop, measure
+    from gonio.plan import going_on
     from gonio.run import Request, Run, begun
 
     out = Path(out)
     progress = progress or Silent()
     plan.bands(rig.description)
-    points = assess(plan, rig.description)
-    steps = schedule(plan, rig.description, points)
+    request = Request(plan, rig.description, sample, seed, command)
+    begun_before = resume and begun(out)
+    _check_patches(rig, sample)
+    steps: Sequence[Step] = [] if begun_before else rig.schedule(plan, request.points)
     device = _open(rig, out, sample, seed, resume, yes)
-    going_on = resume and begun(out)
-    request = Request(plan, points, rig.description, sample, seed, command)
     with Stop(progress, last=last) as stop, contextlib.ExitStack() as stack:
-        if going_on:
+        if begun_before:
             run = stack.enter_context(Run.resume(out, request))
+            _say_what_was_found(run, progress)
+            steps = going_on(plan, rig.description, run.points.flags)
             with rig.naming():
                 stack.enter_context(device)
         else:
@@ -161,7 +181,20 @@ def carry_out(
                 stack.enter_context(device)
             run = stack.enter_context(Run.create(out, request))
         measure(device, run, steps, progress, stop)
-    return Run.open(out)
+    return run
+
+
+def _say_what_was_found(run: Run, progress: Progress) -> None:
+    if run.lost:
+        progress.say(f"{run.path}: {len(run.lost)} frames are missing or damaged; their steps are taken again:")
+        for text in run.lost[:SHOWN]:
+            progress.say(f"  {text}")
+        if len(run.lost) > SHOWN:
+            progress.say(f'  and {len(run.lost) - SHOWN} more; the journal names all (event "lost")')
+    if run.unchecked:
+        progress.say(
+            f"{run.path}: of {run.unchecked} frames only the size was compared; `gonio run check {run.path}` reads all"
+        )
 
 
 def check(
@@ -169,7 +202,8 @@ def check(
 ) -> None:
     """Raise what `carry_out` would raise before it touches a device; its parameters."""
     plan.bands(rig.description)
-    schedule(plan, rig.description)
+    _check_patches(rig, sample)
+    rig.schedule(plan)
     _open(rig, out, sample, seed, resume, yes)
 
 
@@ -186,7 +220,6 @@ def _open(rig: RigChoice, out: Path, sample: SampleDescription | None, seed: int
             f'the rig "{rig.source}" has its white reference swapped by hand ([reference] how), and there is no '
             "terminal to ask for it; --yes measures without asking"
         )
-    _check_patches(rig, sample)
     if resume and begun(out):
         check_writable(out)
     else:
@@ -212,4 +245,38 @@ def _check_patches(rig: RigChoice, sample: SampleDescription | None) -> None:
             f"{rig.source}: [reference] offset_mm = [{x:g}, {y:g}] puts the patch of the reference on the sample: "
             f"beside a sample of {diameter:g} mm its centre lies at least {diameter / 2 + patch:g} mm from the "
             "sample's centre (and the frame must hold both)"
+        )
+
+
+def _check_frame(rig: RigChoice, steps: list[Step]) -> None:
+    """The frame must hold the measured patch of sample and reference whole, in every pose that they are looked at."""
+    from gonio import imaging, kinematics
+
+    description = rig.description
+    reference, patch, camera = description.reference, description.acquisition.roi_radius_mm, description.camera
+    looks: dict[tuple[Target, Pose], None] = {}
+    for step in steps:
+        if step.kind == "reference":
+            looks["reference", step.pose] = None
+        elif step.kind == "point" and not imaging.always_holds_sample(description):
+            looks["sample", step.pose] = None
+    for target, pose in looks:
+        extent = imaging.patch_extent(description, kinematics.view(description, pose), target)
+        if imaging.frame_holds(description, extent):
+            continue
+        at = kinematics.directions(description, pose)
+        radius = f"[acquisition] roi_radius_mm = {patch:g}"
+        if target == "reference" and reference.how == "beside":
+            x, y = reference.offset_mm
+            key = f"[reference] offset_mm = [{x:g}, {y:g}] puts the patch of the reference ({radius}) on"
+            remedy = "bring the reference nearer to the sample, or let the frame hold more"
+        else:
+            key = f"{radius} makes the patch of the {'white reference' if target == 'reference' else target} cover"
+            remedy = "measure a smaller patch, or let the frame hold more"
+        left, right, top, bottom = extent
+        raise ConfigError(
+            f"{rig.source}: {key} columns {left:.0f} to {right:.0f} and rows {top:.0f} to {bottom:.0f}, seen at "
+            f"theta_i = {math.degrees(at.theta_i):g}, theta_r = {math.degrees(at.theta_r):g} deg; the frame has "
+            f"{camera.width} columns and {camera.height} rows, counted from 0: {remedy} (a shorter [camera] "
+            "focal_length_mm, or a longer [geometry] camera_distance_mm)"
         )

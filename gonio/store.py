@@ -1,23 +1,37 @@
-"""Frames on their way to the disk: written in a thread of their own, whole or not at all."""
+"""Frames on their way to the disk: written in a thread of their own, whole or not at all, each with its record.
+
+The record says which step of which run a frame belongs to. That of the last frame of a step holds all that the journal
+will say of the step, so that a journal that was lost can be made again (`gonio.repair`).
+"""
 
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 import threading
+from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from gonio.description import Band
 from gonio.disk import sync_folder, write_whole
 from gonio.errors import DataError
-from gonio.frames import write_dng
+from gonio.frames import read_record, write_dng
 from gonio.rig import Frame, Step
 
 WAITING = 8
 """How many frames may wait for the disk before the camera has to."""
+FORMAT = "gonio-frame-1"
+NAME = re.compile(r"(\d{6,})-\w+-\d{2,}\.\w+(\.json)?", re.ASCII)
+"""Names of frames, and of the records of frames whose files are the camera's own."""
+BESIDE = ".json"
+
+Written = dict[str, Any]
+"""Of a frame's file: its sha256, and its size in bytes."""
 
 
 class Store:
@@ -28,19 +42,24 @@ class Store:
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="gonio-frames")
         self._room = threading.Semaphore(WAITING)
 
-    def put(self, frame: Frame, name: str) -> Future[str]:
-        """Begin to write a frame; the future is the SHA-256 of its file, once that is on the disk."""
-        self._room.acquire()
-        return self._pool.submit(self._write, frame, self._folder / name)
+    def put(self, frame: Frame, name: str, record: Callable[[], dict[str, Any]]) -> Future[Written]:
+        """Begin to write a frame; the future says what its file is, once that is on the disk.
 
-    def _write(self, frame: Frame, path: Path) -> str:
+        `record` is called when all frames before this one are there.
+        """
+        self._room.acquire()
+        return self._pool.submit(self._write, frame, self._folder / name, record)
+
+    def _write(self, frame: Frame, path: Path, record: Callable[[], dict[str, Any]]) -> Written:
         try:
+            text = json.dumps(record(), separators=(",", ":"), allow_nan=False)
             if frame.file is None:
-                write_dng(frame, path)
-            else:
-                write_whole(path, frame.file.read_bytes())  # the camera's own
+                write_dng(replace(frame, record=text), path)
+            else:  # the camera's own file is kept as it is
+                write_whole(path.with_name(path.name + BESIDE), text.encode())
+                write_whole(path, frame.file.read_bytes())
             with path.open("rb") as file:
-                return hashlib.file_digest(file, "sha256").hexdigest()
+                return {"sha256": hashlib.file_digest(file, "sha256").hexdigest(), "bytes": file.tell()}
         except OSError as error:
             raise DataError(f"{path}: cannot be written: {error.strerror}") from None
         finally:
@@ -48,7 +67,10 @@ class Store:
 
     def sync(self) -> None:
         """Wait until the names of the frames are on the disk too."""
-        sync_folder(self._folder)
+        try:
+            sync_folder(self._folder)
+        except OSError as error:
+            raise DataError(f"{self._folder}: cannot be written: {error.strerror}") from None
 
     def close(self) -> None:
         """End the thread; frames that wait are not written any more."""
@@ -57,30 +79,80 @@ class Store:
 
 @dataclass(slots=True)
 class Files:
-    """The frames of one step in one band."""
+    """The frames of one step. The last frame is held back until `close` tells what its record says of the step."""
 
     store: Store
     step: Step
-    slug: str
-    band: str
-    lamp: bool
+    run: str
+    """The run's key."""
+    count: int
+    """How many frames the step has."""
+    known: dict[str, Any]
+    """What every frame's record says of the step: its goal, and the readback before its frames."""
     frames: list[dict[str, Any]] = field(default_factory=list)
-    written: list[Future[str]] = field(default_factory=list)
+    written: list[Future[Written]] = field(default_factory=list)
+    _last: Frame | None = None
+    _numbers: Counter[str] = field(default_factory=Counter)
 
-    def keep(self, frame: Frame) -> None:
-        """Begin to write a frame, and note what the journal will say of it."""
+    def keep(self, frame: Frame, slug: str, band: str, *, lamp: bool) -> None:
+        """Keep a frame, and note what the journal will say of it."""
+        self._put(None)
+        self._numbers[slug] += 1
         suffix = ".dng" if frame.file is None else frame.file.suffix.lower()
-        name = f"{self.step.index:06d}-{self.slug}-{len(self.frames) + 1:02d}{suffix}"
+        name = f"{self.step.index:06d}-{slug}-{self._numbers[slug]:02d}{suffix}"
         self.frames.append(
             {
                 "file": name,
-                "band": self.band,
+                "band": band,
                 "exposure_s": frame.exposure_s,
-                "time_s": frame.time_s,
-                "lamp": self.lamp,
+                "time_s": float(frame.time_s),
+                "lamp": lamp,
             }
         )
-        self.written.append(self.store.put(frame, name))
+        self._last = frame
+
+    def close(self, event: dict[str, Any]) -> None:
+        """Write the last frame, with the step's event in its record."""
+        self._put(event)
+
+    def _put(self, event: dict[str, Any] | None) -> None:
+        frame, self._last = self._last, None
+        if frame is None:
+            return
+        entry, number, before = self.frames[-1], len(self.frames), list(zip(self.frames, self.written, strict=False))
+
+        def record() -> dict[str, Any]:
+            step = {"step": self.step.index, "kind": self.step.kind, "point": self.step.point}
+            out = {"format": FORMAT, "run": self.run, **step, "frame": number, "of": self.count, **entry, **self.known}
+            if event is not None:
+                every = [{**done, **file.result()} for done, file in before]
+                out["event"] = {**event, "frames": [*every, entry]}
+            return out
+
+        self.written.append(self.store.put(frame, entry["file"], record))
+
+
+def record_of(path: Path, data: bytes) -> dict[str, Any] | None:
+    """What the frame with these bytes says of itself; None where it says nothing.
+
+    The record of a camera's own file lies beside it, and counts where the frame is the one that it was written for.
+    """
+    text = read_record(data)
+    found = _parsed(text)
+    if found is None:
+        try:
+            found = _parsed(path.with_name(path.name + BESIDE).read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError):
+            return None
+    return found if found is not None and found.get("file") == path.name else None
+
+
+def _parsed(text: str) -> dict[str, Any] | None:
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) and found.get("format") == FORMAT else None
 
 
 def slugs(bands: tuple[Band, ...]) -> dict[str, str]:

@@ -21,6 +21,11 @@ Array = npt.NDArray[np.float64]
 PAIR = np.array([-1, 0])
 REJECTED = 0.01
 """A straight line whose chi-square is rarer than this does not describe the visits."""
+SAME_TIME_S = 1e-3
+"""Visits closer than this are at one time: a drift between them is none."""
+EXTRAPOLATED = 0.1
+"""Farther outside of the visits than these are apart, a line that changes the level by more than this part of it says
+nothing: a rate over such a level is not linear in the level's error any more, and the level may turn negative."""
 SAME_ANGLE = math.radians(0.5)
 """A visit within this angle of a curve's incidence, and of the plane of incidence, lies on it."""
 
@@ -32,7 +37,9 @@ class Level:
     Where the visits lie on a straight line within their noise, K(t) = level + slope (t - centre), whose two
     parameters are uncorrelated; `departure` and `extra` are zero. Otherwise K is interpolated linearly between the
     visits (and constant beyond the first and the last): `departure` is half of the difference between that and the
-    line, `extra` what the noise of the nearest visits adds to the noise of the mean level.
+    line, `extra` what the noise of the nearest visits adds to the noise of the mean level. Where the visits do not
+    tell the lamp's drift, K is their mean, `slope` and `u_slope` are zero, and `unknown` says why; `extra` is then what
+    they scatter beyond their noise.
     """
 
     centre_s: float
@@ -45,6 +52,10 @@ class Level:
     times_s: Array
     values: Array
     variances: Array
+    unknown: str = ""
+    """Why a drift of the lamp is in neither K nor its uncertainty; "" where the visits tell it."""
+    scatter: float = 0.0
+    """Standard deviation of K around a constant level, where the visits differ by more than their noise."""
 
     def at(self, time_s: Array) -> Array:
         """K at given times."""
@@ -63,7 +74,7 @@ class Level:
     def extra(self, time_s: Array) -> Array:
         """Standard deviation of K from single visits, beyond that of the mean level."""
         if self.straight:
-            return np.zeros(np.shape(time_s))
+            return np.full(np.shape(time_s), self.scatter)
         share = np.stack([np.interp(time_s, self.times_s, row) for row in np.eye(len(self.times_s))])
         return np.asarray(np.sqrt(np.maximum(np.einsum("vt,v->t", share**2, self.variances) - self.u_level**2, 0.0)))
 
@@ -71,31 +82,114 @@ class Level:
         return self.level + self.slope * (time_s - self.centre_s)
 
 
-def fit(times_s: Array, values: Array, variances: Array) -> Level:
+def fit(times_s: Array, values: Array, variances: Array, wanted_s: Array | None = None) -> Level:
     """Fit the level of the visits by weighted least squares; see `Level`.
 
-    One visit gives a constant level without any knowledge of drift; two give a line without a test of it.
+    Visits at one time (within `SAME_TIME_S`) count as one, with their mean. One time gives a constant level without
+    any knowledge of drift; two give a line without a test of it. A line is not used far outside of its visits, where
+    it would change the level by more than `EXTRAPOLATED`: the level is constant then, too.
 
     Parameters
     ----------
     times_s, values, variances : (n,) arrays, n >= 1
         Of each visit: when it was [s], the signal per unit BRDF [e- sr/s], and that signal's variance.
+    wanted_s : (m,) array, optional
+        When the level will be asked for [s]; between the visits, if it is not given.
     """
-    order = np.argsort(times_s)
-    times_s, values, variances = times_s[order], values[order], variances[order]
+    order = np.argsort(times_s, kind="stable")
+    every = times_s[order], values[order], variances[order]
+    later = np.diff(every[0], prepend=-np.inf) > SAME_TIME_S
+    times_s, values, variances = _means(*every, later)
+    if len(times_s) == 1:
+        several = f"the {len(later)} visits to the white reference have one and the same time"
+        return _constant(*every, "one visit to the white reference only" if len(later) == 1 else several)
     weights = 1.0 / variances
-    centre = float(np.average(times_s, weights=weights))
     level, u_level = float(np.average(values, weights=weights)), float(weights.sum() ** -0.5)
-    spread = float(np.sum(weights * (times_s - centre) ** 2))
-    slope, u_slope, chi_square, straight = 0.0, 0.0, 0.0, True
-    if spread > 0:
-        slope, u_slope = float(np.sum(weights * (times_s - centre) * (values - level)) / spread), spread**-0.5
-    if len(values) > 2:
-        from scipy.special import chdtrc  # of chi-square, beyond
-
-        chi_square = float(np.sum(weights * (values - level - slope * (times_s - centre)) ** 2))
-        straight = bool(chdtrc(len(values) - 2, chi_square) >= REJECTED)
+    after = times_s - times_s[0]  # seconds since 1970 have few digits to spare
+    mean = float(np.average(after, weights=weights))
+    spread = float(np.sum(weights * (after - mean) ** 2))
+    slope, u_slope = float(np.sum(weights * (after - mean) * (values - level)) / spread), spread**-0.5
+    chi_square, freedom = float(np.sum(weights * (values - level - slope * (after - mean)) ** 2)), len(values) - 2
+    straight = not _rejected(chi_square, freedom)
+    centre = float(times_s[0]) + mean
+    if wanted_s is not None and np.size(wanted_s):
+        outside = np.maximum(np.maximum(times_s[0] - wanted_s, wanted_s - times_s[-1]), 0.0)
+        steepest = max(abs(slope), u_slope * max(1.0, chi_square / max(freedom, 1)) ** 0.5)
+        far = (outside > after[-1]) & (steepest * np.abs(wanted_s - centre) > EXTRAPOLATED * abs(level))
+        if far.any():
+            return _constant(
+                *every,
+                f"the visits to the white reference lie within {after[-1]:.3g} s, and points up to "
+                f"{outside.max():.3g} s away from them",
+            )
+    chi_square = chi_square if freedom else 0.0
     return Level(centre, level, u_level, slope, u_slope, straight, chi_square, times_s, values, variances)
+
+
+def _constant(times_s: Array, values: Array, variances: Array, unknown: str) -> Level:
+    """The mean of all visits, without any drift."""
+    time, mean, variance = _means(times_s, values, variances, np.arange(len(times_s)) == 0)
+    level, u_level = float(mean[0]), float(variance[0] ** 0.5)
+    noise = 1.0 / float(np.sum(1.0 / variances))
+    scatter = math.sqrt(max(float(variance[0]) - noise, 0.0) * len(values))
+    return Level(float(time[0]), level, u_level, 0.0, 0.0, True, 0.0, time, mean, variance, unknown, scatter)
+
+
+def _means(times_s: Array, values: Array, variances: Array, first: npt.NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    """Weighted means of groups of visits that follow each other; `first` marks where a group begins.
+
+    Where the visits of a group differ by more than their noise, the variance of their mean is that of their scatter.
+    """
+    starts = np.flatnonzero(first)
+    group = np.cumsum(first) - 1
+    weights = 1.0 / variances
+    total = np.add.reduceat(weights, starts)
+    begun = times_s[starts]
+    time = begun + np.add.reduceat(weights * (times_s - begun[group]), starts) / total
+    base = values[starts]
+    mean = base + np.add.reduceat(weights * (values - base[group]), starts) / total
+    chi_square = np.add.reduceat(weights * (values - mean[group]) ** 2, starts)
+    freedom = np.bincount(group) - 1
+    wider = [c / f if _rejected(c, f) else 1.0 for c, f in zip(chi_square.tolist(), freedom.tolist(), strict=True)]
+    return time, mean, np.array(wider) / total
+
+
+def _rejected(chi_square: float, freedom: int) -> bool:
+    """Whether a chi-square is rarer than noise allows; nothing is tested without degrees of freedom."""
+    from scipy.special import chdtrc  # of chi-square, beyond
+
+    return freedom > 0 and bool(chdtrc(freedom, chi_square) < REJECTED)
+
+
+def notes(fitted: Level, visits: int, unusable: list[str], name: str) -> list[str]:
+    """What a table has to say of its white reference in the band `name`.
+
+    Parameters
+    ----------
+    fitted
+        The level.
+    visits
+        How many visits it was fitted to.
+    unusable
+        The flags of the other visits.
+    name
+        Of the band.
+    """
+    out = []
+    if unusable:
+        why = ", ".join(f"{unusable.count(flag)} {flag}" for flag in dict.fromkeys(unusable))
+        out.append(
+            f"{name}: {len(unusable)} of {visits + len(unusable)} visits to the white reference cannot be used ({why})"
+        )
+    if fitted.unknown:
+        only = " except for what the visits scatter" if fitted.scatter else ""
+        out.append(f"{name}: {fitted.unknown}, so a drift of the lamp is not in u_brdf{only}")
+    if not fitted.straight:
+        out.append(
+            f"{name}: the visits to the white reference do not lie on a straight line (chi-square "
+            f"{fitted.chi_square:.1f} of {visits} visits): the level is interpolated between them"
+        )
+    return out
 
 
 def brdf_of_table(table: pd.DataFrame, directions: Directions, wavelength_nm: float) -> float:

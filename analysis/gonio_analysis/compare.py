@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 REFERENCE = {"beside": "beside the sample", "axis": "brought by an axis", "swap": "swapped with the sample by hand"}
+MOST_ANGLES = 1000
+"""Measured angles of one curve at which theory is evaluated too."""
 MOST_WAVELENGTHS = 40
 """Parameters are tabulated over the wavelengths of a table that has at most this many."""
 
@@ -222,7 +224,8 @@ def _series(judged: Judged, data: Observations, known: list[float], ior: Ior, na
 
 
 def theory_angles(curve: Curve, data: Observations, *, dense: bool = True) -> Floats:
-    """Signed angles [rad] of a theory curve: close where the instrument resolves a spike, the measured ones included.
+    """Signed angles [rad] of a theory curve: close where the instrument resolves a spike, up to
+    `MOST_ANGLES` of the measured ones included.
 
     They end where a cone would touch the horizon. Those that are not `dense` are for curves that are one of many.
     """
@@ -234,7 +237,9 @@ def theory_angles(curve: Curve, data: Observations, *, dense: bool = True) -> Fl
     even = np.radians(np.arange(-89.0, 89.1, 1.0 if dense else 3.0))
     near = curve.parameter + np.radians(np.arange(-6.0, 6.01, 0.25 if dense else 1.0))
     spike = curve.parameter + 1.5 * width * np.linspace(-1, 1, 61 if dense else 13) if width > 0 else np.empty(0)
-    angle = np.concatenate([even, near, spike, [-end, end, curve.parameter], curve.angle])
+    n = curve.angle.size
+    measured = curve.angle[np.unique(np.linspace(0, n - 1, min(n, MOST_ANGLES)).astype(np.intp))]
+    angle = np.concatenate([even, near, spike, [-end, end, curve.parameter], measured])
     return np.unique(angle[np.abs(angle) <= end])
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
+import os
 import sys
 import time
 from pathlib import Path
@@ -41,7 +41,6 @@ theta_r_deg = { start = -75, stop = 82.5, step = 7.5 }
 
 MODELS = ("lambert", "oren-nayar", "cook-torrance", "he-torrance")
 QUICK_MODELS = ("lambert", "cook-torrance", "he-torrance")
-OURS = ("sample.toml", "plan.toml", "run")
 
 
 def run_demo(out: Path, *, quick: bool) -> Path:
@@ -66,6 +65,7 @@ def run_demo(out: Path, *, quick: bool) -> Path:
     """
     from gonio import measurement, radiometry
     from gonio.cli import console
+    from gonio.disk import write_own
     from gonio.plan import load_plan
     from gonio.run import check_writable
     from gonio.session import carry_out, find_rig, load_sample
@@ -76,10 +76,12 @@ def run_demo(out: Path, *, quick: bool) -> Path:
     began = time.perf_counter()
     _clear(out)
     check_writable(out)
-    out.mkdir(parents=True, exist_ok=True)
     sample, plan, run = out / "sample.toml", out / "plan.toml", out / "run"
-    sample.write_text(SAMPLE, encoding="utf-8")
-    plan.write_text(QUICK_PLAN if quick else PLAN, encoding="utf-8")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        write_own(out, {sample.name: SAMPLE.encode(), plan.name: (QUICK_PLAN if quick else PLAN).encode()})
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be written: {error.strerror}") from None
 
     command = f"gonio measure {plan} --rig sim --sample {sample} --seed {SEED} --out {run} --yes"
     _say(command)
@@ -97,7 +99,7 @@ def run_demo(out: Path, *, quick: bool) -> Path:
     _say(f"gonio reduce {run}")
     with console.counter("reducing") as counting:
         table = radiometry.reduce(made, progress=counting)
-    measurement.write(table, run / "brdf.csv")
+    made.write_table(table)
 
     _say(f"gonio fit {run / 'brdf.csv'} --model he-torrance --ior Al")
     result = fit(measurement.read(run / "brdf.csv"), "he-torrance", ior="Al")
@@ -115,18 +117,27 @@ def run_demo(out: Path, *, quick: bool) -> Path:
 
 def _clear(out: Path) -> None:
     """Take an earlier demo away; refuse anything else."""
-    if out.exists() and not out.is_dir():
+    from gonio.disk import remove_own, require_name, strangers
+    from gonio.run import own_files
+
+    require_name(out)
+    if os.path.lexists(out) and not out.is_dir():
         raise ConfigError(f"{out}: is a file; --out names a folder")
     if not out.is_dir():
         return
-    entries = sorted(entry.name for entry in out.iterdir())
-    if not entries:
-        return
-    foreign = [name for name in entries if name not in OURS]
-    if foreign or not (out / "sample.toml").is_file() or (out / "sample.toml").read_text(encoding="utf-8") != SAMPLE:
-        what = foreign[0] if foreign else "another sample.toml"
-        raise ConfigError(f"{out}: is not empty and holds {what}; name another folder with --out")
-    shutil.rmtree(out / "run", ignore_errors=True)
+    try:
+        own = {f"run/{name}": found for name, found in own_files(out / "run").items()}
+        foreign = strangers(out, own)
+        if foreign:
+            names = ", ".join(foreign[:5]) + (" ..." if len(foreign) > 5 else "")
+            raise ConfigError(
+                f"{out}: is not empty and holds what no demo has written, or what was changed since ({names}); name "
+                "another folder with --out"
+            )
+        if (out / "run").is_dir():
+            remove_own(out / "run", own_files(out / "run"))
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be cleared: {error.strerror}") from None
 
 
 def _say(text: str, *, step: bool = True) -> None:

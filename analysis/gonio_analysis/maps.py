@@ -8,6 +8,7 @@ measured directions only where its corners are at most `FARTHEST` apart.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -159,6 +160,21 @@ def slices(data: Observations, rows: Rows) -> list[Line]:
     return out
 
 
+@dataclass(frozen=True)
+class Mesh:
+    """A lobe's values over the hemisphere."""
+
+    theta: Floats
+    dphi: Floats
+    value: Floats
+
+
+def lobe_mesh(brdf: Any) -> Mesh:
+    """The values to draw of a function of (theta_r, dphi) [rad]."""
+    theta, phi = np.meshgrid(np.radians(np.linspace(0, 89, 46)), np.radians(np.linspace(0, 360, 73)), indexing="ij")
+    return Mesh(theta, phi, brdf(theta.ravel(), phi.ravel()).reshape(theta.shape))
+
+
 def lobe(ax: Any, brdf: Any, *, measured: tuple[Floats, Floats, Floats] | None = None, label: str = "") -> list[Any]:
     """A lobe in three dimensions: the radius in each direction is the value in it, divided by the largest one.
 
@@ -167,17 +183,16 @@ def lobe(ax: Any, brdf: Any, *, measured: tuple[Floats, Floats, Floats] | None =
     ax
         Axes with projection "3d".
     brdf
-        Function of (theta_r, dphi) [rad] to the value [1/sr].
+        Function of (theta_r, dphi) [rad] to the value [1/sr], or what `lobe_mesh` made of it.
     measured
         theta_r, dphi [rad] and values of measurements, drawn as points.
     label
         Of the whole, with the divisor.
     """
     # a wire mesh: readable in print, and a hundredth of the size of shaded facets
-    theta, phi = np.meshgrid(np.radians(np.linspace(0, 89, 46)), np.radians(np.linspace(0, 360, 73)), indexing="ij")
-    value = brdf(theta.ravel(), phi.ravel()).reshape(theta.shape)
-    top = float(np.nanmax(value))
-    x, y, z = _in_space(theta, phi, value / top)
+    mesh = brdf if isinstance(brdf, Mesh) else lobe_mesh(brdf)
+    top = float(np.nanmax(mesh.value))
+    x, y, z = _in_space(mesh.theta, mesh.dphi, mesh.value / top)
     artists: list[Any] = [ax.plot_wireframe(x, y, z, rstride=3, cstride=3, color=style(0)["color"], lw=0.45, zorder=2)]
     if measured is not None:
         points = _in_space(measured[0], measured[1], np.clip(measured[2] / top, 0.0, None))

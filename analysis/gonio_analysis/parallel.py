@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import os
+import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
-from typing import TypeVar
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait
+from typing import Any, TypeVar
 
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, DataError
 
 FEW = 4
 """Fewer jobs than this run here: to start a process and its imports takes longer than most fits."""
+
+PATIENCE_S = 20.0
+"""So long a Dask scheduler may take to answer."""
 
 In = TypeVar("In")
 Out = TypeVar("Out")
@@ -33,15 +41,60 @@ def each(function: Callable[[In], Out], jobs: Sequence[In], *, dask: str | None 
     ------
     ConfigError
         The optional package `distributed` is missing, or the scheduler does not answer.
+    DataError
+        A process died: most often for want of memory.
     """
     if dask is not None:
         yield from _on_cluster(function, jobs, dask)
     elif len(jobs) < FEW:
         yield from map(function, jobs)
     else:
-        workers = min(len(jobs), os.cpu_count() or 1)
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            yield from pool.map(function, jobs)
+        yield from _on_processors(function, jobs)
+
+
+def _on_processors(function: Callable[[In], Out], jobs: Sequence[In]) -> Iterator[Out]:
+    """Whatever ends this, an error, a signal or the death of this process, ends the other processes at once."""
+    workers = min(len(jobs), os.cpu_count() or 1)
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_stay_with_parent)
+    try:
+        with _deaf_children():
+            waiting = [pool.submit(function, job) for job in jobs]
+        yield from map(Future.result, waiting)
+    except BrokenProcessPool:
+        raise DataError(
+            "a process that worked on a sample has died: most often for want of memory; give fewer samples at once"
+        ) from None
+    except BaseException:
+        for process in list((pool._processes or {}).values()):  # has a public name from Python 3.14 on
+            process.kill()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _stay_with_parent() -> None:
+    """End this process when the one that started it has gone, in whatever way."""
+    parent = parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Processes that are started here hear no signal that is sent to all: who started them does, and ends them."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _on_cluster(function: Callable[[In], Out], jobs: Sequence[In], address: str) -> Iterator[Out]:
@@ -49,9 +102,19 @@ def _on_cluster(function: Callable[[In], Out], jobs: Sequence[In], address: str)
         from distributed import Client
     except ImportError:
         raise ConfigError("--dask needs the package distributed: pip install 'gonio[dask]'") from None
+    found: Future[Any] = Future()
+
+    def call() -> None:  # what takes the connection and says nothing is waited for beyond Client's own timeout
+        try:
+            found.set_result(Client(address, timeout=10, set_as_default=False))
+        except Exception as error:
+            found.set_exception(error)
+
+    threading.Thread(target=call, daemon=True).start()
     try:
-        client = Client(address, timeout=10, set_as_default=False)
+        client = found.result(timeout=PATIENCE_S)
     except (OSError, ValueError) as error:
-        raise ConfigError(f"--dask {address}: no scheduler answers there: {error}") from None
+        reason = str(error) or f"nothing was said for {PATIENCE_S:g} s"
+        raise ConfigError(f"--dask {address}: no scheduler answers there: {reason}") from None
     with client:
         yield from client.gather(client.map(function, jobs, pure=False))

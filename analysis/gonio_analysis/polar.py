@@ -87,14 +87,14 @@ def polar(ax: Any, lines: Sequence[Line], *, radius: float | None = None, radius
         notes: list[str] = []
         if line.theory.size:
             marks = {} if line.measured.size else sparse(k)
-            path = _xy(line.theory_angle, line.theory)
+            path = xy(line.theory_angle, line.theory)
             artists += ax.plot(*path, color=look["color"], lw=1.5, label=line.label, zorder=3, **marks)
             artists[-1].set_clip_path(clip)
             if _top(line.theory) > rim * 1.001:
                 notes.append(f"theory to {_top(line.theory):.3g}")
         if line.measured.size:
             shown = np.maximum(line.measured, 0.0)
-            x, y = _xy(line.angle, shown)
+            x, y = xy(line.angle, shown)
             inside = shown <= rim * 1.0001
             artists += ax.plot(x, y, color=look["color"], lw=0.9, ls=(0, (4, 2)), zorder=4)
             artists[-1].set_clip_path(clip)
@@ -112,7 +112,7 @@ def polar(ax: Any, lines: Sequence[Line], *, radius: float | None = None, radius
             if _top(line.measured) > rim * 1.001:
                 notes.append(f"measured to {_top(line.measured):.3g}")
         if line.mirror is not None:
-            x, y = _xy(np.array([line.mirror, line.mirror]), np.array([rim, rim * 1.03]))
+            x, y = xy(np.array([line.mirror, line.mirror]), np.array([rim, rim * 1.03]))
             artists += ax.plot(x, y, color=look["color"], lw=2.2, solid_capstyle="butt", clip_on=False, zorder=5)
         if notes:
             beyond.append((f"{line.label}: {' and '.join(notes)}", look["color"]))
@@ -339,15 +339,15 @@ def _half_disc(ax: Any, rim: float, label: str) -> None:
     ticks = _ticks(rim)
     inner = [t for t in ticks[1:] if abs(t - rim) > 1e-9 * rim]
     rays = np.radians(np.arange(-75.0, 76.0, 15.0))
-    faint = [_xy(turn, np.full(turn.size, t)) for t in inner] + [_xy(np.full(2, r), np.array([0.0, rim])) for r in rays]
-    edges = [_xy(turn, np.full(turn.size, rim)), (np.array([-rim, rim]), np.zeros(2))]
+    faint = [xy(turn, np.full(turn.size, t)) for t in inner] + [xy(np.full(2, r), np.array([0.0, rim])) for r in rays]
+    edges = [xy(turn, np.full(turn.size, rim)), (np.array([-rim, rim]), np.zeros(2))]
     marks = [(np.full(2, x), np.array([0.0, -0.015 * rim])) for t in ticks for x in sorted({-t, t})]
     for lines, colour, width in ((faint, FAINT, 0.5), (edges, INK, 0.9), (marks, INK, 0.7)):
         paths = LineCollection([np.stack(line, axis=1) for line in lines], colors=colour, linewidths=width, zorder=1)
         ax.add_collection(paths, autolim=False)
         paths.set_clip_on(False)
     for degrees in range(-90, 91, 30):
-        tx, ty = _xy(np.radians([degrees]), np.array([rim * 1.075]))
+        tx, ty = xy(np.radians([degrees]), np.array([rim * 1.075]))
         ax.text(tx[0], ty[0], f"{degrees}°".replace("-", "−"), ha="center", va="center", fontsize=7, color=INK)
     for t in ticks:
         for side in (-1, 1) if t else (1,):
@@ -364,8 +364,8 @@ def _radial_bars(ax: Any, line: Line, clip: Any, colour: str) -> list[Any]:
     known = np.isfinite(line.u)
     if not known.any():
         return []
-    low = _xy(line.angle[known], np.maximum(line.measured[known] - line.u[known], 0.0))
-    high = _xy(line.angle[known], np.maximum(line.measured[known] + line.u[known], 0.0))
+    low = xy(line.angle[known], np.maximum(line.measured[known] - line.u[known], 0.0))
+    high = xy(line.angle[known], np.maximum(line.measured[known] + line.u[known], 0.0))
     segments = np.stack([np.stack(low, axis=1), np.stack(high, axis=1)], axis=1)
     bars = LineCollection(list(segments), colors=colour, linewidths=0.9, zorder=4)
     ax.add_collection(bars, autolim=False)
@@ -380,7 +380,7 @@ def _power_of_ten(value: float) -> str:
     return "10" + str(round(np.log10(value))).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
-def _xy(angle: Floats, radius: Floats) -> tuple[Floats, Floats]:
+def xy(angle: Floats, radius: Floats) -> tuple[Floats, Floats]:
     return radius * np.sin(angle), radius * np.cos(angle)
 
 

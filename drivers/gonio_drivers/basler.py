@@ -5,6 +5,7 @@ The camera stands still until it is asked: one frame is exposed for one call, wi
 
 from __future__ import annotations
 
+import time
 from types import TracebackType
 from typing import Any, Self
 
@@ -82,6 +83,7 @@ class BaslerCamera:
             actual = feature.GetValue() * 1e-6
             if abs(actual / exposure_s - 1) > EXPOSURE_TOLERANCE:
                 raise DeviceError(f"the Basler camera exposes {actual:g} s where {exposure_s:g} s were asked")
+            begun = time.monotonic()
             result = self._camera.GrabOne(round(1e3 * (exposure_s + self._settings.timeout_s)))
             if not result.GrabSucceeded():
                 raise DeviceError(f"the Basler camera gives no frame: {result.GetErrorDescription()}")
@@ -89,7 +91,7 @@ class BaslerCamera:
         except genicam.GenericException as error:
             raise DeviceError(f"the Basler camera gives no frame: {error}") from None
         camera = self._description
-        return Frame(mosaic, actual, camera.black_level_dn, camera.white_level_dn, camera.pattern)
+        return Frame(mosaic, actual, camera.black_level_dn, camera.white_level_dn, camera.pattern, time_s=begun)
 
     def _set_up(self) -> None:
         """Size and bits of the rig file, and nothing automatic; what the camera does not take is an error."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
@@ -75,4 +76,11 @@ class SequenceCamera:
         if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
             raise DataError(f"{path}: has shape {image.shape} of {image.dtype}; a linear frame is grey, 8 or 16 bit")
         camera = self._description
-        return Frame(image.astype(np.uint16), exposure_s, camera.black_level_dn, camera.white_level_dn, camera.pattern)
+        return Frame(
+            image.astype(np.uint16),
+            exposure_s,
+            camera.black_level_dn,
+            camera.white_level_dn,
+            camera.pattern,
+            time_s=time.monotonic(),
+        )

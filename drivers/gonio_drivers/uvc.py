@@ -98,9 +98,11 @@ class UvcCamera:
                 "see camera.exposure_limits_s"
             )
         self._require("exposure", cv2.CAP_PROP_EXPOSURE, units)
+        begun = time.monotonic()
         image = self._fresh(units * EXPOSURE_UNIT_S)
         linear = self._response[image] if image.dtype == np.uint8 else image.astype(np.uint16)
-        return Frame(np.ascontiguousarray(linear), units * EXPOSURE_UNIT_S, 0.0, WHITE, self._description.pattern)
+        mosaic, pattern = np.ascontiguousarray(linear), self._description.pattern
+        return Frame(mosaic, units * EXPOSURE_UNIT_S, 0.0, WHITE, pattern, time_s=begun)
 
     def _fresh(self, exposure_s: float) -> npt.NDArray[Any]:
         """A frame that began after now: queued ones are dropped by count and by time."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
@@ -48,10 +50,10 @@ def measure(
             progress=progress,
             last=True,
         )
-    points = sum(event["kind"] == "point" for event in run.steps())
-    skipped = len(asked.points) - points
+    flags = run.points.flags
+    points, skipped = sum(not flag for flag in flags), _flags(flags)  # every step is done where this is reached
     console.show(
-        f"{out}: {points} points measured" + (f", {skipped} not ({_flags(run.plan['flag'])})" if skipped else ""),
+        f"{out}: {points} points measured" + (f", {len(flags) - points} not ({skipped})" if skipped else ""),
         f"next: gonio reduce {out}",
     )
 
@@ -60,16 +62,19 @@ def reduce(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.", show_default=False)],
 ) -> None:
     """Reduce a run's frames to BRDF with uncertainty: RUN/brdf.csv."""
-    from gonio import measurement, radiometry
+    from gonio import radiometry
     from gonio.cli import console
+    from gonio.radiometry import DAMAGED
     from gonio.run import Run
 
     opened = Run.open(run)
+    opened.check_table()
     with console.counter("reducing") as progress:
         table = radiometry.reduce(opened, progress=progress)
-    path = run / "brdf.csv"
-    for remark in measurement.write(table, path):
-        console.note(remark)
+    path = opened.write_table(table)
+    for note in table.attrs["notes"]:
+        if DAMAGED in note:
+            console.note(note)
     good = table[table["flag"] == ""]
     flags = _flags(table["flag"])
     console.show(f"{path}: {len(good)} values of {len(table)}" + (f" ({flags})" if flags else ""))
@@ -78,9 +83,6 @@ def reduce(
         console.show(f"median standard uncertainty {100 * relative:.2g} %")
 
 
-def _flags(column: object) -> str:
+def _flags(column: Iterable[str]) -> str:
     """Counts of the flags in a column, as text."""
-    import pandas as pd
-
-    counts = pd.Series(column).loc[lambda flags: flags != ""].value_counts()
-    return ", ".join(f"{count} {flag}" for flag, count in counts.items())
+    return ", ".join(f"{count} {flag}" for flag, count in Counter(filter(None, column)).most_common())

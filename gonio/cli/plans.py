@@ -38,7 +38,7 @@ def show(
 def describe(plan: Plan, rig: RigChoice | None) -> None:
     """Print a plan, as a rig sees it if there is one."""
     from gonio.cli import console
-    from gonio.plan import Assessed, assess, estimate_s, schedule
+    from gonio.plan import Assessed, assess, estimate_s
 
     points = [Assessed(p, None) for p in plan.points] if rig is None else assess(plan, rig.description)
     by_incidence: dict[float, list[Assessed]] = {}
@@ -62,7 +62,7 @@ def describe(plan: Plan, rig: RigChoice | None) -> None:
         console.show(f"wavelengths: {', '.join(f'{w:g} nm' for w in plan.wavelength_nm)}")
         return
     bands = plan.bands(rig.description)
-    steps = schedule(plan, rig.description, points)
+    steps = rig.schedule(plan, points)
     visits = sum(step.kind == "reference" for step in steps)
     for (flag, cause), count in _reasons(points):
         console.show(f"{count} {flag}: {cause}")

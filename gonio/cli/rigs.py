@@ -149,6 +149,8 @@ def _check_devices(rig: Rig, rows: list[Row]) -> None:
     exposure_s = exposure.expected_exposure_s(description, at_reference, 1.0)
     lit = rig.camera.capture(exposure_s)
     rig.light.off()
+    apart_s = lit.time_s - dark.time_s
+    rows.append(("times of two frames", f"the later one is stamped {apart_s:.3f} s after the first", apart_s > 0))
     rows.append(
         ("lit frame", *_verdict_lit(float(np.percentile(lit.mosaic, 99)), lit.black_level_dn, scale, exposure_s))
     )

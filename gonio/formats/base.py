@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.disk import write_whole
-from gonio.errors import ConfigError, DataError
+from gonio.errors import ConfigError, DataError, refuse_masked
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -285,26 +285,55 @@ def table(
         "theta_i_deg": theta_i_deg, "phi_i_deg": phi_i_deg, "theta_r_deg": theta_r_deg, "phi_r_deg": phi_r_deg,
         "wavelength_nm": wavelength_nm, "brdf": brdf, "u_brdf": u_brdf, "u_random": u_random,
     }  # fmt: skip
-    arrays = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in values.values()))
-    count = arrays[0].size
-    frame = pd.DataFrame({name: np.array(array) for name, array in zip(values, arrays, strict=True)})
+    for name, value in values.items():
+        refuse_masked(name, value)
+    arrays = [np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in values.values()]
+    (count,) = np.broadcast_shapes(*(array.shape for array in arrays))
+    # a whole column that is its own array is taken as it is: millions of rows are held once
+    whole = (
+        np.require(np.broadcast_to(array, count) if array.size != count else array, requirements=["C", "O", "W"])
+        for array in arrays
+    )
+    frame = pd.DataFrame(dict(zip(values, whole, strict=True)), copy=False)
     frame.insert(5, "polarisation", _words(polarisation, count))
     if sample is not None:
         frame.insert(6, "sample", _words(sample, count))
     frame["flag"] = _words(flag, count)
     frame.attrs.update(attributes(**attrs))
-    holes = (frame["brdf"].isna() & (frame["flag"] == "")).to_numpy()
-    if holes.any():
-        frame.loc[holes, "flag"] = "not_measured"
-        frame.attrs["notes"] = [
-            *frame.attrs["notes"],
-            f'{holes.sum()} of {count} values are empty: flagged "not_measured"',
-        ]
+    flag_holes(frame)
     return frame
 
 
+def flag_holes(frame: pd.DataFrame) -> None:
+    """Flag rows whose `brdf` is NaN and that have no flag as "not_measured", and note how many they are."""
+    holes = np.isnan(frame["brdf"].to_numpy(np.float64))
+    if holes.any():
+        holes &= frame["flag"].to_numpy() == ""
+    if holes.any():
+        frame.loc[holes, "flag"] = "not_measured"
+        note = f'{holes.sum()} of {len(frame)} values are empty: flagged "not_measured"'
+        frame.attrs["notes"] = [*frame.attrs.get("notes", ()), note]
+
+
+_FORMULA = re.compile(r"'*[=+\-@\t\r\n＝＋－＠]")
+
+
+def cell_of(word: str) -> str:
+    """A text as a cell of a CSV, with an apostrophe before what a spreadsheet would run as a formula."""
+    return f"'{word}" if _FORMULA.match(word) else word
+
+
+def plain_word(cell: str) -> str:
+    """The text that `cell_of` made a cell of."""
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
+
+
 def _words(words: str | Sequence[str] | npt.NDArray[Any], count: int) -> npt.NDArray[Any]:
-    return np.full(count, words, dtype=object) if isinstance(words, str) else np.asarray(words, dtype=object)
+    if not isinstance(words, str):
+        return np.asarray(words, dtype=object)
+    same = np.empty(count, dtype=object)
+    same.fill(words)  # np.full would make a text of its own for every row
+    return same
 
 
 def attributes(**known: Any) -> dict[str, Any]:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 import struct
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,47 +44,58 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
         )
     cubes = np.frombuffer(data, "<f8", offset=12).reshape(3, _CELLS)
     cell, angles = _directions()
-    values = cubes[:, cell]
-    wrong = np.flatnonzero(~np.isfinite(values.ravel()))
-    if wrong.size:
-        colour, k = divmod(int(wrong[0]), cell.size)
-        raise DataError(f"{path}, byte {12 + 8 * (colour * _CELLS + int(cell[k]))}: the value is not finite")
-    missing = values < 0
-    scaled = values * np.array(list(_COLOURS.values()))[:, np.newaxis]
+    count = cell.size
+    brdf = np.empty(3 * count)
     names = [f"{path.stem} {colour}" for colour in _COLOURS]
+    for k, scale in enumerate(_COLOURS.values()):
+        part = brdf[k * count : (k + 1) * count]
+        np.take(cubes[k], cell, out=part, mode="clip")  # every cell is inside: with "raise" numpy copies the result
+        if not np.isfinite(part).all():
+            wrong = int(cell[np.flatnonzero(~np.isfinite(part))[0]])
+            raise DataError(f"{path}, byte {12 + 8 * (k * _CELLS + wrong)}: the value is not finite")
+        part *= scale
+    missing = brdf < 0
+    flags = np.array(["", "not_measured"], dtype=object)[missing.view(np.int8)]
     notes = ["broad bands without stated limits (red, green, blue); no uncertainties and no solid angles"]
     if missing.any():
         notes.append(f'{missing.sum()} of {missing.size} values are negative: flagged "not_measured"')
-    columns = np.tile(angles, (3, 1)).T
+    theta_i, theta_r, dphi = (np.concatenate([column] * 3) for column in angles)
+    del angles
     return table(
-        theta_i_deg=columns[0],
-        phi_i_deg=columns[1],
-        theta_r_deg=columns[2],
-        phi_r_deg=columns[3],
+        theta_i_deg=theta_i,
+        phi_i_deg=np.zeros(3 * count),
+        theta_r_deg=theta_r,
+        phi_r_deg=dphi,
         wavelength_nm=math.nan,
-        brdf=scaled.ravel(),
-        flag=np.array(["", "not_measured"], dtype=object)[missing.ravel().astype(np.intp)],
-        sample=np.repeat(np.array(names, dtype=object), cell.size),
+        brdf=brdf,
+        flag=flags,
+        sample=np.repeat(np.array(names, dtype=object), count),
         attrs={"source_file": str(path), "bands": [{"name": colour} for colour in _COLOURS], "notes": notes},
     )
 
 
-@cache
-def _directions() -> tuple[np.ndarray[tuple[int], np.dtype[np.intp]], Floats]:
-    """The cells whose directions lie above the surface, and these (n, 4) [degrees], incidence at azimuth 0."""
-    i, j, k = (a.ravel() for a in np.indices(_SHAPE))
-    theta_h, theta_d = np.pi / 2 * ((i + 0.5) / 90) ** 2, np.pi / 2 * (j + 0.5) / 90
-    phi_d = np.pi * (k + 0.5) / 180
+def _directions() -> tuple[np.ndarray[tuple[int], np.dtype[np.intp]], tuple[Floats, Floats, Floats]]:
+    """The cells whose directions lie above the surface, and theta_i, theta_r, dphi there [degrees].
+
+    One theta_h after the other: all at once would take half a gigabyte.
+    """
+    theta_d, phi_d = np.pi / 2 * (np.arange(90)[:, np.newaxis] + 0.5) / 90, np.pi * (np.arange(180) + 0.5) / 180
     # Rusinkiewicz 1998: the half vector in the xz plane, the difference vector turned with it
-    x, y, z = np.sin(theta_d) * np.cos(phi_d), np.sin(theta_d) * np.sin(phi_d), np.cos(theta_d)
-    c, s = np.cos(theta_h), np.sin(theta_h)
-    incident = np.stack([c * x + s * z, y, -s * x + c * z])
-    half = np.stack([s, np.zeros_like(s), c])
-    outgoing = 2 * (incident * half).sum(axis=0) * half - incident
-    above = np.flatnonzero((incident[2] > 1e-9) & (outgoing[2] > 1e-9))
-    theta, phi = zip(*(_polar(v[:, above]) for v in (incident, outgoing)), strict=True)
-    dphi = wrap_deg(phi[1] - phi[0])
-    return above, np.column_stack([theta[0], np.zeros(above.size), theta[1], dphi])
+    x, y = (np.sin(theta_d) * np.cos(phi_d)).ravel(), (np.sin(theta_d) * np.sin(phi_d)).ravel()
+    z = np.repeat(np.cos(theta_d), 180)
+    cells, found = [], []
+    for i in range(90):
+        theta_h = np.pi / 2 * ((i + 0.5) / 90) ** 2
+        c, s = np.cos(theta_h), np.sin(theta_h)
+        incident = np.stack([c * x + s * z, y, -s * x + c * z])
+        half = np.array([[s], [0.0], [c]])
+        outgoing = 2 * (incident * half).sum(axis=0) * half - incident
+        above = np.flatnonzero((incident[2] > 1e-9) & (outgoing[2] > 1e-9))
+        theta, phi = zip(*(_polar(v[:, above]) for v in (incident, outgoing)), strict=True)
+        cells.append(i * z.size + above)
+        found.append((theta[0], theta[1], wrap_deg(phi[1] - phi[0])))
+    theta_i, theta_r, dphi = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return np.concatenate(cells), (theta_i, theta_r, dphi)
 
 
 def _polar(v: Floats) -> tuple[Floats, Floats]:
@@ -104,7 +114,8 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     cubes = np.full((3, _CELLS), -1.0)
     for k, (cube, scale) in enumerate(zip(cubes, _COLOURS.values(), strict=True)):
         part = frame.iloc[k * cell.size : (k + 1) * cell.size]
-        if not np.allclose(part[list(ANGLES)].to_numpy(np.float64), angles, rtol=0, atol=1e-6):
+        columns = zip(ANGLES, (angles[0], np.zeros(cell.size), angles[1], angles[2]), strict=True)
+        if not all(np.allclose(part[name].to_numpy(np.float64), a, rtol=0, atol=1e-6) for name, a in columns):
             raise DataError(f"{path}: the directions of {names[k]} are not the cells of a MERL file, in their order")
         cube[cell] = np.where(part["flag"].to_numpy() == "", part["brdf"].to_numpy(np.float64) / scale, -1.0)
     write_bytes(path, _HEADER + cubes.astype("<f8").tobytes())
@@ -115,7 +126,8 @@ def write_model(model: Model, name: str, path: Path) -> None:
     cell, angles = _directions()
     cubes = np.full((3, _CELLS), -1.0)
     for cube, (colour, scale) in zip(cubes, _COLOURS.items(), strict=True):
-        cube[cell] = model.brdf(*np.deg2rad(angles.T), wavelength_nm=RGB_NM[colour]) / scale
+        theta_i, theta_r, dphi = map(np.deg2rad, angles)
+        cube[cell] = model.brdf(theta_i, 0.0, theta_r, dphi, wavelength_nm=RGB_NM[colour]) / scale
     write_bytes(path, _HEADER + cubes.astype("<f8").tobytes())
 
 

@@ -10,22 +10,28 @@ import io
 import itertools
 import json
 import math
+import os
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gonio.errors import DataError
+from gonio.disk import require_name
+from gonio.errors import ConfigError, DataError
 from gonio.formats.base import (
     COLUMNS,
     POLARISATIONS,
     Floats,
     Format,
     attributes,
+    cell_of,
     column_names,
     decode,
+    flag_holes,
     number,
+    plain_word,
     write_bytes,
 )
 
@@ -41,6 +47,8 @@ _DEFAULTS: dict[str, Any] = {
     "flag": "",
 }
 """What a file that lacks the column means."""
+_WIDE = 1000
+"""From so many columns on pandas takes longer than the reader that goes line by line."""
 NEEDED = tuple(name for name in COLUMNS if name not in _DEFAULTS)
 
 
@@ -55,6 +63,9 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
     frame = _read_at_once(text)
     if frame is None:
         frame = _read_line_by_line(text, path)
+        for name in _WORDS[1:]:
+            if name in frame.columns:
+                frame[name] = _per_word(frame[name], plain_word)
     absent = [name for name in _DEFAULTS if name not in frame.columns]
     if absent:
         causes = [name for name in frame.columns if name.startswith("s_")]
@@ -65,6 +76,7 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
     if absent:
         shown = ", ".join(absent)
         frame.attrs["notes"] = [*frame.attrs["notes"], f"the file has no columns {shown}: taken as unknown, or none"]
+    flag_holes(frame)
     check(frame, lambda row: f"{path}, line {row + 2}")
     return frame
 
@@ -74,6 +86,8 @@ def _read_at_once(text: str) -> pd.DataFrame | None:
     import pandas as pd
 
     header = text.partition("\n")[0].split(",")
+    if len(header) > _WIDE or "'" in text:
+        return None
     lines = text.count("\n") + (not text.endswith("\n"))
     if '"' in text or "\r" in text or not text.isascii() or text.count(",") != lines * (len(header) - 1):
         return None
@@ -93,7 +107,9 @@ def _read_at_once(text: str) -> pd.DataFrame | None:
             skip_blank_lines=False,
             **exact,
         )
-        check(frame.assign(**{name: value for name, value in _DEFAULTS.items() if name not in header}), str)
+        whole = frame.assign(**{name: value for name, value in _DEFAULTS.items() if name not in header})
+        flag_holes(whole)
+        check(whole, str)
     except (DataError, ValueError, OverflowError, pd.errors.ParserWarning):
         return None  # the slow reader says what is wrong, and where
     return frame
@@ -128,20 +144,39 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     """The table, its numbers to the last bit, and its attributes beside it."""
     check_columns(list(frame.columns), str(path))
     check(frame, lambda row: f"{path}, row {row + 1}")
-    text = frame.to_csv(index=False, lineterminator="\n")
+    words = [name for name in _WORDS[1:] if name in frame.columns]
+    cells = frame.assign(**{name: _per_word(frame[name], cell_of) for name in words})
+    # pandas writes a carriage return without quotes, as if it ended no line
+    ends = any("\r" in word for name in words for word in cells[name].unique())
+    quoting: Any = csv.QUOTE_NONNUMERIC if ends else csv.QUOTE_MINIMAL
+    text = cells.to_csv(index=False, lineterminator="\n", quoting=quoting)
     try:
         meta = json.dumps(_plain(frame.attrs), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     except (TypeError, ValueError) as error:
         raise DataError(f"{path}: an attribute of the table cannot be written as JSON: {error}") from None
+    _require_own_attributes(meta_path(path))
     write_bytes(meta_path(path), meta.encode())
     write_bytes(path, text.encode())
+
+
+def _require_own_attributes(meta: Path) -> None:
+    """Nobody has named the file beside the table: `ConfigError` where one is there that holds something else."""
+    require_name(meta)
+    if not os.path.lexists(meta):
+        return
+    try:
+        stored = json.loads(meta.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        stored = None
+    if not isinstance(stored, dict) or not stored.keys() <= attributes().keys() | {"samples"}:
+        raise ConfigError(f"{meta}: is not the attributes of a table, and is not replaced; give the table another name")
 
 
 def check_columns(header: list[str], where: str, *, needed: tuple[str, ...] = COLUMNS) -> None:
     """`DataError` unless these are the columns of a measurement table, each once, and the `needed` ones are there."""
     missing = [name for name in needed if name not in header]
     extra = [n for n in header if n not in COLUMNS and n != "sample" and not (n.startswith("s_") and len(n) > 2)]
-    twice = sorted({name for name in header if header.count(name) > 1})
+    twice = sorted(name for name, count in Counter(header).items() if count > 1)
     for names, what in ((missing, "missing"), (extra, "not known"), (twice, "there twice")):
         if names:
             shown = ", ".join(repr(n if len(n) <= 40 else n[:37] + "...") for n in names[:8])
@@ -183,13 +218,22 @@ def check(frame: pd.DataFrame, where: Any) -> None:
         u = frame[column].to_numpy(np.float64)
         known = (u >= 0) & np.isfinite(u)
         demand(np.isnan(u) | known | flagged, column, "a standard uncertainty [1/sr] >= 0, or NaN where it is unknown")
-    for column in frame.columns:
-        if column.startswith("s_"):
+    causes = [column for column in frame.columns if column.startswith("s_")]
+    for first in range(0, len(causes), 64):  # each access to a table copies its attributes
+        several = causes[first : first + 64]
+        known = np.isfinite(frame[several].to_numpy(np.float64)) | flagged[:, np.newaxis]
+        for column in (several[k] for k in np.flatnonzero(~known.all(axis=0))):
             s = frame[column].to_numpy(np.float64)
             demand(np.isfinite(s) | flagged, column, "a row without a flag needs a finite value [1/sr]")
     for column in ("flag", "sample"):
         if column in frame.columns:
             demand(_one_of(frame[column], lambda word: isinstance(word, str)), column, "text is needed")
+
+
+def _per_word(words: pd.Series[Any], change: Callable[[str], str]) -> pd.Series[Any]:
+    """The words, changed; each different word is looked at once."""
+    changed = {word: change(word) for word in words.unique()}
+    return words.map(changed) if any(old != new for old, new in changed.items()) else words
 
 
 def _one_of(words: pd.Series[Any], allowed: Callable[[Any], bool]) -> Any:

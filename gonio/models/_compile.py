@@ -10,25 +10,67 @@ from __future__ import annotations
 import functools
 import hashlib
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import FunctionType
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, cast
 
 F = TypeVar("F", bound=Callable[..., Any])
+Others = tuple[tuple[Callable[..., Any], Callable[..., Any]], ...]
 
 # Contraction, reciprocals and the sign of zero change no digit that matters. Reassociation would fold two-part
 # constants and compensated sums; "nnan" and "ninf" would break the limits at grazing.
 FASTMATH: Final = frozenset({"contract", "arcp", "nsz"})
 
 _lock = threading.RLock()
-_ready: dict[tuple[Callable[..., Any], Callable[..., Any], int], Any] = {}
+_ready: dict[tuple[Callable[..., Any], Callable[..., Any], int, bool], Any] = {}
 
 
 def device(function: Callable[..., Any]) -> Callable[..., Any]:
     """Mark a function of floats that kernels may call and that `jit` compiles; globals it uses must be plain names."""
     function.__dict__["__device__"] = True
     return function
+
+
+def instead_of(double: Callable[..., Any]) -> Callable[[F], F]:
+    """Mark what takes the place of a function where a kernel's arithmetic is float32."""
+
+    def mark(function: F) -> F:
+        function.__dict__["__device__"] = True
+        double.__dict__["single"] = function
+        return function
+
+    return mark
+
+
+def of_columns(
+    columns: Callable[..., Any], count: int, *, single_range: tuple[float, float] = (0.0, 1e10)
+) -> Callable[[F], F]:
+    """Mark a kernel as a function of `count` numbers that `columns` makes of two directions, and of its constants.
+
+    The numbers are the same for all parameter sets: `Model.at` keeps them with the directions. Where all constants
+    but those that are 0 have sizes in `single_range`, nothing that the kernel makes of them leaves float32.
+    """
+
+    def mark(kernel: F) -> F:
+        kernel.__dict__.update(__device__=True, columns=columns, count=count, single_range=single_range)
+        return kernel
+
+    return mark
+
+
+def with_others(kernel: F, name: str, others: Mapping[Callable[..., Any], Callable[..., Any]]) -> F:
+    """A kernel's code once more, in which other marked functions take the place of some, at any depth."""
+    assert isinstance(kernel, FunctionType)
+    copy = _copy(kernel, {})
+    copy.__dict__.update(kernel.__dict__, others=tuple(others.items()))
+    copy.__name__ = name
+    return cast(F, copy)
+
+
+def _of_directions(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    """A kernel of columns as one of directions: `take` and `shade` are put in by `_loop`."""
+    return shade(*take(lx, ly, lz, vx, vy, vz), p)  # type: ignore[name-defined]  # noqa: F821
 
 
 def table(function: Callable[[], Any]) -> Any:
@@ -38,24 +80,28 @@ def table(function: Callable[[], Any]) -> Any:
     return cached
 
 
-def _clone(function: Callable[..., Any], names: dict[str, Any]) -> Any:
-    """The same code with the marked functions that it calls replaced by compiled ones."""
+def _copy(function: FunctionType, names: Mapping[str, Any]) -> Any:
+    clone = FunctionType(function.__code__, {**function.__globals__, **names}, function.__name__, function.__defaults__)
+    clone.__qualname__ = function.__qualname__
+    clone.__module__ = function.__module__
+    return clone
+
+
+def _clone(function: Callable[..., Any], names: dict[str, Any], others: Others = (), in_single: bool = False) -> Any:
+    """The same code with the marked functions that it calls, or `others` in their place, replaced by compiled ones."""
     assert isinstance(function, FunctionType)
     called = {}
     for name in function.__code__.co_names:
         value: Any = names.get(name, function.__globals__.get(name))
+        value = next((other for one, other in others if one is value), value)
+        value = value.__dict__.get("single", value) if in_single and hasattr(value, "__dict__") else value
         if getattr(value, "__device__", False):
-            called[name] = jit(value)
+            called[name] = _jit(value, value.__dict__.get("others", others), in_single)
         elif getattr(value, "__table__", False):
             called[name] = value()
         elif name in names:
             called[name] = value
-    clone = FunctionType(
-        function.__code__, {**function.__globals__, **called}, function.__name__, function.__defaults__
-    )
-    clone.__qualname__ = function.__qualname__
-    clone.__module__ = function.__module__
-    return clone
+    return _copy(function, called)
 
 
 @functools.cache
@@ -68,13 +114,13 @@ def _sources(kernel_file: str) -> str:
 
 
 @functools.cache
-def _jit(function: Callable[..., Any]) -> Any:
+def _jit(function: Callable[..., Any], others: Others = (), in_single: bool = False) -> Any:
     import numba
 
-    from gonio.models._wide import Wide
+    from gonio.models._wide import wide
 
-    options = {"fastmath": set(FASTMATH), "error_model": "numpy", "pipeline_class": Wide}
-    return numba.njit(forceinline=True, **options)(_clone(function, {}))
+    options = {"fastmath": set(FASTMATH), "error_model": "numpy", "pipeline_class": wide(in_single=in_single)}
+    return numba.njit(forceinline=True, **options)(_clone(function, {}, others, in_single))
 
 
 def jit(function: Callable[..., Any]) -> Any:
@@ -83,53 +129,56 @@ def jit(function: Callable[..., Any]) -> Any:
         return _jit(function)
 
 
-def template(layout: str) -> Callable[[F], F]:
+def template(layout: str, *, side_by_side: int = 4, columns: bool = False) -> Callable[[F], F]:
     """Mark a loop over a kernel, with the kinds of its arguments in order.
 
     ``r1``, ``r2``: arrays of 1 or 2 axes that are read (they may be read-only); ``w1``, ``w2``: arrays that are
-    written; ``i``: an integer; ``p``: the tuple of the kernel's constants. All arrays are float64 and contiguous.
+    written; ``i``: an integer; ``p``: the tuple of the kernel's constants. All arrays are contiguous, of float64
+    or, in a loop compiled for it, float32.
+    `side_by_side` is how many vectors of pairs go through at a time; `columns`: whether the loop hands its kernel the
+    columns that it works on (see `of_columns`), and not directions.
     """
 
     def mark(function: F) -> F:
-        function.__dict__["__layout__"] = layout.split()
+        function.__dict__.update(__layout__=layout.split(), __side_by_side__=side_by_side, __columns__=columns)
         return function
 
     return mark
 
 
-def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int) -> Any:
+def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int, in_single: bool = False) -> Any:
     import numba
 
-    from gonio.models._wide import Wide
+    from gonio.compiled import njit
+    from gonio.models._wide import wide
 
     types = numba.types
+    real = types.float32 if in_single else types.float64
 
     def kind(code: str) -> Any:
         if code == "i":
             return types.int64
         if code == "p":
-            return types.UniTuple(types.float64, size)
-        return types.Array(types.float64, int(code[1]), "C", readonly=code[0] == "r")
+            return types.UniTuple(real, size)
+        return types.Array(real, int(code[1]), "C", readonly=code[0] == "r")
 
-    def compiled(cache: bool) -> Any:
-        options = {"fastmath": set(FASTMATH), "error_model": "numpy", "pipeline_class": Wide}
-        return numba.njit(signature, nogil=True, cache=cache, **options)(plain)
-
+    options = {"fastmath": set(FASTMATH), "error_model": "numpy"}
     function = kernel.__dict__.get(function.__name__, function)  # a kernel of several passes brings its own loops
     signature = tuple(kind(code) for code in function.__dict__["__layout__"])
-    plain = _clone(function, {"kernel": kernel})
+    pipeline = wide(function.__dict__["__side_by_side__"], in_single)
+    names: dict[str, Any] = {"kernel": kernel}
+    if "columns" in kernel.__dict__ and not function.__dict__["__columns__"]:
+        parts = {"shade": kernel, "take": kernel.__dict__["columns"]}
+        whole = _clone(_of_directions, parts, kernel.__dict__.get("others", ()), in_single)
+        names = {"kernel": numba.njit(forceinline=True, **options, pipeline_class=pipeline)(whole)}
+    plain = _clone(function, names, (), in_single)
     sources = _sources(kernel.__code__.co_filename)
-    plain.__name__ = f"{function.__name__}_{kernel.__module__.rsplit('.', 1)[-1]}_{kernel.__name__}_{sources}"
+    plain.__name__ = f"{function.__name__}_{real}_{kernel.__module__.rsplit('.', 1)[-1]}_{kernel.__name__}_{sources}"
     plain.__qualname__ = plain.__name__
-    try:
-        return compiled(cache=True)
-    except RuntimeError as error:
-        if "cannot cache" not in str(error):
-            raise
-        return compiled(cache=False)  # neither the package's folder nor the user's cache can be written
+    return njit(*signature, nogil=True, pipeline_class=pipeline, **options)(plain)
 
 
-def loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int) -> Any:
+def loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int, *, in_single: bool = False) -> Any:
     """A loop written once for every kernel, compiled for this one, cached on disk, and running without the GIL.
 
     Parameters
@@ -140,9 +189,11 @@ def loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int) ->
         The marked function that takes its place.
     size
         How many constants the kernel takes.
+    in_single
+        Whether arrays, constants and arithmetic are float32.
     """
-    found = _ready.get((function, kernel, size))
+    found = _ready.get((function, kernel, size, in_single))
     if found is None:
         with _lock:
-            found = _ready[function, kernel, size] = _loop(function, kernel, size)
+            found = _ready[function, kernel, size, in_single] = _loop(function, kernel, size, in_single)
     return found

@@ -11,6 +11,8 @@ from math import sqrt
 from gonio.models._compile import device
 from gonio.models._math import _LOG2_E, atan_over, exp2, log
 
+# Sizes of constants for which all products of facet models stay within float32: rms slopes from 1e-5 to 12 among them.
+SINGLE_RANGE = (1e-2, 1e10)
 # Below this |L + V|^2 the directions are opposite to the last digit: forward grazing, where H is taken as the normal.
 OPPOSITE = 1e-30
 
@@ -58,14 +60,47 @@ def alpha_squared(flat, sz, s2):  # type: ignore[no-untyped-def]
 
 
 @device
-def cos_power(flat, sz, s2, exponent):  # type: ignore[no-untyped-def]
-    """cos^exponent of the angle between H and the normal, with the logarithm of cos^2 = 1 - sin^2 accurate near 0."""
+def log_cos2(flat, sz, s2):  # type: ignore[no-untyped-def]
+    """ln of cos^2 = 1 - sin^2 of the angle between H and the normal, accurate near 0; at least -1e300."""
     sin2 = flat / s2
     near = sin2 < 0.5
     u = 1.0 - sin2 if near else sz * sz / s2
     rest = ((1.0 - u) - sin2) / u if near else 0.0
     full = log(u) + rest
-    return exp2(0.5 * _LOG2_E * exponent * (full if u > 0.0 else -1e300))
+    return full if u > 0.0 else -1e300
+
+
+@device
+def cos_power(log_square, exponent):  # type: ignore[no-untyped-def]
+    """cos^exponent from the logarithm of cos^2."""
+    return exp2(0.5 * _LOG2_E * exponent * log_square)
+
+
+# --- what the directions give a distribution, for all parameter sets: its variable, then |s|^2, s_z and g ---
+
+
+@device
+def by_tan2(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
+    flat, sz, s2, g, _, _ = facet(lx, ly, lz, vx, vy, vz)
+    return tan2_alpha(flat, sz), s2, sz, g
+
+
+@device
+def by_angle(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
+    flat, sz, s2, g, _, _ = facet(lx, ly, lz, vx, vy, vz)
+    return alpha_squared(flat, sz, s2), s2, sz, g
+
+
+@device
+def by_log_cos(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
+    flat, sz, s2, g, _, _ = facet(lx, ly, lz, vx, vy, vz)
+    return log_cos2(flat, sz, s2), s2, sz, g
+
+
+@device
+def by_flat(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
+    flat, sz, s2, g, _, _ = facet(lx, ly, lz, vx, vy, vz)
+    return flat, s2, sz, g
 
 
 @device
@@ -97,6 +132,21 @@ def fresnel(c2, contrast, real, imag):  # type: ignore[no-untyped-def]
     sin2 = 1.0 - c2
     x = root * (c2 * big + sin2 * sin2)
     den = root * (c2 + big) + twice
+    return contrast * (square * x), (x + twice * sin2) * (den * den)
+
+
+@device
+def fresnel_real(c2, contrast, real, imag):  # type: ignore[no-untyped-def]
+    """`fresnel` of a real index, with one root less."""
+    re = real + c2
+    big = abs(re)
+    square = c2 * big + 1e-100
+    root = sqrt(square)
+    sin2 = 1.0 - c2
+    x = root * (c2 * big + sin2 * sin2)
+    den = root * (c2 + big)
+    twice = 2.0 * (c2 * big) if re >= 0.0 else 0.0
+    den += twice
     return contrast * (square * x), (x + twice * sin2) * (den * den)
 
 

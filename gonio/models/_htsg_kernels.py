@@ -14,7 +14,7 @@ import numpy as np
 from gonio.models._compile import device, template
 from gonio.models._facets import fresnel
 from gonio.models._htsg_expansion import TERMS, scaled_erfcx
-from gonio.models._htsg_series import BLOCK, EXPANDED, LANES, exp2_over, finish, lambert_w
+from gonio.models._htsg_series import BLOCK, EXPANDED, LANES, exp2_over, finish, lambert_w, narrow
 from gonio.models._math import _LOG2_E, exp, sincos, sincos_polar
 from gonio.models.engine import HALF_PI, NORM_TOLERANCE, PHI_LIMIT
 
@@ -99,6 +99,7 @@ def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop)
         v = omega_r[3 * first * step_r : 3 * (first * step_r + count)]
         o = out[first : first + count]
         wrong |= vector_states(count, l, v, constants, state[0], state[1], state[2], state[3])
+        narrow(count, state)
         finish(count, tier, state, o, order, key, work, powers)
         for j in range(count):
             o[j] += constants[0] if l[3 * j + 2] >= 0.0 and v[3 * j + 2] >= 0.0 else 0.0
@@ -131,9 +132,109 @@ def _over_angles(theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step
             s0[j], s1[j], s2[j], s3[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
                 sin_i, 0.0, cos_i, sin_r * cos_d, sin_r * sin_d, cos_r, constants
             )
+        narrow(count, state)
         finish(count, tier, state, o, order, key, work, powers)
         for j in range(count):
             o[j] += constants[0]
+    return wrong
+
+
+# --- many wavelengths: geometry, shadowing and the effective roughness are the same for all of them -----------------
+
+
+@device
+def pair_state(lx, ly, lz, vx, vy, vz, slope, printed):
+    """(shape, K, V.H^2, |s_xy|^2, s_z^2) of a pair, s = L + V: what of `lobe_state` no wavelength enters."""
+    hx, hy, hz = lx + vx, ly + vy, lz + vz
+    h2 = hx * hx + hy * hy
+    hh = h2 + hz * hz
+    s_i, s_r = math.sqrt(lx * lx + ly * ly), math.sqrt(vx * vx + vy * vy)
+    lit_i, all_i, lit_r, all_r, k = shadowing(lz, s_i, vz, s_r, slope, printed)
+    shape = (hh * hh) * (lit_i * lit_r) / (all_i * all_r)
+    return (shape if lz > 0.0 and vz > 0.0 else 0.0), k, min(0.25 * hh, 1.0), h2, hz * hz
+
+
+@device
+def spectrum(count, first, pairs, tier, waves, state, shared, out, order, key, work, powers):
+    """The lobe of a block of pairs at every wavelength, from its `pair_state`, into one row of `out` a wavelength.
+
+    `waves` has six numbers a wavelength: k0^4 sigma0^2 tau^2/(16 pi), (k0 sigma0)^2, (k0 tau)^2/4, and three of F.
+    """
+    narrow(count, state)
+    shape, c2, flat, up2, base = shared[0], shared[1], shared[2], shared[3], shared[4]
+    factor, c, g = state[0], state[2], state[3]
+    for j in range(count):
+        shape[j], up2[j] = factor[j], g[j]
+    for w in range(waves.size // 6):
+        scale, phase, width = waves[6 * w], waves[6 * w + 1], waves[6 * w + 2]
+        contrast, real, imag = waves[6 * w + 3], waves[6 * w + 4], waves[6 * w + 5]
+        o = out[w * pairs + first : w * pairs + first + count]
+        for j in range(count):
+            f_up, f_down = fresnel(c2[j], contrast, real, imag)
+            factor[j] = scale * shape[j] * f_up / f_down
+            c[j], g[j] = width * flat[j], phase * up2[j]
+        finish(count, tier, state, o, order, key, work, powers)
+        for j in range(count):
+            o[j] += base[j]
+
+
+@template("r1 i r1 i i p r1 w1 i i")
+def spectrum_over_vectors(omega_i, step_i, omega_r, step_r, pairs, constants, waves, out, start, stop):
+    diffuse, slope, printed, tier = constants[0], constants[1], constants[2], int(constants[3])
+    wrong = 0
+    state, shared, work = np.empty((6, BLOCK)), np.empty((5, BLOCK)), np.empty((8, EXPANDED))
+    order, key = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
+    powers = np.empty((_ROWS, LANES))
+    factor, k, g, c2, flat, base = state[0], state[1], state[3], shared[1], shared[2], shared[4]
+    for first in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - first)
+        l = omega_i[3 * first * step_i : 3 * (first * step_i + count)]  # noqa: E741
+        v = omega_r[3 * first * step_r : 3 * (first * step_r + count)]
+        for j in range(count):
+            lx, ly, lz = l[3 * j], l[3 * j + 1], l[3 * j + 2]
+            vx, vy, vz = v[3 * j], v[3 * j + 1], v[3 * j + 2]
+            el = lx * lx + ly * ly + (lz * lz - 1.0)
+            ev = vx * vx + vy * vy + (vz * vz - 1.0)
+            wrong |= 0 if abs(el) <= 2.0 * NORM_TOLERANCE and abs(ev) <= 2.0 * NORM_TOLERANCE else 1
+            fl = 1.0 - el * (0.5 - 0.375 * el)
+            fv = 1.0 - ev * (0.5 - 0.375 * ev)
+            factor[j], k[j], c2[j], flat[j], g[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
+                lx * fl, ly * fl, max(lz * fl, 0.0), vx * fv, vy * fv, max(vz * fv, 0.0), slope, printed
+            )
+            base[j] = diffuse if lz >= 0.0 and vz >= 0.0 else 0.0
+        spectrum(count, first, pairs, tier, waves, state, shared, out, order, key, work, powers)
+    return wrong
+
+
+@template("r1 i r1 i r1 i r1 i i p r1 w1 i i")
+def spectrum_over_angles(
+    theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, pairs, constants, waves, out, start, stop
+):
+    diffuse, slope, printed, tier = constants[0], constants[1], constants[2], int(constants[3])
+    wrong = 0
+    state, shared, work = np.empty((6, BLOCK)), np.empty((5, BLOCK)), np.empty((8, EXPANDED))
+    order, key = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
+    powers = np.empty((_ROWS, LANES))
+    factor, k, g, c2, flat, base = state[0], state[1], state[3], shared[1], shared[2], shared[4]
+    for first in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - first)
+        ti = theta_i[first * step_ti : first * step_ti + count]
+        pi_ = phi_i[first * step_pi : first * step_pi + count]
+        tr = theta_r[first * step_tr : first * step_tr + count]
+        pr = phi_r[first * step_pr : first * step_pr + count]
+        for j in range(count):
+            a, b, p, q = ti[j], tr[j], pi_[j], pr[j]
+            wrong |= (
+                0 if 0.0 <= a <= HALF_PI and 0.0 <= b <= HALF_PI and abs(p) <= PHI_LIMIT and abs(q) <= PHI_LIMIT else 1
+            )
+            sin_i, cos_i = sincos_polar(a)
+            sin_r, cos_r = sincos_polar(b)
+            sin_d, cos_d = sincos(q - p)
+            factor[j], k[j], c2[j], flat[j], g[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
+                sin_i, 0.0, cos_i, sin_r * cos_d, sin_r * sin_d, cos_r, slope, printed
+            )
+            base[j] = diffuse
+        spectrum(count, first, pairs, tier, waves, state, shared, out, order, key, work, powers)
     return wrong
 
 
@@ -205,7 +306,7 @@ def jones(sin_i, cos_i, sin_r, cos_r, sin_d, cos_d, rise, loss):
 
 
 @device
-def mueller_matrix(a, b, c, d, factor, out):
+def mueller_matrix(a, b, c, d, factor):
     """Sixteen numbers from J = [[a, b], [c, d]], for I, Q = |Es|^2 +- |Ep|^2, U = 2 Re Es Ep*, V = -2 Im Es Ep*."""
     half = 0.5 * factor
     aa, bb = half * (a[0] * a[0] + a[1] * a[1]), half * (b[0] * b[0] + b[1] * b[1])
@@ -216,24 +317,47 @@ def mueller_matrix(a, b, c, d, factor, out):
     bd_re, bd_im = factor * (b[0] * d[0] + b[1] * d[1]), factor * (b[1] * d[0] - b[0] * d[1])
     ad_re, ad_im = factor * (a[0] * d[0] + a[1] * d[1]), factor * (a[1] * d[0] - a[0] * d[1])
     bc_re, bc_im = factor * (b[0] * c[0] + b[1] * c[1]), factor * (b[1] * c[0] - b[0] * c[1])
-    out[0], out[1], out[2], out[3] = aa + bb + cc + dd, aa - bb + cc - dd, ab_re + cd_re, ab_im + cd_im
-    out[4], out[5], out[6], out[7] = aa + bb - cc - dd, aa - bb - cc + dd, ab_re - cd_re, ab_im - cd_im
-    out[8], out[9], out[10], out[11] = ac_re + bd_re, ac_re - bd_re, ad_re + bc_re, ad_im - bc_im
-    out[12], out[13], out[14], out[15] = -ac_im - bd_im, bd_im - ac_im, -ad_im - bc_im, ad_re - bc_re
+    return (
+        (aa + bb + cc + dd, aa - bb + cc - dd, ab_re + cd_re, ab_im + cd_im),
+        (aa + bb - cc - dd, aa - bb - cc + dd, ab_re - cd_re, ab_im - cd_im),
+        (ac_re + bd_re, ac_re - bd_re, ad_re + bc_re, ad_im - bc_im),
+        (-ac_im - bd_im, bd_im - ac_im, -ad_im - bc_im, ad_re - bc_re),
+    )
+
+
+MATRICES = 64  # Mueller matrices made at a time, column by column, before they are laid out one after another
 
 
 @template("r1 i r1 i r1 i r1 i p r1 w1 i i")
 def mueller_over_angles(
     theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, constants, lobe, out, start, stop
 ):
-    for j in range(start, stop):
-        sin_i, cos_i = sincos_polar(theta_i[j * step_ti])
-        sin_r, cos_r = sincos_polar(theta_r[j * step_tr])
-        sin_d, cos_d = sincos(phi_r[j * step_pr] - phi_i[j * step_pi])
-        a, b, c, d = kernel(sin_i, cos_i, sin_r, cos_r, sin_d, cos_d, constants[7], 2.0 * constants[8])  # type: ignore[name-defined]  # noqa: F821
-        row = out[16 * j : 16 * j + 16]
-        mueller_matrix(a, b, c, d, lobe[j], row)
-        row[0] += constants[0]
+    diffuse, rise, loss = constants[0], constants[7], 2.0 * constants[8]
+    columns = np.empty((16, MATRICES))
+    m0, m1, m2, m3 = columns[0], columns[1], columns[2], columns[3]
+    m4, m5, m6, m7 = columns[4], columns[5], columns[6], columns[7]
+    m8, m9, m10, m11 = columns[8], columns[9], columns[10], columns[11]
+    m12, m13, m14, m15 = columns[12], columns[13], columns[14], columns[15]
+    for first in range(start, stop, MATRICES):
+        count = min(MATRICES, stop - first)
+        # a constant argument is a block of engine.BLOCK times its value
+        ti, pi_ = theta_i[first * step_ti : first * step_ti + count], phi_i[first * step_pi : first * step_pi + count]
+        tr, pr = theta_r[first * step_tr : first * step_tr + count], phi_r[first * step_pr : first * step_pr + count]
+        factor = lobe[first : first + count]
+        for j in range(count):
+            sin_i, cos_i = sincos_polar(ti[j])
+            sin_r, cos_r = sincos_polar(tr[j])
+            sin_d, cos_d = sincos(pr[j] - pi_[j])
+            a, b, c, d = kernel(sin_i, cos_i, sin_r, cos_r, sin_d, cos_d, rise, loss)  # type: ignore[name-defined]  # noqa: F821
+            r0, r1, r2, r3 = mueller_matrix(a, b, c, d, factor[j])
+            m0[j], m1[j], m2[j], m3[j] = r0[0] + diffuse, r0[1], r0[2], r0[3]
+            m4[j], m5[j], m6[j], m7[j] = r1[0], r1[1], r1[2], r1[3]
+            m8[j], m9[j], m10[j], m11[j] = r2[0], r2[1], r2[2], r2[3]
+            m12[j], m13[j], m14[j], m15[j] = r3[0], r3[1], r3[2], r3[3]
+        rows = out[16 * first : 16 * (first + count)]
+        for j in range(count):
+            for k in range(16):
+                rows[16 * j + k] = columns[k, j]
     return 0
 
 

@@ -227,9 +227,9 @@ def expand(tier, band, n, x, p, value, work):
 
 
 @device
-def finish(n, tier, state, out, order, key, work, powers):
-    """out = factor * T(g, c) for a block of n states, class by class."""
-    factor, g, c, spread, m0, phi = state[0], state[3], state[2], state[1], state[4], state[5]
+def narrow(n, state):
+    """Factor and g of a block of n states from sigma0 to sigma: both times narrowing = (sigma/sigma0)^2."""
+    factor, spread, g, m0, phi = state[0], state[1], state[3], state[4], state[5]
     # in short loops: a processor overlaps only what it can look ahead to
     far = 0
     for i in range(n):
@@ -244,8 +244,15 @@ def finish(n, tier, state, out, order, key, work, powers):
     for i in range(n):
         _, narrowing, _ = better_lambert(spread[i], m0[i], phi[i])
         factor[i] *= narrowing
-        g[i] = max(narrowing * g[i], 1e-135)
+        g[i] *= narrowing
+
+
+@device
+def finish(n, tier, state, out, order, key, work, powers):
+    """out = factor * T(g, c) for a block of n states, class by class."""
+    factor, g, c, spread, m0, phi = state[0], state[3], state[2], state[1], state[4], state[5]
     for i in range(n):
+        g[i] = max(g[i], 1e-135)
         x = min(2.0 * c[i] / (g[i] * g[i]), 1e280)
         phi[i] = x
         m0[i], spread[i] = rough_lambert(x)

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from gonio.models._compile import device
+from gonio.models._compile import device, instead_of
 
 HALF_PI = math.pi / 2
 _ROUND = 6755399441055744.0  # 1.5 * 2**52: adding it leaves the nearest integer in the low bits
@@ -161,3 +161,40 @@ def atan_over_near(z):  # type: ignore[no-untyped-def]
     mid = (0.11111106180455946 - z * 0.09090773074808413) + z2 * (0.07689953496306849 - z * 0.06640233930429329)
     top = (0.056883492268085936 - z * 0.04348052215715258) + z2 * 0.0211353731576785
     return low + z4 * (mid + z4 * top)
+
+
+# --- where a kernel's arithmetic is float32 ---
+
+_ROUND_SINGLE = 12582912.0  # 1.5 * 2**23: adding it leaves the nearest integer in the low bits
+_ONE_BITS_SINGLE = 1065353216
+_SQRT_HALF_BITS_SINGLE = 1060439283  # the bits of sqrt(1/2)
+_MANTISSA_SINGLE = 8388607
+
+
+@instead_of(exp2)
+def exp2_single(x):  # type: ignore[no-untyped-def]
+    """2^x for x < 127; 0 below -125."""
+    shifted = x + _ROUND_SINGLE
+    r = x - (shifted - _ROUND_SINGLE)
+    r2 = r * r
+    low = (1.0 + r * 0.6931471805599453) + r2 * (0.24022650695910072 + r * 0.05550410866482158)
+    top = (0.009618129107628477 + r * 0.0013333558146428443) + r2 * (0.0001540353039338161 + r * 1.525273380405984e-05)
+    value = low + (r2 * r2) * top  # Taylor's, within 3e-9
+    bits = np.int32(np.float32(value).view(np.int32) + np.int32(np.float32(shifted).view(np.int32) << 23))
+    return bits.view(np.float32) if x > -125.0 else 0.0
+
+
+@instead_of(log)
+def log_single(x):  # type: ignore[no-untyped-def]
+    """ln x for normal positive x; a bound below every logarithm at 0. Coefficients: FreeBSD's msun."""
+    bits = np.int32(np.float32(x).view(np.int32) + np.int32(_ONE_BITS_SINGLE - _SQRT_HALF_BITS_SINGLE))
+    exponent = np.float32(np.int32((bits >> 23) - 127))
+    f = np.int32((bits & _MANTISSA_SINGLE) + _SQRT_HALF_BITS_SINGLE).view(np.float32) - 1.0
+    s = f / (2.0 + f)
+    z = s * s
+    w = z * z
+    odd = z * (0.66666662693 + w * 0.28498786688)
+    even = w * (0.40000972152 + w * 0.24279078841)
+    half = 0.5 * f * f
+    value = exponent * 0.6931471805599453 - ((half - s * (half + (odd + even))) - f)
+    return value if x > 0.0 else -1e300

@@ -12,65 +12,117 @@ touched.
 
 from __future__ import annotations
 
+import functools
+import math
 from typing import Any
 
+import numpy as np
 from llvmlite import ir as llvm
 from llvmlite.ir.values import MDValue
 from numba.core import ir
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
-from numba.core.compiler_machinery import register_pass
+from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.lowering import Lower
 from numba.core.typed_passes import NativeLowering
+from numba.core.untyped_passes import IRProcessing
 
 ATTRIBUTES = ('"prefer-vector-width"="512"', '"frame-pointer"="all"')  # with a frame pointer the stack can be aligned
 PLAIN = (0.0, 0.5, 1.0, 2.0)  # what arithmetic with these can be simplified to is worth more
-VECTORS = llvm.Constant(llvm.IntType(32), 4)  # that a loop takes side by side
-BITS = llvm.IntType(64)
+SIDE_BY_SIDE = 4  # vectors that a loop takes, unless it asks for another number
+BITS = {llvm.DoubleType(): llvm.IntType(64), llvm.FloatType(): llvm.IntType(32)}
+BEYOND = {1e-75: 1e-9}
+"""What stands in float32 for a bound whose products would leave its range."""
 
 
 class _Lower(Lower):
+    side_by_side = SIDE_BY_SIDE
+    in_single = False
+
     def lower_normal_function(self, fndesc: Any) -> None:
         super().lower_normal_function(fndesc)
         for attribute in ATTRIBUTES:  # llvmlite's own `add` knows only attributes without a value
             set.add(self.function.attributes, attribute)
+        hints = [("interleave.count", self.side_by_side)]
+        if self.in_single:  # LLVM would go by the width of a loop's integers
+            hints.append(("vectorize.width", 16))
         seen = set()
         for block in self.function.blocks:
             seen.add(block)
             if not seen.isdisjoint(block.terminator.operands):  # the end of a loop
-                count = self.module.add_metadata(["llvm.loop.interleave.count", VECTORS])
-                loop = MDValue(self.module, [count], name=str(len(self.module.metadata)))
-                loop.operands = (loop, count)  # a loop's node names itself
+                asked = [
+                    self.module.add_metadata([f"llvm.loop.{name}", llvm.Constant(llvm.IntType(32), number)])
+                    for name, number in hints
+                ]
+                loop = MDValue(self.module, asked, name=str(len(self.module.metadata)))
+                loop.operands = (loop, *asked)  # a loop's node names itself
                 block.terminator.set_metadata("llvm.loop", loop)
 
     def lower_assign(self, ty: Any, inst: Any) -> Any:
         value = super().lower_assign(ty, inst)
         source = inst.value
-        if not isinstance(source, (ir.Const, ir.Global, ir.FreeVar)) or not isinstance(source.value, float):
+        if not isinstance(source, (ir.Const, ir.Global, ir.FreeVar)) or not isinstance(
+            source.value, (float, np.float32)
+        ):
             return value
-        if abs(source.value) in PLAIN or self.context.get_value_type(ty) != llvm.DoubleType():
+        real = self.context.get_value_type(ty)
+        if abs(source.value) in PLAIN or real not in BITS:
             return value
+        bits = BITS[real]
         with self.builder.goto_entry_block():  # an assembly of no instructions, which nothing keeps from moving
-            kind = llvm.FunctionType(BITS, [BITS])
-            held = self.builder.asm(kind, "", "=r,0", [self.builder.bitcast(value, BITS)], False)
+            kind = llvm.FunctionType(bits, [bits])
+            held = self.builder.asm(kind, "", "=r,0", [self.builder.bitcast(value, bits)], False)
             held.attributes.add("readnone")
             held.attributes.add("nounwind")
-            return self.builder.bitcast(held, llvm.DoubleType())
+            return self.builder.bitcast(held, real)
 
 
-@register_pass(mutates_CFG=True, analysis_only=False)
-class _Lowering(NativeLowering):
-    _name = "wide_native_lowering"
-
-    @property
-    def lowering_class(self) -> type[Lower]:
-        return _Lower
+def single(value: float) -> np.float32:
+    """A constant in float32; a bound far outside its range becomes 1e-18 or 1e18, whose squares are within it."""
+    size = abs(value)
+    size = BEYOND.get(size, 1e-18 if 0.0 < size < 1e-37 else 1e18 if 1e37 < size < math.inf else size)
+    return np.float32(math.copysign(size, value))
 
 
-class Wide(CompilerBase):
-    """numba's usual pipeline, with the attributes on what it lowers."""
+@register_pass(mutates_CFG=False, analysis_only=False)
+class _SingleConstants(FunctionPass):
+    """Makes a function's constants float32, so that float32 arguments stay what they are."""
 
-    def define_pipelines(self) -> list[Any]:
-        pipeline = DefaultPassBuilder.define_nopython_pipeline(self.state)
-        pipeline.passes = [(_Lowering if step is NativeLowering else step, text) for step, text in pipeline.passes]
-        pipeline.finalize()
-        return [pipeline]
+    _name = "single_constants"
+
+    def __init__(self) -> None:
+        FunctionPass.__init__(self)
+
+    def run_pass(self, state: Any) -> bool:
+        for block in state.func_ir.blocks.values():
+            for step in block.find_insts(ir.Assign):
+                if isinstance(step.value, (ir.Const, ir.Global, ir.FreeVar)) and type(step.value.value) is float:
+                    step.value = ir.Const(single(step.value.value), step.loc)
+        return True
+
+
+@functools.cache
+def wide(side_by_side: int = SIDE_BY_SIDE, in_single: bool = False) -> type[CompilerBase]:
+    """numba's usual pipeline, with the attributes on what it lowers and so many vectors side by side in its loops.
+
+    `in_single`: constants are float32.
+    """
+    lower = type("_Lower", (_Lower,), {"side_by_side": side_by_side, "in_single": in_single})
+
+    @register_pass(mutates_CFG=True, analysis_only=False)
+    class Lowering(NativeLowering):
+        _name = f"wide_native_lowering_{side_by_side}_{in_single}"
+
+        @property
+        def lowering_class(self) -> type[Lower]:
+            return lower
+
+    class Wide(CompilerBase):
+        def define_pipelines(self) -> list[Any]:
+            pipeline = DefaultPassBuilder.define_nopython_pipeline(self.state)
+            pipeline.passes = [(Lowering if step is NativeLowering else step, text) for step, text in pipeline.passes]
+            if in_single:
+                pipeline.add_pass_after(_SingleConstants, IRProcessing)
+            pipeline.finalize()
+            return [pipeline]
+
+    return Wide

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 
-from gonio.errors import ArgumentError
+from gonio.errors import ArgumentError, refuse_masked
 from gonio.models import engine
 from gonio.models.engine import SPLIT, Constants, Geometry, Kernel
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+    from numpy.typing import ArrayLike, NDArray
 
 Index = complex | str | Sequence[float] | Callable[[float], complex]
 """A complex refractive index n + ik, [n, k], a material's name, or a function of the wavelength in nm."""
@@ -70,6 +70,7 @@ class Model(ABC):
         phi_r: ArrayLike,
         *,
         wavelength_nm: ArrayLike = 550.0,
+        out: Any = None,
     ) -> Any:
         """BRDF [1/sr] at angles, without any specular spike.
 
@@ -82,7 +83,11 @@ class Model(ABC):
             Their azimuths from the sample's x axis [rad]; phi_r - phi_i is 0 in retro-reflection and pi in the mirror
             half-plane.
         wavelength_nm
-            Wavelength [nm] of models whose index of refraction depends on it.
+            Wavelength [nm]; an array broadcasts with the directions. On an axis of its own, as (n, 1) angles with (m,)
+            wavelengths, all wavelengths share what does not depend on them.
+        out
+            Where the result goes: a writable array of its shape and type, which may overlap the arguments. Nothing is
+            written into it before all arguments are checked.
 
         Returns
         -------
@@ -97,13 +102,20 @@ class Model(ABC):
         if isinstance(wavelength_nm, (int, float)) or engine.real_array("wavelength_nm", wavelength_nm).ndim == 0:
             kernel, constants = self._evaluation(checked_wavelength(wavelength_nm))
             return engine.over_angles(
-                kernel, constants, theta_i, phi_i, theta_r, phi_r, absolute=self._absolute, split=self.grain
+                kernel, constants, theta_i, phi_i, theta_r, phi_r, absolute=self._absolute, split=self.grain, out=out
             )
         arrays, shape = engine.angle_arrays(theta_i, phi_i, theta_r, phi_r)
         engine.check_angles(arrays)
-        return _by_wavelength(lambda w, parts: self.brdf(*parts, wavelength_nm=w), wavelength_nm, arrays, shape)
+        return engine.delivered(out, _by_wavelength(self._spectra, wavelength_nm, arrays, shape, ()))
 
-    def brdf_vectors(self, omega_i: ArrayLike, omega_r: ArrayLike, *, wavelength_nm: float = 550.0) -> Any:
+    def _spectra(self, arguments: list[Any], waves: list[float]) -> NDArray[np.float64]:
+        """The BRDF (wavelengths, pairs) at four angles of one shape, or at two arrays of vectors."""
+        evaluate = self.brdf if len(arguments) == 4 else self.brdf_vectors
+        return np.stack([np.reshape(evaluate(*arguments, wavelength_nm=wave), -1) for wave in waves])
+
+    def brdf_vectors(
+        self, omega_i: ArrayLike, omega_r: ArrayLike, *, wavelength_nm: ArrayLike = 550.0, out: Any = None
+    ) -> Any:
         """BRDF [1/sr] at unit vectors toward the source and the detector, without any specular spike.
 
         Parameters
@@ -112,22 +124,30 @@ class Model(ABC):
             Vectors (..., 3) in the sample's frame, z its normal, both leaving the surface. Their lengths may differ
             from 1 by 1e-6 (float32) and are taken out to second order; beyond that they are refused.
         wavelength_nm
-            Wavelength [nm] of models whose index of refraction depends on it.
+            Wavelength [nm]; an array broadcasts with the directions. On an axis of its own, as (n, 1) angles with (m,)
+            wavelengths, all wavelengths share what does not depend on them.
+        out
+            Where the result goes: a writable array of its shape and type, which may overlap the arguments. Nothing is
+            written into it before all arguments are checked.
 
         Returns
         -------
         float64 array of the shape that the arguments broadcast to without the last axis; 0 where either vector is
-        below the surface.
+        below the surface. Two float32 arrays give a float32 result, by float32 arithmetic where a model has it
+        (docs/models.md states its error).
 
         Raises
         ------
         ArgumentError
             A vector is not of unit length or holds NaN, or the shapes do not broadcast; it names the argument.
         """
-        kernel, constants = self._evaluation(checked_wavelength(wavelength_nm))
-        return engine.over_vectors(kernel, constants, omega_i, omega_r, split=self.grain)
+        if isinstance(wavelength_nm, (int, float)) or engine.real_array("wavelength_nm", wavelength_nm).ndim == 0:
+            kernel, constants = self._evaluation(checked_wavelength(wavelength_nm))
+            return engine.over_vectors(kernel, constants, omega_i, omega_r, split=self.grain, out=out)
+        vectors, shape = engine.vector_arrays(omega_i, omega_r)
+        return engine.delivered(out, _by_wavelength(self._spectra, wavelength_nm, vectors, shape, (3,)))
 
-    def at(self, geometry: Geometry, *, wavelength_nm: float = 550.0) -> Any:
+    def at(self, geometry: Geometry, *, wavelength_nm: float = 550.0, out: Any = None) -> Any:
         """BRDF [1/sr] at directions that `gonio.models.geometry` has checked: the fast way to try many parameters.
 
         Parameters
@@ -136,6 +156,9 @@ class Model(ABC):
             The directions.
         wavelength_nm
             Wavelength [nm] of models whose index of refraction depends on it.
+        out
+            Where the result goes: a writable array of its shape and type, which may overlap the arguments. Nothing is
+            written into it before all arguments are checked.
 
         Returns
         -------
@@ -147,20 +170,40 @@ class Model(ABC):
             The wavelength is no positive number, or the index is not known at it.
         """
         kernel, constants = self._evaluation(checked_wavelength(wavelength_nm))
-        return engine.at_geometry(kernel, constants, geometry, split=self.grain)
+        return engine.at_geometry(kernel, constants, geometry, split=self.grain, out=out)
 
 
 def _by_wavelength(
-    evaluate: Callable[..., Any], wavelength_nm: ArrayLike, arrays: list[Any], shape: tuple[int, ...]
+    evaluate: Callable[[list[Any], list[float]], NDArray[np.float64]],
+    wavelength_nm: ArrayLike,
+    arrays: list[Any],
+    shape: tuple[int, ...],
+    core: tuple[int, ...],
 ) -> Any:
+    """``evaluate(arguments, wavelengths) -> (wavelengths, pairs)`` over arguments that broadcast with wavelengths.
+
+    Where wavelengths and directions lie on axes of their own, all wavelengths share one evaluation of the directions;
+    else the pairs of each wavelength are picked out. `core` is what an argument's shape has beyond that of the pairs.
+    """
     waves = engine.real_array("wavelength_nm", wavelength_nm)
-    whole = engine.common_shape(("the angles", "wavelength_nm"), [shape, waves.shape])
-    waves = np.broadcast_to(waves, whole)
-    parts = [np.broadcast_to(array, whole) for array in arrays]
+    whole = engine.common_shape(("the directions", "wavelength_nm"), [shape, waves.shape])
+    unique, place = np.unique(waves, return_inverse=True)
+    numbers = [checked_wavelength(wave) for wave in unique]
+    long = (1,) * (len(whole) - len(shape)) + shape
+    wide = (1,) * (len(whole) - waves.ndim) + waves.shape
+    if all(n == 1 or w == 1 for n, w in zip(long, wide, strict=True)):
+        table = evaluate([np.broadcast_to(array, (*shape, *core)) for array in arrays], numbers)[place.reshape(-1)]
+        apart = table.reshape(wide + long)
+        axes = [
+            axis for pair in zip(range(len(whole)), range(len(whole), 2 * len(whole)), strict=True) for axis in pair
+        ]
+        return apart.transpose(axes).reshape(whole)
+    place = np.broadcast_to(place.reshape(waves.shape), whole)
+    parts = [np.broadcast_to(array, (*whole, *core)) for array in arrays]
     out = np.empty(whole)
-    for wave in np.unique(waves):
-        here = waves == wave
-        out[here] = evaluate(checked_wavelength(wave), [part[here] for part in parts])
+    for k, number_ in enumerate(numbers):
+        here = place == k
+        out[here] = evaluate([part[here] for part in parts], [number_])[0]
     return out
 
 
@@ -175,6 +218,7 @@ def store(model: Model, **values: Any) -> None:
 
 def number(name: str, value: Any, low: float = -math.inf, high: float = math.inf, unit: str = "") -> float:
     """A real parameter in [low, high]; raises `ArgumentError` naming it otherwise."""
+    refuse_masked(name, value)
     if type(value) is not float and (
         isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating))
     ):

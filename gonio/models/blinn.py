@@ -14,8 +14,21 @@ import numpy as np
 
 from gonio.errors import ArgumentError
 from gonio.models import engine
-from gonio.models._compile import device
-from gonio.models._facets import alpha_squared, cos_power, facet, fresnel, fresnel_constants, groove_over_viewer
+from gonio.models._compile import device, of_columns, with_others
+from gonio.models._facets import (
+    SINGLE_RANGE,
+    alpha_squared,
+    by_angle,
+    by_flat,
+    by_log_cos,
+    cos_power,
+    facet,
+    fresnel,
+    fresnel_constants,
+    fresnel_real,
+    groove_over_viewer,
+    log_cos2,
+)
 from gonio.models._math import _LOG2_E, exp2
 from gonio.models.base import Index, Model, checked_index, checked_wavelength, choice, index_at, number, positive, store
 from gonio.models.engine import Constants, Kernel
@@ -30,98 +43,100 @@ DISTRIBUTIONS = ("trowbridge-reitz", "gaussian", "phong")
 
 
 @device
-def phong_highlight(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    """s = (N.H)^c1."""
+def log_cos_and_light(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
+    """(ln (N.H)^2, N.L)."""
     flat, sz, s2, _, _, _ = facet(lx, ly, lz, vx, vy, vz)
-    return p[1] * cos_power(flat, sz, s2, p[2])
+    return log_cos2(flat, sz, s2), lz
 
 
-@device
-def phong(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+@of_columns(log_cos_and_light, 2)
+def phong_highlight(log_square, lz, p):  # type: ignore[no-untyped-def]
+    """s = (N.H)^c1."""
+    weight, exponent = p[1], p[2]
+    return weight * cos_power(log_square, exponent)
+
+
+@of_columns(log_cos_and_light, 2)
+def phong(log_square, lz, p):  # type: ignore[no-untyped-def]
     """(k_d + k_s s / cos(theta_i)) / pi."""
-    s = phong_highlight(lx, ly, lz, vx, vy, vz, p)
-    return p[0] + (s / lz if s > 0.0 else 0.0)
+    diffuse, weight, exponent = p[0], p[1], p[2]
+    s = weight * cos_power(log_square, exponent)
+    return diffuse + (s / lz if s > 0.0 else 0.0)
 
 
 @device
-def d1(flat, sz, s2, c):  # type: ignore[no-untyped-def]
-    """D1 = cos^c1(alpha), numerator and denominator."""
-    return cos_power(flat, sz, s2, c), 1.0
+def d2(alpha2, c):  # type: ignore[no-untyped-def]
+    """D2 = exp(-(alpha c2)^2)."""
+    return exp2(alpha2 * (-_LOG2_E * c * c))
 
 
 @device
-def d2(flat, sz, s2, c):  # type: ignore[no-untyped-def]
-    """D2 = exp(-(alpha c2)^2), numerator and denominator."""
-    return exp2(alpha_squared(flat, sz, s2) * (-_LOG2_E * c * c)), 1.0
-
-
-@device
-def d3(flat, sz, s2, c):  # type: ignore[no-untyped-def]
+def d3(flat, s2, sz, c):  # type: ignore[no-untyped-def]
     """D3 = [c3^2 / (cos^2(alpha) (c3^2 - 1) + 1)]^2, numerator and denominator, as 1/(cos^2 + sin^2/c3^2)."""
     root = sz * sz + flat * (1.0 / (c * c))
     return s2 * s2, root * root
 
 
 @device
-def torrance_sparrow(d, sz, s2, g, p):  # type: ignore[no-untyped-def]
-    """The BRDF for a distribution d (numerator, denominator): (k_d + k_s D F G/((N.E)(N.L))) / pi."""
-    d_up, d_down = d
-    f_up, f_down = fresnel(0.25 * s2, p[3], p[4], p[5])
-    up = p[1] * d_up * f_up * sz
-    return p[0] + (up / ((d_down * f_down) * g) if up > 0.0 else 0.0)
+def torrance_sparrow(d_up, d_down, s2, sz, g, p):  # type: ignore[no-untyped-def]
+    """The BRDF for a distribution d_up/d_down: (k_d + k_s D F G/((N.E)(N.L))) / pi."""
+    diffuse, weight, contrast, real, imag = p[0], p[1], p[3], p[4], p[5]
+    f_up, f_down = fresnel(0.25 * s2, contrast, real, imag)
+    up = weight * d_up * f_up * sz
+    return diffuse + (up / ((d_down * f_down) * g) if up > 0.0 else 0.0)
 
 
 @device
-def torrance_sparrow_highlight(d, lz, vz, sz, s2, p):  # type: ignore[no-untyped-def]
-    """s = D F G/(N.E), from a distribution d (numerator, denominator)."""
-    d_up, d_down = d
-    f_up, f_down = fresnel(0.25 * s2, p[3], p[4], p[5])
+def torrance_sparrow_highlight(d_up, d_down, lz, vz, s2, sz, p):  # type: ignore[no-untyped-def]
+    """s = D F G/(N.E), from a distribution d_up/d_down."""
+    weight, contrast, real, imag = p[1], p[3], p[4], p[5]
+    f_up, f_down = fresnel(0.25 * s2, contrast, real, imag)
     g_up, g_down = groove_over_viewer(lz, vz, sz, s2)
-    up = p[1] * d_up * f_up * g_up
+    up = weight * d_up * f_up * g_up
     return up / ((d_down * f_down) * g_down) if up > 0.0 else 0.0
 
 
-@device
-def brdf_d1(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    flat, sz, s2, g, _, _ = facet(lx, ly, lz, vx, vy, vz)
-    return torrance_sparrow(d1(flat, sz, s2, p[2]), sz, s2, g, p)
+@of_columns(by_log_cos, 4, single_range=SINGLE_RANGE)
+def brdf_d1(log_square, s2, sz, g, p):  # type: ignore[no-untyped-def]
+    """With D1 = cos^c1(alpha)."""
+    return torrance_sparrow(cos_power(log_square, p[2]), 1.0, s2, sz, g, p)
 
 
-@device
-def brdf_d2(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    flat, sz, s2, g, _, _ = facet(lx, ly, lz, vx, vy, vz)
-    return torrance_sparrow(d2(flat, sz, s2, p[2]), sz, s2, g, p)
+@of_columns(by_angle, 4, single_range=SINGLE_RANGE)
+def brdf_d2(alpha2, s2, sz, g, p):  # type: ignore[no-untyped-def]
+    return torrance_sparrow(d2(alpha2, p[2]), 1.0, s2, sz, g, p)
 
 
-@device
-def brdf_d3(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    flat, sz, s2, g, _, _ = facet(lx, ly, lz, vx, vy, vz)
-    return torrance_sparrow(d3(flat, sz, s2, p[2]), sz, s2, g, p)
+@of_columns(by_flat, 4, single_range=SINGLE_RANGE)
+def brdf_d3(flat, s2, sz, g, p):  # type: ignore[no-untyped-def]
+    d_up, d_down = d3(flat, s2, sz, p[2])
+    return torrance_sparrow(d_up, d_down, s2, sz, g, p)
 
 
 @device
 def highlight_d1(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     flat, sz, s2, _, lz, vz = facet(lx, ly, lz, vx, vy, vz)
-    return torrance_sparrow_highlight(d1(flat, sz, s2, p[2]), lz, vz, sz, s2, p)
+    return torrance_sparrow_highlight(cos_power(log_cos2(flat, sz, s2), p[2]), 1.0, lz, vz, s2, sz, p)
 
 
 @device
 def highlight_d2(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     flat, sz, s2, _, lz, vz = facet(lx, ly, lz, vx, vy, vz)
-    return torrance_sparrow_highlight(d2(flat, sz, s2, p[2]), lz, vz, sz, s2, p)
+    return torrance_sparrow_highlight(d2(alpha_squared(flat, sz, s2), p[2]), 1.0, lz, vz, s2, sz, p)
 
 
 @device
 def highlight_d3(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     flat, sz, s2, _, lz, vz = facet(lx, ly, lz, vx, vy, vz)
-    return torrance_sparrow_highlight(d3(flat, sz, s2, p[2]), lz, vz, sz, s2, p)
+    d_up, d_down = d3(flat, s2, sz, p[2])
+    return torrance_sparrow_highlight(d_up, d_down, lz, vz, s2, sz, p)
 
 
-_KERNELS: dict[str, tuple[Kernel, Kernel]] = {
-    "phong": (brdf_d1, highlight_d1),
-    "gaussian": (brdf_d2, highlight_d2),
-    "trowbridge-reitz": (brdf_d3, highlight_d3),
+_BRDFS: dict[str, Kernel] = {"phong": brdf_d1, "gaussian": brdf_d2, "trowbridge-reitz": brdf_d3}
+_REAL: dict[str, Kernel] = {
+    key: with_others(kernel, f"{kernel.__name__}_real", {fresnel: fresnel_real}) for key, kernel in _BRDFS.items()
 }
+_HIGHLIGHTS: dict[str, Kernel] = {"phong": highlight_d1, "gaussian": highlight_d2, "trowbridge-reitz": highlight_d3}
 
 
 # --- models -------------------------------------------------------------------------------------------------------
@@ -172,9 +187,11 @@ class Phong(Model):
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
         return phong, (self.k_d / pi, self.k_s / pi, self.exponent)
 
-    def highlight(self, theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: ArrayLike) -> Any:
+    def highlight(
+        self, theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: ArrayLike, *, out: Any = None
+    ) -> Any:
         """Blinn's s = (N.H)^c1 without its weight; arguments as `brdf`."""
-        return engine.over_angles(phong_highlight, (0.0, 1.0, self.exponent), theta_i, phi_i, theta_r, phi_r)
+        return engine.over_angles(phong_highlight, (0.0, 1.0, self.exponent), theta_i, phi_i, theta_r, phi_r, out=out)
 
 
 PRESETS: dict[str, dict[str, Any]] = {
@@ -282,7 +299,9 @@ class Blinn(Model):
         return (k_d, k_s * twice, self.c, *fresnel_constants(index_at(self.ior, wavelength_nm)))
 
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
-        return _KERNELS[self.distribution][0], self._constants(wavelength_nm, self.k_d / pi, self.k_s / pi)
+        constants = self._constants(wavelength_nm, self.k_d / pi, self.k_s / pi)
+        real = index_at(self.ior, wavelength_nm).imag == 0.0
+        return (_REAL if real else _BRDFS)[self.distribution], constants
 
     def highlight(
         self,
@@ -292,10 +311,11 @@ class Blinn(Model):
         phi_r: ArrayLike,
         *,
         wavelength_nm: float = 550.0,
+        out: Any = None,
     ) -> Any:
         """Blinn's s = D F G/(N.E) without its weight; arguments as `brdf`."""
         constants = self._constants(checked_wavelength(wavelength_nm), 0.0, 1.0)
-        return engine.over_angles(_KERNELS[self.distribution][1], constants, theta_i, phi_i, theta_r, phi_r)
+        return engine.over_angles(_HIGHLIGHTS[self.distribution], constants, theta_i, phi_i, theta_r, phi_r, out=out)
 
     @staticmethod
     def textured_d3(cos_alpha: ArrayLike, c_min: float, t: ArrayLike) -> Any:

@@ -12,8 +12,8 @@ import numpy as np
 
 from gonio.errors import ArgumentError
 from gonio.models import engine
-from gonio.models._compile import device
-from gonio.models._facets import alpha_squared, facet, fresnel, fresnel_constants, tan2_alpha
+from gonio.models._compile import device, of_columns, with_others
+from gonio.models._facets import SINGLE_RANGE, by_angle, by_tan2, fresnel, fresnel_constants, fresnel_real
 from gonio.models._math import _LOG2_E, exp2
 from gonio.models.base import Index, Model, checked_index, checked_wavelength, choice, index_at, number, positive, store
 from gonio.models.engine import Constants, Kernel
@@ -37,22 +37,20 @@ def schlick(c2, f0, rest):  # type: ignore[no-untyped-def]
 
 
 @device
-def beckmann_slopes(flat, sz, p):  # type: ignore[no-untyped-def]
+def beckmann_slopes(tan2, p):  # type: ignore[no-untyped-def]
     """D = exp(-tan^2/m^2) / (m^2 cos^4), summed over slopes."""
-    t = tan2_alpha(flat, sz)
     d = 0.0
     for j in range(4, len(p), 2):
-        d += p[j + 1] * exp2(t * p[j])
-    return d * ((1.0 + t) * (1.0 + t))
+        d += p[j + 1] * exp2(tan2 * p[j])
+    return d * ((1.0 + tan2) * (1.0 + tan2))
 
 
 @device
-def gaussian_slopes(flat, sz, s2, p):  # type: ignore[no-untyped-def]
+def gaussian_slopes(alpha2, p):  # type: ignore[no-untyped-def]
     """D = c exp(-(alpha/m)^2) with c = 1, summed over slopes."""
-    a2 = alpha_squared(flat, sz, s2)
     d = 0.0
     for j in range(4, len(p), 2):
-        d += p[j + 1] * exp2(a2 * p[j])
+        d += p[j + 1] * exp2(alpha2 * p[j])
     return d
 
 
@@ -63,35 +61,37 @@ def facets(sz, g, base, up, down):  # type: ignore[no-untyped-def]
     return base + (up / (down * g) if up > 0.0 else 0.0)
 
 
-@device
-def beckmann(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    flat, sz, s2, g, _, _ = facet(lx, ly, lz, vx, vy, vz)
-    f_up, f_down = fresnel(0.25 * s2, p[1], p[2], p[3])
-    return facets(sz, g, p[0], beckmann_slopes(flat, sz, p) * f_up, f_down)
+@of_columns(by_tan2, 4, single_range=SINGLE_RANGE)
+def beckmann(tan2, s2, sz, g, p):  # type: ignore[no-untyped-def]
+    base, contrast, real, imag = p[0], p[1], p[2], p[3]
+    f_up, f_down = fresnel(0.25 * s2, contrast, real, imag)
+    return facets(sz, g, base, beckmann_slopes(tan2, p) * f_up, f_down)
 
 
-@device
-def gaussian(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    flat, sz, s2, g, _, _ = facet(lx, ly, lz, vx, vy, vz)
-    f_up, f_down = fresnel(0.25 * s2, p[1], p[2], p[3])
-    return facets(sz, g, p[0], gaussian_slopes(flat, sz, s2, p) * f_up, f_down)
+@of_columns(by_angle, 4, single_range=SINGLE_RANGE)
+def gaussian(alpha2, s2, sz, g, p):  # type: ignore[no-untyped-def]
+    base, contrast, real, imag = p[0], p[1], p[2], p[3]
+    f_up, f_down = fresnel(0.25 * s2, contrast, real, imag)
+    return facets(sz, g, base, gaussian_slopes(alpha2, p) * f_up, f_down)
 
 
-@device
-def beckmann_schlick(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    flat, sz, s2, g, _, _ = facet(lx, ly, lz, vx, vy, vz)
-    return facets(sz, g, p[0], beckmann_slopes(flat, sz, p) * schlick(0.25 * s2, p[1], p[2]), 1.0)
+@of_columns(by_tan2, 4, single_range=SINGLE_RANGE)
+def beckmann_schlick(tan2, s2, sz, g, p):  # type: ignore[no-untyped-def]
+    base, f0, rest = p[0], p[1], p[2]
+    return facets(sz, g, base, beckmann_slopes(tan2, p) * schlick(0.25 * s2, f0, rest), 1.0)
 
 
-@device
-def gaussian_schlick(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    flat, sz, s2, g, _, _ = facet(lx, ly, lz, vx, vy, vz)
-    return facets(sz, g, p[0], gaussian_slopes(flat, sz, s2, p) * schlick(0.25 * s2, p[1], p[2]), 1.0)
+@of_columns(by_angle, 4, single_range=SINGLE_RANGE)
+def gaussian_schlick(alpha2, s2, sz, g, p):  # type: ignore[no-untyped-def]
+    base, f0, rest = p[0], p[1], p[2]
+    return facets(sz, g, base, gaussian_slopes(alpha2, p) * schlick(0.25 * s2, f0, rest), 1.0)
 
 
 _KERNELS: dict[tuple[str, str], Kernel] = {
     ("beckmann", "exact"): beckmann,
     ("gaussian", "exact"): gaussian,
+    ("beckmann", "real"): with_others(beckmann, "beckmann_real", {fresnel: fresnel_real}),
+    ("gaussian", "real"): with_others(gaussian, "gaussian_real", {fresnel: fresnel_real}),
     ("beckmann", "schlick"): beckmann_schlick,
     ("gaussian", "schlick"): gaussian_schlick,
 }
@@ -239,7 +239,7 @@ class CookTorrance(Model):
             + "; m is the total rms slope."
         )
 
-    def _constants(self, wavelength_nm: float, diffuse: float, scale: float) -> Constants:
+    def _weighted(self, wavelength_nm: float, diffuse: float, scale: float) -> tuple[Kernel, Constants]:
         scale /= pi * (4.0 if self.normalisation == "normalised" else 1.0)
         slopes = [
             value
@@ -252,15 +252,12 @@ class CookTorrance(Model):
         ior = index_at(self.ior, wavelength_nm)
         if self.fresnel == "schlick":
             f0 = float(reflectance(1.0, ior))
-            return (diffuse, f0, 1.0 - f0, 0.0, *slopes)
-        return (diffuse, *fresnel_constants(ior), *slopes)
-
-    @property
-    def _kernel(self) -> Kernel:
-        return _KERNELS[self.distribution, self.fresnel]
+            return _KERNELS[self.distribution, "schlick"], (diffuse, f0, 1.0 - f0, 0.0, *slopes)
+        kind = "real" if ior.imag == 0.0 else "exact"
+        return _KERNELS[self.distribution, kind], (diffuse, *fresnel_constants(ior), *slopes)
 
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
-        return self._kernel, self._constants(wavelength_nm, self.d * self.diffuse_albedo / pi, self.s)
+        return self._weighted(wavelength_nm, self.d * self.diffuse_albedo / pi, self.s)
 
     def specular(
         self,
@@ -270,10 +267,11 @@ class CookTorrance(Model):
         phi_r: ArrayLike,
         *,
         wavelength_nm: float = 550.0,
+        out: Any = None,
     ) -> Any:
         """R_s [1/sr] without its share s, in the model's normalisation; arguments as `brdf`."""
-        constants = self._constants(checked_wavelength(wavelength_nm), 0.0, 1.0)
-        return engine.over_angles(self._kernel, constants, theta_i, phi_i, theta_r, phi_r)
+        kernel, constants = self._weighted(checked_wavelength(wavelength_nm), 0.0, 1.0)
+        return engine.over_angles(kernel, constants, theta_i, phi_i, theta_r, phi_r, out=out)
 
     def ambient_reflectance(self, theta_r: float | None = None, *, wavelength_nm: float = 550.0) -> float:
         """R_a, the reflectance for light that falls in evenly from everywhere.

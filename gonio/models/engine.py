@@ -7,18 +7,19 @@ checked in the same pass that evaluates them, into a private array that is throw
 
 from __future__ import annotations
 
+import math
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import pi, prod
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from gonio.errors import ArgumentError
-from gonio.models._compile import loop, template
+from gonio.errors import ArgumentError, refuse_masked
+from gonio.models._compile import device, loop, template
 from gonio.models._math import sincos, sincos_polar
 
 if TYPE_CHECKING:
@@ -29,7 +30,6 @@ Constants = tuple[float, ...]
 
 NORM_TOLERANCE: Final = 1e-6  # how far from 1 the length of a direction may be: what float32 vectors need, and no more
 BLOCK: Final = 8192  # pairs handled at a time: one constant argument is repeated that often, and stays in the cache
-CHUNK: Final = 64  # pairs taken apart at a time: so few that the next are fetched from memory while these are evaluated
 SPLIT: Final = 65536  # pairs a thread must have to be worth waking: a wake costs some 20 us
 PHI_LIMIT: Final = 1e6  # rad; beyond it an azimuth has fewer than ten digits left
 HALF_PI: Final = pi / 2
@@ -38,13 +38,11 @@ HALF_PI: Final = pi / 2
 # --- the loops: `kernel` is put in by _compile.loop -------------------------------------------------------------
 
 
-@template("r1 i r1 i p w1 i i")
+@template("r1 i r1 i p w1 i i", side_by_side=2)
 def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop):  # type: ignore[no-untyped-def]
     wrong = 0
-    parts = np.empty((7, CHUNK))
-    lx, ly, lz, vx, vy, vz, low = parts[0], parts[1], parts[2], parts[3], parts[4], parts[5], parts[6]
-    for first in range(start, stop, CHUNK):
-        count = min(CHUNK, stop - first)
+    for first in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - first)
         l = omega_i[3 * first * step_i : 3 * (first * step_i + count)]  # noqa: E741
         v = omega_r[3 * first * step_r : 3 * (first * step_r + count)]
         o = out[first : first + count]
@@ -54,16 +52,11 @@ def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop)
             bx, by, bz = v[3 * j], v[3 * j + 1], v[3 * j + 2]
             ea = ax * ax + ay * ay + (az * az - 1.0)
             eb = bx * bx + by * by + (bz * bz - 1.0)
-            unit = abs(ea) <= 2.0 * NORM_TOLERANCE and abs(eb) <= 2.0 * NORM_TOLERANCE
-            low[j] = (az if az < bz else bz) if unit else np.nan
+            wrong |= 0 if abs(ea) <= 2.0 * NORM_TOLERANCE and abs(eb) <= 2.0 * NORM_TOLERANCE else 1
             fa = 1.0 - ea * (0.5 - 0.375 * ea)  # 1/sqrt(1 + e): the next term is below 3e-18
             fb = 1.0 - eb * (0.5 - 0.375 * eb)
-            lx[j], ly[j], lz[j] = ax * fa, ay * fa, az * fa
-            vx[j], vy[j], vz[j] = bx * fb, by * fb, bz * fb
-        for j in range(count):
-            value = kernel(lx[j], ly[j], lz[j], vx[j], vy[j], vz[j], constants)  # type: ignore[name-defined]  # noqa: F821
-            o[j] = value if low[j] >= 0.0 else 0.0
-            wrong |= 0 if low[j] == low[j] else 1
+            value = kernel(ax * fa, ay * fa, az * fa, bx * fb, by * fb, bz * fb, constants)  # type: ignore[name-defined]  # noqa: F821
+            o[j] = value if (az if az < bz else bz) >= 0.0 else 0.0
     return wrong
 
 
@@ -105,6 +98,69 @@ def _over_absolute_angles(  # type: ignore[no-untyped-def]
         sin_q, cos_q = sincos(q)
         out[j] = kernel(sin_i * cos_p, sin_i * sin_p, cos_i, sin_r * cos_q, sin_r * sin_q, cos_r, constants)  # type: ignore[name-defined]  # noqa: F821
     return wrong
+
+
+@device
+def off_unit(x, y, z):  # type: ignore[no-untyped-def]
+    """1 where a vector's length is not 1, else 0."""
+    return 0 if abs(x * x + y * y + (z * z - 1.0)) <= 2.0 * NORM_TOLERANCE else 1
+
+
+@template("r1 i i")
+def _off_unit(vectors, start, stop):  # type: ignore[no-untyped-def]
+    wrong = 0
+    part = vectors[3 * start : 3 * stop]
+    for j in range(stop - start):
+        wrong |= kernel(part[3 * j], part[3 * j + 1], part[3 * j + 2])  # type: ignore[name-defined]  # noqa: F821
+    return wrong
+
+
+@template("r1 r1 i w1")
+def _columns(omega_i, omega_r, count, out):  # type: ignore[no-untyped-def]
+    """What the kernel needs of each pair of directions, column after column."""
+    pairs = omega_i.size // 3
+    for j in range(pairs):
+        i = 3 * j
+        numbers = kernel(omega_i[i], omega_i[i + 1], omega_i[i + 2], omega_r[i], omega_r[i + 1], omega_r[i + 2])  # type: ignore[name-defined]  # noqa: F821
+        for k in range(count):
+            out[k * pairs + j] = numbers[k]
+    return 0
+
+
+@template("r1 p w1 i i", columns=True)
+def _at_2(columns, constants, out, start, stop):  # type: ignore[no-untyped-def]
+    n = out.size
+    a, b, o = columns[start:stop], columns[n + start : n + stop], out[start:stop]
+    for j in range(stop - start):
+        o[j] = kernel(a[j], b[j], constants)  # type: ignore[name-defined]  # noqa: F821
+    return 0
+
+
+@template("r1 p w1 i i", columns=True)
+def _at_3(columns, constants, out, start, stop):  # type: ignore[no-untyped-def]
+    n = out.size
+    a, b, c, o = (
+        columns[start:stop],
+        columns[n + start : n + stop],
+        columns[2 * n + start : 2 * n + stop],
+        out[start:stop],
+    )
+    for j in range(stop - start):
+        o[j] = kernel(a[j], b[j], c[j], constants)  # type: ignore[name-defined]  # noqa: F821
+    return 0
+
+
+@template("r1 p w1 i i", columns=True)
+def _at_4(columns, constants, out, start, stop):  # type: ignore[no-untyped-def]
+    n = out.size
+    a, b, c = columns[start:stop], columns[n + start : n + stop], columns[2 * n + start : 2 * n + stop]
+    d, o = columns[3 * n + start : 3 * n + stop], out[start:stop]
+    for j in range(stop - start):
+        o[j] = kernel(a[j], b[j], c[j], d[j], constants)  # type: ignore[name-defined]  # noqa: F821
+    return 0
+
+
+_AT: Final = {2: _at_2, 3: _at_3, 4: _at_4}
 
 
 # --- threads: our own, over serial compiled code, so that no numba threading layer is involved -------------------
@@ -150,17 +206,18 @@ def in_parts(work: Callable[[int, int], int | None], count: int, split: int = SP
 # --- arguments ----------------------------------------------------------------------------------------------------
 
 
-def real_array(name: str, value: ArrayLike) -> NDArray[np.float64]:
+def real_array(name: str, value: ArrayLike, real: type[np.floating[Any]] = np.float64) -> NDArray[Any]:
     """An argument as a float64 array; raises `ArgumentError` naming it when it is not made of real numbers."""
     if type(value) is float:
-        return np.array(value)
+        return np.array(value, real)
+    refuse_masked(name, value)
     try:
         array = np.asarray(value)
     except ValueError as error:
         raise ArgumentError(f"{name} is not an array of numbers: {error}") from error
     if array.dtype.kind not in "fiu":
         raise ArgumentError(f"{name} must hold real numbers, not {array.dtype}")
-    return array.astype(np.float64, copy=False)
+    return array.astype(real, copy=False)
 
 
 def _flat(array: NDArray[np.float64], shape: tuple[int, ...], count: int) -> tuple[NDArray[np.float64], int]:
@@ -222,6 +279,11 @@ def _explain_vectors(arrays: list[NDArray[np.float64]]) -> ArgumentError:
     raise AssertionError("a check failed that no argument explains")
 
 
+def explain(arrays: list[NDArray[np.float64]]) -> ArgumentError:
+    """What is wrong with four angles or two arrays of vectors, of which a check failed."""
+    return _explain_angles(arrays) if len(arrays) == 4 else _explain_vectors(arrays)
+
+
 def angle_arrays(
     theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: ArrayLike
 ) -> tuple[list[NDArray[np.float64]], tuple[int, ...]]:
@@ -230,12 +292,58 @@ def angle_arrays(
     return arrays, common_shape(ANGLES, [array.shape for array in arrays])
 
 
+def vector_arrays(
+    omega_i: ArrayLike, omega_r: ArrayLike, real: type[np.floating[Any]] = np.float64
+) -> tuple[list[NDArray[Any]], tuple[int, ...]]:
+    """Two arrays of vectors (..., 3) as float64 and the shape that they broadcast to; their lengths are not checked."""
+    arrays = [real_array("omega_i", omega_i, real), real_array("omega_r", omega_r, real)]
+    for name, array in zip(("omega_i", "omega_r"), arrays, strict=True):
+        if array.ndim == 0 or array.shape[-1] != 3:
+            raise ArgumentError(f"{name} has shape {array.shape}: its last axis must have the 3 components of a vector")
+    return arrays, common_shape(("omega_i", "omega_r"), [array.shape[:-1] for array in arrays])
+
+
 def check_angles(arrays: list[NDArray[np.float64]]) -> None:
     """Raise `ArgumentError` for a polar angle outside [0, pi/2], an azimuth that is not finite, or NaN."""
     for name, array in zip(ANGLES, arrays, strict=True):
         low, high = (0.0, HALF_PI) if name.startswith("theta") else (-PHI_LIMIT, PHI_LIMIT)
         if not bool(np.all((array >= low) & (array <= high))):
             raise _explain_angles(arrays)
+
+
+# --- results ------------------------------------------------------------------------------------------------------
+
+
+def checked_out(out: Any, shape: tuple[int, ...], real: type[np.floating[Any]] = np.float64) -> None:
+    """Raise `ArgumentError` unless `out` is None, or a writable array of a shape and type."""
+    if out is None:
+        return
+    if not isinstance(out, np.ndarray):
+        raise ArgumentError(f"out must be an array, not {type(out).__name__}")
+    if out.dtype != real or out.shape != shape:
+        raise ArgumentError(f"out is {out.dtype} {out.shape}: must be {np.dtype(real)} {shape}")
+    if not out.flags.writeable:
+        raise ArgumentError("out is read-only")
+
+
+def room(
+    out: Any, shape: tuple[int, ...], arrays: Sequence[NDArray[Any]], real: type[np.floating[Any]] = np.float64
+) -> NDArray[Any]:
+    """Where results go: `out` itself where it lies in one piece, away from the arguments; else a private array."""
+    checked_out(out, shape, real)
+    if out is None or not (out.flags.c_contiguous and out.flags.aligned and out.dtype.isnative):
+        return np.empty(shape, real)
+    return np.empty(shape, real) if any(np.may_share_memory(out, array) for array in arrays) else out
+
+
+def delivered(out: Any, values: Any) -> Any:
+    """`values`, or `out` filled with them; raises `ArgumentError` where it has another shape or type."""
+    if out is None:
+        return values if getattr(values, "ndim", 0) else values[()]
+    if out is not values:
+        checked_out(out, np.shape(values), values.dtype.type)
+        out[...] = values
+    return out
 
 
 # --- evaluation ---------------------------------------------------------------------------------------------------
@@ -251,50 +359,88 @@ def over_angles(
     *,
     absolute: bool = False,
     split: int = SPLIT,
+    out: Any = None,
 ) -> Any:
-    """A kernel over broadcast angles [rad]; `absolute` when it depends on both azimuths and not on their difference."""
+    """A kernel over broadcast angles [rad]; `absolute` when it depends on both azimuths and not on their difference.
+
+    Into `out` nothing is written before all arguments are checked.
+    """
     arrays, shape = angle_arrays(theta_i, phi_i, theta_r, phi_r)
     count = prod(shape)
-    out = np.empty(shape)
-    if count == 0:
+    values = room(out, shape, arrays)
+    if count == 0 or values is out:
         check_angles(arrays)
-        return out
-    run = loop(_over_absolute_angles if absolute else _over_angles, kernel, len(constants))
-    (a, sa), (b, sb), (c, sc), (d, sd) = (_flat(array, shape, count) for array in arrays)
-    flat = out.reshape(-1)
-    if in_parts(lambda i, j: run(a, sa, b, sb, c, sc, d, sd, constants, flat, i, j), count, split):
-        raise _explain_angles(arrays)
-    return out if shape else out[()]
+    if count:
+        run = loop(_over_absolute_angles if absolute else _over_angles, kernel, len(constants))
+        (a, sa), (b, sb), (c, sc), (d, sd) = (_flat(array, shape, count) for array in arrays)
+        flat = values.reshape(-1)
+        if in_parts(lambda i, j: run(a, sa, b, sb, c, sc, d, sd, constants, flat, i, j), count, split):
+            raise _explain_angles(arrays)
+    return delivered(out, values)
 
 
 def over_vectors(
-    kernel: Kernel, constants: Constants, omega_i: ArrayLike, omega_r: ArrayLike, *, split: int = SPLIT
+    kernel: Kernel, constants: Constants, omega_i: ArrayLike, omega_r: ArrayLike, *, split: int = SPLIT, out: Any = None
 ) -> Any:
-    """A kernel over broadcast unit vectors (..., 3); 0 where either lies below the surface."""
-    arrays = [real_array("omega_i", omega_i), real_array("omega_r", omega_r)]
-    for name, array in zip(("omega_i", "omega_r"), arrays, strict=True):
-        if array.ndim == 0 or array.shape[-1] != 3:
-            raise ArgumentError(f"{name} has shape {array.shape}: its last axis must have the 3 components of a vector")
-    shape = common_shape(("omega_i", "omega_r"), [array.shape[:-1] for array in arrays])
+    """A kernel over broadcast unit vectors (..., 3); 0 where either lies below the surface.
+
+    Two float32 arrays give a float32 result: by float32 arithmetic where kernel and constants allow it, else by
+    float64. Into `out` nothing is written before all arguments are checked.
+    """
+    single = _all_single(omega_i, omega_r)
+    if single and not _in_single(kernel, constants):
+        return delivered(
+            out, _to_single(over_vectors(kernel, constants, *vector_arrays(omega_i, omega_r)[0], split=split))
+        )
+    real: type[np.floating[Any]] = np.float32 if single else np.float64
+    arrays, shape = vector_arrays(omega_i, omega_r, real)
     count = prod(shape)
-    out = np.empty(shape)
-    if count == 0:
-        if any(
-            not bool(np.all(np.abs(np.einsum("...k,...k->...", a, a) - 1.0) <= 2.0 * NORM_TOLERANCE)) for a in arrays
-        ):
+    values = room(out, shape, arrays, real)
+    if count == 0 or values is out:
+        _check_vectors(arrays)
+    if count:
+        run = loop(_over_vectors, kernel, len(constants), in_single=single)
+        (l, sl), (v, sv) = (_flat_vectors(array, shape, count) for array in arrays)  # noqa: E741
+        flat, numbers = values.reshape(-1), tuple(real(constant) for constant in constants) if single else constants
+        if in_parts(lambda i, j: run(l, sl, v, sv, numbers, flat, i, j), count, split):
+            if single:  # the lengths in float64 decide
+                double = over_vectors(kernel, constants, *vector_arrays(omega_i, omega_r)[0], split=split)
+                return delivered(out, _to_single(double))
             raise _explain_vectors(arrays)
-        return out
-    run = loop(_over_vectors, kernel, len(constants))
-    (l, sl), (v, sv) = (_flat_vectors(array, shape, count) for array in arrays)  # noqa: E741
-    flat = out.reshape(-1)
-    if in_parts(lambda i, j: run(l, sl, v, sv, constants, flat, i, j), count, split):
-        raise _explain_vectors(arrays)
-    return out if shape else out[()]
+    return delivered(out, values)
+
+
+def _check_vectors(arrays: list[NDArray[Any]]) -> None:
+    for array in arrays:
+        run = loop(_off_unit, off_unit, 0)
+        flat = np.ascontiguousarray(array, np.float64).reshape(-1)
+        if flat.size and in_parts(lambda i, j, run=run, flat=flat: run(flat, i, j), flat.size // 3):  # type: ignore[misc]
+            raise _explain_vectors(arrays)
+
+
+def _all_single(*arguments: Any) -> bool:
+    """Whether every argument that has an axis is a float32 array, and there is one."""
+    arrays = [x for x in arguments if not isinstance(x, (int, float)) and getattr(x, "ndim", None) != 0]
+    return bool(arrays) and all(getattr(x, "dtype", None) == np.float32 for x in arrays)
+
+
+def _in_single(kernel: Kernel, constants: Constants) -> bool:
+    """Whether float32 holds all that a kernel makes of these constants."""
+    low, high = kernel.__dict__.get("single_range", (math.inf, 0.0))
+    return all(constant == 0.0 or low <= abs(constant) <= high for constant in constants)
+
+
+def _to_single(values: Any) -> Any:
+    with np.errstate(over="ignore", under="ignore"):  # beyond float32: infinite, as the formula's own poles are
+        return np.asarray(values).astype(np.float32)
 
 
 @dataclass(frozen=True)
 class Geometry:
     """Pairs of directions, checked and turned into vectors once: what a fit evaluates many parameter sets at.
+
+    What the models make of the directions alone is kept with them from the first evaluation on: up to 32 bytes a pair
+    for each family of models.
 
     Attributes
     ----------
@@ -307,6 +453,17 @@ class Geometry:
     omega_i: NDArray[np.float64]
     omega_r: NDArray[np.float64]
     shape: tuple[int, ...]
+    _kept: dict[Kernel, NDArray[np.float64]] = field(default_factory=dict, repr=False, compare=False)
+
+    def columns(self, kernel: Kernel) -> NDArray[np.float64]:
+        """What a kernel marked by `of_columns` needs of the directions, column after column."""
+        take, count = kernel.__dict__["columns"], kernel.__dict__["count"]
+        found = self._kept.get(take)
+        if found is None:
+            found = np.empty(count * (self.omega_i.size // 3))
+            loop(_columns, take, 0)(self.omega_i, self.omega_r, count, found)
+            self._kept[take] = found
+        return found
 
 
 def geometry(theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: ArrayLike) -> Geometry:
@@ -322,11 +479,15 @@ def geometry(theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: Ar
     return Geometry(vectors(arrays[0], arrays[1]), vectors(arrays[2], arrays[3]), shape)
 
 
-def at_geometry(kernel: Kernel, constants: Constants, where: Geometry, *, split: int = SPLIT) -> Any:
+def at_geometry(kernel: Kernel, constants: Constants, where: Geometry, *, split: int = SPLIT, out: Any = None) -> Any:
     """A kernel at a checked `Geometry`."""
-    out = np.empty(where.shape)
-    flat = out.reshape(-1)
-    run = loop(_over_vectors, kernel, len(constants))
-    if out.size:
-        in_parts(lambda i, j: run(where.omega_i, 1, where.omega_r, 1, constants, flat, i, j), out.size, split)
-    return out if where.shape else out[()]
+    values = room(out, where.shape, [where.omega_i, where.omega_r])
+    flat = values.reshape(-1)
+    if flat.size and "columns" in kernel.__dict__:
+        columns = where.columns(kernel)
+        shade = loop(_AT[kernel.__dict__["count"]], kernel, len(constants))
+        in_parts(lambda i, j: shade(columns, constants, flat, i, j), flat.size, split)
+    elif flat.size:
+        run = loop(_over_vectors, kernel, len(constants))
+        in_parts(lambda i, j: run(where.omega_i, 1, where.omega_r, 1, constants, flat, i, j), flat.size, split)
+    return delivered(out, values)

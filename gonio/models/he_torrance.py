@@ -100,9 +100,25 @@ class HeTorrance(Model):
             0.0,  # 1: without Fresnel
         )
 
+    def _spectra(self, arguments: list[NDArray[np.float64]], waves: list[float]) -> NDArray[np.float64]:
+        several = [self._constants(wave) for wave in waves]
+        diffuse, _, _, _, slope, printed, _, _, _, tier, _ = several[0]
+        shared = (diffuse, slope, printed, tier)
+        each = np.array([[scale, phase, width, *index] for _, scale, phase, width, _, _, *index, _, _ in several])
+        pairs = arguments[0].size // (3 if len(arguments) == 2 else 1)
+        loop_over = kernels.spectrum_over_vectors if len(arguments) == 2 else kernels.spectrum_over_angles
+        flat = [part for array in arguments for part in (np.ascontiguousarray(array).reshape(-1), 1)]
+        out = np.empty((len(waves), pairs))
+        run = loop(loop_over, kernels.pair_state, len(shared))
+        numbers, target = each.reshape(-1), out.reshape(-1)
+        split = max(1, self.grain // len(waves))
+        if pairs and engine.in_parts(lambda i, j: run(*flat, pairs, shared, numbers, target, i, j), pairs, split):
+            raise engine.explain(arguments)
+        return out
+
     # --- the specular spike -------------------------------------------------------------------------------------
 
-    def specular_reflectivity(self, theta_i: ArrayLike, *, wavelength_nm: ArrayLike = 550.0) -> Any:
+    def specular_reflectivity(self, theta_i: ArrayLike, *, wavelength_nm: ArrayLike = 550.0, out: Any = None) -> Any:
         """rho_s, the reflectivity of the specular spike (He1991 eq. 73), for unpolarised light.
 
         Parameters
@@ -121,7 +137,7 @@ class HeTorrance(Model):
         ArgumentError
             An angle is NaN or out of range; it names the argument.
         """
-        return self._over_thetas(self._spike, theta_i, wavelength_nm)
+        return engine.delivered(out, self._over_thetas(self._spike, theta_i, wavelength_nm))
 
     def _over_thetas(self, evaluate: Any, theta_i: ArrayLike, wavelength_nm: ArrayLike) -> Any:
         """``evaluate(flat theta, wavelength) -> flat`` over broadcast arguments."""
@@ -153,6 +169,7 @@ class HeTorrance(Model):
         phi_r: ArrayLike,
         *,
         wavelength_nm: float = 550.0,
+        out: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float64]:
         """Mueller matrix of the BRDF [1/sr], lobe and uniform diffuse (which depolarises), He1991 eqs. 59-68.
 
@@ -176,16 +193,15 @@ class HeTorrance(Model):
         """
         constants = self._constants(checked_wavelength(wavelength_nm))
         bare = (0.0, *constants[1:10], 1.0)  # the lobe without Fresnel
-        lobe = np.asarray(
-            engine.over_angles(kernels.lobe_state, bare, theta_i, phi_i, theta_r, phi_r, split=self.grain)
-        )
         arrays, shape = engine.angle_arrays(theta_i, phi_i, theta_r, phi_r)
+        lobe = np.asarray(engine.over_angles(kernels.lobe_state, bare, *arrays, split=self.grain))
         flat = [part for array in arrays for part in engine._flat(array, shape, lobe.size)]
-        out = np.empty((*shape, 4, 4))
+        values = engine.room(out, (*shape, 4, 4), arrays)
         run = loop(kernels.mueller_over_angles, kernels.jones, len(constants))
-        factor, target = lobe.reshape(-1), out.reshape(-1)
+        factor, target = lobe.reshape(-1), values.reshape(-1)
         engine.in_parts(lambda i, j: run(*flat, constants, factor, target, i, j), lobe.size, self.grain)
-        return out
+        matrices: NDArray[np.float64] = engine.delivered(out, values)
+        return matrices
 
     def jones(
         self,
@@ -222,7 +238,9 @@ class HeTorrance(Model):
 
     # --- energy -------------------------------------------------------------------------------------------------
 
-    def directional_hemispherical(self, theta_i: ArrayLike, *, wavelength_nm: ArrayLike = 550.0) -> Any:
+    def directional_hemispherical(
+        self, theta_i: ArrayLike, *, wavelength_nm: ArrayLike = 550.0, out: Any = None
+    ) -> Any:
         """Directional-hemispherical reflectance: spike + lobe + diffuse_albedo.
 
         Parameters
@@ -237,7 +255,7 @@ class HeTorrance(Model):
         float64 array of the shape that the arguments broadcast to. Nothing forces it below 1: the paper's own Figs. 9,
         11 and 14 exceed it.
         """
-        return self._over_thetas(self._hemispherical, theta_i, wavelength_nm)
+        return engine.delivered(out, self._over_thetas(self._hemispherical, theta_i, wavelength_nm))
 
     def _hemispherical(self, theta: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
         constants = self._constants(wavelength_nm)

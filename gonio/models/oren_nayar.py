@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from gonio.errors import ArgumentError
-from gonio.models._compile import device
+from gonio.models._compile import device, of_columns
 from gonio.models._groove_integral import gaussian_grooves, isotropic_grooves, parallel_grooves
 from gonio.models._math import atan_over_near
 from gonio.models.base import Model, choice, number, store
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 FORMS = ("functional", "exact", "qualitative", "single-slope")
 TWO_OVER_PI = 2.0 / pi
+INFINITE = math.inf
 FLAT = 1e-75  # smaller cosines, and products of sines below its square, count as this: their powers stay in range
 STEEP = 1e60  # the functional form beyond this is infinite at exactly grazing
 
@@ -38,11 +39,8 @@ def shares(tangent, steep):  # type: ignore[no-untyped-def]
 
 
 @device
-def functional(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    """Eqs. 14 to 16, with s2 = sigma^2.
-
-    p: rho/pi times C1, times 0.45 s2/(s2 + 0.09), times 0.125 s2/(s2 + 0.09), and 0.17 rho^2/pi s2/(s2 + 0.13).
-    """
+def angular_terms(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
+    """What C2 without its roughness, C3 without its, and the second bounce of eqs. 14 to 16 make of the directions."""
     ci = lz if lz > FLAT else FLAT
     cr = vz if vz > FLAT else FLAT
     si = sqrt(lx * lx + ly * ly)
@@ -89,8 +87,18 @@ def functional(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     # (1 - |cos(dphi)|) tan((alpha + beta)/2)
     aside = flat * (both * both * for_azimuth) * ((sin_a + sin_b) * (per_cosines * cos_b))
     third = (fa * fb) * (fa * fb) * aside
-    value = p[0] + p[1] * second + p[2] * third + p[3] * (1.0 - cosine * fb * fb)
-    return value if value < STEEP else math.inf
+    return second, third, 1.0 - cosine * fb * fb
+
+
+@of_columns(angular_terms, 3)
+def functional(second, third, bounce, p):  # type: ignore[no-untyped-def]
+    """Eqs. 14 to 16, with s2 = sigma^2.
+
+    p: rho/pi times C1, times 0.45 s2/(s2 + 0.09), times 0.125 s2/(s2 + 0.09), and 0.17 rho^2/pi s2/(s2 + 0.13).
+    """
+    c1, c2, c3, twice = p[0], p[1], p[2], p[3]
+    value = c1 + c2 * second + c3 * third + twice * bounce
+    return value if value < STEEP else INFINITE
 
 
 @device

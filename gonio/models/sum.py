@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from gonio.errors import ArgumentError
 from gonio.models.base import Model, number
-from gonio.models.engine import Geometry
+from gonio.models.engine import Geometry, delivered
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -81,16 +82,21 @@ class Sum(Model):
         phi_r: ArrayLike,
         *,
         wavelength_nm: ArrayLike = 550.0,
+        out: Any = None,
     ) -> Any:
-        return sum(
-            _weighted(w, m.brdf(theta_i, phi_i, theta_r, phi_r, wavelength_nm=wavelength_nm)) for m, w in self.terms
-        )
+        return self._total(lambda m: m.brdf(theta_i, phi_i, theta_r, phi_r, wavelength_nm=wavelength_nm), out)
 
-    def brdf_vectors(self, omega_i: ArrayLike, omega_r: ArrayLike, *, wavelength_nm: float = 550.0) -> Any:
-        return sum(_weighted(w, m.brdf_vectors(omega_i, omega_r, wavelength_nm=wavelength_nm)) for m, w in self.terms)
+    def brdf_vectors(
+        self, omega_i: ArrayLike, omega_r: ArrayLike, *, wavelength_nm: ArrayLike = 550.0, out: Any = None
+    ) -> Any:
+        return self._total(lambda m: m.brdf_vectors(omega_i, omega_r, wavelength_nm=wavelength_nm), out)
 
-    def at(self, geometry: Geometry, *, wavelength_nm: float = 550.0) -> Any:
-        return sum(_weighted(w, m.at(geometry, wavelength_nm=wavelength_nm)) for m, w in self.terms)
+    def at(self, geometry: Geometry, *, wavelength_nm: float = 550.0, out: Any = None) -> Any:
+        return self._total(lambda m: m.at(geometry, wavelength_nm=wavelength_nm), out)
+
+    def _total(self, evaluate: Callable[[Model], Any], out: Any) -> Any:
+        total = sum(_weighted(w, evaluate(m)) for m, w in self.terms)
+        return total if out is None else delivered(out, total)
 
 
 def _weighted(weight: float, value: Any) -> Any:

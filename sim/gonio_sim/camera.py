@@ -143,7 +143,7 @@ class SimulatedCamera:
         mosaic = self._sensor.read_out(
             rate, exposure_s, world.lamp_level(), world.key(Stream.SENSOR, world.step, world.frame)
         )
-        time_s = world.now_s()
+        time_s = world.frame_time_s()
         world.frame += 1
         world.spend(exposure_s + camera.frame_overhead_s)
         return Frame(

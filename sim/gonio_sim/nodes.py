@@ -8,13 +8,15 @@ own error is smaller still, by about 16 where the function is smooth.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from gonio.compiled import njit
 
 Array = npt.NDArray[np.float64]
 
@@ -38,17 +40,24 @@ class NodeGrid:
     bottom: float
     side: float
 
-    def fill(self, x: Array, y: Array, inside: npt.NDArray[np.bool_], out: Array) -> None:
-        """Write the interpolated function into `out` at every pixel of `inside`; all of one two-dimensional shape."""
-        spacing = self.side / (self.values.shape[0] - 1)
-        _interpolate(self.values, self.left, self.bottom, spacing, x, y, inside, out)
+    def paint(self, x: Array, y: Array, centre: tuple[float, float], radius: float, out: Array) -> None:
+        """Write the interpolated function into `out` where (x, y) lies in a disc; arrays of one two-dimensional shape.
+
+        Where x or y is NaN nothing is written.
+        """
+        _paint(self.values, self.left, self.bottom, self._spacing, x, y, *centre, radius * radius, out)
 
     def at(self, x: Array, y: Array) -> Array:
         """The interpolated function at points of any shape."""
         out = np.empty(np.shape(x))
         flat = (1, out.size)
-        self.fill(x.reshape(flat), y.reshape(flat), np.ones(flat, np.bool_), out.reshape(flat))
+        everywhere = (0.0, 0.0), math.inf
+        self.paint(x.reshape(flat), y.reshape(flat), *everywhere, out.reshape(flat))
         return out
+
+    @property
+    def _spacing(self) -> float:
+        return self.side / (len(self.values) - 1)
 
 
 def sample_function(
@@ -59,18 +68,26 @@ def sample_function(
     Below a spacing of `finest`, and beyond `MOST` nodes a side, it is not refined: a function with finer features is
     followed as well as that grid can.
     """
-    grid = _evaluate(function, None, FEWEST, left, bottom, side)
-    while grid.values.shape[0] < MOST and side / (grid.values.shape[0] - 1) >= 2.0 * finest:
-        finer = _evaluate(function, grid, 2 * grid.values.shape[0] - 1, left, bottom, side)
-        new = np.ones(finer.values.shape, dtype=bool)
-        new[::2, ::2] = False
-        x, y = _node_positions(finer.values.shape[0], left, bottom, side)
-        error = np.abs(grid.at(x[new], y[new]) - finer.values[new])
-        size = np.abs(finer.values[new]) + FLOOR * np.max(np.abs(finer.values)) + DARK
-        grid = finer
-        if not np.any(error > TOLERANCE * size):
+    if side < 2.0 * finest * (FEWEST - 1):
+        return _evaluate(function, None, FEWEST, left, bottom, side)
+    finer = _evaluate(function, None, 2 * FEWEST - 1, left, bottom, side)  # the two coarsest grids in one evaluation
+    grid = NodeGrid(np.ascontiguousarray(finer.values[::2, ::2]), left, bottom, side)
+    while not _predicts(grid, finer):
+        nodes = finer.values.shape[0]
+        if nodes >= MOST or side < 2.0 * finest * (nodes - 1):
             break
-    return grid
+        grid, finer = finer, _evaluate(function, finer, 2 * nodes - 1, left, bottom, side)
+    return finer
+
+
+def _predicts(grid: NodeGrid, finer: NodeGrid) -> bool:
+    """Whether a grid gives the values at the nodes that only the next finer one has."""
+    new = np.ones(finer.values.shape, dtype=bool)
+    new[::2, ::2] = False
+    x, y = _node_positions(finer.values.shape[0], finer.left, finer.bottom, finer.side)
+    error = np.abs(grid.at(x[new], y[new]) - finer.values[new])
+    size = np.abs(finer.values[new]) + FLOOR * np.max(np.abs(finer.values)) + DARK
+    return bool(np.all(error <= TOLERANCE * size))
 
 
 def _node_positions(count: int, left: float, bottom: float, side: float) -> tuple[Array, Array]:
@@ -98,16 +115,28 @@ def _evaluate(
     return NodeGrid(values, left, bottom, side)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _interpolate(values: Any, left: float, bottom: float, h: float, x: Any, y: Any, inside: Any, out: Any) -> None:
+@njit(nogil=True, error_model="numpy")
+def _paint(
+    values: Any,
+    left: float,
+    bottom: float,
+    h: float,
+    x: Any,
+    y: Any,
+    centre_x: float,
+    centre_y: float,
+    radius_squared: float,
+    out: Any,
+) -> None:
     """Lagrange's cubic through the four nearest nodes in each direction, one-sided at the edges."""
     last = values.shape[0] - 4
+    per_h = 1.0 / h
     for i in range(x.shape[0]):
         for j in range(x.shape[1]):
-            if not inside[i, j]:
-                continue
-            s = (x[i, j] - left) / h
-            t = (y[i, j] - bottom) / h
+            if not (x[i, j] - centre_x) ** 2 + (y[i, j] - centre_y) ** 2 <= radius_squared:
+                continue  # as for a NaN, which is below nothing
+            s = (x[i, j] - left) * per_h
+            t = (y[i, j] - bottom) * per_h
             col = min(max(int(s) - 1, 0), last)
             row = min(max(int(t) - 1, 0), last)
             a0, a1, a2, a3 = _weights(s - col)
@@ -119,8 +148,16 @@ def _interpolate(values: Any, left: float, bottom: float, h: float, x: Any, y: A
             out[i, j] = total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(nogil=True, error_model="numpy")
 def _weights(t: float) -> tuple[float, float, float, float]:
     """Weights of nodes 0, 1, 2, 3 at the position t in units of their spacing."""
     u, v, w = t - 1.0, t - 2.0, t - 3.0
     return -u * v * w / 6.0, t * v * w / 2.0, -t * u * w / 2.0, t * u * v / 6.0
+
+
+@njit(nogil=True, error_model="numpy")
+def electrons_per_s(scale: float, weight: Any, brdf: Any, most: float, out: Any) -> None:
+    """Fill `out`, of single precision, with scale weight brdf, kept between 0 and `most`."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = min(max(scale * weight[i, j] * brdf[i, j], 0.0), most)

@@ -53,11 +53,17 @@ BAND_NODES = 5
 
 @dataclass(frozen=True, slots=True)
 class Disc:
-    """A round surface in the sample's plane: where it lies [mm], and its BRDF [1/sr] filled in for a mask of pixels."""
+    """A round surface in the sample's plane: where it lies [mm], and what fills in the BRDF [1/sr] of its pixels."""
 
     centre: tuple[float, float]
     radius: float
-    fill: Callable[[PixelMap, View, Mask, Array], None]
+    paint: Callable[[PixelMap, View, Disc, Array], None]
+
+    def covers(self, seen: PixelMap) -> Mask:
+        """Whether a pixel sees a spot of it."""
+        x, y = self.centre
+        inside: Mask = (seen.x_mm - x) ** 2 + (seen.y_mm - y) ** 2 <= self.radius**2
+        return inside
 
 
 class Renderer:
@@ -96,20 +102,23 @@ class Renderer:
         return self._scenes[key]
 
     def _render(self, pose: Pose, band: Band, target: Target) -> Floats:
+        from gonio_sim.nodes import electrons_per_s
+
         description = self._world.description
         scene = view(description, pose)
         if scene.camera_mm[2] <= 0.0:
             return np.zeros((description.camera.height, description.camera.width), np.float32)
         seen = pixel_map(description, scene)
-        brdf = np.where(seen.sees_plane, description.holder.holder_albedo / math.pi, 0.0)
+        brdf = np.full(seen.weight.shape, description.holder.holder_albedo / math.pi)
         for disc in self._discs(band, target):
-            x, y = disc.centre
-            inside = (seen.x_mm - x) ** 2 + (seen.y_mm - y) ** 2 <= disc.radius**2
-            disc.fill(seen, scene, inside, brdf)
-        rate = (math.pi * description.camera.responsivity_e_per_s) * seen.weight * brdf
-        rate[~of_channel(description.camera.pattern, band.channel, seen.rows, seen.cols)] = 0.0
-        # a model may be negative where its formula is bad (Oren-Nayar near grazing), or infinite; light is not
-        return np.clip(rate, 0.0, BRIGHTEST).astype(np.float32)
+            disc.paint(seen, scene, disc, brdf)
+        # A pixel that sees no plane has no weight. A model may be negative where its formula is bad (Oren-Nayar near
+        # grazing), or infinite; light is not.
+        rate = np.empty(brdf.shape, np.float32)
+        electrons_per_s(math.pi * description.camera.responsivity_e_per_s, seen.weight, brdf, BRIGHTEST, rate)
+        if band.channel != "mono":
+            rate[~of_channel(description.camera.pattern, band.channel, seen.rows, seen.cols)] = 0.0
+        return rate
 
     def _discs(self, band: Band, target: Target) -> Iterator[Disc]:
         """The round surfaces in view."""
@@ -127,7 +136,7 @@ class Renderer:
         diameter = sample.diameter_mm or description.holder.sample_diameter_mm
         yield Disc((0.0, 0.0), diameter / 2, self._sample(band))
 
-    def _reference(self, band: Band) -> Callable[[PixelMap, View, Mask, Array], None]:
+    def _reference(self, band: Band) -> Callable[[PixelMap, View, Disc, Array], None]:
         """The white reference: its certificate times its true error; a table is read at the centre of the frame."""
         reference = self._world.description.reference
         if reference.table is None:
@@ -138,10 +147,10 @@ class Renderer:
             at_centre = directions(self._world.description, self._world.pose)
             certified = brdf_of_table(self._table, at_centre, band.centre_nm)
 
-        def fill(seen: PixelMap, scene: View, inside: Mask, brdf: Array) -> None:
-            brdf[inside] = self._world.reference_scale * certified
+        def paint(seen: PixelMap, scene: View, disc: Disc, brdf: Array) -> None:
+            brdf[disc.covers(seen)] = self._world.reference_scale * certified
 
-        return fill
+        return paint
 
     @cached_property
     def _table(self) -> pd.DataFrame:
@@ -151,7 +160,7 @@ class Renderer:
         assert self._world.description.reference.table is not None
         return read(self._world.description.reference.table)
 
-    def _sample(self, band: Band) -> Callable[[PixelMap, View, Mask, Array], None]:
+    def _sample(self, band: Band) -> Callable[[PixelMap, View, Disc, Array], None]:
         """The sample: its model's lobe on a grid of nodes, and its spike pixel by pixel."""
         from gonio import instrument
         from gonio_sim.nodes import sample_function
@@ -160,9 +169,10 @@ class Renderer:
         assert model is not None
         assert sample is not None
         waves = _wavelengths(band) if sample.integrate_band else [(band.centre_nm, 1.0)]
-        radius = (sample.diameter_mm or self._world.description.holder.sample_diameter_mm) / 2
 
-        def fill(seen: PixelMap, scene: View, inside: Mask, brdf: Array) -> None:
+        def paint(seen: PixelMap, scene: View, disc: Disc, brdf: Array) -> None:
+            radius = disc.radius
+
             def lobes(x: Array, y: Array) -> Array:
                 angles = _angles_at(scene, x, y)
                 out = np.zeros(x.shape)
@@ -174,13 +184,13 @@ class Renderer:
                 return out
 
             grid = sample_function(lobes, -radius, -radius, 2 * radius, self._finest_mm)
-            grid.fill(seen.x_mm, seen.y_mm, inside, brdf)
+            grid.paint(seen.x_mm, seen.y_mm, disc.centre, radius, brdf)
             if not hasattr(model, "specular_reflectivity"):
                 return
             reach = self._spike_reach
             if _apart(scene, np.zeros(1), np.zeros(1))[0] > reach + radius * self._turn:
                 return  # no spot of the sample shows the lamp's mirror image to the lens
-            rows, cols = np.nonzero(inside)
+            rows, cols = np.nonzero(disc.covers(seen))
             near = _apart(scene, seen.x_mm[rows, cols], seen.y_mm[rows, cols]) <= reach
             rows, cols = rows[near], cols[near]
             angles = _angles_at(scene, seen.x_mm[rows, cols], seen.y_mm[rows, cols])
@@ -188,7 +198,7 @@ class Renderer:
                 spike = instrument.apparent_spike(model, *angles, wavelength_nm=wave, spike="exact", **self._cones)
                 brdf[rows, cols] += share * spike
 
-        return fill
+        return paint
 
 
 def _apart(scene: View, x: Array, y: Array) -> Array:

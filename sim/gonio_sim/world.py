@@ -7,6 +7,7 @@ gives the same frames whenever it is run.
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
 
 import numpy as np
@@ -17,6 +18,8 @@ from gonio.rig import Pose, Target
 
 FRAMES_S = 10.0
 """What a step is given for its frames, beyond the longest move [s]."""
+LAST_S = 1e-3
+"""The end of a step's time, which is left to the frames of a step that is too long [s]."""
 SETTLE_S = 0.2
 """From the end of a move until the arms stand still [s]."""
 
@@ -89,6 +92,17 @@ class World:
         a step that is longer than its slot the clock, and with it the lamp's drift, waits at the end of the slot.
         """
         return self.description.lamp.warm_up_s + self.step * self._slot_s + min(self._elapsed_s, self._slot_s)
+
+    def frame_time_s(self) -> float:
+        """What a frame is stamped with [s]: `now_s`, except that no two frames have one time.
+
+        In a step that is longer than its slot the stamps go on ever more slowly, through the slot's last millisecond.
+        """
+        beyond = self._elapsed_s - self._slot_s + LAST_S
+        if beyond <= 0.0:
+            return self.now_s()
+        end = self.description.lamp.warm_up_s + (self.step + 1) * self._slot_s
+        return end - LAST_S / (1.0 + math.log1p(beyond / LAST_S))
 
     def spend(self, seconds: float) -> None:
         """Let time pass."""

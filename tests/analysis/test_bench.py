@@ -7,15 +7,20 @@ import importlib.util
 import json
 import math
 import re
+import subprocess
+import sys
 from pathlib import Path
 from types import ModuleType
 
 import mpmath as mp
 import numpy as np
 import pytest
-from gonio_analysis.bench import hard, measure, peers, report, ways
+from gonio_analysis.bench import hard, measure, page, peers, report, ways
 from gonio_analysis.bench.ways import Family, Sample, Way
 from typer.testing import CliRunner
+
+from gonio.errors import DataError
+from gonio.models import engine
 
 ROOT = Path(__file__).resolve().parents[2]
 ONES = np.ones(4)
@@ -97,8 +102,8 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two families, and no processes to time the start-up of."""
     everything = ways.families
 
-    def chosen(more: dict[str, tuple[Way, ...]]) -> list[Family]:
-        return [f for f in everything(more) if f.name in ("cook-torrance", "roughness")]
+    def chosen() -> list[Family]:
+        return [f for f in everything() if f.name in ("cook-torrance", "roughness")]
 
     monkeypatch.setattr(ways, "families", chosen)
     case = hard._Case()
@@ -141,3 +146,55 @@ def test_report(tmp_path: Path) -> None:
 def test_a_tolerance_that_is_missed_is_said() -> None:
     missed = {"way": "w", "stated": 1e-12, "errors": {"grid": {"max_scaled": 1e-11, "points": 3}}}
     assert not report._tolerance({"title": "f"}, missed)["holds"]
+
+
+def test_a_peer_is_measured_in_its_own_process(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What the peer's process prints is what is measured here; a peer's program never runs in this process."""
+    family = next(f for f in ways.families() if f.name == peers.FAMILY)
+    one = family.ways[0]
+    monkeypatch.setattr(peers, "_ways", lambda: {"somebody": one})
+    peers.report("somebody", {"pairs": 1000, "repeats": 2, "budget_s": 0.01})
+    found = json.loads(capsys.readouterr().out)
+    assert found["errors"] == json.loads(json.dumps(measure.by_set(family, one)))
+    assert found["time"]["pairs"] == 1000
+    assert found["time"]["best_ns"] > 0
+    started: list[str] = []
+
+    def process(code: str, environment: dict[str, str], timeout: float) -> subprocess.CompletedProcess[str]:
+        started.append(f"{environment} {code}")
+        return subprocess.CompletedProcess([], 0, stdout=f"a library speaks\n{json.dumps(found)}\n", stderr="")
+
+    monkeypatch.setattr(peers, "_process", process)
+    peer = peers.Peer("somebody", one, {"WITH": "this"})
+    assert peers.measured(peer, pairs=1000, repeats=2, budget_s=0.01) == (found["errors"], found["time"])
+    assert len(started) == 1
+    assert "WITH" in started[0]
+    assert "'pairs': 1000" in started[0]
+
+
+def test_a_peer_whose_process_fails_is_named() -> None:
+    peer = peers.Peer("nobody", ways.families()[0].ways[0], {})
+    with pytest.raises(DataError, match="nobody: its process failed while it was measured: KeyError"):
+        peers.measured(peer, pairs=1000, repeats=1, budget_s=0.01)
+
+
+def test_looking_for_peers_brings_none_into_this_process() -> None:
+    code = (
+        "import sys\nfrom gonio_analysis.bench import peers\npeers.find()\n"
+        "print(sorted({'drjit', 'mitsuba', 'pySCATMECH'} & sys.modules.keys()))"
+    )
+    made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert made.stdout.strip() == "[]"
+
+
+@pytest.mark.skipif(engine.threads() < 2, reason="one processor: no call is shared")
+def test_the_hand_over_is_what_half_a_call_does_not_explain() -> None:
+    found = measure.hand_over(20)
+    assert found is not None
+    assert found["pairs"] == 2 * engine.SPLIT
+    assert found["hand_over_us"] == max(found["shared_us"] - found["half_alone_us"], 0.0)
+    assert 0.0 <= found["share"] < 1.0
+    assert f"{found['pairs']} pairs" in page._hand_over(found)
+    assert "one processor" in page._hand_over(None)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Self
@@ -41,6 +43,10 @@ def describe(**changes: object) -> RigDescription:
     return RigDescription.model_validate(tables | changes)
 
 
+_CLOCK = itertools.count(1.9e9)
+"""Of the benches on which time goes by, from one sitting to the next."""
+
+
 @dataclass
 class Bench:
     """The rig: its own arms, light and camera. A Lambertian sample; noise follows (seed, step, frame)."""
@@ -53,6 +59,8 @@ class Bench:
     """The step in which the camera fails."""
     pushes: dict[int, int] = field(default_factory=dict)
     """How often the camera arm is pushed during the frames of a step, by its number."""
+    stamps: Callable[[float], float] | None = None
+    """What the camera makes of the rig's time."""
     log: list[str] = field(default_factory=list)
     pose: Pose = field(default_factory=Pose)
     lit: bool = False
@@ -82,7 +90,7 @@ class Bench:
         self.target = target
 
     def time_s(self) -> float:
-        return 100.0 * self.step + self.frame
+        return 100.0 * self.step + self.frame if self.repeatable else next(_CLOCK)
 
     def __enter__(self) -> Self:
         self.inside = True
@@ -133,7 +141,7 @@ class Bench:
         electrons = camera.responsivity_e_per_s * albedo * max(cosine, 0.0) * exposure_s if self.lit else 0.0
         level = rng.poisson(electrons, (camera.height, camera.width)).clip(max=camera.full_well_e)
         dn = np.clip(np.rint(level / camera.electrons_per_dn + camera.black_level_dn), 0, camera.white_level_dn)
-        time_s = self.time_s()
+        time_s = self.time_s() if self.stamps is None else self.stamps(self.time_s())
         self.frame += 1
         if self.pushes.get(self.step, 0) and self.frame == 3:
             self.pushes[self.step] -= 1

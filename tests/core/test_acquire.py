@@ -8,6 +8,7 @@ import signal
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,10 +16,11 @@ import pytest
 from gonio import radiometry
 from gonio.acquire import Live, Silent
 from gonio.config import to_toml
-from gonio.description import Reference, RigDescription
+from gonio.description import Holder, Reference, RigDescription
 from gonio.errors import ConfigError, DataError, DeviceError, GonioError, Interrupted
 from gonio.frames import read_raw
 from gonio.plan import Plan, load_plan
+from gonio.rig import Frame
 from gonio.run import Run
 from gonio.session import RigChoice, carry_out, check
 
@@ -147,6 +149,28 @@ def test_one_seed_gives_one_run(measure: Measure) -> None:
     assert content(first) != content(other)
 
 
+def metering_frames(step: dict[str, Any]) -> int:
+    """How many frames a step took before those that it kept: on this rig a frame's time counts the step's frames."""
+    return round(step["frames"][-1]["time_s"]) - 100 * int(step["step"]) + 1 - len(step["frames"])
+
+
+def test_a_point_is_metered_with_what_the_point_before_it_needed(measure: Measure) -> None:
+    """Fifty times darker than white, a sample costs a search at its first point and one frame a band from then on."""
+    rig = Plugin(options={"albedo": 0.02})
+    points = [step for step in measure("run", rig=rig).steps() if step["kind"] == "point"]
+    taken = [metering_frames(step) for step in points]
+    assert taken[0] > 2
+    assert taken[1:] == [2] * (len(points) - 1)
+
+
+def test_a_point_without_frames_is_no_guide(measure: Measure) -> None:
+    """The point before it is: with step 3 flagged, step 4 is metered by step 2."""
+    rig = Plugin(options={"albedo": 0.02, "pushes": {3: 9}})
+    steps = measure("run", rig=rig).steps()
+    assert steps[3]["frames"] == []
+    assert metering_frames(steps[4]) == 2
+
+
 @pytest.mark.parametrize("stops", [[1], [2], [5], [7], [1, 1, 2]])
 def test_an_interrupted_run_resumes_to_the_same(measure: Measure, stops: list[int]) -> None:
     whole = content(measure("whole"))
@@ -182,15 +206,22 @@ def test_killed_at_any_byte_of_the_journal_it_resumes_to_the_same(measure: Measu
     for cut in cuts:
         journal = tmp_path / "whole" / "journal.jsonl"
         journal.write_bytes(data[:cut])
+        if cut < ends[0]:  # frames, and no journal
+            with pytest.raises(DataError, match="gonio run repair"):
+                measure("whole", resume=True)
+            continue
         assert content(measure("whole", resume=True)) == expected
     assert len(cuts) > 20
 
 
 def test_frames_of_a_step_that_was_cut_short_do_not_stay(measure: Measure) -> None:
     run = measure("run")
-    (run.path / "frames" / "000099-left-01.dng").write_bytes(b"half")
-    again = measure("run", resume=True)
-    assert not (again.path / "frames" / "000099-left-01.dng").exists()
+    journal = run.path / "journal.jsonl"
+    journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:4]))
+    with pytest.raises(Interrupted):
+        measure("run", resume=True, progress=StopAfter(1))
+    named = {frame["file"] for step in Run.open(run.path).steps() for frame in step["frames"]}
+    assert {path.name for path in (run.path / "frames").iterdir()} == named
 
 
 def test_a_failing_device_is_in_the_journal_and_everything_is_dark(measure: Measure) -> None:
@@ -222,6 +253,65 @@ def test_a_laboratory_takes_fresh_darks_and_references(measure: Measure) -> None
     assert len(set(taken)) == 11
 
 
+def test_a_computer_s_clock_that_jumps_changes_nothing(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:
+    years = iter(range(2100, 1900, -1))
+    monkeypatch.setattr("gonio.journal.now", lambda: f"{next(years)}-01-01T00:00:00.000Z")
+    with pytest.raises(Interrupted):
+        measure("run", progress=StopAfter(4))
+    run = measure("run", resume=True)
+    assert content(run) == content(measure("whole"))
+    walls = [event["wall"] for event in run.events()]
+    assert walls == sorted(walls, reverse=True)
+    assert set(radiometry.reduce(run)["flag"]) == {"", "blocked"}
+
+
+@pytest.mark.parametrize(
+    ("stamps", "words"),
+    [
+        (lambda now: 0.0, r"time_s = 0\.0, and the one before it had 0\.0 s"),
+        (lambda now: 7.5, r"time_s = 7\.5, and the one before it had 7\.5 s"),
+        (lambda now: 5000.0 - now, r"time_s = 4999\.0, and the one before it had 5000\.0 s"),
+        (lambda now: now % 400.0, r"time_s = 0\.0, and the one before it had 30\d\.0 s"),  # set back in the middle
+        (lambda now: math.nan, r"time_s = nan: seconds of at least 0"),
+        (lambda now: math.inf, r"time_s = inf: seconds of at least 0"),
+        (lambda now: None, r"time_s = None: seconds of at least 0"),
+        (lambda now: -1.0, r"time_s = -1\.0: seconds of at least 0"),
+    ],
+    ids=["never", "always the same", "backwards", "set back", "nan", "infinite", "none", "negative"],
+)
+@pytest.mark.parametrize("repeatable", [True, False])
+def test_frames_whose_times_do_not_grow_end_the_run(
+    measure: Measure, stamps: Callable[[float], float], words: str, repeatable: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Bench, "time_s", lambda self: 100.0 * self.step + self.frame)
+    rig = Plugin(options={"stamps": stamps, "repeatable": repeatable})
+    with pytest.raises(DeviceError, match=f'the camera of the rig "bench of numpy" .*{words}') as caught:
+        measure("run", rig=rig, yes=True)
+    assert "In the rig's driver, give each Frame the rig's time_s()" in str(caught.value)
+    assert caught.value.exit_code == 3
+    assert rig.opened[0].log[-3:] == ["stop", "off", "park"]
+
+
+def test_a_frame_without_a_time_cannot_be_made() -> None:
+    with pytest.raises(TypeError, match="time_s"):
+        Frame(np.zeros((32, 32), np.uint16), 1.0, 64.0, 4095.0)  # type: ignore[call-arg]
+
+
+def test_a_clock_that_was_set_back_between_two_sittings(measure: Measure) -> None:
+    """Times of the second sitting lie before those of the first; set right, the run goes on."""
+    with pytest.raises(Interrupted):
+        measure("run", rig=Plugin(options={"repeatable": False}), yes=True, progress=StopAfter(4))
+    again: dict[str, object] = {"yes": True, "resume": True}
+    for stamps in (lambda now: now - 1.9e9, lambda now: now - 3600.0):
+        late = Plugin(options={"repeatable": False, "stamps": stamps})
+        with pytest.raises(DeviceError, match=r"this run holds a frame of 19\d+\.0 s: .*computer's clock"):
+            measure("run", rig=late, **again)
+    run = measure("run", rig=Plugin(options={"repeatable": False}), **again)
+    assert len([step for step in run.steps() if step["kind"] == "point"]) == 5
+    times = [f["time_s"] for e in run.events() if e["event"] == "step" for f in e["frames"]]
+    assert np.all(np.diff(times) > 0)
+
+
 def test_resuming_a_finished_run_does_nothing(measure: Measure) -> None:
     before = (measure("run").path / "journal.jsonl").read_bytes()
     assert (measure("run", resume=True).path / "journal.jsonl").read_bytes() == before
@@ -239,10 +329,10 @@ def test_a_run_that_has_begun_needs_resume(measure: Measure) -> None:
 def test_without_a_whole_line_it_starts_anew(
     measure: Measure, tmp_path: Path, journal: bytes | None, resume: bool
 ) -> None:
-    out = tmp_path / "run"
-    (out / "frames").mkdir(parents=True)
-    (out / "frames" / "000000-dark-01.dng").write_bytes(b"half")
-    (out / "run.toml").write_text("half")
+    out = measure("run").path  # and its process died before it took a frame
+    for frame in (out / "frames").iterdir():
+        frame.unlink()
+    (out / "journal.jsonl").unlink()
     if journal is not None:
         (out / "journal.jsonl").write_bytes(journal)
     assert content(measure("run", resume=resume)) == content(measure("other"))
@@ -315,6 +405,49 @@ def test_no_device_is_opened_before_everything_is_checked(plan: Plan, tmp_path: 
     check(plan, choice, tmp_path / "run", sample=SAMPLE, **options)  # type: ignore[arg-type]
     assert all(not opened.inside and not opened.log for opened in rig.opened)
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [  # the frame of this bench is 23 mm wide and 17 mm high
+        ({"reference": {"how": "beside", "offset_mm": [0.0, 14.0]}}, r"\[reference\] offset_mm = \[0, 14\].*rows"),
+        ({"reference": {"how": "beside", "offset_mm": [30.0, 0.0]}}, r"\[reference\] offset_mm = \[30, 0\].*nearer"),
+        # its centre is in the frame, and its patch is cut
+        ({"reference": {"how": "beside", "offset_mm": [0.0, -8.0]}, "holder": {"sample_diameter_mm": 8.0}},
+         r"\[reference\] offset_mm = \[0, -8\].*focal_length_mm"),
+        ({"acquisition": {"roi_radius_mm": 9.0}}, r"\[acquisition\] roi_radius_mm = 9 .*smaller patch"),
+    ],
+    ids=["above", "beside", "cut", "patch"],
+)  # fmt: skip
+def test_what_the_frame_does_not_hold_is_refused_before_anything_is_opened(
+    plan: Plan, tmp_path: Path, changes: dict[str, dict[str, object]], words: str
+) -> None:
+    tables = describe().model_dump(exclude_none=True)
+    for name, keys in changes.items():
+        tables[name] |= keys
+    rig = Plugin()
+    choice = RigChoice(rig, RigDescription.model_validate(tables), "my.toml")
+    options = {"sample": SAMPLE, "seed": 0, "resume": False, "yes": True}
+    with pytest.raises(ConfigError, match=f"my.toml: {words}"):
+        check(plan, choice, tmp_path / "run", **options)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match=f"my.toml: {words}"):
+        carry_out(plan, choice, tmp_path / "run", **options)  # type: ignore[arg-type]
+    assert rig.opened == []
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_patch_counts_in_the_poses_that_are_used(plan: Plan, tmp_path: Path) -> None:
+    """14 mm beside the centre, along the arms' plane, fits into 23 mm only foreshortened: at 60 degrees, not at 0."""
+    for theta_r_deg, good in ((60.0, True), (0.0, False)):
+        reference = Reference(
+            how="beside", offset_mm=(14.0, 0.0), theta_r_deg=theta_r_deg, theta_i_deg=20.0, every=3, frames=2
+        )
+        choice = RigChoice(Plugin(), describe(reference=reference, holder=Holder(axes=("tilt", "spin"))), "my.toml")
+        if good:
+            assert choice.schedule(plan)[1].kind == "reference"
+        else:
+            with pytest.raises(ConfigError, match="theta_r = 0 deg"):
+                choice.schedule(plan)
 
 
 def test_a_full_disk_ends_the_run_and_it_can_go_on(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:

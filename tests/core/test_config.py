@@ -133,3 +133,33 @@ def test_a_byte_order_mark_is_no_damage(tmp_path: Path) -> None:
     path = tmp_path / "notepad.toml"
     path.write_bytes(b"\xef\xbb\xbf" + b'name = "x"\r\n')
     assert read_toml(path) == {"name": "x"}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a = " + "[" * 100_000 + "]" * 100_000,
+        "a = " + "{b = " * 100_000 + "1" + "}" * 100_000,
+        ".".join(["a"] * 100_000) + " = 1",
+        "[" + " . ".join(["a"] * 100_000) + "]",
+        "a = " + "[" * 40 + "]" * 40,
+        ".".join(["a"] * 40) + " = 1",
+    ],
+    ids=["lists", "tables", "key", "heading", "a few lists", "a few keys"],
+)
+def test_deep_nesting_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "deep.toml").write_text(text)
+    with pytest.raises(ConfigError, match=r"deep\.toml: is nested too deeply: at most 32 levels"):
+        read_toml(tmp_path / "deep.toml")
+
+
+def test_a_number_of_thousands_of_digits_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "long.toml").write_text("a = " + "9" * 10_000)
+    with pytest.raises(ConfigError, match=r"long\.toml: is not valid TOML: .*digits"):
+        read_toml(tmp_path / "long.toml")
+
+
+def test_prose_is_no_long_key(tmp_path: Path) -> None:
+    prose = "e.g. a sentence. And i.e. one more, " * 200 + "x" * 100_000
+    (tmp_path / "prose.toml").write_text(f'name = "{prose}"\n')
+    assert read_toml(tmp_path / "prose.toml") == {"name": prose}

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +17,8 @@ from hypothesis import strategies as st
 from gonio import measurement
 from gonio.cli.tables import convert
 from gonio.errors import ConfigError, DataError
-from gonio.formats.base import COLUMNS, fold, plain_degrees, table
+from gonio.formats import native
+from gonio.formats.base import ANGLES, COLUMNS, fold, plain_degrees, table
 
 
 def example(count: int = 4, **changes: object) -> pd.DataFrame:
@@ -97,7 +101,6 @@ def test_attributes_without_their_file_are_said_to_be_unknown(tmp_path: Path) ->
         ("wavelength_nm", 0.0, "positive"),
         ("wavelength_nm", np.inf, "positive"),
         ("polarisation", "sideways", "unpolarised, ss"),
-        ("brdf", np.nan, "finite"),
         ("brdf", np.inf, "finite"),
         ("u_brdf", -0.1, ">= 0"),
         ("u_random", np.inf, ">= 0"),
@@ -365,3 +368,87 @@ def test_one_sample_of_a_file_on_the_command_line(tmp_path: Path, monkeypatch: p
 def test_a_missing_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"cannot be written: there is no folder .*nowhere"):
         measurement.write(example(), tmp_path / "nowhere" / "t.csv")
+
+
+FORMULAS = ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1", "＝1", "'=1", "''-1", "'quoted'", "-", "a=b", "it's"]
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_a_text_that_a_spreadsheet_would_run_is_guarded_and_comes_back(tmp_path: Path, several: bool) -> None:
+    frame = example(len(FORMULAS), flag=FORMULAS)
+    if several:
+        frame.insert(6, "sample", FORMULAS[::-1])
+        frame.attrs["samples"] = FORMULAS[::-1]
+    measurement.write(frame, tmp_path / "t.csv")
+    plain = pd.read_csv(tmp_path / "t.csv", keep_default_na=False, dtype={"flag": str})
+    assert not plain["flag"].str.match(r"[=+\-@\t\r]").any()
+    assert pd.api.types.is_numeric_dtype(plain["brdf"])
+    assert plain["brdf"].min() < 0
+    back = measurement.read(tmp_path / "t.csv")
+    assert back["flag"].tolist() == FORMULAS
+    pd.testing.assert_frame_equal(back[["brdf", "s_reference"]], frame[["brdf", "s_reference"]], check_exact=True)
+    if several:
+        assert back["sample"].tolist() == FORMULAS[::-1]
+        assert back.attrs["samples"] == FORMULAS[::-1]
+
+
+@pytest.mark.parametrize("hole", ["", "nan", "NaN", "NAN"])
+@pytest.mark.parametrize("columns", ["", ",flag", ",u_brdf,flag"])
+def test_a_hole_in_a_table_made_by_hand_is_flagged(hole: str, columns: str) -> None:
+    rest = columns.replace(",flag", ",").replace("u_brdf", "0.01")
+    text = (
+        f"theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,brdf{columns}\n30,0,10,180,0.1{rest}\n30,0,20,180,{hole}{rest}\n"
+    )
+    frame = measurement.parse(text.encode(), Path("mine.csv"))
+    assert frame["flag"].tolist() == ["", "not_measured"]
+    assert np.isnan(frame["brdf"][1])
+    assert '1 of 2 values are empty: flagged "not_measured"' in frame.attrs["notes"]
+
+
+def test_a_hole_among_the_angles_or_an_infinite_value_is_none() -> None:
+    head = "theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,brdf\n"
+    for row, told in (("30,0,nan,180,0.1", "theta_r_deg"), ("30,0,10,180,inf", "brdf")):
+        with pytest.raises(DataError, match=f"mine.csv, line 2: {told}"):
+            measurement.parse((head + row + "\n").encode(), Path("mine.csv"))
+
+
+@pytest.mark.parametrize("names", ["s_c{}", "x{}", "s_same"])
+def test_the_work_grows_with_the_number_of_columns_and_not_with_its_square(tmp_path: Path, names: str) -> None:
+    """By the number of calls, which no load of the machine changes: four times the columns are four times the calls."""
+
+    def calls(count: int) -> int:
+        seen = 0
+
+        def see(frame: object, event: str, argument: object) -> None:
+            nonlocal seen
+            seen += event in ("call", "c_call")
+
+        head = ",".join([*ANGLES, "brdf", *(names.format(k) for k in range(count))])
+        row = ",".join(["30", "0", "10", "180", "0.1", *["0.001"] * count])
+        data = f"{head}\n{row}\n".encode()
+        sys.setprofile(see)
+        try:
+            with contextlib.suppress(DataError):
+                measurement.parse(data, Path("wide.csv"))
+        finally:
+            sys.setprofile(None)
+        return seen
+
+    calls(1500)  # imports
+    assert calls(6000) < 5 * calls(1500) + 5000
+
+
+def test_twice_among_40_000_columns_is_told_at_once(tmp_path: Path) -> None:
+    header = [*COLUMNS, *(f"s_{k % 39_000}" for k in range(40_000))]
+    began = time.process_time()
+    with pytest.raises(DataError, match="there twice: 's_0', 's_1'"):
+        native.check_columns(header, "wide.csv")
+    assert time.process_time() - began < 5.0  # counted one by one it took 50 s; it takes 0.05
+
+
+def test_a_table_in_memory_with_a_hole_and_no_flag_is_not_written(tmp_path: Path) -> None:
+    frame = example()
+    frame.loc[2, "brdf"] = np.nan
+    with pytest.raises(DataError, match="row 3: brdf = nan; a row without a flag needs a finite value"):
+        measurement.write(frame, tmp_path / "t.csv")
+    assert list(tmp_path.iterdir()) == []

@@ -138,10 +138,10 @@ def test_importing_the_models_imports_no_numba() -> None:
 def test_whole_vectors_and_held_constants_are_asked_for_function_by_function() -> None:
     import numba
 
-    from gonio.models._wide import ATTRIBUTES, Wide
+    from gonio.models._wide import ATTRIBUTES, wide
 
     MODEL.brdf(0.1, 0.0, 0.2, 1.0)
-    ours = numba.njit("f8(f8)", pipeline_class=Wide)(lambda x: x + 0.3)
+    ours = numba.njit("f8(f8)", pipeline_class=wide())(lambda x: x + 0.3)
     theirs = numba.njit("f8(f8)")(lambda x: x + 0.3)
     (asked,), (plain,) = ours.inspect_llvm().values(), theirs.inspect_llvm().values()
     for sign in (*ATTRIBUTES, "asm"):
@@ -160,6 +160,18 @@ def test_loops_over_kernels_are_vectors(model: Model, tmp_path: Path, monkeypatc
     compiled = _loop(engine._over_vectors, kernel, len(constants))
     (code,) = compiled.inspect_llvm().values()
     assert re.search(r"fdiv [a-z ]*<\d+ x double>", code)
+
+
+def test_loops_over_columns_and_in_float32_are_vectors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import numba
+
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    kernel, constants = MODEL._evaluation(550.0)
+    (code,) = _loop(engine._at_4, kernel, len(constants)).inspect_llvm().values()
+    assert re.search(r"fdiv [a-z ]*<\d+ x double>", code)
+    (code,) = _loop(engine._over_vectors, kernel, len(constants), in_single=True).inspect_llvm().values()
+    assert re.search(r"fdiv [a-z ]*<16 x float>", code)
+    assert "double" not in code.split("define", 1)[1].split("}", 1)[0]  # nothing is widened on the way
 
 
 BAD_ANGLES = [
@@ -308,3 +320,31 @@ def test_a_model_is_rebuilt_from_its_parameters(model: object) -> None:
     assert build(model.name, model.parameters) == model
     assert model.convention.endswith(".")
     assert repr(model).startswith(type(model).__name__)
+
+
+def test_masked_values_are_refused_and_not_computed_with() -> None:
+    """numpy would go on with what lies under the mask, and drop the mask."""
+    from gonio import materials
+    from gonio.formats.base import table
+    from gonio.instrument import apparent_brdf
+    from gonio.models import Lambert, fresnel, geometry
+
+    some, none = np.ma.array([0.1, 0.2], mask=[False, True]), np.ma.array([0.1, 0.2])
+    model = Lambert(0.5)
+    assert np.all(model.brdf(none, 0.0, 0.3, 0.0) == model.brdf(none.data, 0.0, 0.3, 0.0))
+    cones = {"source_solid_angle_sr": 1e-4, "receiver_solid_angle_sr": 1e-4}
+    for name, call in {
+        "theta_r": lambda: model.brdf(0.1, 0.0, some, 0.0),
+        "phi_i": lambda: geometry(0.1, some, 0.1, 0.0),
+        "omega_i": lambda: model.brdf_vectors(np.ma.array([0.0, 0.0, 1.0], mask=[1, 0, 0]), [0.0, 0.0, 1.0]),
+        "wavelength_nm": lambda: model.brdf(0.1, 0.0, 0.2, 0.0, wavelength_nm=np.ma.array([500.0], mask=[True])),
+        "theta_i": lambda: apparent_brdf(model, some, 0.0, 0.1, 0.0, wavelength_nm=550.0, **cones),
+        "cos_theta": lambda: fresnel.amplitudes(some, 1.5),
+        "albedo": lambda: Lambert(np.ma.masked),
+        "wavelength_nm ": lambda: materials.ior("Al")(np.ma.array([500.0], mask=[True])),
+        "brdf": lambda: table(
+            theta_i_deg=0, phi_i_deg=0, theta_r_deg=0, phi_r_deg=0, wavelength_nm=550, brdf=some, attrs={}
+        ),
+    }.items():
+        with pytest.raises(ArgumentError, match=f"{name.strip()} is a masked array"):
+            call()

@@ -121,7 +121,8 @@ class Maker:
             electrons = self.rate(pose, kind) * exposure_s * self.lamp(self.time_s)
         dn = self.sensor(electrons + camera.dark_current_e_per_s * exposure_s)
         name = f"{self.number:06d}-{self.time_s:.3f}.dng"
-        write_dng(Frame(dn, exposure_s, camera.black_level_dn, camera.white_level_dn, camera.pattern), self.path / name)
+        levels = camera.black_level_dn, camera.white_level_dn
+        write_dng(Frame(dn, exposure_s, *levels, camera.pattern, time_s=self.time_s), self.path / name)
         digest = hashlib.sha256((self.path / name).read_bytes()).hexdigest()
         entry = {
             "file": name, "band": BAND.name, "exposure_s": exposure_s, "time_s": self.time_s,

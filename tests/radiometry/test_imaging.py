@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from gonio.description import Acquisition, Band, Bands, Camera, Geometry, Reference, RigDescription
+from gonio.description import Acquisition, Band, Bands, Camera, Geometry, Lamp, Reference, RigDescription
 from gonio.errors import ConfigError
-from gonio.imaging import of_channel, pixel_map, roi
+from gonio.imaging import always_holds_sample, frame_holds, of_channel, patch_extent, pixel_map, roi
 from gonio.kinematics import View, view
 from gonio.rig import Pose
 
@@ -86,6 +86,53 @@ def test_every_quantity_against_single_rays(pose: Pose) -> None:
             np.testing.assert_allclose(omega[i, j], toward / np.linalg.norm(toward), rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("pose", POSES)
+def test_a_lambertian_lamp_falls_off_with_the_cosine_at_the_lamp(pose: Pose) -> None:
+    """The angle at the lamp between the sample's centre and the spot, by arccos of unit vectors in the lab's frame."""
+    alike, description = rig(), rig(lamp=Lamp(radiation="lambertian"))
+    seen, before = (pixel_map(d, view(d, pose)) for d in (description, alike))
+    light = np.array([math.sin(pose.light), 0.0, math.cos(pose.light)])
+    to_lab = rotation(0, -pose.tilt) @ rotation(2, pose.spin)
+    for i, j in [(0, 0), (47, 63), (0, 63), (23, 31), (11, 50)]:
+        one = traced(pose, i, j)
+        beam = to_lab @ np.array([one["x"], one["y"], 0.0]) - 700.0 * light
+        off = math.acos(beam @ -light / np.linalg.norm(beam))
+        assert seen.radiation[i, j] == pytest.approx(math.cos(off), rel=1e-11)  # rounding, as above
+        assert seen.weight[i, j] == pytest.approx(before.weight[i, j] * math.cos(off), rel=1e-11)
+    np.testing.assert_array_equal(before.radiation, 1.0)
+    np.testing.assert_array_equal(before.weight, before.falloff * before.cos_theta_i * before.distance_factor)
+
+
+@pytest.mark.parametrize(("theta_i_deg", "spot"), [(0.0, (14.0, 0.0)), (50.0, (14.0, 0.0)), (50.0, (-3.0, 9.0))])
+def test_a_lambertian_lamp_lights_a_spot_as_a_glowing_disc_does(theta_i_deg: float, spot: tuple[float, float]) -> None:
+    """Irradiance beside the centre over that at the centre: L cos cos / d^2 summed over a disc of 0.1 mm at 300 mm.
+
+    The disc's own size changes the ratio by a few (r/d)^2 (x/d) = (0.1/300)^2 (14/300) = 5e-9.
+    """
+    theta, distance = math.radians(theta_i_deg), 300.0
+    axis = np.array([math.sin(theta), 0.0, math.cos(theta)])
+    u, v = np.array([math.cos(theta), 0.0, -math.sin(theta)]), np.array([0.0, 1.0, 0.0])
+    a, b = np.meshgrid(*[0.1 * ((np.arange(200) + 0.5) / 100 - 1)] * 2)
+    on_disc = a**2 + b**2 <= 0.1**2
+    elements = distance * axis + a[on_disc][:, None] * u + b[on_disc][:, None] * v
+
+    def irradiance(x: float, y: float) -> float:
+        beam = elements - np.array([x, y, 0.0])
+        length = np.linalg.norm(beam, axis=1)
+        return float(np.sum((beam @ axis / length) * (beam[:, 2] / length) / length**2))
+
+    geometry = Geometry(light_distance_mm=distance, camera_distance_mm=500.0)
+    wide = Camera(width=64, height=48, pixel_um=40.0, focal_length_mm=30.0)
+    description = rig(lamp=Lamp(radiation="lambertian"), geometry=geometry, camera=wide)
+    seen = pixel_map(description, view(description, Pose(light=theta, camera=-0.3)))
+    row, column = np.unravel_index(np.nanargmin((seen.x_mm - spot[0]) ** 2 + (seen.y_mm - spot[1]) ** 2), (48, 64))
+    at = float(seen.x_mm[row, column]), float(seen.y_mm[row, column])
+    assert math.dist(at, spot) < 0.6  # half a pixel's diagonal
+    expected = irradiance(*at) / irradiance(0.0, 0.0)
+    got = seen.weight[row, column] / seen.falloff[row, column] / math.cos(theta)
+    assert got == pytest.approx(expected, rel=3e-8)
+
+
 def test_a_rectangle_is_a_part_of_the_frame() -> None:
     description = rig()
     at = view(description, POSES[2])
@@ -112,6 +159,8 @@ def test_pixels_that_look_past_the_plane_see_nothing() -> None:
     assert np.all(np.isnan(seen.x_mm[dark]))
     for name in ("cos_theta_i", "distance_factor", "weight"):
         assert np.all(getattr(seen, name)[dark] == 0.0)
+    diffuse = rig(lamp=Lamp(radiation="lambertian"))
+    assert np.all(pixel_map(diffuse, at).weight[dark] == 0.0)
 
 
 def traced_z(at: View, i: int, j: int) -> float:
@@ -195,3 +244,49 @@ def test_a_bayer_region_holds_the_pixels_of_its_channel(pattern: str) -> None:
     assert sum(counts.values()) == every.count
     part = of_channel(pattern, "G", slice(3, 10), slice(5, 9))
     np.testing.assert_array_equal(part, mosaic[3:10, 5:9] == "G")
+
+
+@pytest.mark.parametrize("pose", POSES)
+@pytest.mark.parametrize("offset_mm", [(0.0, 0.0), (2.5, -1.5)])
+def test_the_extent_of_a_patch_is_where_its_rim_is_seen(pose: Pose, offset_mm: tuple[float, float]) -> None:
+    description = rig(
+        acquisition=Acquisition(roi_radius_mm=1.0), reference=Reference(how="beside", offset_mm=offset_mm),
+        camera=Camera(width=640, height=480, pixel_um=4.0, focal_length_mm=60.0),
+    )  # fmt: skip
+    at = view(description, pose)
+    seen = pixel_map(description, at)
+    rows, columns = np.nonzero(np.hypot(seen.x_mm - offset_mm[0], seen.y_mm - offset_mm[1]) <= 1.0)
+    # the outermost pixels whose centres lie inside are within one of the rim, and 64 spots of it within 0.2 of the rim
+    assert patch_extent(description, at, "reference") == pytest.approx(
+        (columns.min(), columns.max(), rows.min(), rows.max()), abs=1.2
+    )
+
+
+def test_a_patch_that_reaches_behind_the_camera_is_in_no_frame() -> None:
+    description = rig(
+        geometry=Geometry(camera_distance_mm=30.0), camera=Camera(focal_length_mm=20.0, width=8000, height=8000),
+        reference=Reference(how="beside", offset_mm=(40.0, 0.0)),
+    )  # fmt: skip
+    at = view(description, Pose(camera=math.radians(80.0)))
+    assert not frame_holds(description, patch_extent(description, at, "reference"))
+    with pytest.raises(ConfigError, match="outside the 8000 x 8000 frame"):
+        roi(description, at, "reference")
+
+
+def test_what_always_holds_the_sample_holds_it_from_everywhere() -> None:
+    """Frames a little larger and a little smaller than the promise needs, over random poses; both are met."""
+    rng = np.random.default_rng(11)
+    promised = 0
+    for _ in range(300):
+        radius, distance = rng.uniform(0.5, 20.0), rng.uniform(60.0, 900.0)
+        size = int(rng.uniform(0.9, 1.3) * 2 * radius / distance * 60.0 / 0.005)
+        description = rig(
+            geometry=Geometry(camera_distance_mm=distance), acquisition=Acquisition(roi_radius_mm=radius),
+            camera=Camera(width=max(size, 32), height=max(size, 32), focal_length_mm=50.0),
+        )  # fmt: skip
+        if always_holds_sample(description):
+            promised += 1
+            for tilt in (0.0, 0.6):
+                pose = Pose(light=0.1, camera=rng.uniform(-1.5, 1.5), tilt=tilt, spin=rng.uniform(-3, 3))
+                assert frame_holds(description, patch_extent(description, view(description, pose)))
+    assert 50 < promised < 250

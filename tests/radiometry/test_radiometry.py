@@ -51,6 +51,7 @@ class Exact(Maker):
             frame.exposure_s,
             frame.black_level_dn,
             frame.white_level_dn,
+            time_s=frame.time_s,
         )
 
 
@@ -201,6 +202,47 @@ def test_one_visit_says_that_the_drift_is_unknown(tmp_path: Path) -> None:
     table = radiometry.reduce(run)
     assert "drift of the lamp is not in u_brdf" in table.attrs["notes"][0]
     assert np.all(table["s_lamp_drift"] == 0)
+    account = table.attrs["provenance"]["reference"][0]
+    assert account["drift_per_hour"] is None  # not 0 +- 0
+    assert account["u_drift_per_hour"] is None
+
+
+def test_a_run_whose_frames_all_have_one_time(tmp_path: Path) -> None:
+    """A lamp that drifts by 60 %/h, and a rig that stamped nothing: no drift is made up, and u_brdf holds it."""
+    description = describe(camera=NOISY, reference={"frames": 4})
+    maker = Maker(tmp_path, description, glossy, np.random.default_rng(4), lamp=lambda t: 1.0 + 0.6 * t / 3600)
+    run = maker.make(POINTS, (0.25, 0.0625), every=3)
+    for frame in (frame for event in run.events for frame in event["frames"]):
+        frame["time_s"] = 0.0
+    table = radiometry.reduce(run)
+    assert "have one and the same time, so a drift of the lamp is not in u_brdf except" in table.attrs["notes"][0]
+    assert not any("straight line" in note for note in table.attrs["notes"])
+    assert np.all(table["s_lamp_drift"] == 0)
+    assert np.mean(abs(pulls(table, glossy)) <= 2) > 0.85
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_run_cut_to_its_first_visit_has_the_uncertainty_of_its_noise(tmp_path: Path, seed: int) -> None:
+    """Against the same run with all of its visits: one visit of four leaves out noise of level and drift."""
+    description = describe(camera=NOISY, reference={"frames": 8})
+    run = Maker(tmp_path, description, glossy, np.random.default_rng(seed)).make(POINTS, (0.25, 0.0625), every=3)
+    whole = radiometry.reduce(run)
+    first = next(e["step"] for e in run.events if e["kind"] == "reference")
+    run.events = [e for e in run.events if e["kind"] != "reference" or e["step"] == first]
+    cut = radiometry.reduce(run)
+    assert np.all(cut["u_brdf"] < 1.5 * whole["u_brdf"])
+    assert np.mean(abs(pulls(cut, glossy)) <= 2) > 0.85
+
+
+def test_visits_that_were_lost_are_told(tmp_path: Path) -> None:
+    """One of the visits saturated, one was moved: the third serves alone."""
+    run = Maker(tmp_path, describe(), glossy).make(POINTS[:2], (0.25,), every=1)
+    visits = [e for e in run.events if e["kind"] == "reference"]
+    visits[0] |= {"flag": "moved", "frames": []}
+    visits[2]["frames"] = []
+    notes = radiometry.reduce(run).attrs["notes"]
+    assert notes[0].endswith("2 of 3 visits to the white reference cannot be used (1 moved, 1 not_measured)")
+    assert "one visit to the white reference only" in notes[1]
 
 
 def test_saturated_frames_are_left_out_and_saturated_points_flagged(tmp_path: Path) -> None:
@@ -291,7 +333,7 @@ def pixels_of_a_disc(theta_r_deg: float) -> float:
 
 
 @pytest.mark.parametrize("kind", ["changed", "missing", "cut"])
-def test_a_frame_that_is_not_the_journal_s_is_named(tmp_path: Path, kind: str) -> None:
+def test_a_frame_that_is_not_the_journal_s_is_left_out_and_named(tmp_path: Path, kind: str) -> None:
     run = Maker(tmp_path, describe(), glossy).make(POINTS[:3], (0.25,))
     path = run.frame_path(run.events[3]["frames"][0]["file"])
     data = path.read_bytes()
@@ -299,8 +341,9 @@ def test_a_frame_that_is_not_the_journal_s_is_named(tmp_path: Path, kind: str) -
         path.unlink()
     else:
         path.write_bytes(data[:-1] + b"\x55" if kind == "changed" else data[:5000])
-    with pytest.raises(DataError, match=path.name):
-        radiometry.reduce(run)
+    table = radiometry.reduce(run)
+    assert list(table["flag"]).count("damaged") == 1
+    assert any(path.name in note for note in table.attrs["notes"])
 
 
 @pytest.mark.parametrize(

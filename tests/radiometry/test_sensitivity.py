@@ -10,7 +10,8 @@ import pytest
 
 from gonio.geometry import angles, direction
 from gonio.kinematics import Directions
-from gonio.sensitivity import Curves, blurred_overlap, from_mirror, mirror_offset, over_patch, overlap
+from gonio.sensitivity import Curves
+from gonio.spikes import Share, blurred_overlap, from_mirror, mirror_offset, over_patch, overlap
 
 HALF = math.radians(0.5)
 Function = Callable[[Directions], float]
@@ -27,30 +28,41 @@ def curves(function: Function, goals: list[Directions], half: float = HALF, nois
     return Curves(goals, goals, values, noise * abs(values) + 1e-12, (half, half), sharp(goals, half))
 
 
-def sharp(goals: list[Directions], half: float = HALF) -> np.ndarray:
+def sharp(goals: list[Directions], half: float = HALF) -> list[Share]:
     """Shares of the lamp's mirror image for angles that are known exactly."""
-    return np.array([(float(overlap(mirror_offset(d), half, half)), 0.0) for d in goals])
+    return [blurred_overlap(d, [], (half, half)) for d in goals]
 
 
 def moved(d: Directions, i: float = 0.0, r: float = 0.0) -> Directions:
     return Directions(d.theta_i + i, d.phi_i, d.theta_r + r, d.phi_r)
 
 
-def test_overlap_of_discs_against_counting() -> None:
+def test_overlap_of_caps_against_counting() -> None:
+    """Directions spread evenly over the smaller cap, counted in the other."""
     rng = np.random.default_rng(2)
-    for first, second in ((1.0, 1.0), (1.0, 0.4), (0.3, 2.0)):
+    for first, second in ((0.5, 0.5), (0.5, 0.2), (0.15, 1.0), (0.009, 0.009)):
         small, large = sorted((first, second))
-        angle, radius = rng.uniform(0, 2 * np.pi, 400_000), small * np.sqrt(rng.uniform(0, 1, 400_000))
-        for offset in (0.0, 0.2, 0.7, 1.1, 1.9, 2.3):
-            counted = np.mean(np.hypot(radius * np.cos(angle) - offset, radius * np.sin(angle)) <= large)
+        z, angle = 1 - (1 - math.cos(small)) * rng.uniform(0, 1, 400_000), rng.uniform(0, 2 * np.pi, 400_000)
+        across = np.sqrt(1 - z**2)
+        for offset in (
+            0.0,
+            0.2 * small,
+            large - 0.3 * small,
+            large + 0.4 * small,
+            large + 0.95 * small,
+            1.2 * (small + large),
+        ):
+            away = np.array([math.sin(offset), 0.0, math.cos(offset)])
+            chord = np.hypot(np.hypot(across * np.cos(angle) - away[0], across * np.sin(angle)), z - away[2])
+            counted = np.mean(chord <= 2 * math.sin(large / 2))
             # 4e5 draws: a standard deviation of at most 8e-4
             assert overlap(offset, first, second) == pytest.approx(counted, abs=4e-3)
 
 
-def test_overlap_of_equal_discs_falls_linearly() -> None:
-    """1 - 2 d / (pi r) to first order in d."""
-    assert float(overlap(1e-4, 1.0, 1.0)) == pytest.approx(1 - 2e-4 / math.pi, abs=1e-8)
-    assert float(overlap(2.0, 1.0, 1.0)) == 0.0
+def test_overlap_of_equal_caps_falls_linearly() -> None:
+    """1 - 2 d / (pi r) to first order in d, for caps so small that they are flat."""
+    assert float(overlap(1e-7, 1e-3, 1e-3)) == pytest.approx(1 - 2e-4 / math.pi, abs=1e-8)
+    assert float(overlap(2e-3, 1e-3, 1e-3)) == 0.0
 
 
 @pytest.mark.parametrize("theta", [0.0, 1e-9, 30.0, 75.0])
@@ -252,7 +264,7 @@ def test_repeated_readings_are_no_slope() -> None:
     goals = [at(30.0, 40.0 + 0.01 * k) for k in range(60)]
     read = [at(30.0, round((40.0 + 0.01 * k) / 0.088) * 0.088) for k in range(60)]
     f = 0.2 + 1e-3 * np.random.default_rng(0).standard_normal(60)
-    model, u = Curves(goals, read, f, np.full(60, 1e-3), (0.0, 0.0), np.zeros((60, 2))), math.radians(0.025)
+    model, u = Curves(goals, read, f, np.full(60, 1e-3), (0.0, 0.0), [Share()] * 60), math.radians(0.025)
     effects = [model.effects(k, d, moved(d, r=u), moved(d, r=-u))[0] for k, d in enumerate(read)]
     # differences over at least 0.2 deg of noise of 1e-3: 0.025/0.2 of it
     assert np.max(np.abs(effects)) < 1e-3
@@ -265,29 +277,29 @@ def test_a_blurred_overlap_against_drawn_errors(offset_deg: float) -> None:
     read = at(40.0, 40.0 + offset_deg)
     across = 2 * tilt * math.cos(read.theta_i)
     turned = Directions(read.theta_i, 0.0, read.theta_r, read.phi_r + across / math.sin(read.theta_r))
-    mean, variance = blurred_overlap(read, [moved(read, i=u), moved(read, r=u), turned], (HALF, HALF))
+    seen = blurred_overlap(read, [moved(read, i=u), moved(read, r=u), turned], (HALF, HALF))
     rng = np.random.default_rng(3)
     along = math.radians(offset_deg) + u * (rng.standard_normal(200_000) + rng.standard_normal(200_000))
     drawn = overlap(np.hypot(along, across * rng.standard_normal(200_000)), HALF, HALF)
     # 41 quantiles a direction stand for the normal distribution within 1 % of its effect
-    assert mean == pytest.approx(drawn.mean(), abs=0.02 * float(drawn.std()) + 1e-5)
-    assert math.sqrt(variance) == pytest.approx(float(drawn.std()), rel=0.03)
+    assert seen.mean == pytest.approx(drawn.mean(), abs=0.02 * float(drawn.std()) + 1e-5)
+    assert math.sqrt(seen.variance) == pytest.approx(float(drawn.std()), rel=0.03)
 
 
 def test_what_a_spike_s_top_lacks_on_average_is_given_back() -> None:
     """Values measured with the mean overlap: the correction restores those at the read directions."""
     u = math.radians(0.04)
-    shares = np.array([blurred_overlap(d, [moved(d, i=u), moved(d, r=u)], (HALF, HALF)) for d in SPIKED])
+    shares = [blurred_overlap(d, [moved(d, i=u), moved(d, r=u)], (HALF, HALF)) for d in SPIKED]
     exact = np.array([spiked(d) for d in SPIKED])
     at_read = np.array([float(overlap(mirror_offset(d), HALF, HALF)) for d in SPIKED])
     steep = np.array([d.theta_i > 1.2 for d in SPIKED])
-    measured = exact + np.where(steep, 40.0 * (shares[:, 0] - at_read), 0.0)
+    measured = exact + np.where(steep, 40.0 * (np.array([share.mean for share in shares]) - at_read), 0.0)
     model = Curves(SPIKED, SPIKED, measured, 1e-6 * measured, (HALF, HALF), shares)
     # 1e-3 of the spike: the cubic under it
-    np.testing.assert_allclose(measured + model.correction, exact, atol=0.01)
+    np.testing.assert_allclose(measured + model.spikes.correction, exact, atol=0.01)
     top = int(np.argmax(exact))
-    assert model.correction[top] > 1.5
-    assert math.sqrt(model.spike_variance[top]) < model.correction[top]
+    assert model.spikes.correction[top] > 1.5
+    assert math.sqrt(model.spikes.variance[top]) < model.spikes.correction[top]
 
 
 def test_a_patch_turns_the_mirror_direction() -> None:
@@ -311,11 +323,11 @@ def test_a_patch_turns_the_mirror_direction() -> None:
 def test_a_spike_of_which_only_the_edge_was_met_is_uncertain_by_what_it_added() -> None:
     """The one point of a coarse curve near the mirror direction lies where errors of the angles make the overlap."""
     goals = [at(40.0, r) for r in (*range(-80, 40, 8), 39.0, *range(48, 81, 8))]
-    shares, edge = np.zeros((len(goals), 2)), 15
+    shares, edge = [Share()] * len(goals), 15
     shares[edge] = blurred_overlap(goals[edge], [moved(goals[edge], r=math.radians(0.03))], (HALF, HALF))
     f = np.full(len(goals), 0.2)
     f[edge] += 3.0
     model = Curves(goals, goals, f, 1e-3 * f, (HALF, HALF), shares)
     # half of the places that the errors leave see no spike at all: the excess is as uncertain as it is large
-    assert model.spike_variance[edge] ** 0.5 > 3.0
+    assert model.spikes.variance[edge] ** 0.5 > 3.0
     assert model.lobe[edge] == pytest.approx(0.2, rel=1e-12)  # a constant lobe

@@ -72,6 +72,95 @@ def test_few_visits(count: int) -> None:
     assert math.hypot(float(fitted.noise(at)[0]), float(fitted.drift(at)[0])) == pytest.approx(expected, rel=1e-9)
 
 
+# weights 1 / variance lose a digit on the way back: 1e-13
+@pytest.mark.parametrize("seed", range(4))
+def test_one_visit_tells_no_drift_whatever_its_numbers(seed: int) -> None:
+    """Times since the start of the run and since 1970, levels and noise over many decades."""
+    rng = np.random.default_rng(seed)
+    for _ in range(500):
+        time = rng.choice([0.0, 1.9e9]) + rng.uniform(0, 1e4)
+        value, relative = 10 ** rng.uniform(-3, 9), 10 ** rng.uniform(-6, -1)
+        fitted = white_reference.fit(np.array([time]), np.array([value]), np.array([(relative * value) ** 2]))
+        at = time + np.array([-1e5, 0.0, 60.0, 1e6])
+        np.testing.assert_array_equal(fitted.at(at), value)
+        np.testing.assert_array_equal(fitted.drift(at), 0.0)
+        np.testing.assert_allclose(fitted.noise(at), relative * value, rtol=1e-13)
+        assert "one visit" in fitted.unknown
+
+
+@pytest.mark.parametrize("start", [0.0, 1.9e9])
+@pytest.mark.parametrize("apart", [0.0, 3e-7])
+def test_visits_at_one_time_are_averaged_and_tell_no_drift(start: float, apart: float) -> None:
+    """Of a rig that stamped none, or all alike; two doubles since 1970 are no closer than 2.4e-7 s."""
+    times, values = start + apart * np.arange(3), np.array([10.0, 10.3, 9.9])
+    variances = np.array([0.04, 0.01, 0.04])
+    fitted = white_reference.fit(times, values, variances, start + np.array([0.0, 600.0]))
+    assert (fitted.slope, fitted.u_slope, fitted.straight) == (0.0, 0.0, True)
+    assert fitted.level == pytest.approx((10.0 / 0.04 + 10.3 / 0.01 + 9.9 / 0.04) / 150, rel=1e-12)
+    assert fitted.u_level == pytest.approx(150**-0.5, rel=1e-12)
+    (note,) = white_reference.notes(fitted, 3, [], "550 nm")
+    assert note.startswith("550 nm: the 3 visits to the white reference have one and the same time")
+    assert note.endswith("a drift of the lamp is not in u_brdf")
+
+
+def test_visits_at_one_time_that_differ_beyond_noise_widen_their_mean() -> None:
+    fitted = white_reference.fit(np.zeros(4), np.array([9.0, 11.0, 9.0, 11.0]), np.full(4, 0.01))
+    # standard error of the mean of four values that scatter by sqrt(4/3)
+    assert fitted.u_level == pytest.approx(math.sqrt(4 / 3 / 4), rel=1e-12)
+    # a point's level differs from the mean as those of the visits do, less the noise of a visit
+    np.testing.assert_allclose(fitted.extra(np.array([0.0, 60.0])), math.sqrt(4 / 3 - 0.01), rtol=1e-12)
+
+
+def test_two_of_three_visits_at_one_time_are_one_end_of_the_line() -> None:
+    times, values = np.array([0.0, 0.0, 100.0]), np.array([10.0, 10.2, 11.1])
+    fitted = white_reference.fit(times, values, np.full(3, 0.04))
+    assert not fitted.unknown
+    np.testing.assert_allclose(fitted.at(np.array([0.0, 100.0])), [10.1, 11.1], rtol=1e-12)  # rounding of a line
+    assert fitted.u_slope == pytest.approx(math.sqrt(0.02 + 0.04) / 100, rel=1e-12)
+
+
+def test_crooked_visits_of_which_two_are_at_one_time() -> None:
+    times, values = np.array([0.0, 100.0, 100.0, 200.0]), np.array([100.0, 120.0, 120.02, 100.0])
+    fitted = white_reference.fit(times, values, np.full(4, 0.01))
+    assert not fitted.straight
+    np.testing.assert_allclose(fitted.at(np.array([50.0, 100.0])), [110.005, 120.01], rtol=1e-12)
+    assert np.all(np.isfinite(fitted.extra(np.array([0.0, 50.0, 100.0, 300.0]))))
+
+
+@pytest.mark.parametrize(
+    ("times", "values"),
+    [
+        ([0.0, 2.0], [1000.0, 1001.0]),  # noise, drawn out to half of the level
+        ([0.0, 60.0], [1000.0, 980.0]),  # warming up: the line leads below zero
+        ([0.0, 1.0, 2.0], [1000.0, 1030.0, 990.0]),  # crooked
+    ],
+)
+def test_visits_close_together_say_nothing_of_points_far_away(times: list[float], values: list[float]) -> None:
+    at = np.array([1.0, 3600.0])
+    fitted = white_reference.fit(np.array(times), np.array(values), np.ones(len(times)), at)
+    mean = np.mean(values)
+    np.testing.assert_allclose(fitted.at(at), mean, rtol=1e-12)
+    np.testing.assert_array_equal(fitted.drift(at), 0.0)
+    assert fitted.u_level >= len(times) ** -0.5 * (1 - 1e-12)
+    (note,) = white_reference.notes(fitted, len(times), [], "550 nm")
+    assert f"lie within {times[-1]:g} s" in note
+    assert f"points up to {3600 - times[-1]:.3g} s away" in note
+
+
+def test_a_line_is_kept_where_it_changes_little_or_the_points_are_near() -> None:
+    far = white_reference.fit(np.array([0.0, 60.0]), np.array([1000.0, 1000.5]), np.full(2, 0.01), np.array([600.0]))
+    assert far.slope == pytest.approx(0.5 / 60, rel=1e-9)
+    noisy = white_reference.fit(np.array([0.0, 60.0]), np.array([1000.0, 1400.0]), np.full(2, 4e4), np.array([110.0]))
+    assert noisy.slope == pytest.approx(400 / 60, rel=1e-9)
+
+
+def test_visits_that_cannot_be_used_are_counted_by_their_flags() -> None:
+    fitted = white_reference.fit(np.array([5.0]), np.array([10.0]), np.ones(1))
+    lost, alone = white_reference.notes(fitted, 1, ["moved", "saturated", "moved"], "550 nm")
+    assert lost == "550 nm: 3 of 4 visits to the white reference cannot be used (2 moved, 1 saturated)"
+    assert alone.startswith("550 nm: one visit to the white reference only")
+
+
 def table(waves: tuple[float, ...] = (500.0, 600.0)) -> pd.DataFrame:
     """In plane at 0 and 30 degrees, linear in every variable, so that linear interpolation is exact."""
     rows = []

@@ -15,7 +15,6 @@ import numpy.typing as npt
 import pytest
 from gonio_sim import camera as camera_module
 from gonio_sim.camera import Sensor
-from gonio_sim.sensor import EXACT_BELOW
 from gonio_sim.world import Stream, World
 from scipy import stats
 
@@ -44,27 +43,54 @@ def electrons(of: Sensor, mean: float | None, exposure_s: float = 1.0, key: int 
     return (mosaic.astype(float) - model.black_level_dn) * model.electrons_per_dn
 
 
-@pytest.mark.parametrize("mean", [0.3, 3.0, 11.0, 13.0, 40.0, 99.0, 101.0, 1000.0, 10000.0])
+@pytest.mark.parametrize("mean", [0.0, 1e-4, 0.01, 0.3, 3.0, 10.0, 24.99, 25.0, 40.0, 99.0, 101.0, 1000.0, 10000.0])
 def test_photon_transfer(mean: float) -> None:
-    """Mean and variance of the charge are equal; rounding to 0.25 e- adds a twelfth of its square to a Gaussian."""
+    """Mean, variance and third central moment of the charge are equal, and it is in whole electrons."""
     charge = electrons(sensor(photon_noise=True), mean)
-    variance = mean + (0.25**2 / 12 if mean >= EXACT_BELOW else 0.0)  # whole electrons fall on whole steps
+    assert np.array_equal(charge, np.rint(charge))
     assert charge.mean() == pytest.approx(mean, abs=SIGMAS * math.sqrt(mean / PIXELS))
-    kurtosis = 1 / mean  # excess kurtosis of a Poisson number: widens the scatter of its sample variance
-    assert charge.var() == pytest.approx(variance, rel=SIGMAS * math.sqrt((2 + kurtosis) / PIXELS))
+    # the scatter of a sample's central moments, from the higher moments of a Poisson number
+    second = mean + 2 * mean**2
+    assert np.mean((charge - mean) ** 2) == pytest.approx(mean, abs=SIGMAS * math.sqrt(second / PIXELS))
+    sixth = mean + 25 * mean**2 + 15 * mean**3
+    assert np.mean((charge - mean) ** 3) == pytest.approx(mean, abs=SIGMAS * math.sqrt(sixth / PIXELS))
 
 
-@pytest.mark.parametrize("mean", [0.3, 3.0, 11.9, 12.1, 40.0, 99.0])
-def test_few_photons_are_exactly_poisson(mean: float) -> None:
-    """Below 100 electrons the whole distribution is right: chi-square over all counts of a frame."""
-    counts = np.rint(electrons(sensor(photon_noise=True, electrons_per_dn=1.0), mean)).astype(int)
-    low, high = stats.poisson.ppf([1e-4, 1 - 1e-4], mean).astype(int)
+def observed_and_expected(counts: npt.NDArray[np.int64], mean: float) -> tuple[npt.NDArray, npt.NDArray]:
+    """How often each count occurred and should have; rare ones (below 10) are taken together on either side."""
+    low, high = stats.poisson.ppf([10 / counts.size, 1 - 10 / counts.size], mean).astype(int)
     edges = np.arange(low, high + 1)
-    observed = np.array([np.count_nonzero(counts <= low), *(np.count_nonzero(counts == k) for k in edges[1:])])
-    observed = np.append(observed, PIXELS - observed.sum())
-    cumulated = stats.poisson.cdf(edges, mean)
-    expected = PIXELS * np.diff(cumulated, prepend=0.0, append=1.0)
-    assert stats.chisquare(observed, expected).pvalue > 1e-4
+    expected = counts.size * np.diff(stats.poisson.cdf(edges, mean), prepend=0.0, append=1.0)
+    return np.bincount(np.clip(counts, low, high + 1) - low, minlength=edges.size + 1), expected
+
+
+# near 0; on and beside a row of the table (1/8 e-); on both sides of the change of method; far into the expansion
+@pytest.mark.parametrize("mean", [1e-3, 0.03, 0.125, 0.2499, 3.0, 10.0, 11.9, 24.9, 25.0, 25.1, 40.0, 99.0, 300.0])
+def test_electrons_are_poisson_numbers(mean: float) -> None:
+    """The whole distribution is right: chi-square over all counts of ten frames."""
+    of = sensor(photon_noise=True, electrons_per_dn=1.0)
+    counts = np.concatenate([electrons(of, mean, key=key).astype(int).ravel() for key in range(10)])
+    assert stats.chisquare(*observed_and_expected(counts, mean)).pvalue > 1e-4
+
+
+def test_methods_meet_in_one_frame() -> None:
+    """Dim and bright pixels side by side, within a block and from block to block: each pixel has its own mean."""
+    of = sensor(photon_noise=True, electrons_per_dn=1.0)
+    rate = np.tile(np.array([0.5, 24.0, 26.0, 60.0, 5.0], np.float32), PIXELS // 5).reshape(SHAPE)
+    black = of._camera.black_level_dn
+    counts = (of.read_out(rate, 1.0, 1.0, np.uint64(4)).astype(float) - black).astype(int).ravel()
+    for mean in np.unique(rate):
+        one = counts[rate.ravel() == mean]
+        assert stats.chisquare(*observed_and_expected(one, float(mean))).pvalue > 1e-4
+
+
+def test_electrons_and_read_noise_are_independent() -> None:
+    """Both come from one hash in bright pixels, and from two in dim ones: variances add up."""
+    for mean in (0.5, 20.0, 60.0):
+        charge = electrons(sensor(photon_noise=True, read_noise_e=6.0, black_level_dn=400), mean)
+        # a correlation r would add 2 r sigma sigma; fourth moments as for a Gaussian, and 1/mean of the Poisson part
+        variance = mean + 36.0 + 0.25**2 / 12
+        assert charge.var() == pytest.approx(variance, rel=SIGMAS * math.sqrt((2 + 1 / mean) / PIXELS))
 
 
 def test_normal_numbers_have_the_right_distribution() -> None:

@@ -111,3 +111,16 @@ def test_a_terminal_that_knows_no_plus_minus_shows_something_else(
     )
     monkeypatch.setenv("PYTHONIOENCODING", "ascii")
     assert "albedo" in gonio("fit", "good.csv", "--model", "lambert").stdout
+
+
+def test_a_reference_outside_the_frame_is_found_by_every_command(gonio: Command, files: Path) -> None:
+    """The frame of the shipped rig is 29 mm wide and 22 mm high."""
+    shipped = gonio("rig", "show", "sim").stdout
+    beside = shipped.replace('how = "swap"', 'how = "beside"\noffset_mm = [0.0, 15.0]', 1)
+    (files / "my.toml").write_text(beside)
+    measure = ("measure", "plan.toml", "--rig", "my.toml", "--sample", "sample.toml", "--out", "run")
+    for command in (("plan", "show", "plan.toml", "--rig", "my.toml"), (*measure, "--dry-run"), measure):
+        text = said(gonio(*command, expect=USAGE))
+        for word in ("my.toml", "[reference] offset_mm = [0, 15]", "480 rows", "nearer"):
+            assert word in " ".join(text.split())
+        assert not (files / "run").exists()

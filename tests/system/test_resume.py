@@ -112,3 +112,26 @@ def test_resuming_something_else_is_refused(
     gonio(*MEASURE, "--out", "run")
     (files / name).write_text((files / name).read_text().replace(old, new))
     assert word in gonio(*MEASURE, "--out", "run", "--resume", expect=2).stderr
+
+
+def test_a_lost_journal_is_made_again_and_a_damaged_frame_is_taken_again(gonio: Command, files: Path) -> None:
+    gonio(*MEASURE, "--out", "run")
+    gonio("reduce", "run")
+    run = files / "run"
+    table = (run / "brdf.csv").read_bytes()
+    frames = {path.name: path.read_bytes() for path in (run / "frames").iterdir()}
+    (run / "journal.jsonl").unlink()
+    assert "gonio run repair run" in gonio(*MEASURE, "--out", "run", "--resume", expect=1).stderr
+    assert {path.name: path.read_bytes() for path in (run / "frames").iterdir()} == frames
+    assert "15 steps" in gonio("run", "repair", "run").stdout
+    gonio("run", "check", "run")
+    damaged = run / "frames" / "000004-550nm-02.dng"
+    damaged.write_bytes(frames[damaged.name][:-1000])
+    assert damaged.name in gonio("run", "check", "run", expect=1).stderr
+    assert damaged.name in gonio("reduce", "run").stderr
+    assert read(run / "brdf.csv")["flag"].tolist().count("damaged") == 1
+    assert damaged.name in gonio(*MEASURE, "--out", "run", "--resume").stderr
+    gonio("reduce", "run")
+    assert (run / "brdf.csv").read_bytes() == table
+    (run / "brdf.csv").write_bytes(table.replace(b"unpolarised", b"UNPOLARISED"))
+    assert "brdf.csv" in gonio("reduce", "run", expect=2).stderr

@@ -176,14 +176,14 @@ def test_a_fault_that_stays_ends_in_an_error(tethered: Tether, fault: str, messa
 
 def test_files_that_are_there_already_are_left_alone(tethered: Tether) -> None:
     old = tethered.folder / "OLD.DNG"
-    write_dng(Frame(np.full(SIZE, 7, np.uint16), 0.01, 64.0, 4095.0, "RGGB"), old)
+    write_dng(Frame(np.full(SIZE, 7, np.uint16), 0.01, 64.0, 4095.0, "RGGB", time_s=0.0), old)
     with tethered.driver() as camera:
         assert number(camera.capture(0.01)) == 1
     assert old.exists()
 
 
 def plain(value: int) -> Frame:
-    return Frame(np.full(SIZE, value, np.uint16), 0.01, 64.0, 4095.0, "RGGB")
+    return Frame(np.full(SIZE, value, np.uint16), 0.01, 64.0, 4095.0, "RGGB", time_s=0.0)
 
 
 def opened(folder: Path) -> FolderCamera:
@@ -249,7 +249,7 @@ def test_a_tethering_program_is_run(tmp_path: Path) -> None:
     good.write_text(
         "import sys, numpy as np\nfrom gonio.frames import write_dng\nfrom gonio.rig import Frame\n"
         f"mosaic = np.full({SIZE}, 9, np.uint16)\n"
-        "write_dng(Frame(mosaic, float(sys.argv[1]), 64.0, 4095.0, 'RGGB'), sys.argv[2] + '/a.dng')\n"
+        "write_dng(Frame(mosaic, float(sys.argv[1]), 64.0, 4095.0, 'RGGB', time_s=0.0), sys.argv[2] + '/a.dng')\n"
     )
     table = {"driver": "folder", "folder": str(tmp_path), "timeout_s": PATIENCE_S}
     command = [sys.executable, str(good), "{exposure_s}", "{folder}"]
@@ -428,7 +428,7 @@ def test_a_sequence_keeps_16_bits_and_ends(tmp_path: Path) -> None:
 
 
 def test_a_sequence_of_raw_files_insists_on_the_exposure(tmp_path: Path) -> None:
-    write_dng(Frame(np.full(SIZE, 7, np.uint16), 0.02, 64.0, 4095.0, "RGGB"), tmp_path / "a.dng")
+    write_dng(Frame(np.full(SIZE, 7, np.uint16), 0.02, 64.0, 4095.0, "RGGB", time_s=0.0), tmp_path / "a.dng")
     camera = cameras.build(DESCRIPTION, {"driver": "sequence", "folder": str(tmp_path)})
     with camera, pytest.raises(DeviceError, match=r"was exposed 0\.02 s, and 0\.01 s were asked"):
         camera.capture(0.01)

@@ -18,7 +18,7 @@ import numpy as np
 
 from gonio import models
 from gonio.models import engine
-from gonio_analysis.bench.ways import Family, Sample, Way
+from gonio_analysis.bench.ways import Family, Sample, Way, directions
 from gonio_analysis.uncertainty import Floats
 
 NOTHING = 1e-290
@@ -71,6 +71,12 @@ def summary(e: Errors) -> dict[str, Any]:
         "not_finite": int(np.sum(~np.isfinite(e.values))),
         "warning": e.warned,
     }
+
+
+def by_set(family: Family, way: Way) -> dict[str, Any]:
+    """Errors of a way on each set of the family's samples; none where its results are not comparable."""
+    sets = {s.kind: [x for x in family.samples if x.kind == s.kind] for s in family.samples}
+    return {kind: summary(errors(way, sets[kind])) for kind in ("grid", "hard") if kind in sets and way.accurate}
 
 
 def times(family: Family, *, pairs: int, repeats: int, budget_s: float) -> dict[str, dict[str, Any]]:
@@ -149,6 +155,36 @@ def single_calls(repeats: int) -> list[dict[str, Any]]:
                 taken.append((time.perf_counter() - start) * 1e6)
             out.append({"model": name, "call": call, "best_us": min(taken), "median_us": float(np.median(taken))})
     return out
+
+
+def hand_over(repeats: int) -> dict[str, Any] | None:
+    """What it costs to hand half of a call to a second thread; None where this process may use one processor only.
+
+    The smallest call that two threads share takes longer than a call of half as many pairs, which one thread does
+    alone. The difference is the hand-over: waking a thread, waiting for it, and the interpreter's work for both.
+    """
+    half = engine.SPLIT
+    if engine.threads() < 2:
+        return None
+    model = models.CookTorrance()
+    calls = {count: directions(count) for count in (half, 2 * half)}
+    taken: dict[int, list[float]] = {count: [] for count in calls}
+    for _ in range(repeats + 1):  # the first compiles, and starts the threads
+        for count, vectors in calls.items():
+            start = time.perf_counter()
+            model.brdf_vectors(*vectors)
+            taken[count].append((time.perf_counter() - start) * 1e6)
+    alone, shared = (float(np.median(taken[count][1:])) for count in (half, 2 * half))
+    cost = max(shared - alone, 0.0)
+    return {
+        "model": "cook-torrance",
+        "pairs": 2 * half,
+        "shared_us": shared,
+        "half_alone_us": alone,
+        "hand_over_us": cost,
+        "share": cost / shared,
+        "repeats": repeats,
+    }
 
 
 _START = """

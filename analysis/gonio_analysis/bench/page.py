@@ -195,6 +195,7 @@ def _calls(s: dict[str, Any]) -> str:
     ]
     return (
         '<section id="calls"><h2>Calls and start-up</h2>\n'
+        + _hand_over(s["hand_over"])
         + html.table("One geometry from Python.", ["model", "call", "best µs", "median µs"], single, right=(2, 3))
         + html.table(
             "Seconds in a fresh process, compiled code already cached; the import loads no numba.",
@@ -206,8 +207,30 @@ def _calls(s: dict[str, Any]) -> str:
     )
 
 
+def _hand_over(h: dict[str, Any] | None) -> str:
+    if h is None:
+        return "<p>This process may use one processor only: no call is handed to a second thread.</p>\n"
+    text = (
+        f"A call of {h['pairs']} pairs or more is shared by threads. To hand half of it over costs"
+        f" {number(h['hand_over_us'], 2)} µs: {h['model']} takes {number(h['shared_us'])} µs for {h['pairs']} pairs on"
+        f" two threads, and {number(h['half_alone_us'])} µs for half as many on one (medians of {h['repeats']} calls in"
+        f" turn). That is {100 * h['share']:.0f} % of the smallest shared call, and the less the larger a call is."
+    )
+    return f"<p>{escape(text)}</p>\n"
+
+
 def _peers(s: dict[str, Any]) -> str:
-    return "<h3>Peers</h3>\n" + html.facts((p["peer"], p["state"]) for p in s["peers"])
+    threads = [
+        (w["way"], f"{w['time']['threads']} threads in its process")
+        for f in s["families"]
+        for w in f["ways"]
+        if w["time"].get("threads")
+    ]
+    words = (
+        "Each peer is measured in a process of its own, after our ways: idle workers that spin would slow down what is"
+        " measured beside them. Its wall-clock times count; its processor time may leave out threads of its own."
+    )
+    return "<h3>Peers</h3>\n" + _note(words) + html.facts([*((p["peer"], p["state"]) for p in s["peers"]), *threads])
 
 
 def _method(s: dict[str, Any]) -> str:

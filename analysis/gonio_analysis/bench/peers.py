@@ -1,41 +1,93 @@
 """Other people's programs on the same inputs, where they are installed (extra `[peers]`).
 
-Dr.Jit and Mitsuba end the whole process where they find an LLVM that they cannot use, so each peer first evaluates a
-few pairs in a process of its own.
+Each peer runs in a process of its own, one after the other, and never in the one that measures our ways: the idle
+workers of Dr.Jit and Mitsuba spin and slow down what is measured after them, and both end the whole process where they
+find an LLVM that they cannot use. So each first evaluates a few pairs there.
 """
 
 from __future__ import annotations
 
 import importlib.util
+import json
 import math
 import os
 import subprocess
 import sys
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gonio_analysis.bench.ways import Evaluate, Way, directions, to_angles
+from gonio.errors import DataError
+from gonio_analysis.bench.ways import Evaluate, Way, directions, families, to_angles
 from gonio_analysis.uncertainty import Floats
 
 PACKAGES = {"Dr.Jit": "drjit", "Mitsuba": "mitsuba", "pySCATMECH": "pySCATMECH"}
 LLVM = "DRJIT_LIBLLVM_PATH"
 
 
-def find() -> tuple[list[dict[str, str]], dict[str, tuple[Way, ...]]]:
-    """What was found of each peer, in words, and its ways by family."""
-    words, ways = [], []
+@dataclass(frozen=True)
+class Peer:
+    """A program that was found to work here."""
+
+    name: str
+    way: Way
+    environment: dict[str, str]
+    """What its process needs besides ours."""
+
+
+FAMILY = "cook-torrance"
+"""What the peers evaluate."""
+
+
+def find() -> tuple[list[dict[str, str]], list[Peer]]:
+    """What was found of each peer, in words, and those that work."""
+    words, found = [], []
     for peer, package in PACKAGES.items():
         if importlib.util.find_spec(package) is None:
             state = "not installed"
         else:
-            state = _usable(peer)
-            if state.startswith("measured"):
-                ways.append(_ways()[peer])
+            state, environment = _usable(peer)
+            if environment is not None:
+                found.append(Peer(peer, _ways()[peer], environment))
         words.append({"peer": f"{peer} {_version(package)}".strip(), "state": state})
-    return words, {"cook-torrance": tuple(ways)}
+    return words, found
+
+
+def measured(peer: Peer, **settings: float) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Errors by set, and times, of a peer in a process of its own; `settings` as `measure.times` takes them.
+
+    Raises
+    ------
+    DataError
+        The process failed.
+    """
+    code = f"from gonio_analysis.bench import peers; peers.report({peer.name!r}, {settings!r})"
+    made = _process(code, peer.environment, timeout=600)
+    if made is None or made.returncode:
+        why = "took longer than 600 s" if made is None else (made.stderr.strip().splitlines() or ["no message"])[-1]
+        raise DataError(f"{peer.name}: its process failed while it was measured: {why}")
+    found = json.loads(made.stdout.splitlines()[-1])
+    return found["errors"], found["time"]
+
+
+def report(peer: str, settings: dict[str, Any]) -> None:
+    """In the peer's own process: measure it, and print errors and times as JSON."""
+    from gonio_analysis.bench import measure
+
+    way = _ways()[peer]
+    family = next(f for f in families() if f.name == FAMILY)
+    errors = measure.by_set(family, way)
+    taken = measure.times(replace(family, ways=(way,)), **settings)[way.name]
+    print(json.dumps({"errors": errors, "time": {**taken, "threads": _threads()}}))
+
+
+def _threads() -> int | None:
+    """How many threads this process has now, idle ones included."""
+    tasks = Path("/proc/self/task")
+    return len(list(tasks.iterdir())) if tasks.is_dir() else None
 
 
 def _ways() -> dict[str, Way]:
@@ -79,34 +131,39 @@ def probe(peer: str) -> None:
     way.prepare({"slopes": [[0.4, 0.4], [0.2, 0.6]], "n": 0.64, "k": 2.6})(*way.convert(*directions(8)))
 
 
-def _usable(peer: str) -> str:
-    """ "measured", with the LLVM library where one had to be named, or why not."""
+def _usable(peer: str) -> tuple[str, dict[str, str] | None]:
+    """In words: measured, with the LLVM library where one had to be named, or why not; and its environment."""
     if _works(peer, {}):
-        return "measured"
+        return "measured, in a process of its own", {}
     if peer != "pySCATMECH" and LLVM not in os.environ:
         patterns = ("*/libLLVM*.so*", "llvm-*/lib/libLLVM*.so*")
         found = {path.resolve() for pattern in patterns for path in Path("/usr/lib").glob(pattern)}
         for path in sorted(found, key=lambda p: p.name, reverse=True):
             if _works(peer, {LLVM: str(path)}):
-                os.environ[LLVM] = str(path)
-                return f"measured, with {path.name}"
-        return f"installed; no LLVM library that it can use was found ({LLVM} can name one)"
-    return "installed, but fails on eight pairs"
+                return f"measured, in a process of its own with {path.name}", {LLVM: str(path)}
+        return f"installed; no LLVM library that it can use was found ({LLVM} can name one)", None
+    return "installed, but fails on eight pairs", None
 
 
 def _works(peer: str, environment: dict[str, str]) -> bool:
     code = f"from gonio_analysis.bench import peers; peers.probe({peer!r})"
+    made = _process(code, environment, timeout=120)
+    return made is not None and made.returncode == 0
+
+
+def _process(code: str, environment: dict[str, str], timeout: float) -> subprocess.CompletedProcess[str] | None:
+    """What became of Python code in a process of its own; None where it took too long."""
     try:
-        made = subprocess.run(
-            [sys.executable, "-c", code],
+        return subprocess.run(
+            [sys.executable, "-P", "-c", code],
             env={**os.environ, **environment},
             capture_output=True,
-            timeout=120,
+            text=True,
+            timeout=timeout,
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return False
-    return made.returncode == 0
+        return None
 
 
 def _columns(v: Floats) -> list[Floats]:

@@ -99,16 +99,9 @@ def to_angles(omega_i: Floats, omega_r: Floats) -> tuple[Floats, ...]:
     return tuple(out)
 
 
-def families(peers: dict[str, tuple[Way, ...]] | None = None) -> list[Family]:
-    """Every family, with the peers' ways beside ours.
-
-    Parameters
-    ----------
-    peers
-        Ways by the name of their family (`gonio_analysis.bench.peers`).
-    """
-    more = peers or {}
-    found = [
+def families() -> list[Family]:
+    """Every family, with every way that runs in this process (for others see `gonio_analysis.bench.peers`)."""
+    return [
         *_he_torrance(),
         _closed(
             "cook-torrance", "Cook-Torrance", "Beckmann facets, two slopes, complex index.", _cook, plain.cook_torrance
@@ -127,7 +120,6 @@ def families(peers: dict[str, tuple[Way, ...]] | None = None) -> list[Family]:
         _fresnel(),
         _roughness(),
     ]
-    return [Family(**{**vars(f), "ways": (*f.ways, *more.get(f.name, ()))}) for f in found]
 
 
 def _samples(name: str, wanted: dict[str, str]) -> tuple[Sample, ...]:

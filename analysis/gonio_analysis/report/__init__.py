@@ -11,10 +11,14 @@ from gonio_analysis.compare import Dataset, examine, run_facts
 from gonio_analysis.families import Ior
 from gonio_analysis.planes import Normalise
 from gonio_analysis.report import detail, figures, files, page, pdf, tables, viewer
+from gonio_analysis.report.drawing import Draughtsmen, draughtsmen
 from gonio_analysis.report.summary import summarise
 
 if TYPE_CHECKING:
     import pandas as pd
+
+MARKERS = 40_000
+"""On one page; each takes about 60 bytes."""
 
 
 def make(
@@ -71,15 +75,17 @@ def make(
             (table, models, options | {"name": name, "source": source, "run": run})
             for name, (_, source, table, run) in zip(names, found, strict=True)
         ]
-        if len(jobs) < parallel.FEW and dask is None:
-            datasets = [examine(table, models, **own, progress=progress) for table, _, own in jobs]
-        else:
-            datasets = []
-            for dataset in parallel.each(_examined, jobs, dask=dask):
-                datasets.append(dataset)
-                progress(f"{dataset.name}: fitted ({len(datasets)} of {len(jobs)})")
-        title = names[0] if len(names) == 1 else " and ".join(names) if len(names) == 2 else f"{len(names)} samples"
-        write(datasets, stage.work, title=title, normalise=normalise, command=command, progress=progress)
+        with draughtsmen(2 * len(jobs) * len(models)) as hands:  # they get ready while the models are fitted
+            if len(jobs) < parallel.FEW and dask is None:
+                datasets = [examine(table, models, **own, progress=progress) for table, _, own in jobs]
+            else:
+                datasets = []
+                for dataset in parallel.each(_examined, jobs, dask=dask):
+                    datasets.append(dataset)
+                    progress(f"{dataset.name}: fitted ({len(datasets)} of {len(jobs)})")
+            title = names[0] if len(names) == 1 else " and ".join(names) if len(names) == 2 else f"{len(names)} samples"
+            options = {"title": title, "normalise": normalise, "command": command}
+            write(datasets, stage.work, **options, hands=hands, progress=progress)
     return Path(out) / "index.html"
 
 
@@ -95,6 +101,7 @@ def write(
     title: str,
     normalise: Normalise = "mirror",
     command: str = "",
+    hands: Draughtsmen | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
     """Write a report of these measurements into a folder that exists (see `files.staged`).
@@ -109,6 +116,8 @@ def write(
         What was asked for the polar plots.
     command
         The command line, for the record.
+    hands
+        Who draws; this process alone if it is not given.
     progress
         Called with a line before each step.
 
@@ -118,22 +127,30 @@ def write(
         What `summary.json` holds: every number of the page.
     """
     summary = summarise(datasets, title=title, normalise=normalise, command=command)
-    drawn = []
-    for dataset, facts in zip(datasets, summary["datasets"], strict=True):
-        progress(f"{dataset.name}: drawing")
-        drawn.append([*figures.draw(dataset, facts), *detail.draw(dataset, facts)])
+    both = list(zip(datasets, summary["datasets"], strict=True))
+    progress("drawing")
+    most = _most_values(datasets)
+    groups = [[*figures.draw(d, facts, most), *detail.draw(d, facts, most)] for d, facts in both]
+    every = (hands or Draughtsmen()).draw([drawing for group in groups for drawing in group])
+    rest = iter(every)
+    drawn = [[next(rest) for _ in group] for group in groups]
     (folder / "tables").mkdir()
-    every = [figure for group in drawn for figure in group]
     summary["figures"] = [{"name": f.name, "caption": f.caption, "alt": f.alt} for f in every]
-    views = [
-        viewer.viewer(d, facts, normalise) if d.curves else None
-        for d, facts in zip(datasets, summary["datasets"], strict=True)
-    ]
+    room = viewer.BYTES // len(datasets)
+    views = [viewer.viewer(d, facts, normalise, room) if d.curves else None for d, facts in both]
     summary["tables"] = tables.write(datasets, summary, views, folder / "tables")
-    html = page.render(summary, drawn, views)
-    files.write(folder, html, summary, every)
-    pdf.write(folder / "report.pdf", html, {f.name: f.png for f in every})
+    pages = page.render(summary, drawn, views)
+    for name, html in pages.items():
+        (folder / name).write_text(html, encoding="utf-8")
+    files.write(folder, pages["index.html"], summary, every)
+    pdf.write(folder / "report.pdf", "".join(pages.values()), {f.name: f.png for f in every})
     return summary
+
+
+def _most_values(datasets: Sequence[Dataset]) -> int:
+    """Measured values in one panel, so that those of all panels take about half of the room of a page."""
+    panels = sum(3 * len(d.fitted) + 6 for d in datasets)
+    return min(max(MARKERS // panels, 300), 2400)
 
 
 def _distinct(names: Sequence[str], sources: Sequence[str]) -> list[str]:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from gonio_analysis import thinning
 from gonio_analysis.change import FALSE_DISCOVERIES, LEVEL, Change, Side, change, side
 from gonio_analysis.compare import run_facts
 from gonio_analysis.fit import finite
@@ -18,11 +19,15 @@ from gonio_analysis.metrics import DESCRIPTIONS
 from gonio_analysis.observations import Observations, describe_left_out
 from gonio_analysis.planes import Curve, curves, labels, selection
 from gonio_analysis.report import change_figures, files, html, pdf, viewer
+from gonio_analysis.report.drawing import Draughtsmen, draughtsmen
 from gonio_analysis.report.figures import Figure
+from gonio_analysis.report.page import MOST_BYTES, MOST_ROWS
 from gonio_analysis.report.summary import stamp
-from gonio_analysis.report.tables import write_csv
+from gonio_analysis.report.tables import write_columns, write_csv
 from gonio_analysis.report.text import difference, number, percent
 
+FIGURES = 6
+"""That a comparison has, about."""
 SPIKE = 30.0
 """A largest value so many times the median hides all others in a polar plot: a logarithmic one comes first."""
 COLUMNS = (
@@ -57,31 +62,38 @@ def make(
     Path
         Of `index.html`.
     """
-    with files.staged(out) as stage:
+    with files.staged(out) as stage, draughtsmen(FIGURES) as hands:
         a, b = (side(spec) for spec in specs)
         if a.name == b.name:
             a, b = replace(a, name=f"{a.name} (A)"), replace(b, name=f"{b.name} (B)")
         progress(f"comparing {b.name} with {a.name}")
         found = change(a, b, wavelength_nm=wavelength_nm)
         progress("drawing")
-        _write(found, stage.work, wavelength_nm, command, [run_facts(Path(spec)) for spec in specs])
+        _write(found, stage.work, wavelength_nm, command, [run_facts(Path(spec)) for spec in specs], hands)
     return Path(out) / "index.html"
 
 
-def _write(c: Change, folder: Path, wavelength_nm: float | None, command: str, runs: Sequence[Any]) -> None:
+def _write(
+    c: Change, folder: Path, wavelength_nm: float | None, command: str, runs: Sequence[Any], hands: Draughtsmen
+) -> None:
     facts = summary(c, command, runs)
     at, shown = _one(c, wavelength_nm)
     facts["shown_wavelength_nm"] = finite(shown)
     every = curves(at)
     listed = selection(every, viewer.MOST_LISTED)
     drawn = selection(every)
-    figures = change_figures.draw(c, at, drawn, shown)
+    figures = hands.draw(change_figures.draw(c, at, drawn, shown))
     (folder / "tables").mkdir()
     facts["figures"] = [{"name": f.name, "caption": f.caption, "alt": f.alt} for f in figures]
-    write_csv(folder / "tables" / "change.csv", COLUMNS, _rows(c))
+    write_columns(folder / "tables" / "change.csv", COLUMNS, _columns(c))
     facts["tables"] = ["change.csv"]
+    if len(facts["wavelengths"]) > 1:
+        facts["tables"].append("wavelengths.csv")
+        names = list(facts["wavelengths"][0])
+        rows = ([w[name] for name in names] for w in facts["wavelengths"])
+        write_csv(folder / "tables" / "wavelengths.csv", names, rows)
     view = _view(c, at, listed, drawn, shown) if drawn else None
-    page = _render(facts, figures, view)
+    page = html.within(_render(facts, figures, view), MOST_BYTES)
     files.write(folder, page, facts, figures)
     pdf.write(folder / "report.pdf", page, {f.name: f.png for f in figures})
 
@@ -183,14 +195,12 @@ def _words(ratio: float | None) -> str:
     return f"a {text}" if text.startswith("factor") else text
 
 
-def _rows(c: Change) -> Any:
-    v = c.verdict
+def _columns(c: Change) -> list[Any]:
+    v, n = c.verdict, len(c.at)
     angles = [np.round(np.degrees(x), 10) for x in (c.at.theta_i, c.at.phi_i, c.at.theta_r, c.at.phi_r)]
-    z = v.z if v is not None else np.full(len(c.at), np.nan)
-    marked = v.marked if v is not None else [""] * len(c.at)
-    return zip(
-        c.at.wavelength_nm, *angles, c.value_a, c.value_b, c.error, c.difference, c.u, z, marked, strict=True
-    )  # fmt: skip
+    z = v.z if v is not None else np.full(n, np.nan)
+    marked = v.marked.astype(object) if v is not None else np.full(n, "", dtype=object)
+    return [c.at.wavelength_nm, *angles, c.value_a, c.value_b, c.error, c.difference, c.u, z, marked]
 
 
 def _one(c: Change, wavelength_nm: float | None) -> tuple[Observations, float]:
@@ -206,7 +216,9 @@ def _view(c: Change, at: Observations, listed: list[Curve], drawn: list[Curve], 
     first = [n for k, n in zip(listed, names, strict=True) if int(k.rows[0]) in keep]
     sides = {f"A: {c.a.name}": (c.a, c.value_a, c.u_a), f"B: {c.b.name}": (c.b, c.value_b, c.u_b)}
     entries = []
-    for curve, name in zip(listed, names, strict=True):
+    most = max(viewer.BYTES // (2 * viewer.MEASURED_BYTES * max(len(listed), 1)), viewer.FEWEST)
+    shorter = [thinning.of_curve(curve, most) for curve in listed]
+    for curve, name in zip(shorter, names, strict=True):
         rows = at.rows[curve.rows]
         series = [viewer.points(n, curve, values[rows], u[rows]) for n, (_, values, u) in sides.items()]
         entries.append({"label": name, "mirror": round(float(np.degrees(curve.parameter)), 4), "series": series})
@@ -223,6 +235,7 @@ def _view(c: Change, at: Observations, listed: list[Curve], drawn: list[Curve], 
         "models": [n for n, (x, *_) in sides.items() if x.kind == "model"],
         "chosen": list(sides),
         "normalise": "none",
+        "note": viewer.note(sum(k.angle.size for k in shorter), sum(k.angle.size for k in listed), 1, 1),
         "waves": [{"nm": finite(shown), "curves": entries}],
     }
 
@@ -234,7 +247,7 @@ def _render(s: dict[str, Any], figures: Sequence[Figure], view: dict[str, Any] |
         f'<p class="lead">{escape(html.glued(s["conclusion"]))}</p>',
         "<h3>What was compared</h3>",
         html.facts(_facts(s)),
-        '<ul class="notes">' + "".join(f"<li>{escape(n)}</li>" for n in s["notes"]) + "</ul>" if s["notes"] else "",
+        html.notes(s["notes"]) if s["notes"] else "",
     ]
     if view is not None:
         body += ["<h3>Both in the plane of incidence</h3>", viewer.element(view, "change")]
@@ -260,7 +273,7 @@ def _wavelengths(s: dict[str, Any]) -> str:
         counts = [str(w.get(key, "–")) for key in ("n_points", "beyond", "changed_points")]
         rows.append([name, *counts, number(w["median_ratio"], 4)])
     header = ["wavelength", "values", "beyond 2", "changed", "median B/A"]
-    return html.table("", header, rows, right=(1, 2, 3, 4))
+    return html.table("", header, rows, right=(1, 2, 3, 4), most=(MOST_ROWS, "wavelengths.csv"))
 
 
 def _facts(s: dict[str, Any]) -> list[tuple[str, str]]:

@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from gonio import geometry
-from gonio_analysis import maps, polar
+from gonio_analysis import maps, polar, thinning
 from gonio_analysis.change import LEVEL, Change
 from gonio_analysis.observations import Observations
 from gonio_analysis.planes import IN_PLANE, Curve, groups, labels
 from gonio_analysis.polar import Line
-from gonio_analysis.report.figures import Figure, rendered
+from gonio_analysis.report.detail import DISC_PT
+from gonio_analysis.report.figures import PANEL_PT, Drawing
+from gonio_analysis.uncertainty import Floats
 
 MOST_DISCS = 4
+MOST_DRAWN = 2400
+"""Values in one panel."""
 
 
-def draw(c: Change, at: Observations, drawn: list[Curve], shown: float) -> list[Figure]:
+def draw(c: Change, at: Observations, drawn: list[Curve], shown: float) -> list[Drawing]:
     """Every figure of a comparison: `at` holds the directions and `drawn` the curves of the wavelength `shown` [nm]."""
     out = []
     where = "" if math.isnan(shown) else f" at {shown:g} nm"
@@ -31,63 +36,64 @@ def draw(c: Change, at: Observations, drawn: list[Curve], shown: float) -> list[
     return out
 
 
-def _values(c: Change, at: Observations, drawn: list[Curve], where: str) -> Figure:
-    lines = []
+def _values(c: Change, at: Observations, drawn: list[Curve], where: str) -> Drawing:
+    every = []
     for curve, label in zip(drawn, labels(drawn), strict=True):
-        rows = at.rows[curve.rows]
-        lines.append(Line(label, curve.angle, c.value_b[rows], curve.angle, c.value_a[rows], c.u_a[rows]))
-
-    def on(figure: Any) -> None:
-        ax = figure.add_axes((0.135, 0.17, 0.84, 0.805))
-        polar.semilog(ax, lines)
-        ax.set_xlabel("θr: retro side negative, mirror side positive")
-        _legend(figure, lines)
-
+        rows, k = at.rows[curve.rows], thinning.of_curve(curve, thinning.share(drawn, MOST_DRAWN))
+        solid = at.rows[k.rows]
+        every.append(Line(label, k.angle, c.value_b[solid], curve.angle, c.value_a[rows], c.u_a[rows]))
+    lines = thinning.on_logarithm(every, PANEL_PT, 0.7 * PANEL_PT, MOST_DRAWN)
     caption = f"In the plane of incidence{where}: markers and dashes {c.a.name}; solid lines {c.b.name}."
-    return rendered("values", "values", "", caption, caption, (5.6, 4.4), on)
+    caption += thinning.words(thinning.measured(lines), thinning.measured(every))
+    return Drawing("values", "values", "", caption, caption, (5.6, 4.4), partial(_on_values, lines=lines))
 
 
-def _changes(c: Change, at: Observations, drawn: list[Curve], where: str) -> Figure:
+def _on_values(figure: Any, *, lines: list[Line]) -> None:
+    ax = figure.add_axes((0.135, 0.17, 0.84, 0.805))
+    polar.semilog(ax, lines)
+    ax.set_xlabel("θr: retro side negative, mirror side positive")
+    _legend(figure, lines)
+
+
+def _changes(c: Change, at: Observations, drawn: list[Curve], where: str) -> Drawing:
     assert c.verdict is not None
     relative, scores, marks = [], [], []
     nothing = np.empty(0)
+    most = thinning.share(drawn, MOST_DRAWN)
     for curve, label in zip(drawn, labels(drawn), strict=True):
         rows = at.rows[curve.rows]
-        a, u, z = c.value_a[rows], c.u[rows], c.verdict.z[rows]
-        large = a > 3 * u
-        relative.append(
-            Line(
-                label,
-                nothing,
-                nothing,
-                curve.angle[large],
-                100 * c.difference[rows][large] / a[large],
-                100 * u[large] / a[large],
-            )
-        )
-        marks.append(c.verdict.marked[rows][large])
-        scores.append(Line(label, nothing, nothing, curve.angle, z, z * np.nan))
+        a, u, z, marked = c.value_a[rows], c.u[rows], c.verdict.z[rows], c.verdict.marked[rows]
+        some = thinning.residuals(curve.angle, z, PANEL_PT, 0.25 * PANEL_PT, most, keep=marked)
+        scores.append(Line(label, nothing, nothing, curve.angle[some], z[some], z[some] * np.nan))
+        large = np.flatnonzero(a > 3 * u)
+        change = c.difference[rows][large] / a[large]
+        some = thinning.residuals(curve.angle[large], change, PANEL_PT, 0.4 * PANEL_PT, most, keep=marked[large])
+        large, change = large[some], change[some]
+        relative.append(Line(label, nothing, nothing, curve.angle[large], 100 * change, 100 * u[large] / a[large]))
+        marks.append(marked[large])
     limit = _limit(len(c.at))
-
-    def on(figure: Any) -> None:
-        top, low = figure.subplots(2, 1, height_ratios=(1.7, 1), sharex=True)
-        figure.subplots_adjust(0.135, 0.17, 0.975, 0.975, hspace=0.12)
-        maps.changes(top, relative, marks)
-        maps.significance(low, scores, limit)
-        low.set_xlabel("θr: retro side negative, mirror side positive")
-        figure.align_ylabels([top, low])
-        _legend(figure, relative)
-
     caption = (
         f"Change{where}: above, (B − A)/A with the standard uncertainty of the difference, where A is above three of"
         " them; rings mark values that changed. Below, each difference against what all the others predict, in standard"
         f" deviations (band: ±2; dashed: ±{limit:.2g}, which the largest of all {len(c.at)} exceeds by chance in"
         f" {100 * LEVEL:g} % of comparisons)."
+        + thinning.words(thinning.measured(scores), sum(curve.angle.size for curve in drawn))
     )
     alt = (
         f"Relative change over angle and its significance; {int(c.verdict.marked.sum())} values are marked as changed."
     )
-    return rendered("change", "change", "", caption, alt, (5.6, 4.4), on)
+    on = partial(_on_changes, relative=relative, marks=marks, scores=scores, limit=limit)
+    return Drawing("change", "change", "", caption, alt, (5.6, 4.4), on)
+
+
+def _on_changes(figure: Any, *, relative: list[Line], marks: list[Any], scores: list[Line], limit: float) -> None:
+    top, low = figure.subplots(2, 1, height_ratios=(1.7, 1), sharex=True)
+    figure.subplots_adjust(0.135, 0.17, 0.975, 0.975, hspace=0.12)
+    maps.changes(top, relative, marks)
+    maps.significance(low, scores, limit)
+    low.set_xlabel("θr: retro side negative, mirror side positive")
+    figure.align_ylabels([top, low])
+    _legend(figure, relative)
 
 
 def _limit(n: int) -> float:
@@ -96,7 +102,7 @@ def _limit(n: int) -> float:
     return float(-ndtri(-math.expm1(math.log1p(-LEVEL) / n) / 2))
 
 
-def _change_maps(c: Change, at: Observations, where: str) -> list[Figure]:
+def _change_maps(c: Change, at: Observations, where: str) -> list[Drawing]:
     rows = at.rows
     if c.verdict is not None:
         value, label, marked = c.verdict.z[rows], "standard deviations", c.verdict.marked[rows]
@@ -116,20 +122,21 @@ def _change_maps(c: Change, at: Observations, where: str) -> list[Figure]:
     flat = np.flatnonzero(~off)
     if flat.size:
         angle = geometry.in_plane_angle(at.theta_r[flat], dphi[flat])
-        levels = np.unique(np.round(np.degrees(at.theta_i[flat]), 1)).size
-        high = max(1.3 + 0.22 * levels, 2.1)
-
-        def plane(figure: Any) -> None:
-            ax = figure.add_subplot()
-            figure.subplots_adjust(0.1, 0.55 / high, 0.9, 0.94)
-            maps.plane_map(
-                ax, angle, at.theta_i[flat], value[flat], label=label, top=top, y_label="θi", marked=marked[flat]
-            )
-            ax.set_xlabel("θr: retro side negative, mirror side positive")
-
-        if levels <= 24:
-            caption = f"Map of the plane of incidence{where}: {what}{rings}."
-            out.append(rendered("map-plane", "map", "", caption, caption, (5.6, high), plane))
+        tilts = np.round(np.degrees(at.theta_i[flat]), 1)
+        levels = np.unique(tilts)
+        high = max(1.3 + 0.22 * levels.size, 2.1)
+        if levels.size <= 24:
+            # one row of the map a level: values overlap only along it
+            heights = 100.0 * np.searchsorted(levels, tilts).astype(np.float64)
+            across = angle * PANEL_PT / np.pi
+            kept = thinning.enough(across, heights, most=MOST_DRAWN, keep=marked[flat])
+            kept = np.union1d(kept, thinning.ends(value[flat])).astype(np.intp)
+            caption = f"Map of the plane of incidence{where}: {what}{rings}." + thinning.words(kept.size, flat.size)
+            on = partial(
+                _on_plane, angle=angle[kept], parameter=np.radians(tilts[kept]), value=value[flat][kept],
+                marked=marked[flat][kept], label=label, top=top, high=high,
+            )  # fmt: skip
+            out.append(Drawing("map-plane", "map", "", caption, caption, (5.6, high), on))
     every = [g for g in groups(at.theta_i, at.phi_i, np.arange(len(at))) if np.count_nonzero(off[g]) >= 4]
     some = (
         [every[k] for k in np.unique(np.round(np.linspace(0, len(every) - 1, min(MOST_DISCS, len(every)))).astype(int))]
@@ -137,15 +144,33 @@ def _change_maps(c: Change, at: Observations, where: str) -> list[Figure]:
         else []
     )
     for k, g in enumerate(some):
-
-        def disc(figure: Any, g: Any = g) -> None:
-            ax = figure.add_axes((0.02, 0.04, 0.84, 0.94))
-            maps.change_map(ax, at.theta_r[g], dphi[g], value[g], label=label, top=top, marked=marked[g])
-
+        kept = thinning.over_hemisphere(at.theta_r[g], dphi[g], value[g], DISC_PT, MOST_DRAWN, keep=marked[g])
         theta = f"θi = {np.degrees(at.theta_i[g].mean()):.1f}°"
         caption = f"Map of the hemisphere, {theta}{where}: {what}{rings}. Empty: no shared direction."
-        out.append(rendered(f"map-{k + 1}", "map", "", caption, caption, (4.6, 4.0), disc))
+        caption += thinning.words(kept.size, g.size)
+        h = g[kept]
+        on = partial(
+            _on_disc, theta_r=at.theta_r[h], dphi=dphi[h], value=value[h], marked=marked[h], label=label, top=top
+        )
+        out.append(Drawing(f"map-{k + 1}", "map", "", caption, caption, (4.6, 4.0), on))
     return out
+
+
+def _on_plane(
+    figure: Any, *, angle: Floats, parameter: Floats, value: Floats, marked: maps.Marks, label: str, top: float,
+    high: float,
+) -> None:  # fmt: skip
+    ax = figure.add_subplot()
+    figure.subplots_adjust(0.1, 0.55 / high, 0.9, 0.94)
+    maps.plane_map(ax, angle, parameter, value, label=label, top=top, y_label="θi", marked=marked)
+    ax.set_xlabel("θr: retro side negative, mirror side positive")
+
+
+def _on_disc(
+    figure: Any, *, theta_r: Floats, dphi: Floats, value: Floats, marked: maps.Marks, label: str, top: float
+) -> None:
+    ax = figure.add_axes((0.02, 0.04, 0.84, 0.94))
+    maps.change_map(ax, theta_r, dphi, value, label=label, top=top, marked=marked)
 
 
 def _legend(figure: Any, lines: Sequence[Line]) -> None:

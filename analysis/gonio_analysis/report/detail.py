@@ -2,41 +2,59 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from gonio import geometry
-from gonio_analysis import diagnostics, maps, polar
+from gonio_analysis import diagnostics, maps, polar, thinning
 from gonio_analysis.compare import Dataset
 from gonio_analysis.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.planes import IN_PLANE, Curve, Rows, groups, labels
 from gonio_analysis.polar import Line
-from gonio_analysis.report.figures import LEGEND_ROW_IN, Figure, budget_height, rendered
+from gonio_analysis.profile import Interval
+from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, Drawing, budget_height, largest
 from gonio_analysis.report.text import cause, unit
+from gonio_analysis.uncertainty import Floats
 
 MOST = 3
 """Incidences that are drawn, at most."""
+DISC_PT = 135.0
+"""Radius of a disc."""
+MOST_ON_DISC = 3000
+"""Values on a disc, whose markers are drawn as one picture where they are many."""
 FEWEST = 8
 """Values out of the plane that a map needs."""
 
 
-def draw(d: Dataset, facts: dict[str, Any]) -> list[Figure]:
-    """What the data allow: maps, slices and a lobe where there are values out of plane, profiles, the budget."""
+def draw(d: Dataset, facts: dict[str, Any], most: int) -> list[Drawing]:
+    """What the data allow: maps, slices and a lobe where there are values out of plane, profiles, the budget.
+
+    Parameters
+    ----------
+    d
+        The measurement with its fitted models.
+    facts
+        Its part of the summary.
+    most
+        Measured values that one panel shows, at most.
+    """
     out = []
     chosen = _incidences(d)
     for k, rows in enumerate(chosen):
-        out.append(_heat(d, facts, rows, k))
+        if np.any(d.data.brdf[rows] > 0):
+            out.append(_heat(d, facts, rows, k, most))
     for k, rows in enumerate(chosen):
         lines = maps.slices(d.data, rows)
         if lines:
-            out.append(_slices(d, facts, rows, lines, k))
+            out.append(_slices(d, facts, rows, lines, k, most))
     if chosen and facts["best"]:
-        out.append(_lobe(d, facts, chosen[len(chosen) // 2]))
+        out.append(_lobe(d, facts, chosen[len(chosen) // 2], most))
     if d.choice.intervals:
         out.append(_profiles(d, facts))
     if facts["budget"] and d.curves:
-        out.append(_budget(d, facts))
+        out.append(_budget(d, facts, most))
     return out
 
 
@@ -56,39 +74,47 @@ def _theta(d: Dataset, rows: Rows) -> float:
     return float(d.data.theta_i[rows].mean())
 
 
-def _heat(d: Dataset, facts: dict[str, Any], rows: Rows, k: int) -> Figure:
+def _heat(d: Dataset, facts: dict[str, Any], rows: Rows, k: int, most: int) -> Drawing:
     data, theta = d.data, _theta(d, rows)
-
-    def on(figure: Any) -> None:
-        ax = figure.add_axes((0.02, 0.04, 0.84, 0.94))
-        dphi = data.phi_r[rows] - data.phi_i[rows]
-        maps.heat_map(ax, data.theta_r[rows], dphi, data.brdf[rows], label="BRDF [1/sr]", theta_i=theta)
-
+    rows = rows[data.brdf[rows] > 0]
+    dphi = data.phi_r[rows] - data.phi_i[rows]
+    some = thinning.over_hemisphere(data.theta_r[rows], dphi, data.brdf[rows], DISC_PT, max(most, MOST_ON_DISC))
     caption = (
         f"Hemisphere, θi = {np.degrees(theta):.1f}°: measured BRDF over the receiver's direction; radius: θr. Cross:"
         " mirror direction; circle: source. Points were measured; colours between neighbours within 15° are a guide."
+        + thinning.words(some.size, rows.size)
     )
-    return rendered(f"{facts['slug']}-heat-{k + 1}", "heat", "", caption, caption, (4.6, 4.0), on)
+    shown = rows[some]
+    on = partial(_on_disc, theta_r=data.theta_r[shown], dphi=dphi[some], value=data.brdf[shown], theta_i=theta)
+    return Drawing(f"{facts['slug']}-heat-{k + 1}", "heat", "", caption, caption, (4.6, 4.0), on)
 
 
-def _slices(d: Dataset, facts: dict[str, Any], rows: Rows, lines: list[Line], k: int) -> Figure:
+def _on_disc(figure: Any, *, theta_r: Floats, dphi: Floats, value: Floats, theta_i: float) -> None:
+    ax = figure.add_axes((0.02, 0.04, 0.84, 0.94))
+    maps.heat_map(ax, theta_r, dphi, value, label="BRDF [1/sr]", theta_i=theta_i)
+
+
+def _slices(d: Dataset, facts: dict[str, Any], rows: Rows, lines: list[Line], k: int, most: int) -> Drawing:
     picks = np.unique(np.round(np.linspace(0, len(lines) - 1, min(6, len(lines)))).astype(int))
-    shown = [lines[p] for p in picks]
-
-    def on(figure: Any) -> None:
-        ax = figure.add_axes((0.135, 0.23, 0.85, 0.74))
-        polar.semilog(ax, shown)
-        ax.set_xlabel("θr: toward the source's side negative, mirror side positive")
-        _legend(figure, [(line.label, polar.style(i)) for i, line in enumerate(shown)])
-
+    every = [lines[p] for p in picks]
+    shown = thinning.on_logarithm(every, PANEL_PT, 0.5 * PANEL_PT, most)
     caption = (
         f"Slices out of the plane, θi = {np.degrees(_theta(d, rows)):.1f}°: measured BRDF with standard uncertainties"
         " in half-planes of constant azimuth, each with its opposite."
+        + thinning.words(thinning.measured(shown), thinning.measured(every))
     )
-    return rendered(f"{facts['slug']}-slices-{k + 1}", "slices", "", caption, caption, (5.6, 3.72), on)
+    on = partial(_on_slices, lines=shown)
+    return Drawing(f"{facts['slug']}-slices-{k + 1}", "slices", "", caption, caption, (5.6, 3.72), on)
 
 
-def _lobe(d: Dataset, facts: dict[str, Any], rows: Rows) -> Figure:
+def _on_slices(figure: Any, *, lines: list[Line]) -> None:
+    ax = figure.add_axes((0.135, 0.23, 0.85, 0.74))
+    polar.semilog(ax, lines)
+    ax.set_xlabel("θr: toward the source's side negative, mirror side positive")
+    _legend(figure, [(line.label, polar.style(i)) for i, line in enumerate(lines)])
+
+
+def _lobe(d: Dataset, facts: dict[str, Any], rows: Rows, most: int) -> Drawing:
     best = d.fitted[facts["best"]].fit
     data, theta = d.data, _theta(d, rows)
     wave = data.wavelengths[0]
@@ -99,18 +125,24 @@ def _lobe(d: Dataset, facts: dict[str, Any], rows: Rows) -> Figure:
         nm = NO_WAVELENGTH_NM if np.isnan(wave) else wave
         return seen(best.model, still, 0 * still, theta_r, geometry.wrap(dphi), wavelength_nm=nm, cones=cones)
 
-    def on(figure: Any) -> None:
-        ax = figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
-        measured = (data.theta_r[rows], data.phi_r[rows] - data.phi_i[rows], data.brdf[rows])
-        maps.lobe(ax, brdf, measured=measured, label="BRDF / largest value of the model's lobe")
-
+    dphi = data.phi_r[rows] - data.phi_i[rows]
+    some = thinning.over_hemisphere(data.theta_r[rows], dphi, data.brdf[rows], DISC_PT, most)
     caption = (
         f"Lobe, θi = {np.degrees(theta):.1f}°: {best.name} as fitted, without a spike (mesh); measured values (points)."
+        + thinning.words(some.size, rows.size)
     )
-    return rendered(f"{facts['slug']}-lobe", "lobe", "", caption, caption, (4.6, 4.0), on)
+    on = partial(
+        _on_space, mesh=maps.lobe_mesh(brdf), measured=(data.theta_r[rows][some], dphi[some], data.brdf[rows][some])
+    )
+    return Drawing(f"{facts['slug']}-lobe", "lobe", "", caption, caption, (4.6, 4.0), on)
 
 
-def _profiles(d: Dataset, facts: dict[str, Any]) -> Figure:
+def _on_space(figure: Any, *, mesh: maps.Mesh, measured: tuple[Floats, Floats, Floats]) -> None:
+    ax = figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
+    maps.lobe(ax, mesh, measured=measured, label="BRDF / largest value of the model's lobe")
+
+
+def _profiles(d: Dataset, facts: dict[str, Any]) -> Drawing:
     from gonio_analysis.profile import rise
 
     named = d.choice.named
@@ -118,18 +150,6 @@ def _profiles(d: Dataset, facts: dict[str, Any]) -> Figure:
     result = named.fit
     intervals = list(d.choice.intervals.values())
     level = intervals[0].level
-    threshold = rise(result, level)
-    wide = (len(intervals) + 3) // 4
-
-    def on(figure: Any) -> None:
-        axes = figure.subplots(wide, min(len(intervals), 4), squeeze=False).ravel()
-        figure.subplots_adjust(0.085, 0.2 / wide, 0.985, 1 - 0.13 / wide, wspace=0.3, hspace=0.6)
-        for ax, interval in zip(axes, intervals, strict=False):
-            e = result.parameters[interval.name]
-            diagnostics.profile(ax, interval, value=e.value, threshold=threshold, unit=unit(e.unit))
-        for ax in axes[len(intervals) :]:
-            ax.set_axis_off()
-
     what = (
         "Rise of chi-square"
         if result.data.covariance is not None
@@ -139,43 +159,67 @@ def _profiles(d: Dataset, facts: dict[str, Any]) -> Figure:
         f"Profiles of {named.candidate.label}: {what[:1].lower() + what[1:]} over each parameter, with all others"
         f" fitted again. Line: fitted value; dashes: the rise at the ends of the {100 * level:g} % interval (shaded)."
     )
-    return rendered(f"{facts['slug']}-profiles", "profile", "", caption, caption, (5.6, 1.9 * wide), on)
+    panels = [(i, result.parameters[i.name].value, unit(result.parameters[i.name].unit)) for i in intervals]
+    on = partial(_on_profiles, panels=panels, threshold=rise(result, level))
+    size = (5.6, 1.9 * _rows_of(len(panels)))
+    return Drawing(f"{facts['slug']}-profiles", "profile", "", caption, caption, size, on)
 
 
-def _budget(d: Dataset, facts: dict[str, Any]) -> Figure:
+def _rows_of(panels: int) -> int:
+    return (panels + 3) // 4
+
+
+def _on_profiles(figure: Any, *, panels: list[tuple[Interval, float, str]], threshold: float) -> None:
+    high = _rows_of(len(panels))
+    axes = figure.subplots(high, min(len(panels), 4), squeeze=False).ravel()
+    figure.subplots_adjust(0.085, 0.2 / high, 0.985, 1 - 0.13 / high, wspace=0.3, hspace=0.6)
+    for ax, (interval, value, symbol) in zip(axes, panels, strict=False):
+        diagnostics.profile(ax, interval, value=value, threshold=threshold, unit=symbol)
+    for ax in axes[len(panels) :]:
+        ax.set_axis_off()
+
+
+def _budget(d: Dataset, facts: dict[str, Any], most: int) -> Drawing:
     assert d.data.covariance is not None
     names = labels(d.curves)
     shown = [(d.curves[k], names[k]) for k in _evenly(len(d.curves))]
-    legend = [cause(c) for c in d.data.covariance.causes]
+    common = largest([p["median"] for p in facts["budget"][2:]])
+    legend = [cause(d.data.covariance.causes[k]) for k in common]
     entries = [(part, diagnostics.look(k)) for k, part in enumerate(["combined", "random", *legend])]
-    high = budget_height(len(entries))
-    below = 0.5 + LEGEND_ROW_IN * -(-len(entries) // 4)
-
-    def on(figure: Any) -> None:
-        axes = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]
-        figure.subplots_adjust(0.1, below / high, 0.985, 1 - 0.25 / high, wspace=0.1)
-        for ax, (curve, name) in zip(axes, shown, strict=True):
-            diagnostics.budget_over_angle(ax, *_parts(d, curve))
-            ax.set_xticks(range(-60, 61, 60), [f"{a}°".replace("-", "−") for a in range(-60, 61, 60)])
-            ax.set_xlabel("θr" if curve.scanned == "theta_r" else "θi")
-            ax.set_title(name, fontsize=8, loc="left", color=polar.INK)
-        axes[0].set_ylabel("u / value [%]")
-        _legend(figure, entries)
-
+    # every cause is a line over the same angles
+    each = max(most // (len(entries) * len(shown)), 16)
+    panels = [(name, curve.scanned, *_parts(d, thinning.of_curve(curve, each), common)) for curve, name in shown]
     caption = (
         "Uncertainty over the angle: standard uncertainty by cause, relative to the value, along in-plane curves;"
         " values within 3 u of zero are left out."
+        + thinning.words(sum(angle.size for *_, angle, _ in panels), sum(curve.angle.size for curve, _ in shown))
     )
-    return rendered(f"{facts['slug']}-budget-angle", "budget-angle", "", caption, caption, (5.6, high), on)
+    on = partial(_on_budget, panels=panels, entries=entries)
+    size = (5.6, budget_height(len(entries)))
+    return Drawing(f"{facts['slug']}-budget-angle", "budget-angle", "", caption, caption, size, on)
 
 
-def _parts(d: Dataset, curve: Curve) -> tuple[Any, list[tuple[str, Any]]]:
+def _on_budget(figure: Any, *, panels: list[Any], entries: list[tuple[str, dict[str, Any]]]) -> None:
+    high = budget_height(len(entries))
+    below = 0.5 + LEGEND_ROW_IN * -(-len(entries) // 4)
+    axes = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
+    figure.subplots_adjust(0.1, below / high, 0.985, 1 - 0.25 / high, wspace=0.1)
+    for ax, (name, scanned, angle, parts) in zip(axes, panels, strict=True):
+        diagnostics.budget_over_angle(ax, angle, parts)
+        ax.set_xticks(range(-60, 61, 60), [f"{a}°".replace("-", "−") for a in range(-60, 61, 60)])
+        ax.set_xlabel("θr" if scanned == "theta_r" else "θi")
+        ax.set_title(name, fontsize=8, loc="left", color=polar.INK)
+    axes[0].set_ylabel("u / value [%]")
+    _legend(figure, entries)
+
+
+def _parts(d: Dataset, curve: Curve, common: list[int]) -> tuple[Any, list[tuple[str, Any]]]:
     c = d.data.covariance
     assert c is not None
     rows = curve.rows
     size = np.where(np.abs(curve.brdf) > 3 * curve.u, np.abs(curve.brdf), np.nan)
     parts = [("combined", c.total[rows] / size), ("random", c.random[rows] / size)]
-    parts += [(name, np.abs(c.common[rows, k]) / size) for k, name in enumerate(c.causes)]
+    parts += [(c.causes[k], np.abs(c.common[rows, k]) / size) for k in common]
     return curve.angle, parts
 
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from gonio import geometry
-from gonio_analysis import polar
+from gonio_analysis import polar, thinning
 from gonio_analysis.compare import Dataset, Fitted
 from gonio_analysis.report.text import cause, number, slug
 
@@ -24,7 +26,11 @@ SVG = {
 FONTS = "'DejaVu Sans', Verdana, 'Segoe UI', sans-serif"
 """Metrics close to those that matplotlib lays out with, so that labels keep their places."""
 PNG_DPI = 160
+PANEL_PT = 335.0
+"""Width of a panel over the angle."""
 LEGEND_ROW_IN = 0.19
+MOST_CAUSES = 20
+"""Of uncertainty, common to all values, in one figure."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +47,25 @@ class Figure:
     png: bytes
 
 
-def draw(d: Dataset, facts: dict[str, Any]) -> list[Figure]:
+@dataclass(frozen=True)
+class Drawing:
+    """A figure that is still to be drawn, with what its drawing needs: little enough to be sent to another process."""
+
+    name: str
+    kind: str
+    model: str
+    caption: str
+    alt: str
+    inches: tuple[float, float]
+    on: Callable[[Any], None]
+    """Draws on a canvas of that size: a function of a module, with its arguments (`functools.partial`)."""
+
+    def rendered(self) -> Figure:
+        """The figure as SVG and PNG."""
+        return rendered(self.name, self.kind, self.model, self.caption, self.alt, self.inches, self.on)
+
+
+def draw(d: Dataset, facts: dict[str, Any], most: int) -> list[Drawing]:
     """Every figure of one measured sample.
 
     Parameters
@@ -50,40 +74,44 @@ def draw(d: Dataset, facts: dict[str, Any]) -> list[Figure]:
         The measurement with its fitted models.
     facts
         Its part of the summary.
+    most
+        Measured values that one panel shows, at most.
     """
     out = []
     for model, f in d.fitted.items():
         if f.drawn:
-            out.append(_polar(d, facts, model, f))
+            out.append(_polar(d, facts, model, f, most))
     for model, f in d.fitted.items():
-        out.append(_absolute(d, facts, model, f))
+        out.append(_absolute(d, facts, model, f, most))
     if facts["budget"]:
         out.append(_budget(facts))
     out += [_series(facts, model, f) for model, f in d.fitted.items() if len(f.series) > 1]
     return out
 
 
-def _polar(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figure:
-    lines = [c.normalised() for c in f.drawn]
-    rim = polar.radius_of(lines)
-
-    below = LEGEND_ROW_IN * _legend_rows(f)
-
-    def on(figure: Any) -> None:
-        ax = figure.add_axes((0.01, below / (3.22 + below), 0.98, 3.2 / (3.22 + below)))
-        polar.polar(ax, lines, radius=rim, radius_label=_radius_label(f))
-        _legend(figure, f, "lower center")
-
-    cut = [c.label for c, x in zip(f.drawn, lines, strict=True) if max(_top(x.theory), _top(x.measured)) > 1.001 * rim]
+def _polar(d: Dataset, facts: dict[str, Any], model: str, f: Fitted, most: int) -> Drawing:
+    every = [c.normalised() for c in f.drawn]
+    rim = polar.radius_of(every)
+    lines = thinning.on_half_disc(every, rim, 0.42 * 5.6 * thinning.POINTS_AN_INCH, most)
+    cut = [c.label for c, x in zip(f.drawn, every, strict=True) if max(_top(x.theory), _top(x.measured)) > 1.001 * rim]
     caption = f"{model}: normalised {_norm_words(f)}. Solid: theory; dashed, with error bars: measurement."
     if cut:
         caption += f" Cut at the rim: {', '.join(cut)}."
-    caption += _spikes(f)
+    caption += _spikes(f) + thinning.words(thinning.measured(lines), thinning.measured(every))
     alt = f"Half-disc polar plot for {d.name} and {model}. " + " ".join(
         f"{c['label']}: measured peak at {c['measured_peak_deg']:.1f}°, theory's at {c['theory_peak_deg']:.1f}°."
         for c in facts["models"][model]["curves"]
     )
-    return rendered(f"{facts['slug']}-polar-{slug(model)}", "polar", model, caption, alt, (5.6, 3.22 + below), on)
+    on = partial(_on_half_disc, lines=lines, rim=rim, label=_radius_label(f), legend=_Legend.of(f))
+    high = 3.22 + LEGEND_ROW_IN * _Legend.of(f).rows
+    return Drawing(f"{facts['slug']}-polar-{slug(model)}", "polar", model, caption, alt, (5.6, high), on)
+
+
+def _on_half_disc(figure: Any, *, lines: list[polar.Line], rim: float, label: str, legend: _Legend) -> None:
+    below = LEGEND_ROW_IN * legend.rows
+    ax = figure.add_axes((0.01, below / (3.22 + below), 0.98, 3.2 / (3.22 + below)))
+    polar.polar(ax, lines, radius=rim, radius_label=label)
+    legend.draw(figure)
 
 
 def _radius_label(f: Fitted) -> str:
@@ -129,35 +157,21 @@ def _spikes(f: Fitted) -> str:
     return f" The spike at {where} is {times} times the largest value beside it: see the semilog curves."
 
 
-def _absolute(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figure:
+def _absolute(d: Dataset, facts: dict[str, Any], model: str, f: Fitted, most: int) -> Drawing:
     lines = [c.absolute() for c in f.drawn]
     stated = d.data.covariance is not None
     used = np.concatenate([c.curve.rows for c in f.drawn]) if f.drawn else np.empty(0, dtype=np.intp)
-    rest = np.setdiff1d(np.arange(len(d.data)), used)
+    free = np.ones(len(d.data), dtype=bool)
+    free[used] = False
+    rest = np.flatnonzero(free)
     data = d.data
     moving = data.theta_i if d.curves and d.curves[0].scanned == "theta_i" else data.theta_r
     with np.errstate(divide="ignore"):
-        values = f.fit.whitened if stated else f.fit.predicted / data.brdf - 1.0
-    others = (geometry.in_plane_angle(moving[rest], data.phi_r[rest] - data.phi_i[rest]), values[rest])
-
-    below = 0.46 + LEGEND_ROW_IN * _legend_rows(f)
-    high = 3.57 + below
-
-    def on(figure: Any) -> None:
-        top, low = figure.subplots(2, 1, height_ratios=(2.4, 1), sharex=True)
-        figure.subplots_adjust(0.145, below / high, 0.975, 1 - 0.11 / high, hspace=0.12)
-        if lines:
-            polar.semilog(top, lines)
-        else:
-            top.set_axis_off()
-        top.set_xlabel("")
-        polar.residuals(low, lines, whitened=stated, others=others)
-        running = "θr" if not d.curves or d.curves[0].scanned == "theta_r" else "θi"
-        low.set_xlabel(f"{running}: retro side negative, mirror side positive")
-        for ax in (top, low):  # a fixed place: to look for one, every tick would be laid out once more
-            ax.yaxis.set_label_coords(-0.1, 0.5)
-        low.xaxis.set_label_coords(0.5, -0.235)
-        _legend(figure, f, "lower center", star=False)
+        values = f.fit.whitened[rest] if stated else f.fit.predicted[rest] / data.brdf[rest] - 1.0
+    angle = geometry.in_plane_angle(moving[rest], data.phi_r[rest] - data.phi_i[rest])
+    top = thinning.on_logarithm(lines, PANEL_PT, 0.6 * PANEL_PT, most)
+    low = thinning.of_residuals(lines, PANEL_PT, 0.25 * PANEL_PT, most)
+    some = thinning.residuals(angle, values, PANEL_PT, 0.25 * PANEL_PT, most)
 
     kind = (
         "whitened residuals: model minus measurement in standard deviations, correlations taken out (band: ±2)"
@@ -166,29 +180,68 @@ def _absolute(d: Dataset, facts: dict[str, Any], model: str, f: Fitted) -> Figur
     )
     caption = f"{model}: absolute in-plane BRDF. Below: {kind}"
     caption += "; grey: values that belong to no curve shown." if rest.size else "."
+    drawn = thinning.measured(low) + some.size
+    caption += thinning.words(drawn, thinning.measured(lines) + rest.size)
     chi = facts["models"][model]["reduced_chi_square"]
     alt = f"Semilog curves and residuals for {d.name} and {model}" + (
         f"; reduced chi-square {number(chi)}." if chi is not None else "."
     )
-    return rendered(f"{facts['slug']}-absolute-{slug(model)}", "absolute", model, caption, alt, (5.6, high), on)
+    running = "θr" if not d.curves or d.curves[0].scanned == "theta_r" else "θi"
+    on = partial(
+        _on_two_panels, lines=top, below=low, others=(angle[some], values[some]), whitened=stated, running=running,
+        legend=_Legend.of(f, star=False),
+    )  # fmt: skip
+    high = 3.57 + 0.46 + LEGEND_ROW_IN * _Legend.of(f).rows
+    return Drawing(f"{facts['slug']}-absolute-{slug(model)}", "absolute", model, caption, alt, (5.6, high), on)
 
 
-def _budget(facts: dict[str, Any]) -> Figure:
-    parts = [(cause(p["cause"]), p["median"], p["p95"]) for p in facts["budget"]]
+def _on_two_panels(
+    figure: Any, *, lines: list[polar.Line], below: list[polar.Line], others: tuple[Any, Any], whitened: bool,
+    running: str, legend: _Legend,
+) -> None:  # fmt: skip
+    room = 0.46 + LEGEND_ROW_IN * legend.rows
+    high = 3.57 + room
+    top, low = figure.subplots(2, 1, height_ratios=(2.4, 1), sharex=True)
+    figure.subplots_adjust(0.145, room / high, 0.975, 1 - 0.11 / high, hspace=0.12)
+    if lines:
+        polar.semilog(top, lines)
+    else:
+        top.set_axis_off()
+    top.set_xlabel("")
+    polar.residuals(low, below, whitened=whitened, others=others)
+    low.set_xlabel(f"{running}: retro side negative, mirror side positive")
+    for ax in (top, low):  # a fixed place: to look for one, every tick would be laid out once more
+        ax.yaxis.set_label_coords(-0.1, 0.5)
+    low.xaxis.set_label_coords(0.5, -0.235)
+    legend.draw(figure)
 
-    def on(figure: Any) -> None:
-        ax = figure.add_subplot()
-        figure.subplots_adjust(0.25, 0.48 / budget_height(len(parts)), 0.97, 0.97)
-        polar.budget(ax, parts)
 
+def largest(medians: list[float]) -> list[int]:
+    """Which causes of a budget are drawn, in their order: all but the smallest of very many."""
+    first = sorted(range(len(medians)), key=lambda k: -medians[k])[:MOST_CAUSES]
+    return sorted(first)
+
+
+def _budget(facts: dict[str, Any]) -> Drawing:
+    every = [(cause(p["cause"]), p["median"], p["p95"]) for p in facts["budget"]]
+    parts = every[:2] + [every[2:][k] for k in largest([p[1] for p in every[2:]])]
     caption = (
         "Uncertainty budget: standard uncertainty by cause, relative to the value. Bar: median over the values; tick:"
         " 95th percentile. Values within 3 u of zero are left out."
     )
+    if len(parts) < len(every):
+        caption += f" The {len(parts) - 2} largest of {len(every) - 2} common causes."
     alt = "Uncertainty by cause. " + " ".join(
         f"{c}: median {100 * m:.2g} %, 95th percentile {100 * p:.2g} %." for c, m, p in parts
     )
-    return rendered(f"{facts['slug']}-budget", "budget", "", caption, alt, (5.6, budget_height(len(parts))), on)
+    size = (5.6, budget_height(len(parts)))
+    return Drawing(f"{facts['slug']}-budget", "budget", "", caption, alt, size, partial(_on_bars, parts=parts))
+
+
+def _on_bars(figure: Any, *, parts: list[tuple[str, float, float]]) -> None:
+    ax = figure.add_subplot()
+    figure.subplots_adjust(0.25, 0.48 / budget_height(len(parts)), 0.97, 0.97)
+    polar.budget(ax, parts)
 
 
 def budget_height(parts: int) -> float:
@@ -196,58 +249,66 @@ def budget_height(parts: int) -> float:
     return 0.7 + 0.3 * parts
 
 
-def _series(facts: dict[str, Any], model: str, f: Fitted) -> Figure:
-    free = [n for n in f.fit.free if any(not r.parameters[n].fixed for r in f.series)]
+def _series(facts: dict[str, Any], model: str, f: Fitted) -> Drawing:
     x = np.array([r.wavelength_nm for r in f.series])
-
-    def on(figure: Any) -> None:
-        axes = figure.subplots(1, len(free), squeeze=False)[0]
-        figure.subplots_adjust(0.1, 0.26, 0.985, 0.87, wspace=0.42)
-        for k, (ax, name) in enumerate(zip(axes, free, strict=True)):
-            y = np.array([r.parameters[name].value for r in f.series], dtype=float)
-            u = np.array([r.parameters[name].u for r in f.series], dtype=float)
-            span = float(np.ptp(y)) or float(np.abs(y).max()) or 1.0
-            u = np.where(np.isfinite(u) & (u < 2 * span), u, 0.0)
-            polar.series(ax, x, y, u, x_label="wavelength [nm]", y_label="", colour=polar.COLOURS[k % 6])
-            ax.set_title(name, fontsize=8, color=polar.INK)  # a power of ten stands on the left
-
+    values = {
+        name: np.array([(r.parameters[name].value, r.parameters[name].u) for r in f.series], dtype=float)
+        for name in f.fit.free
+        if any(not r.parameters[name].fixed for r in f.series)
+    }
     caption = (
         f"{model}: fitted parameters at each of the {len(f.series)} wavelengths, with standard errors (those wider"
         " than the panel are not drawn)."
     )
-    return rendered(f"{facts['slug']}-series-{slug(model)}", "series", model, caption, caption, (5.6, 1.9), on)
+    on = partial(_on_series, x=x, values=values)
+    return Drawing(f"{facts['slug']}-series-{slug(model)}", "series", model, caption, caption, (5.6, 1.9), on)
 
 
-def _legend_columns(f: Fitted) -> int:
-    count = len(f.drawn)
-    return min(count, 6 if max(len(c.label) for c in f.drawn) < 10 else 4 if count != 6 else 3)
+def _on_series(figure: Any, *, x: Any, values: dict[str, Any]) -> None:
+    axes = figure.subplots(1, len(values), squeeze=False)[0]
+    figure.subplots_adjust(0.1, 0.26, 0.985, 0.87, wspace=0.42)
+    for k, (ax, (name, found)) in enumerate(zip(axes, values.items(), strict=True)):
+        y, u = found.T
+        span = float(np.ptp(y)) or float(np.abs(y).max()) or 1.0
+        u = np.where(np.isfinite(u) & (u < 2 * span), u, 0.0)
+        polar.series(ax, x, y, u, x_label="wavelength [nm]", y_label="", colour=polar.COLOURS[k % 6])
+        ax.set_title(name, fontsize=8, color=polar.INK)  # a power of ten stands on the left
 
 
-def _legend_rows(f: Fitted) -> int:
-    return -(-len(f.drawn) // _legend_columns(f)) if f.drawn else 0
+@dataclass(frozen=True)
+class _Legend:
+    """The curves' labels below a figure."""
 
+    labels: list[str]
+    columns: int
 
-def _legend(figure: Any, f: Fitted, where: str, star: bool = True) -> None:
-    from matplotlib.lines import Line2D
+    @classmethod
+    def of(cls, f: Fitted, *, star: bool = True) -> _Legend:
+        mixed = star and len({c.norm.kind for c in f.drawn}) > 1
+        names = [c.label + ("*" if mixed and c.norm.kind != "mirror" else "") for c in f.drawn]
+        count = len(names)
+        short = max((len(c.label) for c in f.drawn), default=0) < 10
+        return cls(names, min(count, 6 if short else 4 if count != 6 else 3))
 
-    if not f.drawn:
-        return
-    mixed = star and len({c.norm.kind for c in f.drawn}) > 1
-    handles = []
-    for k, c in enumerate(f.drawn):
-        look = polar.style(k)
-        text = c.label + ("*" if mixed and c.norm.kind != "mirror" else "")
-        handles.append(Line2D([], [], lw=1.5, ms=3.5, label=text, **look))
-    figure.legend(
-        handles=handles,
-        loc=where,
-        ncol=_legend_columns(f),
-        fontsize=7.5,
-        frameon=False,
-        handlelength=1.6,
-        columnspacing=1.1,
-        borderpad=0.1,
-    )
+    @property
+    def rows(self) -> int:
+        return -(-len(self.labels) // self.columns) if self.labels else 0
+
+    def draw(self, figure: Any) -> None:
+        from matplotlib.lines import Line2D
+
+        if not self.labels:
+            return
+        figure.legend(
+            handles=[Line2D([], [], lw=1.5, ms=3.5, label=x, **polar.style(k)) for k, x in enumerate(self.labels)],
+            loc="lower center",
+            ncol=self.columns,
+            fontsize=7.5,
+            frameon=False,
+            handlelength=1.6,
+            columnspacing=1.1,
+            borderpad=0.1,
+        )
 
 
 def rendered(
@@ -268,17 +329,52 @@ def rendered(
 
 
 def _tidy(svg: str, name: str) -> str:
-    """SVG that can stand in an HTML page: no prologue, no fixed size, ids of its own, shorter numbers."""
+    """SVG that can stand in an HTML page: no prologue, no fixed size, ids of its own, and a third of the bytes.
+
+    What is referred to is numbered as it comes, so that the same drawing gives the same bytes in every process.
+    """
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
     svg = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", svg, count=1)
-    svg = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', svg)
-    svg = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", svg)
-    svg = re.sub(r'href="#([^"]+)"', rf'href="#{name}-\1"', svg)
-    svg = re.sub(r"'DejaVu Sans'(, sans-serif)*", FONTS, svg)
+    svg = _numbered(svg, "f" + hashlib.sha256(name.encode()).hexdigest()[:8])
+    svg = re.sub(r"font-family: 'DejaVu Sans'(, sans-serif)*(; )?", "", svg)
+    svg = svg.replace("<svg", f'<svg style="font-family: {FONTS}"', 1)
     # inside of tags alone: what a label says stays as it is
-    return re.sub(r"<[^>]*>", lambda tag: re.sub(r"(\d+\.\d{2})\d+", r"\1", tag[0]), svg)
+    svg = re.sub(r"<[^>]*>", lambda tag: re.sub(r"\.(\d\d)\d+|\.(\d+)", _decimals, tag[0]), svg)
+    svg = re.sub(r' d="[^"]*"', lambda d: re.sub(r"\s*([MLCQz])\s*", r"\1", d[0]).replace(' "', '"'), svg)
+    svg = re.sub(r">\s+<", ">\n<", svg)
+    return _joined(svg)
+
+
+def _numbered(svg: str, prefix: str) -> str:
+    """Only ids that something refers to, numbered."""
+    found = re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', svg)
+    new = {old: f"{prefix}-{k}" for k, old in enumerate(dict.fromkeys(a or b for a, b in found))}
+    svg = re.sub(r' id="([^"]+)"', lambda m: f' id="{new[m[1]]}"' if m[1] in new else "", svg)
+    svg = re.sub(r"url\(#([^)]+)\)", lambda m: f"url(#{new[m[1]]})", svg)
+    return re.sub(r'href="#([^"]+)"', lambda m: f'href="#{new[m[1]]}"', svg)
+
+
+def _decimals(match: re.Match[str]) -> str:
+    digits = (match[1] or match[2]).rstrip("0")
+    return f".{digits}" if digits else ""
+
+
+def _joined(svg: str) -> str:
+    """Markers of one look in one group, and lines of one look in one path."""
+
+    def group(run: re.Match[str]) -> str:
+        uses = re.sub(r' style="[^"]*"', "", run[0])
+        return f'<g style="{run[2]}">\n{uses}</g>\n'
+
+    def path(run: re.Match[str]) -> str:
+        every = "".join(re.findall(r' d="([^"]*)"', run[0]))
+        return f'<path d="{every}" {run[1]}/>\n'
+
+    use, style = r'<use xlink:href="(#[^"]+)" x="[^"]*" y="[^"]*"', r' style="([^"]*)"/>\n'
+    svg = re.sub(rf'{use}{style}(?:<use xlink:href="\1" x="[^"]*" y="[^"]*" style="\2"/>\n)+', group, svg)
+    return re.sub(r'<path d="[^"]*" ([^>]*fill: none[^>]*)/>\n(?:<path d="[^"]*" \1/>\n)+', path, svg)
 
 
 def _top(values: Any) -> float:

@@ -9,17 +9,17 @@ import re
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gonio.disk import MANIFEST, manifest_of, remove_own, require_name, strangers, write_manifest
 from gonio.errors import ConfigError
 
 if TYPE_CHECKING:
     from gonio_analysis.report.figures import Figure
 
-MARKS = ("index.html", "summary.json")
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Errors of a write that name no file."""
 
@@ -38,16 +38,17 @@ class Staged:
 def staged(folder: str | Path) -> Iterator[Staged]:
     """A temporary folder beside `folder` that takes its place when the block ends, and vanishes when the block fails.
 
-    An earlier report in `folder` is replaced; anything else there is left alone. What a killed process had begun beside
-    it is tidied up.
+    An earlier report in `folder` is replaced where nothing else lies there and no file of it was changed since, as its
+    manifest tells (`gonio.disk`). What a killed process had begun beside it is tidied up.
 
     Raises
     ------
     ConfigError
-        The folder cannot be written, or holds something that is not a report.
+        The folder cannot be written, or holds something that this program did not write.
     """
-    final = Path(folder).absolute()
     shown = Path(folder)
+    require_name(shown)
+    final = shown.resolve()  # where the folder is a link its target is replaced, and the link stays
     _check(final, shown)
     made: list[Path] = []
     try:
@@ -62,7 +63,10 @@ def staged(folder: str | Path) -> Iterator[Staged]:
         raise ConfigError(f"{shown}: cannot be written: {error.strerror}") from None
     try:
         work.chmod(0o777 & ~_umask())
+        write_manifest(work, {})
         yield Staged(work, final)
+        write_manifest(work, manifest_of(work))
+        _check(final, shown)  # once more: somebody may have put something there meanwhile
         _put(work, final)
     except BaseException as error:
         shutil.rmtree(work, ignore_errors=True)
@@ -87,10 +91,14 @@ def write(folder: Path, page: str, summary: Mapping[str, Any], figures: Iterable
 def _check(final: Path, shown: Path) -> None:
     try:
         if final.is_dir():
-            entries = {entry.name for entry in final.iterdir()}
-            if entries and not entries.issuperset(MARKS):
-                raise ConfigError(f"{shown}: is not empty and holds no earlier report; choose another folder for --out")
-        elif final.exists():
+            foreign = strangers(final, {})
+            if foreign:
+                names = ", ".join(foreign[:5]) + (" ..." if len(foreign) > 5 else "")
+                raise ConfigError(
+                    f"{shown}: is not empty and holds what this program did not write, or what was changed since "
+                    f"({names}); nothing of that is replaced: move it, or choose another folder for --out"
+                )
+        elif os.path.lexists(final):
             raise ConfigError(f"{shown}: is a file; --out names a folder")
     except OSError as error:
         raise ConfigError(f"{shown}: cannot be read: {error.strerror}") from None
@@ -108,7 +116,15 @@ def _put(work: Path, final: Path) -> None:
         os.rename(old / "report", final)
         raise
     finally:
-        shutil.rmtree(old, ignore_errors=True)
+        _discard(old)
+
+
+def _discard(old: Path) -> None:
+    """Remove an earlier report that was moved aside; what is not our own in it stays where it is then."""
+    with suppress(OSError):
+        if (old / "report").is_dir():
+            remove_own(old / "report", {})
+        old.rmdir()
 
 
 def _beside(final: Path, what: str) -> Path:
@@ -122,9 +138,14 @@ def _tidy(final: Path) -> None:
         found = re.fullmatch(rf"\.{re.escape(final.name)}\.(\d+)\.\w+\.(part|old)", left.name)
         if found is None or _alive(int(found[1])):
             continue
+        if left.is_symlink() or not left.is_dir():
+            continue
         if (left / "report").is_dir() and not final.exists():
             os.rename(left / "report", final)
-        shutil.rmtree(left, ignore_errors=True)
+        if found[2] == "part" and (left / MANIFEST).is_file():
+            shutil.rmtree(left, ignore_errors=True)
+        else:
+            _discard(left)
 
 
 def _alive(process: int) -> bool:

@@ -9,6 +9,9 @@ from importlib.resources import files
 
 from gonio_analysis.report.figures import Figure
 
+MOST_FACTS, MOST_WORDS = 200, 2000
+"""Entries of a list, and characters of one."""
+
 
 def document(title: str, body: Iterable[str]) -> str:
     """A page, as HTML text, from parts that are HTML already; empty parts are left out."""
@@ -42,9 +45,23 @@ def table(
     *,
     right: tuple[int, ...] = (),
     marks: Sequence[str] = (),
+    most: tuple[int, str] | None = None,
+    of: tuple[int, str] | None = None,
 ) -> str:
-    """A table; cells are HTML already, the first of each row is its heading; columns that say nothing are left out."""
+    """A table; cells are HTML already, the first of each row is its heading; columns that say nothing are left out.
+
+    Parameters
+    ----------
+    most
+        Rows that the page shows, and the file in `tables/` that has all of them.
+    of
+        How many rows there would be in all, where `rows` are the first of them, and the file that has them.
+    """
     rows = [[glued(cell) for cell in row] for row in rows]
+    if most is not None:
+        rows, of = rows[: most[0]], (len(rows), most[1])
+    if of is not None and of[0] > len(rows):
+        caption = f"{caption} The first {len(rows)} of {of[0]} rows; all are in tables/{of[1]}.".strip()
     kept = [k for k in range(len(header)) if k == 0 or any(k < len(row) and row[k] not in ("", "–") for row in rows)]
     header, rows = [header[k] for k in kept], [[row[k] for k in kept if k < len(row)] for row in rows]
     right = tuple(new for new, k in enumerate(kept) if k in right)
@@ -62,9 +79,46 @@ def table(
 
 
 def facts(rows: Iterable[tuple[str, str]]) -> str:
-    """A list of names and values in plain text."""
-    pairs = ((escape(k), escape(glued(v))) for k, v in rows)
+    """A list of names and values in plain text; what is too long for a page is cut, and stands in summary.json."""
+    every = list(rows)
+    kept = every[:MOST_FACTS]
+    if len(every) > len(kept):
+        kept.append(("more", f"{len(every) - len(kept)} further entries stand in summary.json"))
+    pairs = ((escape(cut(k, MOST_WORDS)), escape(glued(cut(v, MOST_WORDS)))) for k, v in kept)
     return '<dl class="facts">' + "".join(f"<dt>{k}</dt><dd>{v}</dd>" for k, v in pairs) + "</dl>"
+
+
+def cut(text: str, most: int) -> str:
+    """A text of at most so many characters, about; what is left out is said."""
+    return text if len(text) <= most else f"{text[:most]} … ({len(text) - most} more characters in summary.json)"
+
+
+def notes(texts: Sequence[str]) -> str:
+    """A list of remarks in plain text."""
+    shown = [f"<li>{escape(cut(n, MOST_WORDS))}</li>" for n in texts[:MOST_FACTS]]
+    if len(texts) > MOST_FACTS:
+        shown.append(f"<li>{len(texts) - MOST_FACTS} further notes stand in summary.json.</li>")
+    return f'<ul class="notes">{"".join(shown)}</ul>'
+
+
+def size(text: str) -> int:
+    """Bytes of a text in a file."""
+    return len(text.encode("utf-8"))
+
+
+def within(section: str, room: int) -> str:
+    """A section of at most `room` bytes: the largest drawings are named instead of shown until it is."""
+    over = size(section) - room
+    if over <= 0:
+        return section
+    found = re.findall(r'<figure id="([^"]+)">(<svg.*?</svg>)', section, re.DOTALL)
+    for name, svg in sorted(found, key=lambda item: -len(item[1])):
+        words = f'<p class="note">Too large for this page: see <code>figures/{name}.svg</code>.</p>'
+        section = section.replace(svg, words, 1)
+        over -= size(svg) - size(words)
+        if over <= 0:
+            break
+    return section
 
 
 def glued(text: str) -> str:

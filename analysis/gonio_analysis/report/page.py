@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
@@ -12,9 +13,20 @@ from gonio_analysis.report import html, model_choice, viewer
 from gonio_analysis.report.figures import Figure
 from gonio_analysis.report.text import CAUSES, cause, difference, number, percent, with_u
 
+MOST_BYTES = 4_500_000
+"""Of one page: what a mail takes and a browser shows at once."""
+MOST_SOURCES = 50
+"""Samples whose provenance stands on the page."""
+MOST_ROWS = 300
+"""Of a table on a page; the files in `tables/` have all of them."""
 
-def render(summary: dict[str, Any], drawn: Sequence[Sequence[Figure]], views: Sequence[dict[str, Any] | None]) -> str:
-    """The page, as HTML text.
+
+def render(
+    summary: dict[str, Any], drawn: Sequence[Sequence[Figure]], views: Sequence[dict[str, Any] | None]
+) -> dict[str, str]:
+    """The pages, as HTML by the name of their file: `index.html`, and further ones for samples that it cannot hold.
+
+    No page is larger than `MOST_BYTES`, whatever was measured. Each needs no other file.
 
     Parameters
     ----------
@@ -26,21 +38,62 @@ def render(summary: dict[str, Any], drawn: Sequence[Sequence[Figure]], views: Se
         What each dataset's interactive plot shows; None for one without curves.
     """
     datasets = summary["datasets"]
-    body = [_header(summary), _overview(summary) if len(datasets) > 1 else ""]
-    body += [_dataset(summary, *parts) for parts in zip(datasets, drawn, views, strict=True)]
-    body += [_conventions(summary), _provenance(summary), _footer()]
-    body += [viewer.script() if any(views) else ""]
-    return html.document(summary["title"], body)
+    script = viewer.script() if any(views) else ""
+    overview = _overview(summary) if len(datasets) > 1 else ""
+    frame = _conventions(summary) + _provenance(summary) + _footer() + script
+    room = MOST_BYTES - html.size(html.document(summary["title"], [overview, frame])) - 300 * len(datasets) - 10_000
+    sections = [
+        html.within(_dataset(summary, *parts), max(room, MOST_BYTES // 4))
+        for parts in zip(datasets, drawn, views, strict=True)
+    ]
+    groups: list[list[int]] = [[]]
+    used = 0
+    for k, section in enumerate(sections):
+        if groups[-1] and used + html.size(section) > room:
+            groups.append([])
+            used = 0
+        groups[-1].append(k)
+        used += html.size(section)
+    names = ["index.html", *(f"samples-{k}.html" for k in range(2, len(groups) + 1))]
+    place = {datasets[k]["slug"]: name for name, group in zip(names, groups, strict=True) for k in group}
+    pages = {}
+    for name, group in zip(names, groups, strict=True):
+        here = [sections[k] for k in group]
+        body = [_header(summary, place, name), overview if name == "index.html" else "", *here]
+        body += [_conventions(summary), _provenance(summary)] if name == "index.html" else []
+        pages[name] = html.document(
+            summary["title"], [_linked(part, place, name) for part in [*body, _footer()]] + [script]
+        )
+    return pages
 
 
-def _header(s: dict[str, Any]) -> str:
+def _linked(part: str, place: dict[str, str], name: str) -> str:
+    """Links to samples, which may stand on another page."""
+    if len(set(place.values())) == 1:
+        return part
+    return re.sub(
+        r'href="#([^"]+)"',
+        lambda m: f'href="{place[m[1]]}#{m[1]}"' if place.get(m[1], name) != name else m[0],
+        part,
+    )
+
+
+def _header(s: dict[str, Any], place: dict[str, str], name: str) -> str:
     links = [(d["slug"], d["name"]) for d in s["datasets"]] if len(s["datasets"]) > 1 else []
-    links += [("conventions", "Conventions"), ("provenance", "Provenance")]
-    nav = "".join(f'<li><a href="#{slug}">{escape(name)}</a></li>' for slug, name in links)
+    if name == "index.html":
+        links += [("conventions", "Conventions"), ("provenance", "Provenance")]
+    nav = "".join(f'<li><a href="#{slug}">{escape(label)}</a></li>' for slug, label in links[:MOST_ROWS])
+    pages = list(dict.fromkeys(place.values()))
+    parts = ""
+    if len(pages) > 1:
+        parts = (
+            f'<p class="note">Page {pages.index(name) + 1} of {len(pages)}: all samples together would be too large for'
+            f" one. The others are {', '.join(f'<code>{p}</code>' for p in pages if p != name)}.</p>\n"
+        )
     return (
         f'<header>\n<h1>{escape(s["title"])}</h1>\n<p class="sub">BRDF comparison, {escape(s["created"][:10])}, gonio '
         f"{escape(s['versions']['gonio'])}. Uncertainties are standard uncertainties (k = 1).</p>\n"
-        f'<nav aria-label="Sections"><ul>{nav}</ul></nav>\n</header>'
+        f'{parts}<nav aria-label="Sections"><ul>{nav}</ul></nav>\n</header>'
     )
 
 
@@ -65,6 +118,7 @@ def _overview(s: dict[str, Any]) -> str:
         ["sample", "model", "reduced χ²", "typical difference", "fitted parameters"],
         rows,
         right=(2, 3),
+        most=(MOST_ROWS, "metrics.csv and parameters.csv"),
     )
 
 
@@ -76,7 +130,7 @@ def _dataset(s: dict[str, Any], d: dict[str, Any], figures: Sequence[Figure], vi
     out.append(f'<p class="lead">{escape(html.glued(d["conclusion"]))}</p>')
     out += ["<h3>What was measured, and how</h3>", _facts(d)]
     if d["notes"]:
-        out.append('<ul class="notes">' + "".join(f"<li>{escape(n)}</li>" for n in d["notes"]) + "</ul>")
+        out.append(html.notes(d["notes"]))
     out += model_choice.section(d["choice"])
     out += ["<h3>Models</h3>", _models(d)] if d["models"] else ["<h3>Measured values</h3>", _values(d)]
     if d["skipped"]:
@@ -125,6 +179,7 @@ def _values(d: dict[str, Any]) -> str:
         ["wavelength/nm", "θi/°", "φi/°", "θr/°", "φr/°", "BRDF f/sr⁻¹", "π f"],
         rows,
         right=tuple(range(7)),
+        of=(d["usable_everywhere"], f"{d['slug']}-all-values.csv"),
     )
 
 
@@ -275,6 +330,7 @@ def _budget(d: dict[str, Any]) -> str:
         ["cause", "median", "95th percentile", "what it is"],
         rows,
         right=(1, 2),
+        most=(MOST_ROWS, f"{d['slug']}-budget.csv"),
     )
 
 
@@ -302,7 +358,9 @@ def _provenance(s: dict[str, Any]) -> str:
     rows = [("report made", s["created"]), ("command", s["command"] or "–")]
     rows.append(("versions", ", ".join(f"{k} {v}" for k, v in s["versions"].items())))
     out.append(html.facts(rows))
-    for d in s["datasets"]:
+    if len(s["datasets"]) > MOST_SOURCES:
+        out.append(f"<p>The first {MOST_SOURCES} of {len(s['datasets'])} samples; summary.json has all.</p>")
+    for d in s["datasets"][:MOST_SOURCES]:
         rows = [("file", d["source"] or "–"), ("format", str(d["format"] or "–"))]
         if d["run"]:
             r = d["run"]
@@ -348,12 +406,14 @@ def _flat(values: Any, prefix: str = "") -> Iterable[tuple[str, str]]:
 
 def _reference(band: dict[str, Any]) -> str:
     """What the visits to the white reference said, as `gonio.radiometry.reduce` leaves it."""
-    level, slope = band["level_e_per_s_sr"], (100 * band["drift_per_hour"], 100 * band["u_drift_per_hour"])
+    level, slope, u_slope = band["level_e_per_s_sr"], band["drift_per_hour"], band["u_drift_per_hour"]
+    drift = "unknown" if slope is None else f"({with_u(100 * slope, 100 * u_slope)}) % an hour"
     steady = "on a straight line" if band["straight"] else "on no straight line"
+    steady = "that tell no drift" if slope is None else steady
     return (
         f"{band['band']}: BRDF {number(band['brdf'], 4)} sr⁻¹; {band['visits']} visits {steady} (chi-square "
         f"{number(band['chi_square'])}); level {number(level, 4)} electrons a second and steradian, known to "
-        f"{percent(band['u_level_rel'])}; drift ({with_u(*slope)}) % an hour; frames of one step scatter as the noise "
+        f"{percent(band['u_level_rel'])}; drift {drift}; frames of one step scatter as the noise "
         f"model says, times {number(band['frame_scatter'])} in variance"
     )
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import datetime
 import math
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,8 +18,14 @@ from gonio_analysis.observations import describe_left_out
 from gonio_analysis.planes import AT_MIRROR, IN_PLANE, NORM_WORDS
 from gonio_analysis.report.text import difference, slug
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 MOST_VALUES = 200
 """Measured values that a page lists where it has no model."""
+MOST_REASONS = 12
+"""Why values were left out, in words on the page; `left_out` has all."""
+VALUES = ("wavelength_nm", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "brdf", "u_brdf")
 VERSIONS = ("gonio", "numpy", "scipy", "numba", "pandas", "matplotlib")
 
 
@@ -66,7 +72,7 @@ def _dataset(d: Dataset, slug: str) -> dict[str, Any]:
         "rows_here": len(d.data) + sum(d.data.left_out.values()),
         "used": len(d.data),
         "left_out": d.data.left_out,
-        "left_out_words": describe_left_out(d.data.left_out),
+        "left_out_words": _left_out(d.data.left_out),
         "negative": negative,
         "wavelength_nm": finite(d.wavelength_nm),
         "wavelengths_nm": [finite(w) for w in d.wavelengths],
@@ -75,7 +81,7 @@ def _dataset(d: Dataset, slug: str) -> dict[str, Any]:
         "receiver_solid_angle_sr": finite(attrs.get("receiver_solid_angle_sr")),
         "uncertainty_stated": stated,
         "causes": list(d.data.covariance.causes) if d.data.covariance is not None else [],
-        "theta_i_deg": sorted({round(float(x), 1) for x in np.degrees(d.data.theta_i)}),
+        "theta_i_deg": [float(x) for x in np.unique(np.round(np.degrees(d.data.theta_i), 1))],
         "brdf_min": float(d.data.brdf.min()),
         "brdf_max": float(d.data.brdf.max()),
         "median_u_rel": finite(float(np.median(d.data.u / np.abs(d.data.brdf))))
@@ -94,17 +100,30 @@ def _dataset(d: Dataset, slug: str) -> dict[str, Any]:
         "skipped": dict(d.skipped),
         "choice": d.choice.to_json(),
         "values": [] if d.fitted else _values(d),
+        "usable_everywhere": len(usable(d)),
     }
     out["best"] = _best(d)
     out["conclusion"] = _conclusion(d, out["best"])
     return out
 
 
+def _left_out(reasons: Mapping[str, int]) -> str:
+    """The most frequent reasons, and how many there are besides."""
+    first = dict(sorted(reasons.items(), key=lambda item: -item[1])[:MOST_REASONS])
+    rest = sum(reasons.values()) - sum(first.values())
+    more = f", {rest} for {len(reasons) - len(first)} other reasons" if rest else ""
+    return describe_left_out(first) + more
+
+
+def usable(d: Dataset) -> pd.DataFrame:
+    """The rows of every wavelength that have a value and no flag, with the columns that a page lists."""
+    kept = (d.table["flag"].fillna("") == "") & d.table["brdf"].notna()
+    return d.table.loc[kept, list(VALUES)]
+
+
 def _values(d: Dataset) -> list[dict[str, float | None]]:
     """The measured values of every wavelength, where no model can say anything of them: the first few."""
-    names = ["wavelength_nm", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "brdf", "u_brdf"]
-    usable = d.table[(d.table["flag"].fillna("") == "") & d.table["brdf"].notna()]
-    return [{str(n): finite(x) for n, x in row.items()} for row in usable[names].head(MOST_VALUES).to_dict("records")]
+    return [{str(n): finite(x) for n, x in row.items()} for row in usable(d).head(MOST_VALUES).to_dict("records")]
 
 
 def _fitted(f: Fitted) -> dict[str, Any]:

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gonio_analysis.compare import Dataset
+from gonio.formats.base import cell_of
+from gonio_analysis.compare import Dataset, Drawn
 from gonio_analysis.report import viewer
+from gonio_analysis.report.summary import VALUES, usable
 from gonio_analysis.uncertainty import Floats
+
+ROWS_AT_ONCE = 100_000
 
 
 def write(
@@ -51,6 +56,14 @@ def write(
     files = ["parameters.csv", "metrics.csv"]
     for d, s, view in zip(datasets, facts, views, strict=True):
         files += _of_dataset(d, s["slug"], folder)
+        if s["values"] and s["usable_everywhere"] > len(s["values"]):
+            files.append(f"{s['slug']}-all-values.csv")
+            rows = usable(d)
+            write_columns(folder / files[-1], VALUES, [rows[name].to_numpy() for name in VALUES])
+        if s["budget"]:
+            files.append(f"{s['slug']}-budget.csv")
+            header = ("cause", "median_relative", "p95_relative")
+            write_csv(folder / files[-1], header, ((b["cause"], b["median"], b["p95"]) for b in s["budget"]))
         if view is not None:
             files.append(f"{s['slug']}-interactive.csv")
             write_csv(folder / files[-1], viewer.COLUMNS, viewer.rows(view))
@@ -87,39 +100,39 @@ def _of_dataset(d: Dataset, slug: str, folder: Path) -> list[str]:
     angles = [_degrees(x) for x in (data.theta_i, data.phi_i, data.theta_r, data.phi_r)]
     models, c = list(d.fitted), data.covariance
     values = [v for f in d.fitted.values() for v in (f.fit.predicted, f.fit.whitened)]
-    write_csv(
+    write_columns(
         folder / f"{slug}-values.csv",
         (
             *("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "brdf", "u_brdf"),
             *(f"{m} {what}" for m in models for what in ("brdf", "whitened_residual")),
             *(("u_random", *(f"s_{cause}" for cause in c.causes)) if c is not None else ()),
         ),
-        zip(*angles, data.brdf, data.u, *values, *((c.random, *c.common.T) if c is not None else ()), strict=True),
+        [*angles, data.brdf, data.u, *values, *((c.random, *c.common.T) if c is not None else ())],
     )
-    write_csv(
+    header = ("model", "curve", "kind", "signed_angle_deg", "brdf", "u_brdf", "normalised", "u_normalised")
+    parts = [part for m, f in d.fitted.items() for c in f.drawn for part in (_measured(m, c), _theory(m, c))]
+    columns = [list(column) for column in zip(*parts, strict=True)] or [[] for _ in range(9)]
+    write_columns(
         folder / f"{slug}-curves.csv",
-        ("model", "curve", "kind", "signed_angle_deg", "brdf", "u_brdf", "normalised", "u_normalised", "normalised_by"),
-        (
-            row
-            for m, f in d.fitted.items()
-            for c in f.drawn
-            for row in [
-                *((m, c.label, "measured", *rest, c.norm.kind) for rest in _measured(c)),
-                *((m, c.label, "theory", *rest, c.norm.kind) for rest in _theory(c)),
-            ]
-        ),
+        (*header, "normalised_by"),
+        [np.concatenate(column) if column else np.empty(0) for column in columns],
     )
     return [f"{slug}-values.csv", f"{slug}-curves.csv"]
 
 
-def _measured(c: Any) -> Iterable[tuple[Any, ...]]:
-    n = c.norm.measured
-    k = c.curve
-    return zip(_degrees(k.angle), k.brdf, k.u, k.brdf / n, k.u / n, strict=True)
+def _measured(model: str, c: Drawn) -> list[Any]:
+    k, n = c.curve, c.norm.measured
+    return _of_curve(model, c, "measured", k.angle, [k.brdf, k.u, k.brdf / n, k.u / n])
 
 
-def _theory(c: Any) -> Iterable[tuple[Any, ...]]:
-    return ((a, t, "", t / c.norm.theory, "") for a, t in zip(_degrees(c.theory_angle), c.theory, strict=True))
+def _theory(model: str, c: Drawn) -> list[Any]:
+    none = np.full(c.theory.size, np.nan)
+    return _of_curve(model, c, "theory", c.theory_angle, [c.theory, none, c.theory / c.norm.theory, none])
+
+
+def _of_curve(model: str, c: Drawn, kind: str, angle: Floats, values: list[Floats]) -> list[Any]:
+    words = [np.full(angle.size, word, dtype=object) for word in (model, c.label, kind)]
+    return [*words, _degrees(angle), *values, np.full(angle.size, c.norm.kind, dtype=object)]
 
 
 def _degrees(angle: Floats) -> Floats:
@@ -128,11 +141,36 @@ def _degrees(angle: Floats) -> Floats:
 
 
 def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """A CSV in which None and NaN are empty cells and floats keep every digit."""
+    """A CSV in which None and NaN are empty cells, floats keep every digit, and no text is a spreadsheet's formula."""
     with open(path, "w", encoding="utf-8", newline="") as stream:
         out = csv.writer(stream, lineterminator="\n")
         out.writerow(header)
         out.writerows([_cell(cell) for cell in row] for row in rows)
+
+
+def write_columns(path: Path, header: Sequence[str], columns: Sequence[Any]) -> None:
+    """The same from arrays: numbers of 64 bits, or words. A million rows take seconds."""
+    with open(path, "w", encoding="utf-8", newline="") as stream:
+        csv.writer(stream, lineterminator="\n").writerow(header)
+        for begin in range(0, len(columns[0]), ROWS_AT_ONCE):
+            part = [_words(column[begin : begin + ROWS_AT_ONCE]) for column in columns]
+            stream.writelines(map(",".join, ((*row[:-1], row[-1] + "\n") for row in zip(*part, strict=True))))
+
+
+def _words(column: Any) -> list[str]:
+    if column.dtype.kind == "f":
+        words = list(map(repr, column.tolist()))
+        for k in np.flatnonzero(np.isnan(column)):
+            words[k] = ""
+        return words
+    quoted = {word: _quoted(str(word)) for word in set(column.tolist())}
+    return [quoted[word] for word in column.tolist()]
+
+
+def _quoted(word: str) -> str:
+    line = io.StringIO()
+    csv.writer(line, lineterminator="").writerow([word])
+    return line.getvalue()
 
 
 def _cell(value: object) -> object:
@@ -140,4 +178,6 @@ def _cell(value: object) -> object:
         return ""
     if isinstance(value, float | np.floating):
         return "" if np.isnan(value) else repr(float(value))
+    if isinstance(value, str):
+        return cell_of(value)
     return value

@@ -103,7 +103,7 @@
         html("div", { class: "choices" }, ...choices),
         boxes("Curves", order, this.labels, "curve"),
         boxes("Shown", [...data.points, ...data.models], this.series, "series"),
-        this.stage, this.output,
+        this.stage, this.output, ...(data.note ? [html("p", { class: "note" }, data.note)] : []),
       );
     }
 

@@ -9,17 +9,25 @@ from typing import Any
 
 import numpy as np
 
+from gonio_analysis import thinning
 from gonio_analysis.compare import Dataset, theory_angles
 from gonio_analysis.fit import FitResult, finite
-from gonio_analysis.planes import Curve, curves, labels, selection
+from gonio_analysis.planes import MOST_CURVES, Curve, curves, labels, selection
 from gonio_analysis.uncertainty import Floats
 
 MOST_LISTED = 16
 """Curves of one wavelength that can be chosen, at most."""
+BYTES = 1_200_000
+"""Room on a page for the data of all its interactive plots, about."""
+LEVELS = ((MOST_LISTED, 40), (MOST_CURVES, 40), (MOST_CURVES, 12), (3, 8), (2, 4))
+"""Curves of one wavelength, and wavelengths: the first of these that leaves `FEWEST` values a curve is taken."""
+FEWEST = 60
+MEASURED_BYTES, THEORY_BYTES = 28, 17
+"""Of one value."""
 COLUMNS = ("wavelength_nm", "curve", "series", "signed_angle_deg", "brdf", "u_brdf")
 
 
-def viewer(d: Dataset, facts: dict[str, Any], normalise: str) -> dict[str, Any]:
+def viewer(d: Dataset, facts: dict[str, Any], normalise: str, room: int = BYTES) -> dict[str, Any]:
     """In-plane curves of a sample at every wavelength that was fitted, with every model's theory.
 
     Parameters
@@ -30,6 +38,9 @@ def viewer(d: Dataset, facts: dict[str, Any], normalise: str) -> dict[str, Any]:
         Its part of the summary.
     normalise
         What the plot divides by at first.
+    room
+        For its data, in bytes. Where they need more, curves are thinned as in the figures, then fewer of them and of
+        the wavelengths can be chosen; `note` says so.
 
     Returns
     -------
@@ -44,26 +55,34 @@ def viewer(d: Dataset, facts: dict[str, Any], normalise: str) -> dict[str, Any]:
             waves.setdefault(at, {})[model] = result
     here = finite(d.wavelength_nm)
     drawn = {int(c.rows[0]) for c in d.curves}
+    known = {
+        nm: d.data if nm == here else next(iter(results.values())).data
+        for nm, results in sorted(waves.items(), key=lambda item: item[0] or 0.0)
+    }
+    every = {nm: curves(data) for nm, data in known.items()}
+    chosen, most = _level(every, here, drawn, len(d.fitted), room)
     ready = {m: {int(c.curve.rows[0]): (c.theory_angle, c.theory) for c in f.drawn} for m, f in d.fitted.items()}
     first: list[str] = []
     out: list[dict[str, Any]] = []
-    for nm in sorted(waves, key=lambda w: w or 0.0):
-        at_report = nm == here
-        data = d.data if at_report else next(iter(waves[nm].values())).data
-        every = curves(data)
-        picked = {int(c.rows[0]) for c in selection(every, MOST_LISTED)} | (drawn if at_report else set())
-        listed = [c for c in every if int(c.rows[0]) in picked]
+    values = {"of": 0, "drawn": 0}
+    for nm, listed in chosen.items():
+        at_report, data = nm == here, known[nm]
         names = labels(listed)
         entries = []
-        for curve, name in zip(listed, names, strict=True):
-            kept = at_report and int(curve.rows[0]) in drawn
+        for whole, name in zip(listed, names, strict=True):
+            curve = thinning.of_curve(whole, most)
+            values["of"] += whole.angle.size
+            values["drawn"] += curve.angle.size
+            kept = at_report and int(whole.rows[0]) in drawn
             if kept:
                 first.append(name)
             theory = {}
             for model, result in waves[nm].items():
-                angle = theory_angles(curve, data, dense=False)
-                known = ready[model].get(int(curve.rows[0])) if kept else None
-                theory[model] = known or (angle, curve.theory(result.model, angle, data))
+                found = ready[model].get(int(whole.rows[0])) if kept and curve is whole else None
+                if found is None or found[0].size > most + 400:
+                    angle = theory_angles(curve, data, dense=False)
+                    found = angle, curve.theory(result.model, angle, data)
+                theory[model] = found
             entries.append(_curve(curve, name, theory))
         out.append({"nm": nm, "curves": entries})
     names = list(dict.fromkeys([*first, *(c["label"] for w in out for c in w["curves"])]))
@@ -77,8 +96,45 @@ def viewer(d: Dataset, facts: dict[str, Any], normalise: str) -> dict[str, Any]:
         "models": list(d.fitted),
         "chosen": ["measured", *([facts["best"]] if facts["best"] else [])],
         "normalise": normalise,
+        "note": note(values["drawn"], values["of"], len(out), len(known)),
         "waves": out,
     }
+
+
+def _level(
+    every: dict[float | None, list[Curve]], here: float | None, drawn: set[int], models: int, room: int
+) -> tuple[dict[float | None, list[Curve]], int]:
+    """The curves to list at each wavelength, and how many values of one are shown."""
+    chosen: dict[float | None, list[Curve]] = {}
+    most = 0
+    for curves_listed, waves_listed in LEVELS:
+        names = list(every)
+        picks = {round(x) for x in np.linspace(0, len(names) - 1, min(waves_listed, len(names)))}
+        chosen = {}
+        for k, nm in enumerate(names):
+            if k in picks or nm == here:
+                listed = {int(c.rows[0]) for c in selection(every[nm], curves_listed)} | (
+                    drawn if nm == here else set()
+                )
+                chosen[nm] = [c for c in every[nm] if int(c.rows[0]) in listed]
+        sizes = [c.angle.size for listed in chosen.values() for c in listed]
+        count = max(len(sizes), 1)
+        most = int((room / count - 100 * THEORY_BYTES * models) / (MEASURED_BYTES + THEORY_BYTES * models))
+        if most >= FEWEST or most >= max(sizes, default=0):
+            break
+    return chosen, max(most, 24)
+
+
+def note(drawn: int, of: int, waves: int, known: int) -> str:
+    """A sentence on what the plot leaves out; empty where that is nothing."""
+    parts = []
+    if drawn < of:
+        parts.append(
+            f"{drawn} of the {of} values of these curves are here: the extremes, and some of those that overlap"
+        )
+    if waves < known:
+        parts.append(f"{waves} of {known} wavelengths are here")
+    return "; ".join(parts) + "; all values are in tables/." if parts else ""
 
 
 def _curve(c: Curve, name: str, theory: dict[str, tuple[Floats, Floats]]) -> dict[str, Any]:

@@ -35,6 +35,7 @@ def serve(
     import threading
 
     from gonio.config import to_toml
+    from gonio.disk import require_own, write_own
     from gonio.errors import ConfigError
     from gonio.session import find_rig, load_sample
     from gonio_sim.wire import faults
@@ -49,12 +50,13 @@ def serve(
             raise ConfigError(f"--fault {name}: there is no such fault; known: {', '.join(faults.NAMES)}")
     choice = find_rig(rig)
     described = load_sample(sample) if sample is not None else None
+    require_own(out, ["rig.toml"])
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: stop.set())
     with Bench(choice.description, described, seed, folder=out.absolute(), scale=time_scale) as bench:
         path = out / "rig.toml"
-        path.write_text(to_toml(plug(bench.description)), encoding="utf-8")
+        write_own(out, {path.name: to_toml(plug(bench.description)).encode()})
         print(f"twins of {rig} are running, {time_scale:g} times as fast; Ctrl-C ends them")
         if bench.replays:
             print(

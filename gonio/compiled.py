@@ -1,0 +1,149 @@
+"""`njit`: numba's, with machine code kept on disk that is checked before it is loaded.
+
+numba unpickles and runs what its cache files hold. After a power cut these may be cut, empty or garbled, and may belong
+to another version of a function: the file of an index and that of its code are not written together. Here each file
+ends with two checksums: of what it was made for, and of its name and content. What does not agree is dropped and
+compiled again, with one line of notice where a file was damaged. Files keep numba's names and places.
+"""
+
+# mypy: disallow-subclassing-any=False
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import pickle
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numba
+
+try:
+    from numba.core.caching import FunctionCache, IndexDataCacheFile
+except ImportError:  # numba's insides are its own: without these names its plain cache serves
+    FunctionCache = IndexDataCacheFile = None
+
+DIGEST = hashlib.sha256
+SIZE = DIGEST().digest_size
+
+_told = False
+
+
+def njit(*signature: Any, **options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """`numba.njit(cache=True)`, whose files are checked, and which does without them where they cannot be kept.
+
+    Parameters
+    ----------
+    signature
+        The types of the arguments, to compile at once; without any, the first call compiles.
+    options
+        As `numba.njit` takes them.
+    """
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        if FunctionCache is None:
+            return numba.njit(*filter(None, [signature]), cache=True, **options)(function)
+        dispatcher = numba.njit(**options)(function)
+        if dispatcher is function:  # NUMBA_DISABLE_JIT
+            return function
+        try:
+            dispatcher._cache = _Cache(function)
+        except RuntimeError as error:
+            if "cannot cache" not in str(error):
+                raise
+            # neither the package's folder nor the user's cache can be written: no cache, then
+        if signature:
+            dispatcher.compile(signature)
+            dispatcher.disable_compile()
+        return dispatcher
+
+    return compiled
+
+
+def _tell(text: str) -> None:
+    """One line on stderr, once a process."""
+    global _told
+    if not _told and sys.stderr is not None:
+        with contextlib.suppress(OSError, ValueError):  # nobody listens
+            print(f"gonio: {text}", file=sys.stderr, flush=True)
+    _told = True
+
+
+if FunctionCache is not None:
+
+    class _Files(IndexDataCacheFile):
+        """An index and the files of code that it names, each with its checksums at the end."""
+
+        def __init__(self, plain: Any) -> None:
+            self.__dict__.update(plain.__dict__)
+
+        def save(self, key: Any, data: Any) -> None:
+            index = self._load_index()
+            if key not in index:
+                index[key] = next(
+                    name for name in map(self._data_name, range(1, len(index) + 2)) if name not in index.values()
+                )
+            self._write(self._data_path(index[key]), self._dump(data), key)
+            self._write(self._index_path, pickle.dumps(self._version) + self._dump((self._source_stamp, index)), "")
+
+        def load(self, key: Any) -> Any:
+            name = self._load_index().get(key)
+            content = self._read(self._data_path(name), key) if name is not None else None
+            return None if content is None else pickle.loads(content)
+
+        def _load_index(self) -> dict[Any, str]:
+            content = self._read(self._index_path, "")
+            if content is None:
+                return {}
+            stamp, index = pickle.loads(content[len(pickle.dumps(self._version)) :])
+            return index if stamp == self._source_stamp else {}
+
+        def _made_for(self, key: Any) -> bytes:
+            return DIGEST(repr((self._version, self._source_stamp if key else "", key)).encode()).digest()
+
+        def _write(self, path: str, content: bytes, key: Any) -> None:
+            content += self._made_for(key)
+            with self._open_for_write(path) as file:
+                file.write(content + _checksum(path, content))
+
+        def _read(self, path: str, key: Any) -> bytes | None:
+            """What a file holds; None where it is not there, was made for something else, or is damaged."""
+            try:
+                with open(path, "rb") as file:
+                    content = file.read()
+            except FileNotFoundError:
+                return None
+            except OSError as error:
+                _tell(f"{path}: cannot be read ({error.strerror}), so its function is compiled again")
+                return None
+            content, checksum = content[:-SIZE], content[-SIZE:]
+            if checksum != _checksum(path, content):
+                _tell(f"{path}: compiled code on disk was damaged; it is compiled again, which takes seconds")
+                return None
+            return content[:-SIZE] if content[-SIZE:] == self._made_for(key) else None
+
+    class _Cache(FunctionCache):
+        """The cache of one function: what goes wrong with it costs time, and nothing else."""
+
+        def __init__(self, function: Callable[..., Any]) -> None:
+            super().__init__(function)
+            self._cache_file: Any = _Files(self.__dict__["_cache_file"])
+
+        def load_overload(self, signature: Any, target: Any) -> Any:
+            try:
+                return super().load_overload(signature, target)
+            except Exception as error:  # whole, and yet of no use to this numba
+                _tell(f"{self.cache_path}: compiled code on disk cannot be used ({error!r:.100}); it is compiled again")
+                return None
+
+        def save_overload(self, signature: Any, data: Any) -> None:
+            try:
+                super().save_overload(signature, data)
+            except OSError as error:
+                _tell(f"{self.cache_path}: compiled code cannot be kept ({error.strerror}): each start compiles again")
+
+
+def _checksum(path: str, content: bytes) -> bytes:
+    return DIGEST(os.path.basename(path).encode() + b"\0" + content).digest()
