@@ -117,7 +117,7 @@ def F(phi: Numbers, n: float) -> Numbers:
 def D_1(alpha: Numbers, c1: float) -> Numbers:
     """Blinn1977 D_1 = cos^c1(alpha): Phong's facets.
 
-    Compiled: gonio.models.blinn.d1
+    Compiled: gonio.models._facets.cos_power
     """
     return np.cos(alpha) ** c1
 
