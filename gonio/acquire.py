@@ -21,12 +21,12 @@ from types import FrameType, TracebackType
 from typing import Any, Protocol, Self
 
 from gonio import __version__, exposure
-from gonio.description import Band
 from gonio.errors import DeviceError, Disturbed, Interrupted
-from gonio.imaging import Roi, roi
 from gonio.journal import Event
-from gonio.kinematics import View, view
 from gonio.rig import Frame, Pose, Rig, Step, Target
+from gonio.rig.description import Band
+from gonio.rig.imaging import Roi, roi
+from gonio.rig.kinematics import View, view
 from gonio.run import Run
 from gonio.store import Files, Store, Written, slugs
 

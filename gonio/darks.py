@@ -10,7 +10,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from gonio.imaging import Roi
+from gonio.rig.imaging import Roi
 
 Array = npt.NDArray[np.float64]
 

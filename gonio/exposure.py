@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gonio.description import Camera, RigDescription
 from gonio.errors import DeviceError
 from gonio.rig import Frame, Pose
+from gonio.rig.description import Camera, RigDescription
 
 Shot = Callable[[float], Frame]
 Used = Callable[[npt.NDArray[np.uint16]], npt.NDArray[np.generic]]

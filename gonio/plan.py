@@ -20,10 +20,10 @@ from typing import Annotated, overload
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from gonio.config import Strict, parse, read_toml
-from gonio.description import Band, Positive, RigDescription
 from gonio.errors import ConfigError
-from gonio.kinematics import Directions, Unreachable, reach
 from gonio.rig import Pose, Step
+from gonio.rig.description import Band, Positive, RigDescription
+from gonio.rig.kinematics import Directions, Unreachable, reach
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 MAX_POINTS = 1_000_000

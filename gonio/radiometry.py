@@ -18,14 +18,14 @@ import numpy as np
 import numpy.typing as npt
 
 import gonio
-from gonio import geometry, imaging, kinematics, sensitivity, spikes, white_reference
+from gonio import geometry, sensitivity, spikes, white_reference
 from gonio.darks import COLUMNS, PATTERNS, strongest
-from gonio.description import Axis, Band, RigDescription
 from gonio.errors import ConfigError, DataError
-from gonio.kinematics import Directions
 from gonio.plan import ANGLES
 from gonio.rates import RETAKE, Bench, Merged, in_threads
-from gonio.rig import Pose
+from gonio.rig import Pose, imaging, kinematics
+from gonio.rig.description import Axis, Band, RigDescription
+from gonio.rig.kinematics import Directions
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -15,15 +15,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from gonio import kinematics
 from gonio.darks import FEW, PATTERNS, Darks, Patterns
-from gonio.description import Band, Camera, RigDescription
 from gonio.errors import DamagedFrame, DataError
 from gonio.exposure import full_scale_dn
-from gonio.frames import read_raw
-from gonio.imaging import Channel, Roi, pixel_map, roi
-from gonio.kinematics import Directions
-from gonio.rig import Frame, Pose, Target
+from gonio.rig import Frame, Pose, Target, kinematics
+from gonio.rig.description import Band, Camera, RigDescription
+from gonio.rig.frames import read_raw
+from gonio.rig.imaging import Channel, Roi, pixel_map, roi
+from gonio.rig.kinematics import Directions
 
 if TYPE_CHECKING:
     from gonio.run import Run

@@ -35,7 +35,6 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.config import Strict, parse, to_toml
-from gonio.description import Band, RigDescription, SampleDescription
 from gonio.disk import (
     MANIFEST,
     Manifest,
@@ -53,6 +52,7 @@ from gonio.errors import ConfigError, DataError
 from gonio.formats.native import meta_path
 from gonio.journal import Event, Events, Journal, has_lines, read_events
 from gonio.plan import ANGLES, Assessed, Plan, assess, points_sha256
+from gonio.rig.description import Band, RigDescription, SampleDescription
 from gonio.store import NAME, record_of
 
 if TYPE_CHECKING:

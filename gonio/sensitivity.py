@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.geometry import direction
-from gonio.kinematics import Directions
+from gonio.rig.kinematics import Directions
 from gonio.spikes import Scene, Share, find, lagrange, mirror_offset, overlap
 
 Array = npt.NDArray[np.float64]

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 from gonio import plugins
 from gonio.config import load, parse
-from gonio.description import RigDescription, SampleDescription
 from gonio.errors import ConfigError, DeviceError
 from gonio.plan import Assessed, Plan, schedule
+from gonio.rig.description import RigDescription, SampleDescription
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -250,7 +250,7 @@ def _check_patches(rig: RigChoice, sample: SampleDescription | None) -> None:
 
 def _check_frame(rig: RigChoice, steps: list[Step]) -> None:
     """The frame must hold the measured patch of sample and reference whole, in every pose that they are looked at."""
-    from gonio import imaging, kinematics
+    from gonio.rig import imaging, kinematics
 
     description = rig.description
     reference, patch, camera = description.reference, description.acquisition.roi_radius_mm, description.camera

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.geometry import direction, solid_angle_of_cone
-from gonio.kinematics import Directions
+from gonio.rig.kinematics import Directions
 
 Array = npt.NDArray[np.float64]
 Places = npt.NDArray[np.intp]

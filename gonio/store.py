@@ -17,11 +17,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from gonio.description import Band
 from gonio.disk import sync_folder, write_whole
 from gonio.errors import DataError
-from gonio.frames import read_record, write_dng
 from gonio.rig import Frame, Step
+from gonio.rig.description import Band
+from gonio.rig.frames import read_record, write_dng
 
 WAITING = 8
 """How many frames may wait for the disk before the camera has to."""

@@ -14,7 +14,7 @@ from gonio.errors import DataError
 if TYPE_CHECKING:
     import pandas as pd
 
-    from gonio.kinematics import Directions
+    from gonio.rig.kinematics import Directions
 
 Array = npt.NDArray[np.float64]
 

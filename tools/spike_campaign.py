@@ -24,8 +24,8 @@ import numpy as np
 
 from gonio import instrument, models, radiometry
 from gonio.config import parse
-from gonio.description import RigDescription, SampleDescription
 from gonio.plan import ANGLES, Plan, Point
+from gonio.rig.description import RigDescription, SampleDescription
 from gonio.run import Run
 from gonio.session import RigChoice, carry_out
 

@@ -18,9 +18,9 @@ from dataclasses import dataclass, field, fields
 from types import TracebackType
 from typing import NoReturn, Self
 
-from gonio.description import RigDescription
 from gonio.errors import ConfigError, DeviceError, Disturbed
 from gonio.rig import Pose, Target
+from gonio.rig.description import RigDescription
 from gonio_drivers import joints, settings, watchdog
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.joints import Joint, Report

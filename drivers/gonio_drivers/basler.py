@@ -12,9 +12,9 @@ from typing import Any, Self
 import numpy as np
 
 from gonio.config import Strict, parse
-from gonio.description import Positive, RigDescription
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Frame
+from gonio.rig.description import Positive, RigDescription
 
 AUTOMATIC = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto")
 EXPOSURES = ("ExposureTime", "ExposureTimeAbs")

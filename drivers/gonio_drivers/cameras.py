@@ -12,9 +12,9 @@ from typing import Any, Protocol, Self, TypeVar
 
 from gonio import plugins
 from gonio.config import Strict, parse
-from gonio.description import RigDescription
 from gonio.errors import ConfigError
 from gonio.rig import Frame
+from gonio.rig.description import RigDescription
 from gonio_drivers import settings
 
 SOURCE = "[devices.camera]"

@@ -10,8 +10,8 @@ from pydantic import ValidationInfo, field_validator, model_validator
 
 from gonio import config
 from gonio.config import Strict
-from gonio.description import NonNegative, Positive
 from gonio.errors import ConfigError
+from gonio.rig.description import NonNegative, Positive
 
 DIALECTS = ("scpi", "mightex", "arduino")
 FILLS = {"set": ("value", "channel"), "select": ("wavelength_nm", "channel")}

@@ -23,10 +23,10 @@ from typing import Self
 
 import serial
 
-from gonio.description import RigDescription
 from gonio.errors import ConfigError, DataError, DeviceError
-from gonio.frames import read_raw
 from gonio.rig import Frame
+from gonio.rig.description import RigDescription
+from gonio.rig.frames import read_raw
 from gonio_drivers import ports, settings
 
 log = logging.getLogger("gonio.devices")

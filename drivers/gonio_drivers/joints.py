@@ -10,8 +10,8 @@ import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from gonio.description import Axis, RigDescription
 from gonio.errors import ConfigError, DeviceError
+from gonio.rig.description import Axis, RigDescription
 from gonio_drivers import dynamixel, settings, watchdog
 from gonio_drivers.dynamixel import Bus, Item
 

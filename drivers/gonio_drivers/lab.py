@@ -18,9 +18,9 @@ from types import FrameType, TracebackType
 from typing import Any, Self
 
 from gonio.config import Strict, parse
-from gonio.description import RigDescription, SampleDescription
 from gonio.errors import DeviceError, GonioError, Interrupted
 from gonio.rig import Frame, Step, Target, ask_for
+from gonio.rig.description import RigDescription, SampleDescription
 from gonio_drivers import cameras, diagnosis
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.light import LampReset, SerialLight

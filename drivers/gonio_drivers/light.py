@@ -16,8 +16,8 @@ from typing import Self
 
 import serial
 
-from gonio.description import Band, RigDescription
 from gonio.errors import ConfigError, DeviceError
+from gonio.rig.description import Band, RigDescription
 from gonio_drivers import ports, settings
 from gonio_drivers.dialect import dialect
 from gonio_drivers.guard import Guard

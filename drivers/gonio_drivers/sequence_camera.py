@@ -10,10 +10,10 @@ from typing import Self
 
 import numpy as np
 
-from gonio.description import RigDescription
 from gonio.errors import ConfigError, DataError, DeviceError
-from gonio.frames import read_raw
 from gonio.rig import Frame
+from gonio.rig.description import RigDescription
+from gonio.rig.frames import read_raw
 from gonio_drivers import settings
 
 RAW = (".dng", ".cr2", ".nef", ".arw")

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from gonio.config import Strict
-from gonio.description import NonNegative, Positive, RigDescription
 from gonio.errors import ConfigError
+from gonio.rig.description import NonNegative, Positive, RigDescription
 
 AxisName = Literal["light", "camera", "tilt", "spin", "azimuth"]
 

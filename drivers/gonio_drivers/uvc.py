@@ -16,9 +16,9 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from gonio.description import RigDescription
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Frame
+from gonio.rig.description import RigDescription
 from gonio_drivers import settings
 
 EXPOSURE_UNIT_S = 1e-4

@@ -18,9 +18,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import fields
 
-from gonio.description import Axis
 from gonio.errors import ConfigError
 from gonio.rig import Pose
+from gonio.rig.description import Axis
 from gonio_sim.world import SETTLE_S, Stream, World
 
 AXES = tuple(field.name for field in fields(Pose))

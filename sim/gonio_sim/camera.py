@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio.description import Band, Camera
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Frame
+from gonio.rig.description import Band, Camera
 from gonio_sim.world import Stream, World
 
 if TYPE_CHECKING:

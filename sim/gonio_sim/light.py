@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from gonio.description import Band
 from gonio.errors import ConfigError
+from gonio.rig.description import Band
 from gonio_sim.world import World
 
 

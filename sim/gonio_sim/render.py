@@ -21,11 +21,11 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio import geometry
-from gonio.description import Band, SampleDescription
 from gonio.errors import ConfigError
-from gonio.imaging import PixelMap, of_channel, pixel_map
-from gonio.kinematics import View, directions, view
 from gonio.rig import Pose, Target
+from gonio.rig.description import Band, SampleDescription
+from gonio.rig.imaging import PixelMap, of_channel, pixel_map
+from gonio.rig.kinematics import View, directions, view
 from gonio_sim.world import World
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from importlib.resources import files
 from types import TracebackType
 from typing import Self
 
-from gonio.description import RigDescription, SampleDescription
 from gonio.rig import Step, Target, ask_for
+from gonio.rig.description import RigDescription, SampleDescription
 from gonio_sim.arms import SimulatedArms
 from gonio_sim.camera import SimulatedCamera
 from gonio_sim.light import SimulatedLight

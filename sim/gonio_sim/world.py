@@ -12,9 +12,9 @@ from enum import IntEnum
 
 import numpy as np
 
-from gonio.description import Band, RigDescription, SampleDescription
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose, Target
+from gonio.rig.description import Band, RigDescription, SampleDescription
 
 FRAMES_S = 10.0
 """What a step is given for its frames, beyond the longest move [s]."""

@@ -19,8 +19,7 @@ from gonio import measurement
 from gonio.errors import ConfigError, DataError
 from gonio.formats.base import table
 from gonio.models import build
-
-from .synthetic import dense, measure
+from tests.analysis.synthetic import dense, measure
 
 GLOSS = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30})
 SAMPLE = 'name = "gloss"\nmodel = "phong"\n[parameters]\nk_d = 0.3\nk_s = 0.5\nexponent = 30\n'

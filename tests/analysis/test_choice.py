@@ -16,8 +16,7 @@ from gonio_analysis.regions import blocks, incidences
 
 from gonio.errors import ConfigError, DataError
 from gonio.models import Lambert, OrenNayar, Phong, Sum, build
-
-from .synthetic import measure
+from tests.analysis.synthetic import measure
 
 MATTE = Lambert(0.5)
 PAINT = build("cook-torrance", {"s": 0.1, "d": 0.9, "slopes": ((0.25, 1.0),), "diffuse_albedo": 0.4, "ior": 1.5})

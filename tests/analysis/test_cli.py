@@ -13,8 +13,7 @@ from gonio_analysis import cli
 from gonio import measurement
 from gonio.errors import ConfigError
 from gonio.models import build
-
-from .synthetic import measure
+from tests.analysis.synthetic import measure
 
 
 @pytest.fixture

@@ -11,8 +11,7 @@ from gonio_analysis.observations import LOBE_TOLERANCE, observations
 from gonio_analysis.search import STEP, _one_sided, derivatives, pose
 
 from gonio.models import build
-
-from .synthetic import measure
+from tests.analysis.synthetic import measure
 
 METAL = build("he-torrance", {"sigma0_um": 0.28, "tau_um": 1.77, "ior": 0.77 + 6.08j})
 CONE_SR = math.pi / 1024  # the solid angles of the 1991 paper

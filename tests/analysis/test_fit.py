@@ -13,8 +13,7 @@ from gonio_analysis.search import derivatives, pose
 
 from gonio.errors import ConfigError, DataError
 from gonio.models import build
-
-from .synthetic import measure
+from tests.analysis.synthetic import measure
 
 MATTE = build("lambert", {"albedo": 0.5})
 PAINT = build("cook-torrance", {"s": 0.1, "d": 0.9, "slopes": ((0.25, 1.0),), "diffuse_albedo": 0.4, "ior": 1.5})

@@ -11,8 +11,7 @@ from gonio_analysis.profile import profiles
 
 from gonio.errors import ConfigError
 from gonio.models import build
-
-from .synthetic import measure
+from tests.analysis.synthetic import measure
 
 WAVES = {450.0: 0.10, 550.0: 0.20, 650.0: 0.30}
 SURFACE = {"sigma0_um": 0.28, "tau_um": 1.77, "ior": 0.77 + 6.08j}

@@ -24,8 +24,7 @@ from gonio_analysis.report.figures import Drawing
 
 from gonio import measurement
 from gonio.models import build
-
-from .synthetic import measure
+from tests.analysis.synthetic import measure
 
 LIMIT = 5_000_000
 """Bytes of a page."""

@@ -13,8 +13,7 @@ from gonio_analysis.profile import Interval
 from matplotlib.figure import Figure
 
 from gonio.models import build
-
-from .test_change import hemisphere
+from tests.analysis.test_change import hemisphere
 
 GLOSS = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30})
 

@@ -20,8 +20,7 @@ from gonio_analysis.report.summary import summarise
 
 from gonio.errors import ConfigError, DataError
 from gonio.models import CookTorrance, Lambert, build
-
-from .synthetic import measure
+from tests.analysis.synthetic import measure
 
 
 def test_a_fit_goes_to_another_process_and_back() -> None:

@@ -9,8 +9,7 @@ from gonio_analysis.observations import observations
 from gonio_analysis.planes import MOST_CURVES, curves, norm, selection
 
 from gonio.models import build
-
-from .synthetic import measure
+from tests.analysis.synthetic import measure
 
 GLOSS = build("phong", {"k_d": 0.2, "k_s": 0.8, "exponent": 30})
 

@@ -10,8 +10,7 @@ from gonio_analysis.fit import fit
 from gonio_analysis.profile import profiles
 
 from gonio.models import build
-
-from .synthetic import measure
+from tests.analysis.synthetic import measure
 
 MATTE = build("lambert", {"albedo": 0.5})
 GLOSS = build("phong", {"k_d": 0.3, "k_s": 0.2, "exponent": 20})

@@ -23,8 +23,7 @@ from gonio_analysis.report.text import difference, number, with_u
 from gonio import measurement
 from gonio.errors import ConfigError, DataError
 from gonio.models import build
-
-from .synthetic import measure
+from tests.analysis.synthetic import measure
 
 GLOSS = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30})
 

@@ -12,9 +12,8 @@ from gonio_analysis.report import change, make
 
 from gonio import measurement
 from gonio.models import build
-
-from ..browser import CHROMIUM, Page, browser
-from .synthetic import measure
+from tests.analysis.synthetic import measure
+from tests.browser import CHROMIUM, Page, browser
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: the report is not rendered")
 

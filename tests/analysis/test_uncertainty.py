@@ -7,8 +7,7 @@ import pytest
 from gonio_analysis.uncertainty import Covariance, independent
 
 from gonio.errors import ArgumentError
-
-from .synthetic import dense
+from tests.analysis.synthetic import dense
 
 
 def some(seed: int, size: int = 30, causes: int = 3, strength: float = 1.0) -> Covariance:

@@ -11,7 +11,9 @@ from typing import Self
 
 import numpy as np
 
-from gonio.description import (
+from gonio.errors import DeviceError
+from gonio.rig import Frame, Pose, Step, Target
+from gonio.rig.description import (
     Acquisition,
     Arms,
     Band,
@@ -22,8 +24,6 @@ from gonio.description import (
     RigDescription,
     SampleDescription,
 )
-from gonio.errors import DeviceError
-from gonio.rig import Frame, Pose, Step, Target
 
 BANDS = (Band(name="green, 550", centre_nm=550, fwhm_nm=20), Band(name="red 650", centre_nm=650, fwhm_nm=20))
 

@@ -16,15 +16,14 @@ import pytest
 from gonio import radiometry
 from gonio.acquire import Live, Silent
 from gonio.config import to_toml
-from gonio.description import Holder, Reference, RigDescription
 from gonio.errors import ConfigError, DataError, DeviceError, GonioError, Interrupted
-from gonio.frames import read_raw
 from gonio.plan import Plan, load_plan
 from gonio.rig import Frame
+from gonio.rig.description import Holder, Reference, RigDescription
+from gonio.rig.frames import read_raw
 from gonio.run import Run
 from gonio.session import RigChoice, carry_out, check
-
-from .bench import PLAN, SAMPLE, Bench, Plugin, describe
+from tests.core.bench import PLAN, SAMPLE, Bench, Plugin, describe
 
 Measure = Callable[..., Run]
 

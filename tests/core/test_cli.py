@@ -13,8 +13,7 @@ import pytest
 
 from gonio import plugins
 from gonio.cli import application
-
-from .bench import PLAN
+from tests.core.bench import PLAN
 
 
 def gonio(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from gonio.config import load, parse, read_toml
-from gonio.description import Bands, RigDescription
 from gonio.errors import ConfigError
+from gonio.rig.description import Bands, RigDescription
 
 RIG: dict[str, Any] = {
     "rig": "sim",

@@ -12,8 +12,7 @@ import pytest
 
 from gonio.measurement import read
 from gonio.run import Run
-
-from .test_cli import gonio, installed
+from tests.core.test_cli import gonio, installed
 
 GUIDE = Path(__file__).parents[2] / "docs" / "writing_a_driver.md"
 PLAN = """name = "tiny"
@@ -136,11 +135,10 @@ def test_a_rig_that_does_not_stamp_its_frames_is_told_how_to(tmp_path: Path, str
 
 def test_the_picture_lies_as_the_guide_says() -> None:
     """Marks on the sample's +x and +y side, as the shared geometry sees them with the camera at 0 and 40 degrees."""
-    from gonio.imaging import pixel_map
-    from gonio.kinematics import view
     from gonio.rig import Pose
-
-    from .bench import describe
+    from gonio.rig.imaging import pixel_map
+    from gonio.rig.kinematics import view
+    from tests.core.bench import describe
 
     for camera in (0.0, 40.0):
         description = describe()

@@ -10,11 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gonio import exposure
-from gonio.description import Camera, RigDescription
 from gonio.errors import DeviceError
 from gonio.rig import Frame, Pose
-
-from .bench import describe
+from gonio.rig.description import Camera, RigDescription
+from tests.core.bench import describe
 
 RIG = describe()
 TARGET = RIG.acquisition.exposure_target

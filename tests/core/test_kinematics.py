@@ -10,12 +10,11 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from gonio import geometry
-from gonio.description import ArmAxis, Arms, Geometry, Holder
 from gonio.errors import ConfigError
-from gonio.kinematics import Directions, Unreachable, blocked_cone, directions, reach, separation, view
 from gonio.rig import Pose
-
-from .bench import describe
+from gonio.rig.description import ArmAxis, Arms, Geometry, Holder
+from gonio.rig.kinematics import Directions, Unreachable, blocked_cone, directions, reach, separation, view
+from tests.core.bench import describe
 
 DEG = math.pi / 180
 ROUND_TRIP = 5e-12 * DEG

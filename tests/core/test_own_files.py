@@ -19,8 +19,7 @@ from gonio.errors import ConfigError, GonioError
 from gonio.plan import load_plan
 from gonio.run import Run
 from gonio.session import RigChoice, carry_out
-
-from .bench import PLAN, SAMPLE, Plugin, describe
+from tests.core.bench import PLAN, SAMPLE, Plugin, describe
 
 Measure = Callable[..., Run]
 LONG = "x" * 300

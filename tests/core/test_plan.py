@@ -8,11 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gonio.description import Geometry, Holder, Reference
 from gonio.errors import ConfigError
 from gonio.plan import ANGLES, Range, assess, estimate_s, load_plan, schedule
-
-from .bench import PLAN, describe
+from gonio.rig.description import Geometry, Holder, Reference
+from tests.core.bench import PLAN, describe
 
 HEAD = 'name = "p"\nwavelength_nm = [550]\n'
 

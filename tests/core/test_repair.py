@@ -14,15 +14,14 @@ import pytest
 
 from gonio import radiometry, repair
 from gonio.acquire import Silent
-from gonio.description import Reference
 from gonio.errors import ConfigError, DataError
-from gonio.frames import read_raw, read_record
 from gonio.plan import Plan, load_plan
+from gonio.rig.description import Reference
+from gonio.rig.frames import read_raw, read_record
 from gonio.run import Run
 from gonio.session import RigChoice, carry_out
 from gonio.store import record_of
-
-from .bench import PLAN, SAMPLE, Bench, Plugin, describe
+from tests.core.bench import PLAN, SAMPLE, Bench, Plugin, describe
 
 Measure = Callable[..., Run]
 

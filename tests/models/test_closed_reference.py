@@ -15,8 +15,7 @@ import pytest
 
 from gonio.models import Blinn, CookTorrance, OrenNayar, fresnel
 from gonio.models.blinn import coefficient
-
-from .reference import cases
+from tests.models.reference import cases
 
 EPS = float(np.finfo(float).eps)
 

@@ -21,8 +21,7 @@ from gonio.models.cook_torrance import unblocked_fraction
 from gonio.models.plain import blinn, cook_torrance, he_torrance, he_torrance_appendix_a, oren_nayar
 from gonio.models.plain import fresnel as plain_fresnel
 from gonio.models.plain.vectors import direction, dot, polar
-
-from .reference import cases
+from tests.models.reference import cases
 
 EPS = float(np.finfo(float).eps)
 PI = math.pi

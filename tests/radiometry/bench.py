@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from gonio.description import Acquisition, Arms, Band, Bands, Camera, Lamp, Reference, RigDescription
-from gonio.frames import write_dng
-from gonio.kinematics import Directions, directions, reach
 from gonio.rig import Frame, Pose
+from gonio.rig.description import Acquisition, Arms, Band, Bands, Camera, Lamp, Reference, RigDescription
+from gonio.rig.frames import write_dng
+from gonio.rig.kinematics import Directions, directions, reach
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 BAND = Band(name="550 nm", centre_nm=550.0, fwhm_nm=10.0)

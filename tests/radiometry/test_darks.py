@@ -9,7 +9,7 @@ import pytest
 
 from gonio import darks
 from gonio.darks import COLUMNS, PATTERNS, Patterns, strongest
-from gonio.imaging import Roi
+from gonio.rig.imaging import Roi
 
 
 def ellipse(width: float, height: float) -> Roi:

@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from gonio.description import Acquisition, Band, Bands, Camera, Geometry, Lamp, Reference, RigDescription
 from gonio.errors import ConfigError
-from gonio.imaging import always_holds_sample, frame_holds, of_channel, patch_extent, pixel_map, roi
-from gonio.kinematics import View, view
 from gonio.rig import Pose
+from gonio.rig.description import Acquisition, Band, Bands, Camera, Geometry, Lamp, Reference, RigDescription
+from gonio.rig.imaging import always_holds_sample, frame_holds, of_channel, patch_extent, pixel_map, roi
+from gonio.rig.kinematics import View, view
 
 BANDS = Bands(list=(Band(name="550 nm", centre_nm=550, fwhm_nm=10),))
 POSES = [

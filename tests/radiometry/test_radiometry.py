@@ -12,11 +12,11 @@ import pandas as pd
 import pytest
 
 from gonio import geometry, measurement, radiometry, rates
-from gonio.description import ArmAxis, Arms, Band, Lamp
 from gonio.errors import DataError
-from gonio.frames import read_raw
-from gonio.kinematics import Directions
 from gonio.rig import Frame, Pose
+from gonio.rig.description import ArmAxis, Arms, Band, Lamp
+from gonio.rig.frames import read_raw
+from gonio.rig.kinematics import Directions
 from tests.radiometry.bench import MadeRun, Maker, describe, in_plane
 
 POINTS = [in_plane(i, r) for i in (10.0, 45.0, 70.0) for r in (-60.0, -30.0, 0.0, 25.0, 50.0, 80.0)]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gonio.geometry import angles, direction
-from gonio.kinematics import Directions
+from gonio.rig.kinematics import Directions
 from gonio.sensitivity import Curves
 from gonio.spikes import Share, blurred_overlap, from_mirror, mirror_offset, over_patch, overlap
 

@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 
 from gonio import radiometry
-from gonio.description import SampleDescription
-from gonio.kinematics import Directions
 from gonio.plan import Plan, Point
+from gonio.rig.description import SampleDescription
+from gonio.rig.kinematics import Directions
 from gonio.run import Run
 from gonio.sensitivity import Curves
 from gonio.session import carry_out

@@ -10,7 +10,7 @@ import pytest
 
 from gonio import white_reference
 from gonio.errors import DataError
-from gonio.kinematics import Directions
+from gonio.rig.kinematics import Directions
 
 RNG = np.random.default_rng(7)
 

@@ -8,8 +8,8 @@ import pytest
 from gonio_sim.rig import SIM, SIM_IDEAL, SimulatedRig
 
 from gonio.config import parse
-from gonio.description import RigDescription, SampleDescription
 from gonio.rig import Pose, Step
+from gonio.rig.description import RigDescription, SampleDescription
 
 
 def describe(base: str = "sim", **changes: dict[str, Any]) -> RigDescription:

@@ -14,9 +14,9 @@ from gonio_sim.world import World, slot_s
 from scipy import stats
 
 from gonio import plugins
-from gonio.description import Band, SampleDescription
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose, RigPlugin
+from gonio.rig.description import Band, SampleDescription
 from tests.sim.conftest import MATTE, describe, step
 
 Build = Callable[..., SimulatedRig]

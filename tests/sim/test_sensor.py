@@ -18,8 +18,8 @@ from gonio_sim.camera import Sensor
 from gonio_sim.world import Stream, World
 from scipy import stats
 
-from gonio.description import Camera
 from gonio.errors import ConfigError
+from gonio.rig.description import Camera
 from tests.sim.conftest import describe
 
 SIGMAS = 5.0

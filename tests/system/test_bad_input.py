@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from .conftest import LAMBERT, PLAN, Command
+from tests.system.conftest import LAMBERT, PLAN, Command
 
 USAGE, DATA = 2, 1
 

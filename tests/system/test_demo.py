@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from .conftest import HANGS_S, Command, command_line, environment
+from tests.system.conftest import HANGS_S, Command, command_line, environment
 
 
 @pytest.fixture(scope="module")

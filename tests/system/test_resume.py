@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from gonio.measurement import read
-
-from .conftest import HANGS_S, Command, environment
+from tests.system.conftest import HANGS_S, Command, environment
 
 MEASURE = ("measure", "plan.toml", "--rig", "sim", "--sample", "sample.toml", "--seed", "5")
 

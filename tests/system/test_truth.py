@@ -11,8 +11,7 @@ import pandas as pd
 import pytest
 
 from gonio.measurement import read
-
-from .conftest import LAMBERT, Command
+from tests.system.conftest import LAMBERT, Command
 
 LAMBERT_PLAN = """name = "matte, in plane and out of it"
 wavelength_nm = [550]

@@ -23,9 +23,9 @@ from gonio_sim.wire.bus import ServoBus
 from gonio_sim.wire.peer import SerialPeer, scaled_clock
 from gonio_sim.wire.servo import Mechanics, Refused, Servo
 
-from gonio.description import Acquisition, ArmAxis, Arms, Band, Bands, Holder, Reference, RigDescription
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose
+from gonio.rig.description import Acquisition, ArmAxis, Arms, Band, Bands, Holder, Reference, RigDescription
 from tests.wire.conftest import BAUD, Line, be_patient, deaf_to
 
 TOLERANCE_DEG = 0.15

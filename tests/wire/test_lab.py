@@ -29,10 +29,10 @@ from gonio.acquire import Silent
 from gonio.cli import rigs
 from gonio.cli.rigs import checks
 from gonio.config import parse, to_toml
-from gonio.description import RigDescription, SampleDescription
 from gonio.errors import ConfigError, DeviceError, Interrupted
 from gonio.plan import load_plan
 from gonio.rig import Pose, Step
+from gonio.rig.description import RigDescription, SampleDescription
 from gonio.run import Run
 from gonio.session import RigChoice, carry_out, find_rig
 from tests.wire.conftest import be_patient

@@ -21,8 +21,8 @@ from gonio_sim.wire import lamps
 from gonio_sim.wire.faults import Faults
 from gonio_sim.wire.peer import SerialPeer
 
-from gonio.description import Band, Bands, Lamp, RigDescription
 from gonio.errors import ConfigError, DeviceError
+from gonio.rig.description import Band, Bands, Lamp, RigDescription
 
 BANDS = (Band(name="blue", centre_nm=460, fwhm_nm=20), Band(name="red", centre_nm=630, fwhm_nm=20))
 DESCRIPTION = RigDescription(rig="lab", name="bench", bands=Bands(list=BANDS), lamp=Lamp())

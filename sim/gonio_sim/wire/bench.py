@@ -18,10 +18,10 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from gonio.description import RigDescription, SampleDescription
 from gonio.errors import ConfigError
-from gonio.frames import encode_dng
 from gonio.rig import Frame, Pose, Target
+from gonio.rig.description import RigDescription, SampleDescription
+from gonio.rig.frames import encode_dng
 from gonio_sim.camera import SimulatedCamera
 from gonio_sim.render import Renderer
 from gonio_sim.wire import faults as fault_names

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from gonio.description import Band
+from gonio.rig.description import Band
 from gonio_sim.wire.faults import LAMP, Faults
 
 Send = Callable[[bytes], None]

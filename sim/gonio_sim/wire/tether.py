@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gonio.errors import ConfigError
-from gonio.frames import write_dng
 from gonio.rig import Frame
+from gonio.rig.frames import write_dng
 from gonio_sim.wire.faults import CAMERA, FILE_LATE_S, Faults
 
 Send = Callable[[bytes], None]

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gonio.description import RigDescription
 from gonio.errors import ConfigError
-from gonio.rig import Pose
+from gonio.rig.description import RigDescription
+from gonio.rig.rig import Pose
 
 Array = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]

@@ -16,8 +16,8 @@ from typing import Literal, Protocol, Self
 import numpy as np
 import numpy.typing as npt
 
-from gonio.description import Band, RigDescription, SampleDescription
 from gonio.errors import DeviceError
+from gonio.rig.description import Band, RigDescription, SampleDescription
 
 Target = Literal["sample", "reference"]
 PROMPTS: dict[Target, str] = {
@@ -61,7 +61,7 @@ class Pose:
 class Frame:
     """One raw frame: the linear mosaic as the sensor gave it.
 
-    Row 0 is the top of `gonio.kinematics.View`: rows grow along the arms' axis y. Levels are in DN; `pattern` is "mono"
+    Row 0 is the top of `gonio.rig.kinematics.View`: rows grow along the arms' axis y. Levels are in DN; `pattern` is "mono"
     or a Bayer pattern in raster order.
     """
 

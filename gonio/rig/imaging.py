@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import numpy.typing as npt
 
-from gonio.description import Camera, RigDescription
 from gonio.errors import ConfigError
-from gonio.rig import Target
+from gonio.rig.description import Camera, RigDescription
+from gonio.rig.rig import Target
 
 if TYPE_CHECKING:
-    from gonio.kinematics import View
+    from gonio.rig.kinematics import View
 
 Array = npt.NDArray[np.float64]
 Channel = Literal["mono", "R", "G", "B"]
@@ -59,7 +59,7 @@ class PixelMap:
 
     @cached_property
     def _spots(self) -> tuple[Array, Array, Array, Array]:
-        from gonio._pixels import spots
+        from gonio.rig._pixels import spots
 
         out = np.empty((4, self._by_row.shape[0], self._by_col.shape[1]))
         spots(self._by_row, self._by_col, self._camera, self._source, self._distance_mm, *out)

@@ -1,0 +1,29 @@
+"""What a goniometer is: its description, the protocols of its devices, its geometry and its raw frames."""
+
+from gonio.rig.rig import (
+    PROMPTS,
+    ArmsDevice,
+    CameraDevice,
+    Frame,
+    LightDevice,
+    Pose,
+    Rig,
+    RigPlugin,
+    Step,
+    Target,
+    ask_for,
+)
+
+__all__ = [
+    "PROMPTS",
+    "ArmsDevice",
+    "CameraDevice",
+    "Frame",
+    "LightDevice",
+    "Pose",
+    "Rig",
+    "RigPlugin",
+    "Step",
+    "Target",
+    "ask_for",
+]
