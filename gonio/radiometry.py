@@ -19,9 +19,9 @@ import numpy.typing as npt
 
 import gonio
 from gonio import geometry, sensitivity, spikes, white_reference
+from gonio.acquisition.plan import ANGLES
 from gonio.darks import COLUMNS, PATTERNS, strongest
 from gonio.errors import ConfigError, DataError
-from gonio.plan import ANGLES
 from gonio.rates import RETAKE, Bench, Merged, in_threads
 from gonio.rig import Pose, imaging, kinematics
 from gonio.rig.description import Axis, Band, RigDescription
@@ -30,7 +30,7 @@ from gonio.rig.kinematics import Directions
 if TYPE_CHECKING:
     import pandas as pd
 
-    from gonio.run import Run
+    from gonio.acquisition.run import Run
 
 Array = npt.NDArray[np.float64]
 

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from gonio.acquisition.exposure import full_scale_dn
 from gonio.darks import FEW, PATTERNS, Darks, Patterns
 from gonio.errors import DamagedFrame, DataError
-from gonio.exposure import full_scale_dn
 from gonio.rig import Frame, Pose, Target, kinematics
 from gonio.rig.description import Band, Camera, RigDescription
 from gonio.rig.frames import read_raw
@@ -25,7 +25,7 @@ from gonio.rig.imaging import Channel, Roi, pixel_map, roi
 from gonio.rig.kinematics import Directions
 
 if TYPE_CHECKING:
-    from gonio.run import Run
+    from gonio.acquisition.run import Run
 
 Array = npt.NDArray[np.float64]
 In = TypeVar("In")

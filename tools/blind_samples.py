@@ -101,9 +101,9 @@ def measured(folder: Path, seed: int) -> Path:
     if table.exists():
         return table
     from gonio import measurement, radiometry
+    from gonio.acquisition.plan import load_plan
+    from gonio.acquisition.session import carry_out, find_rig, load_sample
     from gonio.config import to_toml
-    from gonio.plan import load_plan
-    from gonio.session import carry_out, find_rig, load_sample
 
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)

@@ -23,11 +23,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio import instrument, models, radiometry
+from gonio.acquisition.plan import ANGLES, Plan, Point
+from gonio.acquisition.run import Run
+from gonio.acquisition.session import RigChoice, carry_out
 from gonio.config import parse
-from gonio.plan import ANGLES, Plan, Point
 from gonio.rig.description import RigDescription, SampleDescription
-from gonio.run import Run
-from gonio.session import RigChoice, carry_out
 
 if TYPE_CHECKING:
     import pandas as pd

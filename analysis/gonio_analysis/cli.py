@@ -273,8 +273,8 @@ def _report(
     wavelength_nm: float | None,
     dask: str | None = None,
 ) -> Path:
+    from gonio.acquisition.run import command_line
     from gonio.cli import console
-    from gonio.run import command_line
     from gonio_analysis.compare import check_models
     from gonio_analysis.report import make
 
@@ -293,9 +293,9 @@ def _report(
 
 
 def _change(specs: list[str], out: Path, wavelength_nm: float | None, unused: list[str]) -> Path:
+    from gonio.acquisition.run import command_line
     from gonio.cli import console
     from gonio.errors import ConfigError
-    from gonio.run import command_line
     from gonio_analysis.report import change
 
     if len(specs) != 2:

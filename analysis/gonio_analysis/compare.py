@@ -250,7 +250,7 @@ def run_facts(path: Path) -> dict[str, Any] | None:
         return None
     if not (folder / "run.toml").is_file():
         return None
-    from gonio.run import Run
+    from gonio.acquisition.run import Run
 
     run = Run.open(folder)
     settings = run.settings

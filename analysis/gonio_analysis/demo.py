@@ -64,11 +64,11 @@ def run_demo(out: Path, *, quick: bool) -> Path:
         The folder holds something else, or cannot be written.
     """
     from gonio import measurement, radiometry
+    from gonio.acquisition.plan import load_plan
+    from gonio.acquisition.run import check_writable
+    from gonio.acquisition.session import carry_out, find_rig, load_sample
     from gonio.cli import console
     from gonio.disk import write_own
-    from gonio.plan import load_plan
-    from gonio.run import check_writable
-    from gonio.session import carry_out, find_rig, load_sample
     from gonio_analysis.fit import fit
     from gonio_analysis.report import make
     from gonio_analysis.report.text import with_u
@@ -117,8 +117,8 @@ def run_demo(out: Path, *, quick: bool) -> Path:
 
 def _clear(out: Path) -> None:
     """Take an earlier demo away; refuse anything else."""
+    from gonio.acquisition.run import own_files
     from gonio.disk import remove_own, require_name, strangers
-    from gonio.run import own_files
 
     require_name(out)
     if os.path.lexists(out) and not out.is_dir():

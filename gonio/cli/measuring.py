@@ -25,10 +25,10 @@ def measure(
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask for no confirmation.")] = False,
 ) -> None:
     """Measure a plan on a rig: raw frames and a journal in a folder. Ctrl-C finishes the step and parks."""
+    from gonio.acquisition.plan import load_plan
+    from gonio.acquisition.run import command_line
+    from gonio.acquisition.session import carry_out, check, find_rig, load_sample
     from gonio.cli import console, plans
-    from gonio.plan import load_plan
-    from gonio.run import command_line
-    from gonio.session import carry_out, check, find_rig, load_sample
 
     asked, chosen = load_plan(plan), find_rig(rig)
     described = load_sample(sample) if sample is not None else None
@@ -63,9 +63,9 @@ def reduce(
 ) -> None:
     """Reduce a run's frames to BRDF with uncertainty: RUN/brdf.csv."""
     from gonio import radiometry
+    from gonio.acquisition.run import Run
     from gonio.cli import console
     from gonio.radiometry import DAMAGED
-    from gonio.run import Run
 
     opened = Run.open(run)
     opened.check_table()

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from gonio.plan import Assessed, Plan, Point
-    from gonio.session import RigChoice
+    from gonio.acquisition.plan import Assessed, Plan, Point
+    from gonio.acquisition.session import RigChoice
 
 app = typer.Typer(help="Look at plans.", no_args_is_help=True)
 
@@ -29,16 +29,16 @@ def show(
     ] = None,
 ) -> None:
     """Show the points of a plan. With a rig also what it cannot reach and why, and how long it takes."""
-    from gonio.plan import load_plan
-    from gonio.session import find_rig
+    from gonio.acquisition.plan import load_plan
+    from gonio.acquisition.session import find_rig
 
     describe(load_plan(plan), find_rig(rig) if rig is not None else None)
 
 
 def describe(plan: Plan, rig: RigChoice | None) -> None:
     """Print a plan, as a rig sees it if there is one."""
+    from gonio.acquisition.plan import Assessed, assess, estimate_s
     from gonio.cli import console
-    from gonio.plan import Assessed, assess, estimate_s
 
     points = [Assessed(p, None) for p in plan.points] if rig is None else assess(plan, rig.description)
     by_incidence: dict[float, list[Assessed]] = {}
@@ -76,7 +76,7 @@ def describe(plan: Plan, rig: RigChoice | None) -> None:
 
 
 def _reasons(points: list[Assessed]) -> list[tuple[tuple[str, str], int]]:
-    from gonio.plan import count_reasons
+    from gonio.acquisition.plan import count_reasons
 
     return count_reasons(points)
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from gonio.acquisition.session import RigChoice
     from gonio.rig import Rig
-    from gonio.session import RigChoice
 
 app = typer.Typer(help="List, show, check and park rigs.", no_args_is_help=True)
 
@@ -44,7 +44,7 @@ def show(
     rig: Annotated[str, typer.Argument(metavar="RIG", help="A rig's name, or a rig file.", show_default=False)],
 ) -> None:
     """Print a rig's file, to copy and to change."""
-    from gonio.session import find_rig
+    from gonio.acquisition.session import find_rig
 
     choice = find_rig(rig)
     path = Path(rig)
@@ -59,9 +59,9 @@ def check(
     """Open a rig, and try every device. Moves each axis a little, takes a dark and a lit frame; exit 3 if any fails."""
     from rich.text import Text
 
+    from gonio.acquisition.session import find_rig
     from gonio.cli import console
     from gonio.errors import DeviceError
-    from gonio.session import find_rig
 
     choice = find_rig(rig)
     with _interruptible():
@@ -82,8 +82,8 @@ def park(
     rig: Annotated[str, typer.Option(help="A rig's name, or a rig file.", show_default=False)],
 ) -> None:
     """Darken the lamp, and drive every axis to its rest position."""
+    from gonio.acquisition.session import find_rig
     from gonio.cli import console
-    from gonio.session import find_rig
 
     choice = find_rig(rig)
     with _interruptible(), choice.naming(), choice.open():
@@ -126,8 +126,8 @@ def checks(choice: RigChoice, *, move: bool = True) -> list[Row]:
 def _check_devices(rig: Rig, rows: list[Row]) -> None:
     import numpy as np
 
-    from gonio import exposure
-    from gonio.plan import reference_pose
+    from gonio.acquisition import exposure
+    from gonio.acquisition.plan import reference_pose
     from gonio.rig import Step
 
     description = rig.description

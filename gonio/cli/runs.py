@@ -18,7 +18,7 @@ Folder = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.", 
 @app.command("check")
 def check_run(run: Folder) -> None:
     """Read every frame from end to end and compare it with the journal; change nothing."""
-    from gonio import repair
+    from gonio.acquisition import repair
     from gonio.cli import console
     from gonio.errors import DataError
 
@@ -36,9 +36,9 @@ def check_run(run: Folder) -> None:
 @app.command("repair")
 def repair_run(run: Folder) -> None:
     """Make a lost or damaged journal again, from what can be read of it and from what the frames carry."""
-    from gonio import repair
+    from gonio.acquisition import repair
+    from gonio.acquisition.run import Run
     from gonio.cli import console
-    from gonio.run import Run
 
     with console.counter("reading") as progress:
         done = repair.repair(run, progress=progress)

@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 
 from gonio import radiometry
-from gonio.acquire import Live, Silent
+from gonio.acquisition.acquire import Live, Silent
+from gonio.acquisition.plan import Plan, load_plan
+from gonio.acquisition.run import Run
+from gonio.acquisition.session import RigChoice, carry_out, check
 from gonio.config import to_toml
 from gonio.errors import ConfigError, DataError, DeviceError, GonioError, Interrupted
-from gonio.plan import Plan, load_plan
 from gonio.rig import Frame
 from gonio.rig.description import Holder, Reference, RigDescription
 from gonio.rig.frames import read_raw
-from gonio.run import Run
-from gonio.session import RigChoice, carry_out, check
 from tests.core.bench import PLAN, SAMPLE, Bench, Plugin, describe
 
 Measure = Callable[..., Run]
@@ -254,7 +254,7 @@ def test_a_laboratory_takes_fresh_darks_and_references(measure: Measure) -> None
 
 def test_a_computer_s_clock_that_jumps_changes_nothing(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:
     years = iter(range(2100, 1900, -1))
-    monkeypatch.setattr("gonio.journal.now", lambda: f"{next(years)}-01-01T00:00:00.000Z")
+    monkeypatch.setattr("gonio.acquisition.journal.now", lambda: f"{next(years)}-01-01T00:00:00.000Z")
     with pytest.raises(Interrupted):
         measure("run", progress=StopAfter(4))
     run = measure("run", resume=True)
@@ -365,7 +365,7 @@ def test_nothing_is_left_of_a_run_that_cannot_be_made(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("gonio.run.sync_folder", full)
+    monkeypatch.setattr("gonio.acquisition.run.sync_folder", full)
     with pytest.raises(ConfigError, match="No space left"):
         measure("deep/er/run")
     assert not (tmp_path / "deep").exists()
@@ -450,7 +450,7 @@ def test_a_patch_counts_in_the_poses_that_are_used(plan: Plan, tmp_path: Path) -
 
 
 def test_a_full_disk_ends_the_run_and_it_can_go_on(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:
-    from gonio import store
+    from gonio.acquisition import store
 
     write, count = store.write_dng, 0
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gonio.acquisition.run import Run
 from gonio.measurement import read
-from gonio.run import Run
 from tests.core.test_cli import gonio, installed
 
 GUIDE = Path(__file__).parents[2] / "docs" / "writing_a_driver.md"

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gonio import exposure
+from gonio.acquisition import exposure
 from gonio.errors import DeviceError
 from gonio.rig import Frame, Pose
 from gonio.rig.description import Camera, RigDescription

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from gonio.acquisition.journal import Journal, decode, encode, read_events
 from gonio.errors import ConfigError, DataError
-from gonio.journal import Journal, decode, encode, read_events
 
 EVENTS = [{"event": "step", "step": k, "pose": {"light": 0.1 * k}, "text": 'crc":"\n'} for k in range(4)]
 
@@ -97,7 +97,7 @@ def test_a_lost_or_repeated_line_is_damage(tmp_path: Path) -> None:
 
 def test_one_writer_at_a_time_across_processes(tmp_path: Path) -> None:
     script = (
-        "import sys, pathlib; from gonio.journal import Journal; from gonio.errors import ConfigError\n"
+        "import sys, pathlib; from gonio.acquisition.journal import Journal; from gonio.errors import ConfigError\n"
         "try: Journal(pathlib.Path(sys.argv[1]))\n"
         "except ConfigError as error: print(error)\n"
     )

@@ -15,10 +15,10 @@ from gonio_analysis.demo import _clear
 from gonio_analysis.report.files import staged
 
 from gonio import disk, measurement
+from gonio.acquisition.plan import load_plan
+from gonio.acquisition.run import Run
+from gonio.acquisition.session import RigChoice, carry_out
 from gonio.errors import ConfigError, GonioError
-from gonio.plan import load_plan
-from gonio.run import Run
-from gonio.session import RigChoice, carry_out
 from tests.core.bench import PLAN, SAMPLE, Plugin, describe
 
 Measure = Callable[..., Run]

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gonio.acquisition.plan import ANGLES, Range, assess, estimate_s, load_plan, schedule
 from gonio.errors import ConfigError
-from gonio.plan import ANGLES, Range, assess, estimate_s, load_plan, schedule
 from gonio.rig.description import Geometry, Holder, Reference
 from tests.core.bench import PLAN, describe
 

@@ -12,15 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gonio import radiometry, repair
-from gonio.acquire import Silent
+from gonio import radiometry
+from gonio.acquisition import repair
+from gonio.acquisition.acquire import Silent
+from gonio.acquisition.plan import Plan, load_plan
+from gonio.acquisition.run import Run
+from gonio.acquisition.session import RigChoice, carry_out
+from gonio.acquisition.store import record_of
 from gonio.errors import ConfigError, DataError
-from gonio.plan import Plan, load_plan
 from gonio.rig.description import Reference
 from gonio.rig.frames import read_raw, read_record
-from gonio.run import Run
-from gonio.session import RigChoice, carry_out
-from gonio.store import record_of
 from tests.core.bench import PLAN, SAMPLE, Bench, Plugin, describe
 
 Measure = Callable[..., Run]
@@ -316,7 +317,7 @@ def test_a_missing_row_of_the_plan_is_named_and_can_be_written_again(measure: Me
 
 
 def test_a_repair_while_somebody_measures_is_refused(measure: Measure) -> None:
-    from gonio.journal import locked
+    from gonio.acquisition.journal import locked
 
     run = measure()
     with locked(run.path / "journal.jsonl"), pytest.raises(ConfigError, match="another process"):

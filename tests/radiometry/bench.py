@@ -46,7 +46,7 @@ def in_plane(theta_i_deg: float, signed_theta_r_deg: float) -> tuple[float, floa
 
 @dataclass
 class MadeRun:
-    """Has what `reduce` reads of a `gonio.run.Run`."""
+    """Has what `reduce` reads of a `gonio.acquisition.run.Run`."""
 
     path: Path
     description: RigDescription

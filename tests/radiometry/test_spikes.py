@@ -10,12 +10,12 @@ import pandas as pd
 import pytest
 
 from gonio import radiometry
-from gonio.plan import Plan, Point
+from gonio.acquisition.plan import Plan, Point
+from gonio.acquisition.run import Run
+from gonio.acquisition.session import carry_out
 from gonio.rig.description import SampleDescription
 from gonio.rig.kinematics import Directions
-from gonio.run import Run
 from gonio.sensitivity import Curves
-from gonio.session import carry_out
 from gonio.spikes import Share, blurred_overlap, from_mirror, mirror_offset, overlap
 from tools.spike_campaign import measured, pulls, rig
 

@@ -25,16 +25,16 @@ from gonio_sim.wire.bench import Bench, plug
 from gonio_sim.wire.servo import Servo
 
 from gonio import radiometry
-from gonio.acquire import Silent
+from gonio.acquisition.acquire import Silent
+from gonio.acquisition.plan import load_plan
+from gonio.acquisition.run import Run
+from gonio.acquisition.session import RigChoice, carry_out, find_rig
 from gonio.cli import rigs
 from gonio.cli.rigs import checks
 from gonio.config import parse, to_toml
 from gonio.errors import ConfigError, DeviceError, Interrupted
-from gonio.plan import load_plan
 from gonio.rig import Pose, Step
 from gonio.rig.description import RigDescription, SampleDescription
-from gonio.run import Run
-from gonio.session import RigChoice, carry_out, find_rig
 from tests.wire.conftest import be_patient
 
 SCALE = 50.0
@@ -248,7 +248,7 @@ def test_ctrl_c_in_a_check_says_what_it_has_done(bench: Bench, monkeypatch: pyte
         raise KeyboardInterrupt
 
     monkeypatch.setattr(rigs, "checks", pressed)
-    monkeypatch.setattr("gonio.session.find_rig", lambda rig: RigChoice(LAB, bench.description, rig))
+    monkeypatch.setattr("gonio.acquisition.session.find_rig", lambda rig: RigChoice(LAB, bench.description, rig))
     with pytest.raises(Interrupted, match="the lamp is dark"):
         rigs.check("twin")
 

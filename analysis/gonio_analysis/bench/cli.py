@@ -21,8 +21,8 @@ def models(
     quick: Annotated[bool, typer.Option("--quick", help="Few pairs: errors are right, times are rough.")] = False,
 ) -> None:
     """Speed against error of every way of evaluating the models. Also the hard cases; prints the report's path last."""
+    from gonio.acquisition.run import command_line
     from gonio.cli import console
-    from gonio.run import command_line
     from gonio_analysis.bench.report import make
 
     print(make(out, quick=quick, command=command_line(), progress=console.note))

@@ -15,9 +15,9 @@ def figures(
     out: Annotated[Path | None, typer.Option(help="Folder of the page.", show_default=False)] = None,
 ) -> None:
     """Make a paper's figure again, and judge the paper's claims. Prints the page's path."""
+    from gonio.acquisition.run import command_line
     from gonio.cli import console
     from gonio.errors import ConfigError
-    from gonio.run import command_line
     from gonio_analysis.figures import FIGURES, check, make
 
     if name == "list":

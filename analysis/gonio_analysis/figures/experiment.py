@@ -77,9 +77,9 @@ def measure(
         Called with a line before the measurement.
     """
     from gonio import measurement, radiometry
+    from gonio.acquisition.plan import load_plan
+    from gonio.acquisition.session import carry_out, find_rig, load_sample
     from gonio.config import to_toml
-    from gonio.plan import load_plan
-    from gonio.session import carry_out, find_rig, load_sample
 
     points = sum(map(len, scans.values()))
     progress(f"{name}: measuring {points} directions on the simulated goniometer")
@@ -144,7 +144,7 @@ def divided(curve: Curve, by: float) -> tuple[Floats, Floats, Floats]:
 def _rig(name: str, wavelength_nm: float, solid_angle_sr: float) -> dict[str, Any]:
     """The tables of the rig "sim", with a lamp and a lens of this solid angle, one band, and a small sensor."""
     from gonio import geometry
-    from gonio.session import find_rig
+    from gonio.acquisition.session import find_rig
 
     half = float(geometry.half_angle_of_cone(solid_angle_sr))
     tables: dict[str, Any] = find_rig("sim").description.model_dump(mode="json", exclude_none=True, exclude={"devices"})

@@ -1,7 +1,7 @@
 """Frames on their way to the disk: written in a thread of their own, whole or not at all, each with its record.
 
 The record says which step of which run a frame belongs to. That of the last frame of a step holds all that the journal
-will say of the step, so that a journal that was lost can be made again (`gonio.repair`).
+will say of the step, so that a journal that was lost can be made again (`gonio.acquisition.repair`).
 """
 
 from __future__ import annotations

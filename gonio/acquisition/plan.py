@@ -407,7 +407,7 @@ def count_reasons(points: list[Assessed]) -> list[tuple[tuple[str, str], int]]:
 
 def estimate_s(steps: list[Step], description: RigDescription, bands: int) -> float:
     """How long a run takes [s] on the rig's own clock, for a matt sample of albedo 0.5, prompts and settling apart."""
-    from gonio.exposure import dark_exposures_s, expected_exposure_s
+    from gonio.acquisition.exposure import dark_exposures_s, expected_exposure_s
 
     camera, acquisition = description.camera, description.acquisition
     frame = camera.frame_overhead_s

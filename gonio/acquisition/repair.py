@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from gonio.acquisition.journal import Event, decode, encode, locked, now
+from gonio.acquisition.run import Run, Steps, begun
+from gonio.acquisition.store import BESIDE, NAME, record_of
 from gonio.disk import half_written, set_aside, write_whole
 from gonio.errors import ConfigError, DataError
-from gonio.journal import Event, decode, encode, locked, now
-from gonio.run import Run, Steps, begun
-from gonio.store import BESIDE, NAME, record_of
 
 LOOKED_INTO = 2_500
 """At most so many frames, the last ones, are read from end to end when a run is resumed, ..."""

@@ -11,17 +11,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gonio import plugins
+from gonio.acquisition.plan import Assessed, Plan, schedule
 from gonio.config import load, parse
 from gonio.errors import ConfigError, DeviceError
-from gonio.plan import Assessed, Plan, schedule
 from gonio.rig.description import RigDescription, SampleDescription
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from gonio.acquire import Progress
+    from gonio.acquisition.acquire import Progress
+    from gonio.acquisition.run import Run
     from gonio.rig import Pose, Rig, RigPlugin, Step, Target
-    from gonio.run import Run
 
 SHOWN = 20
 """At most so many frames are named on the terminal."""
@@ -45,7 +45,7 @@ class RigChoice:
             raise
 
     def schedule(self, plan: Plan, points: list[Assessed] | None = None) -> list[Step]:
-        """The steps of a run, see `gonio.plan.schedule`, of which every patch that is measured lies in the frame.
+        """The steps of a run, see `gonio.acquisition.plan.schedule`, of which every patch that is measured lies in the frame.
 
         Raises
         ------
@@ -155,11 +155,11 @@ def carry_out(
     Raises
     ------
     GonioError
-        See `gonio.acquire.measure`, `Run.create`, `Run.resume` and the rig's own documentation.
+        See `gonio.acquisition.acquire.measure`, `Run.create`, `Run.resume` and the rig's own documentation.
     """
-    from gonio.acquire import Silent, Stop, measure
-    from gonio.plan import going_on
-    from gonio.run import Request, Run, begun
+    from gonio.acquisition.acquire import Silent, Stop, measure
+    from gonio.acquisition.plan import going_on
+    from gonio.acquisition.run import Request, Run, begun
 
     out = Path(out)
     progress = progress or Silent()
@@ -209,7 +209,7 @@ def check(
 
 def _open(rig: RigChoice, out: Path, sample: SampleDescription | None, seed: int, resume: bool, yes: bool) -> Rig:
     """The rig, built but not entered, after every check that needs no device."""
-    from gonio.run import begun, check_new, check_writable
+    from gonio.acquisition.run import begun, check_new, check_writable
 
     attended = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
     device = rig.open(sample=sample, seed=seed, confirm=attended and not yes)

@@ -2,12 +2,12 @@
 
     RUN/  run.toml       resolved rig, sample, bands, seed, versions, command line, hash of the plan
           plan.csv       the points in order, with the flag and the reason of those that this rig cannot measure
-          journal.jsonl  what has happened (gonio.journal)
+          journal.jsonl  what has happened (gonio.acquisition.journal)
           frames/        raw frames
           gonio.sha256   what the program wrote beside journal and frames (gonio.disk)
 
 A run whose journal holds no complete line, and that has no frames, counts as not started. Frames without a readable
-journal are not touched: `gonio.repair` makes the journal again.
+journal are not touched: `gonio.acquisition.repair` makes the journal again.
 """
 
 from __future__ import annotations
@@ -34,6 +34,9 @@ from typing import TYPE_CHECKING, Any, Self, overload
 import numpy as np
 import numpy.typing as npt
 
+from gonio.acquisition.journal import Event, Events, Journal, has_lines, read_events
+from gonio.acquisition.plan import ANGLES, Assessed, Plan, assess, points_sha256
+from gonio.acquisition.store import NAME, record_of
 from gonio.config import Strict, parse, to_toml
 from gonio.disk import (
     MANIFEST,
@@ -50,10 +53,7 @@ from gonio.disk import (
 )
 from gonio.errors import ConfigError, DataError
 from gonio.formats.native import meta_path
-from gonio.journal import Event, Events, Journal, has_lines, read_events
-from gonio.plan import ANGLES, Assessed, Plan, assess, points_sha256
 from gonio.rig.description import Band, RigDescription, SampleDescription
-from gonio.store import NAME, record_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -175,7 +175,7 @@ class Run:
     def resume(cls, path: str | Path, request: Request) -> Run:
         """Go on with a run, or start it where it has not begun.
 
-        Frames that the journal names and that are missing or damaged are found (`gonio.repair.find_damage` says how
+        Frames that the journal names and that are missing or damaged are found (`gonio.acquisition.repair.find_damage` says how
         thoroughly); the journal takes back their steps with the event "lost", and `lost` names them.
 
         Raises
@@ -186,7 +186,7 @@ class Run:
         DataError
             The journal is damaged before its last line.
         """
-        from gonio.repair import drop_orphans, find_damage
+        from gonio.acquisition.repair import drop_orphans, find_damage
 
         path = Path(path)
         if not begun(path):
@@ -417,7 +417,7 @@ class Index:
 
 
 _STEP = re.compile(rb'\{"n":\d+,"event":"(\w+)"(?:,"step":(\d+),"kind":)?')
-"""How a line begins, as `gonio.acquire` writes it."""
+"""How a line begins, as `gonio.acquisition.acquire` writes it."""
 
 
 class Steps(Sequence[Event]):

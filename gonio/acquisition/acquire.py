@@ -20,15 +20,16 @@ from numbers import Real
 from types import FrameType, TracebackType
 from typing import Any, Protocol, Self
 
-from gonio import __version__, exposure
+from gonio import __version__
+from gonio.acquisition import exposure
+from gonio.acquisition.journal import Event
+from gonio.acquisition.run import Run
+from gonio.acquisition.store import Files, Store, Written, slugs
 from gonio.errors import DeviceError, Disturbed, Interrupted
-from gonio.journal import Event
 from gonio.rig import Frame, Pose, Rig, Step, Target
 from gonio.rig.description import Band
 from gonio.rig.imaging import Roi, roi
 from gonio.rig.kinematics import View, view
-from gonio.run import Run
-from gonio.store import Files, Store, Written, slugs
 
 log = logging.getLogger("gonio.devices")
 
