@@ -100,10 +100,11 @@ def measured(folder: Path, seed: int) -> Path:
     table = folder / "brdf.csv"
     if table.exists():
         return table
-    from gonio import measurement, radiometry
+    from gonio import measurement
     from gonio.acquisition.plan import load_plan
     from gonio.acquisition.session import carry_out, find_rig, load_sample
     from gonio.config import to_toml
+    from gonio.reduction import radiometry
 
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)

@@ -22,11 +22,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gonio import instrument, models, radiometry
+from gonio import instrument, models
 from gonio.acquisition.plan import ANGLES, Plan, Point
 from gonio.acquisition.run import Run
 from gonio.acquisition.session import RigChoice, carry_out
 from gonio.config import parse
+from gonio.reduction import radiometry
 from gonio.rig.description import RigDescription, SampleDescription
 
 if TYPE_CHECKING:

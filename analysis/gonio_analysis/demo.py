@@ -63,12 +63,13 @@ def run_demo(out: Path, *, quick: bool) -> Path:
     ConfigError
         The folder holds something else, or cannot be written.
     """
-    from gonio import measurement, radiometry
+    from gonio import measurement
     from gonio.acquisition.plan import load_plan
     from gonio.acquisition.run import check_writable
     from gonio.acquisition.session import carry_out, find_rig, load_sample
     from gonio.cli import console
     from gonio.disk import write_own
+    from gonio.reduction import radiometry
     from gonio_analysis.fit import fit
     from gonio_analysis.report import make
     from gonio_analysis.report.text import with_u

@@ -62,10 +62,10 @@ def reduce(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.", show_default=False)],
 ) -> None:
     """Reduce a run's frames to BRDF with uncertainty: RUN/brdf.csv."""
-    from gonio import radiometry
     from gonio.acquisition.run import Run
     from gonio.cli import console
-    from gonio.radiometry import DAMAGED
+    from gonio.reduction import radiometry
+    from gonio.reduction.radiometry import DAMAGED
 
     opened = Run.open(run)
     opened.check_table()

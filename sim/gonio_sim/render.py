@@ -142,7 +142,7 @@ class Renderer:
         if reference.table is None:
             certified = (reference.albedo or 0.0) / math.pi
         else:
-            from gonio.white_reference import brdf_of_table
+            from gonio.reduction.white_reference import brdf_of_table
 
             at_centre = directions(self._world.description, self._world.pose)
             certified = brdf_of_table(self._table, at_centre, band.centre_nm)

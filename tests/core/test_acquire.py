@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gonio import radiometry
 from gonio.acquisition.acquire import Live, Silent
 from gonio.acquisition.plan import Plan, load_plan
 from gonio.acquisition.run import Run
 from gonio.acquisition.session import RigChoice, carry_out, check
 from gonio.config import to_toml
 from gonio.errors import ConfigError, DataError, DeviceError, GonioError, Interrupted
+from gonio.reduction import radiometry
 from gonio.rig import Frame
 from gonio.rig.description import Holder, Reference, RigDescription
 from gonio.rig.frames import read_raw

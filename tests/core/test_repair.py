@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gonio import radiometry
 from gonio.acquisition import repair
 from gonio.acquisition.acquire import Silent
 from gonio.acquisition.plan import Plan, load_plan
@@ -20,6 +19,7 @@ from gonio.acquisition.run import Run
 from gonio.acquisition.session import RigChoice, carry_out
 from gonio.acquisition.store import record_of
 from gonio.errors import ConfigError, DataError
+from gonio.reduction import radiometry
 from gonio.rig.description import Reference
 from gonio.rig.frames import read_raw, read_record
 from tests.core.bench import PLAN, SAMPLE, Bench, Plugin, describe

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from gonio import darks
-from gonio.darks import COLUMNS, PATTERNS, Patterns, strongest
+from gonio.reduction import darks
+from gonio.reduction.darks import COLUMNS, PATTERNS, Patterns, strongest
 from gonio.rig.imaging import Roi
 
 

@@ -11,8 +11,9 @@ import numpy.typing as npt
 import pandas as pd
 import pytest
 
-from gonio import geometry, measurement, radiometry, rates
+from gonio import geometry, measurement
 from gonio.errors import DataError
+from gonio.reduction import radiometry, rates
 from gonio.rig import Frame, Pose
 from gonio.rig.description import ArmAxis, Arms, Band, Lamp
 from gonio.rig.frames import read_raw

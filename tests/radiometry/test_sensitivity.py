@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from gonio.geometry import angles, direction
+from gonio.reduction.sensitivity import Curves
+from gonio.reduction.spikes import Share, blurred_overlap, from_mirror, mirror_offset, over_patch, overlap
 from gonio.rig.kinematics import Directions
-from gonio.sensitivity import Curves
-from gonio.spikes import Share, blurred_overlap, from_mirror, mirror_offset, over_patch, overlap
 
 HALF = math.radians(0.5)
 Function = Callable[[Directions], float]

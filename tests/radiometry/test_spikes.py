@@ -9,14 +9,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from gonio import radiometry
 from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.run import Run
 from gonio.acquisition.session import carry_out
+from gonio.reduction import radiometry
+from gonio.reduction.sensitivity import Curves
+from gonio.reduction.spikes import Share, blurred_overlap, from_mirror, mirror_offset, overlap
 from gonio.rig.description import SampleDescription
 from gonio.rig.kinematics import Directions
-from gonio.sensitivity import Curves
-from gonio.spikes import Share, blurred_overlap, from_mirror, mirror_offset, overlap
 from tools.spike_campaign import measured, pulls, rig
 
 HALF = math.radians(0.5)

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from gonio import white_reference
 from gonio.errors import DataError
+from gonio.reduction import white_reference
 from gonio.rig.kinematics import Directions
 
 RNG = np.random.default_rng(7)

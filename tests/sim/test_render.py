@@ -13,11 +13,12 @@ from gonio_sim.render import KEPT, Renderer
 from gonio_sim.rig import SIM
 from gonio_sim.world import World
 
-from gonio import models, radiometry
+from gonio import models
 from gonio.acquisition.plan import load_plan
 from gonio.acquisition.session import RigChoice, carry_out
 from gonio.geometry import angles, solid_angle_of_cone
 from gonio.instrument import apparent_brdf
+from gonio.reduction import radiometry
 from gonio.rig import Pose, Target
 from gonio.rig.description import Band, RigDescription, SampleDescription
 from gonio.rig.imaging import pixel_map

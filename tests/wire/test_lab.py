@@ -24,7 +24,6 @@ from gonio_sim.wire import faults, motion, tether
 from gonio_sim.wire.bench import Bench, plug
 from gonio_sim.wire.servo import Servo
 
-from gonio import radiometry
 from gonio.acquisition.acquire import Silent
 from gonio.acquisition.plan import load_plan
 from gonio.acquisition.run import Run
@@ -33,6 +32,7 @@ from gonio.cli import rigs
 from gonio.cli.rigs import checks
 from gonio.config import parse, to_toml
 from gonio.errors import ConfigError, DeviceError, Interrupted
+from gonio.reduction import radiometry
 from gonio.rig import Pose, Step
 from gonio.rig.description import RigDescription, SampleDescription
 from tests.wire.conftest import be_patient

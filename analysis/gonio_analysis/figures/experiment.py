@@ -76,10 +76,11 @@ def measure(
     progress
         Called with a line before the measurement.
     """
-    from gonio import measurement, radiometry
+    from gonio import measurement
     from gonio.acquisition.plan import load_plan
     from gonio.acquisition.session import carry_out, find_rig, load_sample
     from gonio.config import to_toml
+    from gonio.reduction import radiometry
 
     points = sum(map(len, scans.values()))
     progress(f"{name}: measuring {points} directions on the simulated goniometer")

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.acquisition.exposure import full_scale_dn
-from gonio.darks import FEW, PATTERNS, Darks, Patterns
 from gonio.errors import DamagedFrame, DataError
+from gonio.reduction.darks import FEW, PATTERNS, Darks, Patterns
 from gonio.rig import Frame, Pose, Target, kinematics
 from gonio.rig.description import Band, Camera, RigDescription
 from gonio.rig.frames import read_raw

@@ -18,11 +18,12 @@ import numpy as np
 import numpy.typing as npt
 
 import gonio
-from gonio import geometry, sensitivity, spikes, white_reference
+from gonio import geometry
 from gonio.acquisition.plan import ANGLES
-from gonio.darks import COLUMNS, PATTERNS, strongest
 from gonio.errors import ConfigError, DataError
-from gonio.rates import RETAKE, Bench, Merged, in_threads
+from gonio.reduction import sensitivity, spikes, white_reference
+from gonio.reduction.darks import COLUMNS, PATTERNS, strongest
+from gonio.reduction.rates import RETAKE, Bench, Merged, in_threads
 from gonio.rig import Pose, imaging, kinematics
 from gonio.rig.description import Axis, Band, RigDescription
 from gonio.rig.kinematics import Directions

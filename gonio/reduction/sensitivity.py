@@ -7,7 +7,7 @@ taken from the run's own curves, which the instrument's cones have smoothed alre
   fixed distance from the mirror direction comes from the curves of the neighbouring angles of incidence at that
   distance (zero without neighbours), because lobes move with the mirror direction; out of the plane of incidence it has
   the shape over the half vector's angle that the curves in the plane have, times what changes smoothly between points;
-- a specular spike, which `gonio.spikes` finds: its shape is the overlap of the lamp's mirror image with the lens.
+- a specular spike, which `gonio.reduction.spikes` finds: its shape is the overlap of the lamp's mirror image with the lens.
 
 Lobes change by ratios: between points the logarithm of f (asinh, which goes through zero) is taken for smooth.
 Effects are differences over finite steps of +-u, since a slope is undefined at the top and at the edge of a spike.
@@ -23,8 +23,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.geometry import direction
+from gonio.reduction.spikes import Scene, Share, find, lagrange, mirror_offset, overlap
 from gonio.rig.kinematics import Directions
-from gonio.spikes import Scene, Share, find, lagrange, mirror_offset, overlap
 
 Array = npt.NDArray[np.float64]
 
@@ -77,7 +77,7 @@ class Curves:
     half_angles
         Of the lamp and of the lens [rad].
     shares
-        What each point sees of a spike (`gonio.spikes.blurred_overlap`).
+        What each point sees of a spike (`gonio.reduction.spikes.blurred_overlap`).
     """
 
     def __init__(
