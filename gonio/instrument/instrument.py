@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from gonio._cone_lobe import TOLERANCE, Rules, by_rules, choose
-from gonio._cone_spike import Overlaps
 from gonio.errors import ArgumentError
 from gonio.geometry import half_angle_of_cone
+from gonio.instrument.cone_lobe import TOLERANCE, Rules, by_rules, choose
+from gonio.instrument.cone_spike import Overlaps
 from gonio.models import Model, geometry
 from gonio.models.base import choice, number
 

@@ -1,4 +1,4 @@
-"""The average of a model's lobe over the cones of source and receiver; see `gonio.instrument`.
+"""The average of a model's lobe over the cones of source and receiver; see `gonio.instrument.instrument`.
 
 How a geometry is averaged, its *rule*, is found once for one model (`choose`) and can then be applied to others
 (`by_rules`): what a fit does with hundreds of nearly equal ones, and what makes its derivatives smooth.
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from gonio import _caps
+from gonio.instrument import _caps
 
 if TYPE_CHECKING:
     from gonio.models import Model

@@ -1,4 +1,4 @@
-"""What a receiver's cone gets of a specular spike that a source's cone sends; see `gonio.instrument`."""
+"""What a receiver's cone gets of a specular spike that a source's cone sends; see `gonio.instrument.instrument`."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from gonio import _caps
-from gonio._cone_lobe import CUT_ORDERS, cap_nodes
+from gonio.instrument import _caps
+from gonio.instrument.cone_lobe import CUT_ORDERS, cap_nodes
 from gonio.models import engine
 from gonio.models._compile import loop
 
