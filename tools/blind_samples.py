@@ -130,8 +130,8 @@ def judged(folder: Path) -> dict[str, Any]:
     import tomllib
 
     from gonio_analysis.choice import candidates, choose
-    from gonio_analysis.forward import apparent
-    from gonio_analysis.observations import observations
+    from gonio_analysis.fitting.forward import apparent
+    from gonio_analysis.fitting.observations import observations
 
     from gonio import measurement, models
 

@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 
 from gonio.errors import ConfigError, DataError
-from gonio_analysis import families
-from gonio_analysis.families import Ior, Values
-from gonio_analysis.fit import FitResult, finite, fit
+from gonio_analysis.fitting import families
+from gonio_analysis.fitting.families import Ior, Values
+from gonio_analysis.fitting.fit import FitResult, finite, fit
+from gonio_analysis.fitting.observations import Observations
+from gonio_analysis.fitting.search import pose
+from gonio_analysis.fitting.uncertainty import Floats
 from gonio_analysis.near import Near, Rows
-from gonio_analysis.observations import Observations
 from gonio_analysis.profile import Interval, profiles
 from gonio_analysis.regions import Region, blocks, worst
-from gonio_analysis.search import pose
-from gonio_analysis.uncertainty import Floats
 
 SIGNIFICANCE = 0.01
 DECISIVE = 10.0
@@ -154,13 +154,13 @@ def choose(
     Parameters
     ----------
     data
-        Usable values (`gonio_analysis.observations`).
+        Usable values (`gonio_analysis.fitting.observations`).
     tried
         See `candidates`; their order breaks ties between models with as many parameters.
     ior
         Optical constants n + ik, or a material, where they are known.
     wavelength_nm
-        See `gonio_analysis.fit.fit`.
+        See `gonio_analysis.fitting.fit.fit`.
     name
         What messages call the data.
     all_of_them
@@ -174,7 +174,7 @@ def choose(
     DataError
         Not one candidate could be fitted, though there are enough values for the simplest.
     ConfigError
-        See `gonio_analysis.fit.fit`; in a broad band candidates that need a wavelength are left out instead.
+        See `gonio_analysis.fitting.fit.fit`; in a broad band candidates that need a wavelength are left out instead.
     """
     sizes = {c: _parameters(c, ior) for c in tried}
     fits: dict[Candidate, FitResult] = {}

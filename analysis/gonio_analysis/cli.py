@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from gonio_analysis.families import Ior
-    from gonio_analysis.fit import FitResult
+    from gonio_analysis.fitting.families import Ior
+    from gonio_analysis.fitting.fit import FitResult
     from gonio_analysis.profile import Interval
 
 MODELS = "lambert,oren-nayar,cook-torrance,he-torrance"
@@ -76,8 +76,8 @@ def fit(
 
     from gonio import measurement
     from gonio.errors import ConfigError
-    from gonio_analysis import families
-    from gonio_analysis.fit import fit as run_fit
+    from gonio_analysis.fitting import families
+    from gonio_analysis.fitting.fit import fit as run_fit
 
     index = read_ior(ior)
     kept = dict(read_fixed(text) for text in fix or [])

@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.errors import ConfigError, DataError
-from gonio_analysis import families
 from gonio_analysis.choice import Choice, Judged, candidates, choose
-from gonio_analysis.families import Ior
-from gonio_analysis.fit import FitResult, fit
-from gonio_analysis.metrics import metrics
-from gonio_analysis.observations import Observations, observations
+from gonio_analysis.fitting import families
+from gonio_analysis.fitting.families import Ior
+from gonio_analysis.fitting.fit import FitResult, fit
+from gonio_analysis.fitting.metrics import metrics
+from gonio_analysis.fitting.observations import Observations, observations
+from gonio_analysis.fitting.uncertainty import Floats
 from gonio_analysis.planes import Curve, Norm, Normalise, curves, labels, norm, selection
 from gonio_analysis.polar import Line
-from gonio_analysis.uncertainty import Floats
 
 if TYPE_CHECKING:
     import pandas as pd

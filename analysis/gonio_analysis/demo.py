@@ -70,7 +70,7 @@ def run_demo(out: Path, *, quick: bool) -> Path:
     from gonio.cli import console
     from gonio.disk import write_own
     from gonio.reduction import radiometry
-    from gonio_analysis.fit import fit
+    from gonio_analysis.fitting.fit import fit
     from gonio_analysis.report import make
     from gonio_analysis.report.text import with_u
 

@@ -16,10 +16,10 @@ import numpy.typing as npt
 
 from gonio import geometry
 from gonio_analysis.align import FARTHEST
-from gonio_analysis.observations import Observations
+from gonio_analysis.fitting.observations import Observations
+from gonio_analysis.fitting.uncertainty import Floats
 from gonio_analysis.planes import IN_PLANE, Rows
 from gonio_analysis.polar import FAINT, INK, Line, angle_axis, style
-from gonio_analysis.uncertainty import Floats
 
 FEWEST = 4
 """Values that make a slice."""

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from gonio_analysis import families
-from gonio_analysis.fit import ROUNDING, FitResult
+from gonio_analysis.fitting import families
+from gonio_analysis.fitting.fit import ROUNDING, FitResult
+from gonio_analysis.fitting.uncertainty import Floats
 from gonio_analysis.near import Near
-from gonio_analysis.uncertainty import Floats
 
 LEVEL = 0.95
 TRIES = 14

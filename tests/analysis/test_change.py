@@ -12,8 +12,8 @@ import pytest
 from gonio_analysis import cli
 from gonio_analysis.align import carry
 from gonio_analysis.change import Change, Side, change, discoveries, judge
-from gonio_analysis.observations import observations
-from gonio_analysis.uncertainty import Covariance
+from gonio_analysis.fitting.observations import observations
+from gonio_analysis.fitting.uncertainty import Covariance
 
 from gonio import measurement
 from gonio.errors import ConfigError, DataError

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from gonio_analysis.choice import Candidate, Choice, candidates, choose
-from gonio_analysis.observations import observations
+from gonio_analysis.fitting.observations import observations
 from gonio_analysis.profile import profiles
 from gonio_analysis.regions import blocks, incidences
 

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from gonio_analysis.forward import apparent, averaging
-from gonio_analysis.observations import LOBE_TOLERANCE, observations
-from gonio_analysis.search import STEP, _one_sided, derivatives, pose
+from gonio_analysis.fitting.forward import apparent, averaging
+from gonio_analysis.fitting.observations import LOBE_TOLERANCE, observations
+from gonio_analysis.fitting.search import STEP, _one_sided, derivatives, pose
 
 from gonio.models import build
 from tests.analysis.synthetic import measure

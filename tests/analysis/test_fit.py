@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 import pytest
-from gonio_analysis.fit import fit
-from gonio_analysis.observations import observations
-from gonio_analysis.search import derivatives, pose
+from gonio_analysis.fitting.fit import fit
+from gonio_analysis.fitting.observations import observations
+from gonio_analysis.fitting.search import derivatives, pose
 
 from gonio.errors import ConfigError, DataError
 from gonio.models import build

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from gonio_analysis.metrics import DESCRIPTIONS, metrics
+from gonio_analysis.fitting.metrics import DESCRIPTIONS, metrics
 
 MEASURED = np.array([1.0, 8.0])
 MODEL = np.array([2.0, 8.0])

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from gonio_analysis import parallel
 from gonio_analysis.compare import examine
-from gonio_analysis.fit import fit
+from gonio_analysis.fitting.fit import fit
 from gonio_analysis.report.summary import summarise
 
 from gonio.errors import ConfigError, DataError

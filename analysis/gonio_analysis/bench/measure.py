@@ -19,7 +19,7 @@ import numpy as np
 from gonio import models
 from gonio.models import engine
 from gonio_analysis.bench.ways import Family, Sample, Way, directions
-from gonio_analysis.uncertainty import Floats
+from gonio_analysis.fitting.uncertainty import Floats
 
 NOTHING = 1e-290
 """References below this count as 0."""

@@ -22,7 +22,7 @@ import numpy as np
 
 from gonio.errors import DataError
 from gonio_analysis.bench.ways import Evaluate, Way, directions, families, to_angles
-from gonio_analysis.uncertainty import Floats
+from gonio_analysis.fitting.uncertainty import Floats
 
 PACKAGES = {"Dr.Jit": "drjit", "Mitsuba": "mitsuba", "pySCATMECH": "pySCATMECH"}
 LLVM = "DRJIT_LIBLLVM_PATH"

@@ -16,7 +16,7 @@ from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, OrenNayar, Ph
 from gonio.models._compile import loop
 from gonio.models._facets import fresnel_constants
 from gonio_analysis.bench import naive, plain
-from gonio_analysis.uncertainty import Floats
+from gonio_analysis.fitting.uncertainty import Floats
 
 Evaluate = Callable[..., Any]
 

@@ -7,7 +7,7 @@ from importlib.resources import files
 
 import numpy as np
 
-from gonio_analysis.uncertainty import Floats
+from gonio_analysis.fitting.uncertainty import Floats
 
 XYZ_TO_RGB = np.array(
     [

@@ -22,8 +22,8 @@ from gonio_analysis.figures.base import (
     trace_panel,
 )
 from gonio_analysis.figures.cook_torrance_3 import PAPER, SIMILAR
+from gonio_analysis.fitting.uncertainty import Floats
 from gonio_analysis.report.text import number
-from gonio_analysis.uncertainty import Floats
 
 D65_SOURCE = "CIE 15, relative power at 380 to 780 nm in steps of 10 nm"
 ANGLES_DEG = (0.0, 30.0, 60.0, 75.0, 85.0, 89.0)

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from gonio_analysis.forward import apparent
-from gonio_analysis.observations import Observations, observations
+from gonio_analysis.fitting.forward import apparent
+from gonio_analysis.fitting.observations import Observations, observations
+from gonio_analysis.fitting.uncertainty import Floats
 from gonio_analysis.planes import Curve, curves
-from gonio_analysis.uncertainty import Floats
 
 SEED = 1
 BAND_NM = 10.0

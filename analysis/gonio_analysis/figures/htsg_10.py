@@ -12,9 +12,9 @@ from gonio_analysis.figures import surfaces
 from gonio_analysis.figures.base import Claim, Page, Panel, Parameter, Table, agreed, angle_panel, at, polar_panel
 from gonio_analysis.figures.experiment import divided, measure
 from gonio_analysis.figures.surfaces import CONE_SR, PAPER, agreement, label, scan
+from gonio_analysis.fitting.uncertainty import Floats
 from gonio_analysis.polar import Line
 from gonio_analysis.report.text import number
-from gonio_analysis.uncertainty import Floats
 
 SLOPE = 4.4
 """sigma0 / tau"""

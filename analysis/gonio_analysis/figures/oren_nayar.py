@@ -25,8 +25,8 @@ from gonio_analysis.figures.base import (
     trace_panel,
 )
 from gonio_analysis.figures.oren_nayar_samples import PAPER, assumed, between
+from gonio_analysis.fitting.uncertainty import Floats
 from gonio_analysis.report.text import number
-from gonio_analysis.uncertainty import Floats
 
 INCIDENCES = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 AZIMUTHS = (0.0, 45.0, 90.0, 135.0, 180.0)

@@ -25,8 +25,8 @@ from gonio_analysis.figures.base import (
     theory,
     trace_panel,
 )
+from gonio_analysis.fitting.uncertainty import Floats
 from gonio_analysis.report.text import number
-from gonio_analysis.uncertainty import Floats
 
 PAPER = "Oren and Nayar, Generalization of Lambert's Reflectance Model, SIGGRAPH 1994"
 LOST = "lost in the scan"

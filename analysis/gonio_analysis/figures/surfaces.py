@@ -11,9 +11,9 @@ import numpy as np
 
 from gonio_analysis.figures.base import NOTHING, Panel, Parameter, angle_panel, polar_panel, signed
 from gonio_analysis.figures.experiment import Experiment, beside, divided
+from gonio_analysis.fitting.uncertainty import Floats
 from gonio_analysis.polar import Line
 from gonio_analysis.report.text import number
-from gonio_analysis.uncertainty import Floats
 
 BRDF = "BRDF [1/sr]"
 PAPER = "He, Torrance, Sillion and Greenberg, A Comprehensive Physical Model for Light Reflection, SIGGRAPH 1991"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from gonio_analysis import parallel
 from gonio_analysis.compare import Dataset, examine, run_facts
-from gonio_analysis.families import Ior
+from gonio_analysis.fitting.families import Ior
 from gonio_analysis.planes import Normalise
 from gonio_analysis.report import detail, figures, files, page, pdf, tables, viewer
 from gonio_analysis.report.drawing import Draughtsmen, draughtsmen

@@ -14,9 +14,9 @@ import numpy as np
 from gonio_analysis import thinning
 from gonio_analysis.change import FALSE_DISCOVERIES, LEVEL, Change, Side, change, side
 from gonio_analysis.compare import run_facts
-from gonio_analysis.fit import finite
-from gonio_analysis.metrics import DESCRIPTIONS
-from gonio_analysis.observations import Observations, describe_left_out
+from gonio_analysis.fitting.fit import finite
+from gonio_analysis.fitting.metrics import DESCRIPTIONS
+from gonio_analysis.fitting.observations import Observations, describe_left_out
 from gonio_analysis.planes import Curve, curves, labels, selection
 from gonio_analysis.report import change_figures, files, html, pdf, viewer
 from gonio_analysis.report.drawing import Draughtsmen, draughtsmen

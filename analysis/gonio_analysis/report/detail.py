@@ -10,13 +10,13 @@ import numpy as np
 from gonio import geometry
 from gonio_analysis import diagnostics, maps, polar, thinning
 from gonio_analysis.compare import Dataset
-from gonio_analysis.forward import NO_WAVELENGTH_NM, seen
+from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
+from gonio_analysis.fitting.uncertainty import Floats
 from gonio_analysis.planes import IN_PLANE, Curve, Rows, groups, labels
 from gonio_analysis.polar import Line
 from gonio_analysis.profile import Interval
 from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, Drawing, budget_height, largest
 from gonio_analysis.report.text import cause, unit
-from gonio_analysis.uncertainty import Floats
 
 MOST = 3
 """Incidences that are drawn, at most."""

@@ -11,9 +11,9 @@ import numpy as np
 
 from gonio_analysis import thinning
 from gonio_analysis.compare import Dataset, theory_angles
-from gonio_analysis.fit import FitResult, finite
+from gonio_analysis.fitting.fit import FitResult, finite
+from gonio_analysis.fitting.uncertainty import Floats
 from gonio_analysis.planes import MOST_CURVES, Curve, curves, labels, selection
-from gonio_analysis.uncertainty import Floats
 
 MOST_LISTED = 16
 """Curves of one wavelength that can be chosen, at most."""

@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from gonio.errors import ConfigError
-from gonio_analysis.observations import Observations
+from gonio_analysis.fitting.observations import Observations
 
 Values = dict[str, float]
 Ior = complex | str | None

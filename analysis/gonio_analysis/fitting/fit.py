@@ -1,12 +1,12 @@
 """Fitting a reflectance model to a measurement table.
 
-Weighted least squares with the table's whole covariance: residuals are whitened (`gonio_analysis.uncertainty`), the
-model is evaluated through the cones of the instrument (`gonio_analysis.forward`), and the search starts from the best
-points of a coarse grid (`gonio_analysis.search`).
+Weighted least squares with the table's whole covariance: residuals are whitened (`gonio_analysis.fitting.uncertainty`), the
+model is evaluated through the cones of the instrument (`gonio_analysis.fitting.forward`), and the search starts from the best
+points of a coarse grid (`gonio_analysis.fitting.search`).
 
 Standard errors are those of linearised least squares with the stated covariance, and are not scaled by the reduced
 chi-square: where that is far from 1, the model or the stated uncertainties are wrong, and no scaling mends either.
-Without stated uncertainties the fit is logarithmic (`gonio_analysis.objective`), errors come from the scatter of the
+Without stated uncertainties the fit is logarithmic (`gonio_analysis.fitting.objective`), errors come from the scatter of the
 residuals, and there is no chi-square.
 """
 
@@ -22,13 +22,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.errors import ArgumentError, ConfigError, DataError
-from gonio_analysis.families import Family, Ior, Values
-from gonio_analysis.forward import apparent
-from gonio_analysis.identify import tied
-from gonio_analysis.objective import LOSSES, Objective, scaled_to
-from gonio_analysis.observations import DEFAULT_WAVELENGTH_NM, Observations, observations
-from gonio_analysis.search import STARTS, STEP, Problem, covariance, pose, refine, search, search_from, settle, together
-from gonio_analysis.uncertainty import Floats
+from gonio_analysis.fitting.families import Family, Ior, Values
+from gonio_analysis.fitting.forward import apparent
+from gonio_analysis.fitting.identify import tied
+from gonio_analysis.fitting.objective import LOSSES, Objective, scaled_to
+from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observations, observations
+from gonio_analysis.fitting.search import (
+    STARTS,
+    STEP,
+    Problem,
+    covariance,
+    pose,
+    refine,
+    search,
+    search_from,
+    settle,
+    together,
+)
+from gonio_analysis.fitting.uncertainty import Floats
 
 if TYPE_CHECKING:
     import pandas as pd

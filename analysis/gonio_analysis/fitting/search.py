@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.errors import ConfigError
-from gonio_analysis import families
-from gonio_analysis.families import Family, Ior, Parameter, Values
-from gonio_analysis.forward import ByWavelength, apparent, averaging, pointlike
-from gonio_analysis.objective import Objective, alone, softened
-from gonio_analysis.observations import Observations
-from gonio_analysis.uncertainty import Floats
+from gonio_analysis.fitting import families
+from gonio_analysis.fitting.families import Family, Ior, Parameter, Values
+from gonio_analysis.fitting.forward import ByWavelength, apparent, averaging, pointlike
+from gonio_analysis.fitting.objective import Objective, alone, softened
+from gonio_analysis.fitting.observations import Observations
+from gonio_analysis.fitting.uncertainty import Floats
 
 if TYPE_CHECKING:
     from gonio.instrument import Rules
@@ -134,7 +134,7 @@ def pose(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     priors: Mapping[str, tuple[float, float]] | None = None,
 ) -> Problem:
-    """What to fit, from what a user asks for; see `gonio_analysis.fit.fit`.
+    """What to fit, from what a user asks for; see `gonio_analysis.fitting.fit.fit`.
 
     Raises
     ------
