@@ -3,7 +3,7 @@
     python tools/blind_samples.py --seed 7 --count 20 --out DIR
 
 Each sample is drawn at random (one of the six families or a sum of two, parameters over realistic ranges), measured on
-the simulated rig with all its errors, reduced, and given to `gonio_analysis.choice` without a word about it. A sample
+the simulated rig with all its errors, reduced, and given to `gonio_analysis.selection.choice` without a word about it. A sample
 counts as right where its family is named, or a simpler model whose difference from the truth lies below the data's
 uncertainty everywhere (2.58 u: the 1 % level). Intervals are counted where the true family was named.
 
@@ -129,9 +129,9 @@ def judged(folder: Path) -> dict[str, Any]:
     """What the analysis says of a measured sample, beside the truth."""
     import tomllib
 
-    from gonio_analysis.choice import candidates, choose
     from gonio_analysis.fitting.forward import apparent
     from gonio_analysis.fitting.observations import observations
+    from gonio_analysis.selection.choice import candidates, choose
 
     from gonio import measurement, models
 

@@ -14,7 +14,7 @@ import typer
 if TYPE_CHECKING:
     from gonio_analysis.fitting.families import Ior
     from gonio_analysis.fitting.fit import FitResult
-    from gonio_analysis.profile import Interval
+    from gonio_analysis.selection.profile import Interval
 
 MODELS = "lambert,oren-nayar,cook-torrance,he-torrance"
 MODELS_HELP = "Models to fit, with commas between (sums as oren-nayar+phong), or all."
@@ -104,7 +104,7 @@ def fit(
     )
     walked = {}
     if intervals:
-        from gonio_analysis.profile import profiles
+        from gonio_analysis.selection.profile import profiles
 
         walked = profiles(result).intervals
     if as_json:
@@ -275,8 +275,8 @@ def _report(
 ) -> Path:
     from gonio.acquisition.run import command_line
     from gonio.cli import console
-    from gonio_analysis.compare import check_models
     from gonio_analysis.report import make
+    from gonio_analysis.selection.compare import check_models
 
     check_models(models)
     return make(

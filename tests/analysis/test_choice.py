@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from gonio_analysis.choice import Candidate, Choice, candidates, choose
 from gonio_analysis.fitting.observations import observations
-from gonio_analysis.profile import profiles
-from gonio_analysis.regions import blocks, incidences
+from gonio_analysis.selection.choice import Candidate, Choice, candidates, choose
+from gonio_analysis.selection.profile import profiles
+from gonio_analysis.selection.regions import blocks, incidences
 
 from gonio.errors import ConfigError, DataError
 from gonio.models import Lambert, OrenNayar, Phong, Sum, build

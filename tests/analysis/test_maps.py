@@ -9,7 +9,7 @@ import pytest
 from gonio_analysis import diagnostics, maps
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.polar import Line
-from gonio_analysis.profile import Interval
+from gonio_analysis.selection.profile import Interval
 from matplotlib.figure import Figure
 
 from gonio.models import build

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gonio_analysis import parallel
-from gonio_analysis.compare import examine
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.report.summary import summarise
+from gonio_analysis.selection import parallel
+from gonio_analysis.selection.compare import examine
 
 from gonio.errors import ConfigError, DataError
 from gonio.models import CookTorrance, Lambert, build

@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gonio_analysis import parallel
-from gonio_analysis.compare import Dataset, examine, run_facts
 from gonio_analysis.fitting.families import Ior
 from gonio_analysis.planes import Normalise
 from gonio_analysis.report import detail, figures, files, page, pdf, tables, viewer
 from gonio_analysis.report.drawing import Draughtsmen, draughtsmen
 from gonio_analysis.report.summary import summarise
+from gonio_analysis.selection import parallel
+from gonio_analysis.selection.compare import Dataset, examine, run_facts
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -42,7 +42,7 @@ def make(
     out
         Folder of the report; an earlier report there is replaced.
     models, normalise, ior, wavelength_nm
-        See `gonio_analysis.compare.examine`.
+        See `gonio_analysis.selection.compare.examine`.
     dask
         Address of a Dask scheduler to fit the samples on; by default several samples share the processors here.
     command

@@ -13,7 +13,6 @@ import numpy as np
 
 from gonio_analysis import thinning
 from gonio_analysis.change import FALSE_DISCOVERIES, LEVEL, Change, Side, change, side
-from gonio_analysis.compare import run_facts
 from gonio_analysis.fitting.fit import finite
 from gonio_analysis.fitting.metrics import DESCRIPTIONS
 from gonio_analysis.fitting.observations import Observations, describe_left_out
@@ -25,6 +24,7 @@ from gonio_analysis.report.page import MOST_BYTES, MOST_ROWS
 from gonio_analysis.report.summary import stamp
 from gonio_analysis.report.tables import write_columns, write_csv
 from gonio_analysis.report.text import difference, number, percent
+from gonio_analysis.selection.compare import run_facts
 
 FIGURES = 6
 """That a comparison has, about."""

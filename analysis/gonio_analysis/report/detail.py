@@ -9,14 +9,14 @@ import numpy as np
 
 from gonio import geometry
 from gonio_analysis import diagnostics, maps, polar, thinning
-from gonio_analysis.compare import Dataset
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.fitting.uncertainty import Floats
 from gonio_analysis.planes import IN_PLANE, Curve, Rows, groups, labels
 from gonio_analysis.polar import Line
-from gonio_analysis.profile import Interval
 from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, Drawing, budget_height, largest
 from gonio_analysis.report.text import cause, unit
+from gonio_analysis.selection.compare import Dataset
+from gonio_analysis.selection.profile import Interval
 
 MOST = 3
 """Incidences that are drawn, at most."""
@@ -143,7 +143,7 @@ def _on_space(figure: Any, *, mesh: maps.Mesh, measured: tuple[Floats, Floats, F
 
 
 def _profiles(d: Dataset, facts: dict[str, Any]) -> Drawing:
-    from gonio_analysis.profile import rise
+    from gonio_analysis.selection.profile import rise
 
     named = d.choice.named
     assert named is not None

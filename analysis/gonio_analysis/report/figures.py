@@ -14,8 +14,8 @@ import numpy as np
 
 from gonio import geometry
 from gonio_analysis import polar, thinning
-from gonio_analysis.compare import Dataset, Fitted
 from gonio_analysis.report.text import cause, number, slug
+from gonio_analysis.selection.compare import Dataset, Fitted
 
 SVG = {
     "svg.fonttype": "none",

@@ -16,7 +16,7 @@ def section(choice: dict[str, Any]) -> list[str]:
     Parameters
     ----------
     choice
-        As `gonio_analysis.choice.Choice.to_json` has it.
+        As `gonio_analysis.selection.choice.Choice.to_json` has it.
     """
     tried = choice["candidates"]
     if len(tried) < 2:

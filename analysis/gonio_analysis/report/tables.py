@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from gonio.formats.base import cell_of
-from gonio_analysis.compare import Dataset, Drawn
 from gonio_analysis.fitting.uncertainty import Floats
 from gonio_analysis.report import viewer
 from gonio_analysis.report.summary import VALUES, usable
+from gonio_analysis.selection.compare import Dataset, Drawn
 
 ROWS_AT_ONCE = 100_000
 

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.errors import ConfigError, DataError
-from gonio_analysis.choice import Choice, Judged, candidates, choose
 from gonio_analysis.fitting import families
 from gonio_analysis.fitting.families import Ior
 from gonio_analysis.fitting.fit import FitResult, fit
@@ -23,6 +22,7 @@ from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.uncertainty import Floats
 from gonio_analysis.planes import Curve, Norm, Normalise, curves, labels, norm, selection
 from gonio_analysis.polar import Line
+from gonio_analysis.selection.choice import Choice, Judged, candidates, choose
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -120,7 +120,7 @@ def examine(
     table
         A measurement table of one sample.
     models
-        Names on the command line, or "all": see `gonio_analysis.choice.candidates`.
+        Names on the command line, or "all": see `gonio_analysis.selection.choice.candidates`.
     normalise
         What polar curves are divided by; see `gonio_analysis.planes.norm`.
     ior

@@ -4,7 +4,7 @@ A standard error looks at the curvature in one point. Where chi-square is no par
 noise, an index of refraction near a bound, two parameters that replace each other) an interval has to be walked out:
 the parameter is held, the others are fitted again, and the ends lie where chi-square has risen by 3.84 (95 %).
 
-The small fits use the neighbourhood of the solution (`gonio_analysis.near`), so that hundreds of them cost little.
+The small fits use the neighbourhood of the solution (`gonio_analysis.selection.near`), so that hundreds of them cost little.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from gonio_analysis.fitting import families
 from gonio_analysis.fitting.fit import ROUNDING, FitResult
 from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.near import Near
+from gonio_analysis.selection.near import Near
 
 LEVEL = 0.95
 TRIES = 14

@@ -23,9 +23,9 @@ from gonio_analysis.fitting.fit import FitResult, finite, fit
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.search import pose
 from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.near import Near, Rows
-from gonio_analysis.profile import Interval, profiles
-from gonio_analysis.regions import Region, blocks, worst
+from gonio_analysis.selection.near import Near, Rows
+from gonio_analysis.selection.profile import Interval, profiles
+from gonio_analysis.selection.regions import Region, blocks, worst
 
 SIGNIFICANCE = 0.01
 DECISIVE = 10.0
