@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio import geometry
-from gonio_analysis.align import FARTHEST
+from gonio_analysis.change.align import FARTHEST
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.uncertainty import Floats
 from gonio_analysis.planes import IN_PLANE, Rows

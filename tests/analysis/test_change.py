@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from gonio_analysis import cli
-from gonio_analysis.align import carry
-from gonio_analysis.change import Change, Side, change, discoveries, judge
+from gonio_analysis.change.align import carry
+from gonio_analysis.change.change import Change, Side, change, discoveries, judge
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.uncertainty import Covariance
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from gonio_analysis import thinning
-from gonio_analysis.change import FALSE_DISCOVERIES, LEVEL, Change, Side, change, side
+from gonio_analysis.change.change import FALSE_DISCOVERIES, LEVEL, Change, Side, change, side
 from gonio_analysis.fitting.fit import finite
 from gonio_analysis.fitting.metrics import DESCRIPTIONS
 from gonio_analysis.fitting.observations import Observations, describe_left_out

@@ -11,7 +11,7 @@ import numpy as np
 
 from gonio import geometry
 from gonio_analysis import maps, polar, thinning
-from gonio_analysis.change import LEVEL, Change
+from gonio_analysis.change.change import LEVEL, Change
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.uncertainty import Floats
 from gonio_analysis.planes import IN_PLANE, Curve, groups, labels

@@ -1,0 +1,1 @@
+"""Two measurements, files or models compared point by point."""
