@@ -16,9 +16,9 @@ import numpy.typing as npt
 
 from gonio import geometry
 from gonio_analysis.change.align import FARTHEST
+from gonio_analysis.curves.planes import IN_PLANE, Rows
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.planes import IN_PLANE, Rows
 from gonio_analysis.polar import FAINT, INK, Line, angle_axis, style
 
 FEWEST = 4

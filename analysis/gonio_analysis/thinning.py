@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from gonio_analysis.curves.planes import Curve, Rows
 from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.planes import Curve, Rows
 from gonio_analysis.polar import Line, xy
 
 CELL_PT = 1.3

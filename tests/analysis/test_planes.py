@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+from gonio_analysis.curves.planes import MOST_CURVES, curves, norm, selection
 from gonio_analysis.fitting.observations import observations
-from gonio_analysis.planes import MOST_CURVES, curves, norm, selection
 
 from gonio.models import build
 from tests.analysis.synthetic import measure

@@ -24,12 +24,12 @@ import numpy.typing as npt
 from gonio import geometry
 from gonio.errors import ConfigError, DataError
 from gonio_analysis.change.align import Carried, carry
+from gonio_analysis.curves.planes import SAME_ANGLE
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.objective import scaled_to
 from gonio_analysis.fitting.observations import Observations, describe_left_out, observations
 from gonio_analysis.fitting.uncertainty import Covariance, Floats
-from gonio_analysis.planes import SAME_ANGLE
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from gonio_analysis.curves.planes import Curve, curves
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.planes import Curve, curves
 
 SEED = 1
 BAND_NM = 10.0

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gonio_analysis.curves.planes import AT_MIRROR, IN_PLANE, NORM_WORDS
 from gonio_analysis.fitting.fit import FitResult, finite
 from gonio_analysis.fitting.metrics import BELOW, DESCRIPTIONS
 from gonio_analysis.fitting.observations import describe_left_out
-from gonio_analysis.planes import AT_MIRROR, IN_PLANE, NORM_WORDS
 from gonio_analysis.report.text import difference, slug
 from gonio_analysis.selection.compare import Dataset, Drawn, Fitted, budget
 

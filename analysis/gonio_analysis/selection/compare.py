@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.errors import ConfigError, DataError
+from gonio_analysis.curves.planes import Curve, Norm, Normalise, curves, labels, norm, selection
 from gonio_analysis.fitting import families
 from gonio_analysis.fitting.families import Ior
 from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.planes import Curve, Norm, Normalise, curves, labels, norm, selection
 from gonio_analysis.polar import Line
 from gonio_analysis.selection.choice import Choice, Judged, candidates, choose
 
@@ -122,7 +122,7 @@ def examine(
     models
         Names on the command line, or "all": see `gonio_analysis.selection.choice.candidates`.
     normalise
-        What polar curves are divided by; see `gonio_analysis.planes.norm`.
+        What polar curves are divided by; see `gonio_analysis.curves.planes.norm`.
     ior
         Optical constants n + ik or a material, for the models that have any.
     wavelength_nm

@@ -1,0 +1,1 @@
+"""Curves through a measurement, and what each is normalised by."""
