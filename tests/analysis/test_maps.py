@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gonio_analysis import diagnostics, maps
 from gonio_analysis.fitting.observations import observations
-from gonio_analysis.polar import Line
+from gonio_analysis.plots import diagnostics, maps
+from gonio_analysis.plots.polar import Line
 from gonio_analysis.selection.profile import Interval
 from matplotlib.figure import Figure
 

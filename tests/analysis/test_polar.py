@@ -7,8 +7,8 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pytest
-from gonio_analysis import polar
-from gonio_analysis.polar import Line
+from gonio_analysis.plots import polar
+from gonio_analysis.plots.polar import Line
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 

@@ -8,9 +8,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gonio_analysis import polar
 from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.polar import Line
+from gonio_analysis.plots import polar
+from gonio_analysis.plots.polar import Line
 
 Origin = Literal["paper", "database", "derived", "assumed"]
 ORIGINS: dict[Origin, str] = {

@@ -13,7 +13,7 @@ from gonio_analysis.figures.base import Claim, Page, Panel, Parameter, Table, ag
 from gonio_analysis.figures.experiment import divided, measure
 from gonio_analysis.figures.surfaces import CONE_SR, PAPER, agreement, label, scan
 from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.polar import Line
+from gonio_analysis.plots.polar import Line
 from gonio_analysis.report.text import number
 
 SLOPE = 4.4

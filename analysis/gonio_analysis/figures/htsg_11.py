@@ -13,7 +13,7 @@ from gonio_analysis.figures.base import Claim, Page, Parameter, Table, angle_pan
 from gonio_analysis.figures.experiment import measure
 from gonio_analysis.figures.experiment import scan as directions
 from gonio_analysis.figures.surfaces import BRDF, CONE_SR, PAPER, Scan, agreement, each, energy_limit, scan
-from gonio_analysis.polar import Line
+from gonio_analysis.plots.polar import Line
 from gonio_analysis.report.text import number
 
 PLASTIC_A, PLASTIC_RHO = 0.15, 0.195

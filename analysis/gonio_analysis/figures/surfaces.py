@@ -12,7 +12,7 @@ import numpy as np
 from gonio_analysis.figures.base import NOTHING, Panel, Parameter, angle_panel, polar_panel, signed
 from gonio_analysis.figures.experiment import Experiment, beside, divided
 from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.polar import Line
+from gonio_analysis.plots.polar import Line
 from gonio_analysis.report.text import number
 
 BRDF = "BRDF [1/sr]"

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from gonio_analysis import thinning
 from gonio_analysis.change.change import FALSE_DISCOVERIES, LEVEL, Change, Side, change, side
 from gonio_analysis.curves.planes import Curve, curves, labels, selection
 from gonio_analysis.fitting.fit import finite
 from gonio_analysis.fitting.metrics import DESCRIPTIONS
 from gonio_analysis.fitting.observations import Observations, describe_left_out
+from gonio_analysis.plots import thinning
 from gonio_analysis.report import change_figures, files, html, pdf, viewer
 from gonio_analysis.report.drawing import Draughtsmen, draughtsmen
 from gonio_analysis.report.figures import Figure

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from gonio import geometry
-from gonio_analysis import maps, polar, thinning
 from gonio_analysis.change.change import LEVEL, Change
 from gonio_analysis.curves.planes import IN_PLANE, Curve, groups, labels
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.polar import Line
+from gonio_analysis.plots import maps, polar, thinning
+from gonio_analysis.plots.polar import Line
 from gonio_analysis.report.detail import DISC_PT
 from gonio_analysis.report.figures import PANEL_PT, Drawing
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from gonio import geometry
-from gonio_analysis import diagnostics, maps, polar, thinning
 from gonio_analysis.curves.planes import IN_PLANE, Curve, Rows, groups, labels
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.polar import Line
+from gonio_analysis.plots import diagnostics, maps, polar, thinning
+from gonio_analysis.plots.polar import Line
 from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, Drawing, budget_height, largest
 from gonio_analysis.report.text import cause, unit
 from gonio_analysis.selection.compare import Dataset

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gonio import geometry
-from gonio_analysis import polar, thinning
+from gonio_analysis.plots import polar, thinning
 from gonio_analysis.report.text import cause, number, slug
 from gonio_analysis.selection.compare import Dataset, Fitted
 

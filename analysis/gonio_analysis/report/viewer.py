@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from gonio_analysis import thinning
 from gonio_analysis.curves.planes import MOST_CURVES, Curve, curves, labels, selection
 from gonio_analysis.fitting.fit import FitResult, finite
 from gonio_analysis.fitting.uncertainty import Floats
+from gonio_analysis.plots import thinning
 from gonio_analysis.selection.compare import Dataset, theory_angles
 
 MOST_LISTED = 16

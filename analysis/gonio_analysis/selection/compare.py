@@ -21,7 +21,7 @@ from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.polar import Line
+from gonio_analysis.plots.polar import Line
 from gonio_analysis.selection.choice import Choice, Judged, candidates, choose
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from gonio_analysis.change.align import FARTHEST
 from gonio_analysis.curves.planes import IN_PLANE, Rows
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.polar import FAINT, INK, Line, angle_axis, style
+from gonio_analysis.plots.polar import FAINT, INK, Line, angle_axis, style
 
 FEWEST = 4
 """Values that make a slice."""

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from gonio_analysis.curves.planes import Curve, Rows
 from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.polar import Line, xy
+from gonio_analysis.plots.polar import Line, xy
 
 CELL_PT = 1.3
 """Half of a marker: values that share a square of this side [pt] are drawn on top of each other."""

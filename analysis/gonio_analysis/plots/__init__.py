@@ -1,0 +1,1 @@
+"""Plots: each draws on the axes that it is given and returns its artists."""
