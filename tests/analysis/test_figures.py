@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gonio_analysis import figures
-from gonio_analysis.figures import (
+from gonio_analysis.report.figures import rendered
+from gonio_validation import papers
+from gonio_validation.papers import (
     blinn,
     colour,
     cook_torrance,
@@ -24,8 +25,7 @@ from gonio_analysis.figures import (
     oren_nayar_samples,
     surfaces,
 )
-from gonio_analysis.figures.base import Claim, Trace, agreed, trace_panel
-from gonio_analysis.report.figures import rendered
+from gonio_validation.papers.base import Claim, Trace, agreed, trace_panel
 
 from gonio.errors import ConfigError
 from gonio.models import HeTorrance, Lambert
@@ -89,7 +89,7 @@ def test_experiment_measures_the_figures_surface_with_its_solid_angles() -> None
         wavelength_nm=2000.0,
         scans={45.0: [30.0, 35.0, 40.0, 45.0, 50.0, 55.0]},
         solid_angle_sr=surfaces.CONE_SR,
-        progress=figures.silent,
+        progress=papers.silent,
     )
     assert taken.data.source_solid_angle_sr == pytest.approx(surfaces.CONE_SR, rel=1e-9)
     curve = taken.curve(45.0)
@@ -170,7 +170,7 @@ def test_a_lambertian_vase_is_a_cosine() -> None:
 
 
 def test_page_states_parameters_verdicts_and_every_curve(tmp_path: Path) -> None:
-    page = figures.make("htsg-10", tmp_path / "page", command="gonio figures htsg-10")
+    page = papers.make("htsg-10", tmp_path / "page", command="gonio figures htsg-10")
     text = page.read_text(encoding="utf-8")
     assert "<script" not in text
     assert "src=" not in text  # self-contained
@@ -201,22 +201,22 @@ def test_labels_keep_their_digits() -> None:
 
 def test_index_links_every_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shown = ("cook-torrance-4", "blinn-5")
-    monkeypatch.setattr(figures, "FIGURES", {name: figures.FIGURES[name] for name in shown})
-    index = figures.make("all", tmp_path / "all")
+    monkeypatch.setattr(papers, "FIGURES", {name: papers.FIGURES[name] for name in shown})
+    index = papers.make("all", tmp_path / "all")
     text = index.read_text(encoding="utf-8")
     for name in shown:
         assert f'href="{name}/index.html"' in text
         assert (index.parent / name / "index.html").is_file()
-    figures.make("all", tmp_path / "all")  # replaces an earlier one
+    papers.make("all", tmp_path / "all")  # replaces an earlier one
 
 
 def test_every_name_has_a_module() -> None:
-    assert {name.rpartition("-")[0] for name in figures.FIGURES} == set(figures.PAPERS)
+    assert {name.rpartition("-")[0] for name in papers.FIGURES} == set(papers.PAPERS)
 
 
 def test_unknown_figure_names_the_nearest() -> None:
     with pytest.raises(ConfigError, match='did you mean "htsg-8"'):
-        figures.build("htsg8")
+        papers.build("htsg8")
 
 
 def test_verdict_hangs_on_the_choice() -> None:

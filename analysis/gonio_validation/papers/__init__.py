@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from gonio.errors import ConfigError
 
 if TYPE_CHECKING:
-    from gonio_analysis.figures.base import Page
+    from gonio_validation.papers.base import Page
 
 FIGURES = {
     "htsg-7": "rough aluminium at 2.0 µm: a specular spike over a weak lobe",
@@ -58,7 +58,7 @@ def build(name: str, progress: Callable[[str], None] = silent) -> Page:
     """
     check(name)
     paper, _, number = name.rpartition("-")
-    page: Page = import_module(f"gonio_analysis.figures.{PAPERS[paper]}").build(int(number), progress)
+    page: Page = import_module(f"gonio_validation.papers.{PAPERS[paper]}").build(int(number), progress)
     return page
 
 
@@ -94,8 +94,9 @@ def make(name: str, out: str | Path, *, command: str = "", progress: Callable[[s
     ConfigError
         There is no such figure, or the folder cannot be written or holds something else.
     """
-    from gonio_analysis.figures import page
     from gonio_analysis.report import files
+
+    from gonio_validation.papers import page
 
     if name != "all":
         check(name)

@@ -11,8 +11,10 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+from gonio_analysis.fitting.uncertainty import Floats
+from gonio_analysis.report.text import number
 
-from gonio_analysis.figures.base import (
+from gonio_validation.papers.base import (
     Claim,
     Page,
     Parameter,
@@ -25,8 +27,6 @@ from gonio_analysis.figures.base import (
     theory,
     trace_panel,
 )
-from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.report.text import number
 
 PAPER = "Oren and Nayar, Generalization of Lambert's Reflectance Model, SIGGRAPH 1994"
 LOST = "lost in the scan"

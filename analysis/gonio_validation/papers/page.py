@@ -7,12 +7,13 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from gonio_analysis.figures import FIGURES
-from gonio_analysis.figures.base import COLUMNS, ORIGINS, Page
 from gonio_analysis.report import files, html
 from gonio_analysis.report.figures import Figure, rendered
 from gonio_analysis.report.summary import stamp
 from gonio_analysis.report.tables import write_csv
+
+from gonio_validation.papers import FIGURES
+from gonio_validation.papers.base import COLUMNS, ORIGINS, Page
 
 VERDICTS = ("holds", "does not hold", "no verdict")
 

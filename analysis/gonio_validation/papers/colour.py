@@ -6,7 +6,6 @@ import functools
 from importlib.resources import files
 
 import numpy as np
-
 from gonio_analysis.fitting.uncertainty import Floats
 
 XYZ_TO_RGB = np.array(
@@ -21,7 +20,7 @@ XYZ_TO_RGB = np.array(
 
 @functools.cache
 def _table() -> Floats:
-    with files("gonio_analysis.figures").joinpath("cie.csv").open(encoding="utf-8") as stream:
+    with files("gonio_validation.papers").joinpath("cie.csv").open(encoding="utf-8") as stream:
         return np.asarray(np.loadtxt(stream, delimiter=",", skiprows=1))
 
 

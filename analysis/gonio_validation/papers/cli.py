@@ -18,7 +18,7 @@ def figures(
     from gonio.acquisition.run import command_line
     from gonio.cli import console
     from gonio.errors import ConfigError
-    from gonio_analysis.figures import FIGURES, check, make
+    from gonio_validation.papers import FIGURES, check, make
 
     if name == "list":
         rows = console.table("name", "what it shows")

@@ -9,9 +9,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from gonio_analysis.fitting.uncertainty import Floats
+from gonio_analysis.report.text import number
 
-from gonio_analysis.figures import oren_nayar_samples
-from gonio_analysis.figures.base import (
+from gonio_validation.papers import oren_nayar_samples
+from gonio_validation.papers.base import (
     Claim,
     Page,
     Parameter,
@@ -24,9 +26,7 @@ from gonio_analysis.figures.base import (
     theory,
     trace_panel,
 )
-from gonio_analysis.figures.oren_nayar_samples import PAPER, assumed, between
-from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.report.text import number
+from gonio_validation.papers.oren_nayar_samples import PAPER, assumed, between
 
 INCIDENCES = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 AZIMUTHS = (0.0, 45.0, 90.0, 135.0, 180.0)

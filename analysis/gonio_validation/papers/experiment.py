@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
 from gonio_analysis.curves.planes import Curve, curves
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import Observations, observations

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-
 from gonio_analysis.fitting.uncertainty import Floats
 from gonio_analysis.plots import polar
 from gonio_analysis.plots.polar import Line

@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-
-from gonio_analysis.figures import htsg_10, htsg_11, surfaces
-from gonio_analysis.figures.base import Claim, Page, Parameter, Table
-from gonio_analysis.figures.experiment import Experiment, measure
-from gonio_analysis.figures.experiment import scan as directions
-from gonio_analysis.figures.surfaces import CONE_SR, PAPER, Scan, agreement, each, energy_limit, scan
 from gonio_analysis.report.text import number
+
+from gonio_validation.papers import htsg_10, htsg_11, surfaces
+from gonio_validation.papers.base import Claim, Page, Parameter, Table
+from gonio_validation.papers.experiment import Experiment, measure
+from gonio_validation.papers.experiment import scan as directions
+from gonio_validation.papers.surfaces import CONE_SR, PAPER, Scan, agreement, each, energy_limit, scan
 
 ALUMINIUM: dict[str, Any] = {"sigma0_um": 0.28, "tau_um": 1.77, "ior": "Al"}
 CERAMIC: dict[str, Any] = {"sigma0_um": 1.45, "tau_um": 13.2, "ior": "MgO", "diffuse_albedo": 0.9}

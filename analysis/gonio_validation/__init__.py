@@ -1,0 +1,1 @@
+"""How good the models are: the papers' own figures made again, and speed against error."""
