@@ -15,8 +15,8 @@ from types import ModuleType
 import mpmath as mp
 import numpy as np
 import pytest
-from gonio_analysis.bench import hard, measure, page, peers, report, ways
-from gonio_analysis.bench.ways import Family, Sample, Way
+from gonio_validation.bench import hard, measure, page, peers, report, ways
+from gonio_validation.bench.ways import Family, Sample, Way
 from typer.testing import CliRunner
 
 from gonio.errors import DataError
@@ -117,7 +117,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("few")
 def test_report(tmp_path: Path) -> None:
-    from gonio_analysis.bench.cli import app
+    from gonio_validation.bench.cli import app
 
     out = tmp_path / "bench"
     result = CliRunner().invoke(app, ["models", "--quick", "--out", str(out)])
@@ -182,7 +182,7 @@ def test_a_peer_whose_process_fails_is_named() -> None:
 
 def test_looking_for_peers_brings_none_into_this_process() -> None:
     code = (
-        "import sys\nfrom gonio_analysis.bench import peers\npeers.find()\n"
+        "import sys\nfrom gonio_validation.bench import peers\npeers.find()\n"
         "print(sorted({'drjit', 'mitsuba', 'pySCATMECH'} & sys.modules.keys()))"
     )
     made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -9,8 +9,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from gonio_analysis.bench import figures, hard, measure, page, peers, ways
 from gonio_analysis.report import files
+
+from gonio_validation.bench import figures, hard, measure, page, peers, ways
 
 POINT_COLUMNS = (
     *("family", "way", "ours", "set", "points", "max", "p99", "median", "max_scaled", "not_finite", "warning"),

@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gonio_analysis.fitting.uncertainty import Floats
 
 from gonio.errors import DataError
-from gonio_analysis.bench.ways import Evaluate, Way, directions, families, to_angles
-from gonio_analysis.fitting.uncertainty import Floats
+from gonio_validation.bench.ways import Evaluate, Way, directions, families, to_angles
 
 PACKAGES = {"Dr.Jit": "drjit", "Mitsuba": "mitsuba", "pySCATMECH": "pySCATMECH"}
 LLVM = "DRJIT_LIBLLVM_PATH"
@@ -64,7 +64,7 @@ def measured(peer: Peer, **settings: float) -> tuple[dict[str, Any], dict[str, A
     DataError
         The process failed.
     """
-    code = f"from gonio_analysis.bench import peers; peers.report({peer.name!r}, {settings!r})"
+    code = f"from gonio_validation.bench import peers; peers.report({peer.name!r}, {settings!r})"
     made = _process(code, peer.environment, timeout=600)
     if made is None or made.returncode:
         why = "took longer than 600 s" if made is None else (made.stderr.strip().splitlines() or ["no message"])[-1]
@@ -75,7 +75,7 @@ def measured(peer: Peer, **settings: float) -> tuple[dict[str, Any], dict[str, A
 
 def report(peer: str, settings: dict[str, Any]) -> None:
     """In the peer's own process: measure it, and print errors and times as JSON."""
-    from gonio_analysis.bench import measure
+    from gonio_validation.bench import measure
 
     way = _ways()[peer]
     family = next(f for f in families() if f.name == FAMILY)
@@ -146,7 +146,7 @@ def _usable(peer: str) -> tuple[str, dict[str, str] | None]:
 
 
 def _works(peer: str, environment: dict[str, str]) -> bool:
-    code = f"from gonio_analysis.bench import peers; peers.probe({peer!r})"
+    code = f"from gonio_validation.bench import peers; peers.probe({peer!r})"
     made = _process(code, environment, timeout=120)
     return made is not None and made.returncode == 0
 

@@ -11,12 +11,12 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
+from gonio_analysis.fitting.uncertainty import Floats
 
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, OrenNayar, Phong, engine, fresnel, htsg
 from gonio.models._compile import loop
 from gonio.models._facets import fresnel_constants
-from gonio_analysis.bench import naive, plain
-from gonio_analysis.fitting.uncertainty import Floats
+from gonio_validation.bench import naive, plain
 
 Evaluate = Callable[..., Any]
 
@@ -73,7 +73,7 @@ class Family:
 @functools.cache
 def reference() -> dict[str, Any]:
     """The reference values that tools/bench_reference.py wrote."""
-    text = files("gonio_analysis.bench").joinpath("reference.json").read_text(encoding="utf-8")
+    text = files("gonio_validation.bench").joinpath("reference.json").read_text(encoding="utf-8")
     found: dict[str, Any] = json.loads(text)
     return found
 
@@ -100,7 +100,7 @@ def to_angles(omega_i: Floats, omega_r: Floats) -> tuple[Floats, ...]:
 
 
 def families() -> list[Family]:
-    """Every family, with every way that runs in this process (for others see `gonio_analysis.bench.peers`)."""
+    """Every family, with every way that runs in this process (for others see `gonio_validation.bench.peers`)."""
     return [
         *_he_torrance(),
         _closed(
