@@ -27,8 +27,8 @@ import numpy as np
 
 from gonio import formats
 from gonio.errors import ConfigError, DataError
-from gonio.formats.base import ANGLES, COLUMNS, MAX_BYTES, Floats
 from gonio.formats.native import check, check_columns, meta_path
+from gonio.formats.reader import ANGLES, COLUMNS, MAX_BYTES, Floats
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -101,10 +101,10 @@ def measured(folder: Path, seed: int) -> Path:
     if table.exists():
         return table
     from gonio import measurement
+    from gonio.acquisition.measure import carry_out, find_rig, load_sample
     from gonio.acquisition.plan import load_plan
-    from gonio.acquisition.session import carry_out, find_rig, load_sample
     from gonio.config import to_toml
-    from gonio.reduction import radiometry
+    from gonio.reduction import brdf
 
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -120,7 +120,7 @@ def measured(folder: Path, seed: int) -> Path:
         seed=seed,
         yes=True,
     )
-    measurement.write(radiometry.reduce(run), table)
+    measurement.write(brdf.reduce(run), table)
     shutil.rmtree(folder / "run")
     return table
 

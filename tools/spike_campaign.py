@@ -23,11 +23,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio import instrument, models
+from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import ANGLES, Plan, Point
 from gonio.acquisition.run import Run
-from gonio.acquisition.session import RigChoice, carry_out
 from gonio.config import parse
-from gonio.reduction import radiometry
+from gonio.reduction import brdf
 from gonio.rig.description import RigDescription, SampleDescription
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def measured(folder: Path, seed: int, number: int, most: int = MOST) -> tuple[pd
     out = folder / f"{seed}-{number}"
     if not (out / "run.toml").exists():
         carry_out(chosen, rig(bool((number // len(KINDS)) % 2)), out, sample=what, seed=1000 * seed + number, yes=True)
-    return radiometry.reduce(Run.open(out)), what, chosen
+    return brdf.reduce(Run.open(out)), what, chosen
 
 
 def pulls(table: pd.DataFrame, what: SampleDescription) -> np.ndarray:

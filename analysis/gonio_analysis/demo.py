@@ -64,12 +64,12 @@ def run_demo(out: Path, *, quick: bool) -> Path:
         The folder holds something else, or cannot be written.
     """
     from gonio import measurement
+    from gonio.acquisition.measure import carry_out, find_rig, load_sample
     from gonio.acquisition.plan import load_plan
     from gonio.acquisition.run import check_writable
-    from gonio.acquisition.session import carry_out, find_rig, load_sample
     from gonio.cli import console
     from gonio.disk import write_own
-    from gonio.reduction import radiometry
+    from gonio.reduction import brdf
     from gonio_analysis.fitting.fit import fit
     from gonio_analysis.report import make
     from gonio_analysis.report.text import with_u
@@ -99,7 +99,7 @@ def run_demo(out: Path, *, quick: bool) -> Path:
         )
     _say(f"gonio reduce {run}")
     with console.counter("reducing") as counting:
-        table = radiometry.reduce(made, progress=counting)
+        table = brdf.reduce(made, progress=counting)
     made.write_table(table)
 
     _say(f"gonio fit {run / 'brdf.csv'} --model he-torrance --ior Al")

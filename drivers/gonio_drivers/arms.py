@@ -22,9 +22,9 @@ from gonio.errors import ConfigError, DeviceError, Disturbed
 from gonio.rig import Pose, Target
 from gonio.rig.description import RigDescription
 from gonio_drivers import joints, settings, watchdog
+from gonio_drivers.arrival import LARGEST_CORRECTION_DEG, SMALLEST_COUNTS, STILL_COUNTS, Landing
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.joints import Joint, Report
-from gonio_drivers.landing import LARGEST_CORRECTION_DEG, SMALLEST_COUNTS, STILL_COUNTS, Landing
 
 log = logging.getLogger("gonio.devices")
 

@@ -26,7 +26,7 @@ import serial
 from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.rig import Frame
 from gonio.rig.description import RigDescription
-from gonio.rig.frames import read_raw
+from gonio.rig.dng import read_raw
 from gonio_drivers import ports, settings
 
 log = logging.getLogger("gonio.devices")

@@ -13,7 +13,7 @@ import numpy as np
 from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.rig import Frame
 from gonio.rig.description import RigDescription
-from gonio.rig.frames import read_raw
+from gonio.rig.dng import read_raw
 from gonio_drivers import settings
 
 RAW = (".dng", ".cr2", ".nef", ".arw")

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from gonio.acquisition.frame_writer import BESIDE, NAME, record_of
 from gonio.acquisition.journal import Event, decode, encode, locked, now
 from gonio.acquisition.run import Run, Steps, begun
-from gonio.acquisition.store import BESIDE, NAME, record_of
 from gonio.disk import half_written, set_aside, write_whole
 from gonio.errors import ConfigError, DataError
 

@@ -34,9 +34,9 @@ from typing import TYPE_CHECKING, Any, Self, overload
 import numpy as np
 import numpy.typing as npt
 
+from gonio.acquisition.frame_writer import NAME, record_of
 from gonio.acquisition.journal import Event, Events, Journal, has_lines, read_events
 from gonio.acquisition.plan import ANGLES, Assessed, Plan, assess, points_sha256
-from gonio.acquisition.store import NAME, record_of
 from gonio.config import Strict, parse, to_toml
 from gonio.disk import (
     MANIFEST,
@@ -417,7 +417,7 @@ class Index:
 
 
 _STEP = re.compile(rb'\{"n":\d+,"event":"(\w+)"(?:,"step":(\d+),"kind":)?')
-"""How a line begins, as `gonio.acquisition.acquire` writes it."""
+"""How a line begins, as `gonio.acquisition.loop` writes it."""
 
 
 class Steps(Sequence[Event]):

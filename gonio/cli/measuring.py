@@ -25,9 +25,9 @@ def measure(
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask for no confirmation.")] = False,
 ) -> None:
     """Measure a plan on a rig: raw frames and a journal in a folder. Ctrl-C finishes the step and parks."""
+    from gonio.acquisition.measure import carry_out, check, find_rig, load_sample
     from gonio.acquisition.plan import load_plan
     from gonio.acquisition.run import command_line
-    from gonio.acquisition.session import carry_out, check, find_rig, load_sample
     from gonio.cli import console, plans
 
     asked, chosen = load_plan(plan), find_rig(rig)
@@ -64,13 +64,13 @@ def reduce(
     """Reduce a run's frames to BRDF with uncertainty: RUN/brdf.csv."""
     from gonio.acquisition.run import Run
     from gonio.cli import console
-    from gonio.reduction import radiometry
-    from gonio.reduction.radiometry import DAMAGED
+    from gonio.reduction import brdf
+    from gonio.reduction.brdf import DAMAGED
 
     opened = Run.open(run)
     opened.check_table()
     with console.counter("reducing") as progress:
-        table = radiometry.reduce(opened, progress=progress)
+        table = brdf.reduce(opened, progress=progress)
     path = opened.write_table(table)
     for note in table.attrs["notes"]:
         if DAMAGED in note:

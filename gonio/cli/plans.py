@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from gonio.acquisition.measure import RigChoice
     from gonio.acquisition.plan import Assessed, Plan, Point
-    from gonio.acquisition.session import RigChoice
 
 app = typer.Typer(help="Look at plans.", no_args_is_help=True)
 
@@ -29,8 +29,8 @@ def show(
     ] = None,
 ) -> None:
     """Show the points of a plan. With a rig also what it cannot reach and why, and how long it takes."""
+    from gonio.acquisition.measure import find_rig
     from gonio.acquisition.plan import load_plan
-    from gonio.acquisition.session import find_rig
 
     describe(load_plan(plan), find_rig(rig) if rig is not None else None)
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from gonio.acquisition.session import RigChoice
+    from gonio.acquisition.measure import RigChoice
     from gonio.rig import Rig
 
 app = typer.Typer(help="List, show, check and park rigs.", no_args_is_help=True)
@@ -44,7 +44,7 @@ def show(
     rig: Annotated[str, typer.Argument(metavar="RIG", help="A rig's name, or a rig file.", show_default=False)],
 ) -> None:
     """Print a rig's file, to copy and to change."""
-    from gonio.acquisition.session import find_rig
+    from gonio.acquisition.measure import find_rig
 
     choice = find_rig(rig)
     path = Path(rig)
@@ -59,7 +59,7 @@ def check(
     """Open a rig, and try every device. Moves each axis a little, takes a dark and a lit frame; exit 3 if any fails."""
     from rich.text import Text
 
-    from gonio.acquisition.session import find_rig
+    from gonio.acquisition.measure import find_rig
     from gonio.cli import console
     from gonio.errors import DeviceError
 
@@ -82,7 +82,7 @@ def park(
     rig: Annotated[str, typer.Option(help="A rig's name, or a rig file.", show_default=False)],
 ) -> None:
     """Darken the lamp, and drive every axis to its rest position."""
-    from gonio.acquisition.session import find_rig
+    from gonio.acquisition.measure import find_rig
     from gonio.cli import console
 
     choice = find_rig(rig)

@@ -30,7 +30,7 @@ def convert(
 
     if source.endswith(".toml"):
         from gonio import models
-        from gonio.acquisition.session import load_sample
+        from gonio.acquisition.measure import load_sample
 
         sample_file = load_sample(source)
         model = models.build(sample_file.model, sample_file.parameters)

@@ -11,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 
 from gonio.errors import ConfigError, DataError
-from gonio.formats.base import Format
+from gonio.formats.reader import Format
 
 _MODULES = (
     "native",

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.base import (
+from gonio.formats.reader import (
     Floats,
     Format,
     Text,

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.base import Format, Text, estimate, fold, integer, numbers, plain_degrees, table, wide, write_bytes
+from gonio.formats.reader import Format, Text, estimate, fold, integer, numbers, plain_degrees, table, wide, write_bytes
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -20,7 +20,7 @@ import numpy as np
 
 from gonio.disk import require_name
 from gonio.errors import ConfigError, DataError
-from gonio.formats.base import (
+from gonio.formats.reader import (
     COLUMNS,
     POLARISATIONS,
     Floats,

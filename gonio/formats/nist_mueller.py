@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.base import Format, column_names, csv_table, fold, table
+from gonio.formats.reader import Format, column_names, csv_table, fold, table
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import DataError
-from gonio.formats.base import RGB_NM, Floats, Format, table, write_bytes
+from gonio.formats.reader import RGB_NM, Floats, Format, table, write_bytes
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -23,7 +23,7 @@ import numpy as np
 
 from gonio.errors import DataError
 from gonio.formats._xls import MAGIC, worksheets
-from gonio.formats.base import MAX_BYTES, Floats, Format, fold, table
+from gonio.formats.reader import MAX_BYTES, Floats, Format, fold, table
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -7,12 +7,12 @@ from typing import Any
 
 from gonio.errors import ArgumentError
 from gonio.models import fresnel, htsg
-from gonio.models.base import Model, build_model
 from gonio.models.blinn import Blinn, Phong
 from gonio.models.cook_torrance import CookTorrance
 from gonio.models.engine import Geometry, geometry
 from gonio.models.he_torrance import HeTorrance
 from gonio.models.lambert import Lambert
+from gonio.models.model import Model, build_model
 from gonio.models.oren_nayar import OrenNayar
 from gonio.models.sum import Sum
 

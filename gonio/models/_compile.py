@@ -117,7 +117,7 @@ def _sources(kernel_file: str) -> str:
 def _jit(function: Callable[..., Any], others: Others = (), in_single: bool = False) -> Any:
     import numba
 
-    from gonio.models._wide import wide
+    from gonio.models._vector_width import wide
 
     options = {"fastmath": set(FASTMATH), "error_model": "numpy", "pipeline_class": wide(in_single=in_single)}
     return numba.njit(forceinline=True, **options)(_clone(function, {}, others, in_single))
@@ -150,7 +150,7 @@ def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int, i
     import numba
 
     from gonio.compiled import njit
-    from gonio.models._wide import wide
+    from gonio.models._vector_width import wide
 
     types = numba.types
     real = types.float32 if in_single else types.float64

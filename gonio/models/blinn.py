@@ -30,8 +30,18 @@ from gonio.models._facets import (
     log_cos2,
 )
 from gonio.models._math import _LOG2_E, exp2
-from gonio.models.base import Index, Model, checked_index, checked_wavelength, choice, index_at, number, positive, store
 from gonio.models.engine import Constants, Kernel
+from gonio.models.model import (
+    Index,
+    Model,
+    checked_index,
+    checked_wavelength,
+    choice,
+    index_at,
+    number,
+    positive,
+    store,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

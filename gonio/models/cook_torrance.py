@@ -15,9 +15,19 @@ from gonio.models import engine
 from gonio.models._compile import device, of_columns, with_others
 from gonio.models._facets import SINGLE_RANGE, by_angle, by_tan2, fresnel, fresnel_constants, fresnel_real
 from gonio.models._math import _LOG2_E, exp2
-from gonio.models.base import Index, Model, checked_index, checked_wavelength, choice, index_at, number, positive, store
 from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import n_from_f0, reflectance
+from gonio.models.model import (
+    Index,
+    Model,
+    checked_index,
+    checked_wavelength,
+    choice,
+    index_at,
+    number,
+    positive,
+    store,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

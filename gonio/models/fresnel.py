@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.errors import ArgumentError
-from gonio.models.base import number
 from gonio.models.engine import common_shape, real_array
+from gonio.models.model import number
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

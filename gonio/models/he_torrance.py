@@ -15,8 +15,8 @@ from gonio.models._compile import loop
 from gonio.models._facets import fresnel_constants
 from gonio.models._hemisphere import about_mirror, about_source
 from gonio.models._htsg_series import TIERS
-from gonio.models.base import Index, Model, checked_index, checked_wavelength, choice, index_at, number
 from gonio.models.engine import Constants, Kernel
+from gonio.models.model import Index, Model, checked_index, checked_wavelength, choice, index_at, number
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

@@ -18,7 +18,7 @@ from gonio.models._compile import device, loop, template
 from gonio.models._htsg_kernels import shadowing as pair_shadowing
 from gonio.models._htsg_series import expand, expm1, lambert_w
 from gonio.models._math import log, sincos_polar
-from gonio.models.base import choice
+from gonio.models.model import choice
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

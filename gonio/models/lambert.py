@@ -7,8 +7,8 @@ from math import pi
 from typing import ClassVar
 
 from gonio.models._compile import device
-from gonio.models.base import Model, number, store
 from gonio.models.engine import Constants, Kernel
+from gonio.models.model import Model, number, store
 
 
 @device

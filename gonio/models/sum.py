@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from gonio.errors import ArgumentError
-from gonio.models.base import Model, number
 from gonio.models.engine import Geometry, delivered
+from gonio.models.model import Model, number
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

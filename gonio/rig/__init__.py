@@ -1,6 +1,6 @@
 """What a goniometer is: its description, the protocols of its devices, its geometry and its raw frames."""
 
-from gonio.rig.rig import (
+from gonio.rig.protocols import (
     PROMPTS,
     ArmsDevice,
     CameraDevice,

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from gonio.errors import ConfigError
 from gonio.rig.description import Camera, RigDescription
-from gonio.rig.rig import Target
+from gonio.rig.protocols import Target
 
 if TYPE_CHECKING:
     from gonio.rig.kinematics import View

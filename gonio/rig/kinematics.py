@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from gonio.errors import ConfigError
 from gonio.rig.description import RigDescription
-from gonio.rig.rig import Pose
+from gonio.rig.protocols import Pose
 
 Array = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]

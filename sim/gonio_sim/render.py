@@ -31,7 +31,7 @@ from gonio_sim.world import World
 if TYPE_CHECKING:
     import pandas as pd
 
-    from gonio.models.base import Model
+    from gonio.models.model import Model
 
 Array = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
@@ -102,7 +102,7 @@ class Renderer:
         return self._scenes[key]
 
     def _render(self, pose: Pose, band: Band, target: Target) -> Floats:
-        from gonio_sim.nodes import electrons_per_s
+        from gonio_sim.adaptive_grid import electrons_per_s
 
         description = self._world.description
         scene = view(description, pose)
@@ -163,7 +163,7 @@ class Renderer:
     def _sample(self, band: Band) -> Callable[[PixelMap, View, Disc, Array], None]:
         """The sample: its model's lobe on a grid of nodes, and its spike pixel by pixel."""
         from gonio import instrument
-        from gonio_sim.nodes import sample_function
+        from gonio_sim.adaptive_grid import sample_function
 
         model, sample = self._model, self._world.sample
         assert model is not None

@@ -10,7 +10,7 @@ import pandas as pd
 from gonio_analysis.fitting.forward import seen
 from gonio_analysis.fitting.uncertainty import Covariance
 
-from gonio.formats.base import table
+from gonio.formats.reader import table
 
 Floats = npt.NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from gonio_analysis.fitting.uncertainty import Covariance
 
 from gonio import measurement
 from gonio.errors import ConfigError, DataError
-from gonio.formats.base import table
+from gonio.formats.reader import table
 from gonio.models import build
 from tests.analysis.synthetic import dense, measure
 

@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gonio.acquisition.acquire import Live, Silent
+from gonio.acquisition.loop import Live, Silent
+from gonio.acquisition.measure import RigChoice, carry_out, check
 from gonio.acquisition.plan import Plan, load_plan
 from gonio.acquisition.run import Run
-from gonio.acquisition.session import RigChoice, carry_out, check
 from gonio.config import to_toml
 from gonio.errors import ConfigError, DataError, DeviceError, GonioError, Interrupted
-from gonio.reduction import radiometry
+from gonio.reduction import brdf
 from gonio.rig import Frame
 from gonio.rig.description import Holder, Reference, RigDescription
-from gonio.rig.frames import read_raw
+from gonio.rig.dng import read_raw
 from tests.core.bench import PLAN, SAMPLE, Bench, Plugin, describe
 
 Measure = Callable[..., Run]
@@ -136,7 +136,7 @@ def test_a_step_during_which_an_arm_never_stands_still_is_flagged(measure: Measu
     flagged = run.steps()[3]
     assert flagged["frames"] == []
     assert flagged["pose"]["camera"] - flagged["goal"]["camera"] == pytest.approx(math.radians(0.3))
-    table = radiometry.reduce(run)
+    table = brdf.reduce(run)
     assert list(table["flag"])[:4] == ["", "", "blocked", "blocked"]
     assert set(table["flag"][table["flag"] != "blocked"]) == {"", "moved"}
     assert (table["flag"] == "moved").sum() == 2  # in both bands
@@ -261,7 +261,7 @@ def test_a_computer_s_clock_that_jumps_changes_nothing(measure: Measure, monkeyp
     assert content(run) == content(measure("whole"))
     walls = [event["wall"] for event in run.events()]
     assert walls == sorted(walls, reverse=True)
-    assert set(radiometry.reduce(run)["flag"]) == {"", "blocked"}
+    assert set(brdf.reduce(run)["flag"]) == {"", "blocked"}
 
 
 @pytest.mark.parametrize(
@@ -450,9 +450,9 @@ def test_a_patch_counts_in_the_poses_that_are_used(plan: Plan, tmp_path: Path) -
 
 
 def test_a_full_disk_ends_the_run_and_it_can_go_on(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:
-    from gonio.acquisition import store
+    from gonio.acquisition import frame_writer
 
-    write, count = store.write_dng, 0
+    write, count = frame_writer.write_dng, 0
 
     def fills_up(frame: object, path: Path) -> None:
         nonlocal count
@@ -461,7 +461,7 @@ def test_a_full_disk_ends_the_run_and_it_can_go_on(measure: Measure, monkeypatch
             raise OSError(28, "No space left on device")
         write(frame, path)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(store, "write_dng", fills_up)
+    monkeypatch.setattr(frame_writer, "write_dng", fills_up)
     with pytest.raises(DataError, match="No space left"):
         measure("run")
     monkeypatch.undo()

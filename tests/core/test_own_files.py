@@ -15,9 +15,9 @@ from gonio_analysis.demo import _clear
 from gonio_analysis.report.files import staged
 
 from gonio import disk, measurement
+from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import load_plan
 from gonio.acquisition.run import Run
-from gonio.acquisition.session import RigChoice, carry_out
 from gonio.errors import ConfigError, GonioError
 from tests.core.bench import PLAN, SAMPLE, Plugin, describe
 

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 
 from gonio.acquisition import repair
-from gonio.acquisition.acquire import Silent
+from gonio.acquisition.frame_writer import record_of
+from gonio.acquisition.loop import Silent
+from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import Plan, load_plan
 from gonio.acquisition.run import Run
-from gonio.acquisition.session import RigChoice, carry_out
-from gonio.acquisition.store import record_of
 from gonio.errors import ConfigError, DataError
-from gonio.reduction import radiometry
+from gonio.reduction import brdf
 from gonio.rig.description import Reference
-from gonio.rig.frames import read_raw, read_record
+from gonio.rig.dng import read_raw, read_record
 from tests.core.bench import PLAN, SAMPLE, Bench, Plugin, describe
 
 Measure = Callable[..., Run]
@@ -241,16 +241,16 @@ def test_a_change_among_very_many_frames_is_found_by_the_check(
 
 
 def flags(run: Run) -> list[str]:
-    return list(radiometry.reduce(run)["flag"])
+    return list(brdf.reduce(run)["flag"])
 
 
 @pytest.mark.parametrize("how", ["missing", "truncated", "changed"])
 def test_reduction_leaves_out_what_is_damaged(measure: Measure, how: str) -> None:
     run = measure()
-    before = radiometry.reduce(run)
+    before = brdf.reduce(run)
     step = run.steps()[3]
     lose(run.frame_path(step["frames"][0]["file"]), how)  # of the first band
-    table = radiometry.reduce(run)
+    table = brdf.reduce(run)
     row = 2 * step["point"]
     assert table["flag"][row] == "damaged"
     assert np.isnan(table["brdf"][row])
@@ -265,10 +265,10 @@ def test_reduction_leaves_out_what_is_damaged(measure: Measure, how: str) -> Non
 @pytest.mark.parametrize("number", [1, 5, 8])
 def test_reduction_goes_on_without_a_visit_to_the_reference(measure: Measure, number: int) -> None:
     run = measure()
-    before = radiometry.reduce(run)
+    before = brdf.reduce(run)
     for frame in run.steps()[number]["frames"]:
         lose(run.frame_path(frame["file"]), "changed")
-    table = radiometry.reduce(run)
+    table = brdf.reduce(run)
     assert list(table["flag"]) == list(before["flag"])
     good = before["flag"] == ""
     # the level of two visits of three, of some 1e6 electrons each
@@ -278,16 +278,16 @@ def test_reduction_goes_on_without_a_visit_to_the_reference(measure: Measure, nu
 
 def test_reduction_goes_on_with_the_dark_frames_that_are_left(measure: Measure) -> None:
     run = measure()
-    before, dark = radiometry.reduce(run), run.steps()[0]["frames"]
+    before, dark = brdf.reduce(run), run.steps()[0]["frames"]
     lose(run.frame_path(dark[0]["file"]), "missing")
-    assert list(radiometry.reduce(run)["flag"]) == list(before["flag"])
+    assert list(brdf.reduce(run)["flag"]) == list(before["flag"])
     lose(run.frame_path(dark[1]["file"]), "missing")  # one exposure is left
-    table = radiometry.reduce(run)
+    table = brdf.reduce(run)
     assert any("dark frames of one exposure" in note for note in table.attrs["notes"])
     for frame in dark[2:]:
         lose(run.frame_path(frame["file"]), "changed")
     with pytest.raises(DataError, match=r"every dark frame .*--resume"):
-        radiometry.reduce(run)
+        brdf.reduce(run)
 
 
 def test_reduction_needs_one_visit(measure: Measure) -> None:
@@ -296,7 +296,7 @@ def test_reduction_needs_one_visit(measure: Measure) -> None:
         for frame in run.steps()[number]["frames"]:
             lose(run.frame_path(frame["file"]), "missing")
     with pytest.raises(DataError, match="no usable visit to the white reference"):
-        radiometry.reduce(run)
+        brdf.reduce(run)
 
 
 def test_a_missing_row_of_the_plan_is_named_and_can_be_written_again(measure: Measure) -> None:
@@ -307,7 +307,7 @@ def test_a_missing_row_of_the_plan_is_named_and_can_be_written_again(measure: Me
     for wrong in (lines[:-1], [*lines[:2], *lines[3:]], [*lines, lines[-1]], [*lines[:1], *lines[2:0:-1], *lines[3:]]):
         path.write_bytes(b"".join(wrong))
         with pytest.raises(DataError, match=r"plan\.csv: .*--resume"):
-            radiometry.reduce(Run.open(run.path))
+            brdf.reduce(Run.open(run.path))
         with pytest.raises(DataError, match=r"plan\.csv"):
             measure(resume=True)
         assert path.read_bytes() == b"".join(wrong)

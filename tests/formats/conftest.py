@@ -13,7 +13,7 @@ import pytest
 
 from gonio import measurement
 from gonio.errors import DataError
-from gonio.formats.base import table
+from gonio.formats.reader import table
 
 MUTATIONS = int(os.environ.get("GONIO_MUTATIONS", "400"))
 """Damaged files a format; raise it for a long run by hand."""

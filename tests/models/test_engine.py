@@ -16,7 +16,7 @@ import pytest
 from gonio.errors import ArgumentError
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, OrenNayar, Phong, build, engine, fresnel, geometry
 from gonio.models._compile import _loop
-from gonio.models.base import Model
+from gonio.models.model import Model
 
 MODEL = CookTorrance()
 RNG = np.random.default_rng(5)
@@ -138,7 +138,7 @@ def test_importing_the_models_imports_no_numba() -> None:
 def test_whole_vectors_and_held_constants_are_asked_for_function_by_function() -> None:
     import numba
 
-    from gonio.models._wide import ATTRIBUTES, wide
+    from gonio.models._vector_width import ATTRIBUTES, wide
 
     MODEL.brdf(0.1, 0.0, 0.2, 1.0)
     ours = numba.njit("f8(f8)", pipeline_class=wide())(lambda x: x + 0.3)
@@ -325,7 +325,7 @@ def test_a_model_is_rebuilt_from_its_parameters(model: object) -> None:
 def test_masked_values_are_refused_and_not_computed_with() -> None:
     """numpy would go on with what lies under the mask, and drop the mask."""
     from gonio import materials
-    from gonio.formats.base import table
+    from gonio.formats.reader import table
     from gonio.instrument import apparent_brdf
     from gonio.models import Lambert, fresnel, geometry
 

@@ -15,7 +15,7 @@ import pandas as pd
 
 from gonio.rig import Frame, Pose
 from gonio.rig.description import Acquisition, Arms, Band, Bands, Camera, Lamp, Reference, RigDescription
-from gonio.rig.frames import write_dng
+from gonio.rig.dng import write_dng
 from gonio.rig.kinematics import Directions, directions, reach
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from gonio.reduction import darks
-from gonio.reduction.darks import COLUMNS, PATTERNS, Patterns, strongest
+from gonio.reduction import dark_signal
+from gonio.reduction.dark_signal import COLUMNS, PATTERNS, Patterns, strongest
 from gonio.rig.imaging import Roi
 
 
@@ -49,7 +49,7 @@ def test_patterns_hold_what_regions_share() -> None:
 
 def test_patterns_of_some_regions_serve_all(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a long run, or of many pixels, not all regions are held; what is not described is less, and never more."""
-    monkeypatch.setattr(darks, "HELD", 7 * 41 * 41)
+    monkeypatch.setattr(dark_signal, "HELD", 7 * 41 * 41)
     patterns = Patterns(REGIONS, BOX)
     coefficients = np.array([patterns.of(region) for region in REGIONS])
     held = np.sum(coefficients**2, axis=1)

@@ -13,7 +13,7 @@ import rawpy
 
 from gonio.errors import ArgumentError, DataError
 from gonio.rig import Frame
-from gonio.rig.frames import BAYER, read_raw, write_dng
+from gonio.rig.dng import BAYER, read_raw, write_dng
 
 WHITE = {8: 255.0, 10: 1023.0, 12: 4095.0, 14: 16383.0, 16: 65535.0}
 

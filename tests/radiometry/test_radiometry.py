@@ -13,10 +13,11 @@ import pytest
 
 from gonio import geometry, measurement
 from gonio.errors import DataError
-from gonio.reduction import radiometry, rates
+from gonio.reduction import brdf as radiometry
+from gonio.reduction import count_rates
 from gonio.rig import Frame, Pose
 from gonio.rig.description import ArmAxis, Arms, Band, Lamp
-from gonio.rig.frames import read_raw
+from gonio.rig.dng import read_raw
 from gonio.rig.kinematics import Directions
 from tests.radiometry.bench import MadeRun, Maker, describe, in_plane
 
@@ -60,7 +61,7 @@ def test_noise_free_frames_reduce_exactly(tmp_path: Path, monkeypatch: pytest.Mo
     """Real-valued frames with dark current, per-pixel offsets and a steady drift: nothing but rounding is left."""
     description = describe(camera={"dark_current_e_per_s": 20.0, "electrons_per_dn": 2.0}, reference={"frames": 2})
     maker = Exact(tmp_path, description, glossy, lamp=lambda t: 1.0 - 2e-5 * t)
-    monkeypatch.setattr(rates, "read_raw", maker.read)
+    monkeypatch.setattr(count_rates, "read_raw", maker.read)
     table = radiometry.reduce(maker.make(POINTS, (0.25, 0.25, 0.0625)))
     # 1e-10: sums of 1000 doubles of 1e4, differences of 1e3 below them
     np.testing.assert_allclose(table["brdf"], truth(table, glossy), rtol=1e-10)

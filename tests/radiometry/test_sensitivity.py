@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gonio.geometry import angles, direction
-from gonio.reduction.sensitivity import Curves
+from gonio.reduction.angle_sensitivity import Curves
 from gonio.reduction.spikes import Share, blurred_overlap, from_mirror, mirror_offset, over_patch, overlap
 from gonio.rig.kinematics import Directions
 

@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from gonio.acquisition.measure import carry_out
 from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.run import Run
-from gonio.acquisition.session import carry_out
-from gonio.reduction import radiometry
-from gonio.reduction.sensitivity import Curves
+from gonio.reduction import brdf
+from gonio.reduction.angle_sensitivity import Curves
 from gonio.reduction.spikes import Share, blurred_overlap, from_mirror, mirror_offset, overlap
 from gonio.rig.description import SampleDescription
 from gonio.rig.kinematics import Directions
@@ -35,7 +35,7 @@ def reduced(
     """The table of points (theta_i, theta_r, dphi) [deg] on aluminium."""
     plan = Plan("spike", (500.0,), tuple(Point(i, 0.0, round(r, 6), p) for i, r, p in points), 0, "test")
     carry_out(plan, rig(azimuth, name), folder / "run", sample=ALUMINIUM, seed=seed, yes=True)
-    return radiometry.reduce(Run.open(folder / "run"))
+    return brdf.reduce(Run.open(folder / "run"))
 
 
 @pytest.mark.parametrize("seed", [0, 1])

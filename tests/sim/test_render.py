@@ -14,11 +14,11 @@ from gonio_sim.rig import SIM
 from gonio_sim.world import World
 
 from gonio import models
+from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import load_plan
-from gonio.acquisition.session import RigChoice, carry_out
 from gonio.geometry import angles, solid_angle_of_cone
 from gonio.instrument import apparent_brdf
-from gonio.reduction import radiometry
+from gonio.reduction import brdf
 from gonio.rig import Pose, Target
 from gonio.rig.description import Band, RigDescription, SampleDescription
 from gonio.rig.imaging import pixel_map
@@ -303,7 +303,7 @@ def test_a_lambertian_lamp_near_a_reference_beside_the_sample(tmp_path: Path, kn
         lamp = description.lamp.model_copy(update={"radiation": "isotropic"})
         rig = run.description.model_copy(update={"lamp": lamp})
         run.settings = run.settings.model_copy(update={"rig": rig})
-    found = radiometry.reduce(run)["brdf"][0] / (0.5 / math.pi)
+    found = brdf.reduce(run)["brdf"][0] / (0.5 / math.pi)
     expected = 1.0 if knows else 1 / math.cos(math.atan(14.0 / 300.0))
     # 16-bit levels at 0.6 of full scale in some 50 pixels of each region, and the finite patch: below 2e-5
     assert found == pytest.approx(expected, abs=2e-5)

@@ -26,7 +26,7 @@ from gonio_sim.wire.uvc import VideoStandIn
 from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.rig import Frame
 from gonio.rig.description import Band, Bands, Camera, RigDescription
-from gonio.rig.frames import write_dng
+from gonio.rig.dng import write_dng
 
 SIZE = (48, 64)
 DESCRIPTION = RigDescription(
@@ -247,7 +247,7 @@ def test_a_camera_that_writes_two_files_an_exposure_is_refused(
 def test_a_tethering_program_is_run(tmp_path: Path) -> None:
     good = tmp_path / "shoot.py"
     good.write_text(
-        "import sys, numpy as np\nfrom gonio.rig.frames import write_dng\nfrom gonio.rig import Frame\n"
+        "import sys, numpy as np\nfrom gonio.rig.dng import write_dng\nfrom gonio.rig import Frame\n"
         f"mosaic = np.full({SIZE}, 9, np.uint16)\n"
         "write_dng(Frame(mosaic, float(sys.argv[1]), 64.0, 4095.0, 'RGGB', time_s=0.0), sys.argv[2] + '/a.dng')\n"
     )

@@ -21,18 +21,18 @@ from gonio_drivers import folder_camera
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.lab import LAB, LabRig
 from gonio_sim.wire import faults, motion, tether
-from gonio_sim.wire.bench import Bench, plug
 from gonio_sim.wire.servo import Servo
+from gonio_sim.wire.twins import Bench, plug
 
-from gonio.acquisition.acquire import Silent
+from gonio.acquisition.loop import Silent
+from gonio.acquisition.measure import RigChoice, carry_out, find_rig
 from gonio.acquisition.plan import load_plan
 from gonio.acquisition.run import Run
-from gonio.acquisition.session import RigChoice, carry_out, find_rig
 from gonio.cli import rigs
 from gonio.cli.rigs import checks
 from gonio.config import parse, to_toml
 from gonio.errors import ConfigError, DeviceError, Interrupted
-from gonio.reduction import radiometry
+from gonio.reduction import brdf
 from gonio.rig import Pose, Step
 from gonio.rig.description import RigDescription, SampleDescription
 from tests.wire.conftest import be_patient
@@ -94,7 +94,7 @@ def measure(bench: Bench, tmp_path: Path, progress: Any = None) -> Run:
 
 def assert_true(run: Run, points: int | None = None) -> None:
     """No value in the table is wrong: each lies within 5 of its standard uncertainties of what the sample is."""
-    table = radiometry.reduce(run)
+    table = brdf.reduce(run)
     good = table[table["flag"] == ""]
     pulls = (good["brdf"] - ALBEDO / math.pi) / good["u_brdf"]
     assert np.abs(pulls).max() < 5  # for tens of values, 5 sigma is beyond chance
@@ -248,7 +248,7 @@ def test_ctrl_c_in_a_check_says_what_it_has_done(bench: Bench, monkeypatch: pyte
         raise KeyboardInterrupt
 
     monkeypatch.setattr(rigs, "checks", pressed)
-    monkeypatch.setattr("gonio.acquisition.session.find_rig", lambda rig: RigChoice(LAB, bench.description, rig))
+    monkeypatch.setattr("gonio.acquisition.measure.find_rig", lambda rig: RigChoice(LAB, bench.description, rig))
     with pytest.raises(Interrupted, match="the lamp is dark"):
         rigs.check("twin")
 

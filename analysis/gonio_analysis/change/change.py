@@ -135,7 +135,7 @@ def side(spec: str) -> Side:
     """
     if spec.endswith(".toml"):
         from gonio import models
-        from gonio.acquisition.session import load_sample
+        from gonio.acquisition.measure import load_sample
 
         sample = load_sample(Path(spec))
         return Side(sample.name, spec, model=models.build(sample.model, sample.parameters))

@@ -137,7 +137,7 @@ def maker(name: str) -> Callable[[Mapping[str, Any]], Any]:
     """
     from gonio import plugins
     from gonio.models import Sum
-    from gonio.models.base import build_model
+    from gonio.models.model import build_model
 
     kinds = {part: plugins.load("gonio.models", part) for part in parts(name)}
     if len(kinds) == 1:

@@ -405,7 +405,7 @@ def _flat(values: Any, prefix: str = "") -> Iterable[tuple[str, str]]:
 
 
 def _reference(band: dict[str, Any]) -> str:
-    """What the visits to the white reference said, as `gonio.reduction.radiometry.reduce` leaves it."""
+    """What the visits to the white reference said, as `gonio.reduction.brdf.reduce` leaves it."""
     level, slope, u_slope = band["level_e_per_s_sr"], band["drift_per_hour"], band["u_drift_per_hour"]
     drift = "unknown" if slope is None else f"({with_u(100 * slope, 100 * u_slope)}) % an hour"
     steady = "on a straight line" if band["straight"] else "on no straight line"

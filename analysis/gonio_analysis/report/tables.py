@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio.formats.base import cell_of
+from gonio.formats.reader import cell_of
 from gonio_analysis.fitting.uncertainty import Floats
 from gonio_analysis.report import viewer
 from gonio_analysis.report.summary import VALUES, usable

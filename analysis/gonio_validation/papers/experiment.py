@@ -76,10 +76,10 @@ def measure(
         Called with a line before the measurement.
     """
     from gonio import measurement
+    from gonio.acquisition.measure import carry_out, find_rig, load_sample
     from gonio.acquisition.plan import load_plan
-    from gonio.acquisition.session import carry_out, find_rig, load_sample
     from gonio.config import to_toml
-    from gonio.reduction import radiometry
+    from gonio.reduction import brdf
 
     points = sum(map(len, scans.values()))
     progress(f"{name}: measuring {points} directions on the simulated goniometer")
@@ -102,7 +102,7 @@ def measure(
             seed=SEED,
             yes=True,
         )
-        frame = radiometry.reduce(run)
+        frame = brdf.reduce(run)
         frame.attrs["source_file"] = "RUN"  # the temporary folder is nobody's business
         measurement.write(frame, folder / "brdf.csv")
         kept = [*(f"{kind}.toml" for kind in tables), "brdf.csv", "brdf.meta.json"]
@@ -144,7 +144,7 @@ def divided(curve: Curve, by: float) -> tuple[Floats, Floats, Floats]:
 def _rig(name: str, wavelength_nm: float, solid_angle_sr: float) -> dict[str, Any]:
     """The tables of the rig "sim", with a lamp and a lens of this solid angle, one band, and a small sensor."""
     from gonio import geometry
-    from gonio.acquisition.session import find_rig
+    from gonio.acquisition.measure import find_rig
 
     half = float(geometry.half_angle_of_cone(solid_angle_sr))
     tables: dict[str, Any] = find_rig("sim").description.model_dump(mode="json", exclude_none=True, exclude={"devices"})

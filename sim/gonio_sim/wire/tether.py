@@ -12,7 +12,7 @@ from pathlib import Path
 
 from gonio.errors import ConfigError
 from gonio.rig import Frame
-from gonio.rig.frames import write_dng
+from gonio.rig.dng import write_dng
 from gonio_sim.wire.faults import CAMERA, FILE_LATE_S, Faults
 
 Send = Callable[[bytes], None]

@@ -76,7 +76,7 @@ class Frame:
     file: Path | None = field(default=None, kw_only=True)
     """Set when a camera delivered a raw file of its own (CR2, NEF, ARW, DNG); the engine keeps that file."""
     record: str = field(default="", kw_only=True)
-    """The engine's: what a frame's own file says of the step that it belongs to (`gonio.acquisition.store`)."""
+    """The engine's: what a frame's own file says of the step that it belongs to (`gonio.acquisition.frame_writer`)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,9 +22,9 @@ from typing import Any, Protocol, Self
 
 from gonio import __version__
 from gonio.acquisition import exposure
+from gonio.acquisition.frame_writer import Files, Store, Written, slugs
 from gonio.acquisition.journal import Event
 from gonio.acquisition.run import Run
-from gonio.acquisition.store import Files, Store, Written, slugs
 from gonio.errors import DeviceError, Disturbed, Interrupted
 from gonio.rig import Frame, Pose, Rig, Step, Target
 from gonio.rig.description import Band

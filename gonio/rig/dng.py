@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from gonio.disk import write_whole
 from gonio.errors import ArgumentError, DataError
-from gonio.rig.rig import Frame
+from gonio.rig.protocols import Frame
 
 BAYER = ("RGGB", "BGGR", "GRBG", "GBRG")
 _EPOCH = datetime.datetime(1970, 1, 1)

@@ -1,4 +1,4 @@
-"""What a receiver's cone gets of a specular spike that a source's cone sends; see `gonio.instrument.instrument`."""
+"""What a receiver's cone gets of a specular spike that a source's cone sends; see `gonio.instrument.apparent`."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from gonio.instrument import _caps
-from gonio.instrument.cone_lobe import CUT_ORDERS, cap_nodes
+from gonio.instrument import spherical_caps
+from gonio.instrument.lobe import CUT_ORDERS, cap_nodes
 from gonio.models import engine
 from gonio.models._compile import loop
 
@@ -54,7 +54,7 @@ class Overlaps:
         x, w = _gauss(side)
         constants = (self._source, self._receiver, low, per_step, float(self._exact))
         values = np.empty(self._whole.size)
-        run = loop(_caps.spike_over_vectors, _caps.tabulated, len(constants))
+        run = loop(spherical_caps.spike_over_vectors, spherical_caps.tabulated, len(constants))
         engine.in_parts(lambda i, j: run(axes_i, axes_r, table, x, w, constants, values, i, j), values.size, GRAIN)
         out[self._whole] = values
         return out
@@ -115,7 +115,9 @@ class Overlaps:
         omega_i, omega_r, source, receiver = self._omega_i[index], self._omega_r[index], self._source, self._receiver
         s, s_weight = cap_nodes(omega_i, source, CUT_ORDERS[-1])
         r, r_weight = (
-            _caps.cut_nodes(omega_r, receiver, 48) if omega_r[2] < math.sin(receiver) else _dense(omega_r, receiver)
+            spherical_caps.cut_nodes(omega_r, receiver, 48)
+            if omega_r[2] < math.sin(receiver)
+            else _dense(omega_r, receiver)
         )
         chord = r - omega_i * (-1.0, -1.0, 1.0)
         inside = np.einsum("nk,nk->n", chord, chord) <= (2.0 * math.sin(source / 2.0)) ** 2
@@ -142,4 +144,4 @@ def _gauss(side: int) -> tuple[Array, Array]:
 def _dense(omega: Array, half: float) -> tuple[Array, Array]:
     square, psi = np.meshgrid((np.arange(64) + 0.5) / 64.0, (np.arange(128) + 0.5) * (math.pi / 64.0), indexing="ij")
     weight = np.full(square.size, 4.0 * math.pi * math.sin(half / 2.0) ** 2 / square.size)
-    return _caps.nodes(omega, half, square.ravel(), psi.ravel()), weight
+    return spherical_caps.nodes(omega, half, square.ravel(), psi.ravel()), weight

@@ -19,7 +19,7 @@ from gonio.rig.description import RigDescription, SampleDescription
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from gonio.acquisition.acquire import Progress
+    from gonio.acquisition.loop import Progress
     from gonio.acquisition.run import Run
     from gonio.rig import Pose, Rig, RigPlugin, Step, Target
 
@@ -155,9 +155,9 @@ def carry_out(
     Raises
     ------
     GonioError
-        See `gonio.acquisition.acquire.measure`, `Run.create`, `Run.resume` and the rig's own documentation.
+        See `gonio.acquisition.loop.measure`, `Run.create`, `Run.resume` and the rig's own documentation.
     """
-    from gonio.acquisition.acquire import Silent, Stop, measure
+    from gonio.acquisition.loop import Silent, Stop, measure
     from gonio.acquisition.plan import going_on
     from gonio.acquisition.run import Request, Run, begun
 

@@ -1,4 +1,4 @@
-"""The average of a model's lobe over the cones of source and receiver; see `gonio.instrument.instrument`.
+"""The average of a model's lobe over the cones of source and receiver; see `gonio.instrument.apparent`.
 
 How a geometry is averaged, its *rule*, is found once for one model (`choose`) and can then be applied to others
 (`by_rules`): what a fit does with hundreds of nearly equal ones, and what makes its derivatives smooth.
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from gonio.instrument import _caps
+from gonio.instrument import spherical_caps
 
 if TYPE_CHECKING:
     from gonio.models import Model
@@ -54,16 +54,16 @@ def choose(
     rough = ~((error <= tolerance) & (peak <= 3.0 * now)) & (peak > NOTHING)
     left, peak = left[rough], peak[rough]
     before = np.full(left.size, np.inf)
-    for level in range(_caps.LEVELS):
+    for level in range(spherical_caps.LEVELS):
         if not left.size:
             return out, rules
         now = _product_rule(model, omega_i[left], omega_r[left], wavelength_nm, source, receiver, level)
         out[left], rules[left] = now, level
         # a lobe that so many rings resolve has an average not that far below its peak
-        seen = peak <= 3.0 * _caps.RINGS[level] ** 2 * now
+        seen = peak <= 3.0 * spherical_caps.RINGS[level] ** 2 * now
         apart = np.abs(now - before)
         rules[left[apart <= tolerance * np.abs(now)]] = level - 1  # the one before holds it, at a fifth of the cost
-        allowed = max(tolerance, NARROW) if level == _caps.LEVELS - 1 else tolerance
+        allowed = max(tolerance, NARROW) if level == spherical_caps.LEVELS - 1 else tolerance
         rough = ~((apart <= allowed * np.abs(now)) & seen)
         left, before, peak = left[rough], now[rough], peak[rough]
     rules[left] = NARROW_LOBE
@@ -133,12 +133,12 @@ def _narrow_lobe(
     wide_axis, wide, axis, half = (
         (omega_i, source, omega_r, receiver) if wide_source else (omega_r, receiver, omega_i, source)
     )
-    square, psi, weight = _caps.disc_rule(4) if half > 0.0 else (np.zeros(1), np.zeros(1), np.ones(1))
-    outer = _caps.nodes(axis, half, square, psi)
+    square, psi, weight = spherical_caps.disc_rule(4) if half > 0.0 else (np.zeros(1), np.zeros(1), np.ones(1))
+    outer = spherical_caps.nodes(axis, half, square, psi)
     total = 0.0
     for first in range(0, len(outer), 32):
         part = slice(first, first + 32)
-        inner, solid = _caps.focused_nodes(wide_axis, wide, outer[part] * (-1.0, -1.0, 1.0))
+        inner, solid = spherical_caps.focused_nodes(wide_axis, wide, outer[part] * (-1.0, -1.0, 1.0))
         fixed = outer[part][:, None, :]
         pair = (inner, fixed) if wide_source else (fixed, inner)
         values = np.asarray(model.brdf_vectors(*pair, wavelength_nm=wavelength_nm))
@@ -167,7 +167,7 @@ def _second_order(
 def _expanded(
     model: Model, omega_i: Array, omega_r: Array, wavelength_nm: float, source: float, receiver: float
 ) -> tuple[Array, Array]:
-    square, psi, _ = _caps.disc_rule(0)
+    square, psi, _ = spherical_caps.disc_rule(0)
     square, psi = square[1:], psi[1:]
     centre = np.asarray(model.brdf_vectors(omega_i, omega_r, wavelength_nm=wavelength_nm)).reshape(-1)
     scale = np.where(centre > 0.0, centre, 1.0)
@@ -175,7 +175,7 @@ def _expanded(
     for axis, other, half, is_source in ((omega_i, omega_r, source, True), (omega_r, omega_i, receiver, False)):
         if half == 0.0:
             continue
-        ring = _caps.nodes(axis, half, square, psi)
+        ring = spherical_caps.nodes(axis, half, square, psi)
         pair = (ring, other[:, None, :]) if is_source else (other[:, None, :], ring)
         values = np.asarray(model.brdf_vectors(*pair, wavelength_nm=wavelength_nm))
         if is_source:  # weighted by cos(theta_s): its mean over the ring is that of the axis times cos(rho)
@@ -196,15 +196,15 @@ def _product_rule(
     model: Model, omega_i: Array, omega_r: Array, wavelength_nm: float, source: float, receiver: float, level: int
 ) -> Array:
     out = np.empty(len(omega_i))
-    square, psi, weight = _caps.disc_rule(level)
+    square, psi, weight = spherical_caps.disc_rule(level)
     one = np.zeros(1), np.zeros(1), np.ones(1)
     s_square, s_psi, s_weight = (square, psi, weight) if source > 0.0 else one
     r_square, r_psi, r_weight = (square, psi, weight) if receiver > 0.0 else one
     step = max(1, PAIRS // (len(s_weight) * len(r_weight)))
     for first in range(0, len(out), step):
         part = slice(first, first + step)
-        from_source = _caps.nodes(omega_i[part], source, s_square, s_psi)
-        to_receiver = _caps.nodes(omega_r[part], receiver, r_square, r_psi)
+        from_source = spherical_caps.nodes(omega_i[part], source, s_square, s_psi)
+        to_receiver = spherical_caps.nodes(omega_r[part], receiver, r_square, r_psi)
         values = np.asarray(
             model.brdf_vectors(from_source[:, :, None, :], to_receiver[:, None, :, :], wavelength_nm=wavelength_nm)
         )
@@ -247,6 +247,6 @@ def cap_nodes(omega: Array, half: float, order: int) -> tuple[Array, Array]:
     if half == 0.0:
         return omega[None, :], np.ones(1)
     if omega[2] < math.sin(half):
-        return _caps.cut_nodes(omega, half, order)
-    square, psi, weight = _caps.disc_rule(CUT_ORDERS.index(order) + 2)
-    return _caps.nodes(omega, half, square, psi), weight * (4.0 * math.pi * math.sin(half / 2.0) ** 2)
+        return spherical_caps.cut_nodes(omega, half, order)
+    square, psi, weight = spherical_caps.disc_rule(CUT_ORDERS.index(order) + 2)
+    return spherical_caps.nodes(omega, half, square, psi), weight * (4.0 * math.pi * math.sin(half / 2.0) ** 2)

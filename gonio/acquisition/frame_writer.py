@@ -21,7 +21,7 @@ from gonio.disk import sync_folder, write_whole
 from gonio.errors import DataError
 from gonio.rig import Frame, Step
 from gonio.rig.description import Band
-from gonio.rig.frames import read_record, write_dng
+from gonio.rig.dng import read_record, write_dng
 
 WAITING = 8
 """How many frames may wait for the disk before the camera has to."""

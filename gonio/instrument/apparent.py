@@ -22,10 +22,10 @@ import numpy.typing as npt
 
 from gonio.errors import ArgumentError
 from gonio.geometry import half_angle_of_cone
-from gonio.instrument.cone_lobe import TOLERANCE, Rules, by_rules, choose
-from gonio.instrument.cone_spike import Overlaps
+from gonio.instrument.lobe import TOLERANCE, Rules, by_rules, choose
+from gonio.instrument.spike import Overlaps
 from gonio.models import Model, geometry
-from gonio.models.base import choice, number
+from gonio.models.model import choice, number
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

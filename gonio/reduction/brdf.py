@@ -21,9 +21,9 @@ import gonio
 from gonio import geometry
 from gonio.acquisition.plan import ANGLES
 from gonio.errors import ConfigError, DataError
-from gonio.reduction import sensitivity, spikes, white_reference
-from gonio.reduction.darks import COLUMNS, PATTERNS, strongest
-from gonio.reduction.rates import RETAKE, Bench, Merged, in_threads
+from gonio.reduction import angle_sensitivity, spikes, white_reference
+from gonio.reduction.count_rates import RETAKE, Bench, Merged, in_threads
+from gonio.reduction.dark_signal import COLUMNS, PATTERNS, strongest
 from gonio.rig import Pose, imaging, kinematics
 from gonio.rig.description import Axis, Band, RigDescription
 from gonio.rig.kinematics import Directions
@@ -192,7 +192,7 @@ def _columns(
     cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
     shares = _shares(description, points, [*encoder.items(), *zeros.items()], cones, band)
     read = [point.directions for point in points]
-    curves = sensitivity.Curves(goals, read, brdf, np.sqrt(independent), cones, shares)
+    curves = angle_sensitivity.Curves(goals, read, brdf, np.sqrt(independent), cones, shares)
     brdf = brdf + curves.spikes.correction
     common = {
         "s_reference": brdf * description.reference.u_rel,
@@ -262,7 +262,7 @@ def _moved(description: RigDescription, pose: Pose, axis: str, by: float) -> Dir
 
 
 def _effects(
-    description: RigDescription, curves: sensitivity.Curves, points: list[Merged], axis: str, u: float
+    description: RigDescription, curves: angle_sensitivity.Curves, points: list[Merged], axis: str, u: float
 ) -> tuple[Array, Array]:
     """Odd and even change [1/sr] of every value when an axis truly stands +-u [rad] from where it is read."""
     out = np.zeros((2, len(points)))
@@ -274,7 +274,7 @@ def _effects(
 
 
 def _doubts(
-    description: RigDescription, curves: sensitivity.Curves, points: list[Merged], axis: str, u: float
+    description: RigDescription, curves: angle_sensitivity.Curves, points: list[Merged], axis: str, u: float
 ) -> Array:
     """How uncertain [1/sr] the odd changes of `_effects` are, because steps are coarser than the lobe is wide."""
     return np.array([curves.doubt(k, _moved(description, p.pose, axis, u)) for k, p in enumerate(points)])

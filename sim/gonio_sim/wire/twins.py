@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from gonio.errors import ConfigError
 from gonio.rig import Frame, Pose, Target
 from gonio.rig.description import RigDescription, SampleDescription
-from gonio.rig.frames import encode_dng
+from gonio.rig.dng import encode_dng
 from gonio_sim.camera import SimulatedCamera
 from gonio_sim.render import Renderer
 from gonio_sim.wire import faults as fault_names

@@ -34,12 +34,12 @@ def serve(
     import signal
     import threading
 
-    from gonio.acquisition.session import find_rig, load_sample
+    from gonio.acquisition.measure import find_rig, load_sample
     from gonio.config import to_toml
     from gonio.disk import require_own, write_own
     from gonio.errors import ConfigError
     from gonio_sim.wire import faults
-    from gonio_sim.wire.bench import Bench, plug
+    from gonio_sim.wire.twins import Bench, plug
 
     wanted = fault or []
     if "list" in wanted:
