@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from gonio_analysis.fitting.families import Ior
     from gonio_analysis.fitting.fit import FitResult
-    from gonio_analysis.selection.profile import Interval
+    from gonio_analysis.fitting.parameters import Ior
+    from gonio_analysis.selection.profile_likelihood import Interval
 
 MODELS = "lambert,oren-nayar,cook-torrance,he-torrance"
 MODELS_HELP = "Models to fit, with commas between (sums as oren-nayar+phong), or all."
@@ -76,12 +76,12 @@ def fit(
 
     from gonio import measurement
     from gonio.errors import ConfigError
-    from gonio_analysis.fitting import families
+    from gonio_analysis.fitting import parameters
     from gonio_analysis.fitting.fit import fit as run_fit
 
     index = read_ior(ior)
     kept = dict(read_fixed(text) for text in fix or [])
-    families.family(model, slopes=slopes, ior=index)
+    parameters.family(model, slopes=slopes, ior=index)
     samples = measurement.tables(table)
     if len(samples) > 1:
         listed = "; ".join(samples)
@@ -104,7 +104,7 @@ def fit(
     )
     walked = {}
     if intervals:
-        from gonio_analysis.selection.profile import profiles
+        from gonio_analysis.selection.profile_likelihood import profiles
 
         walked = profiles(result).intervals
     if as_json:

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+from gonio_analysis.fitting.covariance import Covariance
 from gonio_analysis.fitting.forward import seen
-from gonio_analysis.fitting.uncertainty import Covariance
 
 from gonio.formats.reader import table
 

@@ -15,8 +15,8 @@ from types import ModuleType
 import mpmath as mp
 import numpy as np
 import pytest
-from gonio_validation.bench import hard, measure, page, peers, report, ways
-from gonio_validation.bench.ways import Family, Sample, Way
+from gonio_validation.bench import bench_page, evaluators, hard, peers, report, timing
+from gonio_validation.bench.evaluators import Family, Sample, Way
 from typer.testing import CliRunner
 
 from gonio.errors import DataError
@@ -35,7 +35,7 @@ def way(*results: float) -> Way:
 
 
 def test_errors_by_hand() -> None:
-    found = measure.summary(measure.errors(way(1.0, 2.0, 3.3, 4.0), samples([1.0, 2.0, 3.0, 4.0], condition=9.0)))
+    found = timing.summary(timing.errors(way(1.0, 2.0, 3.3, 4.0), samples([1.0, 2.0, 3.0, 4.0], condition=9.0)))
     assert found["max"] == pytest.approx(0.1, rel=1e-12)  # 3.3 against 3, to some roundings
     assert found["max_scaled"] == pytest.approx(0.01, rel=1e-12)
     assert found["median"] == 0.0
@@ -43,13 +43,13 @@ def test_errors_by_hand() -> None:
 
 
 def test_what_is_not_a_number_is_no_small_error() -> None:
-    found = measure.summary(measure.errors(way(1.0, math.nan, math.inf, 4.0), samples([1.0, 2.0, 3.0, 4.0])))
+    found = timing.summary(timing.errors(way(1.0, math.nan, math.inf, 4.0), samples([1.0, 2.0, 3.0, 4.0])))
     assert found["max"] is None
     assert found["not_finite"] == 2
 
 
 def test_values_that_vanish_have_no_relative_error() -> None:
-    found = measure.errors(way(0.0, 1e-300, 1e-3, 1.0), samples([0.0, 0.0, 0.0, 1.0]))
+    found = timing.errors(way(0.0, 1e-300, 1e-3, 1.0), samples([0.0, 0.0, 0.0, 1.0]))
     assert found.plain.tolist() == [0.0, 0.0, 1.0, 0.0]
 
 
@@ -70,7 +70,7 @@ def test_a_wrong_result_breaks_its_case() -> None:
 
 
 def test_every_hard_case_holds() -> None:
-    rows = hard.table(ways.families(), huge=200_000)  # two threads begin at 131 072
+    rows = hard.table(evaluators.families(), huge=200_000)  # two threads begin at 131 072
     assert [r for r in rows if not r["holds"]] == []
     assert len({r["case"] for r in rows}) == len(rows) > 50
 
@@ -87,7 +87,7 @@ def tool() -> ModuleType:
 def test_reference_values_are_those_of_the_tool() -> None:
     made = tool()
     with mp.workdps(60):
-        groups = [g for g in ways.reference()["he-torrance"] if g["parameters"]["sigma0_um"] < 0.2]  # few terms
+        groups = [g for g in evaluators.reference()["he-torrance"] if g["parameters"]["sigma0_um"] < 0.2]  # few terms
         assert len(groups) == 5
         for g in groups:
             p, k = g["parameters"], len(g["value"]) // 2
@@ -100,18 +100,18 @@ def test_reference_values_are_those_of_the_tool() -> None:
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two families, and no processes to time the start-up of."""
-    everything = ways.families
+    everything = evaluators.families
 
     def chosen() -> list[Family]:
         return [f for f in everything() if f.name in ("cook-torrance", "roughness")]
 
-    monkeypatch.setattr(ways, "families", chosen)
+    monkeypatch.setattr(evaluators, "families", chosen)
     case = hard._Case()
     case.add("cook-torrance", 1.0, 1.0, 0.0, 13.0)
     monkeypatch.setattr(hard, "table", lambda found, huge: [case.row("normal incidence")])
     monkeypatch.setattr(report, "TARGETS", [t for t in report.TARGETS if t[0] == "cook-torrance"])
     start = {"model": "CookTorrance", "import_s": 0.1, "first_evaluation_s": 0.5, "together_s": 0.6}
-    monkeypatch.setattr(measure, "start_up", lambda repeats: [start])
+    monkeypatch.setattr(timing, "start_up", lambda repeats: [start])
     monkeypatch.setattr(peers, "PACKAGES", {"nobody": "gonio_nobody"})
 
 
@@ -125,7 +125,7 @@ def test_report(tmp_path: Path) -> None:
     assert result.stdout.strip() == str(out / "index.html")
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     page = (out / "index.html").read_text(encoding="utf-8")
-    assert not re.search(r'(src|href)="(?!#)', page)  # nothing is loaded
+    assert not re.search(r'(src|href)="(?!#)', bench_page)  # nothing is loaded
     assert [f["name"] for f in summary["families"]] == ["cook-torrance", "roughness"]
     for family in summary["families"]:
         assert f'<section id="{family["name"]}">' in page
@@ -152,12 +152,12 @@ def test_a_peer_is_measured_in_its_own_process(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What the peer's process prints is what is measured here; a peer's program never runs in this process."""
-    family = next(f for f in ways.families() if f.name == peers.FAMILY)
+    family = next(f for f in evaluators.families() if f.name == peers.FAMILY)
     one = family.ways[0]
     monkeypatch.setattr(peers, "_ways", lambda: {"somebody": one})
     peers.report("somebody", {"pairs": 1000, "repeats": 2, "budget_s": 0.01})
     found = json.loads(capsys.readouterr().out)
-    assert found["errors"] == json.loads(json.dumps(measure.by_set(family, one)))
+    assert found["errors"] == json.loads(json.dumps(timing.by_set(family, one)))
     assert found["time"]["pairs"] == 1000
     assert found["time"]["best_ns"] > 0
     started: list[str] = []
@@ -175,7 +175,7 @@ def test_a_peer_is_measured_in_its_own_process(
 
 
 def test_a_peer_whose_process_fails_is_named() -> None:
-    peer = peers.Peer("nobody", ways.families()[0].ways[0], {})
+    peer = peers.Peer("nobody", evaluators.families()[0].ways[0], {})
     with pytest.raises(DataError, match="nobody: its process failed while it was measured: KeyError"):
         peers.measured(peer, pairs=1000, repeats=1, budget_s=0.01)
 
@@ -191,10 +191,10 @@ def test_looking_for_peers_brings_none_into_this_process() -> None:
 
 @pytest.mark.skipif(engine.threads() < 2, reason="one processor: no call is shared")
 def test_the_hand_over_is_what_half_a_call_does_not_explain() -> None:
-    found = measure.hand_over(20)
+    found = timing.hand_over(20)
     assert found is not None
     assert found["pairs"] == 2 * engine.SPLIT
     assert found["hand_over_us"] == max(found["shared_us"] - found["half_alone_us"], 0.0)
     assert 0.0 <= found["share"] < 1.0
-    assert f"{found['pairs']} pairs" in page._hand_over(found)
-    assert "one processor" in page._hand_over(None)
+    assert f"{found['pairs']} pairs" in bench_page._hand_over(found)
+    assert "one processor" in bench_page._hand_over(None)

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from gonio_analysis import cli
-from gonio_analysis.change.align import carry
-from gonio_analysis.change.change import Change, Side, change, discoveries, judge
+from gonio_analysis.change.point_by_point import Change, Side, change, discoveries, judge
+from gonio_analysis.change.resampling import carry
+from gonio_analysis.fitting.covariance import Covariance
 from gonio_analysis.fitting.observations import observations
-from gonio_analysis.fitting.uncertainty import Covariance
 
 from gonio import measurement
 from gonio.errors import ConfigError, DataError

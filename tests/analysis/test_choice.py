@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.selection.choice import Candidate, Choice, candidates, choose
-from gonio_analysis.selection.profile import profiles
-from gonio_analysis.selection.regions import blocks, incidences
+from gonio_analysis.selection.misfit_regions import blocks, incidences
+from gonio_analysis.selection.profile_likelihood import profiles
 
 from gonio.errors import ConfigError, DataError
 from gonio.models import Lambert, OrenNayar, Phong, Sum, build

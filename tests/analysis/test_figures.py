@@ -25,7 +25,7 @@ from gonio_validation.papers import (
     oren_nayar_samples,
     surfaces,
 )
-from gonio_validation.papers.base import Claim, Trace, agreed, trace_panel
+from gonio_validation.papers.figure import Claim, Trace, agreed, trace_panel
 
 from gonio.errors import ConfigError
 from gonio.models import HeTorrance, Lambert

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from gonio_analysis.plots import thinning
-from gonio_analysis.plots.polar import Line
+from gonio_analysis.plots.in_plane import Line
 from gonio_analysis.report import change, drawing, html, make, page
 from gonio_analysis.report.drawing import draughtsmen
 from gonio_analysis.report.figures import Drawing

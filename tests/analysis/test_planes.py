@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
-from gonio_analysis.curves.planes import MOST_CURVES, curves, norm, selection
+from gonio_analysis.curves.in_plane import MOST_CURVES, curves, norm, selection
 from gonio_analysis.fitting.observations import observations
 
 from gonio.models import build

@@ -7,8 +7,8 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pytest
-from gonio_analysis.plots import polar
-from gonio_analysis.plots.polar import Line
+from gonio_analysis.plots import in_plane
+from gonio_analysis.plots.in_plane import Line
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
@@ -28,13 +28,13 @@ def axes() -> Any:
 @pytest.mark.parametrize(
     "draw",
     [
-        lambda ax: polar.polar(ax, [line(), line("θi = 60°", 1.6)], radius_label="f / f(mirror)"),
-        lambda ax: polar.semilog(ax, [line(), line(negative=True)]),
-        lambda ax: polar.residuals(ax, [line()], whitened=True),
-        lambda ax: polar.residuals(ax, [line()], whitened=False, others=(np.zeros(2), np.array([50.0, -3.0]))),
-        lambda ax: polar.residuals(ax, [line()], whitened=False, others=(np.zeros(2), np.array([np.inf, -3.0]))),
-        lambda ax: polar.budget(ax, [("combined", 0.01, 0.03), ("reference", 0.002, 0.002)]),
-        lambda ax: polar.series(ax, np.arange(3.0), np.ones(3), np.full(3, np.nan), x_label="x", y_label="y"),
+        lambda ax: in_plane.polar(ax, [line(), line("θi = 60°", 1.6)], radius_label="f / f(mirror)"),
+        lambda ax: in_plane.semilog(ax, [line(), line(negative=True)]),
+        lambda ax: in_plane.residuals(ax, [line()], whitened=True),
+        lambda ax: in_plane.residuals(ax, [line()], whitened=False, others=(np.zeros(2), np.array([50.0, -3.0]))),
+        lambda ax: in_plane.residuals(ax, [line()], whitened=False, others=(np.zeros(2), np.array([np.inf, -3.0]))),
+        lambda ax: in_plane.budget(ax, [("combined", 0.01, 0.03), ("reference", 0.002, 0.002)]),
+        lambda ax: in_plane.series(ax, np.arange(3.0), np.ones(3), np.full(3, np.nan), x_label="x", y_label="y"),
     ],
 )
 def test_returns_artists_and_touches_no_settings(draw: Any) -> None:
@@ -53,7 +53,7 @@ def test_returns_artists_and_touches_no_settings(draw: Any) -> None:
 def test_half_disc_has_the_retro_side_left_and_the_mirror_side_right() -> None:
     ax = axes()
     angle = np.radians([-60.0, 60.0])
-    artists = polar.polar(ax, [Line("", np.empty(0), np.empty(0), angle, np.array([0.2, 1.0]), np.full(2, np.nan))])
+    artists = in_plane.polar(ax, [Line("", np.empty(0), np.empty(0), angle, np.array([0.2, 1.0]), np.full(2, np.nan))])
     x, y = artists[0].get_data()
     # a sine and a product: some roundings
     np.testing.assert_allclose(x, [-0.2 * np.sin(np.radians(60)), np.sin(np.radians(60))], rtol=1e-14)
@@ -61,22 +61,22 @@ def test_half_disc_has_the_retro_side_left_and_the_mirror_side_right() -> None:
 
 
 def test_radius_shows_ordinary_curves_whole() -> None:
-    assert polar.radius_of([line(top=1.0)]) == 1.0
-    assert polar.radius_of([line(top=1.3)]) == pytest.approx(1.4)
+    assert in_plane.radius_of([line(top=1.0)]) == 1.0
+    assert in_plane.radius_of([line(top=1.3)]) == pytest.approx(1.4)
 
 
 def test_a_curve_beyond_the_rim_is_cut_with_a_note() -> None:
     lines = [line(top=1.0), line("θi = 75°", 40.0)]
-    rim = polar.radius_of(lines)
+    rim = in_plane.radius_of(lines)
     assert rim < 2
-    texts = [a.get_text() for a in polar.polar(axes(), lines, radius=rim) if hasattr(a, "get_text")]
+    texts = [a.get_text() for a in in_plane.polar(axes(), lines, radius=rim) if hasattr(a, "get_text")]
     assert texts == ["θi = 75°: theory to 40 and measured to 40"]
 
 
 def test_error_bars_have_the_length_of_u() -> None:
     from matplotlib.collections import LineCollection
 
-    bars = next(a for a in polar.polar(axes(), [line()]) if isinstance(a, LineCollection))
+    bars = next(a for a in in_plane.polar(axes(), [line()]) if isinstance(a, LineCollection))
     segment = bars.get_segments()[16]  # at the normal, where the radius is y
     assert segment[1][1] - segment[0][1] == pytest.approx(0.04)
 
@@ -86,6 +86,6 @@ def test_any_number_that_a_table_may_hold_can_be_drawn(size: float) -> None:
     figure = Figure()
     angle = np.radians([-30.0, 0.0, 30.0])
     line = Line("x", np.empty(0), np.empty(0), angle, size * np.array([1.0, 1e3, 1e6]), np.full(3, np.nan))
-    polar.semilog(figure.add_subplot(), [line])
+    in_plane.semilog(figure.add_subplot(), [line])
     with np.errstate(all="ignore"):
         figure.canvas.draw()

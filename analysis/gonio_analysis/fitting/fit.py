@@ -1,6 +1,6 @@
 """Fitting a reflectance model to a measurement table.
 
-Weighted least squares with the table's whole covariance: residuals are whitened (`gonio_analysis.fitting.uncertainty`), the
+Weighted least squares with the table's whole covariance: residuals are whitened (`gonio_analysis.fitting.covariance`), the
 model is evaluated through the cones of the instrument (`gonio_analysis.fitting.forward`), and the search starts from the best
 points of a coarse grid (`gonio_analysis.fitting.search`).
 
@@ -22,11 +22,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.errors import ArgumentError, ConfigError, DataError
-from gonio_analysis.fitting.families import Family, Ior, Values
+from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.forward import apparent
-from gonio_analysis.fitting.identify import tied
+from gonio_analysis.fitting.identifiability import tied
 from gonio_analysis.fitting.objective import LOSSES, Objective, scaled_to
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observations, observations
+from gonio_analysis.fitting.parameters import Family, Ior, Values
 from gonio_analysis.fitting.search import (
     STARTS,
     STEP,
@@ -39,7 +40,6 @@ from gonio_analysis.fitting.search import (
     settle,
     together,
 )
-from gonio_analysis.fitting.uncertainty import Floats
 
 if TYPE_CHECKING:
     import pandas as pd

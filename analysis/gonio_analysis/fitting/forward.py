@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.observations import LOBE_TOLERANCE, Observations
-from gonio_analysis.fitting.uncertainty import Floats
 
 if TYPE_CHECKING:
     from gonio.instrument import Cones, Rules

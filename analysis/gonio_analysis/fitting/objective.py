@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gonio_analysis.fitting.covariance import Covariance, Floats, independent
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.uncertainty import Covariance, Floats, independent
 
 LOSSES: dict[str, tuple[Callable[[Floats], Floats], Callable[[Floats], Floats]]] = {
     "linear": (lambda z2: z2, np.ones_like),

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import DataError
-from gonio_analysis.fitting.uncertainty import Covariance, Floats
+from gonio_analysis.fitting.covariance import Covariance, Floats
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.errors import ConfigError
-from gonio_analysis.fitting import families
-from gonio_analysis.fitting.families import Family, Ior, Parameter, Values
+from gonio_analysis.fitting import parameters
+from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.forward import ByWavelength, apparent, averaging, pointlike
 from gonio_analysis.fitting.objective import Objective, alone, softened
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.uncertainty import Floats
+from gonio_analysis.fitting.parameters import Family, Ior, Parameter, Values
 
 if TYPE_CHECKING:
     from gonio.instrument import Rules
@@ -143,12 +143,12 @@ def pose(
     """
     notes: list[str] = []
     given = ior
-    if ior is not None and not families.needs_ior(model) and set(families.parts(model)) <= set(families.FAMILIES):
+    if ior is not None and not parameters.needs_ior(model) and set(parameters.parts(model)) <= set(parameters.FAMILIES):
         ior = None
         notes.append(f"The optical constants are not used: {model} has none.")
-    family = families.family(model, slopes=slopes, ior=ior)
+    family = parameters.family(model, slopes=slopes, ior=ior)
     words = {k: v for k, v in fix.items() if isinstance(v, str)}
-    if words and len(families.parts(model)) > 1:
+    if words and len(parameters.parts(model)) > 1:
         raise ConfigError(f"--fix {next(iter(words))}=...: words go to a single model's constructor, not to a sum")
     numbers = {k: float(v) for k, v in fix.items() if not isinstance(v, str)}
     for n, value in numbers.items():
@@ -168,15 +168,15 @@ def pose(
     if not moving:
         raise ConfigError(f"every parameter of {model} is fixed: there is nothing to fit")
     if "k" in moving and "ior" in moving:
-        metallic = tuple(families.METALLIC_N if p.name == "ior" else p for p in family.parameters)
+        metallic = tuple(parameters.METALLIC_N if p.name == "ior" else p for p in family.parameters)
         family = replace(family, parameters=metallic)
     family = _bounded(family, bounds or {}, moving)
     fixed = {**family.fixed, **numbers}
-    if ior is None and "ior" in moving and families.needs_ior(model) and not fixed.get("k") and "k" not in moving:
+    if ior is None and "ior" in moving and parameters.needs_ior(model) and not fixed.get("k") and "k" not in moving:
         notes.append("No optical constants were given (--ior): a real refractive index n is fitted, with k = 0.")
     return Problem(
         family,
-        families.maker(model),
+        parameters.maker(model),
         moving,
         {n: v for n, v in fixed.items() if n not in moving},
         words,
@@ -262,7 +262,7 @@ def search(problem: Problem, data: Observations, loss: str = "linear", searches:
     starts = problem.family.starts(data)
     if "k" in problem.free and not known:
         shapes = {tuple((n, x) for n, x in start.items() if n != "ior"): None for start in starts}
-        starts = [{**dict(shape), "ior": n, "k": k} for shape in shapes for n, k in families.INDICES]
+        starts = [{**dict(shape), "ior": n, "k": k} for shape in shapes for n, k in parameters.INDICES]
     for start in starts:
         vector = problem.vector({"k": 1.0, **start, **known})
         residual = soft.residual(apparent(problem.model(vector), few, quick=True))

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.plots.polar import COLOURS, FAINT, INK, angle_axis
-from gonio_analysis.selection.profile import Interval
+from gonio_analysis.fitting.covariance import Floats
+from gonio_analysis.plots.in_plane import COLOURS, FAINT, INK, angle_axis
+from gonio_analysis.selection.profile_likelihood import Interval
 
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1.5, 1, 1.5)), (0, (3, 1)), (0, (8, 2)))
 

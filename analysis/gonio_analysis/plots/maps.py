@@ -15,11 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio import geometry
-from gonio_analysis.change.align import FARTHEST
-from gonio_analysis.curves.planes import IN_PLANE, Rows
+from gonio_analysis.change.resampling import FARTHEST
+from gonio_analysis.curves.in_plane import IN_PLANE, Rows
+from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.plots.polar import FAINT, INK, Line, angle_axis, style
+from gonio_analysis.plots.in_plane import FAINT, INK, Line, angle_axis, style
 
 FEWEST = 4
 """Values that make a slice."""

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from gonio_analysis.curves.planes import Curve, Rows
-from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.plots.polar import Line, xy
+from gonio_analysis.curves.in_plane import Curve, Rows
+from gonio_analysis.fitting.covariance import Floats
+from gonio_analysis.plots.in_plane import Line, xy
 
 CELL_PT = 1.3
 """Half of a marker: values that share a square of this side [pt] are drawn on top of each other."""

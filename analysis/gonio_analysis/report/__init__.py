@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gonio_analysis.curves.planes import Normalise
-from gonio_analysis.fitting.families import Ior
+from gonio_analysis.curves.in_plane import Normalise
+from gonio_analysis.fitting.parameters import Ior
 from gonio_analysis.report import detail, figures, files, page, pdf, tables, viewer
 from gonio_analysis.report.drawing import Draughtsmen, draughtsmen
 from gonio_analysis.report.summary import summarise

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from gonio_analysis.change.change import FALSE_DISCOVERIES, LEVEL, Change, Side, change, side
-from gonio_analysis.curves.planes import Curve, curves, labels, selection
+from gonio_analysis.change.point_by_point import FALSE_DISCOVERIES, LEVEL, Change, Side, change, side
+from gonio_analysis.curves.in_plane import Curve, curves, labels, selection
 from gonio_analysis.fitting.fit import finite
 from gonio_analysis.fitting.metrics import DESCRIPTIONS
 from gonio_analysis.fitting.observations import Observations, describe_left_out

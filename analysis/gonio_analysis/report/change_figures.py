@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from gonio import geometry
-from gonio_analysis.change.change import LEVEL, Change
-from gonio_analysis.curves.planes import IN_PLANE, Curve, groups, labels
+from gonio_analysis.change.point_by_point import LEVEL, Change
+from gonio_analysis.curves.in_plane import IN_PLANE, Curve, groups, labels
+from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.plots import maps, polar, thinning
-from gonio_analysis.plots.polar import Line
+from gonio_analysis.plots import in_plane, maps, thinning
+from gonio_analysis.plots.in_plane import Line
 from gonio_analysis.report.detail import DISC_PT
 from gonio_analysis.report.figures import PANEL_PT, Drawing
 
@@ -50,7 +50,7 @@ def _values(c: Change, at: Observations, drawn: list[Curve], where: str) -> Draw
 
 def _on_values(figure: Any, *, lines: list[Line]) -> None:
     ax = figure.add_axes((0.135, 0.17, 0.84, 0.805))
-    polar.semilog(ax, lines)
+    in_plane.semilog(ax, lines)
     ax.set_xlabel("θr: retro side negative, mirror side positive")
     _legend(figure, lines)
 
@@ -176,7 +176,7 @@ def _on_disc(
 def _legend(figure: Any, lines: Sequence[Line]) -> None:
     from matplotlib.lines import Line2D
 
-    handles = [Line2D([], [], lw=1.5, ms=3.5, label=line.label, **polar.style(k)) for k, line in enumerate(lines)]
+    handles = [Line2D([], [], lw=1.5, ms=3.5, label=line.label, **in_plane.style(k)) for k, line in enumerate(lines)]
     columns = min(len(handles), 6 if len(lines[0].label) < 12 else 3)
     figure.legend(
         handles=handles, loc="lower center", ncol=columns, fontsize=7.5, frameon=False, handlelength=1.6,

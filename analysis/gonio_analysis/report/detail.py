@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 
 from gonio import geometry
-from gonio_analysis.curves.planes import IN_PLANE, Curve, Rows, groups, labels
+from gonio_analysis.curves.in_plane import IN_PLANE, Curve, Rows, groups, labels
+from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
-from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.plots import diagnostics, maps, polar, thinning
-from gonio_analysis.plots.polar import Line
+from gonio_analysis.plots import diagnostics, in_plane, maps, thinning
+from gonio_analysis.plots.in_plane import Line
 from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, Drawing, budget_height, largest
 from gonio_analysis.report.text import cause, unit
 from gonio_analysis.selection.compare import Dataset
-from gonio_analysis.selection.profile import Interval
+from gonio_analysis.selection.profile_likelihood import Interval
 
 MOST = 3
 """Incidences that are drawn, at most."""
@@ -109,9 +109,9 @@ def _slices(d: Dataset, facts: dict[str, Any], rows: Rows, lines: list[Line], k:
 
 def _on_slices(figure: Any, *, lines: list[Line]) -> None:
     ax = figure.add_axes((0.135, 0.23, 0.85, 0.74))
-    polar.semilog(ax, lines)
+    in_plane.semilog(ax, lines)
     ax.set_xlabel("θr: toward the source's side negative, mirror side positive")
-    _legend(figure, [(line.label, polar.style(i)) for i, line in enumerate(lines)])
+    _legend(figure, [(line.label, in_plane.style(i)) for i, line in enumerate(lines)])
 
 
 def _lobe(d: Dataset, facts: dict[str, Any], rows: Rows, most: int) -> Drawing:
@@ -143,7 +143,7 @@ def _on_space(figure: Any, *, mesh: maps.Mesh, measured: tuple[Floats, Floats, F
 
 
 def _profiles(d: Dataset, facts: dict[str, Any]) -> Drawing:
-    from gonio_analysis.selection.profile import rise
+    from gonio_analysis.selection.profile_likelihood import rise
 
     named = d.choice.named
     assert named is not None
@@ -208,7 +208,7 @@ def _on_budget(figure: Any, *, panels: list[Any], entries: list[tuple[str, dict[
         diagnostics.budget_over_angle(ax, angle, parts)
         ax.set_xticks(range(-60, 61, 60), [f"{a}°".replace("-", "−") for a in range(-60, 61, 60)])
         ax.set_xlabel("θr" if scanned == "theta_r" else "θi")
-        ax.set_title(name, fontsize=8, loc="left", color=polar.INK)
+        ax.set_title(name, fontsize=8, loc="left", color=in_plane.INK)
     axes[0].set_ylabel("u / value [%]")
     _legend(figure, entries)
 

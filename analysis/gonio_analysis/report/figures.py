@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gonio import geometry
-from gonio_analysis.plots import polar, thinning
+from gonio_analysis.plots import in_plane, thinning
 from gonio_analysis.report.text import cause, number, slug
 from gonio_analysis.selection.compare import Dataset, Fitted
 
@@ -91,7 +91,7 @@ def draw(d: Dataset, facts: dict[str, Any], most: int) -> list[Drawing]:
 
 def _polar(d: Dataset, facts: dict[str, Any], model: str, f: Fitted, most: int) -> Drawing:
     every = [c.normalised() for c in f.drawn]
-    rim = polar.radius_of(every)
+    rim = in_plane.radius_of(every)
     lines = thinning.on_half_disc(every, rim, 0.42 * 5.6 * thinning.POINTS_AN_INCH, most)
     cut = [c.label for c, x in zip(f.drawn, every, strict=True) if max(_top(x.theory), _top(x.measured)) > 1.001 * rim]
     caption = f"{model}: normalised {_norm_words(f)}. Solid: theory; dashed, with error bars: measurement."
@@ -107,10 +107,10 @@ def _polar(d: Dataset, facts: dict[str, Any], model: str, f: Fitted, most: int) 
     return Drawing(f"{facts['slug']}-polar-{slug(model)}", "polar", model, caption, alt, (5.6, high), on)
 
 
-def _on_half_disc(figure: Any, *, lines: list[polar.Line], rim: float, label: str, legend: _Legend) -> None:
+def _on_half_disc(figure: Any, *, lines: list[in_plane.Line], rim: float, label: str, legend: _Legend) -> None:
     below = LEGEND_ROW_IN * legend.rows
     ax = figure.add_axes((0.01, below / (3.22 + below), 0.98, 3.2 / (3.22 + below)))
-    polar.polar(ax, lines, radius=rim, radius_label=label)
+    in_plane.polar(ax, lines, radius=rim, radius_label=label)
     legend.draw(figure)
 
 
@@ -196,7 +196,7 @@ def _absolute(d: Dataset, facts: dict[str, Any], model: str, f: Fitted, most: in
 
 
 def _on_two_panels(
-    figure: Any, *, lines: list[polar.Line], below: list[polar.Line], others: tuple[Any, Any], whitened: bool,
+    figure: Any, *, lines: list[in_plane.Line], below: list[in_plane.Line], others: tuple[Any, Any], whitened: bool,
     running: str, legend: _Legend,
 ) -> None:  # fmt: skip
     room = 0.46 + LEGEND_ROW_IN * legend.rows
@@ -204,11 +204,11 @@ def _on_two_panels(
     top, low = figure.subplots(2, 1, height_ratios=(2.4, 1), sharex=True)
     figure.subplots_adjust(0.145, room / high, 0.975, 1 - 0.11 / high, hspace=0.12)
     if lines:
-        polar.semilog(top, lines)
+        in_plane.semilog(top, lines)
     else:
         top.set_axis_off()
     top.set_xlabel("")
-    polar.residuals(low, below, whitened=whitened, others=others)
+    in_plane.residuals(low, below, whitened=whitened, others=others)
     low.set_xlabel(f"{running}: retro side negative, mirror side positive")
     for ax in (top, low):  # a fixed place: to look for one, every tick would be laid out once more
         ax.yaxis.set_label_coords(-0.1, 0.5)
@@ -241,7 +241,7 @@ def _budget(facts: dict[str, Any]) -> Drawing:
 def _on_bars(figure: Any, *, parts: list[tuple[str, float, float]]) -> None:
     ax = figure.add_subplot()
     figure.subplots_adjust(0.25, 0.48 / budget_height(len(parts)), 0.97, 0.97)
-    polar.budget(ax, parts)
+    in_plane.budget(ax, parts)
 
 
 def budget_height(parts: int) -> float:
@@ -271,8 +271,8 @@ def _on_series(figure: Any, *, x: Any, values: dict[str, Any]) -> None:
         y, u = found.T
         span = float(np.ptp(y)) or float(np.abs(y).max()) or 1.0
         u = np.where(np.isfinite(u) & (u < 2 * span), u, 0.0)
-        polar.series(ax, x, y, u, x_label="wavelength [nm]", y_label="", colour=polar.COLOURS[k % 6])
-        ax.set_title(name, fontsize=8, color=polar.INK)  # a power of ten stands on the left
+        in_plane.series(ax, x, y, u, x_label="wavelength [nm]", y_label="", colour=in_plane.COLOURS[k % 6])
+        ax.set_title(name, fontsize=8, color=in_plane.INK)  # a power of ten stands on the left
 
 
 @dataclass(frozen=True)
@@ -300,7 +300,7 @@ class _Legend:
         if not self.labels:
             return
         figure.legend(
-            handles=[Line2D([], [], lw=1.5, ms=3.5, label=x, **polar.style(k)) for k, x in enumerate(self.labels)],
+            handles=[Line2D([], [], lw=1.5, ms=3.5, label=x, **in_plane.style(k)) for k, x in enumerate(self.labels)],
             loc="lower center",
             ncol=self.columns,
             fontsize=7.5,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gonio_analysis.curves.planes import AT_MIRROR, IN_PLANE, NORM_WORDS
+from gonio_analysis.curves.in_plane import AT_MIRROR, IN_PLANE, NORM_WORDS
 from gonio_analysis.fitting.fit import FitResult, finite
 from gonio_analysis.fitting.metrics import BELOW, DESCRIPTIONS
 from gonio_analysis.fitting.observations import describe_left_out

@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 
 from gonio.errors import ConfigError, DataError
-from gonio_analysis.fitting import families
-from gonio_analysis.fitting.families import Ior, Values
+from gonio_analysis.fitting import parameters
+from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.fit import FitResult, finite, fit
 from gonio_analysis.fitting.observations import Observations
+from gonio_analysis.fitting.parameters import Ior, Values
 from gonio_analysis.fitting.search import pose
-from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.selection.near import Near, Rows
-from gonio_analysis.selection.profile import Interval, profiles
-from gonio_analysis.selection.regions import Region, blocks, worst
+from gonio_analysis.selection.misfit_regions import Region, blocks, worst
+from gonio_analysis.selection.profile_likelihood import Interval, profiles
+from gonio_analysis.selection.surrogate import Near, Rows
 
 SIGNIFICANCE = 0.01
 DECISIVE = 10.0
@@ -125,7 +125,7 @@ def candidates(models: Sequence[str], ior: Ior = None) -> list[Candidate]:
     """
     if "all" not in models:
         for name in models:
-            families.family(name)
+            parameters.family(name)
         return [Candidate(name) for name in models]
     if len(models) > 1:
         raise ConfigError("--models all names every model: nothing can stand beside it")
@@ -135,7 +135,7 @@ def candidates(models: Sequence[str], ior: Ior = None) -> list[Candidate]:
     for group in (single, several):
         out += group
         if ior is None:
-            out += [replace(c, free=("k",)) for c in group if families.needs_ior(c.model)]
+            out += [replace(c, free=("k",)) for c in group if parameters.needs_ior(c.model)]
     return out
 
 
@@ -186,7 +186,7 @@ def choose(
         return fit(
             data,
             candidate.model,
-            ior=ior if families.needs_ior(candidate.model) else None,
+            ior=ior if parameters.needs_ior(candidate.model) else None,
             free=candidate.free,
             slopes=candidate.slopes,
             wavelength_nm=wavelength_nm,
@@ -266,8 +266,8 @@ def _starts(candidate: Candidate, fits: Mapping[Candidate, FitResult]) -> list[l
     simpler = fits.get(replace(candidate, free=()))
     if candidate.free and simpler is not None:
         known = _values(simpler)
-        return [[known, *({**known, "ior": n, "k": k} for n, k in families.INDICES)]]
-    terms = families.parts(candidate.model)
+        return [[known, *({**known, "ior": n, "k": k} for n, k in parameters.INDICES)]]
+    terms = parameters.parts(candidate.model)
     if len(terms) == 1 or candidate.model == "lambert+he-torrance":
         return [None]
     base = "lambert+he-torrance" if terms[1] == "he-torrance" else terms[1]

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.errors import ConfigError, DataError
-from gonio_analysis.curves.planes import Curve, Norm, Normalise, curves, labels, norm, selection
-from gonio_analysis.fitting import families
-from gonio_analysis.fitting.families import Ior
+from gonio_analysis.curves.in_plane import Curve, Norm, Normalise, curves, labels, norm, selection
+from gonio_analysis.fitting import parameters
+from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.observations import Observations, observations
-from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.plots.polar import Line
+from gonio_analysis.fitting.parameters import Ior
+from gonio_analysis.plots.in_plane import Line
 from gonio_analysis.selection.choice import Choice, Judged, candidates, choose
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ def examine(
     models
         Names on the command line, or "all": see `gonio_analysis.selection.choice.candidates`.
     normalise
-        What polar curves are divided by; see `gonio_analysis.curves.planes.norm`.
+        What polar curves are divided by; see `gonio_analysis.curves.in_plane.norm`.
     ior
         Optical constants n + ik or a material, for the models that have any.
     wavelength_nm
@@ -163,7 +163,7 @@ def examine(
 def check_models(models: Sequence[str]) -> None:
     """Raise `ConfigError` for a name that no fit knows, before anything is read."""
     if not models:
-        raise ConfigError(f"--models names no model; known: {', '.join(families.FAMILIES)}")
+        raise ConfigError(f"--models names no model; known: {', '.join(parameters.FAMILIES)}")
     candidates(models)
     twice = {m for m in models if list(models).count(m) > 1}
     if twice:
@@ -212,7 +212,7 @@ def _series(judged: Judged, data: Observations, known: list[float], ior: Ior, na
             out[k] = fit(
                 data.at(waves[k]),
                 result.name,
-                ior=ior if families.needs_ior(result.name) else None,
+                ior=ior if parameters.needs_ior(result.name) else None,
                 free=candidate.free,
                 slopes=candidate.slopes,
                 start=[start],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from gonio_analysis.plots.polar import COLOURS, FAINT, INK
+from gonio_analysis.plots.in_plane import COLOURS, FAINT, INK
 from gonio_analysis.report.figures import Figure, rendered
 
 FLOOR = 1e-17

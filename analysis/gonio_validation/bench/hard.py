@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, fresnel, htsg
-from gonio_validation.bench.measure import NOTHING
-from gonio_validation.bench.ways import Family, Sample, directions, reference
+from gonio_validation.bench.evaluators import Family, Sample, directions, reference
+from gonio_validation.bench.timing import NOTHING
 
 EXACT = 16.0
 """Digits where results are identical."""

@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.uncertainty import Floats
+from gonio_analysis.fitting.covariance import Floats
 
 from gonio.errors import DataError
-from gonio_validation.bench.ways import Evaluate, Way, directions, families, to_angles
+from gonio_validation.bench.evaluators import Evaluate, Way, directions, families, to_angles
 
 PACKAGES = {"Dr.Jit": "drjit", "Mitsuba": "mitsuba", "pySCATMECH": "pySCATMECH"}
 LLVM = "DRJIT_LIBLLVM_PATH"
@@ -75,12 +75,12 @@ def measured(peer: Peer, **settings: float) -> tuple[dict[str, Any], dict[str, A
 
 def report(peer: str, settings: dict[str, Any]) -> None:
     """In the peer's own process: measure it, and print errors and times as JSON."""
-    from gonio_validation.bench import measure
+    from gonio_validation.bench import timing
 
     way = _ways()[peer]
     family = next(f for f in families() if f.name == FAMILY)
-    errors = measure.by_set(family, way)
-    taken = measure.times(replace(family, ways=(way,)), **settings)[way.name]
+    errors = timing.by_set(family, way)
+    taken = timing.times(replace(family, ways=(way,)), **settings)[way.name]
     print(json.dumps({"errors": errors, "time": {**taken, "threads": _threads()}}))
 
 

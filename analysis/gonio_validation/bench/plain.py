@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.uncertainty import Floats
+from gonio_analysis.fitting.covariance import Floats
 
 from gonio.models.plain import blinn as blinn_1977
 from gonio.models.plain import cook_torrance as cook_torrance_1982

@@ -11,7 +11,7 @@ from typing import Any
 
 from gonio_analysis.report import files
 
-from gonio_validation.bench import figures, hard, measure, page, peers, ways
+from gonio_validation.bench import bench_page, evaluators, figures, hard, peers, timing
 
 POINT_COLUMNS = (
     *("family", "way", "ours", "set", "points", "max", "p99", "median", "max_scaled", "not_finite", "warning"),
@@ -64,9 +64,9 @@ def collect(
 ) -> dict[str, Any]:
     """Every number of the report, as `summary.json` holds it; parameters as `make`."""
     pairs, repeats, budget_s = (20_000, 3, 0.02) if quick else (1_000_000, 9, 0.4)
-    started = measure.machine()
+    started = timing.machine()
     words, others = peers.find()
-    found = ways.families()
+    found = evaluators.families()
     rows = []
     for family in found:
         here = others if family.name == peers.FAMILY else []
@@ -75,10 +75,10 @@ def collect(
     progress("hard cases")
     cases = hard.table(found, 200_000 if quick else 4_000_000)
     progress("single calls and start-up")
-    single = measure.single_calls(200 if quick else 3000)
-    handed = measure.hand_over(50 if quick else 1000)
-    start = measure.start_up(1 if quick else 4)
-    r = ways.reference()
+    single = timing.single_calls(200 if quick else 3000)
+    handed = timing.hand_over(50 if quick else 1000)
+    start = timing.start_up(1 if quick else 4)
+    r = evaluators.reference()
     return {
         "title": "Models: speed against error",
         "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
@@ -98,12 +98,12 @@ def collect(
 
 
 def _family(
-    family: ways.Family, others: Sequence[peers.Peer], pairs: int, repeats: int, budget_s: float
+    family: evaluators.Family, others: Sequence[peers.Peer], pairs: int, repeats: int, budget_s: float
 ) -> dict[str, Any]:
     out: dict[str, Any] = {key: getattr(family, key) for key in ("name", "title", "about", "inputs")}
     settings: dict[str, Any] = {"pairs": pairs, "repeats": repeats, "budget_s": budget_s}
-    taken = measure.times(family, **settings)
-    found = [(way, measure.by_set(family, way), taken[way.name]) for way in family.ways]
+    taken = timing.times(family, **settings)
+    found = [(way, timing.by_set(family, way), taken[way.name]) for way in family.ways]
     found += [(peer.way, *peers.measured(peer, **settings)) for peer in others]
     out["ways"] = [
         {
@@ -204,7 +204,7 @@ def _target(what: str, target: str, achieved: float, unit: str, most: float) -> 
 def write(summary: dict[str, Any], folder: Path) -> None:
     """Write page, numbers, tables and figures into a folder that exists."""
     drawn = {f["name"]: figures.front(f) for f in summary["families"] if len(f["ways"]) > 2}
-    files.write(folder, page.render(summary, drawn), summary, drawn.values())
+    files.write(folder, bench_page.render(summary, drawn), summary, drawn.values())
     (folder / "tables").mkdir()
     points = [
         {"family": f["name"], **w, "set": kind, **e, **w["time"]}

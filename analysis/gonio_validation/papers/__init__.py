@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from gonio.errors import ConfigError
 
 if TYPE_CHECKING:
-    from gonio_validation.papers.base import Page
+    from gonio_validation.papers.figure import Page
 
 FIGURES = {
     "htsg-7": "rough aluminium at 2.0 µm: a specular spike over a weak lobe",
@@ -96,7 +96,7 @@ def make(name: str, out: str | Path, *, command: str = "", progress: Callable[[s
     """
     from gonio_analysis.report import files
 
-    from gonio_validation.papers import page
+    from gonio_validation.papers import figure_page
 
     if name != "all":
         check(name)
@@ -106,9 +106,9 @@ def make(name: str, out: str | Path, *, command: str = "", progress: Callable[[s
             for each in FIGURES:
                 folder = stage.work / each
                 folder.mkdir()
-                facts.append(page.write(build(each, progress), folder, command))
+                facts.append(figure_page.write(build(each, progress), folder, command))
             summary = {"figures": [{k: f[k] for k in ("figure", "title", "claims")} for f in facts]}
-            files.write(stage.work, page.index(facts, command), summary)
+            files.write(stage.work, figure_page.index(facts, command), summary)
         else:
-            page.write(build(name, progress), stage.work, command)
+            figure_page.write(build(name, progress), stage.work, command)
     return Path(out) / "index.html"

@@ -6,7 +6,7 @@ import functools
 from importlib.resources import files
 
 import numpy as np
-from gonio_analysis.fitting.uncertainty import Floats
+from gonio_analysis.fitting.covariance import Floats
 
 XYZ_TO_RGB = np.array(
     [

@@ -7,11 +7,12 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.uncertainty import Floats
+from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.report.text import number
 
 from gonio_validation.papers import colour, cook_torrance_3
-from gonio_validation.papers.base import (
+from gonio_validation.papers.cook_torrance_3 import PAPER, SIMILAR
+from gonio_validation.papers.figure import (
     SIZE,
     Claim,
     Page,
@@ -23,7 +24,6 @@ from gonio_validation.papers.base import (
     plain_axes,
     trace_panel,
 )
-from gonio_validation.papers.cook_torrance_3 import PAPER, SIMILAR
 
 D65_SOURCE = "CIE 15, relative power at 380 to 780 nm in steps of 10 nm"
 ANGLES_DEG = (0.0, 30.0, 60.0, 75.0, 85.0, 89.0)

@@ -6,10 +6,10 @@ import math
 from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.uncertainty import Floats
+from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.report.text import number
 
-from gonio_validation.papers.base import Claim, Page, Parameter, Table, Trace, polar_panel, theory, trace_panel
+from gonio_validation.papers.figure import Claim, Page, Parameter, Table, Trace, polar_panel, theory, trace_panel
 
 PAPER = "Cook and Torrance, A Reflectance Model for Computer Graphics, ACM Transactions on Graphics 1 (1982) 7-24"
 SLOPES = (0.2, 0.6)

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gonio_analysis.curves.planes import Curve, curves
+from gonio_analysis.curves.in_plane import Curve, curves
+from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import Observations, observations
-from gonio_analysis.fitting.uncertainty import Floats
 
 SEED = 1
 BAND_NM = 10.0

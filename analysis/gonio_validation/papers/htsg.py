@@ -10,9 +10,9 @@ import numpy as np
 from gonio_analysis.report.text import number
 
 from gonio_validation.papers import htsg_10, htsg_11, surfaces
-from gonio_validation.papers.base import Claim, Page, Parameter, Table
 from gonio_validation.papers.experiment import Experiment, measure
 from gonio_validation.papers.experiment import scan as directions
+from gonio_validation.papers.figure import Claim, Page, Parameter, Table
 from gonio_validation.papers.surfaces import CONE_SR, PAPER, Scan, agreement, each, energy_limit, scan
 
 ALUMINIUM: dict[str, Any] = {"sigma0_um": 0.28, "tau_um": 1.77, "ior": "Al"}

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from gonio_analysis.plots.polar import Line
+from gonio_analysis.plots.in_plane import Line
 from gonio_analysis.report.text import number
 
 from gonio_validation.papers import surfaces
-from gonio_validation.papers.base import Claim, Page, Parameter, Table, angle_panel
 from gonio_validation.papers.experiment import measure
 from gonio_validation.papers.experiment import scan as directions
+from gonio_validation.papers.figure import Claim, Page, Parameter, Table, angle_panel
 from gonio_validation.papers.surfaces import BRDF, CONE_SR, PAPER, Scan, agreement, each, energy_limit, scan
 
 PLASTIC_A, PLASTIC_RHO = 0.15, 0.195

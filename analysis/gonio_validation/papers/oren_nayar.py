@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.uncertainty import Floats
+from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.report.text import number
 
 from gonio_validation.papers import oren_nayar_samples
-from gonio_validation.papers.base import (
+from gonio_validation.papers.figure import (
     Claim,
     Page,
     Parameter,

@@ -11,10 +11,10 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.uncertainty import Floats
+from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.report.text import number
 
-from gonio_validation.papers.base import (
+from gonio_validation.papers.figure import (
     Claim,
     Page,
     Parameter,

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.plots.polar import Line
+from gonio_analysis.fitting.covariance import Floats
+from gonio_analysis.plots.in_plane import Line
 from gonio_analysis.report.text import number
 
-from gonio_validation.papers.base import NOTHING, Panel, Parameter, angle_panel, polar_panel, signed
 from gonio_validation.papers.experiment import Experiment, beside, divided
+from gonio_validation.papers.figure import NOTHING, Panel, Parameter, angle_panel, polar_panel, signed
 
 BRDF = "BRDF [1/sr]"
 PAPER = "He, Torrance, Sillion and Greenberg, A Comprehensive Physical Model for Light Reflection, SIGGRAPH 1991"

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.plots import polar
-from gonio_analysis.plots.polar import Line
+from gonio_analysis.fitting.covariance import Floats
+from gonio_analysis.plots import in_plane
+from gonio_analysis.plots.in_plane import Line
 
 Origin = Literal["paper", "database", "derived", "assumed"]
 ORIGINS: dict[Origin, str] = {
@@ -133,11 +133,11 @@ def at(x: Floats, y: Floats, where: float) -> float:
 
 def polar_panel(name: str, caption: str, lines: Sequence[Line], radius_label: str, *, most: float = 2.5) -> Panel:
     """The half-disc of `polar.polar` with its legend; curves that go beyond `most` are cut at the rim."""
-    rim = polar.radius_of(lines, most)
+    rim = in_plane.radius_of(lines, most)
 
     def on(figure: Any) -> None:
         ax = figure.add_axes((0.01, 0.1, 0.98, 0.89))
-        polar.polar(ax, lines, radius=rim, radius_label=radius_label)
+        in_plane.polar(ax, lines, radius=rim, radius_label=radius_label)
         legend(figure, [line.label for line in lines])
 
     return Panel(name, caption, SIZE, on, ("signed angle [deg]", radius_label), line_rows(lines))
@@ -151,9 +151,9 @@ def angle_panel(
     def on(figure: Any) -> None:
         ax = figure.add_axes((0.13, 0.235, 0.85, 0.74))
         if logarithmic:
-            polar.semilog(ax, lines, unit=y_label)
+            in_plane.semilog(ax, lines, unit=y_label)
         else:
-            polar.linear(ax, lines, y_label=y_label)
+            in_plane.linear(ax, lines, y_label=y_label)
         ax.set_xlabel(x_label or RETRO_TO_MIRROR)
         legend(figure, [line.label for line in lines])
 
@@ -168,8 +168,8 @@ def trace_panel(
     def on(figure: Any) -> None:
         ax = figure.add_axes((0.13, 0.235, 0.85, 0.74))
         for k, trace in enumerate(traces):
-            look = {"color": polar.style(k)["color"], "ls": (0, (4, 2)) if trace.dashed else "-"}
-            ax.plot(trace.x, trace.y, lw=1.4, zorder=3, **look | polar.sparse(k))
+            look = {"color": in_plane.style(k)["color"], "ls": (0, (4, 2)) if trace.dashed else "-"}
+            ax.plot(trace.x, trace.y, lw=1.4, zorder=3, **look | in_plane.sparse(k))
         ax.margins(x=0.0)
         if bottom is not None:
             ax.set_ylim(bottom=bottom)
@@ -184,7 +184,7 @@ def plain_axes(ax: Any, x_label: str, y_label: str) -> None:
     """Grid, labels and frame in the style of `polar`'s plots."""
     ax.set_xlabel(x_label, fontsize=8)
     ax.set_ylabel(y_label, fontsize=8)
-    ax.grid(color=polar.FAINT, lw=0.5)
+    ax.grid(color=in_plane.FAINT, lw=0.5)
     ax.tick_params(labelsize=7.5, color="#77808c")
     ax.set_axisbelow(True)
     for side, spine in ax.spines.items():
@@ -198,7 +198,7 @@ def legend(figure: Any, labels: Sequence[str], dashed: Sequence[bool] = ()) -> N
 
     styles = [(0, (3, 1.5)) if d else "-" for d in dashed] or ["-"] * len(labels)
     handles = [
-        Line2D([], [], lw=1.5, ls=ls, ms=3.5, label=label, **polar.style(k))
+        Line2D([], [], lw=1.5, ls=ls, ms=3.5, label=label, **in_plane.style(k))
         for k, (label, ls) in enumerate(zip(labels, styles, strict=True))
         if label
     ]

@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio import geometry
+from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.uncertainty import Floats
 
 Rows = npt.NDArray[np.intp]
 Scanned = Literal["theta_r", "theta_i"]

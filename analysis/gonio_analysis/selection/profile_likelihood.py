@@ -4,7 +4,7 @@ A standard error looks at the curvature in one point. Where chi-square is no par
 noise, an index of refraction near a bound, two parameters that replace each other) an interval has to be walked out:
 the parameter is held, the others are fitted again, and the ends lie where chi-square has risen by 3.84 (95 %).
 
-The small fits use the neighbourhood of the solution (`gonio_analysis.selection.near`), so that hundreds of them cost little.
+The small fits use the neighbourhood of the solution (`gonio_analysis.selection.surrogate`), so that hundreds of them cost little.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from gonio_analysis.fitting import families
+from gonio_analysis.fitting import parameters
+from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.fit import ROUNDING, FitResult
-from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.selection.near import Near
+from gonio_analysis.selection.surrogate import Near
 
 LEVEL = 0.95
 TRIES = 14
@@ -177,7 +177,7 @@ class _Walker:
         if not {"ior", "k"} <= set(problem.free):
             return []
         known = problem.values(x)
-        starts = [problem.vector({**known, "ior": ior, "k": absorption}) for ior, absorption in families.INDICES]
+        starts = [problem.vector({**known, "ior": ior, "k": absorption}) for ior, absorption in parameters.INDICES]
         for start in starts:
             start[k] = x[k]
         return starts

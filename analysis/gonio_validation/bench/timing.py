@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.uncertainty import Floats
+from gonio_analysis.fitting.covariance import Floats
 
 from gonio import models
 from gonio.models import engine
-from gonio_validation.bench.ways import Family, Sample, Way, directions
+from gonio_validation.bench.evaluators import Family, Sample, Way, directions
 
 NOTHING = 1e-290
 """References below this count as 0."""

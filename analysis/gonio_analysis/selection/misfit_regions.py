@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.uncertainty import Floats
-from gonio_analysis.selection.near import Rows
+from gonio_analysis.selection.surrogate import Rows
 
 TOGETHER = math.radians(2.0)
 """Incidences closer than this are one."""

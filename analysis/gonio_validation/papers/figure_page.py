@@ -13,7 +13,7 @@ from gonio_analysis.report.summary import stamp
 from gonio_analysis.report.tables import write_csv
 
 from gonio_validation.papers import FIGURES
-from gonio_validation.papers.base import COLUMNS, ORIGINS, Page
+from gonio_validation.papers.figure import COLUMNS, ORIGINS, Page
 
 VERDICTS = ("holds", "does not hold", "no verdict")
 

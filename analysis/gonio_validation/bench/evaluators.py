@@ -11,7 +11,7 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.uncertainty import Floats
+from gonio_analysis.fitting.covariance import Floats
 
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, OrenNayar, Phong, engine, fresnel, htsg
 from gonio.models._compile import loop

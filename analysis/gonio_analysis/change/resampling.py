@@ -23,9 +23,9 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio import geometry
-from gonio_analysis.curves.planes import IN_PLANE, SAME_ANGLE, Rows, groups
+from gonio_analysis.curves.in_plane import IN_PLANE, SAME_ANGLE, Rows, groups
+from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.observations import SAME_BAND_NM, Observations
-from gonio_analysis.fitting.uncertainty import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
