@@ -3,7 +3,7 @@
     python tools/bench_reference.py
 
 Directions are taken as the exact values of their doubles, brought to unit length in 60 digits. Closed forms are those
-of tests/models/oracles.py; He-Torrance's series is summed term by term here, from its largest term to both sides, by
+of tests/gonio/models/oracles.py; He-Torrance's series is summed term by term here, from its largest term to both sides, by
 logarithms. Oren-Nayar's exact integral is taken from tests/reference (quadruple-precision quadrature). Nothing of the
 package's own arithmetic enters.
 """
@@ -23,7 +23,7 @@ import mpmath as mp
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from tests.models import oracles  # noqa: E402
+from tests.gonio.models import oracles  # noqa: E402
 
 OUT = ROOT / "analysis" / "gonio_analysis" / "bench" / "reference.json"
 PI = math.pi

@@ -19,7 +19,7 @@ HEAD = """# The papers' equations
 
 Where each equation stands. Every formula is written once, slowly and obviously, in
 `gonio/models/plain/`: one module a paper, in the paper's order and symbols. The models evaluate the
-same formulas by compiled kernels, which `tests/models/test_plain.py` holds against the plain ones.
+same formulas by compiled kernels, which `tests/gonio/models/test_plain.py` holds against the plain ones.
 
 To find an equation, search the paper's module for its number, as "eq. 25", or this page. Equations
 without a number go by the letter on their left, as "Cook1982 R_s". Names such as He1991 are keys of

@@ -1,0 +1,395 @@
+"""A run whose journal or frames were lost: nothing is removed, what can be told is told, the rest is taken again."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gonio.acquisition import repair
+from gonio.acquisition.frame_writer import record_of
+from gonio.acquisition.loop import Silent
+from gonio.acquisition.measure import RigChoice, carry_out
+from gonio.acquisition.plan import Plan, load_plan
+from gonio.acquisition.run import Run
+from gonio.errors import ConfigError, DataError
+from gonio.reduction import brdf
+from gonio.rig.description import Reference
+from gonio.rig.dng import read_raw, read_record
+from tests.gonio.numpy_rig import PLAN, SAMPLE, Bench, Plugin, describe
+
+Measure = Callable[..., Run]
+
+
+@pytest.fixture
+def measure(tmp_path: Path) -> Measure:
+    (tmp_path / "plan.toml").write_text(PLAN)
+    plan: Plan = load_plan(tmp_path / "plan.toml")
+
+    def go(out: str = "run", **changes: object) -> Run:
+        arguments: dict[str, object] = {"sample": SAMPLE, "seed": 1, "command": "gonio measure ..."} | changes
+        choice = RigChoice(arguments.pop("rig", Plugin()), describe(), "numpy")  # type: ignore[arg-type]
+        return carry_out(plan, choice, tmp_path / out, **arguments)  # type: ignore[arg-type]
+
+    return go
+
+
+class Told(Silent):
+    def __init__(self) -> None:
+        self.text = ""
+
+    def say(self, text: str) -> None:
+        self.text += text + "\n"
+
+
+def content(run: Run) -> list[dict[str, object]]:
+    return [{k: v for k, v in step.items() if k not in ("n", "wall", "crc")} for step in run.steps()]
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def test_every_frame_says_what_it_is(measure: Measure) -> None:
+    run = measure()
+    for step in run.steps():
+        for number, frame in enumerate(step["frames"], 1):
+            path = run.frame_path(frame["file"])
+            record = record_of(path, path.read_bytes())
+            assert record is not None
+            assert record["run"] == run.key
+            assert [record[k] for k in ("step", "kind", "point")] == [step[k] for k in ("step", "kind", "point")]
+            assert (record["frame"], record["of"]) == (number, len(step["frames"]))
+            known = {k: v for k, v in frame.items() if k not in ("sha256", "bytes")}
+            assert record.items() >= known.items()
+            if step["kind"] != "dark":
+                assert record["goal"] == step["goal"]
+                assert record["pose"] == step["pose"]
+            assert ("event" in record) == (number == len(step["frames"]))
+            assert path.stat().st_size == frame["bytes"]
+
+
+def test_the_record_does_not_touch_the_picture(measure: Measure) -> None:
+    run = measure()
+    path = run.frame_path(run.steps()[2]["frames"][0]["file"])
+    data = path.read_bytes()
+    assert read_record(data).isascii()
+    frame = read_raw(path)
+    assert frame.exposure_s == run.steps()[2]["frames"][0]["exposure_s"]
+    assert frame.mosaic.shape == (48, 64)
+
+
+@pytest.mark.parametrize("journal", [None, b"", b"\0" * 4096, b'{"n":0,"event":"ses', b'{"n":0,"eve\xff'])
+@pytest.mark.parametrize("resume", [True, False])
+def test_frames_without_a_journal_are_refused_and_stay(measure: Measure, journal: bytes | None, resume: bool) -> None:
+    run = measure()
+    whole = content(run)
+    path = run.path / "journal.jsonl"
+    path.unlink()
+    if journal is not None:
+        path.write_bytes(journal)
+    before = tree(run.path)
+    with pytest.raises(DataError, match=r"gonio run repair"):
+        measure(resume=resume)
+    assert tree(run.path) == before
+    done = repair.repair(run.path)
+    assert done is not None
+    assert done.rebuilt == list(range(9))
+    assert not done.damaged
+    assert content(Run.open(run.path)) == whole
+    kept = sorted(p.name for p in run.path.glob("journal.damaged*"))
+    assert kept == (["journal.damaged.jsonl"] if journal else [])
+    told = Told()
+    again = measure(resume=True, progress=told)
+    assert content(again) == whole
+    assert "every step is done" in told.text
+    assert tree(run.path / "frames") == {k[7:]: v for k, v in before.items() if k.startswith("frames/")}
+
+
+@pytest.mark.parametrize("line", [0, 1, 4, 9])
+def test_a_journal_damaged_in_the_middle_keeps_what_is_readable(measure: Measure, line: int) -> None:
+    run = measure()
+    whole = content(run)
+    path = run.path / "journal.jsonl"
+    lines = path.read_bytes().splitlines(keepends=True)
+    broken = lines[line].replace(b'"', b"'", 3)
+    path.write_bytes(b"".join([*lines[:line], broken, *lines[line + 1 :]]))
+    damaged = path.read_bytes()
+    for resume in (True, False):
+        with pytest.raises((DataError, ConfigError), match=r"repair|--resume"):
+            measure(resume=resume)
+    with pytest.raises(DataError, match=f"line {line + 1} is damaged.*gonio run repair"):
+        measure(resume=True)
+    assert path.read_bytes() == damaged
+    done = repair.repair(run.path)
+    assert done is not None
+    assert done.kept == len(lines) - 1
+    assert done.rebuilt == ([line - 1] if line else [])
+    assert (run.path / "journal.damaged.jsonl").read_bytes() == damaged
+    assert content(Run.open(run.path)) == whole
+    assert repair.repair(run.path) is None  # nothing is left to do
+
+
+def test_a_step_that_is_not_provably_complete_is_taken_again(measure: Measure) -> None:
+    run = measure()
+    whole, files = content(run), [frame["file"] for frame in run.steps()[3]["frames"]]
+    (run.path / "journal.jsonl").unlink()
+    run.frame_path(files[-1]).unlink()  # it held the record of the step
+    other = run.steps()  # as it was opened before
+    del other
+    done = repair.repair(run.path)
+    assert done is not None
+    assert 3 not in done.rebuilt
+    assert done.untold == files[:-1]
+    assert content(measure(resume=True)) == whole
+
+
+def test_frames_of_an_older_version_are_kept_and_said_to_tell_nothing(measure: Measure) -> None:
+    run = measure()
+    for path in (run.path / "frames").iterdir():
+        path.write_bytes(path.read_bytes().replace(b"gonio-frame-1", b"another-one-1"))
+    (run.path / "journal.jsonl").unlink()
+    names = sorted(path.name for path in (run.path / "frames").iterdir())
+    done = repair.repair(run.path)
+    assert done is not None
+    assert done.untold == names
+    assert not done.rebuilt
+    assert sorted(path.name for path in (run.path / "frames").iterdir()) == names
+    measure(resume=True)
+    assert sorted(path.name for path in (run.path / "set-aside").iterdir()) == names
+
+
+def test_a_camera_s_own_files_have_their_records_beside_them(
+    measure: Measure, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = tmp_path / "IMG_0001.CR2"
+    own.write_bytes(b"the camera's own bytes")
+    capture = Bench.capture
+    monkeypatch.setattr(Bench, "capture", lambda self, exposure_s: replace(capture(self, exposure_s), file=own))
+    run = measure()
+    whole = content(run)
+    (run.path / "journal.jsonl").unlink()
+    done = repair.repair(run.path)
+    assert done is not None
+    assert done.rebuilt == list(range(9))
+    assert not done.untold
+    assert content(measure(resume=True)) == whole
+
+
+def lose(path: Path, how: str) -> None:
+    data = path.read_bytes()
+    if how == "missing":
+        path.unlink()
+    elif how == "truncated":
+        path.write_bytes(data[: len(data) // 2])
+    elif how == "changed":
+        path.write_bytes(data[:-100] + bytes([data[-100] ^ 1]) + data[-99:])
+    else:
+        path.write_bytes(b"")
+
+
+@pytest.mark.parametrize("how", ["missing", "truncated", "changed", "empty"])
+@pytest.mark.parametrize("number", [0, 1, 3, 8])
+def test_resuming_takes_again_what_was_lost(measure: Measure, how: str, number: int) -> None:
+    run = measure()
+    whole = content(run)
+    frame = run.steps()[number]["frames"][-1]["file"]
+    lose(run.frame_path(frame), how)
+    damaged = run.frame_path(frame).read_bytes() if how != "missing" else None
+    told, rig = Told(), Plugin()
+    again = measure(resume=True, progress=told, rig=rig)
+    assert frame in told.text
+    assert content(again) == whole
+    assert repair.find_damage(Run.open(run.path), whole=True).damaged == {}
+    aside = run.path / "set-aside" / frame
+    assert (aside.read_bytes() if aside.exists() else None) == damaged
+    (lost,) = (event for event in again.events() if event["event"] == "lost")
+    assert lost["steps"] == [number]
+    assert len(again.events()) == len(run.events()) + 4 - (len(run.events()) - 11)  # lost, session, step, end
+
+
+def test_all_frames_lost(measure: Measure) -> None:
+    run = measure()
+    whole = content(run)
+    shutil.rmtree(run.path / "frames")
+    assert content(measure(resume=True)) == whole
+
+
+def test_a_change_among_very_many_frames_is_found_by_the_check(
+    measure: Measure, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = measure()
+    first = run.frame_path(run.steps()[0]["frames"][0]["file"])
+    lose(first, "changed")
+    monkeypatch.setattr(repair, "LOOKED_INTO", 6)
+    told = Told()
+    measure(resume=True, progress=told)
+    assert "only the size was compared" in told.text
+    found = repair.check(run.path)
+    assert first.name in found.damaged[0][0]
+    last = run.frame_path(run.steps()[-1]["frames"][-1]["file"])
+    lose(last, "changed")
+    told = Told()
+    measure(resume=True, progress=told)
+    assert last.name in told.text
+
+
+def flags(run: Run) -> list[str]:
+    return list(brdf.reduce(run)["flag"])
+
+
+@pytest.mark.parametrize("how", ["missing", "truncated", "changed"])
+def test_reduction_leaves_out_what_is_damaged(measure: Measure, how: str) -> None:
+    run = measure()
+    before = brdf.reduce(run)
+    step = run.steps()[3]
+    lose(run.frame_path(step["frames"][0]["file"]), how)  # of the first band
+    table = brdf.reduce(run)
+    row = 2 * step["point"]
+    assert table["flag"][row] == "damaged"
+    assert np.isnan(table["brdf"][row])
+    rest = [k for k in range(len(table)) if k != row]
+    assert list(table["flag"][rest]) == list(before["flag"][rest])
+    np.testing.assert_allclose(table["brdf"][rest], before["brdf"][rest], rtol=1e-12)
+    (note,) = (note for note in table.attrs["notes"] if "damaged" in note)
+    assert step["frames"][0]["file"] in note
+    assert "--resume" in note
+
+
+@pytest.mark.parametrize("number", [1, 5, 8])
+def test_reduction_goes_on_without_a_visit_to_the_reference(measure: Measure, number: int) -> None:
+    run = measure()
+    before = brdf.reduce(run)
+    for frame in run.steps()[number]["frames"]:
+        lose(run.frame_path(frame["file"]), "changed")
+    table = brdf.reduce(run)
+    assert list(table["flag"]) == list(before["flag"])
+    good = before["flag"] == ""
+    # the level of two visits of three, of some 1e6 electrons each
+    np.testing.assert_allclose(table["brdf"][good], before["brdf"][good], rtol=5e-3)
+    assert any("4 frames are missing or damaged" in note for note in table.attrs["notes"])
+
+
+def test_reduction_goes_on_with_the_dark_frames_that_are_left(measure: Measure) -> None:
+    run = measure()
+    before, dark = brdf.reduce(run), run.steps()[0]["frames"]
+    lose(run.frame_path(dark[0]["file"]), "missing")
+    assert list(brdf.reduce(run)["flag"]) == list(before["flag"])
+    lose(run.frame_path(dark[1]["file"]), "missing")  # one exposure is left
+    table = brdf.reduce(run)
+    assert any("dark frames of one exposure" in note for note in table.attrs["notes"])
+    for frame in dark[2:]:
+        lose(run.frame_path(frame["file"]), "changed")
+    with pytest.raises(DataError, match=r"every dark frame .*--resume"):
+        brdf.reduce(run)
+
+
+def test_reduction_needs_one_visit(measure: Measure) -> None:
+    run = measure()
+    for number in (1, 5, 8):
+        for frame in run.steps()[number]["frames"]:
+            lose(run.frame_path(frame["file"]), "missing")
+    with pytest.raises(DataError, match="no usable visit to the white reference"):
+        brdf.reduce(run)
+
+
+def test_a_missing_row_of_the_plan_is_named_and_can_be_written_again(measure: Measure) -> None:
+    run = measure()
+    path = run.path / "plan.csv"
+    whole = path.read_bytes()
+    lines = whole.splitlines(keepends=True)
+    for wrong in (lines[:-1], [*lines[:2], *lines[3:]], [*lines, lines[-1]], [*lines[:1], *lines[2:0:-1], *lines[3:]]):
+        path.write_bytes(b"".join(wrong))
+        with pytest.raises(DataError, match=r"plan\.csv: .*--resume"):
+            brdf.reduce(Run.open(run.path))
+        with pytest.raises(DataError, match=r"plan\.csv"):
+            measure(resume=True)
+        assert path.read_bytes() == b"".join(wrong)
+    path.unlink()
+    measure(resume=True)
+    assert path.read_bytes() == whole
+
+
+def test_a_repair_while_somebody_measures_is_refused(measure: Measure) -> None:
+    from gonio.acquisition.journal import locked
+
+    run = measure()
+    with locked(run.path / "journal.jsonl"), pytest.raises(ConfigError, match="another process"):
+        repair.repair(run.path)
+
+
+def test_a_whole_run_needs_no_repair(measure: Measure) -> None:
+    run = measure()
+    before = tree(run.path)
+    assert repair.repair(run.path) is None
+    assert repair.check(run.path).damaged == {}
+    assert tree(run.path) == before
+
+
+def test_repair_finds_damage_and_resuming_mends_it(measure: Measure) -> None:
+    run = measure()
+    whole = content(run)
+    frame = run.frame_path(run.steps()[4]["frames"][1]["file"])
+    lose(frame, "changed")
+    done = repair.repair(run.path)
+    assert done is not None
+    assert frame.name in done.damaged[0]
+    assert frame.exists()
+    assert [step["step"] for step in Run.open(run.path).steps()] == [0, 1, 2, 3, 5, 6, 7, 8]
+    assert content(measure(resume=True)) == whole
+
+
+def test_frames_of_a_cut_step_are_removed_and_others_are_not(measure: Measure, tmp_path: Path) -> None:
+    run = measure()
+    journal = run.path / "journal.jsonl"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join(lines[:6]))  # four steps and a session; the others were never written
+    half = run.path / "frames" / ".000004-green550-01.dng.123.new"
+    half.write_bytes(b"half")
+    unknown = run.path / "frames" / "000099-left-01.dng"
+    unknown.write_bytes(b"somebody's")
+    again = measure(resume=True)
+    assert content(again) == content(measure("other"))
+    assert not half.exists()
+    assert not unknown.exists()
+    assert (run.path / "set-aside" / unknown.name).read_bytes() == b"somebody's"
+    assert [path.name for path in (run.path / "set-aside").iterdir()] == [unknown.name]
+
+
+@pytest.mark.parametrize("name", ["IMG 0001.CR2", ".hidden", "a folder/", "000002-green550-01.dng.json.bak", "link"])
+def test_other_things_among_the_frames_are_named_and_stay(measure: Measure, tmp_path: Path, name: str) -> None:
+    run = measure()
+    strange = run.path / "frames" / name.rstrip("/")
+    (tmp_path / "thesis.tex").write_text("years of work")
+    if name.endswith("/"):
+        strange.mkdir()
+        (strange / "notes").write_text("mine")
+    elif name == "link":
+        strange.symlink_to(tmp_path / "thesis.tex")
+    else:
+        strange.write_text("mine")
+    before = tree(run.path)
+    with pytest.raises(ConfigError, match=name.rstrip("/")):
+        measure(resume=True)
+    assert tree(run.path) == before
+    assert (tmp_path / "thesis.tex").read_text() == "years of work"
+
+
+def test_a_restored_journal_is_one_that_can_be_written_to(measure: Measure) -> None:
+    run = measure()
+    (run.path / "journal.jsonl").unlink()
+    repair.repair(run.path)
+    lines = (run.path / "journal.jsonl").read_bytes().splitlines()
+    assert [json.loads(line)["n"] for line in lines] == list(range(len(lines)))
+    assert all(json.loads(line)["wall"].endswith("Z") for line in lines)
+    assert os.access(run.path / "journal.jsonl", os.W_OK)
+
+
+def test_the_reference_rig_has_three_visits() -> None:
+    assert describe().reference == Reference(every=3, frames=2)  # what the numbers of the steps above rest on

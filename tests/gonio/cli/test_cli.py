@@ -1,0 +1,395 @@
+"""The command line as a process: help, messages, exit codes, commands of other packages."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from gonio import plugins
+from gonio.cli import application
+from tests.gonio.numpy_rig import PLAN
+
+
+def gonio(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", "from gonio.cli import main; main()", *arguments],
+        cwd=folder,
+        env=os.environ | {"COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"} | environment,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+
+
+def installed(folder: Path, group: str, points: str, module: str) -> str:
+    """A stranger's package with entry points, as an installer would leave it; the path to put on PYTHONPATH."""
+    site = folder / "site"
+    info = site / "stranger-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stranger\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[{group}]\n{points}\n")
+    (site / "stranger.py").write_text(module)
+    return str(site)
+
+
+def test_help_imports_nothing_heavy(tmp_path: Path) -> None:
+    script = (
+        "import sys\nfrom gonio.cli import main\nsys.argv = ['gonio', '--help']\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        "heavy = {'numpy', 'pandas', 'scipy', 'numba', 'matplotlib', 'cv2', 'rawpy', 'pydantic'}\n"
+        "print('heavy:', sorted(heavy & set(sys.modules)))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=tmp_path, timeout=600
+    )
+    assert "heavy: []" in done.stdout
+
+
+def test_plan_show_tells_what_cannot_be_measured_and_how_long_it_takes(tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").write_text(PLAN)
+    alone = gonio(tmp_path, "plan", "show", "plan.toml")
+    assert alone.returncode == 0
+    assert "6 points" in alone.stdout
+    assert "550 nm, 650 nm" in alone.stdout
+    on_rig = gonio(tmp_path, "plan", "show", "plan.toml", "--rig", "sim")
+    assert on_rig.returncode == 0
+    assert "blocked: -20" in on_rig.stdout
+    assert "1 blocked: the bodies of source and detector block 3.2 deg around retro" in on_rig.stdout
+    assert "visits to the white reference; about" in on_rig.stdout
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('how = "swap"', 'how = "beside"', "offset_mm = [0, 0] puts the patch of the reference on the sample"),
+        ("roi_radius_mm = 0.8", "roi_radius_mm = 11.0", "is larger than the sample (20 mm in diameter)"),
+        ("diameter_mm = 20.0\n\n[bands]", "diameter_mm = 1.5\n\n[bands]", "is larger than the white reference (1.5 mm"),
+    ],
+)
+def test_a_patch_that_is_not_on_its_surface_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
+    shown = plugins.load("gonio.rigs", "sim").toml
+    assert shown.count(old) == 1
+    (tmp_path / "mine.toml").write_text(shown.replace(old, new))
+    (tmp_path / "plan.toml").write_text(PLAN)
+    (tmp_path / "s.toml").write_text('name = "grey"\nmodel = "lambert"\n')
+    out = gonio(tmp_path, "measure", "plan.toml", "--rig", "mine.toml", "--sample", "s.toml", "--out", "run")
+    assert out.returncode == 2
+    assert words in " ".join(out.stderr.split())
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_shown_rig_can_be_used_as_a_file(tmp_path: Path) -> None:
+    shown = gonio(tmp_path, "rig", "show", "sim")
+    assert shown.returncode == 0
+    (tmp_path / "my.toml").write_text(
+        shown.stdout.replace("light_body_radius_mm = 25.0", "light_body_radius_mm = 200.0")
+    )
+    (tmp_path / "plan.toml").write_text(PLAN)
+    done = gonio(tmp_path, "plan", "show", "plan.toml", "--rig", "my.toml")
+    assert "block 13.3 deg around retro" in done.stdout
+    assert gonio(tmp_path, "rig", "show", "my.toml").stdout == (tmp_path / "my.toml").read_text()
+
+
+def test_rig_check_of_the_simulated_rig_is_good(tmp_path: Path) -> None:
+    done = gonio(tmp_path, "rig", "check", "--rig", "sim")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "BAD" not in done.stdout
+    assert done.stdout.count("good") >= 7
+
+
+def test_a_dark_lamp_fails_the_check(tmp_path: Path) -> None:
+    shown = plugins.load("gonio.rigs", "sim").toml
+    (tmp_path / "dark.toml").write_text(
+        shown.replace("exposure_limits_s = [1e-5, 60.0]", "exposure_limits_s = [1e-5, 1e-4]")
+    )
+    done = gonio(tmp_path, "rig", "check", "--rig", "dark.toml")
+    assert done.returncode == 3
+    assert "lit frame" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("plan", "show", "absent.toml"), ["absent.toml", "no such file"]),
+        (("plan", "show", "plan.toml", "--rig", "smi"), ["smi", 'did you mean "sim"']),
+        (("plan", "show", "plan.toml", "--rig", "no/such.toml"), ["no/such.toml", "no such file"]),
+        (("plan", "show", "plan.toml", "--rig", "other.toml"), ["other.toml", "nobody"]),
+        (("measure", "plan.toml", "--rig", "sim"), ["--out"]),
+        (("measure", "plan.toml", "--rig", "sim", "--out", "run", "--seed", "-1"), ["--seed"]),
+        (("measure", "plan.toml", "--rig", "sim", "--out", "run"), ["--sample"]),
+        (
+            ("measure", "plan.toml", "--rig", "sim", "--out", "run", "--sample", "sample.toml"),
+            ["sample.toml", "albedo"],
+        ),
+        (("measure", "plan.toml", "--rig", "sim", "--out", "/proc/none/run", "--sample", "good.toml"), ["/proc"]),
+        (("measure", "plan.toml", "--rig", "sim", "--out", "plan.toml", "--sample", "good.toml"), ["plan.toml"]),
+        (("reduce", "absent"), ["absent"]),
+        (("reduce", "."), ["run.toml"]),
+        (("nonsense",), ["nonsense"]),
+        (("reduce", "od\udcffd"), ["od\\xffd", "UTF-8"]),  # the byte 255 in a file's name
+    ],
+)
+def test_usage_and_configuration_end_with_2(tmp_path: Path, arguments: tuple[str, ...], words: list[str]) -> None:
+    (tmp_path / "plan.toml").write_text(PLAN)
+    (tmp_path / "sample.toml").write_text('name = "s"\nmodel = "lambert"\n[parameters]\nalbdo = 1\n')
+    (tmp_path / "good.toml").write_text('name = "s"\nmodel = "lambert"\n[parameters]\nalbedo = 1\n')
+    (tmp_path / "other.toml").write_text(plugins.load("gonio.rigs", "sim").toml.replace('"sim"', '"nobody"'))
+    before = sorted(path.name for path in tmp_path.iterdir())
+    done = gonio(tmp_path, *arguments)
+    assert done.returncode == 2, done.stdout + done.stderr
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr.splitlines()) <= 12
+    for word in words:
+        assert word in done.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+
+def test_dry_run_checks_everything_and_writes_nothing(tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").write_text(PLAN)
+    (tmp_path / "good.toml").write_text('name = "s"\nmodel = "lambert"\n[parameters]\nalbedo = 1\n')
+    arguments = ("measure", "plan.toml", "--rig", "sim", "--sample", "good.toml", "--out", "run", "--dry-run")
+    done = gonio(tmp_path, *arguments)
+    assert done.returncode == 0, done.stderr
+    assert "6 points" in done.stdout
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_stranger_s_command_appears_and_a_broken_one_is_listed_with_its_error(tmp_path: Path) -> None:
+    site = installed(
+        tmp_path,
+        "gonio.commands",
+        "hello = stranger:hello\nwrong = stranger:absent\n",
+        'def hello(name: str) -> None:\n    """Greet."""\n    print("hello", name)\n',
+    )
+    shown = gonio(tmp_path, "--help", PYTHONPATH=site)
+    assert shown.returncode == 0
+    assert "Greet." in shown.stdout
+    assert "AttributeError" in shown.stdout
+    assert gonio(tmp_path, "hello", "you", PYTHONPATH=site).stdout == "hello you\n"
+    broken = gonio(tmp_path, "wrong", PYTHONPATH=site)
+    assert broken.returncode == 2
+    assert "stranger" in broken.stderr
+
+
+def test_a_broken_rig_is_listed_with_its_error(tmp_path: Path) -> None:
+    site = installed(tmp_path, "gonio.rigs", "wreck = stranger:RIG\n", "import no_such_module\n")
+    done = gonio(tmp_path, "rig", "list", PYTHONPATH=site)
+    assert done.returncode == 0
+    assert "no_such_module" in done.stdout
+    assert "sim-ideal" in done.stdout
+    assert gonio(tmp_path, "rig", "show", "wreck", PYTHONPATH=site).returncode == 2
+
+
+def test_what_should_not_happen_says_where_the_traceback_is(tmp_path: Path) -> None:
+    site = installed(tmp_path, "gonio.commands", "crash = stranger:crash\n", "def crash() -> None:\n    1 / 0\n")
+    done = gonio(tmp_path, "crash", PYTHONPATH=site)
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    assert "GONIO_TRACEBACK" in done.stderr
+    assert "ZeroDivisionError" in done.stderr
+    assert "Traceback" in gonio(tmp_path, "crash", PYTHONPATH=site, GONIO_TRACEBACK="1").stderr
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("import sys; sys.exit()", "ends the program on import (sys.exit(None))"),
+        ("import sys; sys.exit('no licence')", "sys.exit('no licence')"),
+        ("raise GeneratorExit('odd')", "GeneratorExit: odd"),
+        ("class Odd(BaseException): pass\nraise Odd('a\\nb')", "Odd: a b"),
+        ("print('I am loud'); 1 / 0", "ZeroDivisionError"),
+        ("cmd = 3", "3 is not a callable"),
+        ("def cmd(x: 'Absent') -> None: ...", "Absent"),
+    ],
+)
+def test_whatever_a_stranger_s_module_does_on_import_only_its_own_command_suffers(
+    tmp_path: Path, line: str, said: str
+) -> None:
+    site = installed(tmp_path, "gonio.commands", "wreck = stranger:cmd\n", line + "\n")
+    shown = gonio(tmp_path, "--help", PYTHONPATH=site)
+    assert shown.returncode == 0, shown.stderr
+    assert "wreck" in shown.stdout
+    assert "cannot be loaded" in shown.stdout
+    assert "report" in shown.stdout
+    assert "loud" not in shown.stdout
+    called = gonio(tmp_path, "wreck", "sub", "--out", "b", "-x", PYTHONPATH=site)
+    assert called.returncode == 2
+    message = called.stderr.splitlines()[-1]
+    assert message.startswith('gonio: the command "wreck" (stranger:cmd) cannot be loaded: ')
+    assert said in message
+
+
+def test_a_stranger_s_module_is_imported_by_its_own_command_and_the_help_alone(tmp_path: Path) -> None:
+    site = installed(tmp_path, "gonio.commands", "wreck = stranger:cmd\n", "import os; os._exit(9)\n")
+    assert gonio(tmp_path, "plan", "show", "absent.toml", PYTHONPATH=site).returncode == 2
+    assert gonio(tmp_path, "wreck", PYTHONPATH=site).returncode == 9
+
+
+def test_a_rig_whose_module_ends_the_program_is_broken(tmp_path: Path) -> None:
+    site = installed(tmp_path, "gonio.rigs", "wreck = stranger:RIG\n", "print('loud')\nraise SystemExit(0)\n")
+    done = gonio(tmp_path, "rig", "list", PYTHONPATH=site)
+    assert done.returncode == 0
+    assert "ends the program on import" in done.stdout
+    assert "loud" not in done.stdout
+    called = gonio(tmp_path, "rig", "show", "wreck", PYTHONPATH=site)
+    assert called.returncode == 2
+    assert 'gonio: the rig "wreck" (stranger:RIG) cannot be loaded: ' in called.stderr
+
+
+def test_a_wrong_name_is_answered_with_the_nearest_of_all_commands(tmp_path: Path) -> None:
+    assert "Did you mean 'report'?" in gonio(tmp_path, "reprt").stderr
+    assert "Did you mean 'measure'?" in gonio(tmp_path, "mesure").stderr
+
+
+@pytest.mark.parametrize(
+    ("redirected", "code", "words"),
+    [
+        ("rig show sim > /dev/full", 1, "standard output: No space left on device"),
+        ("--help > /dev/full", 1, "standard output: No space left on device"),
+        ("--version > /dev/full", 1, "standard output: No space left on device"),
+        ("rig show sim 2> /dev/full | grep -c arms", 0, ""),
+        ("plan show absent.toml 2> /dev/full", 2, ""),
+        ("plan show absent.toml 2>&-", 2, ""),
+        ("plan show absent.toml >&-", 2, "absent.toml: there is no such file"),
+        ("plan show plan.toml <&- >&- 2>&-", 0, ""),
+        ("rig show sim | head -n 1 > /dev/null", 0, ""),
+    ],
+)
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+def test_streams_that_are_closed_or_full(tmp_path: Path, redirected: str, code: int, words: str) -> None:
+    (tmp_path / "plan.toml").write_text(PLAN)
+    program = f'"{sys.executable}" -c "from gonio.cli import main; main()"'
+    done = subprocess.run(
+        ["sh", "-c", f"{program} {redirected}"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False,
+    )  # fmt: skip
+    assert done.returncode == code, done.stderr
+    assert len(done.stderr.splitlines()) == (1 if words else 0), done.stderr
+    assert words in done.stderr
+
+
+def test_a_file_does_not_get_the_number_of_a_closed_stream(tmp_path: Path) -> None:
+    """What is printed on a standard error that the caller had closed would end up in the next file that is opened."""
+    site = installed(
+        tmp_path, "gonio.commands", "leak = stranger:leak\n",
+        textwrap.dedent("""
+            import os
+            def leak() -> None:
+                with open("data", "w"):
+                    os.write(2, b"a remark of a C library")
+        """),
+    )  # fmt: skip
+    program = f'"{sys.executable}" -c "from gonio.cli import main; main()"'
+    done = subprocess.run(
+        ["sh", "-c", f"{program} leak 2>&-"], cwd=tmp_path, env=os.environ | {"PYTHONPATH": site}, check=False
+    )
+    assert done.returncode == 0
+    assert (tmp_path / "data").read_bytes() == b""
+
+
+LONG = "n" * 300
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("fit", f"{LONG}.csv", "--model", "lambert"),
+        ("fit", f"a:{LONG}", "--model", "lambert"),
+        ("compare", LONG, "--out", "x"),
+        ("compare", "good.csv", "--models", "lambert", "--out", LONG),
+        ("report", LONG),
+        ("convert", "good.csv", f"{LONG}.csv"),
+        ("measure", LONG, "--rig", "sim", "--out", "x"),
+        ("measure", "plan.toml", "--rig", LONG, "--out", "x"),
+        ("figures", "htsg-8", "--out", LONG),
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_a_name_of_300_characters_is_named(tmp_path: Path, arguments: tuple[str, ...]) -> None:
+    (tmp_path / "plan.toml").write_text(PLAN)
+    (tmp_path / "good.csv").write_text(
+        "theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,brdf\n30,0,10,180,0.15\n30,0,20,180,0.15\n"
+    )
+    before = sorted(path.name for path in tmp_path.iterdir())
+    done = gonio(tmp_path, *arguments)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert LONG[:40] in line
+    assert "too long" in line
+    assert "should not happen" not in line
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("raised", "code", "words"),
+    [
+        (MemoryError("Unable to allocate 8 TiB"), 1, "too little memory: Unable to allocate 8 TiB"),
+        (MemoryError(), 1, "too little memory"),
+        (ImportError("x.so: failed to map segment from shared object"), 1, "too little memory"),
+        (RuntimeError("can't start new thread"), 1, "too little memory"),
+        (OSError(12, "Cannot allocate memory"), 1, "too little memory"),
+        (OSError(28, "No space left on device"), 1, "No space left on device"),
+        (PermissionError(13, "Permission denied", "a/b"), 2, "a/b: Permission denied"),
+        (RecursionError("maximum recursion depth exceeded"), 1, "nested too deeply"),
+        (BrokenPipeError(32, "Broken pipe"), 1, "should not happen: BrokenPipeError"),
+    ],
+)
+def test_errors_of_the_system_are_named(raised: BaseException, code: int, words: str) -> None:
+    message, ended = application._explain(raised)
+    assert ended == code
+    assert words in message
+
+
+def test_the_end_of_the_input_is_no_silent_abort(tmp_path: Path) -> None:
+    site = installed(tmp_path, "gonio.commands", "ask = stranger:ask\n", "def ask() -> None:\n    input()\n")
+    done = gonio(tmp_path, "ask", PYTHONPATH=site)
+    assert done.returncode == 1
+    assert "EOFError" in done.stderr
+    assert "Aborted" not in done.stderr
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are POSIX's")
+@pytest.mark.parametrize(
+    ("number", "where"),
+    [
+        (signal.SIGINT, "import"), (signal.SIGTERM, "import"), (signal.SIGHUP, "import"),
+        (signal.SIGTERM, "command"), (signal.SIGINT, "swallowed"), (signal.SIGTERM, "twice"),
+    ],
+)  # fmt: skip
+def test_a_signal_ends_any_command_with_one_line(tmp_path: Path, number: signal.Signals, where: str) -> None:
+    """While modules are imported too, and where a library makes an error of its own of the interruption."""
+    raised = f"os.kill(os.getpid(), {int(number)})"
+    lines = {
+        "import": f"import os\n{raised}\ndef slow() -> None: ...\n",
+        "command": f"import os\ndef slow() -> None:\n    {raised}\n",
+        "swallowed": f"import os\ndef slow() -> None:\n    try:\n        {raised}\n"
+        "    except BaseException:\n        raise ImportError('numpy is broken')\n",
+        "twice": f"import os\ndef slow() -> None:\n    try:\n        {raised}\n    finally:\n        {raised}\n",
+    }
+    site = installed(tmp_path, "gonio.commands", "slow = stranger:slow\n", lines[where])
+    done = gonio(tmp_path, "slow", PYTHONPATH=site)
+    assert done.returncode == 130
+    assert done.stderr == "gonio: interrupted\n"
+
+
+def test_a_signal_that_is_set_to_be_ignored_stays_so(tmp_path: Path) -> None:
+    site = installed(
+        tmp_path, "gonio.commands", "slow = stranger:slow\n",
+        "import os, signal\ndef slow() -> None:\n    os.kill(os.getpid(), signal.SIGHUP)\n    print('done')\n",
+    )  # fmt: skip
+    done = subprocess.run(
+        ["nohup", sys.executable, "-c", "from gonio.cli import main; main()", "slow"],
+        cwd=tmp_path, env=os.environ | {"PYTHONPATH": site}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0
+    assert done.stdout == "done\n"

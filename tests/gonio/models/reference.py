@@ -1,0 +1,16 @@
+"""Access to the reference vectors in tests/reference (see its README): exact inputs, outputs as strings of up to 30
+digits.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from tests.places import REFERENCE
+
+FOLDER = REFERENCE
+
+
+def cases(name: str) -> list[dict[str, Any]]:
+    return json.loads((FOLDER / f"{name}_public.json").read_text())["cases"]

@@ -1,0 +1,190 @@
+"""Poses and directions of rigs with different axes: an independent rotation-matrix oracle, and the inverse."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, example, given
+from hypothesis import strategies as st
+
+from gonio import geometry
+from gonio.errors import ConfigError
+from gonio.rig import Pose
+from gonio.rig.description import ArmAxis, Arms, Geometry, Holder
+from gonio.rig.kinematics import Directions, Unreachable, blocked_cone, directions, reach, separation, view
+from tests.gonio.numpy_rig import describe
+
+DEG = math.pi / 180
+ROUND_TRIP = 5e-12 * DEG
+FREE = ArmAxis(limits_deg=(-180, 180))
+NO_BODIES = Geometry(light_body_radius_mm=0, camera_body_radius_mm=0, camera_distance_mm=700)
+FULL = describe(
+    geometry=NO_BODIES,
+    arms=Arms(light=FREE, camera=FREE),
+    holder=Holder(axes=("tilt", "spin"), tilt_limits_deg=(-90, 90)),
+)
+AZIMUTH = describe(geometry=NO_BODIES, arms=Arms(light=FREE, camera=FREE, azimuth=FREE), holder=Holder(axes=("spin",)))
+STILL = describe(geometry=NO_BODIES, arms=Arms(light=FREE, camera=FREE, azimuth=FREE), holder=Holder())
+FLAT = describe(geometry=NO_BODIES, holder=Holder())
+
+thetas = st.floats(0, math.pi / 2)
+phis = st.floats(0, 2 * math.pi, exclude_max=True)
+near = st.floats(-1e-3, 1e-3)
+
+
+def rotation(axis: str, angle: float) -> np.ndarray:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array(
+        {
+            "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
+            "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]],
+            "z": [[c, -s, 0], [s, c, 0], [0, 0, 1]],
+        }[axis]
+    )
+
+
+def apart(a: Directions, b: Directions) -> float:
+    """The larger of the two angles between the sources and between the detectors."""
+    pairs = [((a.theta_i, a.phi_i), (b.theta_i, b.phi_i)), ((a.theta_r, a.phi_r), (b.theta_r, b.phi_r))]
+    return max(math.dist(geometry.direction(*one), geometry.direction(*two)) for one, two in pairs)
+
+
+@given(st.builds(Pose, *[st.floats(-3, 3)] * 5))
+def test_view_agrees_with_rotation_matrices(pose: Pose) -> None:
+    z = np.array([0.0, 0.0, 1.0])
+    # the arms turn about y, the azimuth about z; the sample is tilted about x toward +y and spun about its normal
+    light = rotation("y", pose.light) @ z
+    arm = rotation("z", pose.azimuth) @ rotation("y", pose.camera)
+    to_sample = (rotation("x", -pose.tilt) @ rotation("z", pose.spin)).T
+    seen = view(FULL, pose)
+    atol = 1e-12  # mm, out of 1000 mm: a few roundings
+    np.testing.assert_allclose(seen.source_mm, 1000 * to_sample @ light, atol=atol * 1000)
+    np.testing.assert_allclose(seen.camera_mm, 700 * to_sample @ arm @ z, atol=atol * 1000)
+    np.testing.assert_allclose(seen.image_y, to_sample @ arm @ [0, 1, 0], atol=atol)
+    np.testing.assert_allclose(np.cross(seen.image_x, seen.image_y), -seen.camera_mm / 700, atol=atol)
+
+
+def test_the_tilted_normal_points_out_of_the_plane_of_the_arms() -> None:
+    # it is (0, sin tilt, cos tilt) in the lab: with the arms at zero the light's direction mirrors that
+    seen = view(FULL, Pose(tilt=0.3))
+    np.testing.assert_allclose(seen.source_mm / 1000, [0, -math.sin(0.3), math.cos(0.3)], atol=1e-15)
+
+
+@pytest.mark.parametrize("rig", [FULL, AZIMUTH], ids=["tilt and spin", "azimuth and spin"])
+@given(thetas, phis, thetas, phis)
+@example(0.0, 0.0, 0.0, 0.0)
+@example(0.0, 1.0, 0.0, 3.0)
+@example(math.pi / 2, 0.3, math.pi / 2, 1.3)
+@example(math.pi / 2, 0.0, math.pi / 2, math.pi)
+@example(0.5, 0.2, 0.5, 0.2)
+@example(0.5, 0.2, 0.5, 0.2 + math.pi)
+@example(0.0, 0.0, 0.7, 2.0)
+@example(0.7, 2.0, 0.0, 0.0)
+def test_round_trip(rig: object, theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> None:
+    asked = Directions(theta_i, phi_i, theta_r, phi_r)
+    assert apart(asked, directions(rig, reach(rig, asked))) <= ROUND_TRIP  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("rig", [FULL, AZIMUTH], ids=["tilt and spin", "azimuth and spin"])
+@given(st.floats(0.01, math.pi / 2 - 0.01), phis, near, near, st.integers(0, 14))
+def test_round_trip_next_to_retro(
+    rig: object, theta: float, phi: float, d_theta: float, d_phi: float, power: int
+) -> None:
+    scale = 10.0**-power
+    asked = Directions(theta, phi, theta + d_theta * scale, phi + d_phi * scale)
+    assert apart(asked, directions(rig, reach(rig, asked))) <= ROUND_TRIP  # type: ignore[arg-type]
+
+
+@given(thetas, phis, thetas, st.floats(-math.pi, math.pi))
+@example(0.0, 0.0, 1e-9, 1.0)
+def test_a_still_sample_is_seen_from_all_around(theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> None:
+    asked = Directions(theta_i, math.pi * (phi_i > math.pi), theta_r, phi_r)
+    pose = reach(STILL, asked)
+    assert pose.spin == pose.tilt == 0
+    assert apart(asked, directions(STILL, pose)) <= ROUND_TRIP
+
+
+@given(st.floats(-89, 89), st.floats(-89, 89))
+def test_arms_alone_scan_the_plane_of_incidence(light_deg: float, camera_deg: float) -> None:
+    asked = directions(FLAT, Pose(light=light_deg * DEG, camera=camera_deg * DEG))
+    pose = reach(FLAT, asked)
+    assert pose.spin == pose.tilt == pose.azimuth == 0
+    assert abs(pose.light - light_deg * DEG) <= ROUND_TRIP
+    assert abs(pose.camera - camera_deg * DEG) <= ROUND_TRIP
+
+
+@pytest.mark.parametrize(
+    ("rig", "asked", "word"),
+    [
+        (FLAT, Directions(0.5, 0, 0.5, 2.0), "out of the plane"),
+        (FLAT, Directions(0.5, 1.0, 0.5, 1.0 + math.pi), "phi_i"),
+        (FLAT, Directions(0.0, 0.0, 0.5, 1.0), "phi_r"),
+        (STILL, Directions(0.5, 1.0, 0.5, 1.0 + math.pi), "phi_i"),
+        (describe(geometry=NO_BODIES, holder=Holder(axes=("spin",))), Directions(0.5, 0, 0.5, 2.0), "out of the plane"),
+    ],
+    ids=["out of plane", "azimuth of the light", "azimuth at normal incidence", "still sample", "spin alone"],
+)
+def test_a_missing_axis_is_named(rig: object, asked: Directions, word: str) -> None:
+    with pytest.raises(Unreachable, match=word) as caught:
+        reach(rig, asked)  # type: ignore[arg-type]
+    assert caught.value.flag == "unreachable"
+    assert isinstance(caught.value, ConfigError)
+
+
+def test_limits_choose_the_branch() -> None:
+    one_sided = describe(geometry=NO_BODIES, arms=Arms(light=ArmAxis(limits_deg=(-90, 0)), camera=FREE))
+    asked = Directions(30 * DEG, 0, 20 * DEG, math.pi)
+    assert reach(FULL, asked).light > 0
+    pose = reach(one_sided, asked)
+    assert pose.light < 0
+    assert abs(abs(pose.spin) - math.pi) < 1e-12  # half a turn of the sample, up to rounding
+    assert apart(asked, directions(one_sided, pose)) <= ROUND_TRIP
+
+
+def test_a_goal_beyond_every_limit_names_axis_and_limits() -> None:
+    narrow = describe(geometry=NO_BODIES, arms=Arms(light=ArmAxis(limits_deg=(-40, 40))))
+    with pytest.raises(Unreachable, match=r"60\.00 deg is outside the limits -40 to 40 deg of the light arm"):
+        reach(narrow, Directions(60 * DEG, 0, 20 * DEG, math.pi))
+
+
+@pytest.mark.parametrize("theta_deg", [90.0, -90.0])
+def test_grazing_at_a_limit_of_ninety_degrees_is_inside(theta_deg: float) -> None:
+    flat = describe(geometry=NO_BODIES, holder=Holder(), arms=Arms())
+    pose = reach(flat, Directions(abs(theta_deg) * DEG, math.pi * (theta_deg < 0), 0.2, 0.0))
+    assert math.degrees(pose.light) == theta_deg
+
+
+def test_blocked_cone_of_two_bodies_at_300_mm() -> None:
+    rig = describe(
+        geometry=Geometry(
+            light_distance_mm=300, camera_distance_mm=300, light_body_radius_mm=25, camera_body_radius_mm=30
+        )
+    )
+    # two balls touch where the chord between their centres is 55 mm: 2 asin(55/600) = 10.52 deg
+    assert math.degrees(blocked_cone(rig)) == pytest.approx(10.5, abs=0.05)
+    blocked, flags = [], set()
+    for signed in range(-80, 85, 5):  # 33 points in plane at theta_i = 30 deg
+        asked = Directions(30 * DEG, 0, abs(signed) * DEG, math.pi * (signed > 0))
+        try:
+            reach(rig, asked)
+        except Unreachable as error:
+            flags.add(error.flag)
+            blocked.append(signed)
+    assert flags == {"blocked"}
+    assert blocked == [-40, -35, -30, -25, -20]
+
+
+@given(thetas, phis, thetas, phis)
+def test_separation_agrees_with_the_law_of_cosines(theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> None:
+    d = Directions(theta_i, phi_i, theta_r, phi_r)
+    cosine = math.cos(theta_i) * math.cos(theta_r) + math.sin(theta_i) * math.sin(theta_r) * math.cos(phi_r - phi_i)
+    assume(abs(cosine) < 0.99)  # where the arc cosine itself is accurate
+    assert separation(d) == pytest.approx(math.acos(cosine), abs=1e-14)
+
+
+def test_directions_below_the_surface_are_refused() -> None:
+    with pytest.raises(Unreachable, match="theta_r") as caught:
+        reach(FULL, Directions(0.1, 0, 1.6, 0))
+    assert caught.value.flag == "below_horizon"

@@ -1,0 +1,252 @@
+"""Two things point by point: alignment that invents nothing, and verdicts that are as rare as they say."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from gonio_analysis import cli
+from gonio_analysis.change.point_by_point import Change, Side, change, discoveries, judge
+from gonio_analysis.change.resampling import carry
+from gonio_analysis.fitting.covariance import Covariance
+from gonio_analysis.fitting.observations import observations
+
+from gonio import measurement
+from gonio.errors import ConfigError, DataError
+from gonio.formats.reader import table
+from gonio.models import build
+from tests.gonio_analysis.synthetic import dense, measure
+
+GLOSS = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30})
+SAMPLE = 'name = "gloss"\nmodel = "phong"\n[parameters]\nk_d = 0.3\nk_s = 0.5\nexponent = 30\n'
+
+
+def side(frame: pd.DataFrame, name: str = "x") -> Side:
+    return Side(name, f"{name}.csv", frame, observations(frame))
+
+
+def hemisphere(model: object, *, step: float = 10.0, shift: float = 0.0) -> pd.DataFrame:
+    """One incidence over the hemisphere, without noise."""
+    theta, dphi = np.meshgrid(
+        np.arange(10.0, 71.0, step) + shift, np.arange(0.0, 360.0, 10.0) + 3 * shift, indexing="ij"
+    )
+    theta, dphi = theta.ravel(), dphi.ravel() % 360.0
+    true = model.brdf(np.radians(30.0), 0.0, np.radians(theta), np.radians(dphi))  # type: ignore[attr-defined]
+    return table(
+        theta_i_deg=np.full(theta.size, 30.0), phi_i_deg=0.0, theta_r_deg=theta, phi_r_deg=dphi, wavelength_nm=550.0,
+        brdf=true, u_brdf=1e-3 * true, u_random=1e-3 * true, attrs={},
+    )  # fmt: skip
+
+
+def test_values_in_the_same_direction_are_taken_as_they_are() -> None:
+    frame = measure(GLOSS)
+    data = observations(frame)
+    same = carry(data, data, frame)
+    assert np.array_equal(same.value, data.brdf)
+    assert same.interpolated == 0
+    assert not same.missing
+
+
+def test_interpolation_in_plane_stays_within_its_stated_error() -> None:
+    coarse, fine = (
+        measure(GLOSS, noise=0.0, floor=1e-9),
+        measure(GLOSS, noise=0.0, floor=1e-9, views=np.arange(-78.0, 79.0, 4.0)),
+    )
+    goal, known = observations(fine), observations(coarse)
+    found = carry(goal, known, coarse)
+    off = np.abs(found.value - goal.brdf[found.rows])
+    assert found.interpolated > 60
+    # the estimate is that of a parabola; a lobe 10 degrees wide sampled every 5 degrees is not quite one
+    assert np.all(off <= 2.0 * found.error + 1e-7)
+    assert np.quantile(off / np.maximum(found.error, 1e-7), 0.9) <= 1.3
+
+
+def test_interpolation_over_the_hemisphere_stays_within_its_stated_error() -> None:
+    frame, moved = hemisphere(GLOSS), hemisphere(GLOSS, shift=2.5)
+    goal = observations(moved)
+    found = carry(goal, observations(frame), frame)
+    off = np.abs(found.value - goal.brdf[found.rows])
+    assert found.interpolated > 100
+    # it counts as a standard uncertainty: 68 % within once, 95 % within twice
+    assert np.mean(off <= found.error) > 0.68
+    assert np.mean(off <= 2 * found.error) > 0.95
+    # beyond the last ring nothing is known
+    assert np.degrees(goal.theta_r[found.rows].max()) < 70.0
+    assert sum(found.missing.values()) == len(goal) - found.rows.size > 0
+
+
+def test_holes_stay_holes() -> None:
+    whole = measure(GLOSS, incidences=(30.0,))
+    holed = whole.copy()
+    holed.attrs = whole.attrs
+    at = holed["theta_r_deg"].isin([25.0, 30.0]) & (holed["phi_r_deg"] == 0.0)
+    holed.loc[at, "flag"] = "blocked"
+    goal = observations(measure(GLOSS, incidences=(30.0,), views=np.arange(-60.0, 61.0, 2.0)))
+    signed = np.degrees(np.where(np.cos(goal.phi_r) < 0, 1, -1) * goal.theta_r)
+    kept = carry(goal, observations(holed), holed)
+    assert set(np.round(np.setdiff1d(signed, signed[kept.rows]))) == {-34, -32, -30, -28, -26, -24, -22}
+    # nor is anything carried over where the neighbours are far apart
+    sparse = measure(GLOSS, incidences=(30.0,), views=np.array([-60.0, -40.0, 0.0, 40.0, 60.0]))
+    assert set(np.round(signed[carry(goal, observations(sparse), sparse).rows])) == {-60, -40, 0, 40, 60}
+
+
+def test_other_incidences_and_wavelengths_are_not_compared() -> None:
+    a, b = measure(GLOSS, incidences=(10.0, 30.0)), measure(GLOSS, incidences=(30.0, 60.0))
+    found = carry(observations(a), observations(b), b)
+    assert found.missing == {"at another incidence": 33}
+    with pytest.raises(DataError, match=r"share no direction.*at another wavelength"):
+        change(side(a), side(measure(GLOSS, wavelength_nm=650.0)))
+
+
+def test_planes_of_other_azimuths_are_laid_on_each_other() -> None:
+    a, b = measure(GLOSS), measure(GLOSS)
+    b["phi_i_deg"] = 90.0
+    b["phi_r_deg"] = (b["phi_r_deg"] + 90.0) % 360.0
+    found = change(side(a), side(b))
+    assert len(found.at) == len(a)
+    assert np.allclose(found.difference, 0.0, atol=1e-12)  # rounding of the azimuths
+    assert any("90°" in n for n in found.notes)
+
+
+def test_each_against_all_the_others_is_a_prediction_left_out() -> None:
+    rng = np.random.default_rng(1)
+    c = Covariance(rng.uniform(0.5, 2.0, 12), rng.normal(size=(12, 2)), ("p", "q"))
+    r = rng.normal(size=12)
+    full = dense(c)
+    for k in range(12):
+        rest = np.delete(np.arange(12), k)
+        weights = np.linalg.solve(full[np.ix_(rest, rest)], full[rest, k])
+        expected = (r[k] - weights @ r[rest]) / np.sqrt(full[k, k] - weights @ full[rest, k])
+        assert c.alone(r)[k] == pytest.approx(expected, rel=1e-9)  # two ways of double precision
+
+
+def test_verdicts_are_as_rare_as_they_say() -> None:
+    """400 comparisons of the same sample, with a common cause ten times the noise."""
+    rng = np.random.default_rng(2)
+    n = 80
+    value = rng.uniform(0.1, 1.0, n)
+    c = Covariance(0.002 * value, (0.02 * value)[:, None], ("reference",))
+    verdicts = []
+    for _ in range(400):
+        verdicts.append(judge(value, value + 0.002 * value * rng.normal(size=n) + 0.02 * value * rng.normal(), c))
+    # binomial: 4 +- 2 of 400 at the level of 1 %; 4.55 % of 32 000 beyond 2, standard deviation 0.13 %
+    assert sum(v.changed for v in verdicts) <= 12
+    assert np.mean([v.beyond / n for v in verdicts]) == pytest.approx(0.0455, abs=0.005)
+    assert np.mean([v.beyond / v.expected for v in verdicts]) == pytest.approx(1.0, abs=0.1)
+    # with nothing to find, one mark anywhere is a false discovery: in 5 % of the comparisons (20 +- 4.4)
+    assert sum(v.marked.any() for v in verdicts) <= 34
+
+
+def test_one_changed_value_is_found_under_a_change_of_scale() -> None:
+    a, b = measure(GLOSS, noise=0.003, reference=0.01, seed=3), measure(GLOSS, noise=0.003, reference=0.01, seed=4)
+    spot = 40
+    b.loc[spot, "brdf"] *= 1.05
+    found = change(side(a), side(b))
+    assert found.verdict is not None
+    assert found.verdict.changed
+    assert list(np.flatnonzero(found.verdict.marked)) == [spot]
+    assert abs(found.verdict.scale) < 4 * found.verdict.u_scale  # 4 standard deviations: one seed in 16 000
+    assert found.verdict.u_scale == pytest.approx(np.hypot(0.01, 0.01), rel=0.05)  # the noise adds little
+
+
+def test_a_coarse_table_agrees_with_a_fine_one_of_the_same_sample() -> None:
+    """A lobe 8 degrees wide, every 7.5 and every 2.5 degrees: in the coarse directions, whichever comes first."""
+    shiny = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 300})
+    other = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 320})
+    coarse, fine = np.arange(-75.0, 75.1, 7.5), np.arange(-80.0, 80.1, 2.5)
+    between = np.arange(-78.0, 79.0, 4.0)
+
+    def against(b_model: object, a_views: np.ndarray, b_views: np.ndarray, seed: int) -> Change:
+        a = measure(shiny, views=a_views, noise=0.005, reference=0.003, seed=seed)
+        return change(side(a), side(measure(b_model, views=b_views, noise=0.005, reference=0.003, seed=100 + seed)))
+
+    # 12 verdicts of which 1 % are wrong by chance; the seeds are fixed
+    for seed in range(3):
+        for views, onto in (
+            ((coarse, fine), "A"),
+            ((fine, coarse), "B"),
+            ((coarse, between), "A"),
+            ((between, coarse), "B"),
+        ):
+            found = against(shiny, *views, seed)
+            assert found.verdict is not None
+            assert found.onto == onto
+            assert not found.verdict.changed
+    # in common directions nothing is interpolated, and a lobe 3 % narrower is seen from either side
+    for views in (coarse, fine), (fine, coarse):
+        found = against(other, *views, 0)
+        assert found.verdict is not None
+        assert not found.error.any()
+        assert found.verdict.changed
+
+
+def test_step_up_of_benjamini_and_hochberg() -> None:
+    # their example: 15 p-values, four discoveries at 5 % (Benjamini and Hochberg 1995, section 4.1)
+    p = [
+        0.0001,
+        0.0004,
+        0.0019,
+        0.0095,
+        0.0201,
+        0.0278,
+        0.0298,
+        0.0344,
+        0.0459,
+        0.3240,
+        0.4262,
+        0.5719,
+        0.6528,
+        0.7590,
+        1.0,
+    ]
+    assert list(np.flatnonzero(discoveries(np.array(p)))) == [0, 1, 2, 3]
+
+
+def test_models_compare_with_files_and_with_each_other() -> None:
+    other = Side("other", "other.toml", model=build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 40}))
+    same = Side("same", "same.toml", model=GLOSS)
+    data = side(measure(GLOSS, noise=0.01))
+
+    def changed(found: Change) -> bool:
+        assert found.verdict is not None
+        return found.verdict.changed
+
+    assert not changed(change(data, same))
+    assert changed(change(data, other))
+    assert changed(change(other, data))
+    assert (change(data, same).onto, change(same, data).onto) == ("A", "B")
+    both = change(same, other)
+    assert both.verdict is None
+    assert both.metrics["log_ratio"]
+    twice = change(same, same)
+    assert np.all(twice.difference == 0)
+
+
+def test_command_writes_a_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, seed in (("before", 5), ("after", 6)):
+        measurement.write(measure(GLOSS, noise=0.01, reference=0.005, seed=seed, name=name), tmp_path / f"{name}.csv")
+    (tmp_path / "gloss.toml").write_text(SAMPLE)
+    before, after, model = (str(tmp_path / n) for n in ("before.csv", "after.csv", "gloss.toml"))
+    cli.compare([before, after], tmp_path / "out", change=True)
+    assert capsys.readouterr().out.strip() == str(tmp_path / "out" / "index.html")
+    facts = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert facts["verdict"]["changed"] is False
+    assert facts["conclusion"].startswith("No sign that the sample changed")
+    assert f"{facts['verdict']['expected_beyond_2']:.1f} are expected by chance" in facts["conclusion"]
+    with open(tmp_path / "out" / "tables" / "change.csv", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == facts["n_points"] == 99
+    beyond = sum(abs(float(r["standard_deviations"])) > 2 for r in rows)
+    assert beyond == facts["verdict"]["beyond_2"]
+    page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+    assert page.count("<svg") == len(facts["figures"]) == 3
+    cli.compare([after, model], tmp_path / "model", change=True)
+    assert "two disagree" in json.loads((tmp_path / "model" / "summary.json").read_text(encoding="utf-8"))["conclusion"]
+    with pytest.raises(ConfigError, match="two"):
+        cli.compare([before], tmp_path / "one", change=True)
+    with pytest.raises(ConfigError, match="--ior has no part in --change"):
+        cli.compare([before, after], tmp_path / "one", ior="Al", change=True)

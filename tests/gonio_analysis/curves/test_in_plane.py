@@ -1,0 +1,108 @@
+"""In-plane curves: signs, tolerances, the mirror direction, and what a curve is divided by."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from gonio_analysis.curves.in_plane import MOST_CURVES, curves, norm, selection
+from gonio_analysis.fitting.observations import observations
+
+from gonio.models import build
+from tests.gonio_analysis.synthetic import measure
+
+GLOSS = build("phong", {"k_d": 0.2, "k_s": 0.8, "exponent": 30})
+
+
+def test_sign_is_positive_on_the_mirror_side() -> None:
+    c = curves(observations(measure(GLOSS, incidences=(40.0,), noise=0.0, floor=1e-9)))[0]
+    assert np.degrees(c.angle[0]) == pytest.approx(-80)
+    assert np.degrees(c.angle[-1]) == pytest.approx(80)
+    assert np.degrees(c.angle[np.argmax(c.brdf)]) == pytest.approx(40, abs=5)  # the spacing of the sweep
+    assert c.mirror is not None
+    assert np.degrees(c.angle[c.mirror]) == pytest.approx(40)
+    assert c.label == "θi = 40°"
+
+
+def test_theory_passes_through_noiseless_values_on_both_sides() -> None:
+    data = observations(measure(GLOSS, noise=0.0, floor=1e-9))
+    for c in curves(data):
+        np.testing.assert_allclose(c.theory(GLOSS, c.angle, data), c.brdf, rtol=1e-6, atol=1e-7)  # the noise of 1e-9
+
+
+def test_turning_the_whole_plane_changes_nothing() -> None:
+    table = measure(GLOSS)
+    turned = table.copy()
+    turned["phi_i_deg"] = (table["phi_i_deg"] + 200) % 360
+    turned["phi_r_deg"] = (table["phi_r_deg"] + 200) % 360
+    for a, b in zip(curves(observations(table)), curves(observations(turned)), strict=True):
+        np.testing.assert_allclose(a.angle, b.angle, atol=1e-12)  # rounding of the azimuths
+        np.testing.assert_array_equal(a.brdf, b.brdf)
+
+
+def test_rows_out_of_the_plane_are_not_in_a_curve() -> None:
+    table = measure(GLOSS, incidences=(40.0,))
+    table.loc[table["theta_r_deg"] == 30, "phi_r_deg"] = 175.0  # asin(sin 30 sin 5) = 2.5 degrees out of the plane
+    table.loc[table["theta_r_deg"] == 5, "phi_r_deg"] += 10.0  # 0.9 degrees: within the tolerance
+    c = curves(observations(table))[0]
+    assert c.angle.size == len(table) - 2
+    assert np.degrees(c.out_of_plane) == pytest.approx(
+        np.degrees(np.arcsin(np.sin(np.radians(5)) * np.sin(np.radians(10))))
+    )
+
+
+def test_readbacks_beside_the_goal_are_one_curve() -> None:
+    table = measure(GLOSS)
+    table["theta_i_deg"] += np.random.default_rng(1).uniform(-0.05, 0.05, len(table))
+    found = curves(observations(table))
+    assert [c.label for c in found] == ["θi = 10°", "θi = 30°", "θi = 60°"]
+
+
+def test_source_that_moves_gives_curves_of_one_view() -> None:
+    table = measure(GLOSS, incidences=(15.0, 45.0), views=np.arange(1.0, 89.0, 2.0))
+    swapped = table.rename(columns={"theta_i_deg": "theta_r_deg", "theta_r_deg": "theta_i_deg"})
+    swapped.attrs = table.attrs
+    found = curves(observations(swapped))
+    assert [c.scanned for c in found] == ["theta_i"] * 2
+    assert [c.label for c in found] == ["θr = 15°", "θr = 45°"]
+    assert found[1].mirror is not None
+
+
+def test_normal_incidence_at_any_azimuth_is_one_plane() -> None:
+    table = measure(GLOSS, incidences=(0.0,))
+    c = curves(observations(table))[0]
+    assert c.angle.size == len(table)
+    assert np.all(np.diff(c.angle) > 0)
+
+
+@pytest.mark.parametrize(("kind", "expected"), [("mirror", "mirror"), ("max", "max"), ("model", "model")])
+def test_normalisation_that_was_asked_for(kind: str, expected: str) -> None:
+    data = observations(measure(GLOSS, incidences=(40.0,)))
+    c = curves(data)[0]
+    n = norm(c, kind, GLOSS, data)  # type: ignore[arg-type]
+    assert n.kind == expected
+    assert n.theory == pytest.approx(float(c.theory(GLOSS, np.array([n.angle]), data)[0]))
+    if kind == "mirror":
+        assert np.degrees(n.angle) == pytest.approx(40)
+        assert n.measured == c.brdf[c.mirror]
+    if kind == "max":
+        assert n.measured == c.brdf.max()
+    if kind == "model":
+        assert n.measured == n.theory
+
+
+def test_missing_mirror_falls_back_to_the_largest_value() -> None:
+    table = measure(GLOSS, incidences=(42.0,))  # views every 5 degrees
+    data = observations(table)
+    c = curves(data)[0]
+    assert c.mirror is None
+    n = norm(c, "mirror", GLOSS, data)
+    assert n.kind == "max"
+    assert n.measured == c.brdf.max()
+
+
+def test_selection_prefers_curves_with_a_mirror_direction() -> None:
+    parts = [measure(GLOSS, incidences=tuple(np.arange(10.0, 70.0, 2.5)))]
+    chosen = selection(curves(observations(pd.concat(parts))))
+    assert len(chosen) == MOST_CURVES
+    assert all(c.mirror is not None for c in chosen)

@@ -1,0 +1,57 @@
+"""Derivatives of the forward model against central differences, and averages by rules against searched ones."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from gonio_analysis.fitting.forward import apparent, averaging
+from gonio_analysis.fitting.observations import LOBE_TOLERANCE, observations
+from gonio_analysis.fitting.search import STEP, _one_sided, derivatives, pose
+
+from gonio.models import build
+from tests.gonio_analysis.synthetic import measure
+
+METAL = build("he-torrance", {"sigma0_um": 0.28, "tau_um": 1.77, "ior": 0.77 + 6.08j})
+CONE_SR = math.pi / 1024  # the solid angles of the 1991 paper
+AT = {
+    "lambert": {"albedo": 0.4},
+    "oren-nayar": {"albedo": 0.4, "sigma_deg": 20.0},
+    "cook-torrance": {"s": 0.3, "m": 0.3, "diffuse_albedo": 0.2, "ior": 1.6},
+    "he-torrance": {"sigma0_um": 0.28, "tau_um": 1.77, "diffuse_albedo": 0.1, "ior": 1.6},
+    "lambert+he-torrance": {"albedo": 0.2, "weight": 0.7, "sigma0_um": 0.28, "tau_um": 1.77, "ior": 1.6},
+}
+
+
+@pytest.mark.parametrize("name", AT)
+def test_against_central_differences(name: str) -> None:
+    data = observations(measure(METAL, cone_sr=CONE_SR, wavelength_nm=500.0))
+    problem = pose(name, None, {}, (), 1)
+    vector = problem.vector({**problem.fixed, **AT[name]})
+    rules = averaging(problem.model(vector), data)
+    full, quick = derivatives(problem, data, vector, rules=rules), derivatives(problem, data, vector, quick=True)
+    one_sided = _one_sided(problem, data, vector, apparent(problem.model(vector), data, quick=True))
+    for k in range(vector.size):
+        for column, rule, is_quick in ((full, rules, False), (quick, None, True)):
+            # an independent order: five points instead of two, with a step ten times as large
+            def f(x: float, k: int = k, rule: object = rule, is_quick: bool = is_quick) -> np.ndarray:
+                moved = vector.copy()
+                moved[k] += 10 * STEP * x
+                return apparent(problem.model(moved), data, quick=is_quick, rules=rule)  # type: ignore[arg-type]
+
+            expected = (8 * (f(1) - f(-1)) - (f(2) - f(-2))) / (120 * STEP)
+            # the error of the two-point rule is STEP^2/6 times the third derivative: hundreds at a spike's edge
+            np.testing.assert_allclose(column[:, k], expected, rtol=2e-5, atol=2e-6 * np.abs(expected).max())
+        # a step of 1e-6 leaves 1e-6 of the curvature, and 1e-10 of rounding
+        np.testing.assert_allclose(one_sided[:, k], quick[:, k], rtol=1e-4, atol=2e-5 * np.abs(quick[:, k]).max())
+
+
+def test_rules_of_one_model_serve_its_neighbours() -> None:
+    data = observations(measure(METAL, cone_sr=CONE_SR, wavelength_nm=500.0))
+    rules = averaging(METAL, data)
+    # a kept rule is the smaller of the two that agreed
+    np.testing.assert_allclose(apparent(METAL, data, rules=rules), apparent(METAL, data), rtol=LOBE_TOLERANCE)
+    near = build("he-torrance", {"sigma0_um": 0.29, "tau_um": 1.75, "ior": 0.77 + 6.08j})
+    # a rule is chosen with room to spare: a lobe a few per cent narrower costs no more than ten times its tolerance
+    np.testing.assert_allclose(apparent(near, data, rules=rules), apparent(near, data), rtol=10 * LOBE_TOLERANCE)

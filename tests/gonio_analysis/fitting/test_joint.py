@@ -1,0 +1,67 @@
+"""Several wavelengths in one fit: what is shared is known better, what is not keeps its own value."""
+
+from __future__ import annotations
+
+import math
+
+import pandas as pd
+import pytest
+from gonio_analysis.fitting.fit import fit
+from gonio_analysis.selection.profile_likelihood import profiles
+
+from gonio.errors import ConfigError
+from gonio.models import build
+from tests.gonio_analysis.synthetic import measure
+
+WAVES = {450.0: 0.10, 550.0: 0.20, 650.0: 0.30}
+SURFACE = {"sigma0_um": 0.28, "tau_um": 1.77, "ior": 0.77 + 6.08j}
+
+
+@pytest.fixture(scope="module")
+def table() -> pd.DataFrame:
+    """One rough surface whose diffuse albedo grows with the wavelength."""
+    parts = [
+        measure(build("he-torrance", {**SURFACE, "diffuse_albedo": a}), wavelength_nm=w, noise=0.01, seed=int(w))
+        for w, a in WAVES.items()
+    ]
+    whole = pd.concat(parts, ignore_index=True)
+    whole.attrs = parts[0].attrs
+    return whole
+
+
+def test_shared_parameters_are_known_better_and_others_by_wavelength(table: pd.DataFrame) -> None:
+    one = fit(table, "he-torrance", ior=SURFACE["ior"])
+    r = fit(table, "he-torrance", ior=SURFACE["ior"], each=["diffuse_albedo"])
+    assert r.free == ("sigma0_um", "tau_um", *(f"diffuse_albedo@{w:g}" for w in WAVES))
+    for n in ("sigma0_um", "tau_um"):
+        e = r.parameters[n]
+        assert e.u is not None
+        assert abs(e.value - SURFACE[n]) < 3.5 * e.u
+        assert e.u < one.parameters[n].u
+    for w, a in WAVES.items():
+        e = r.parameters[f"diffuse_albedo@{w:g}"]
+        assert abs(e.value - a) < 3.5 * e.u  # type: ignore[operator]
+    assert len(r.data) == len(table)
+    assert r.reduced_chi_square == pytest.approx(1.0, abs=0.35)  # 292 degrees of freedom: +- 0.083; 4 of them
+    assert any("3 wavelengths are fitted together" in note for note in r.notes)
+    assert math.isnan(r.wavelength_nm)
+    low, high = (end for end, _ in profiles(r, ("diffuse_albedo@550",)).intervals["diffuse_albedo@550"].ends)
+    assert low < r.parameters["diffuse_albedo@550"].value < high
+
+
+def test_all_shared_where_the_sample_changes_is_rejected(table: pd.DataFrame) -> None:
+    r = fit(table, "he-torrance", ior=SURFACE["ior"], each=[])
+    assert r.free == ("sigma0_um", "tau_um", "diffuse_albedo")
+    assert r.p_value is not None
+    assert r.p_value < 1e-6  # no chance: the albedo changes from wavelength to wavelength
+
+
+def test_what_cannot_be_fitted_together_is_named(table: pd.DataFrame) -> None:
+    with pytest.raises(ConfigError, match="fitted are albedo"):
+        fit(table, "lambert", each=["sigma_deg"])
+    with pytest.raises(ConfigError, match="takes two or more"):
+        fit(table[table["wavelength_nm"] == 550.0], "lambert", each=[])
+    with pytest.raises(ConfigError, match="leave it out"):
+        fit(table, "lambert", each=[], wavelength_nm=550)
+    with pytest.raises(ConfigError, match="prior of albedo"):
+        fit(table, "lambert", each=["albedo"], priors={"albedo": (0.5, 0.1)})

@@ -1,0 +1,110 @@
+"""Plots out of plane and of diagnostics: what is drawn is what was measured, on the axes that were given."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from gonio_analysis.fitting.observations import observations
+from gonio_analysis.plots import diagnostics, maps
+from gonio_analysis.plots.in_plane import Line
+from gonio_analysis.selection.profile_likelihood import Interval
+from matplotlib.figure import Figure
+
+from gonio.models import build
+from tests.gonio_analysis.change.test_point_by_point import hemisphere
+
+GLOSS = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30})
+
+
+def axes(**how: Any) -> Any:
+    return Figure().add_subplot(**how)
+
+
+def test_heat_map_shows_each_value_in_its_direction() -> None:
+    ax = axes()
+    data = observations(hemisphere(GLOSS))
+    artists = maps.heat_map(ax, data.theta_r, data.phi_r, data.brdf, label="BRDF [1/sr]", theta_i=np.radians(30.0))
+    points = artists[1]  # after the triangles
+    xy, shown = np.asarray(points.get_offsets()), np.asarray(points.get_array())
+    brightest = xy[np.argmax(shown)]
+    assert brightest == pytest.approx([30.0, 0.0], abs=1e-9)  # the mirror direction, on the right
+    assert np.hypot(*xy.T) == pytest.approx(np.degrees(data.theta_r))
+    assert ax.figure.axes[1].get_ylabel() == "BRDF [1/sr]"
+
+
+def test_heat_map_leaves_holes_empty() -> None:
+    data = observations(hemisphere(GLOSS))
+    kept = ~((data.phi_r > np.radians(80.0)) & (data.phi_r < np.radians(130.0)))
+    ax = axes()
+    mesh = maps.heat_map(ax, data.theta_r[kept], data.phi_r[kept], data.brdf[kept], label="")[0]
+    x, y = -30 * np.cos(np.radians(105.0)), -30 * np.sin(np.radians(105.0))
+    inside = [p for p in mesh.get_paths() if p.contains_point((x, y))]
+    assert not inside
+
+
+def test_change_maps_ring_what_changed() -> None:
+    angle, still = np.radians([-30.0, 0.0, 30.0]), np.radians([10.0, 10.0, 45.0])
+    marked = np.array([False, True, False])
+    for artists in (
+        maps.plane_map(
+            axes(), angle, still, np.array([0.0, 5.0, -1.0]), label="", top=4.0, y_label="θi", marked=marked
+        ),
+        maps.change_map(axes(), np.abs(angle), still, np.array([0.0, 5.0, -1.0]), label="", top=4.0, marked=marked),
+    ):
+        ring = artists[-1]
+        assert len(ring.get_xdata()) == 1
+        assert ring.get_markerfacecolor() == "none"
+
+
+def test_changes_carry_error_bars_and_the_limit() -> None:
+    nothing = np.empty(0)
+    line = Line("a", nothing, nothing, np.radians([-10.0, 10.0]), np.array([1.0, -2.0]), np.array([0.5, 0.25]))
+    bars = maps.changes(axes(), [line], [None])[1]
+    low, high = bars.lines[2][0].get_segments()
+    assert [low[0][1], low[1][1], high[0][1], high[1][1]] == [0.5, 1.5, -2.25, -1.75]
+    ax = axes()
+    maps.significance(ax, [line], 3.5)
+    assert ax.get_ylim()[1] > 3.5
+
+
+def test_slices_are_signed_half_planes() -> None:
+    data = observations(hemisphere(GLOSS))
+    lines = maps.slices(data, np.arange(len(data)))
+    assert [line.label for line in lines][:2] == ["Δφ = 10°/190°", "Δφ = 20°/200°"]
+    assert lines[0].angle.min() < 0 < lines[0].angle.max()
+    assert lines[0].measured[np.argmax(lines[0].angle)] == pytest.approx(
+        float(GLOSS.brdf(np.radians(30.0), 0.0, np.radians(70.0), np.radians(190.0)))
+    )
+    assert np.all(lines[0].u > 0)
+
+
+def test_lobe_is_as_long_as_its_values() -> None:
+    ax = axes(projection="3d")
+
+    def brdf(theta: Any, dphi: Any) -> Any:
+        return 0.25 + 0 * theta
+
+    mesh = maps.lobe(ax, brdf, measured=(np.array([0.3]), np.array([1.0]), np.array([0.125])))
+    segments = np.concatenate([np.asarray(s) for s in mesh[0]._segments3d])
+    assert np.linalg.norm(segments, axis=1) == pytest.approx(1.0)
+    assert np.linalg.norm([c[0] for c in mesh[1]._offsets3d]) == pytest.approx(0.5)
+
+
+def test_profile_is_zero_at_the_value_and_marks_the_interval() -> None:
+    ax = axes()
+    x = np.array([0.8, 0.9, 1.0, 1.1, 1.2])
+    walked = Interval("m", 0.804, 1.196, False, False, 0.95, x, ((x - 1) / 0.1) ** 2)
+    curve = diagnostics.profile(ax, walked, value=1.0, threshold=3.84)[1]
+    assert np.interp(1.0, *curve.get_data()) == pytest.approx(0.0, abs=1e-12)
+    # a parabola comes out as one: its root is a straight line
+    assert np.interp(1.15, *curve.get_data()) == pytest.approx(2.25, rel=0.01)
+
+
+def test_budget_over_angle_is_in_percent() -> None:
+    ax = axes()
+    angle = np.radians([-10.0, 0.0, 10.0])
+    lines = diagnostics.budget_over_angle(ax, angle, [("combined", np.full(3, 0.01)), ("random", np.full(3, 0.004))])
+    assert [line.get_ydata()[0] for line in lines] == pytest.approx([1.0, 0.4])
+    assert len({line.get_linestyle() for line in lines} | {line.get_color() for line in lines}) > 2

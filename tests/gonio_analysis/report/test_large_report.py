@@ -1,0 +1,263 @@
+"""Reports on large tables: pages that a browser takes, figures by several processes, and all values in files."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import select
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from gonio_analysis.plots import thinning
+from gonio_analysis.plots.in_plane import Line
+from gonio_analysis.report import change, drawing, html, make, page
+from gonio_analysis.report.drawing import draughtsmen
+from gonio_analysis.report.figures import Drawing
+
+from gonio import measurement
+from gonio.models import build
+from tests.gonio_analysis.synthetic import measure
+
+LIMIT = 5_000_000
+"""Bytes of a page."""
+GLOSS = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30})
+
+
+@pytest.fixture(scope="module")
+def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """45 000 values in the plane of incidence and out of it, with noise: a marker for each would be 6 MB."""
+    folder = tmp_path_factory.mktemp("large")
+    flat = measure(GLOSS, views=np.linspace(-85.0, 85.0, 12_000), noise=0.05, name="large")
+    around = []
+    for dphi in (30.0, 60.0, 90.0):
+        part = measure(GLOSS, incidences=(30.0,), views=np.linspace(-85.0, 85.0, 3_000), noise=0.05, name="large")
+        around.append(part.assign(phi_r_deg=(part["phi_r_deg"] + dphi) % 360.0))
+    table = pd.concat([flat, *around], ignore_index=True)
+    table.attrs = flat.attrs
+    measurement.write(table, folder / "large.csv")
+    make([str(folder / "large.csv")], folder / "out", models=["lambert", "phong"])
+    return folder / "out"
+
+
+def summary(report: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((report / "summary.json").read_text(encoding="utf-8"))
+    return found
+
+
+def test_a_large_table_makes_a_small_page_with_all_values_beside_it(large: Path) -> None:
+    assert (large / "index.html").stat().st_size < LIMIT
+    for drawn in (large / "figures").iterdir():
+        assert drawn.stat().st_size < LIMIT / 5, drawn.name  # a page has a dozen
+    facts = summary(large)["datasets"][0]
+    with open(large / "tables" / "large-values.csv", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == facts["used"] == 45_000
+    extremes = max(float(r["brdf"]) for r in rows), min(float(r["brdf"]) for r in rows)
+    assert extremes == (facts["brdf_max"], facts["brdf_min"])
+    with open(large / "tables" / "large-curves.csv", encoding="utf-8") as stream:
+        curves = [r for r in csv.DictReader(stream) if r["kind"] == "measured" and r["model"] == "phong"]
+    assert len(curves) == sum(c["points"] for c in facts["models"]["phong"]["curves"])
+    assert len(curves) >= 36_000  # and some within 1.5 degrees of the plane near the normal
+
+
+def test_a_page_says_how_many_values_are_drawn(large: Path) -> None:
+    captions = {f["name"]: f["caption"].replace("\u00a0", "") for f in summary(large)["figures"]}
+    for name in ("large-polar-phong", "large-absolute-phong", "large-heat-1", "large-slices-1", "large-lobe"):
+        found = re.search(r"Drawn are (\d+) of (\d+) values", captions[name])
+        assert found, name
+        assert 100 < int(found[1]) < int(found[2])
+    text = (large / "index.html").read_text(encoding="utf-8")
+    assert all(html.glued(f["caption"]).partition(":")[2][:200] in text for f in summary(large)["figures"][:1])
+
+
+def test_the_interactive_plot_is_thinned_with_its_extremes(large: Path) -> None:
+    text = (large / "index.html").read_text(encoding="utf-8")
+    found = re.search(r'id="large-viewer-data">(.*?)</script>', text)
+    assert found
+    view = json.loads(found[1])
+    assert len(found[1]) < 2_000_000
+    facts = summary(large)["datasets"][0]["models"]["phong"]["curves"]
+    for curve, whole in zip(view["waves"][0]["curves"], facts, strict=True):
+        values = next(s["brdf"] for s in curve["series"] if s["name"] == "measured")
+        assert len(values) < whole["points"]
+        assert max(values) == pytest.approx(whole["measured_peak"], rel=1e-6)  # seven digits are embedded
+    assert f"of the {sum(c['points'] for c in facts)} values" in view["note"]
+
+
+def test_a_comparison_of_large_tables_has_a_small_page(tmp_path: Path) -> None:
+    for name, seed in (("a", 1), ("b", 2)):
+        table = measure(GLOSS, views=np.linspace(-85.0, 85.0, 4_000), noise=0.05, seed=seed, name=name)
+        measurement.write(table, tmp_path / f"{name}.csv")
+    change.make([str(tmp_path / "a.csv"), str(tmp_path / "b.csv")], tmp_path / "out")
+    assert (tmp_path / "out" / "index.html").stat().st_size < LIMIT / 4
+    with open(tmp_path / "out" / "tables" / "change.csv", encoding="utf-8") as stream:
+        assert sum(1 for _ in stream) == 12_001
+    assert all("Drawn are" in f["caption"] for f in summary(tmp_path / "out")["figures"])
+
+
+def test_many_samples_are_spread_over_pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = ["one", "two", "three"]
+    for name in names:
+        measurement.write(measure(GLOSS, incidences=(20.0,), name=name), tmp_path / f"{name}.csv")
+    specs = [str(tmp_path / f"{name}.csv") for name in names]
+    make(specs, tmp_path / "whole", models=["lambert"])
+    whole = (tmp_path / "whole" / "index.html").stat().st_size
+    assert [p.name for p in (tmp_path / "whole").glob("*.html")] == ["index.html"]
+    most = int(0.8 * whole)
+    monkeypatch.setattr(page, "MOST_BYTES", most)
+    make(specs, tmp_path / "out", models=["lambert"])
+    pages = {p.name: p.read_text(encoding="utf-8") for p in (tmp_path / "out").glob("*.html")}
+    assert set(pages) == {"index.html", "samples-2.html"}
+    assert all(len(text.encode()) <= most for text in pages.values())
+    where = {name: [p for p, text in pages.items() if f'<section id="{name}">' in text] for name in names}
+    assert all(len(found) == 1 for found in where.values())
+    for text in pages.values():
+        for target, anchor in re.findall(r'href="([^"#]*)#([^"]+)"', text):
+            assert f'id="{anchor}"' in (pages[target] if target else text)
+
+
+def test_a_section_that_is_too_large_names_its_largest_drawings() -> None:
+    section = "".join(
+        f'<figure id="f{k}"><svg>{"x" * size}</svg><figcaption>c{k}</figcaption></figure>'
+        for k, size in enumerate((100, 5000, 900))
+    )
+    small = html.within(section, 2000)
+    assert len(small) <= 2000
+    assert "figures/f1.svg" in small
+    assert "figures/f0.svg" not in small
+    assert all(f"c{k}" in small for k in range(3))
+    assert html.within(section, 10_000) == section
+
+
+def test_hundreds_of_causes_and_reasons_leave_a_page_readable(tmp_path: Path) -> None:
+    table = measure(GLOSS, name="wide")
+    causes = {f"s_cause_{k}": table["brdf"] * 1e-5 * (1 + k % 97) for k in range(400)}
+    table = pd.concat([table, pd.DataFrame(causes)], axis=1)
+    table.attrs = measure(GLOSS, name="wide").attrs
+    table.loc[:39, "flag"] = [f"reason {k}" for k in range(40)]
+    measurement.write(table, tmp_path / "wide.csv")
+    make([str(tmp_path / "wide.csv")], tmp_path / "out", models=["lambert"])
+    text = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+    assert len(text.encode()) < LIMIT / 4
+    assert "The first 300 of 402 rows; all are in tables/wide-budget.csv." in text
+    with open(tmp_path / "out" / "tables" / "wide-budget.csv", encoding="utf-8") as stream:
+        assert sum(1 for _ in stream) == 403
+    assert "28 for 28 other reasons" in text
+    assert len(summary(tmp_path / "out")["datasets"][0]["left_out"]) == 40
+    assert "The 20 largest of 400 common causes" in text
+
+
+# --- which values are drawn ----------------------------------------------------------------------------------------
+
+
+def test_extremes_marked_values_and_ends_stay() -> None:
+    rng = np.random.default_rng(3)
+    x, y = np.sort(rng.uniform(0, 330, 50_000)), rng.normal(100, 10, 50_000)
+    y[[7_000, 31_000]] = 260.0, -40.0
+    marked = np.zeros(x.size, dtype=bool)
+    marked[[11, 25_000, 49_000]] = True
+    rows = thinning.enough(x, y, most=500, keep=marked)
+    assert rows.size <= 500
+    assert {0, 7_000, 31_000, x.size - 1} | set(np.flatnonzero(marked)) <= set(rows)
+    assert np.all(np.diff(rows) > 0)
+    gaps = np.diff(x[rows])
+    assert gaps.max() < 10.0  # no part of the angle is left empty
+
+
+def test_few_values_are_all_drawn() -> None:
+    x = np.linspace(0, 300, 120)
+    assert thinning.enough(x, np.sin(x), most=200).tolist() == list(range(120))
+    assert thinning.words(120, 120) == ""
+
+
+def test_what_is_cut_at_the_rim_keeps_its_largest_value() -> None:
+    angle = np.linspace(-1.5, 1.5, 5000)
+    value = np.full(5000, 0.5)
+    value[2500:2600] = np.linspace(3.0, 9.0, 100)
+    none = np.empty(0)
+    line = Line("l", none, none, angle, value, 0.01 * value)
+    thin = thinning.on_half_disc([line], 1.0, 170.0, 100)[0]
+    assert thin.angle.size < 200
+    assert thin.measured.max() == 9.0
+
+
+# --- who draws -------------------------------------------------------------------------------------------------------
+
+
+def _curve(figure: Any, *, power: int) -> None:
+    ax = figure.add_axes((0.1, 0.1, 0.8, 0.8))
+    x = np.linspace(0, 1, 30)
+    ax.plot(x, x**power, marker="o")
+
+
+def _ends_elsewhere(figure: Any, *, here: int) -> None:
+    if os.getpid() != here:
+        os._exit(3)
+    figure.add_axes((0.1, 0.1, 0.8, 0.8))
+
+
+def _fails(figure: Any) -> None:
+    raise ZeroDivisionError
+
+
+def drawings(on: Any, **each: list[Any]) -> list[Drawing]:
+    (name, values), *_ = each.items()
+    return [Drawing(f"d{k}", "k", "", "c", "a", (2.0, 1.5), partial(on, **{name: v})) for k, v in enumerate(values)]
+
+
+def test_any_number_of_processes_makes_the_same_figures() -> None:
+    wanted = drawings(_curve, power=list(range(1, 9)))
+    with draughtsmen(8, processes=1) as alone:
+        first = alone.draw(wanted)
+    with draughtsmen(8, processes=3) as many:
+        second = many.draw(wanted)
+    assert first == second
+    assert [f.name for f in second] == [d.name for d in wanted]
+
+
+def test_a_process_that_dies_leaves_its_drawing_to_this_one() -> None:
+    with draughtsmen(8, processes=3) as hands:
+        made = hands.draw(drawings(_ends_elsewhere, here=[os.getpid()] * 8))
+    assert len(made) == 8
+    assert all(f.svg for f in made)
+
+
+def test_a_drawing_that_fails_ends_every_process() -> None:
+    wanted = [Drawing("d", "k", "", "c", "a", (2.0, 1.5), _fails) for _ in range(8)]
+    with pytest.raises(ZeroDivisionError), draughtsmen(8, processes=3) as hands:
+        hands.draw(wanted)
+    assert len(hands._processes) == 2
+    assert all(p.returncode is not None for p in hands._processes)
+
+
+def test_few_figures_start_no_process() -> None:
+    with draughtsmen(drawing.FEW - 1, processes=4) as hands:
+        assert hands._processes == []
+
+
+@pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="no file descriptors of processes on this system")
+def test_a_killed_report_leaves_no_process() -> None:
+    code = (
+        "import sys\nfrom gonio_analysis.report.drawing import draughtsmen\n"
+        "with draughtsmen(20, processes=3) as hands:\n"
+        "    print(*(p.pid for p in hands._processes), flush=True)\n"
+        "    sys.stdin.read()\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as report:
+        assert report.stdout is not None
+        watched = [os.pidfd_open(int(pid)) for pid in report.stdout.readline().split()]
+        report.kill()
+    assert len(watched) == 2
+    for process in watched:
+        try:
+            assert select.select([process], [], [], 30.0)[0]  # readable: it has ended
+        finally:
+            os.close(process)

@@ -1,0 +1,169 @@
+"""The report in a real browser: no complaints, right numbers, reachable by keyboard, fits the window and the paper."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from gonio_analysis.report import change, make
+
+from gonio import measurement
+from gonio.models import build
+from tests.browser import CHROMIUM, Page, browser
+from tests.gonio_analysis.synthetic import measure
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: the report is not rendered")
+
+OUTPUT = "document.querySelector('.viewer output').textContent"
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("report")
+    gloss = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30})
+    measurement.write(measure(gloss, noise=0.01, reference=0.005, name="gloss"), folder / "gloss.csv")
+    make([str(folder / "gloss.csv")], folder / "out", models=["lambert", "phong"])
+    return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    with browser(tmp_path_factory.mktemp("profile")) as page:
+        yield page
+
+
+def rows(report: Path) -> list[dict[str, str]]:
+    with open(report / "tables" / "gloss-interactive.csv", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def plain(text: str) -> str:
+    """Printed numbers as Python reads them."""
+    digits = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−", "-0123456789-")
+    return text.translate(digits).replace(" × 10", "e")
+
+
+@pytest.mark.parametrize("width", [1280, 400])
+def test_fits_the_window_without_complaints(report: Path, tab: Page, width: int) -> None:
+    tab.open(report / "index.html", width)
+    assert tab.run("document.documentElement.scrollWidth") <= width
+    assert tab.run("document.querySelectorAll('.viewer .stage svg circle').length") > 10
+    over = tab.run(
+        "[...document.querySelectorAll('.viewer *')].filter(e => e.getBoundingClientRect().right > innerWidth).length"
+    )
+    assert over == 0
+    assert tab.complaints == []
+
+
+def test_hover_says_what_the_table_says(report: Path, tab: Page) -> None:
+    tab.open(report / "index.html", 1280)
+    tab.run("document.querySelector('.viewer .stage').scrollIntoView({block: 'center'})")
+    places = tab.run(
+        "[...document.querySelectorAll('.viewer .stage g[clip-path] [transform]')]"
+        ".map(e => e.getBoundingClientRect()).map(b => [b.x + b.width / 2, b.y + b.height / 2])"
+    )
+    known = {(r["curve"], float(r["signed_angle_deg"]), r["series"]): r for r in rows(report)}
+    seen = set()
+    for x, y in places[::7]:
+        tab.move(x, y)
+        text = plain(tab.run(OUTPUT))
+        found = re.match(r"(θi = \d+°), θr = (-?[\d.]+)°, measured: (\S+) ± (\S+) sr-1; divided: (\S+) ± (\S+); ", text)
+        assert found, text
+        curve, angle = found[1], float(found[2])
+        row = known[curve, angle, "measured"]
+        value, u = float(row["brdf"]), float(row["u_brdf"])
+        mirror = float(known[curve, float(curve[5:-1]), "measured"]["brdf"])
+        theory = float(re.search(r"phong: (\S+), off by (\S+) u", text)[1])  # type: ignore[index]
+        # half a unit of the last printed digit: 5 digits of values, 4 of ratios, 2 of uncertainties
+        assert float(found[3]) == pytest.approx(value, rel=5e-5)
+        assert float(found[4]) == pytest.approx(u, rel=5e-2)
+        assert float(found[5]) == pytest.approx(value / mirror, rel=5e-4)
+        assert float(found[6]) == pytest.approx(u / mirror, rel=5e-2)
+        assert theory == pytest.approx(float(known[curve, angle, "phong"]["brdf"]), rel=5e-5)
+        seen.add((curve, angle))
+    assert len(seen) >= 10
+    assert tab.complaints == []
+
+
+def test_keyboard_reaches_everything(report: Path, tab: Page) -> None:
+    tab.open(report / "index.html", 1280)
+    tab.run("document.querySelector('.viewer select').focus()")
+    reached = []
+    for _ in range(8):
+        reached.append(tab.run("document.activeElement.value || document.activeElement.tagName"))
+        tab.press("Tab")
+        assert tab.run("getComputedStyle(document.activeElement).outlineStyle") == "solid"  # the focus can be seen
+    assert reached == ["polar", "mirror", "θi = 10°", "θi = 30°", "θi = 60°", "measured", "lambert", "phong"]
+
+    tab.run("document.querySelector('input[value=\"θi = 10°\"]').focus()")
+    colour = 'document.querySelectorAll(\'.viewer .stage [stroke="#0072B2"], .viewer .stage [fill="#0072B2"]\').length'
+    assert tab.run(colour) > 10
+    tab.press(" ")
+    assert tab.run(colour) == 0
+
+    tab.run("document.querySelector('.viewer .stage svg').focus()")
+    for key, start in (
+        ("ArrowRight", "θi = 30°, θr = −80°"),
+        ("ArrowRight", "θi = 30°, θr = −75°"),
+        ("ArrowDown", "θi = 60°, θr = −75°"),
+        ("Escape", "Point at a value"),
+    ):
+        tab.press(key)
+        assert tab.run(OUTPUT).startswith(start)
+
+
+def test_choices_draw_something_else(report: Path, tab: Page) -> None:
+    tab.open(report / "index.html", 400)
+
+    def choose(key: str, value: str) -> str:
+        tab.run(
+            f"(s => {{ s.value = '{value}'; s.dispatchEvent(new Event('change')); }})"
+            f"(document.querySelector('[data-key={key}]'))"
+        )
+        text: str = tab.run("document.querySelector('.viewer .stage svg').textContent")
+        return text
+
+    assert "largest in-plane value" in choose("norm", "max")
+    assert "BRDF [1/sr]" in choose("norm", "none")
+    assert "model in the mirror direction" in choose("norm", "model")
+    assert "mirror side positive" in choose("plot", "log")
+    assert tab.complaints == []
+
+
+def test_prints_on_a4_without_the_controls(report: Path, tab: Page) -> None:
+    tab.open(report / "index.html", 1280)
+    pdf = tab.pdf()
+    boxes = {tuple(map(float, m.split())) for m in re.findall(rb"/MediaBox\s*\[([^\]]+)\]", pdf)}
+    assert boxes
+    for left, low, right, top in boxes:
+        # 210 mm x 297 mm in points; Chromium rounds to whole CSS pixels (0.75 points)
+        assert (right - left, top - low) == pytest.approx((595.28, 841.89), abs=1.0)
+    tab.send("Emulation.setEmulatedMedia", media="print")
+    assert tab.run("getComputedStyle(document.querySelector('.viewer')).display") == "none"
+    assert tab.run("document.querySelectorAll('figure svg').length") >= 4
+    tab.send("Emulation.setEmulatedMedia", media="")
+
+
+def test_reads_without_javascript(report: Path, tab: Page) -> None:
+    tab.open(report / "index.html", 1280, scripts=False)
+    assert tab.run("getComputedStyle(document.querySelector('.viewer')).display") == "none"
+    assert tab.run("document.querySelectorAll('figure svg').length") >= 4
+
+
+def test_change_report_shows_both(tab: Page, tmp_path: Path) -> None:
+    gloss = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30})
+    for name, seed in (("before", 1), ("after", 2)):
+        measurement.write(measure(gloss, noise=0.01, seed=seed, name=name), tmp_path / f"{name}.csv")
+    change.make([str(tmp_path / "before.csv"), str(tmp_path / "after.csv")], tmp_path / "out")
+    tab.open(tmp_path / "out" / "index.html", 400)
+    assert tab.run("document.documentElement.scrollWidth") <= 400
+    names = tab.run("[...document.querySelectorAll('[data-key=series]')].map(e => e.value)")
+    assert names == ["A: before", "B: after"]
+    assert "model" not in tab.run("[...document.querySelectorAll('[data-key=norm] option')].map(e => e.value)")
+    tab.run("document.querySelector('.viewer .stage svg').focus()")
+    tab.press("ArrowRight")
+    assert re.search(r"A: before: \S+ ± \S+ sr⁻¹; B: after: \S+, off by", tab.run(OUTPUT))
+    assert tab.complaints == []

@@ -1,0 +1,155 @@
+"""Which model: the simplest that the data do not reject, and where the others fail."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from gonio_analysis.fitting.observations import observations
+from gonio_analysis.selection.choice import Candidate, Choice, candidates, choose
+from gonio_analysis.selection.misfit_regions import blocks, incidences
+from gonio_analysis.selection.profile_likelihood import profiles
+
+from gonio.errors import ConfigError, DataError
+from gonio.models import Lambert, OrenNayar, Phong, Sum, build
+from tests.gonio_analysis.synthetic import measure
+
+MATTE = Lambert(0.5)
+PAINT = build("cook-torrance", {"s": 0.1, "d": 0.9, "slopes": ((0.25, 1.0),), "diffuse_albedo": 0.4, "ior": 1.5})
+SOME = ("lambert", "oren-nayar", "phong", "cook-torrance")
+
+
+def decide(table: pd.DataFrame, models: Sequence[str] = SOME, **options: Any) -> Choice:
+    return choose(observations(table), [Candidate(m) for m in models], **options)
+
+
+def test_the_simplest_that_fits_is_named_and_not_the_best() -> None:
+    choice = decide(measure(MATTE, noise=0.01, seed=2), all_of_them=True)
+    assert choice.named is not None
+    assert choice.named.candidate.model == "lambert"
+    others = [j for j in choice.judged if j is not choice.named]
+    assert any(j.fit.chi_square < choice.named.fit.chi_square for j in others)  # type: ignore[operator]
+    assert set(choice.intervals) == {"albedo"}
+    assert "lambert is the simplest model" in choice.words
+    json.dumps(choice.to_json(), allow_nan=False)
+
+
+def test_gloss_rejects_matte_models_where_it_shines() -> None:
+    choice = decide(measure(PAINT, noise=0.01))
+    assert choice.named is not None
+    assert choice.named.candidate.model == "cook-torrance"
+    by_name = {j.candidate.model: j for j in choice.judged}
+    assert by_name["lambert"].rejected.startswith("reduced chi-square")
+    assert by_name["lambert"].fails is not None
+    assert "mirror direction" in by_name["lambert"].fails.words
+    assert by_name["lambert"].held_out > 10 * by_name["cook-torrance"].held_out  # type: ignore[operator]
+
+
+def test_a_difference_below_the_noise_does_not_call_for_a_richer_model() -> None:
+    # sigma = 2 degrees changes f by 0.1 %: a tenth of the noise
+    choice = decide(measure(OrenNayar(albedo=0.5, sigma_deg=2.0), noise=0.01, seed=5))
+    assert choice.named is not None
+    assert choice.named.candidate.model == "lambert"
+
+
+def test_an_error_common_to_all_values_rejects_nothing() -> None:
+    choice = decide(measure(MATTE, noise=0.005, reference=0.05, seed=3), ("lambert", "oren-nayar"))
+    assert choice.named is not None
+    assert choice.named.candidate.model == "lambert"
+
+
+def test_a_smooth_misfit_that_chi_square_overlooks_is_rejected_by_comparison() -> None:
+    # sigma = 4 degrees changes f by up to 7 % near grazing: chi-square of 99 values with 3 % of noise stays possible
+    table = measure(OrenNayar(albedo=0.5, sigma_deg=4.0), noise=0.03, seed=1)
+    choice = decide(table, ("lambert", "oren-nayar"))
+    lambert = choice.judged[0]
+    assert lambert.fit.p_value is not None
+    assert lambert.fit.p_value > 0.01
+    assert "oren-nayar describes the same values better" in lambert.rejected
+    assert choice.named is choice.judged[1]
+
+
+def test_a_sum_is_told_from_its_terms() -> None:
+    model = Sum((OrenNayar(albedo=0.36, sigma_deg=25.0), 1.0), (Phong(k_d=0.0, k_s=0.5, exponent=20), 0.4))
+    choice = decide(measure(model, noise=0.005), ("lambert", "oren-nayar", "phong", "oren-nayar+phong"))
+    assert choice.named is not None
+    assert choice.named.candidate.model == "oren-nayar+phong"
+    true = {"albedo": 0.36, "sigma_deg": 25.0, "k_s": 0.2, "exponent": 20.0}
+    # four intervals of 95 %: all hold the truth in 81 % of draws; this seed is one of those
+    assert all(choice.intervals[n].holds(x) for n, x in true.items())
+
+
+def test_where_everything_fails_nothing_is_named() -> None:
+    choice = decide(measure(PAINT, noise=0.003, floor=0.0), ("lambert", "oren-nayar"))
+    assert choice.named is None
+    assert "reject every model" in choice.words
+    assert choice.to_json()["named"] is None
+
+
+def test_without_uncertainties_models_are_only_compared() -> None:
+    table = measure(PAINT, noise=0.01)
+    table[["u_brdf", "u_random"]] = np.nan
+    choice = decide(table, ("lambert", "cook-torrance"))
+    assert choice.named is not None
+    assert choice.named.candidate.model == "cook-torrance"
+    assert "Without stated uncertainties" in choice.words
+
+
+def test_all_means_every_family_simplest_first() -> None:
+    labels = [c.label for c in candidates(["all"])]
+    assert labels[:6] == ["lambert", "oren-nayar", "phong", "blinn", "cook-torrance", "he-torrance"]
+    assert {"cook-torrance, n + ik", "cook-torrance, two slopes", "oren-nayar+he-torrance, n + ik"} <= set(labels)
+    assert not any("n + ik" in c.label for c in candidates(["all"], "Al"))
+    with pytest.raises(ConfigError, match="nothing can stand beside it"):
+        candidates(["all", "lambert"])
+    with pytest.raises(ConfigError, match="a sum to fit"):
+        candidates(["phong+lambert"])
+
+
+def test_blocks_to_leave_out_are_neighbours() -> None:
+    data = observations(measure(MATTE))
+    groups, by = blocks(data)
+    assert by == "angle of incidence"
+    assert [round(float(np.degrees(a))) for a, _ in incidences(data)] == [10, 30, 60]
+    assert sorted(np.concatenate(groups)) == list(range(len(data)))
+    one = observations(measure(MATTE, incidences=(30.0,)))
+    groups, by = blocks(one)
+    assert by == "range of the detector's angle"
+    assert sorted(np.concatenate(groups)) == list(range(len(one)))
+    signed = np.where(one.phi_r > 1, one.theta_r, -one.theta_r)
+    assert all(np.ptp(signed[g]) < np.radians(160 / 4) for g in groups)
+
+
+def test_too_few_values_are_no_choice_and_no_error() -> None:
+    table = measure(MATTE, incidences=(0.0,), views=np.array([10.0]))
+    choice = decide(table, ("lambert", "oren-nayar"))
+    assert choice.named is None
+    assert not choice.judged
+    assert "1 usable value at 550 nm" in choice.words
+    json.dumps(choice.to_json(), allow_nan=False)
+    # enough values, but a broad band has no wavelength for the model that needs one
+    broad = measure(MATTE).assign(wavelength_nm=np.nan)
+    with pytest.raises(DataError, match="he-torrance could not be fitted"):
+        decide(broad, ("he-torrance",))
+
+
+def test_intervals_of_a_model_without_absorption_let_k_follow_where_the_data_do_not_tell_it() -> None:
+    """Iron's n + ik and n = 4.6 reflect alike up to 60 degrees; the share of the gloss hangs on which it is."""
+    iron = {"s": 0.3, "d": 0.7, "slopes": ((0.25, 1.0),), "diffuse_albedo": 0.4, "ior": 2.9 + 3.05j}
+    views = np.arange(-70.0, 71.0, 10.0)
+    data = observations(measure(build("cook-torrance", iron), views=views, noise=0.01, seed=2))
+    choice = choose(data, [Candidate("cook-torrance"), Candidate("cook-torrance", ("k",))])
+    assert choice.named is not None
+    assert choice.named.candidate.label == "cook-torrance"
+    assert "let k follow" in choice.words
+    alone = profiles(choice.named.fit).intervals
+    assert not alone["s"].holds(0.3)
+    for name, truth in {"s": 0.3, "m": 0.25, "diffuse_albedo": 0.4, "ior": 2.9, "k": 3.05}.items():
+        assert choice.intervals[name].holds(truth), name
+        if name in alone:  # an end may lie anywhere within `CLOSE` of the rise that it should have
+            assert choice.intervals[name].low <= alone[name].low * (1 + 1e-12)
+            assert choice.intervals[name].high >= alone[name].high * (1 - 1e-12)

@@ -1,0 +1,128 @@
+"""Samples on several processes, and on a Dask cluster."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gonio_analysis.fitting.fit import fit
+from gonio_analysis.report.summary import summarise
+from gonio_analysis.selection import parallel
+from gonio_analysis.selection.compare import examine
+
+from gonio.errors import ConfigError, DataError
+from gonio.models import CookTorrance, Lambert, build
+from tests.gonio_analysis.synthetic import measure
+
+
+def test_a_fit_goes_to_another_process_and_back() -> None:
+    paint = build("cook-torrance", {"s": 0.1, "d": 0.9, "slopes": ((0.25, 1.0),), "diffuse_albedo": 0.4, "ior": 1.5})
+    result = fit(measure(paint), "cook-torrance", fix={"ior": 1.5}, bounds={"m": (0.1, 0.5)})
+    again = pickle.loads(pickle.dumps(result))
+    assert again.to_json() == result.to_json()
+    assert again.problem.model(again.vector) == result.model
+
+
+def test_results_come_in_the_order_of_the_jobs() -> None:
+    assert list(parallel.each(abs, [-3])) == [3]
+    assert list(parallel.each(abs, [-3, 2, -1, 5])) == [3, 2, 1, 5]
+
+
+def test_an_examined_sample_comes_back_whole() -> None:
+    dataset = examine(measure(Lambert(0.5), name="matte"), ["lambert", "oren-nayar"], name="matte")
+    again = pickle.loads(pickle.dumps(dataset))
+    assert (
+        summarise([again], title="", normalise="mirror", command="")["datasets"]
+        == summarise([dataset], title="", normalise="mirror", command="")["datasets"]
+    )
+
+
+def test_on_a_cluster() -> None:
+    distributed = pytest.importorskip("distributed", reason="the extra gonio[dask] is not installed")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp://", host="127.0.0.1", dashboard_address=None
+    ) as cluster:
+        assert list(parallel.each(abs, [-3, 2], dask=cluster.scheduler_address)) == [3, 2]
+
+
+def test_a_cluster_without_its_package_or_scheduler_is_an_error() -> None:
+    with pytest.raises(ConfigError, match="--dask"):
+        list(parallel.each(abs, [1], dask="tcp://127.0.0.1:9"))
+
+
+HANGING = """
+import os, threading
+def hang(job):
+    os.write(1, b"here\\n")
+    threading.Event().wait(600)
+"""
+
+
+@pytest.mark.parametrize(
+    ("number", "to_all", "code"),
+    [
+        (signal.SIGINT, True, 130), (signal.SIGINT, False, 130), (signal.SIGTERM, True, 130),
+        (signal.SIGKILL, False, -signal.SIGKILL),
+    ],
+)  # fmt: skip
+def test_no_process_outlives_a_signal(tmp_path: Path, number: signal.Signals, to_all: bool, code: int) -> None:
+    """The end of the output comes when the last process that holds it has gone."""
+    (tmp_path / "hanging.py").write_text(HANGING)
+    (tmp_path / "stranger.py").write_text(
+        "def hang() -> None:\n    import hanging\n    from gonio_analysis import parallel\n"
+        "    list(parallel.each(hanging.hang, range(4)))\n"
+    )
+    info = tmp_path / "stranger-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stranger\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[gonio.commands]\nhang = stranger:hang\n")
+    with subprocess.Popen(
+        [sys.executable, "-c", "from gonio.cli import main; main()", "hang"],
+        env=os.environ | {"PYTHONPATH": str(tmp_path)}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        start_new_session=True,
+    ) as started:  # fmt: skip
+        assert started.stdout is not None
+        assert started.stdout.readline() == "here\n"
+        if to_all:
+            os.killpg(started.pid, number)
+        else:
+            started.send_signal(number)
+        _, said = started.communicate(timeout=600)
+    assert started.returncode == code
+    if number != signal.SIGKILL:
+        assert said == "gonio: interrupted\n"
+
+
+def test_a_process_that_dies_is_an_error() -> None:
+    with pytest.raises(DataError, match="has died"):
+        list(parallel.each(os._exit, [3, 3, 3, 3]))
+
+
+def _at_30_degrees(theta_r: float) -> float:
+    return float(CookTorrance(ior=1.5).brdf(0.5, 0.0, theta_r, np.pi))
+
+
+@pytest.mark.parametrize("method", ["spawn", "forkserver"])
+def test_models_in_a_pool_of_processes(method: str) -> None:
+    if method not in multiprocessing.get_all_start_methods():
+        pytest.skip(f"{method} is unknown to this system")
+    angles = [0.1, 0.5, 0.9]
+    with multiprocessing.get_context(method).Pool(2) as pool:
+        assert pool.map(_at_30_degrees, angles) == [_at_30_degrees(angle) for angle in angles]
+
+
+def test_a_scheduler_that_takes_the_connection_and_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed", reason="the extra gonio[dask] is not installed")
+    monkeypatch.setattr(parallel, "PATIENCE_S", 0.2)
+    with socket.create_server(("127.0.0.1", 0)) as deaf:
+        address = f"tcp://127.0.0.1:{deaf.getsockname()[1]}"
+        with pytest.raises(ConfigError, match="nothing was said"):
+            list(parallel.each(abs, [1], dask=address))

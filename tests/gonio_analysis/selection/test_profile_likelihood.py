@@ -1,0 +1,90 @@
+"""Profile intervals against what theory says of them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from gonio_analysis.fitting.fit import fit
+from gonio_analysis.selection.profile_likelihood import profiles
+
+from gonio.models import build
+from tests.gonio_analysis.synthetic import measure
+
+MATTE = build("lambert", {"albedo": 0.5})
+GLOSS = build("phong", {"k_d": 0.3, "k_s": 0.2, "exponent": 20})
+
+
+def test_of_a_linear_parameter_it_is_the_standard_error() -> None:
+    result = fit(measure(MATTE, noise=0.02, reference=0.01), "lambert")
+    interval = profiles(result).intervals["albedo"]
+    e = result.parameters["albedo"]
+    # the root of the rise is followed to 0.02 of 1.96
+    assert interval.low == pytest.approx(e.value - 1.96 * e.u, abs=0.03 * e.u)
+    assert interval.high == pytest.approx(e.value + 1.96 * e.u, abs=0.03 * e.u)
+    assert not interval.open_low
+    assert not interval.open_high
+
+
+def test_at_the_ends_chi_square_has_risen_by_what_was_asked() -> None:
+    table = measure(GLOSS, noise=0.02)
+    result = fit(table, "phong")
+    interval = profiles(result, ("exponent",)).intervals["exponent"]
+    for end in (interval.low, interval.high):
+        held = fit(table, "phong", fix={"exponent": end})
+        assert held.chi_square is not None
+        assert result.chi_square is not None
+        # 3.84 = 1.96^2, followed to (1.96 + 0.02)^2 - 1.96^2 = 0.08
+        assert held.chi_square - result.chi_square == pytest.approx(3.841, abs=0.1)
+
+
+def test_a_bound_ends_an_interval_and_is_said() -> None:
+    """sigma = 0 is a bound of Oren-Nayar: near it f changes with sigma squared, and no standard error can tell."""
+    result = fit(measure(MATTE, noise=0.01, seed=4), "oren-nayar")
+    interval = profiles(result, ("sigma_deg",)).intervals["sigma_deg"]
+    assert interval.open_low
+    assert interval.low == 0.0
+    assert 0.5 < interval.high < 10.0
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_without_uncertainties_the_scatter_sets_the_scale(seed: int) -> None:
+    table = measure(MATTE, noise=0.02, floor=0.0, seed=seed)
+    table[["u_brdf", "u_random"]] = np.nan
+    interval = profiles(fit(table, "lambert")).intervals["albedo"]
+    half = 0.5 * (interval.high - interval.low)
+    # 99 values of 2 %: 1.98 (Student, 98 degrees of freedom) times 0.5 x 0.02 / sqrt(99), the scatter known to 7 %
+    assert half == pytest.approx(1.98 * 0.5 * 0.02 / math.sqrt(99), rel=0.25)
+
+
+@pytest.mark.parametrize("seed", [3, 4, 10])
+def test_an_interval_follows_the_bent_valley_of_n_and_k(seed: int) -> None:
+    """From a glass with n = 4.8 to a metal with n = 2.9, k = 3: between them chi-square hardly rises, and k_s falls."""
+    known = {"k_d": 0.43, "k_s": 0.1, "c": 0.085, "ior": 2.9, "k": 3.05}
+    model = build("blinn", {"k_d": 0.43, "k_s": 0.1, "c": 0.085, "ior": 2.9 + 3.05j})
+    table = measure(model, noise=0.005, seed=seed, incidences=(10.0, 30.0, 50.0, 65.0, 75.0))
+    result = fit(table, "blinn", free=("k",), start=[known])
+    interval = profiles(result, ("k",)).intervals["k"]
+    for k, ior in ((1.0, 4.5), (2.0, 4.0), (3.05, 2.9)):
+        held = fit(table, "blinn", fix={"k": k}, start=[{**known, "ior": ior}])
+        assert held.chi_square is not None
+        assert result.chi_square is not None
+        assert held.chi_square - result.chi_square < 3.8  # so that 95 % intervals hold it
+        assert interval.holds(k)
+
+
+def test_values_that_a_model_meets_exactly_leave_a_point_and_no_error() -> None:
+    table = measure(MATTE, noise=0.0, floor=0.0)
+    table[["u_brdf", "u_random"]] = np.nan
+    result = fit(table, "lambert")
+    interval = profiles(result).intervals["albedo"]
+    # the residuals' arithmetic is good to 1e-12 of a value
+    assert interval.low == pytest.approx(0.5, rel=1e-10)
+    assert interval.high == pytest.approx(0.5, rel=1e-10)
+
+
+def test_values_beyond_any_mirror_are_left_out() -> None:
+    table = measure(MATTE, noise=0.02)
+    table.loc[3, "brdf"] = 1.7e308
+    assert fit(table, "lambert").data.omitted["beyond 1e+30 1/sr"].size == 1

@@ -1,0 +1,56 @@
+"""Reports of other laboratories' measurements, where these lie beside the project."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from gonio_analysis.report import make
+
+from tests.places import SHARED_DATA
+
+DATA = SHARED_DATA / "brdf"
+MODELS = ("cook-torrance", "oren-nayar", "he-torrance")
+
+
+def report(tmp_path: Path, *names: str, **options: Any) -> list[dict[str, Any]]:
+    if not (DATA / names[0].partition(":")[0]).exists():
+        pytest.skip(f"measured data are not at {DATA}")
+    index = make([str(DATA / n) for n in names], tmp_path / "out", models=MODELS, **options)
+    return json.loads(index.with_name("summary.json").read_text(encoding="utf-8"))["datasets"]  # type: ignore[no-any-return]
+
+
+def test_cornell_paint(tmp_path: Path) -> None:
+    (paint,) = report(tmp_path, "cornell_astm/krylon_blue.astm")
+    assert set(paint["models"]) == set(MODELS)
+    assert paint["wavelength_nm"] == 550
+    assert paint["left_out"]["flagged clamped"] == 1439 - paint["used"]
+    assert paint["uncertainty_stated"] is False
+    assert paint["curves_without_mirror"]
+    assert len(paint["models"]["cook-torrance"]["series"]) == 31
+    blue = {
+        r["wavelength_nm"]: r["parameters"]["diffuse_albedo"]["value"]
+        for r in paint["models"]["cook-torrance"]["series"]
+    }
+    assert blue[450] > 3 * blue[600]  # a blue paint
+
+
+def test_nist_ptfe(tmp_path: Path) -> None:
+    (ptfe,) = report(tmp_path, "nist_ptfe/PTFE.data.csv", wavelength_nm=633)
+    assert ptfe["wavelength_nm"] == 633
+    assert ptfe["scanned"] == "theta_r"
+    # pi f = 0.993 at 0/45: a nearly white diffuser
+    assert 0.85 < ptfe["models"]["oren-nayar"]["parameters"]["albedo"]["value"] <= 1.0
+
+
+def test_infrared_metal_in_a_broad_band(tmp_path: Path) -> None:
+    name = "mwir_metals/mwir_inplane_reflected_radiance.csv:sandblasted aluminium"
+    (metal,) = report(tmp_path, name)
+    assert metal["wavelength_nm"] is None
+    assert "--wavelength-nm" in metal["skipped"]["he-torrance"]
+    assert metal["scanned"] == "theta_i"
+    assert metal["receiver_solid_angle_sr"] is None
+    (metal,) = report(tmp_path, name, wavelength_nm=3500)
+    assert metal["models"]["he-torrance"]["wavelength_nm"] == 3500

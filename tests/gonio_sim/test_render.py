@@ -1,0 +1,309 @@
+"""The rendered scene against the measurement equation, pixel by pixel, and against what a mirror must show."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from gonio_sim.render import KEPT, Renderer
+from gonio_sim.rig import SIM
+from gonio_sim.world import World
+
+from gonio import models
+from gonio.acquisition.measure import RigChoice, carry_out
+from gonio.acquisition.plan import load_plan
+from gonio.geometry import angles, solid_angle_of_cone
+from gonio.instrument import apparent_brdf
+from gonio.reduction import brdf
+from gonio.rig import Pose, Target
+from gonio.rig.description import Band, RigDescription, SampleDescription
+from gonio.rig.imaging import pixel_map
+from gonio.rig.kinematics import view
+from tests.gonio_sim.conftest import MATTE, describe
+
+Array = npt.NDArray[np.float64]
+R = 40_000.0
+"""responsivity_e_per_s of the shipped rigs."""
+SINGLE = 1e-6
+"""A scene is kept in single precision: 6e-8, and a few roundings."""
+BARE: dict[str, Any] = {"cos4": False, "vignetting": 0.0}
+
+
+def sample(model: str, **parameters: Any) -> SampleDescription:
+    return SampleDescription(name="test", model=model, parameters=parameters)
+
+
+def deg(light: float, camera: float, tilt: float = 0.0, spin: float = 0.0) -> Pose:
+    return Pose(*(math.radians(angle) for angle in (light, camera, tilt, spin)))
+
+
+def scene(
+    description: RigDescription, what: SampleDescription | None, pose: Pose, target: Target = "sample", nm: float = 550
+) -> Array:
+    """Rendered rate of every pixel [e-/s]."""
+    world = World(description, what, 1)
+    world.pose, world.target = pose, target
+    return Renderer(world).rate(description.bands.containing(nm)).astype(float)
+
+
+def test_matt_sample_gives_the_measurement_equation_in_every_pixel() -> None:
+    """R pi V cos (d0/d)^2 albedo/pi, with the geometry worked out here from the pixels' lines of sight."""
+    description = describe("sim-ideal")
+    pose = deg(35, -50, 20, 40)
+    rendered = scene(description, MATTE, pose)
+    v = view(description, pose)
+    rows, cols = np.array([0, 100, 239, 300, 470]), np.array([5, 200, 320, 400, 630])
+    # the lens images 1 m to 1/(1/100 - 1/1000) = 111.11 mm behind it
+    u, w = (cols - 319.5) * 0.005 / 111.1111111111, (rows - 239.5) * 0.005 / 111.1111111111
+    ray = -v.camera_mm / 1000 + u[:, None] * v.image_x + w[:, None] * v.image_y
+    spot = v.camera_mm - ray * (v.camera_mm[2] / ray[:, 2])[:, None]
+    to_source = v.source_mm - spot
+    distance = np.linalg.norm(to_source, axis=1)
+    field_squared = u**2 + w**2
+    corner_squared = (320**2 + 240**2) * (0.005 / 111.1111111111) ** 2
+    lens = (1 + field_squared) ** -2 * (1 - 0.08 * (field_squared / corner_squared) ** 2)
+    albedo = np.where(np.hypot(spot[:, 0], spot[:, 1]) <= 10, 0.5, 0.03)
+    expected = R * lens * to_source[:, 2] / distance * (1000 / distance) ** 2 * albedo
+    assert set(albedo) == {0.5, 0.03}
+    np.testing.assert_allclose(rendered[rows, cols], expected, rtol=SINGLE)
+
+
+@pytest.mark.parametrize(
+    ("what", "pose"),
+    [
+        (
+            sample("oren-nayar", albedo=0.8, sigma_deg=30),
+            deg(40, -40),
+        ),  # its kink at theta_r = theta_i crosses the frame
+        (sample("phong", k_d=0.2, k_s=0.8, exponent=200), deg(50, -48)),
+        (sample("blinn", c=0.1), deg(20, -24, 3)),
+        (sample("cook-torrance", s=0.8, d=0.2, diffuse_albedo=0.4, slopes=[[0.1, 1.0]]), deg(60, -62)),
+        (sample("he-torrance", sigma0_um=0.28, tau_um=1.77, ior="Al"), deg(60, -68)),
+        (sample("he-torrance", sigma0_um=0.28, tau_um=1.77, ior="Al"), deg(75, -75)),  # with its spike
+        (sample("he-torrance", sigma0_um=0.1, tau_um=4.0, ior="Al"), deg(30, -29, 0.3)),
+    ],
+)
+def test_interpolated_scene_equals_a_direct_evaluation_at_every_pixel(what: SampleDescription, pose: Pose) -> None:
+    """To 1e-4, the tolerance of the grid: at pixels drawn over the sample, midpoints between nodes among them."""
+    description = describe("sim-ideal", camera=BARE)
+    rendered = scene(description, what, pose)
+    seen = pixel_map(description, view(description, pose))
+    rows, cols = np.nonzero(np.hypot(seen.x_mm, seen.y_mm) < 9.99)
+    chosen = np.random.default_rng(2).choice(rows.size, 150, replace=False)
+    at = rows[chosen], cols[chosen]
+    cone = float(solid_angle_of_cone(math.radians(0.5)))
+    direct = apparent_brdf(
+        models.build(what.model, what.parameters),
+        *angles(seen.omega_i[at]),
+        *angles(seen.omega_r[at]),
+        wavelength_nm=550,
+        source_solid_angle_sr=cone,
+        receiver_solid_angle_sr=cone,
+        spike="exact",
+    )
+    np.testing.assert_allclose(rendered[at], R * math.pi * seen.weight[at] * direct, rtol=1e-4)
+
+
+def test_a_smooth_sample_shows_the_mirror_image_of_the_lamp() -> None:
+    """Its place, size and radiance: rho_s times the lamp's.
+
+    Source and camera lie at the same distance d. From a spot that is dx off the mirror point they are seen in
+    directions that turn by dx cos(theta)/d each, against each other once mirrored; across the plane of incidence by
+    dy/d. So the lamp's half-angle a is seen up to dx = a d / (2 cos(theta)) and dy = a d / 2. A lamp of radiance L
+    gives the irradiance L w_s cos(theta), and R stands for a white surface under L w_s: the rate is R pi rho_s / w_s.
+    """
+    theta, half = math.radians(30), math.radians(0.5)
+    description = describe("sim-ideal", camera=BARE | {"lens_half_angle_deg": 0.01}, holder={"holder_albedo": 0.0})
+    mirror = sample("he-torrance", sigma0_um=0.0, tau_um=1.0, ior=[1.5, 0.0])
+    pose = deg(30, -30)
+    rendered = scene(description, mirror, pose)
+    seen = pixel_map(description, view(description, pose))
+    rho_s = models.build("he-torrance", mirror.parameters).specular_reflectivity(theta)  # type: ignore[attr-defined]
+    expected = R * math.pi * rho_s / float(solid_angle_of_cone(half))
+    # 1e-4: theta differs by 5e-4 rad within the pixel's spot and the lens
+    assert rendered[239:241, 319:321].mean() == pytest.approx(expected, rel=1e-4)
+    lit = rendered > 0.5 * expected
+    pixel_mm = 0.045 / math.cos(theta)
+    for along, radius in ((seen.x_mm[240], 1000 * half / (2 * math.cos(theta))), (seen.y_mm[:, 320], 1000 * half / 2)):
+        line = lit[240] if along.size == 640 else lit[:, 320]
+        # half a pixel of each edge, and 1 % for the second order of a spot 5 mm off at 1 m
+        assert along[line].max() == pytest.approx(radius, abs=pixel_mm, rel=0.01)
+        assert along[line].min() == pytest.approx(-radius, abs=pixel_mm, rel=0.01)
+    # the plateau is as bright as its centre: radiance does not change along a mirrored ray
+    inside = np.hypot(seen.x_mm / 4.0, seen.y_mm / 3.5) < 1
+    np.testing.assert_allclose(rendered[inside], expected, rtol=0.02)  # Fresnel reflectivity changes over 0.5 deg
+
+
+def test_the_mirror_image_moves_with_the_arms() -> None:
+    """A camera that is turned by delta sees the image turned halfway after it: d delta / (2 cos(theta))."""
+    description = describe("sim-ideal", camera=BARE | {"lens_half_angle_deg": 0.01}, lamp={"half_angle_deg": 0.1})
+    mirror = sample("he-torrance", sigma0_um=0.0, tau_um=1.0, ior="Al")
+    for delta in (-0.4, 0.25):
+        pose = deg(20, -20 + delta)
+        rendered = scene(description, mirror, pose)
+        seen = pixel_map(description, view(description, pose))
+        lit = rendered > 0.5 * rendered.max()
+        shift = 1000 * math.radians(delta) / (2 * math.cos(math.radians(20)))
+        # to a tenth of a pixel by the centroid, and 2 % of the shift for its second order
+        assert seen.x_mm[lit].mean() == pytest.approx(shift, abs=0.005, rel=0.02)
+        assert seen.y_mm[lit].mean() == pytest.approx(0.0, abs=0.005)
+
+
+def test_point_source_and_pinhole_cost_no_cones_and_give_the_model_itself() -> None:
+    description = describe("sim-ideal", camera=BARE | {"lens_half_angle_deg": 0.0}, lamp={"half_angle_deg": 0.0})
+    pose = deg(40, -55, 10)
+    rendered = scene(description, sample("cook-torrance"), pose)
+    seen = pixel_map(description, view(description, pose))
+    at = 240, 300
+    value = models.build("cook-torrance", {}).brdf_vectors(seen.omega_i[at], seen.omega_r[at])
+    # the grid of nodes follows a lobe to 1e-4
+    assert rendered[at] == pytest.approx(R * math.pi * seen.weight[at] * value, rel=1e-4)
+
+
+def test_a_smaller_sample_ends_at_its_own_edge() -> None:
+    description = describe("sim-ideal")
+    small = MATTE.model_copy(update={"diameter_mm": 6.0})
+    rendered, seen = scene(description, small, deg(0, 45)), pixel_map(description, view(description, deg(0, 45)))
+    ratio = rendered / scene(description, MATTE, deg(0, 45))
+    radius = np.hypot(seen.x_mm, seen.y_mm)
+    np.testing.assert_allclose(ratio[(radius > 3.001) & (radius < 9.999)], 0.03 / 0.5, rtol=SINGLE)
+    np.testing.assert_allclose(ratio[radius < 2.999], 1.0, rtol=SINGLE)
+
+
+@pytest.mark.parametrize("how", ["swap", "axis"])
+def test_the_reference_takes_the_samples_place(how: str) -> None:
+    description = describe("sim-ideal", reference={"how": how, "diameter_mm": 12.0})
+    white, grey = scene(description, MATTE, deg(0, 45), "reference"), scene(description, MATTE, deg(0, 45))
+    assert white[240, 320] / grey[240, 320] == pytest.approx(0.99 / 0.5, rel=SINGLE)
+    assert white[240, 20] == pytest.approx(grey[240, 20], rel=SINGLE)  # the holder, 10 mm and more off
+
+
+def test_the_reference_beside_the_sample_is_in_the_same_frame() -> None:
+    description = describe(
+        "sim-ideal",
+        holder={"sample_diameter_mm": 8.0},
+        reference={"how": "beside", "offset_mm": [7.0, 1.0], "diameter_mm": 4.0},
+    )
+    pose = deg(10, -20)
+    seen = pixel_map(description, view(description, pose))
+    rendered = scene(description, MATTE, pose)
+    np.testing.assert_array_equal(rendered, scene(description, MATTE, pose, "reference"))
+    albedo = rendered / (R * seen.weight)
+    for x, y, expected in ((0, 0, 0.5), (3.9, 0, 0.5), (4.5, 0, 0.03), (7, 1, 0.99), (7, 2.9, 0.99), (7, 3.2, 0.03)):
+        at = np.unravel_index(np.argmin(np.hypot(seen.x_mm - x, seen.y_mm - y)), albedo.shape)
+        assert albedo[at] == pytest.approx(expected, rel=SINGLE)
+
+
+def test_the_reference_can_be_a_table(tmp_path: Path) -> None:
+    """Its value at the visit's directions, times the error that was drawn."""
+    import pandas as pd
+
+    from gonio.measurement import COLUMNS, write
+
+    table = pd.DataFrame({"theta_i_deg": 0.0, "phi_i_deg": 0.0, "theta_r_deg": [30.0, 45.0, 60.0], "phi_r_deg": 180.0})
+    table = table.assign(wavelength_nm=550.0, polarisation="unpolarised", brdf=[0.31, 0.30, 0.28], flag="")
+    table = table.assign(u_brdf=0.001, u_random=0.001)[[c for c in COLUMNS if c in {*table, "u_brdf", "u_random"}]]
+    path = tmp_path / "white.csv"
+    write(table, path)
+    changes = {"table": str(path), "u_rel": 0.002, "error": "drawn"}
+    description = describe("sim-ideal", camera=BARE, reference=changes)
+    rendered = scene(description, None, deg(0, 45), "reference")
+    scale = World(description, None, 1).reference_scale
+    # 1e-7 of the distance factor half a pixel off the axis
+    assert rendered[240, 320] == pytest.approx(R * math.pi * 0.30 * scale, rel=1e-5)
+
+
+def test_integral_over_the_band() -> None:
+    """Against a trapezoid over +-4 sigma of a Gaussian of the band's width, where the model is steep in wavelength."""
+    band = {"list": [{"name": "wide", "centre_nm": 550, "fwhm_nm": 60}], "tunable": None}
+    description = describe("sim-ideal", camera=BARE | {"lens_half_angle_deg": 0.0}, lamp={"half_angle_deg": 0.0})
+    description = RigDescription.model_validate(description.model_dump() | {"bands": band})
+    what = sample("he-torrance", sigma0_um=0.05, tau_um=3.0, ior=[1.5, 0.0])
+    pose = deg(10, -25)
+    at_centre = scene(description, what, pose)[240, 320]
+    integral = scene(description, what.model_copy(update={"integrate_band": True}), pose)[240, 320]
+    model = models.build(what.model, what.parameters)
+    sigma = 60 / (2 * math.sqrt(2 * math.log(2)))
+    waves = np.linspace(550 - 4 * sigma, 550 + 4 * sigma, 401)
+    shape = np.exp(-0.5 * ((waves - 550) / sigma) ** 2)
+    seen = pixel_map(description, view(description, pose))
+    directions = angles(seen.omega_i[240, 320]) + angles(seen.omega_r[240, 320])
+    values = np.array([model.brdf(*directions, wavelength_nm=w) for w in waves])
+    expected = R * math.pi * seen.weight[240, 320] * np.average(values, weights=shape)
+    # the tails beyond 4 sigma hold 6e-5 of the weight; the values there differ by less than a half
+    assert integral == pytest.approx(expected, rel=1e-4)
+    assert abs(integral / at_centre - 1) > 1e-3  # and the integral is not the value at the centre
+
+
+def test_a_bands_colour_reaches_only_its_pixels() -> None:
+    bands = {"list": [{"name": "green", "centre_nm": 540, "fwhm_nm": 80, "channel": "G"}], "tunable": None}
+    description = describe("sim-ideal", camera={"pattern": "RGGB"})
+    description = RigDescription.model_validate(description.model_dump() | {"bands": bands})
+    rendered = scene(description, MATTE, deg(0, 45), nm=540)
+    assert rendered[0::2, 1::2].min() > 0
+    assert rendered[1::2, 0::2].min() > 0
+    assert not rendered[0::2, 0::2].any()
+    assert not rendered[1::2, 1::2].any()
+
+
+def test_nothing_is_seen_from_below_and_nothing_is_lit_from_below() -> None:
+    description = describe("sim-ideal")
+    assert not scene(description, MATTE, deg(0, 91)).any()
+    assert not scene(description, MATTE, deg(-91.5, 45)).any()
+
+
+def test_a_negative_brdf_is_dark() -> None:
+    """Oren-Nayar's functional form is below zero near forward grazing; a pixel cannot be."""
+    what = sample("oren-nayar", albedo=0.3, sigma_deg=60)
+    description = describe("sim-ideal", camera={"lens_half_angle_deg": 0.0}, lamp={"half_angle_deg": 0.0})
+    assert models.build(what.model, what.parameters).brdf(1.48, 0, 1.48, math.pi) < 0
+    rendered = scene(description, what, deg(85, -85))
+    assert rendered.min() == 0
+
+
+def test_scenes_are_reused_and_few_are_kept() -> None:
+    description = describe("sim-ideal")
+    world = World(description, MATTE, 1)
+    renderer = Renderer(world)
+    band: Band = description.bands.containing(550)
+    world.pose = deg(0, 45)
+    first = renderer.rate(band)
+    assert renderer.rate(band) is first
+    for angle in range(10, 16):
+        world.pose = deg(0, angle)
+        renderer.rate(band)
+    assert len(renderer._scenes) == KEPT
+
+
+@pytest.mark.parametrize("knows", [True, False])
+def test_a_lambertian_lamp_near_a_reference_beside_the_sample(tmp_path: Path, knows: bool) -> None:
+    """300 mm from the lamp, 14 mm beside the centre: 1.1e-3, which the reduction takes out where the rig file says so.
+
+    At normal incidence of both visit and point the light on the reference is lower by cos^4 of atan(14/300) for a
+    Lambertian lamp, cos^3 for an isotropic one; the difference is the whole error.
+    """
+    description = describe(
+        "sim-ideal",
+        geometry={"light_distance_mm": 300.0, "camera_distance_mm": 300.0},
+        lamp={"radiation": "lambertian"},
+        camera={"focal_length_mm": 20.0},
+        reference={"how": "beside", "offset_mm": [0.0, 14.0], "diameter_mm": 6.0, "frames": 4},
+        acquisition={"frames": 4},
+    )
+    (tmp_path / "plan.toml").write_text(
+        'name = "one"\nwavelength_nm = [550]\n[[sweep]]\ntheta_i_deg = [0]\ntheta_r_deg = [45]\n'
+    )
+    run = carry_out(load_plan(tmp_path / "plan.toml"), RigChoice(SIM, description, "near"), tmp_path / "run",
+                    sample=MATTE)  # fmt: skip
+    if not knows:
+        lamp = description.lamp.model_copy(update={"radiation": "isotropic"})
+        rig = run.description.model_copy(update={"lamp": lamp})
+        run.settings = run.settings.model_copy(update={"rig": rig})
+    found = brdf.reduce(run)["brdf"][0] / (0.5 / math.pi)
+    expected = 1.0 if knows else 1 / math.cos(math.atan(14.0 / 300.0))
+    # 16-bit levels at 0.6 of full scale in some 50 pixels of each region, and the finite patch: below 2e-5
+    assert found == pytest.approx(expected, abs=2e-5)

@@ -1,0 +1,200 @@
+"""`gonio bench models`: its arithmetic, its reference values, the hard cases, and the report."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import json
+import math
+import re
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import mpmath as mp
+import numpy as np
+import pytest
+from gonio_validation.bench import bench_page, evaluators, hard, peers, report, timing
+from gonio_validation.bench.evaluators import Family, Sample, Way
+from typer.testing import CliRunner
+
+from gonio.errors import DataError
+from gonio.models import engine
+from tests.places import ROOT
+
+ONES = np.ones(4)
+
+
+def samples(value: list[float], condition: float = 0.0) -> list[Sample]:
+    return [Sample("grid", {}, (ONES,), np.array(value), np.full(4, condition), ("",) * 4)]
+
+
+def way(*results: float) -> Way:
+    return Way("w", lambda p: lambda x: np.array(results))
+
+
+def test_errors_by_hand() -> None:
+    found = timing.summary(timing.errors(way(1.0, 2.0, 3.3, 4.0), samples([1.0, 2.0, 3.0, 4.0], condition=9.0)))
+    assert found["max"] == pytest.approx(0.1, rel=1e-12)  # 3.3 against 3, to some roundings
+    assert found["max_scaled"] == pytest.approx(0.01, rel=1e-12)
+    assert found["median"] == 0.0
+    assert not found["warning"]
+
+
+def test_what_is_not_a_number_is_no_small_error() -> None:
+    found = timing.summary(timing.errors(way(1.0, math.nan, math.inf, 4.0), samples([1.0, 2.0, 3.0, 4.0])))
+    assert found["max"] is None
+    assert found["not_finite"] == 2
+
+
+def test_values_that_vanish_have_no_relative_error() -> None:
+    found = timing.errors(way(0.0, 1e-300, 1e-3, 1.0), samples([0.0, 0.0, 0.0, 1.0]))
+    assert found.plain.tolist() == [0.0, 0.0, 1.0, 0.0]
+
+
+def test_pareto_front() -> None:
+    points = [(3.0, 1e-3), (1.0, 1e-1), (2.0, 1e-3), (4.0, 1e-9), (0.5, None)]
+    assert report.pareto(points) == [1, 2, 3]
+
+
+def test_a_wrong_result_breaks_its_case() -> None:
+    case = hard._Case()
+    case.add("m", [1.0, math.nan, -1.0, math.inf], [1.0 + 1e-9, 2.0, 3.0, 4.0], 0.0, 13.0)
+    row = case.row("x")
+    assert not row["holds"]
+    assert (row["nan"], row["infinite"], row["negative"]) == (1, 1, 1)
+    right = hard._Case()
+    right.add("m", [1.0, math.inf], [1.0, math.inf], 0.0, 16.0)
+    assert right.row("x")["holds"]
+
+
+def test_every_hard_case_holds() -> None:
+    rows = hard.table(evaluators.families(), huge=200_000)  # two threads begin at 131 072
+    assert [r for r in rows if not r["holds"]] == []
+    assert len({r["case"] for r in rows}) == len(rows) > 50
+
+
+def tool() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("bench_reference", ROOT / "tools" / "bench_reference.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_reference_values_are_those_of_the_tool() -> None:
+    made = tool()
+    with mp.workdps(60):
+        groups = [g for g in evaluators.reference()["he-torrance"] if g["parameters"]["sigma0_um"] < 0.2]  # few terms
+        assert len(groups) == 5
+        for g in groups:
+            p, k = g["parameters"], len(g["value"]) // 2
+            index = complex(p["n"], p["k"])
+            pair = (g["omega_i"][k], g["omega_r"][k])
+            value, _ = made.he_torrance(pair, p["sigma0_um"], p["tau_um"], index, p["wavelength_nm"] / 1000.0)
+            assert value == g["value"][k]
+
+
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two families, and no processes to time the start-up of."""
+    everything = evaluators.families
+
+    def chosen() -> list[Family]:
+        return [f for f in everything() if f.name in ("cook-torrance", "roughness")]
+
+    monkeypatch.setattr(evaluators, "families", chosen)
+    case = hard._Case()
+    case.add("cook-torrance", 1.0, 1.0, 0.0, 13.0)
+    monkeypatch.setattr(hard, "table", lambda found, huge: [case.row("normal incidence")])
+    monkeypatch.setattr(report, "TARGETS", [t for t in report.TARGETS if t[0] == "cook-torrance"])
+    start = {"model": "CookTorrance", "import_s": 0.1, "first_evaluation_s": 0.5, "together_s": 0.6}
+    monkeypatch.setattr(timing, "start_up", lambda repeats: [start])
+    monkeypatch.setattr(peers, "PACKAGES", {"nobody": "gonio_nobody"})
+
+
+@pytest.mark.usefixtures("few")
+def test_report(tmp_path: Path) -> None:
+    from gonio_validation.bench.cli import app
+
+    out = tmp_path / "bench"
+    result = CliRunner().invoke(app, ["models", "--quick", "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    assert result.stdout.strip() == str(out / "index.html")
+    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    page = (out / "index.html").read_text(encoding="utf-8")
+    assert not re.search(r'(src|href)="(?!#)', bench_page)  # nothing is loaded
+    assert [f["name"] for f in summary["families"]] == ["cook-torrance", "roughness"]
+    for family in summary["families"]:
+        assert f'<section id="{family["name"]}">' in page
+        for w in family["ways"]:
+            assert w["way"] in page
+            assert w["time"]["best_ns"] > 0
+            assert all(e["median"] <= e["p99"] <= e["max"] for e in w["errors"].values())
+    assert summary["peers"] == [{"peer": "nobody", "state": "not installed"}]
+    steps = summary["families"][1]["ways"][2:]
+    errors = [w["errors"]["grid"]["max"] for w in steps]
+    assert errors == sorted(errors, reverse=True)  # each Newton step is better than the one before
+    assert all(t["holds"] for t in summary["tolerances"])
+    with open(out / "tables" / "points.csv", encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert {r["way"] for r in rows} == {w["way"] for f in summary["families"] for w in f["ways"]}
+
+
+def test_a_tolerance_that_is_missed_is_said() -> None:
+    missed = {"way": "w", "stated": 1e-12, "errors": {"grid": {"max_scaled": 1e-11, "points": 3}}}
+    assert not report._tolerance({"title": "f"}, missed)["holds"]
+
+
+def test_a_peer_is_measured_in_its_own_process(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What the peer's process prints is what is measured here; a peer's program never runs in this process."""
+    family = next(f for f in evaluators.families() if f.name == peers.FAMILY)
+    one = family.ways[0]
+    monkeypatch.setattr(peers, "_ways", lambda: {"somebody": one})
+    peers.report("somebody", {"pairs": 1000, "repeats": 2, "budget_s": 0.01})
+    found = json.loads(capsys.readouterr().out)
+    assert found["errors"] == json.loads(json.dumps(timing.by_set(family, one)))
+    assert found["time"]["pairs"] == 1000
+    assert found["time"]["best_ns"] > 0
+    started: list[str] = []
+
+    def process(code: str, environment: dict[str, str], timeout: float) -> subprocess.CompletedProcess[str]:
+        started.append(f"{environment} {code}")
+        return subprocess.CompletedProcess([], 0, stdout=f"a library speaks\n{json.dumps(found)}\n", stderr="")
+
+    monkeypatch.setattr(peers, "_process", process)
+    peer = peers.Peer("somebody", one, {"WITH": "this"})
+    assert peers.measured(peer, pairs=1000, repeats=2, budget_s=0.01) == (found["errors"], found["time"])
+    assert len(started) == 1
+    assert "WITH" in started[0]
+    assert "'pairs': 1000" in started[0]
+
+
+def test_a_peer_whose_process_fails_is_named() -> None:
+    peer = peers.Peer("nobody", evaluators.families()[0].ways[0], {})
+    with pytest.raises(DataError, match="nobody: its process failed while it was measured: KeyError"):
+        peers.measured(peer, pairs=1000, repeats=1, budget_s=0.01)
+
+
+def test_looking_for_peers_brings_none_into_this_process() -> None:
+    code = (
+        "import sys\nfrom gonio_validation.bench import peers\npeers.find()\n"
+        "print(sorted({'drjit', 'mitsuba', 'pySCATMECH'} & sys.modules.keys()))"
+    )
+    made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert made.stdout.strip() == "[]"
+
+
+@pytest.mark.skipif(engine.threads() < 2, reason="one processor: no call is shared")
+def test_the_hand_over_is_what_half_a_call_does_not_explain() -> None:
+    found = timing.hand_over(20)
+    assert found is not None
+    assert found["pairs"] == 2 * engine.SPLIT
+    assert found["hand_over_us"] == max(found["shared_us"] - found["half_alone_us"], 0.0)
+    assert 0.0 <= found["share"] < 1.0
+    assert f"{found['pairs']} pairs" in bench_page._hand_over(found)
+    assert "one processor" in bench_page._hand_over(None)
