@@ -10,20 +10,19 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import ArgumentError
-
-Array = npt.NDArray[np.float64]
+from gonio.typing import Floats
 
 TWO_PI = 2.0 * np.pi
 
 
-def direction(theta: npt.ArrayLike, phi: npt.ArrayLike) -> Array:
+def direction(theta: npt.ArrayLike, phi: npt.ArrayLike) -> Floats:
     """Unit vectors, shape (..., 3), of the directions at polar angle `theta` and azimuth `phi` [rad]."""
     theta, phi = np.broadcast_arrays(np.asarray(theta, dtype=np.float64), np.asarray(phi, dtype=np.float64))
     sine = np.sin(theta)
     return np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)], axis=-1)
 
 
-def angles(omega: npt.ArrayLike) -> tuple[Array, Array]:
+def angles(omega: npt.ArrayLike) -> tuple[Floats, Floats]:
     """Polar angle in [0, pi] and azimuth in [0, 2 pi) [rad] of vectors of any length, shape (..., 3).
 
     The azimuth of the normal itself is 0. Both angles are accurate to a few units in the last place everywhere (atan2
@@ -34,14 +33,14 @@ def angles(omega: npt.ArrayLike) -> tuple[Array, Array]:
     return np.arctan2(np.hypot(x, y), z), wrap(np.arctan2(y, x))
 
 
-def wrap(phi: npt.ArrayLike) -> Array:
+def wrap(phi: npt.ArrayLike) -> Floats:
     """An azimuth [rad] brought to [0, 2 pi)."""
     out = np.mod(np.asarray(phi, dtype=np.float64), TWO_PI)
     # the remainder of a tiny negative angle rounds to 2 pi itself
     return np.where(out >= TWO_PI, 0.0, out)
 
 
-def in_plane_angle(theta_r: npt.ArrayLike, dphi: npt.ArrayLike) -> Array:
+def in_plane_angle(theta_r: npt.ArrayLike, dphi: npt.ArrayLike) -> Floats:
     """Signed viewing angle [rad] in the plane of incidence: positive on the mirror side, negative on the retro side.
 
     Parameters
@@ -56,7 +55,7 @@ def in_plane_angle(theta_r: npt.ArrayLike, dphi: npt.ArrayLike) -> Array:
     return side * np.asarray(theta_r, dtype=np.float64) + 0.0  # + 0.0: the normal has no side, and no -0
 
 
-def solid_angle_of_cone(half_angle: npt.ArrayLike) -> Array:
+def solid_angle_of_cone(half_angle: npt.ArrayLike) -> Floats:
     """Solid angle [sr] of a circular cone of half-angle `half_angle` [rad, 0 to pi].
 
     2 pi (1 - cos) written as 4 pi sin^2(half_angle / 2), which loses no digits for a narrow cone.
@@ -72,7 +71,7 @@ def solid_angle_of_cone(half_angle: npt.ArrayLike) -> Array:
     return np.asarray(4.0 * np.pi * np.sin(half / 2.0) ** 2)
 
 
-def half_angle_of_cone(solid_angle_sr: npt.ArrayLike) -> Array:
+def half_angle_of_cone(solid_angle_sr: npt.ArrayLike) -> Floats:
     """Half-angle [rad] of the circular cone of a solid angle [sr, 0 to 4 pi].
 
     Raises

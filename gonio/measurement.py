@@ -28,7 +28,8 @@ import numpy as np
 from gonio import formats
 from gonio.errors import ConfigError, DataError
 from gonio.formats.native import check, check_columns, meta_path
-from gonio.formats.reader import ANGLES, COLUMNS, MAX_BYTES, Floats
+from gonio.formats.reader import ANGLES, COLUMNS, MAX_BYTES
+from gonio.typing import Floats
 
 if TYPE_CHECKING:
     import pandas as pd

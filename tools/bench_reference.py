@@ -3,9 +3,9 @@
     python tools/bench_reference.py
 
 Directions are taken as the exact values of their doubles, brought to unit length in 60 digits. Closed forms are those
-of tests/gonio/models/oracles.py; He-Torrance's series is summed term by term here, from its largest term to both sides, by
-logarithms. Oren-Nayar's exact integral is taken from tests/reference (quadruple-precision quadrature). Nothing of the
-package's own arithmetic enters.
+of tests/gonio/models/oracles.py; He-Torrance's series is summed term by term here, from its largest term to both
+sides, by logarithms. Oren-Nayar's exact integral is taken from tests/reference (quadruple-precision quadrature).
+Nothing of the package's own arithmetic enters.
 """
 
 from __future__ import annotations

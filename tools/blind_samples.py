@@ -3,9 +3,9 @@
     python tools/blind_samples.py --seed 7 --count 20 --out DIR
 
 Each sample is drawn at random (one of the six families or a sum of two, parameters over realistic ranges), measured on
-the simulated rig with all its errors, reduced, and given to `gonio_analysis.selection.choice` without a word about it. A sample
-counts as right where its family is named, or a simpler model whose difference from the truth lies below the data's
-uncertainty everywhere (2.58 u: the 1 % level). Intervals are counted where the true family was named.
+the simulated rig with all its errors, reduced, and given to `gonio_analysis.selection.choice` without a word about
+it. A sample counts as right where its family is named, or a simpler model whose difference from the truth lies below
+the data's uncertainty everywhere (2.58 u: the 1 % level). Intervals are counted where the true family was named.
 
 A folder that holds measured samples already is not measured again: only the choice is made anew.
 """

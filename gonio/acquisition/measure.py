@@ -45,7 +45,8 @@ class RigChoice:
             raise
 
     def schedule(self, plan: Plan, points: list[Assessed] | None = None) -> list[Step]:
-        """The steps of a run, see `gonio.acquisition.plan.schedule`, of which every patch that is measured lies in the frame.
+        """The steps of a run, see `gonio.acquisition.plan.schedule`, of which every patch that is measured lies in
+        the frame.
 
         Raises
         ------

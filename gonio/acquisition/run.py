@@ -175,8 +175,9 @@ class Run:
     def resume(cls, path: str | Path, request: Request) -> Run:
         """Go on with a run, or start it where it has not begun.
 
-        Frames that the journal names and that are missing or damaged are found (`gonio.acquisition.repair.find_damage` says how
-        thoroughly); the journal takes back their steps with the event "lost", and `lost` names them.
+        Frames that the journal names and that are missing or damaged are found
+        (`gonio.acquisition.repair.find_damage` says how thoroughly); the journal takes back their steps with the
+        event "lost", and `lost` names them.
 
         Raises
         ------

@@ -22,7 +22,6 @@ import numpy as np
 
 from gonio.errors import DataError
 from gonio.formats.reader import (
-    Floats,
     Format,
     Text,
     estimate,
@@ -36,6 +35,7 @@ from gonio.formats.reader import (
     wide,
     write_bytes,
 )
+from gonio.typing import Floats
 
 if TYPE_CHECKING:
     import pandas as pd

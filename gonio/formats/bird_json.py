@@ -23,7 +23,8 @@ import numpy as np
 from gonio import __version__
 from gonio.errors import DataError
 from gonio.formats.native import checked_attributes
-from gonio.formats.reader import ANGLES, Floats, Format, fold, table, write_bytes
+from gonio.formats.reader import ANGLES, Format, fold, table, write_bytes
+from gonio.typing import Floats
 
 if TYPE_CHECKING:
     import pandas as pd

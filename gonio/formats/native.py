@@ -23,7 +23,6 @@ from gonio.errors import ConfigError, DataError
 from gonio.formats.reader import (
     COLUMNS,
     POLARISATIONS,
-    Floats,
     Format,
     attributes,
     cell_of,
@@ -34,6 +33,7 @@ from gonio.formats.reader import (
     plain_word,
     write_bytes,
 )
+from gonio.typing import Floats
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -22,13 +22,13 @@ import numpy.typing as npt
 
 from gonio.disk import write_whole
 from gonio.errors import ConfigError, DataError, refuse_masked
+from gonio.typing import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from gonio.models import Model
 
-Floats = npt.NDArray[np.float64]
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 COLUMNS = (*ANGLES, "wavelength_nm", "polarisation", "brdf", "u_brdf", "u_random", "flag")

@@ -23,7 +23,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import DataError
-from gonio.formats.reader import RGB_NM, Floats, Format, table, write_bytes
+from gonio.formats.reader import RGB_NM, Format, table, write_bytes
+from gonio.typing import Floats
 
 if TYPE_CHECKING:
     import pandas as pd

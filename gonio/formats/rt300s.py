@@ -23,7 +23,8 @@ import numpy as np
 
 from gonio.errors import DataError
 from gonio.formats._xls import MAGIC, worksheets
-from gonio.formats.reader import MAX_BYTES, Floats, Format, fold, table
+from gonio.formats.reader import MAX_BYTES, Format, fold, table
+from gonio.typing import Floats
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -18,19 +18,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.reader import (
-    ANGLES,
-    Floats,
-    Format,
-    Text,
-    integer,
-    number,
-    numbers,
-    single,
-    table,
-    wrap_deg,
-    write_bytes,
-)
+from gonio.formats.reader import ANGLES, Format, Text, integer, number, numbers, single, table, wrap_deg, write_bytes
+from gonio.typing import Floats
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -18,7 +18,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.errors import ArgumentError
 from gonio.geometry import half_angle_of_cone
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Cones", "Rules", "apparent_brdf", "apparent_lobe", "apparent_spike"]
 
-Array = npt.NDArray[np.float64]
 Spike = Literal["nominal", "exact"]
 
 

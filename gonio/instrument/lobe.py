@@ -13,11 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.instrument import spherical_caps
+from gonio.typing import Floats
 
 if TYPE_CHECKING:
     from gonio.models import Model
 
-Array = npt.NDArray[np.float64]
 Rules = npt.NDArray[np.int8]
 """One number a geometry: 0 to `_caps.LEVELS` - 1 the product rule of that level, or one of those below."""
 
@@ -35,8 +35,14 @@ CUT_ORDERS = (6, 10, 16)
 
 
 def choose(
-    model: Model, omega_i: Array, omega_r: Array, wavelength_nm: float, source: float, receiver: float, tolerance: float
-) -> tuple[Array, Rules]:
+    model: Model,
+    omega_i: Floats,
+    omega_r: Floats,
+    wavelength_nm: float,
+    source: float,
+    receiver: float,
+    tolerance: float,
+) -> tuple[Floats, Rules]:
     """Averages over both caps, (n,), and the rules that hold `tolerance` there."""
     out, rules = np.empty(len(omega_i)), np.full(len(omega_i), EXPANSION, np.int8)
     if source == 0.0 and receiver == 0.0:
@@ -74,14 +80,14 @@ def choose(
 
 def by_rules(
     model: Model,
-    omega_i: Array,
-    omega_r: Array,
+    omega_i: Floats,
+    omega_r: Floats,
     wavelength_nm: float,
     source: float,
     receiver: float,
     tolerance: float,
     rules: Rules,
-) -> Array:
+) -> Floats:
     """Averages over both caps, (n,), by rules that were found before."""
     if source == 0.0 and receiver == 0.0:
         return np.asarray(model.brdf_vectors(omega_i, omega_r, wavelength_nm=wavelength_nm)).reshape(-1)
@@ -104,8 +110,8 @@ def by_rules(
 
 
 def _largest(
-    model: Model, omega_i: Array, omega_r: Array, wavelength_nm: float, source: float, receiver: float
-) -> Array:
+    model: Model, omega_i: Floats, omega_r: Floats, wavelength_nm: float, source: float, receiver: float
+) -> Floats:
     """The BRDF between the directions of the caps that come nearest to mirroring each other: a lobe's peak."""
     mirrored = omega_i * (-1.0, -1.0, 1.0)
     chord = mirrored - omega_r
@@ -115,8 +121,8 @@ def _largest(
     toward = np.where(size > 1e-12, toward / np.maximum(size, 1e-300), 0.0)
     share = apart * receiver / (source + receiver)
 
-    def at(angle: Array) -> Array:
-        turned: Array = np.where(
+    def at(angle: Floats) -> Floats:
+        turned: Floats = np.where(
             size > 1e-12, np.cos(angle)[:, None] * omega_r + np.sin(angle)[:, None] * toward, omega_r
         )
         return turned
@@ -126,7 +132,7 @@ def _largest(
 
 
 def _narrow_lobe(
-    model: Model, omega_i: Array, omega_r: Array, wavelength_nm: float, source: float, receiver: float
+    model: Model, omega_i: Floats, omega_r: Floats, wavelength_nm: float, source: float, receiver: float
 ) -> float:
     """One geometry whose lobe is far narrower than the wider cone: nodes there crowd about the mirror direction."""
     wide_source = source > receiver
@@ -150,8 +156,8 @@ def _narrow_lobe(
 
 
 def _second_order(
-    model: Model, omega_i: Array, omega_r: Array, wavelength_nm: float, source: float, receiver: float
-) -> tuple[Array, Array]:
+    model: Model, omega_i: Floats, omega_r: Floats, wavelength_nm: float, source: float, receiver: float
+) -> tuple[Floats, Floats]:
     """f + the second-order terms of each cone alone, and the estimated size of what is left out, both from 13 values.
 
     With v the largest change of f over either ring and d the second-order terms, all relative to f, the next terms
@@ -165,8 +171,8 @@ def _second_order(
 
 
 def _expanded(
-    model: Model, omega_i: Array, omega_r: Array, wavelength_nm: float, source: float, receiver: float
-) -> tuple[Array, Array]:
+    model: Model, omega_i: Floats, omega_r: Floats, wavelength_nm: float, source: float, receiver: float
+) -> tuple[Floats, Floats]:
     square, psi, _ = spherical_caps.disc_rule(0)
     square, psi = square[1:], psi[1:]
     centre = np.asarray(model.brdf_vectors(omega_i, omega_r, wavelength_nm=wavelength_nm)).reshape(-1)
@@ -193,8 +199,8 @@ def _expanded(
 
 
 def _product_rule(
-    model: Model, omega_i: Array, omega_r: Array, wavelength_nm: float, source: float, receiver: float, level: int
-) -> Array:
+    model: Model, omega_i: Floats, omega_r: Floats, wavelength_nm: float, source: float, receiver: float, level: int
+) -> Floats:
     out = np.empty(len(omega_i))
     square, psi, weight = spherical_caps.disc_rule(level)
     one = np.zeros(1), np.zeros(1), np.ones(1)
@@ -215,8 +221,8 @@ def _product_rule(
 
 def _cut_lobe(
     model: Model,
-    omega_i: Array,
-    omega_r: Array,
+    omega_i: Floats,
+    omega_r: Floats,
     wavelength_nm: float,
     source: float,
     receiver: float,
@@ -242,7 +248,7 @@ def _cut_lobe(
     return now
 
 
-def cap_nodes(omega: Array, half: float, order: int) -> tuple[Array, Array]:
+def cap_nodes(omega: Floats, half: float, order: int) -> tuple[Floats, Floats]:
     """Nodes and solid angles [sr] of what lies above the horizon of the cap about one axis."""
     if half == 0.0:
         return omega[None, :], np.ones(1)

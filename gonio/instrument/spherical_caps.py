@@ -12,19 +12,16 @@ import functools
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.models._compile import device, template
-
-Array = npt.NDArray[np.float64]
-
+from gonio.typing import Floats
 
 RINGS = (1, 2, 3, 5, 8, 12)
 LEVELS = len(RINGS)
 
 
 @functools.cache
-def disc_rule(level: int) -> tuple[Array, Array, Array]:
+def disc_rule(level: int) -> tuple[Floats, Floats, Floats]:
     """(radius^2, azimuth, weight) of a rule on the unit disc, weights summing to 1.
 
     Level 0 is the centre and a hexagon; the others are Gauss in radius^2 times equally spaced azimuths. They are exact
@@ -46,7 +43,7 @@ def disc_rule(level: int) -> tuple[Array, Array, Array]:
     return square.ravel(), psi.ravel(), weight
 
 
-def frame(omega: Array) -> tuple[Array, Array]:
+def frame(omega: Floats) -> tuple[Floats, Floats]:
     """Two unit vectors that complete each axis (..., 3) to a frame; the first points away from the normal."""
     x, y, z = omega[..., 0], omega[..., 1], omega[..., 2]
     s = np.hypot(x, y)
@@ -59,12 +56,12 @@ def frame(omega: Array) -> tuple[Array, Array]:
     )
 
 
-def nodes(omega: Array, half_angle: float, square: Array, psi: Array) -> Array:
+def nodes(omega: Floats, half_angle: float, square: Floats, psi: Floats) -> Floats:
     """Directions (..., n, 3) at the places of a disc rule in caps about axes (..., 3)."""
     away, across = frame(omega)
     drop = square * (2.0 * math.sin(half_angle / 2.0) ** 2)  # 1 - cos rho
     sine = np.sqrt(drop * (2.0 - drop))
-    out: Array = (
+    out: Floats = (
         omega[..., None, :] * (1.0 - drop)[:, None]
         + away[..., None, :] * (sine * np.cos(psi))[:, None]
         + across[..., None, :] * (sine * np.sin(psi))[:, None]
@@ -72,7 +69,7 @@ def nodes(omega: Array, half_angle: float, square: Array, psi: Array) -> Array:
     return out
 
 
-def cut_nodes(omega: Array, half_angle: float, order: int) -> tuple[Array, Array]:
+def cut_nodes(omega: Floats, half_angle: float, order: int) -> tuple[Floats, Floats]:
     """Directions (n, 3) above the horizon in the cap about one axis, and their solid angles [sr].
 
     In polar coordinates about the axis, with the sector that the horizon cuts and the one that it leaves each under
@@ -94,7 +91,7 @@ def cut_nodes(omega: Array, half_angle: float, order: int) -> tuple[Array, Array
     drop, psi, weight = (np.concatenate(part) for part in zip(*parts, strict=True))
     away, across = frame(omega)
     sine = np.sqrt(drop * (2.0 - drop))
-    directions: Array = (
+    directions: Floats = (
         np.multiply.outer(1.0 - drop, omega)
         - np.multiply.outer(sine * np.cos(psi), away)
         + np.multiply.outer(sine * np.sin(psi), across)
@@ -103,7 +100,7 @@ def cut_nodes(omega: Array, half_angle: float, order: int) -> tuple[Array, Array
     return directions, weight
 
 
-def focused_nodes(axis: Array, half_angle: float, focus: Array) -> tuple[Array, Array]:
+def focused_nodes(axis: Floats, half_angle: float, focus: Floats) -> tuple[Floats, Floats]:
     """Nodes (k, n, 3) and solid angles (k, n) [sr] in one cap, crowded toward each of k directions in or out of it.
 
     In polar coordinates about the focus, on whose rays the cap is an interval; its Gauss panels shrink threefold

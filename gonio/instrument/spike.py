@@ -13,11 +13,11 @@ from gonio.instrument import spherical_caps
 from gonio.instrument.lobe import CUT_ORDERS, cap_nodes
 from gonio.models import engine
 from gonio.models._compile import loop
+from gonio.typing import Floats
 
 if TYPE_CHECKING:
     from gonio.models import Model
 
-Array = npt.NDArray[np.float64]
 Places = npt.NDArray[np.intp]
 
 STEPS = 8192
@@ -28,7 +28,7 @@ GRAIN = 4096  # geometries worth a thread of their own
 class Overlaps:
     """Where the cones of directions (n, 3) see each other's mirror image, and where rho_s has to be known for it."""
 
-    def __init__(self, omega_i: Array, omega_r: Array, source: float, receiver: float, exact: bool) -> None:
+    def __init__(self, omega_i: Floats, omega_r: Floats, source: float, receiver: float, exact: bool) -> None:
         self._omega_i, self._omega_r = omega_i, omega_r
         self._source, self._receiver, self._exact = source, receiver, exact
         chord = omega_i * (-1.0, -1.0, 1.0) - omega_r
@@ -40,7 +40,7 @@ class Overlaps:
         self._cut = np.flatnonzero(cut)
         self._whole = np.flatnonzero(near & ~cut)
 
-    def seen(self, model: Model, wavelength_nm: float) -> Array:
+    def seen(self, model: Model, wavelength_nm: float) -> Floats:
         """BRDF (n,) [1/sr] of a model's spike."""
         if self._directions:
             return self._of_direction(model, wavelength_nm)
@@ -60,13 +60,13 @@ class Overlaps:
         return out
 
     @functools.cached_property
-    def _axes(self) -> tuple[Array, Array]:
+    def _axes(self) -> tuple[Floats, Floats]:
         """Axes of the cones that the horizon leaves whole, three numbers after three."""
         whole = self._whole
         return self._omega_i[whole].reshape(-1), self._omega_r[whole].reshape(-1)
 
     @functools.cached_property
-    def _grid(self) -> tuple[Array, Places, Places, Places]:
+    def _grid(self) -> tuple[Floats, Places, Places, Places]:
         """Equal steps of cos(theta) over the caps; which of them the caps touch; where each cap begins and ends."""
         z_i, z_r = self._omega_i[self._whole, 2], self._omega_r[self._whole, 2]
         theta = np.arccos(np.minimum(z_r, 1.0))
@@ -83,7 +83,7 @@ class Overlaps:
         touched = np.flatnonzero(np.cumsum(depth)[: count + 1] > 0)
         return grid, touched, first, last
 
-    def _table(self, model: Model, wavelength_nm: float) -> tuple[Array, float, float, int]:
+    def _table(self, model: Model, wavelength_nm: float) -> tuple[Floats, float, float, int]:
         """rho_s at the grid, where caps touch it; how many Gauss nodes a side its change over a cap asks for."""
         grid, touched, first, last = self._grid
         table = np.zeros(grid.size)
@@ -93,7 +93,7 @@ class Overlaps:
         per_step = (grid.size - 1) / float(grid[-1] - grid[0])
         return table, float(grid[0]), per_step, 2 if change < 0.02 else 4 if change < 0.4 else 8
 
-    def _of_direction(self, model: Model, wavelength_nm: float) -> Array:
+    def _of_direction(self, model: Model, wavelength_nm: float) -> Floats:
         """The limits where one cone is a direction (and where both are: infinite in the mirror direction)."""
         omega_i, omega_r, source, receiver = self._omega_i, self._omega_r, self._source, self._receiver
         out = np.zeros(len(omega_i))
@@ -130,18 +130,18 @@ class Overlaps:
         return 0.0 if flux == 0.0 else math.inf if light == 0.0 else flux / (light * float(np.sum(r_weight)))
 
 
-def _reflectivity(model: Model, cosine: Array, wavelength_nm: float) -> Array:
+def _reflectivity(model: Model, cosine: Floats, wavelength_nm: float) -> Floats:
     theta = np.arccos(np.clip(cosine, 0.0, 1.0))
     return np.asarray(cast(Any, model).specular_reflectivity(theta, wavelength_nm=wavelength_nm), dtype=np.float64)
 
 
 @functools.cache
-def _gauss(side: int) -> tuple[Array, Array]:
+def _gauss(side: int) -> tuple[Floats, Floats]:
     x, w = np.polynomial.legendre.leggauss(side)
     return x, w
 
 
-def _dense(omega: Array, half: float) -> tuple[Array, Array]:
+def _dense(omega: Floats, half: float) -> tuple[Floats, Floats]:
     square, psi = np.meshgrid((np.arange(64) + 0.5) / 64.0, (np.arange(128) + 0.5) * (math.pi / 64.0), indexing="ij")
     weight = np.full(square.size, 4.0 * math.pi * math.sin(half / 2.0) ** 2 / square.size)
     return spherical_caps.nodes(omega, half, square.ravel(), psi.ravel()), weight

@@ -9,12 +9,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from gonio.typing import Floats
 
 
-def about_mirror(theta: float, narrow: float, steep: float, order: int) -> tuple[Array, Array]:
+def about_mirror(theta: float, narrow: float, steep: float, order: int) -> tuple[Floats, Floats]:
     """Directions (..., 3) and weights, in polar coordinates (r, psi) about the mirror point in the disc of cosines.
 
     There 1 - |v|^2 = (R - r)(r + R'), with R and -R' where the line leaves the disc. Panels in r halve toward the
@@ -49,7 +48,7 @@ def about_mirror(theta: float, narrow: float, steep: float, order: int) -> tuple
     return directions, 4.0 * w_psi[:, None] * (r * edge[:, None] * (1.0 - t)) * w_t
 
 
-def about_source(theta: float, narrow: float, critical: float, order: int) -> tuple[Array, Array]:
+def about_source(theta: float, narrow: float, critical: float, order: int) -> tuple[Floats, Floats]:
     """Directions (..., 3) and weights, in polar coordinates (u, psi) about the direction to the source.
 
     u = 2 theta_h, so that total reflection sets in along a circle; psi runs from the mirror side to the horizon. Panels
@@ -83,7 +82,7 @@ def _halvings(scale: float) -> int:
     return min(40, max(0, math.ceil(-math.log2(max(scale, 1e-12)))))
 
 
-def halved(centres: list[tuple[float, int]], top: float) -> Array:
+def halved(centres: list[tuple[float, int]], top: float) -> Floats:
     """Edges of panels of [0, top] that halve toward each centre so many times."""
     steps = [centre + np.outer((-1.0, 1.0), 0.5 ** np.arange(1.0, depth + 1.0)).ravel() for centre, depth in centres]
     edges = np.unique(np.concatenate([[0.0, top], [centre for centre, _ in centres], *steps]))
@@ -91,7 +90,7 @@ def halved(centres: list[tuple[float, int]], top: float) -> Array:
     return np.asarray(edges[np.append(True, np.diff(edges) > 1e-14)])
 
 
-def panels(edges: Array, order: int) -> tuple[Array, Array]:
+def panels(edges: Floats, order: int) -> tuple[Floats, Floats]:
     """Gauss-Legendre nodes and weights of an order in each interval between `edges`."""
     x, w = np.polynomial.legendre.leggauss(order)
     half = 0.5 * np.diff(edges)[:, None]

@@ -7,7 +7,8 @@ taken from the run's own curves, which the instrument's cones have smoothed alre
   fixed distance from the mirror direction comes from the curves of the neighbouring angles of incidence at that
   distance (zero without neighbours), because lobes move with the mirror direction; out of the plane of incidence it has
   the shape over the half vector's angle that the curves in the plane have, times what changes smoothly between points;
-- a specular spike, which `gonio.reduction.spikes` finds: its shape is the overlap of the lamp's mirror image with the lens.
+- a specular spike, which `gonio.reduction.spikes` finds: its shape is the overlap of the lamp's mirror image with the
+  lens.
 
 Lobes change by ratios: between points the logarithm of f (asinh, which goes through zero) is taken for smooth.
 Effects are differences over finite steps of +-u, since a slope is undefined at the top and at the edge of a spike.
@@ -25,8 +26,7 @@ import numpy.typing as npt
 from gonio.geometry import direction
 from gonio.reduction.spikes import Scene, Share, find, lagrange, mirror_offset, overlap
 from gonio.rig.kinematics import Directions
-
-Array = npt.NDArray[np.float64]
+from gonio.typing import Floats
 
 TOGETHER = 1e-4
 """Points whose nominal angles of incidence differ by less [rad] belong to one curve."""
@@ -84,8 +84,8 @@ class Curves:
         self,
         goals: Sequence[Directions],
         read: Sequence[Directions],
-        brdf: Array,
-        u: Array,
+        brdf: Floats,
+        u: Floats,
         half_angles: tuple[float, float],
         shares: Sequence[Share],
     ) -> None:
@@ -120,7 +120,7 @@ class Curves:
         for k, group in enumerate(self._groups):
             self._slopes_of(k, group, in_plane)
 
-    def _fall(self, line: npt.NDArray[np.intp], logs: Array) -> float:
+    def _fall(self, line: npt.NDArray[np.intp], logs: Floats) -> float:
         """The widest step [rad] of a curve beside the mirror direction over which its peak falls to its foot, or 0."""
         from_mirror, f = self._x[line] - self._theta_i[line], logs[line]
         widest = 0.0
@@ -164,7 +164,7 @@ class Curves:
         slope, size = _weighted(found), float(self._size[line[place]])
         return slope * size, max((abs(p - slope) for p in parabolas), default=0.0) * size
 
-    def _beyond(self, k: int, group: npt.NDArray[np.intp]) -> tuple[Array, float]:
+    def _beyond(self, k: int, group: npt.NDArray[np.intp]) -> tuple[Floats, float]:
         """Slopes along x, y and theta_i of a point out of the plane of incidence, and their standard uncertainty.
 
         Where a lobe is narrower than the points are apart, they do not tell its flank. The curves in the plane do: what
@@ -181,7 +181,7 @@ class Curves:
         places = np.stack([self._x[near], self._y[near], self._theta_i[near]], axis=1)
         half, difference = _halves(*np.concatenate([probes, places]).T)
         shape = self._profile(half, float(difference[6]))
-        slopes: Array = (shape[:3] - shape[3:6]) / (2 * PROBE)
+        slopes: Floats = (shape[:3] - shape[3:6]) / (2 * PROBE)
         doubt = 0.0
         if near.size >= 2:
             dx, dy2 = self._x[near] - here[0], self._y[near] ** 2 - here[1] ** 2
@@ -193,7 +193,7 @@ class Curves:
             doubt = math.hypot(along, 2.0 * here[1] * across)
         return slopes * float(self._size[k]), doubt * float(self._size[k])
 
-    def _profile(self, half: Array, difference: float) -> Array:
+    def _profile(self, half: Floats, difference: float) -> Floats:
         """Logarithm of the lobe in the plane of incidence, over angles of the half vector, near one of difference."""
         values, far = [], []
         for line in (line for line in self._lines if line.size >= 2):
@@ -257,7 +257,7 @@ class Curves:
         return float(self._doubt[k]) * math.hypot((there.x - here.x) - (there.theta_i - here.theta_i), there.y - here.y)
 
 
-def _halves(x: Array, y: Array, theta_i: Array) -> tuple[Array, Array]:
+def _halves(x: Floats, y: Floats, theta_i: Floats) -> tuple[Floats, Floats]:
     """Angles [rad] of the half vector to the normal and to the source, for detectors at (x, y) of `_Point`."""
     detector, source = direction(np.hypot(x, y), np.arctan2(y, x)), direction(theta_i, np.full(theta_i.shape, np.pi))
     half = source + detector
@@ -271,7 +271,7 @@ def _weighted(secants: list[tuple[float, float]]) -> float:
     return float(np.average([s for s, _ in secants], weights=[1.0 / h for _, h in secants])) if secants else 0.0
 
 
-def _cubic(x: npt.ArrayLike, at: Array, values: Array) -> Array:
+def _cubic(x: npt.ArrayLike, at: Floats, values: Floats) -> Floats:
     """The cubic through the two points on each side of x; through all, where there are fewer than four.
 
     Points that are read closer together than a slope can be told from count once.

@@ -15,7 +15,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 import gonio
 from gonio import geometry
@@ -27,13 +26,13 @@ from gonio.reduction.dark_signal import COLUMNS, PATTERNS, strongest
 from gonio.rig import Pose, imaging, kinematics
 from gonio.rig.description import Axis, Band, RigDescription
 from gonio.rig.kinematics import Directions
+from gonio.typing import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from gonio.acquisition.run import Run
 
-Array = npt.NDArray[np.float64]
 
 CLIPPED = 1e-3
 """Dark frames with a larger part of their pixels at 0 DN are cut off there."""
@@ -96,7 +95,7 @@ class _BandResult:
 
     band: Band
     rows: dict[int, dict[str, Any]]
-    darks: dict[int, Array]
+    darks: dict[int, Floats]
     """By point: change of its value [1/sr] by the noise of the dark frames, see `Merged.dark`."""
     flags: dict[int, str]
     level: white_reference.Level
@@ -173,7 +172,7 @@ def _level(bench: Bench, points: list[Merged], visits: list[Merged], band: Band)
 
 def _columns(
     bench: Bench, points: list[Merged], visit: Merged, fitted: white_reference.Level, band: Band
-) -> tuple[dict[str, Array], list[Directions], list[Directions]]:
+) -> tuple[dict[str, Floats], list[Directions], list[Directions]]:
     """BRDF and its uncertainties for the measured points of a band (docs/radiometry.md, "The budget").
 
     And the nominal directions of points whose blur by the angles' errors is only bounded, and of those whose slope the
@@ -263,7 +262,7 @@ def _moved(description: RigDescription, pose: Pose, axis: str, by: float) -> Dir
 
 def _effects(
     description: RigDescription, curves: angle_sensitivity.Curves, points: list[Merged], axis: str, u: float
-) -> tuple[Array, Array]:
+) -> tuple[Floats, Floats]:
     """Odd and even change [1/sr] of every value when an axis truly stands +-u [rad] from where it is read."""
     out = np.zeros((2, len(points)))
     if u > 0:
@@ -275,7 +274,7 @@ def _effects(
 
 def _doubts(
     description: RigDescription, curves: angle_sensitivity.Curves, points: list[Merged], axis: str, u: float
-) -> Array:
+) -> Floats:
     """How uncertain [1/sr] the odd changes of `_effects` are, because steps are coarser than the lobe is wide."""
     return np.array([curves.doubt(k, _moved(description, p.pose, axis, u)) for k, p in enumerate(points)])
 
@@ -303,7 +302,7 @@ def _shares(
     return out
 
 
-def _over_pixels(description: RigDescription, point: Merged, band: Band) -> Array:
+def _over_pixels(description: RigDescription, point: Merged, band: Band) -> Floats:
     """What `spikes.from_mirror` changes by at the pixels that a point's value is the mean of, shape (n, 3)."""
     view = kinematics.view(description, point.pose)
     region = imaging.roi(description, view, "sample", band.channel)

@@ -23,11 +23,11 @@ from gonio.rig.description import Band, Camera, RigDescription
 from gonio.rig.dng import read_raw
 from gonio.rig.imaging import Channel, Roi, pixel_map, roi
 from gonio.rig.kinematics import Directions
+from gonio.typing import Floats
 
 if TYPE_CHECKING:
     from gonio.acquisition.run import Run
 
-Array = npt.NDArray[np.float64]
 In = TypeVar("In")
 Out = TypeVar("Out")
 
@@ -44,7 +44,7 @@ class Region:
 
     roi: Roi
     target: Target
-    per_weight: Array
+    per_weight: Floats
     """1 / (falloff cos(theta_i) (d0/d)^2) of the used pixels."""
 
 
@@ -58,7 +58,7 @@ class Shot:
     time_s: float
     peak: float
     """Brightest used pixel, as a fraction of full scale."""
-    leverage: Array
+    leverage: Floats
     """Of the dark frames: `Darks.leverage`."""
 
 
@@ -69,7 +69,7 @@ class Merged:
     rate: float
     variance: float
     """Of everything that is independent from step to step, the pixels' responsivities left out."""
-    dark: Array
+    dark: Floats
     """Change of the rate for one standard deviation of the noise of the shorter and of the longer dark frames in each
     of the patterns that points share (`darks.Patterns`), shape (2, n); zero for a visit to the reference."""
     time_s: float
@@ -252,8 +252,8 @@ def _needed(step: dict[str, Any]) -> dict[str, Any]:
 
 
 def pool(
-    description: RigDescription, region: Region, shots: list[Shot], dark_exposures_s: Array
-) -> tuple[float, float, float, float, Array]:
+    description: RigDescription, region: Region, shots: list[Shot], dark_exposures_s: Floats
+) -> tuple[float, float, float, float, Floats]:
     """Rate [e-/s], its variance, the time of the merged frames, the chi-square of the frames around their mean, and
     the change of the rate for one standard deviation of the mean dark signal of the shorter and of the longer darks.
 
@@ -285,7 +285,7 @@ def pool(
     return pooled, float(1.0 / np.sum(1.0 / variances)), float(np.sum(weights * times)), chi_square, of_darks
 
 
-def _rounding(camera: Camera, electrons: Array, count: int) -> Array:
+def _rounding(camera: Camera, electrons: Floats, count: int) -> Floats:
     """Variance [e-^2] of the mean of `count` pixels of about `electrons` each, from rounding to whole DN.
 
     Pixels round independently where they differ by half a DN or more, from noise or by nature (Widrow's condition: the

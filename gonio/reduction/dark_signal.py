@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.rig.imaging import Roi
-
-Array = npt.NDArray[np.float64]
+from gonio.typing import Floats
 
 FEW = 300
 """Regions of as many points tell the patterns of all: any patterns describe noise, these leave little of it."""
@@ -42,7 +41,7 @@ class Darks:
         longer = times > self._centre
         self._groups = [times[group] for group in (~longer, longer) if group.any()]
 
-    def of(self, region: Roi, exposure_s: float) -> Array:
+    def of(self, region: Roi, exposure_s: float) -> Floats:
         """Dark signal [DN] of the used pixels of a region, black level included."""
         rows = slice(region.rows.start - self._corner[0], region.rows.stop - self._corner[0])
         cols = slice(region.cols.start - self._corner[1], region.cols.stop - self._corner[1])
@@ -50,11 +49,11 @@ class Darks:
         return np.asarray(mean + slope * (exposure_s - self._centre))
 
     @property
-    def exposures_s(self) -> Array:
+    def exposures_s(self) -> Floats:
         """Mean exposure of the shorter and of the longer dark frames (where there are several exposures)."""
         return np.array([group.mean() for group in self._groups])
 
-    def leverage(self, exposure_s: float) -> Array:
+    def leverage(self, exposure_s: float) -> Floats:
         """What the noise of the shorter and of the longer dark frames does to the line at an exposure.
 
         The change of the line for one standard deviation of a pixel of one such frame, with its sign: roots of sums of
@@ -89,7 +88,7 @@ class Patterns:
         rows, cols = region.rows, region.cols
         return slice(rows.start - top, rows.stop - top), slice(cols.start - left, cols.stop - left)
 
-    def of(self, region: Roi) -> Array:
+    def of(self, region: Roi) -> Floats:
         """Coefficients of the mean over one of the regions, for noise with which that mean has the variance 1."""
         out = np.zeros(PATTERNS)
         images = self._images[:, *self._place(region)]
@@ -97,7 +96,7 @@ class Patterns:
         return out
 
 
-def strongest(effects: Array, u: Array) -> tuple[Array, Array]:
+def strongest(effects: Floats, u: Floats) -> tuple[Floats, Floats]:
     """The columns that hold most of a covariance, and the variance that they leave to each value.
 
     Parameters

@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from gonio.geometry import direction, solid_angle_of_cone
 from gonio.rig.kinematics import Directions
+from gonio.typing import Floats
 
-Array = npt.NDArray[np.float64]
 Places = npt.NDArray[np.intp]
 
 STANDS_OUT = 0.05
@@ -49,7 +49,7 @@ COARSE = 0.3
 """Relative error of a lobe that only its nearest points tell."""
 
 
-def overlap(offset: npt.ArrayLike, half_angle_1: float, half_angle_2: float) -> Array:
+def overlap(offset: npt.ArrayLike, half_angle_1: float, half_angle_2: float) -> Floats:
     """Common solid angle of two caps whose axes are `offset` apart, over that of the smaller one.
 
     All angles in radians. Two caps without extent, or one, overlap fully inside the other and not at all outside.
@@ -86,7 +86,7 @@ def mirror_offset(d: Directions) -> float:
     return 2.0 * math.asin(min(0.5 * math.hypot(*from_mirror(d)), 1.0))
 
 
-def over_patch(d: Directions, radius_mm: float, light_mm: float, camera_mm: float) -> Array:
+def over_patch(d: Directions, radius_mm: float, light_mm: float, camera_mm: float) -> Floats:
     """What `from_mirror` changes by at 24 places spread evenly over a round patch, shape (24, 3).
 
     A spot x sees source and camera turned by -(x - (x . w) w) / distance, to first order.
@@ -118,8 +118,8 @@ def blurred_overlap(
     read: Directions,
     moved: Sequence[Directions],
     half_angles: tuple[float, float],
-    patch: Array | None = None,
-    pixels: Array | None = None,
+    patch: Floats | None = None,
+    pixels: Floats | None = None,
 ) -> Share:
     """The overlap, averaged over a patch, at directions whose true place is uncertain.
 
@@ -143,7 +143,7 @@ def blurred_overlap(
     first, second = (math.sqrt(max(values[k], 0.0)) * vectors[:, k] for k in (2, 1))
     spots = np.zeros((1, 3)) if patch is None else patch
 
-    def of(place: Array) -> Array:
+    def of(place: Floats) -> Floats:
         return overlap(2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(place, axis=-1), 1.0)), *half_angles)
 
     at_read = float(of(centre))
@@ -167,38 +167,38 @@ def blurred_overlap(
 class Scene:
     """The points of a band, as the search for spikes sees them; arrays have one number a point."""
 
-    theta_i: Array
+    theta_i: Floats
     """As read [rad]."""
-    across: Array
+    across: Floats
     """Detector from the mirror direction in the plane of incidence, theta_r - theta_i, signed [rad]."""
-    aside: Array
+    aside: Floats
     """Detector from the plane of incidence [rad]."""
     in_plane: npt.NDArray[np.bool_]
-    middle: Array
+    middle: Floats
     """Where a spike reflects: (theta_i + theta_r) / 2 [rad]."""
-    brdf: Array
-    u: Array
+    brdf: Floats
+    u: Floats
     """Independent standard uncertainty of `brdf` [1/sr]."""
     shares: Sequence[Share]
     half_angles: tuple[float, float]
 
     @property
-    def mean(self) -> Array:
+    def mean(self) -> Floats:
         """`Share.mean`."""
         return np.array([share.mean for share in self.shares])
 
     @property
-    def variance(self) -> Array:
+    def variance(self) -> Floats:
         """`Share.variance`."""
         return np.array([share.variance for share in self.shares])
 
     @property
-    def at_read(self) -> Array:
+    def at_read(self) -> Floats:
         """`Share.at_read`."""
         return np.array([share.at_read for share in self.shares])
 
     @property
-    def most(self) -> Array:
+    def most(self) -> Floats:
         """`Share.most`."""
         return np.array([share.most for share in self.shares])
 
@@ -207,17 +207,17 @@ class Scene:
 class Spikes:
     """What is known of the spike at every point; arrays have one number a point."""
 
-    amplitude: Array
+    amplitude: Floats
     """At full overlap [1/sr]; 0 without a spike, and where it is only bounded."""
-    u_amplitude: Array
+    u_amplitude: Floats
     """Its standard uncertainty [1/sr]; a bound, where nothing tells the amplitude."""
-    lobe: Array
+    lobe: Floats
     """The value without the spike [1/sr]."""
     told: npt.NDArray[np.bool_]
     """False where a point may see a spike whose amplitude nothing tells."""
-    correction: Array
+    correction: Floats
     """What the value lacks on average [1/sr]: errors of the angles lead down from the top of a spike."""
-    variance: Array
+    variance: Floats
     """Of the value [1/sr^2], from the errors of all angles together and from the amplitude's."""
 
 
@@ -226,13 +226,13 @@ class _Fit:
     """One angle of incidence: a point sees lobe + (amplitude + tilt (middle - theta)) share."""
 
     theta: float
-    lobe: Array
+    lobe: Floats
     """Of the fitted points."""
     u_lobe: float
     """Relative."""
-    solution: Array
+    solution: Floats
     """Amplitude [1/sr] and tilt [1/sr per rad]."""
-    covariance: Array
+    covariance: Floats
     common: float
     """Standard uncertainty of the amplitude from zeros, which all points share."""
     told: bool
@@ -361,14 +361,14 @@ def _bound(scene: Scene, k: Places, theta: float) -> float:
     return min(most, _largest(scene.mean[k], scene.variance[k], values))
 
 
-def _largest(share: Array, variance: Array, values: Array) -> float:
+def _largest(share: Floats, variance: Floats, values: Floats) -> float:
     """The largest amplitude with which no point exceeds its value by more than two standard deviations of its share."""
     surely = share - 2.0 * np.sqrt(variance)
     seen = surely > 0.0
     return max(float(np.min(values[seen] / surely[seen])), 0.0) if seen.any() else math.inf
 
 
-def _lobe_below(scene: Scene, group: Places, near: npt.NDArray[np.bool_]) -> tuple[Array, float]:
+def _lobe_below(scene: Scene, group: Places, near: npt.NDArray[np.bool_]) -> tuple[Floats, float]:
     """Lobe under the points of a group that may see the spike, and its relative standard uncertainty."""
     k, free = group[near[group]], group[~near[group] & (scene.brdf[group] > 0.0)]
     x = scene.across[k]
@@ -432,7 +432,7 @@ def _from_neighbours(fit: _Fit, told: list[_Fit]) -> _Fit:
     )
 
 
-def lagrange(x: Array, at: Array, values: Array) -> Array:
+def lagrange(x: Floats, at: Floats, values: Floats) -> Floats:
     """Lagrange's polynomial through `values` at `at`, both shape (..., n) with the n points of each x last."""
     out = np.zeros(np.shape(x))
     for j in range(at.shape[-1]):

@@ -10,13 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import DataError
+from gonio.typing import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from gonio.rig.kinematics import Directions
 
-Array = npt.NDArray[np.float64]
 
 PAIR = np.array([-1, 0])
 REJECTED = 0.01
@@ -49,40 +49,40 @@ class Level:
     u_slope: float
     straight: bool
     chi_square: float
-    times_s: Array
-    values: Array
-    variances: Array
+    times_s: Floats
+    values: Floats
+    variances: Floats
     unknown: str = ""
     """Why a drift of the lamp is in neither K nor its uncertainty; "" where the visits tell it."""
     scatter: float = 0.0
     """Standard deviation of K around a constant level, where the visits differ by more than their noise."""
 
-    def at(self, time_s: Array) -> Array:
+    def at(self, time_s: Floats) -> Floats:
         """K at given times."""
         return self._line(time_s) if self.straight else np.interp(time_s, self.times_s, self.values)
 
-    def noise(self, time_s: Array) -> Array:
+    def noise(self, time_s: Floats) -> Floats:
         """Change of K for one standard deviation of the mean level."""
         return np.full(np.shape(time_s), self.u_level)
 
-    def drift(self, time_s: Array) -> Array:
+    def drift(self, time_s: Floats) -> Floats:
         """Change of K for one standard deviation of the drift."""
         if self.straight:
             return self.u_slope * (time_s - self.centre_s)
         return 0.5 * (self._line(time_s) - self.at(time_s))
 
-    def extra(self, time_s: Array) -> Array:
+    def extra(self, time_s: Floats) -> Floats:
         """Standard deviation of K from single visits, beyond that of the mean level."""
         if self.straight:
             return np.full(np.shape(time_s), self.scatter)
         share = np.stack([np.interp(time_s, self.times_s, row) for row in np.eye(len(self.times_s))])
         return np.asarray(np.sqrt(np.maximum(np.einsum("vt,v->t", share**2, self.variances) - self.u_level**2, 0.0)))
 
-    def _line(self, time_s: Array) -> Array:
+    def _line(self, time_s: Floats) -> Floats:
         return self.level + self.slope * (time_s - self.centre_s)
 
 
-def fit(times_s: Array, values: Array, variances: Array, wanted_s: Array | None = None) -> Level:
+def fit(times_s: Floats, values: Floats, variances: Floats, wanted_s: Floats | None = None) -> Level:
     """Fit the level of the visits by weighted least squares; see `Level`.
 
     Visits at one time (within `SAME_TIME_S`) count as one, with their mean. One time gives a constant level without
@@ -126,7 +126,7 @@ def fit(times_s: Array, values: Array, variances: Array, wanted_s: Array | None 
     return Level(centre, level, u_level, slope, u_slope, straight, chi_square, times_s, values, variances)
 
 
-def _constant(times_s: Array, values: Array, variances: Array, unknown: str) -> Level:
+def _constant(times_s: Floats, values: Floats, variances: Floats, unknown: str) -> Level:
     """The mean of all visits, without any drift."""
     time, mean, variance = _means(times_s, values, variances, np.arange(len(times_s)) == 0)
     level, u_level = float(mean[0]), float(variance[0] ** 0.5)
@@ -135,7 +135,9 @@ def _constant(times_s: Array, values: Array, variances: Array, unknown: str) -> 
     return Level(float(time[0]), level, u_level, 0.0, 0.0, True, 0.0, time, mean, variance, unknown, scatter)
 
 
-def _means(times_s: Array, values: Array, variances: Array, first: npt.NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+def _means(
+    times_s: Floats, values: Floats, variances: Floats, first: npt.NDArray[np.bool_]
+) -> tuple[Floats, Floats, Floats]:
     """Weighted means of groups of visits that follow each other; `first` marks where a group begins.
 
     Where the visits of a group differ by more than their noise, the variance of their mean is that of their scatter.
@@ -248,7 +250,7 @@ def brdf_of_table(table: pd.DataFrame, directions: Directions, wavelength_nm: fl
     return _interpolate(wavelength_nm, around, np.array([spectrum(float(w)) for w in around]), what, source)
 
 
-def _interpolate(x: float, at: Array, values: Array, what: str, source: str) -> float:
+def _interpolate(x: float, at: Floats, values: Floats, what: str, source: str) -> float:
     order = np.argsort(at)
     at, values = at[order], values[order]
     if at.size == 0 or not at[0] - SAME_ANGLE <= x <= at[-1] + SAME_ANGLE:

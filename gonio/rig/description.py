@@ -275,7 +275,8 @@ class RigDescription(Strict):
     """Ports, ids and dialects: checked by the rig's own driver."""
 
     def axes(self) -> dict[str, Axis]:
-        """The axes that this rig has, by the name of their field in a `gonio.rig.protocols.Pose`, in the order of those fields.
+        """The axes that this rig has, by the name of their field in a `gonio.rig.protocols.Pose`, in the order of
+        those fields.
 
         Tilt and spin are both `holder`.
         """

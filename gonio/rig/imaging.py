@@ -17,11 +17,11 @@ import numpy.typing as npt
 from gonio.errors import ConfigError
 from gonio.rig.description import Camera, RigDescription
 from gonio.rig.protocols import Target
+from gonio.typing import Floats
 
 if TYPE_CHECKING:
     from gonio.rig.kinematics import View
 
-Array = npt.NDArray[np.float64]
 Channel = Literal["mono", "R", "G", "B"]
 
 
@@ -58,7 +58,7 @@ class PixelMap:
         self._by_row = axis + v[:, None] * np.asarray(view.image_y, dtype=float)
 
     @cached_property
-    def _spots(self) -> tuple[Array, Array, Array, Array]:
+    def _spots(self) -> tuple[Floats, Floats, Floats, Floats]:
         from gonio.rig._pixels import spots
 
         out = np.empty((4, self._by_row.shape[0], self._by_col.shape[1]))
@@ -66,22 +66,22 @@ class PixelMap:
         return out[0], out[1], out[2], out[3]
 
     @property
-    def x_mm(self) -> Array:
+    def x_mm(self) -> Floats:
         """The spot's x in the sample's frame [mm]."""
         return self._spots[0]
 
     @property
-    def y_mm(self) -> Array:
+    def y_mm(self) -> Floats:
         """The spot's y in the sample's frame [mm]."""
         return self._spots[1]
 
     @property
-    def cos_theta_i(self) -> Array:
+    def cos_theta_i(self) -> Floats:
         """Cosine of the local angle of incidence; 0 where the source is below the plane."""
         return self._spots[2]
 
     @property
-    def distance_factor(self) -> Array:
+    def distance_factor(self) -> Floats:
         """(d0/d)^2 with d the spot's distance from the source and d0 = geometry.light_distance_mm."""
         return self._spots[3]
 
@@ -91,13 +91,13 @@ class PixelMap:
         return np.isfinite(self.x_mm)
 
     @property
-    def falloff(self) -> Array:
+    def falloff(self) -> Floats:
         """The lens's share of light: cos^4 of the field angle and vignetting, where the rig has them (read-only)."""
         camera, distance = self._camera_model, self._image_distance_mm
         return _falloff(camera, distance, self.rows.start, self.rows.stop, self.cols.start, self.cols.stop)
 
     @property
-    def radiation(self) -> Array:
+    def radiation(self) -> Floats:
         """The lamp's radiant intensity toward the spot, relative to that toward the sample's centre (`lamp.radiation`).
 
         A Lambertian lamp faces the centre, and the intensity falls with the cosine of the angle at the lamp between
@@ -111,22 +111,22 @@ class PixelMap:
         return np.where(self.sees_plane, np.maximum((1.0 - across) * away, 0.0), 0.0)
 
     @cached_property
-    def weight(self) -> Array:
+    def weight(self) -> Floats:
         """falloff cos(theta_i) (d0/d)^2 radiation: all of the measurement equation that depends on the pixel alone."""
         weight = self.falloff * self.cos_theta_i * self.distance_factor
         return weight * self.radiation if self._lambertian else weight
 
     @cached_property
-    def omega_i(self) -> Array:
+    def omega_i(self) -> Floats:
         """Unit vectors from the spots to the source, shape (rows, columns, 3)."""
         return self._unit(self._source)
 
     @cached_property
-    def omega_r(self) -> Array:
+    def omega_r(self) -> Floats:
         """Unit vectors from the spots to the camera, shape (rows, columns, 3)."""
         return self._unit(self._camera)
 
-    def _unit(self, to: Array) -> Array:
+    def _unit(self, to: Floats) -> Floats:
         out = np.empty((*self.x_mm.shape, 3))
         out[..., 0] = to[0] - self.x_mm
         out[..., 1] = to[1] - self.y_mm
@@ -153,7 +153,7 @@ def pixel_map(
 
 
 @lru_cache(maxsize=8)
-def _falloff(camera: Camera, image_distance: float, top: int, bottom: int, left: int, right: int) -> Array:
+def _falloff(camera: Camera, image_distance: float, top: int, bottom: int, left: int, right: int) -> Floats:
     v = (np.arange(top, bottom) - 0.5 * (camera.height - 1)) * 1e-3 * camera.pixel_um
     u = (np.arange(left, right) - 0.5 * (camera.width - 1)) * 1e-3 * camera.pixel_um
     radius_squared = v[:, None] ** 2 + u[None, :] ** 2
@@ -282,7 +282,7 @@ def _centre(description: RigDescription, target: Target) -> tuple[float, float]:
 
 
 def _project(
-    description: RigDescription, view: View, x: float | Array, y: float | Array
+    description: RigDescription, view: View, x: float | Floats, y: float | Floats
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Column and row (fractional) on which spots of the sample's plane fall; infinite for those behind the camera."""
     camera, eye = description.camera, np.asarray(view.camera_mm, dtype=float)
@@ -296,7 +296,7 @@ def _project(
     return np.where(depth > 0.0, columns, np.inf), np.where(depth > 0.0, rows, np.inf)
 
 
-def _span(pixels: Array, size: int) -> slice:
+def _span(pixels: Floats, size: int) -> slice:
     """The pixels around fractional positions, with a margin of one Bayer cell, inside the frame."""
     pixels = np.clip(pixels, 0, size)
     return slice(max(int(np.floor(pixels.min())) - 2, 0), min(int(np.ceil(pixels.max())) + 3, size))

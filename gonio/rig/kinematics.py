@@ -16,13 +16,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.errors import ConfigError
 from gonio.rig.description import RigDescription
 from gonio.rig.protocols import Pose
+from gonio.typing import Floats
 
-Array = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 PARALLEL = 1e-14
@@ -66,10 +65,10 @@ class View:
     image is not mirrored. `image_y` lies along the axis of the arms.
     """
 
-    source_mm: Array
-    camera_mm: Array
-    image_x: Array
-    image_y: Array
+    source_mm: Floats
+    camera_mm: Floats
+    image_x: Floats
+    image_y: Floats
 
 
 def view(description: RigDescription, pose: Pose) -> View:

@@ -61,8 +61,8 @@ class Pose:
 class Frame:
     """One raw frame: the linear mosaic as the sensor gave it.
 
-    Row 0 is the top of `gonio.rig.kinematics.View`: rows grow along the arms' axis y. Levels are in DN; `pattern` is "mono"
-    or a Bayer pattern in raster order.
+    Row 0 is the top of `gonio.rig.kinematics.View`: rows grow along the arms' axis y. Levels are in DN; `pattern` is
+    "mono" or a Bayer pattern in raster order.
     """
 
     mosaic: npt.NDArray[np.uint16]

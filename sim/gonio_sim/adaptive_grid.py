@@ -14,11 +14,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.compiled import njit
-
-Array = npt.NDArray[np.float64]
+from gonio.typing import Floats
 
 TOLERANCE = 1e-4
 """Largest error of a prediction, relative to the value, that ends the refinement."""
@@ -34,20 +32,20 @@ FEWEST, MOST = 5, 129
 class NodeGrid:
     """A function on the square [left, left + side] x [bottom, bottom + side], as values at equidistant nodes."""
 
-    values: Array
+    values: Floats
     """Shape (nodes in y, nodes in x)."""
     left: float
     bottom: float
     side: float
 
-    def paint(self, x: Array, y: Array, centre: tuple[float, float], radius: float, out: Array) -> None:
+    def paint(self, x: Floats, y: Floats, centre: tuple[float, float], radius: float, out: Floats) -> None:
         """Write the interpolated function into `out` where (x, y) lies in a disc; arrays of one two-dimensional shape.
 
         Where x or y is NaN nothing is written.
         """
         _paint(self.values, self.left, self.bottom, self._spacing, x, y, *centre, radius * radius, out)
 
-    def at(self, x: Array, y: Array) -> Array:
+    def at(self, x: Floats, y: Floats) -> Floats:
         """The interpolated function at points of any shape."""
         out = np.empty(np.shape(x))
         flat = (1, out.size)
@@ -61,7 +59,7 @@ class NodeGrid:
 
 
 def sample_function(
-    function: Callable[[Array, Array], Array], left: float, bottom: float, side: float, finest: float = 0.0
+    function: Callable[[Floats, Floats], Floats], left: float, bottom: float, side: float, finest: float = 0.0
 ) -> NodeGrid:
     """A grid that follows `function(x, y)` (arrays of one shape in, one value each out) over a square.
 
@@ -90,14 +88,14 @@ def _predicts(grid: NodeGrid, finer: NodeGrid) -> bool:
     return bool(np.all(error <= TOLERANCE * size))
 
 
-def _node_positions(count: int, left: float, bottom: float, side: float) -> tuple[Array, Array]:
+def _node_positions(count: int, left: float, bottom: float, side: float) -> tuple[Floats, Floats]:
     t = np.linspace(0.0, side, count)
     x, y = np.meshgrid(left + t, bottom + t)
     return x, y
 
 
 def _evaluate(
-    function: Callable[[Array, Array], Array],
+    function: Callable[[Floats, Floats], Floats],
     coarse: NodeGrid | None,
     count: int,
     left: float,

@@ -19,7 +19,7 @@ from gonio_sim.world import Stream, World
 if TYPE_CHECKING:
     from gonio_sim.render import Renderer
 
-Floats = npt.NDArray[np.float32]
+Floats32 = npt.NDArray[np.float32]
 THREADS = max(1, min(2, os.cpu_count() or 1))
 
 
@@ -46,7 +46,7 @@ class Sensor:
         self._size = camera.width * camera.height
         self._pool: ThreadPoolExecutor | None = None
         self._world = world
-        self._maps: tuple[Floats, Floats] | None = None
+        self._maps: tuple[Floats32, Floats32] | None = None
         self._dark = np.zeros(self._size, np.float32)
 
     def close(self) -> None:
@@ -55,7 +55,9 @@ class Sensor:
             self._pool.shutdown()
             self._pool = None
 
-    def read_out(self, rate: Floats | None, exposure_s: float, level: float, key: np.uint64) -> npt.NDArray[np.uint16]:
+    def read_out(
+        self, rate: Floats32 | None, exposure_s: float, level: float, key: np.uint64
+    ) -> npt.NDArray[np.uint16]:
         """The mosaic of one frame [DN].
 
         Parameters
@@ -87,14 +89,14 @@ class Sensor:
         self._in_parts(lambda first, last: expose(flat, gain, offset, out, first, last, key, *single))
         return out.reshape(camera.height, camera.width)
 
-    def _fixed_maps(self) -> tuple[Floats, Floats]:
+    def _fixed_maps(self) -> tuple[Floats32, Floats32]:
         """Relative responsivity (never negative) and dark offset [e-] of every pixel."""
         if self._maps is None:
             gain = np.maximum(self._fixed_map(Stream.PRNU, self._camera.prnu, 1.0), np.float32(0.0))
             self._maps = gain, self._fixed_map(Stream.DSNU, self._camera.dsnu_e, 0.0)
         return self._maps
 
-    def _fixed_map(self, stream: Stream, deviation: float, centre: float) -> Floats:
+    def _fixed_map(self, stream: Stream, deviation: float, centre: float) -> Floats32:
         from gonio_sim.sensor import normals
 
         out = np.full(self._size, centre, np.float32)

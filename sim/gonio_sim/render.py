@@ -26,6 +26,7 @@ from gonio.rig import Pose, Target
 from gonio.rig.description import Band, SampleDescription
 from gonio.rig.imaging import PixelMap, of_channel, pixel_map
 from gonio.rig.kinematics import View, directions, view
+from gonio.typing import Floats
 from gonio_sim.world import World
 
 if TYPE_CHECKING:
@@ -33,8 +34,7 @@ if TYPE_CHECKING:
 
     from gonio.models.model import Model
 
-Array = npt.NDArray[np.float64]
-Floats = npt.NDArray[np.float32]
+Floats32 = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
 GRAZING = math.radians(89.99)
@@ -57,7 +57,7 @@ class Disc:
 
     centre: tuple[float, float]
     radius: float
-    paint: Callable[[PixelMap, View, Disc, Array], None]
+    paint: Callable[[PixelMap, View, Disc, Floats], None]
 
     def covers(self, seen: PixelMap) -> Mask:
         """Whether a pixel sees a spot of it."""
@@ -90,9 +90,9 @@ class Renderer:
         self._spike_reach = 2.0 * math.sin(0.5 * cones)
         # averaged over the cones, a lobe has no detail much finer than they are
         self._finest_mm = cones / self._turn / DETAIL
-        self._scenes: dict[tuple[Pose, Band, Target], Floats] = {}
+        self._scenes: dict[tuple[Pose, Band, Target], Floats32] = {}
 
-    def rate(self, band: Band) -> Floats:
+    def rate(self, band: Band) -> Floats32:
         """Expected electrons a second of every pixel with a fresh lamp, shape (height, width)."""
         key = (self._world.pose, band, self._world.target)
         if key not in self._scenes:
@@ -101,7 +101,7 @@ class Renderer:
             self._scenes[key] = self._render(*key)
         return self._scenes[key]
 
-    def _render(self, pose: Pose, band: Band, target: Target) -> Floats:
+    def _render(self, pose: Pose, band: Band, target: Target) -> Floats32:
         from gonio_sim.adaptive_grid import electrons_per_s
 
         description = self._world.description
@@ -136,7 +136,7 @@ class Renderer:
         diameter = sample.diameter_mm or description.holder.sample_diameter_mm
         yield Disc((0.0, 0.0), diameter / 2, self._sample(band))
 
-    def _reference(self, band: Band) -> Callable[[PixelMap, View, Disc, Array], None]:
+    def _reference(self, band: Band) -> Callable[[PixelMap, View, Disc, Floats], None]:
         """The white reference: its certificate times its true error; a table is read at the centre of the frame."""
         reference = self._world.description.reference
         if reference.table is None:
@@ -147,7 +147,7 @@ class Renderer:
             at_centre = directions(self._world.description, self._world.pose)
             certified = brdf_of_table(self._table, at_centre, band.centre_nm)
 
-        def paint(seen: PixelMap, scene: View, disc: Disc, brdf: Array) -> None:
+        def paint(seen: PixelMap, scene: View, disc: Disc, brdf: Floats) -> None:
             brdf[disc.covers(seen)] = self._world.reference_scale * certified
 
         return paint
@@ -160,7 +160,7 @@ class Renderer:
         assert self._world.description.reference.table is not None
         return read(self._world.description.reference.table)
 
-    def _sample(self, band: Band) -> Callable[[PixelMap, View, Disc, Array], None]:
+    def _sample(self, band: Band) -> Callable[[PixelMap, View, Disc, Floats], None]:
         """The sample: its model's lobe on a grid of nodes, and its spike pixel by pixel."""
         from gonio import instrument
         from gonio_sim.adaptive_grid import sample_function
@@ -170,10 +170,10 @@ class Renderer:
         assert sample is not None
         waves = _wavelengths(band) if sample.integrate_band else [(band.centre_nm, 1.0)]
 
-        def paint(seen: PixelMap, scene: View, disc: Disc, brdf: Array) -> None:
+        def paint(seen: PixelMap, scene: View, disc: Disc, brdf: Floats) -> None:
             radius = disc.radius
 
-            def lobes(x: Array, y: Array) -> Array:
+            def lobes(x: Floats, y: Floats) -> Floats:
                 angles = _angles_at(scene, x, y)
                 out = np.zeros(x.shape)
                 for wave, share in waves:
@@ -201,17 +201,17 @@ class Renderer:
         return paint
 
 
-def _apart(scene: View, x: Array, y: Array) -> Array:
+def _apart(scene: View, x: Floats, y: Floats) -> Floats:
     """Chord between the direction to the camera and the mirrored direction to the source, at spots of the plane."""
     (sx, sy, sz), (cx, cy, cz) = scene.source_mm, scene.camera_mm
     to_source = np.sqrt((sx - x) ** 2 + (sy - y) ** 2 + sz**2)
     to_camera = np.sqrt((cx - x) ** 2 + (cy - y) ** 2 + cz**2)
     across = ((cx - x) / to_camera + (sx - x) / to_source) ** 2 + ((cy - y) / to_camera + (sy - y) / to_source) ** 2
-    chord: Array = np.sqrt(across + (cz / to_camera - sz / to_source) ** 2)
+    chord: Floats = np.sqrt(across + (cz / to_camera - sz / to_source) ** 2)
     return chord
 
 
-def _angles_at(scene: View, x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
+def _angles_at(scene: View, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """theta_i, phi_i, theta_r, phi_r [rad] at spots of the sample's plane."""
     spots = np.stack([x, y, np.zeros_like(x)], axis=-1)
     theta_i, phi_i = geometry.angles(scene.source_mm - spots)

@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 from gonio_analysis.fitting.covariance import Covariance
 from gonio_analysis.fitting.forward import seen
 
 from gonio.formats.reader import table
-
-Floats = npt.NDArray[np.float64]
+from gonio.typing import Floats
 
 
 def dense(covariance: Covariance) -> Floats:

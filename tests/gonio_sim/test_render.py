@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from gonio_sim.render import KEPT, Renderer
 from gonio_sim.rig import SIM
@@ -23,9 +22,9 @@ from gonio.rig import Pose, Target
 from gonio.rig.description import Band, RigDescription, SampleDescription
 from gonio.rig.imaging import pixel_map
 from gonio.rig.kinematics import view
+from gonio.typing import Floats
 from tests.gonio_sim.conftest import MATTE, describe
 
-Array = npt.NDArray[np.float64]
 R = 40_000.0
 """responsivity_e_per_s of the shipped rigs."""
 SINGLE = 1e-6
@@ -43,7 +42,7 @@ def deg(light: float, camera: float, tilt: float = 0.0, spin: float = 0.0) -> Po
 
 def scene(
     description: RigDescription, what: SampleDescription | None, pose: Pose, target: Target = "sample", nm: float = 550
-) -> Array:
+) -> Floats:
     """Rendered rate of every pixel [e-/s]."""
     world = World(description, what, 1)
     world.pose, world.target = pose, target

@@ -1,7 +1,7 @@
 """Two things point by point: did this sample change, does this file agree with that one, how far apart are two models?
 
-Either side is a measurement or a model. Two measurements are aligned by `gonio_analysis.change.resampling`; a model is evaluated
-in the directions and through the cones of the measurement. The difference is B - A.
+Either side is a measurement or a model. Two measurements are aligned by `gonio_analysis.change.resampling`; a model
+is evaluated in the directions and through the cones of the measurement. The difference is B - A.
 
 Significance. The difference has the covariance of both measurements (of two runs, independent of each other) and the
 interpolation's error. Each value is judged against what all the others predict of it (`Covariance.alone`): a common
@@ -23,9 +23,10 @@ import numpy.typing as npt
 
 from gonio import geometry
 from gonio.errors import ConfigError, DataError
+from gonio.typing import Floats
 from gonio_analysis.change.resampling import Carried, carry
 from gonio_analysis.curves.in_plane import SAME_ANGLE
-from gonio_analysis.fitting.covariance import Covariance, Floats
+from gonio_analysis.fitting.covariance import Covariance
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.objective import scaled_to

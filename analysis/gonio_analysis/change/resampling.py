@@ -23,8 +23,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio import geometry
+from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import IN_PLANE, SAME_ANGLE, Rows, groups
-from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.observations import SAME_BAND_NM, Observations
 
 if TYPE_CHECKING:

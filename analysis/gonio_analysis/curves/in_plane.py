@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio import geometry
-from gonio_analysis.fitting.covariance import Floats
+from gonio.typing import Floats
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.fitting.observations import Observations
 

@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import ArgumentError
-
-Floats = npt.NDArray[np.float64]
+from gonio.typing import Floats
 
 
 @dataclass(frozen=True)

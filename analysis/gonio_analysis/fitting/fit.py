@@ -1,13 +1,14 @@
 """Fitting a reflectance model to a measurement table.
 
-Weighted least squares with the table's whole covariance: residuals are whitened (`gonio_analysis.fitting.covariance`), the
-model is evaluated through the cones of the instrument (`gonio_analysis.fitting.forward`), and the search starts from the best
-points of a coarse grid (`gonio_analysis.fitting.search`).
+Weighted least squares with the table's whole covariance: residuals are whitened
+(`gonio_analysis.fitting.covariance`), the model is evaluated through the cones of the instrument
+(`gonio_analysis.fitting.forward`), and the search starts from the best points of a coarse grid
+(`gonio_analysis.fitting.search`).
 
 Standard errors are those of linearised least squares with the stated covariance, and are not scaled by the reduced
 chi-square: where that is far from 1, the model or the stated uncertainties are wrong, and no scaling mends either.
-Without stated uncertainties the fit is logarithmic (`gonio_analysis.fitting.objective`), errors come from the scatter of the
-residuals, and there is no chi-square.
+Without stated uncertainties the fit is logarithmic (`gonio_analysis.fitting.objective`), errors come from the scatter
+of the residuals, and there is no chi-square.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.errors import ArgumentError, ConfigError, DataError
-from gonio_analysis.fitting.covariance import Floats
+from gonio.typing import Floats
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.identifiability import tied
 from gonio_analysis.fitting.objective import LOSSES, Objective, scaled_to

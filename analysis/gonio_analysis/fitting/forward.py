@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gonio_analysis.fitting.covariance import Floats
+from gonio.typing import Floats
 from gonio_analysis.fitting.observations import LOBE_TOLERANCE, Observations
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from gonio_analysis.fitting.covariance import Floats
+from gonio.typing import Floats
 
 POOR = 0.05
 """Relative standard error above which a parameter counts as poorly known."""

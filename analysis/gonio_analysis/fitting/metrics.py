@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gonio_analysis.fitting.covariance import Floats
+from gonio.typing import Floats
 
 BELOW = 3.0
 """Logarithmic metrics leave out values below this many standard uncertainties."""

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gonio_analysis.fitting.covariance import Covariance, Floats, independent
+from gonio.typing import Floats
+from gonio_analysis.fitting.covariance import Covariance, independent
 from gonio_analysis.fitting.observations import Observations
 
 LOSSES: dict[str, tuple[Callable[[Floats], Floats], Callable[[Floats], Floats]]] = {

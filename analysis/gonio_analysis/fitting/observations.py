@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import DataError
-from gonio_analysis.fitting.covariance import Covariance, Floats
+from gonio.typing import Floats
+from gonio_analysis.fitting.covariance import Covariance
 
 if TYPE_CHECKING:
     import pandas as pd

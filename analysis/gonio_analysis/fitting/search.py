@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.errors import ConfigError
+from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
-from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.forward import ByWavelength, apparent, averaging, pointlike
 from gonio_analysis.fitting.objective import Objective, alone, softened
 from gonio_analysis.fitting.observations import Observations

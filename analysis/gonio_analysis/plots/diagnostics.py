@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio_analysis.fitting.covariance import Floats
+from gonio.typing import Floats
 from gonio_analysis.plots.in_plane import COLOURS, FAINT, INK, angle_axis
 from gonio_analysis.selection.profile_likelihood import Interval
 

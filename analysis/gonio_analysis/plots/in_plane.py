@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio_analysis.fitting.covariance import Floats
+from gonio.typing import Floats
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#B8860B", "#56B4E9")
 MARKERS = ("o", "s", "^", "D", "v", "P")

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio import geometry
+from gonio.typing import Floats
 from gonio_analysis.change.resampling import FARTHEST
 from gonio_analysis.curves.in_plane import IN_PLANE, Rows
-from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots.in_plane import FAINT, INK, Line, angle_axis, style
 

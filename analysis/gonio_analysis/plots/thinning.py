@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import Curve, Rows
-from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.plots.in_plane import Line, xy
 
 CELL_PT = 1.3

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from gonio import geometry
+from gonio.typing import Floats
 from gonio_analysis.change.point_by_point import LEVEL, Change
 from gonio_analysis.curves.in_plane import IN_PLANE, Curve, groups, labels
-from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots import in_plane, maps, thinning
 from gonio_analysis.plots.in_plane import Line

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from gonio import geometry
+from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import IN_PLANE, Curve, Rows, groups, labels
-from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.plots import diagnostics, in_plane, maps, thinning
 from gonio_analysis.plots.in_plane import Line

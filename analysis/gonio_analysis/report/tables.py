@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gonio.formats.reader import cell_of
-from gonio_analysis.fitting.covariance import Floats
+from gonio.typing import Floats
 from gonio_analysis.report import viewer
 from gonio_analysis.report.summary import VALUES, usable
 from gonio_analysis.selection.compare import Dataset, Drawn

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import MOST_CURVES, Curve, curves, labels, selection
-from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.fit import FitResult, finite
 from gonio_analysis.plots import thinning
 from gonio_analysis.selection.compare import Dataset, theory_angles

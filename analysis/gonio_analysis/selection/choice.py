@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from gonio.errors import ConfigError, DataError
+from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
-from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.fit import FitResult, finite, fit
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.parameters import Ior, Values

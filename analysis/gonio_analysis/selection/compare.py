@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.errors import ConfigError, DataError
+from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import Curve, Norm, Normalise, curves, labels, norm, selection
 from gonio_analysis.fitting import parameters
-from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.observations import Observations, observations

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio_analysis.fitting.covariance import Floats
+from gonio.typing import Floats
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.selection.surrogate import Rows

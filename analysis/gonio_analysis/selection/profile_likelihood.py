@@ -4,7 +4,8 @@ A standard error looks at the curvature in one point. Where chi-square is no par
 noise, an index of refraction near a bound, two parameters that replace each other) an interval has to be walked out:
 the parameter is held, the others are fitted again, and the ends lie where chi-square has risen by 3.84 (95 %).
 
-The small fits use the neighbourhood of the solution (`gonio_analysis.selection.surrogate`), so that hundreds of them cost little.
+The small fits use the neighbourhood of the solution (`gonio_analysis.selection.surrogate`), so that hundreds of them
+cost little.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
-from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.fit import ROUNDING, FitResult
 from gonio_analysis.selection.surrogate import Near
 

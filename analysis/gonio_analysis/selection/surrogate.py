@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from gonio_analysis.fitting.covariance import Floats
+from gonio.typing import Floats
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.objective import Objective

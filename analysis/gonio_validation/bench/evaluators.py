@@ -11,11 +11,11 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.covariance import Floats
 
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, OrenNayar, Phong, engine, fresnel, htsg
 from gonio.models._compile import loop
 from gonio.models._facets import fresnel_constants
+from gonio.typing import Floats
 from gonio_validation.bench import naive, plain
 
 Evaluate = Callable[..., Any]

@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.covariance import Floats
 
 from gonio.errors import DataError
+from gonio.typing import Floats
 from gonio_validation.bench.evaluators import Evaluate, Way, directions, families, to_angles
 
 PACKAGES = {"Dr.Jit": "drjit", "Mitsuba": "mitsuba", "pySCATMECH": "pySCATMECH"}

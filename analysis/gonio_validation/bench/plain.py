@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.covariance import Floats
 
 from gonio.models.plain import blinn as blinn_1977
 from gonio.models.plain import cook_torrance as cook_torrance_1982
 from gonio.models.plain import fresnel
 from gonio.models.plain import oren_nayar as oren_nayar_1994
 from gonio.models.plain.vectors import polar
+from gonio.typing import Floats
 
 _DISTRIBUTIONS = {"phong": blinn_1977.D_1, "gaussian": blinn_1977.D_2, "trowbridge-reitz": blinn_1977.D_3}
 

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.covariance import Floats
 
 from gonio import models
 from gonio.models import engine
+from gonio.typing import Floats
 from gonio_validation.bench.evaluators import Family, Sample, Way, directions
 
 NOTHING = 1e-290

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.report.text import number
 
+from gonio.typing import Floats
 from gonio_validation.papers.figure import Claim, Page, Parameter, Table, agreed, polar_panel, signed, theory
 
 PAPER = "Blinn, Models of Light Reflection for Computer Synthesized Pictures, SIGGRAPH 1977"

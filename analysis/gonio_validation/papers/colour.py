@@ -6,7 +6,8 @@ import functools
 from importlib.resources import files
 
 import numpy as np
-from gonio_analysis.fitting.covariance import Floats
+
+from gonio.typing import Floats
 
 XYZ_TO_RGB = np.array(
     [

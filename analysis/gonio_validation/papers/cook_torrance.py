@@ -7,9 +7,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.report.text import number
 
+from gonio.typing import Floats
 from gonio_validation.papers import colour, cook_torrance_3
 from gonio_validation.papers.cook_torrance_3 import PAPER, SIMILAR
 from gonio_validation.papers.figure import (

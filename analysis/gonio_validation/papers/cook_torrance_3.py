@@ -6,9 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.report.text import number
 
+from gonio.typing import Floats
 from gonio_validation.papers.figure import Claim, Page, Parameter, Table, Trace, polar_panel, theory, trace_panel
 
 PAPER = "Cook and Torrance, A Reflectance Model for Computer Graphics, ACM Transactions on Graphics 1 (1982) 7-24"

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 from gonio_analysis.curves.in_plane import Curve, curves
-from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import Observations, observations
+
+from gonio.typing import Floats
 
 SEED = 1
 BAND_NM = 10.0

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.plots import in_plane
 from gonio_analysis.plots.in_plane import Line
+
+from gonio.typing import Floats
 
 Origin = Literal["paper", "database", "derived", "assumed"]
 ORIGINS: dict[Origin, str] = {

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.plots.in_plane import Line
 from gonio_analysis.report.text import number
 
+from gonio.typing import Floats
 from gonio_validation.papers import surfaces
 from gonio_validation.papers.experiment import divided, measure
 from gonio_validation.papers.figure import Claim, Page, Panel, Parameter, Table, agreed, angle_panel, at, polar_panel

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.report.text import number
 
+from gonio.typing import Floats
 from gonio_validation.papers import oren_nayar_samples
 from gonio_validation.papers.figure import (
     Claim,

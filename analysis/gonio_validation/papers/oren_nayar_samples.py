@@ -11,9 +11,9 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.report.text import number
 
+from gonio.typing import Floats
 from gonio_validation.papers.figure import (
     Claim,
     Page,

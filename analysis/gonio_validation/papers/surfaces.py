@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.covariance import Floats
 from gonio_analysis.plots.in_plane import Line
 from gonio_analysis.report.text import number
 
+from gonio.typing import Floats
 from gonio_validation.papers.experiment import Experiment, beside, divided
 from gonio_validation.papers.figure import NOTHING, Panel, Parameter, angle_panel, polar_panel, signed
 
