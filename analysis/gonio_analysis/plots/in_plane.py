@@ -8,35 +8,16 @@ own.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from gonio.typing import Floats
+from gonio_analysis.curves.line import Line
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#B8860B", "#56B4E9")
 MARKERS = ("o", "s", "^", "D", "v", "P")
 INK, FAINT = "#222222", "#c9ced6"
-
-
-@dataclass(frozen=True)
-class Line:
-    """One curve of a plot: theory, measurement, or both, in the unit of the plot.
-
-    Angles are signed and in radians (negative: retro side), values ascending in angle.
-    """
-
-    label: str
-    theory_angle: Floats
-    theory: Floats
-    angle: Floats
-    measured: Floats
-    u: Floats
-    """Standard uncertainties, NaN for none."""
-    mirror: float | None = None
-    """Angle of the mirror direction."""
-    residual: Floats | None = None
 
 
 def style(k: int) -> dict[str, Any]:

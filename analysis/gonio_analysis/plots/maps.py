@@ -18,8 +18,9 @@ from gonio import geometry
 from gonio.typing import Floats
 from gonio_analysis.change.resampling import FARTHEST
 from gonio_analysis.curves.in_plane import IN_PLANE, Rows
+from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.plots.in_plane import FAINT, INK, Line, angle_axis, style
+from gonio_analysis.plots.in_plane import FAINT, INK, angle_axis, style
 
 FEWEST = 4
 """Values that make a slice."""

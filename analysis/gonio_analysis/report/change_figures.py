@@ -13,9 +13,9 @@ from gonio import geometry
 from gonio.typing import Floats
 from gonio_analysis.change.point_by_point import LEVEL, Change
 from gonio_analysis.curves.in_plane import IN_PLANE, Curve, groups, labels
+from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots import in_plane, maps, thinning
-from gonio_analysis.plots.in_plane import Line
 from gonio_analysis.report.detail import DISC_PT
 from gonio_analysis.report.figures import PANEL_PT, Drawing
 

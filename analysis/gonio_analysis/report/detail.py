@@ -10,9 +10,9 @@ import numpy as np
 from gonio import geometry
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import IN_PLANE, Curve, Rows, groups, labels
+from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.plots import diagnostics, in_plane, maps, thinning
-from gonio_analysis.plots.in_plane import Line
 from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, Drawing, budget_height, largest
 from gonio_analysis.report.text import cause, unit
 from gonio_analysis.selection.compare import Dataset

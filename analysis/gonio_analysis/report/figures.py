@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from gonio import geometry
+from gonio_analysis.curves.line import Line
 from gonio_analysis.plots import in_plane, thinning
 from gonio_analysis.report.text import cause, number, slug
 from gonio_analysis.selection.compare import Dataset, Fitted
@@ -107,7 +108,7 @@ def _polar(d: Dataset, facts: dict[str, Any], model: str, f: Fitted, most: int) 
     return Drawing(f"{facts['slug']}-polar-{slug(model)}", "polar", model, caption, alt, (5.6, high), on)
 
 
-def _on_half_disc(figure: Any, *, lines: list[in_plane.Line], rim: float, label: str, legend: _Legend) -> None:
+def _on_half_disc(figure: Any, *, lines: list[Line], rim: float, label: str, legend: _Legend) -> None:
     below = LEGEND_ROW_IN * legend.rows
     ax = figure.add_axes((0.01, below / (3.22 + below), 0.98, 3.2 / (3.22 + below)))
     in_plane.polar(ax, lines, radius=rim, radius_label=label)
@@ -196,7 +197,7 @@ def _absolute(d: Dataset, facts: dict[str, Any], model: str, f: Fitted, most: in
 
 
 def _on_two_panels(
-    figure: Any, *, lines: list[in_plane.Line], below: list[in_plane.Line], others: tuple[Any, Any], whitened: bool,
+    figure: Any, *, lines: list[Line], below: list[Line], others: tuple[Any, Any], whitened: bool,
     running: str, legend: _Legend,
 ) -> None:  # fmt: skip
     room = 0.46 + LEGEND_ROW_IN * legend.rows

@@ -16,12 +16,12 @@ import numpy as np
 from gonio.errors import ConfigError, DataError
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import Curve, Norm, Normalise, curves, labels, norm, selection
+from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.parameters import Ior
-from gonio_analysis.plots.in_plane import Line
 from gonio_analysis.selection.choice import Choice, Judged, candidates, choose
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
+from gonio_analysis.curves.line import Line
 from gonio_analysis.plots import in_plane
-from gonio_analysis.plots.in_plane import Line
 
 from gonio.typing import Floats
 

@@ -7,8 +7,8 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pytest
+from gonio_analysis.curves.line import Line
 from gonio_analysis.plots import in_plane
-from gonio_analysis.plots.in_plane import Line
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 

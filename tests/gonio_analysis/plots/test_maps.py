@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.plots import diagnostics, maps
-from gonio_analysis.plots.in_plane import Line
 from gonio_analysis.selection.profile_likelihood import Interval
 from matplotlib.figure import Figure
 

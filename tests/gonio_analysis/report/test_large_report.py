@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from gonio_analysis.curves.line import Line
 from gonio_analysis.plots import thinning
-from gonio_analysis.plots.in_plane import Line
 from gonio_analysis.report import change, drawing, html, make, page
 from gonio_analysis.report.drawing import draughtsmen
 from gonio_analysis.report.figures import Drawing

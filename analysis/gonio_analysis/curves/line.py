@@ -1,0 +1,26 @@
+"""One curve of a plot: theory, measurement, or both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gonio.typing import Floats
+
+
+@dataclass(frozen=True)
+class Line:
+    """One curve of a plot: theory, measurement, or both, in the unit of the plot.
+
+    Angles are signed and in radians (negative: retro side), values ascending in angle.
+    """
+
+    label: str
+    theory_angle: Floats
+    theory: Floats
+    angle: Floats
+    measured: Floats
+    u: Floats
+    """Standard uncertainties, NaN for none."""
+    mirror: float | None = None
+    """Angle of the mirror direction."""
+    residual: Floats | None = None
