@@ -6,13 +6,20 @@ Directions leave the surface, toward the source and toward the detector alike.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import ArgumentError
 from gonio.typing import Floats
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 TWO_PI = 2.0 * np.pi
+ANGLES = ("theta_i", "phi_i", "theta_r", "phi_r")
 
 
 def direction(theta: npt.ArrayLike, phi: npt.ArrayLike) -> Floats:
@@ -83,3 +90,88 @@ def half_angle_of_cone(solid_angle_sr: npt.ArrayLike) -> Floats:
     if not np.all((omega >= 0.0) & (omega <= 4.0 * np.pi)):
         raise ArgumentError(f"solid_angle_sr = {omega}: the solid angle of a cone lies in [0, 4 pi] sr")
     return np.asarray(2.0 * np.arcsin(np.sqrt(omega / (4.0 * np.pi))))
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Where source and detector are, seen from the sample (docs/conventions.md): what every step takes and gives.
+
+    Attributes
+    ----------
+    theta_i, phi_i, theta_r, phi_r
+        Polar angles and azimuths [rad], toward the source and toward the detector: float64 arrays that broadcast.
+    """
+
+    theta_i: Floats
+    phi_i: Floats
+    theta_r: Floats
+    phi_r: Floats
+
+    def __post_init__(self) -> None:
+        for name in ANGLES:
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=np.float64))
+
+    @classmethod
+    def from_table(cls, table: pd.DataFrame) -> Directions:
+        """The directions of a measurement table or of a plan: its four columns of angles in degrees."""
+        return cls(*(np.radians(table[f"{name}_deg"].to_numpy(np.float64)) for name in ANGLES))
+
+    @classmethod
+    def from_vectors(cls, omega_i: npt.ArrayLike, omega_r: npt.FloatsLike) -> Directions:
+        """The directions of vectors of any length that leave the surface, shape (..., 3)."""
+        return cls(*angles(omega_i), *angles(omega_r))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape that the four angles broadcast to."""
+        return np.broadcast_shapes(self.theta_i.shape, self.phi_i.shape, self.theta_r.shape, self.phi_r.shape)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, rows: Any) -> Directions:
+        """Some of the directions."""
+        return Directions(*(np.broadcast_to(getattr(self, name), self.shape)[rows] for name in ANGLES))
+
+    @property
+    def dphi(self) -> Floats:
+        """phi_r - phi_i, in [0, 2 pi): 0 is the retro half-plane, pi the mirror half-plane."""
+        return wrap(self.phi_r - self.phi_i)
+
+    @property
+    def signed(self) -> Floats:
+        """theta_r with the sign of its side: positive on the mirror side (`in_plane_angle`)."""
+        return in_plane_angle(self.theta_r, self.phi_r - self.phi_i)
+
+    @property
+    def out_of_plane(self) -> Floats:
+        """Angle between the detector and the plane of incidence, positive toward larger azimuths."""
+        dphi = self.phi_r - self.phi_i
+        sine = np.sin(self.theta_r)
+        return np.asarray(np.arctan2(sine * np.sin(dphi), np.hypot(sine * np.cos(dphi), np.cos(self.theta_r))))
+
+    @property
+    def mirror_offset(self) -> Floats:
+        """Angle between the detector and the mirror direction of the source."""
+        source, detector = self.vectors
+        return _between(source * (-1.0, -1.0, 1.0), detector)
+
+    @property
+    def half(self) -> tuple[Floats, Floats]:
+        """theta_h, between the normal and the half vector, and theta_d, between the half vector and either direction.
+
+        At exactly grazing opposite directions there is no half vector; theta_h is 0 there.
+        """
+        source, detector = self.vectors
+        x, y, z = np.moveaxis(source + detector, -1, 0)
+        return np.asarray(np.arctan2(np.hypot(x, y), z)), 0.5 * _between(source, detector)
+
+    @property
+    def vectors(self) -> tuple[Floats, Floats]:
+        """Unit vectors toward the source and toward the detector, shape (..., 3)."""
+        return direction(self.theta_i, self.phi_i), direction(self.theta_r, self.phi_r)
+
+
+def _between(a: Floats, b: Floats) -> Floats:
+    """Angle between unit vectors, without cancellation near 0 and near pi."""
+    return np.asarray(2.0 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1)))
