@@ -117,7 +117,7 @@ class Directions:
         return cls(*(np.radians(table[f"{name}_deg"].to_numpy(np.float64)) for name in ANGLES))
 
     @classmethod
-    def from_vectors(cls, omega_i: npt.ArrayLike, omega_r: npt.FloatsLike) -> Directions:
+    def from_vectors(cls, omega_i: npt.ArrayLike, omega_r: npt.ArrayLike) -> Directions:
         """The directions of vectors of any length that leave the surface, shape (..., 3)."""
         return cls(*angles(omega_i), *angles(omega_r))
 
