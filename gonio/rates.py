@@ -175,6 +175,8 @@ class Bench:
     def read(self, entry: dict[str, Any]) -> Frame:
         """A frame that the journal names, checked."""
         path = Path(self.run.frame_path(entry["file"]))
+        if path.exists() and not path.is_file():  # a pipe would be waited for without end
+            raise DamagedFrame(f"{path}: a frame of the run cannot be read: it is not a file")
         try:
             data = path.read_bytes()
         except OSError as error:
