@@ -36,6 +36,8 @@ FALL = 0.5
 """A curve has a peak at the mirror direction where its logarithm falls by more to the next point."""
 PROBE = math.radians(0.5)
 """Step of differences along a curve."""
+AT_ONCE = 256
+"""Points out of plane whose shapes are computed together: a few megabytes with hundreds of curves."""
 ALIKE = math.radians(10.0)
 """Curves whose angles of difference differ by this much are alike."""
 NORMAL = math.radians(1.0)
@@ -107,6 +109,8 @@ class Curves:
         self.lobe, self.spike = self.spikes.lobe, self.spikes.amplitude
         small = max(3.0 * float(np.min(u, initial=np.inf)), 1e-9 * float(np.max(np.abs(brdf), initial=0.0)), 1e-300)
         self._log, self._size = np.arcsinh(self.lobe / (2 * small)), np.hypot(self.lobe, 2 * small)
+        self._middles = [float(np.mean(self._theta_i[line])) if line.size else math.nan for line in self._lines]
+        self._curves = [_distinct(self._x[line], self._log[line]) for line in self._lines]
         self.slope = np.zeros((len(brdf), 3))
         self._doubt = np.zeros(len(brdf))
         self.coarse = np.zeros(len(brdf), dtype=bool)
@@ -142,8 +146,9 @@ class Curves:
             self.slope[k, 0], self._doubt[k] = self._along_line(line, place)
         diagonal = np.array([self._along_mirror(number, int(k)) if in_plane[k] else 0.0 for k in group])
         self.slope[group, 2] = diagonal - self.slope[group, 0]
-        for k in group[~in_plane[group]]:
-            self.slope[k], self._doubt[k] = self._beyond(int(k), group)
+        beyond = group[~in_plane[group]]
+        for start in range(0, beyond.size, AT_ONCE):
+            self._beyond(beyond[start : start + AT_ONCE], group)
 
     def _along_line(self, line: npt.NDArray[np.intp], place: int) -> tuple[float, float]:
         """Slope of the lobe along its curve, from the nearest points on each side that the cones tell apart.
@@ -164,44 +169,62 @@ class Curves:
         slope, size = _weighted(found), float(self._size[line[place]])
         return slope * size, max((abs(p - slope) for p in parabolas), default=0.0) * size
 
-    def _beyond(self, k: int, group: npt.NDArray[np.intp]) -> tuple[Floats, float]:
-        """Slopes along x, y and theta_i of a point out of the plane of incidence, and their standard uncertainty.
+    def _beyond(self, points: npt.NDArray[np.intp], group: npt.NDArray[np.intp]) -> None:
+        """Slopes along x, y and theta_i of points out of the plane of incidence, and their standard uncertainty.
 
         Where a lobe is narrower than the points are apart, they do not tell its flank. The curves in the plane do: what
-        they say of its shape over the angle of the half vector is taken out, and only the rest is interpolated: by a
-        parabola in x and in y, even in y, through the nearest points of the same incidence (both sides of the plane of
-        incidence are alike). What is interpolated is uncertain by itself: where it is steep, points are too far apart.
+        they say of its shape over the angle of the half vector is taken out, and only the rest is interpolated.
         """
-        here = np.array([self._x[k], self._y[k], self._theta_i[k]])
-        distance = np.hypot(self._x[group] - here[0], np.abs(self._y[group]) - abs(here[1]))
+        near = [self._nearest(int(k), group) for k in points]
+        places = [self._probes(int(k), around) for k, (around, _) in zip(points, near, strict=True)]
+        found = [_halves(*place.T) for place in places]
+        differences = [np.full(half.size, difference[6]) for half, difference in found]
+        shapes = self._profile(np.concatenate([half for half, _ in found]), np.concatenate(differences))
+        ends = np.cumsum([len(place) for place in places])
+        for k, (around, weight), shape in zip(points, near, np.split(shapes, ends[:-1]), strict=True):
+            self.slope[k], self._doubt[k] = self._apart_from(shape, int(k), around, weight)
+
+    def _nearest(self, k: int, group: npt.NDArray[np.intp]) -> tuple[npt.NDArray[np.intp], Floats]:
+        """The seven points nearest to point k, and their weights; both sides of the plane of incidence are alike."""
+        distance = np.hypot(self._x[group] - self._x[k], np.abs(self._y[group]) - abs(self._y[k]))
         near = np.argsort(distance)
         near = near[distance[near] > TOGETHER][:7]
-        weight, near = 1.0 / distance[near], group[near]
-        probes = np.concatenate([here + PROBE * np.eye(3), here - PROBE * np.eye(3), [here]])
+        return group[near], 1.0 / distance[near]
+
+    def _probes(self, k: int, near: npt.NDArray[np.intp]) -> Floats:
+        """Places (x, y, theta_i) a step to either side of point k, its own, and those of points near it."""
+        here = np.array([self._x[k], self._y[k], self._theta_i[k]])
         places = np.stack([self._x[near], self._y[near], self._theta_i[near]], axis=1)
-        half, difference = _halves(*np.concatenate([probes, places]).T)
-        shape = self._profile(half, float(difference[6]))
+        return np.concatenate([here + PROBE * np.eye(3), here - PROBE * np.eye(3), [here], places])
+
+    def _apart_from(self, shape: Floats, k: int, near: npt.NDArray[np.intp], weight: Floats) -> tuple[Floats, float]:
+        """Slopes of point k and their standard uncertainty: those of a shape, and of what is left of the values.
+
+        That is interpolated by a parabola in x and in y, even in y, through the nearest points of the same incidence.
+        It is uncertain by itself: where it is steep, points are too far apart.
+        """
         slopes: Floats = (shape[:3] - shape[3:6]) / (2 * PROBE)
         doubt = 0.0
         if near.size >= 2:
-            dx, dy2 = self._x[near] - here[0], self._y[near] ** 2 - here[1] ** 2
+            dx, dy2 = self._x[near] - self._x[k], self._y[near] ** 2 - self._y[k] ** 2
             design = np.stack([dx, dy2, dx**2], axis=1)[:, : min(3, near.size)] * weight[:, None]
             length = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
             change = (self._log[near] - self._log[k] - (shape[7:] - shape[6])) * weight
             along, across = (np.linalg.lstsq(design / length, change, rcond=1e-3)[0] / length)[:2]
-            slopes += np.array([along, 2.0 * here[1] * across, -along])
-            doubt = math.hypot(along, 2.0 * here[1] * across)
+            slopes += np.array([along, 2.0 * self._y[k] * across, -along])
+            doubt = math.hypot(along, 2.0 * self._y[k] * across)
         return slopes * float(self._size[k]), doubt * float(self._size[k])
 
-    def _profile(self, half: Floats, difference: float) -> Floats:
-        """Logarithm of the lobe in the plane of incidence, over angles of the half vector, near one of difference."""
+    def _profile(self, half: Floats, difference: Floats) -> Floats:
+        """Logarithm of the lobe in the plane of incidence, over angles of the half vector, near those of difference."""
         values, far = [], []
-        for line in (line for line in self._lines if line.size >= 2):
-            theta_i = float(np.mean(self._theta_i[line]))
+        for line, theta_i, curve in zip(self._lines, self._middles, self._curves, strict=True):
+            if line.size < 2:
+                continue
             for side in (-half, half):
                 x = theta_i + 2.0 * side
                 inside = np.clip(x, self._x[line[0]], self._x[line[-1]])
-                values.append(_cubic(inside, self._x[line], self._log[line]))
+                values.append(_cubic(inside, *curve))
                 far.append(np.hypot(theta_i + side - difference, x - inside) ** 2 / ALIKE**2)
         if not values:
             return np.zeros(half.size)
@@ -217,12 +240,14 @@ class Curves:
         sides = []
         for others in (range(number - 1, -1, -1), range(number + 1, len(self._lines))):
             side: list[tuple[float, float]] = []  # (secant, its length)
-            for line in (self._lines[other] for other in others if self._lines[other].size >= 2):
-                move = float(np.mean(self._theta_i[line])) - self._theta_i[k]
+            for other in others:
+                line, move = self._lines[other], self._middles[other] - self._theta_i[k]
                 x = self._x[k] + move
-                if self._x[line[0]] <= x <= self._x[line[-1]] and abs(move) > TOGETHER and len(side) < 2:
-                    rise = float(_cubic(x, self._x[line], self._log[line])) - self._log[k]
+                if line.size >= 2 and self._x[line[0]] <= x <= self._x[line[-1]] and abs(move) > TOGETHER:
+                    rise = float(_cubic(x, *self._curves[other])) - self._log[k]
                     side.append((rise / move, abs(move)))
+                if len(side) == 2:
+                    break
             sides.append(side)
         below, above = sides
         if below and above:
@@ -271,13 +296,15 @@ def _weighted(secants: list[tuple[float, float]]) -> float:
     return float(np.average([s for s, _ in secants], weights=[1.0 / h for _, h in secants])) if secants else 0.0
 
 
-def _cubic(x: npt.ArrayLike, at: Floats, values: Floats) -> Floats:
-    """The cubic through the two points on each side of x; through all, where there are fewer than four.
+def _distinct(at: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Points of a curve; those that are read closer together than a slope can be told from count once."""
+    apart = np.concatenate([[True], np.diff(at) > 0.1 * NARROWEST])[: at.size]
+    return at[apart], values[apart]
 
-    Points that are read closer together than a slope can be told from count once.
-    """
-    apart = np.concatenate([[True], np.diff(at) > 0.1 * NARROWEST])
-    at, values, x = at[apart], values[apart], np.asarray(x, dtype=float)
+
+def _cubic(x: npt.ArrayLike, at: Floats, values: Floats) -> Floats:
+    """The cubic through the two points on each side of x; through all, where there are fewer than four."""
+    x = np.asarray(x, dtype=float)
     start = np.clip(np.searchsorted(at, x) - 2, 0, max(at.size - 4, 0))
     place = start[..., None] + np.arange(min(4, at.size))
     return lagrange(x, at[place], values[place])

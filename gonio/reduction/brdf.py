@@ -76,11 +76,11 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
         The reference's table is missing, or neither a table nor an albedo is given.
     """
     bench = Bench(run)
-    count = len(bench.steps)
+    count = len(bench.points)
     results = []
     for k, band in enumerate(run.bands):
         merged = []
-        for step in in_threads(partial(bench.merge, band=band), bench.steps):
+        for step in in_threads(partial(bench.merge, band=band), bench.steps()):
             merged.append(step)
             if progress is not None:
                 progress(k * count + len(merged), len(run.bands) * count)
@@ -94,9 +94,12 @@ class _BandResult:
     """One band of a run: its rows by point, why others have none, and what the attributes say of it."""
 
     band: Band
-    rows: dict[int, dict[str, Any]]
-    darks: dict[int, Floats]
-    """By point: change of its value [1/sr] by the noise of the dark frames, see `Merged.dark`."""
+    points: npt.NDArray[np.intp]
+    """Those that have a value."""
+    columns: dict[str, Floats]
+    """Of the table, a number for each of them."""
+    darks: Floats
+    """Change of each value [1/sr] by the noise of the dark frames, see `Merged.dark`; shape (points, 2, n)."""
     flags: dict[int, str]
     level: white_reference.Level
     reference_brdf: float
@@ -115,26 +118,23 @@ class _BandResult:
 def _reduce_band(bench: Bench, band: Band, merged: list[Merged | str]) -> _BandResult:
     points = [m for m in merged if isinstance(m, Merged) and m.point is not None]
     visits = [m for m in merged if isinstance(m, Merged) and m.point is None]
-    without = [(s, m) for s, m in zip(bench.steps, merged, strict=True) if isinstance(m, str) and s["kind"] == "point"]
+    without = [(point, flag) for point, flag in zip(bench.points, merged, strict=True) if isinstance(flag, str)]
     fitted, reference_brdf = _level(bench, points, visits, band)
     columns, untold, coarse = _columns(bench, points, visits[0], fitted, band)
     levels = fitted.at(np.array([point.time_s for point in points]))
-    rows = {
-        int(point.point): _angle_columns(point.directions) | {name: float(c[k]) for name, c in columns.items()}
-        for k, point in enumerate(points)
-        if point.point is not None
-    }
+    angles = np.array([_angles_deg(point.directions) for point in points]).reshape(-1, len(ANGLES))
+    darks = np.array([point.dark for point in points]).reshape(len(points), 2, PATTERNS)
     freedom = sum(step.frames - 1 for step in (*points, *visits))
     return _BandResult(
         band=band,
-        rows=rows,
-        darks={int(m.point): m.dark / float(k) for m, k in zip(points, levels, strict=True) if m.point is not None},
-        flags=bench.flags | {int(step["point"]): flag for step, flag in without},
+        points=np.array([point.point for point in points], dtype=np.intp),
+        columns=dict(zip(ANGLES, angles.T, strict=True)) | columns,
+        darks=darks / levels[:, None, None],
+        flags=bench.flags | {point: flag for point, flag in without if point is not None},
         level=fitted,
         reference_brdf=reference_brdf,
         visits=len(visits),
-        unusable=bench.lost_visits
-        + [m for s, m in zip(bench.steps, merged, strict=True) if isinstance(m, str) and s["kind"] == "reference"],
+        unusable=bench.lost_visits + [flag for point, flag in without if point is None],
         scatter=sum(step.chi_square for step in (*points, *visits)) / max(freedom, 1),
         freedom=freedom,
         untold=untold,
@@ -224,19 +224,20 @@ def _columns(
 def _share_darks(results: list[_BandResult]) -> None:
     """Give all rows the columns of the dark frames' noise, which bands of one channel share; the rest to `u_random`."""
     channels = list(dict.fromkeys(result.band.channel for result in results))
-    rows = [row for result in results for row in result.rows.values()]
-    if not rows:
+    ends = np.cumsum([result.points.size for result in results])
+    if not ends[-1]:
         return
-    effects = np.zeros((len(rows), len(channels), 2 * PATTERNS))
-    place = 0
-    for result in results:
-        for dark in result.darks.values():
-            effects[place, channels.index(result.band.channel)] = dark.ravel()
-            place += 1
-    columns, rest = strongest(effects.reshape(len(rows), -1), np.array([row["u_random"] for row in rows]))
-    for row, column, more in zip(rows, columns, rest, strict=True):
-        row |= dict(zip(DARK, column.tolist(), strict=True))
-        row["u_random"] = math.hypot(row["u_random"], math.sqrt(more))
+    effects = np.zeros((ends[-1], len(channels), 2 * PATTERNS))
+    for result, end in zip(results, ends, strict=True):
+        rows = slice(end - result.points.size, end)
+        effects[rows, channels.index(result.band.channel)] = result.darks.reshape(result.points.size, -1)
+    u = np.concatenate([result.columns["u_random"] for result in results])
+    columns, rest = strongest(effects.reshape(ends[-1], -1), u)
+    for result, end in zip(results, ends, strict=True):
+        rows = slice(end - result.points.size, end)
+        result.columns.update(zip(DARK, columns[rows].T, strict=True))
+        more = [math.hypot(random, math.sqrt(left)) for random, left in zip(u[rows], rest[rows], strict=True)]
+        result.columns["u_random"] = np.array(more)
 
 
 def _axes(description: RigDescription) -> dict[str, Axis]:
@@ -325,11 +326,11 @@ def _prnu(description: RigDescription, point: Merged, reference_pixels: int) -> 
     return description.camera.prnu * math.sqrt(max(1.0 / n + 1.0 / m - 2.0 * point.shared / (n * m), 0.0))
 
 
-def _angle_columns(directions: Directions) -> dict[str, float]:
+def _angles_deg(directions: Directions) -> tuple[float, float, float, float]:
     """The four angles [deg] as tables have them."""
     theta = [min(round(math.degrees(t), 9), 90.0) for t in (directions.theta_i, directions.theta_r)]
     phi = [round(math.degrees(p), 9) % 360.0 for p in (directions.phi_i, directions.phi_r)]
-    return dict(zip(ANGLES, (theta[0], phi[0], theta[1], phi[1]), strict=True))
+    return theta[0], phi[0], theta[1], phi[1]
 
 
 def _assemble(run: Run, results: list[_BandResult], notes: list[str]) -> pd.DataFrame:
@@ -338,19 +339,25 @@ def _assemble(run: Run, results: list[_BandResult], notes: list[str]) -> pd.Data
 
     description, plan = run.description, run.plan
     causes = [*COMMON, *DARK, *(CAUSES[axis] for axis in _zeros(description))]
-    nothing = dict.fromkeys(["brdf", "u_brdf", "u_random", *causes], math.nan)
-    rows = []
-    for point, goal in zip(plan.index.astype(int).tolist(), plan.to_dict("records"), strict=True):
-        for result in results:
-            row = {name: goal[name] for name in ANGLES} | nothing
-            flag = goal["flag"] or result.flags.get(point, "")
-            if not flag and point in result.rows:
-                row = result.rows[point]
-            elif not flag:
-                flag = "not_measured"
-            rows.append(row | {"wavelength_nm": result.band.centre_nm, "polarisation": "unpolarised", "flag": flag})
-    columns = [*ANGLES, "wavelength_nm", "polarisation", "brdf", "u_brdf", "u_random", *causes, "flag"]
-    frame = pd.DataFrame(rows, columns=columns)
+    numbers = [*ANGLES, "brdf", "u_brdf", "u_random", *causes]
+    values = np.full((len(numbers), len(plan), len(results)), math.nan)
+    values[: len(ANGLES)] = plan[list(ANGLES)].to_numpy(dtype=float).T[..., None]
+    flags = np.empty((len(plan), len(results)), dtype=object)
+    planned = plan["flag"].tolist()
+    for k, result in enumerate(results):
+        measured = set(result.points.tolist())
+        flags[:, k] = [
+            flag or result.flags.get(point, "") or ("" if point in measured else "not_measured")
+            for point, flag in enumerate(planned)
+        ]
+        good = np.array([not flags[point, k] for point in result.points], dtype=bool)
+        if good.any():
+            for column, name in zip(values, numbers, strict=True):
+                column[result.points[good], k] = result.columns[name][good]
+    frame = pd.DataFrame(dict(zip(numbers, values.reshape(len(numbers), -1), strict=True)))
+    frame.insert(len(ANGLES), "wavelength_nm", np.tile([result.band.centre_nm for result in results], len(plan)))
+    frame.insert(len(ANGLES) + 1, "polarisation", "unpolarised")
+    frame["flag"] = pd.Series(flags.ravel().tolist(), dtype=str)
     lamp, camera = description.lamp, description.camera
     cones = (math.radians(lamp.half_angle_deg), math.radians(camera.lens_half_angle_deg))
     frame.attrs.update(

@@ -6,7 +6,7 @@ The formulas are explained in docs/radiometry.md, sections 1 to 3.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -92,18 +92,30 @@ class Bench:
         self.damaged: dict[str, str] = {}
         """What is wrong with frames that were left out, by their names."""
         self.description: RigDescription = run.description
-        steps = [_needed(step) for step in run.steps()]
-        self.steps = [s for s in steps if s["kind"] != "dark" and not s.get("flag")]
-        self.flags = {int(s["point"]): str(s["flag"]) for s in steps if s["kind"] == "point" and s.get("flag")}
-        self.lost_visits = [str(s["flag"]) for s in steps if s["kind"] == "reference" and s.get("flag")]
+        self.points: list[int | None] = []
+        """What each of `steps` looks at: a point, or None for the reference."""
+        self.flags: dict[int, str] = {}
+        """Of points without frames."""
+        self.lost_visits: list[str] = []
         """The flags of the visits to the reference without frames."""
+        dark: list[dict[str, Any]] = []
+        self._every = run.steps()
+        for step in self._every:
+            if step["kind"] == "dark":
+                dark += step["frames"]
+            elif not step.get("flag"):
+                self.points.append(int(step["point"]) if step["kind"] == "point" else None)
+            elif step["kind"] == "point":
+                self.flags[int(step["point"])] = str(step["flag"])
+            else:
+                self.lost_visits.append(str(step["flag"]))
         channels = dict.fromkeys(band.channel for band in run.bands)
         boxes: dict[Target, tuple[slice, slice]] = {}
         self.reference: dict[str, Roi] = {}
         regions: dict[Channel, list[Roi]] = {channel: [] for channel in channels}
         seen = dict.fromkeys(channels, 0)
-        every = -(-len(self.steps) // FEW)
-        for step in self.steps:
+        every = -(-len(self.points) // FEW)
+        for step in self.steps():
             for channel in channels:
                 region = self._look(step, channel)
                 if region is not None:
@@ -122,7 +134,11 @@ class Bench:
         """The part of the used pixels that read 0 DN in the dark frames."""
         self.darks_taken = self.darks_used = 0
         """How many exposures the dark frames were taken with, and of how many some are left."""
-        self._darks = self._read_darks([f for s in steps if s["kind"] == "dark" for f in s["frames"]], boxes)
+        self._darks = self._read_darks(dark, boxes)
+
+    def steps(self) -> Iterator[dict[str, Any]]:
+        """The steps with frames of point or reference, each read when it is asked for: a run may have very many."""
+        return (step for step in self._every if step["kind"] != "dark" and not step.get("flag"))
 
     def _look(self, step: dict[str, Any], channel: Channel) -> Region | None:
         """The region of a step; None where source or camera stands below the horizon."""
@@ -158,6 +174,8 @@ class Bench:
     def read(self, entry: dict[str, Any]) -> Frame:
         """A frame that the journal names, checked."""
         path = Path(self.run.frame_path(entry["file"]))
+        if path.exists() and not path.is_file():  # a pipe would be waited for without end
+            raise DamagedFrame(f"{path}: a frame of the run cannot be read: it is not a file")
         try:
             data = path.read_bytes()
         except OSError as error:
@@ -244,13 +262,6 @@ class Bench:
         )
 
 
-def _needed(step: dict[str, Any]) -> dict[str, Any]:
-    """What the reduction needs of a step: a run may have very many."""
-    out = {name: step[name] for name in ("kind", "point", "pose", "flag") if name in step}
-    names = ("file", "band", "exposure_s", "time_s", "lamp", "sha256")
-    return out | {"frames": [{name: frame[name] for name in names} for frame in step["frames"]]}
-
-
 def pool(
     description: RigDescription, region: Region, shots: list[Shot], dark_exposures_s: Floats
 ) -> tuple[float, float, float, float, Floats]:
@@ -309,7 +320,7 @@ def _around(region: Roi, box: tuple[slice, slice] | None) -> tuple[slice, slice]
     )
 
 
-def in_threads(work: Callable[[In], Out], items: list[In]) -> Iterator[Out]:
+def in_threads(work: Callable[[In], Out], items: Iterable[In]) -> Iterator[Out]:
     """`map` in two threads, in order, a few items ahead: decoding a frame releases the interpreter."""
     with ThreadPoolExecutor(THREADS, thread_name_prefix="gonio-reduce") as pool:
         waiting = []
