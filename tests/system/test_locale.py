@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import locale
 import os
+import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.analysis.synthetic import measure
-
 from gonio import measurement
 from gonio.models import build
+from tests.analysis.synthetic import measure
 
 from .conftest import HANGS_S, environment
 
@@ -24,7 +23,7 @@ CODE = "import locale; locale.setlocale(locale.LC_ALL, ''); from gonio.cli impor
 
 
 @pytest.fixture
-def comma() -> Iterator[str]:
+def comma() -> str:
     before = locale.setlocale(locale.LC_NUMERIC)
     try:
         for name in COMMA:
@@ -38,7 +37,7 @@ def comma() -> Iterator[str]:
             pytest.skip(f"none of {', '.join(COMMA)} is installed")
     finally:
         locale.setlocale(locale.LC_NUMERIC, before)
-    yield name
+    return name
 
 
 def run(folder: Path, language: str, *words: str) -> str:
@@ -61,7 +60,8 @@ def test_a_decimal_comma_changes_no_byte(tmp_path: Path, comma: str) -> None:
         measurement.write(measure(model, incidences=(30.0,), name="gloss"), folder / "a.csv")
         for name in ("b.alta", "b.xml.csv"):
             run(folder, language, "convert", "a.csv", name)
-        (folder / "fit.json").write_text(run(folder, language, "fit", "a.csv", "--model", "phong", "--json"))
+        fitted = run(folder, language, "fit", "a.csv", "--model", "phong", "--json")
+        (folder / "fit.json").write_text(re.sub(r'"wall_s": [^,\n]*', "", fitted), encoding="utf-8")
         files = folder.glob("*.*")
         made[language] = {p.relative_to(folder).as_posix(): p.read_bytes() for p in files}
     assert len(made["C"]) >= 5
