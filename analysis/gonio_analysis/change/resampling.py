@@ -87,17 +87,19 @@ def carry(a: Observations, b: Observations, b_table: pd.DataFrame) -> Carried:
     value, random, error = np.full(n, np.nan), np.zeros(n), np.zeros(n)
     common = np.zeros((n, k))
     missing = {"at another wavelength": n}
+    unused = _Unused.of(b, b_table)
     for wave_a, wave_b in common_wavelengths(a, b):
         here_a, here_b = _at(a.wavelength_nm, wave_a), _at(b.wavelength_nm, wave_b)
         missing["at another wavelength"] -= here_a.size
         pool = groups(b.theta_i, b.phi_i, here_b)
+        gone = unused.at(wave_b)
         for group in groups(a.theta_i, a.phi_i, here_a):
             partner = _partner(a, group, b, pool)
             if partner is None:
                 missing["at another incidence"] = missing.get("at another incidence", 0) + group.size
                 continue
             normal = float(a.phi_i[group[0]]) if a.theta_i[group].max() < SAME_ANGLE else None
-            holes = _holes(b, b_table, partner, wave_b, normal)
+            holes = gone.holes(b, partner, normal)
             nodes, weights, bend = interpolation(
                 _places(a, group, normal), _places(b, partner, normal), holes, b.brdf[partner]
             )
@@ -143,16 +145,38 @@ def _places(data: Observations, rows: Rows, normal: float | None) -> _Places:
     return _place(data.theta_i[rows], data.theta_r[rows], data.phi_r[rows] - phi_i)
 
 
-def _holes(b: Observations, table: pd.DataFrame, rows: Rows, wave: float, normal: float | None) -> _Places:
-    """The rows of B's table at the incidence of `rows` that must not be used."""
-    unused = np.setdiff1d(_at(table["wavelength_nm"].to_numpy(np.float64), wave), b.rows)
-    columns = ("theta_i", "phi_i", "theta_r", "phi_r")
-    angles = np.radians(np.stack([table[f"{c}_deg"].to_numpy(np.float64)[unused] for c in columns]))
-    angles = angles[:, np.isfinite(angles).all(axis=0)]
-    goal = geometry.direction(b.theta_i[rows], b.phi_i[rows]).mean(axis=0)
-    here = np.linalg.norm(geometry.direction(angles[0], angles[1]) - goal, axis=1) <= SAME_ANGLE
-    theta_i, phi_i, theta_r, phi_r = angles[:, here]
-    return _place(theta_i, theta_r, phi_r - (phi_i if normal is None else normal))
+@dataclass(frozen=True)
+class _Unused:
+    """The rows of a table that must not be used."""
+
+    wavelength_nm: Floats
+    angles: Floats
+    """(4, n) theta_i, phi_i, theta_r, phi_r [rad]."""
+    source: Floats
+    """(n, 3) unit vectors toward the source."""
+
+    @classmethod
+    def of(cls, b: Observations, table: pd.DataFrame) -> _Unused:
+        """Those of B's table that are not in `b`; an angle that is not finite is nowhere, and leaves no hole."""
+        unused = np.ones(len(table), dtype=bool)
+        unused[b.rows] = False
+        columns = ("theta_i", "phi_i", "theta_r", "phi_r")
+        angles = np.radians(np.stack([table[f"{c}_deg"].to_numpy(np.float64)[unused] for c in columns]))
+        known = np.isfinite(angles).all(axis=0)
+        angles, waves = angles[:, known], table["wavelength_nm"].to_numpy(np.float64)[unused][known]
+        return cls(waves, angles, np.asarray(geometry.direction(angles[0], angles[1])))
+
+    def at(self, wave: float) -> _Unused:
+        """Those at a wavelength [nm]."""
+        here = _at(self.wavelength_nm, wave)
+        return _Unused(self.wavelength_nm[here], self.angles[:, here], self.source[here])
+
+    def holes(self, b: Observations, rows: Rows, normal: float | None) -> _Places:
+        """Where those at the incidence of B's `rows` lie."""
+        goal = geometry.direction(b.theta_i[rows], b.phi_i[rows]).mean(axis=0)
+        here = np.linalg.norm(self.source - goal, axis=1) <= SAME_ANGLE
+        theta_i, phi_i, theta_r, phi_r = self.angles[:, here]
+        return _place(theta_i, theta_r, phi_r - (phi_i if normal is None else normal))
 
 
 def _partner(a: Observations, group: Rows, b: Observations, pool: list[Rows]) -> Rows | None:
@@ -184,7 +208,8 @@ def interpolation(goal: _Places, known: _Places, holes: _Places, values: Floats)
         _along(goal, known, holes, values, along, line, (nodes, weights, error))
     if (~known.inside).any():
         rest = np.flatnonzero(nodes[:, 0] < 0)
-        _across(goal, known, holes, values, rest, (nodes, weights, error))
+        if rest.size:
+            _across(goal, known, holes, values, rest, (nodes, weights, error))
     return nodes, weights, error
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -102,6 +103,7 @@ def _on_cluster(function: Callable[[In], Out], jobs: Sequence[In], address: str)
         from distributed import Client
     except ImportError:
         raise ConfigError("--dask needs the package distributed: pip install 'gonio[dask]'") from None
+    _require_address(address)
     found: Future[Any] = Future()
 
     def call() -> None:  # what takes the connection and says nothing is waited for beyond Client's own timeout
@@ -118,3 +120,24 @@ def _on_cluster(function: Callable[[In], Out], jobs: Sequence[In], address: str)
         raise ConfigError(f"--dask {address}: no scheduler answers there: {reason}") from None
     with client:
         yield from client.gather(client.map(function, jobs, pure=False))
+
+
+def _require_address(address: str) -> None:
+    """`ConfigError` for what cannot be a scheduler's address: a `Client` of it would be left half made."""
+    from distributed.comm import parse_address, parse_host_port
+    from distributed.comm.registry import get_backend
+
+    try:
+        scheme, location = parse_address(address)
+        get_backend(scheme)
+        if scheme == "inproc":
+            return
+        host, port = parse_host_port(location)
+        if not 0 < int(port) < 65536:
+            raise ValueError(f"the port is {port}, and ports go from 1 to 65535")
+        socket.getaddrinfo(host, port)
+    except (OSError, ValueError) as error:
+        reason = f"the host is not known ({error.strerror})" if isinstance(error, OSError) else error
+        raise ConfigError(
+            f"--dask {address!r}: is no address of a scheduler: {reason}; one looks like tcp://127.0.0.1:8786"
+        ) from None

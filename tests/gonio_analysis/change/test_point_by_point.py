@@ -250,3 +250,19 @@ def test_command_writes_a_report(tmp_path: Path, capsys: pytest.CaptureFixture[s
         cli.compare([before], tmp_path / "one", change=True)
     with pytest.raises(ConfigError, match="--ior has no part in --change"):
         cli.compare([before, after], tmp_path / "one", ior="Al", change=True)
+
+
+def test_unused_rows_are_looked_up_once_whatever_the_number_of_wavelengths(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The whole table was read for each wavelength and incidence: 10^5 rows took a minute, and 10^6 hours."""
+    parts = [measure(build("lambert", {"albedo": 0.4}), wavelength_nm=float(nm)) for nm in range(400, 500, 10)]
+    table = pd.concat(parts, ignore_index=True)
+    table.attrs = parts[0].attrs
+    table.loc[[7, 200], "flag"] = "shadow"
+    read = []
+    plain = pd.Series.to_numpy
+    monkeypatch.setattr(pd.Series, "to_numpy", lambda self, *a, **k: (read.append(len(self)), plain(self, *a, **k))[1])
+    data = observations(table, "a")
+    read.clear()
+    carried = carry(data, data, table)
+    assert carried.rows.size == len(data) == len(table) - 2
+    assert len(read) <= 10

@@ -126,3 +126,28 @@ def test_a_scheduler_that_takes_the_connection_and_says_nothing(monkeypatch: pyt
         address = f"tcp://127.0.0.1:{deaf.getsockname()[1]}"
         with pytest.raises(ConfigError, match="nothing was said"):
             list(parallel.each(abs, [1], dask=address))
+
+
+@pytest.mark.parametrize(
+    ("address", "told"),
+    [
+        ("nonsense", "missing port"),
+        ("", "missing port"),
+        ("tcp://127.0.0.1:abc", "invalid literal"),
+        ("tcp://127.0.0.1:99999", "ports go from 1 to 65535"),
+        ("tcp://127.0.0.1:-1", "ports go from 1 to 65535"),
+        ("foo://127.0.0.1:8786", "unknown address scheme"),
+        ("tcp://[::1:8", "invalid address"),
+        ("tcp://no host:8786", "the host is not known"),
+    ],
+)
+def test_what_is_no_address_makes_no_client(address: str, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed", reason="the extra gonio[dask] is not installed")
+
+    def client(*args: object, **kwargs: object) -> None:  # one that fails to be made complains when the process ends
+        raise AssertionError("a client was made")
+
+    monkeypatch.setattr(distributed, "Client", client)
+    with pytest.raises(ConfigError, match=told) as raised:
+        list(parallel.each(abs, [1], dask=address))
+    assert "\n" not in str(raised.value)
