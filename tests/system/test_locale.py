@@ -13,7 +13,7 @@ import pytest
 
 from gonio import measurement
 from gonio.models import build
-from tests.analysis.synthetic import measure
+from tests.gonio_analysis.synthetic import measure
 
 from .conftest import HANGS_S, environment
 
