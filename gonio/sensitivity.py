@@ -117,7 +117,7 @@ class Curves:
         logs = np.arcsinh(brdf / (2 * small))
         near = scene.most > 0.0
         for line, group in zip(self._lines, self._groups, strict=True):
-            curve = self._column(int(line[0])) if line.size == 1 else line
+            curve = self._column(int(line[0])) if self._alone(line) else line
             gap = self._fall(curve, logs) if np.count_nonzero(near[curve]) < 3 else 0.0
             apart = np.hypot(self._x[group] - self._theta_i[group], self._y[group])
             self.coarse[group] = ~near[group] & (apart < 1.6 * gap)
@@ -139,6 +139,10 @@ class Curves:
                     widest = max(widest, float(steps[k]))
         return widest
 
+    def _alone(self, line: npt.NDArray[np.intp]) -> bool:
+        """Whether a curve is one point, measured once or several times."""
+        return bool(line.size and np.ptp(self._x[line]) < NARROWEST)
+
     def _column(self, k: int) -> npt.NDArray[np.intp]:
         """The points in the plane that see the detector where point k has it, by their distance from the mirror.
 
@@ -152,10 +156,11 @@ class Curves:
         """Derivatives of the lobe along x, y and theta_i for the points of one angle of incidence."""
         line = self._lines[number]
         for place, k in enumerate(line):
-            if line.size == 1:
-                line = self._column(int(k))
-                place = int(np.flatnonzero(line == k)[0])
-            self.slope[k, 0], self._doubt[k], self.bend[k] = self._along_line(line, place)
+            curve = line
+            if self._alone(line):
+                curve = self._column(int(k))
+                place = int(np.flatnonzero(curve == k)[0])
+            self.slope[k, 0], self._doubt[k], self.bend[k] = self._along_line(curve, place)
         diagonal = np.array([self._along_mirror(number, int(k)) if in_plane[k] else 0.0 for k in group])
         self.slope[group, 2] = diagonal - self.slope[group, 0]
         for k in group[~in_plane[group]]:

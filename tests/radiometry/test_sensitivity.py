@@ -333,15 +333,16 @@ def test_a_spike_of_which_only_the_edge_was_met_is_uncertain_by_what_it_added() 
     assert model.lobe[edge] == pytest.approx(0.2, rel=1e-12)  # a constant lobe
 
 
-def test_a_run_over_theta_i_tells_slopes_though_no_incidence_has_two_points() -> None:
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_run_over_theta_i_tells_slopes_though_no_incidence_has_two_points(times: int) -> None:
     """The detector stands still; the lobe moves over it with the mirror direction, and falls by half in 7 degrees."""
 
     def moving(d: Directions) -> float:
         return 0.05 + 4.0 * math.exp(-0.5 * ((d.theta_r - d.theta_i) / 0.1) ** 2)
 
-    goals = [at(float(theta), 40.0) for theta in range(20, 62, 2)]
+    goals = [at(float(theta), 40.0) for theta in range(20, 62, 2) for _ in range(times)]
     found, u = curves(moving, goals), math.radians(0.03)
-    for k, d in enumerate(goals[1:-1], start=1):
+    for k, d in list(enumerate(goals))[times:-times]:
         for axis in ({"i": u}, {"r": u}):
             plus, minus = (moved(d, **{name: sign * by for name, by in axis.items()}) for sign in (1, -1))
             cosine = math.cos(d.theta_i)
