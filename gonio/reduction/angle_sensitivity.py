@@ -97,6 +97,7 @@ class Curves:
         self._x = np.array([p.x for p in self._points])
         self._y = np.array([p.y for p in self._points])
         self._theta_i = np.array([p.theta_i for p in self._points])
+        self._from_mirror = self._x - self._theta_i
         goal_x = [_relative(goal, a) for goal, a in zip(goals, self._azimuth, strict=True)]
         in_plane = np.array([abs(p.y) < TOGETHER for p in goal_x])
         incidence = np.round(np.array([goal.theta_i for goal in goals]) / TOGETHER)
@@ -104,7 +105,7 @@ class Curves:
         self._lines = [group[in_plane[group]] for group in self._groups]
         self._lines = [line[np.argsort(self._x[line])] for line in self._lines]
         middle = np.array([0.5 * (d.theta_i + d.theta_r) for d in read])
-        scene = Scene(self._theta_i, self._x - self._theta_i, self._y, in_plane, middle, brdf, u, shares, half_angles)
+        scene = Scene(self._theta_i, self._from_mirror, self._y, in_plane, middle, brdf, u, shares, half_angles)
         self.spikes = find(scene, self._groups)
         self.lobe, self.spike = self.spikes.lobe, self.spikes.amplitude
         small = max(3.0 * float(np.min(u, initial=np.inf)), 1e-9 * float(np.max(np.abs(brdf), initial=0.0)), 1e-300)
@@ -112,13 +113,16 @@ class Curves:
         self._middles = [float(np.mean(self._theta_i[line])) if line.size else math.nan for line in self._lines]
         self._curves = [_distinct(self._x[line], self._log[line]) for line in self._lines]
         self.slope = np.zeros((len(brdf), 3))
+        self.bend = np.zeros((len(brdf), 2))
+        """Size of the lobe's second derivatives along and across the plane of incidence [1/sr per rad^2]."""
         self._doubt = np.zeros(len(brdf))
         self.coarse = np.zeros(len(brdf), dtype=bool)
         """Points beside a peak that falls within one step: nothing tells how steep it is (docs/radiometry.md)."""
         logs = np.arcsinh(brdf / (2 * small))
         near = scene.most > 0.0
         for line, group in zip(self._lines, self._groups, strict=True):
-            gap = self._fall(line, logs) if np.count_nonzero(near[line]) < 3 else 0.0
+            curve = self._column(int(line[0])) if self._alone(line) else line
+            gap = self._fall(curve, logs) if np.count_nonzero(near[curve]) < 3 else 0.0
             apart = np.hypot(self._x[group] - self._theta_i[group], self._y[group])
             self.coarse[group] = ~near[group] & (apart < 1.6 * gap)
         for k, group in enumerate(self._groups):
@@ -126,7 +130,7 @@ class Curves:
 
     def _fall(self, line: npt.NDArray[np.intp], logs: Floats) -> float:
         """The widest step [rad] of a curve beside the mirror direction over which its peak falls to its foot, or 0."""
-        from_mirror, f = self._x[line] - self._theta_i[line], logs[line]
+        from_mirror, f = self._from_mirror[line], logs[line]
         widest = 0.0
         for side in (from_mirror, -from_mirror):
             order = np.argsort(side)
@@ -139,38 +143,68 @@ class Curves:
                     widest = max(widest, float(steps[k]))
         return widest
 
+    def _alone(self, line: npt.NDArray[np.intp]) -> bool:
+        """Whether a curve is one point, measured once or several times."""
+        return bool(line.size and np.ptp(self._x[line]) < NARROWEST)
+
+    def _column(self, k: int) -> npt.NDArray[np.intp]:
+        """The points in the plane that see the detector where point k has it, by their distance from the mirror.
+
+        A run over theta_i at one theta_r. Its lobe moves with the mirror direction: it is a curve as good as any.
+        """
+        points = np.concatenate(self._lines)
+        points = points[abs(self._x[points] - self._x[k]) < NARROWEST]
+        return np.asarray(points[np.argsort(self._from_mirror[points])], dtype=np.intp)
+
     def _slopes_of(self, number: int, group: npt.NDArray[np.intp], in_plane: npt.NDArray[np.bool_]) -> None:
         """Derivatives of the lobe along x, y and theta_i for the points of one angle of incidence."""
         line = self._lines[number]
         for place, k in enumerate(line):
-            self.slope[k, 0], self._doubt[k] = self._along_line(line, place)
+            curve = line
+            if self._alone(line):
+                curve = self._column(int(k))
+                place = int(np.flatnonzero(curve == k)[0])
+            self.slope[k, 0], self._doubt[k], self.bend[k] = self._along_line(curve, place)
         diagonal = np.array([self._along_mirror(number, int(k)) if in_plane[k] else 0.0 for k in group])
         self.slope[group, 2] = diagonal - self.slope[group, 0]
         beyond = group[~in_plane[group]]
         for start in range(0, beyond.size, AT_ONCE):
             self._beyond(beyond[start : start + AT_ONCE], group)
 
-    def _along_line(self, line: npt.NDArray[np.intp], place: int) -> tuple[float, float]:
+    def _along_line(self, line: npt.NDArray[np.intp], place: int) -> tuple[float, float, Floats]:
         """Slope of the lobe along its curve, from the nearest points on each side that the cones tell apart.
 
         And its standard uncertainty: how much it differs from the slopes of the parabolas through two points on one
         side. Where the points resolve a lobe they agree; at its foot, or where it falls by a large factor from one
-        point to the next, they do not.
+        point to the next, they do not. And the size of the second derivatives, across the plane of incidence that of a
+        lobe which is round in half vectors.
         """
-        x, f = self._x[line] - self._x[line[place]], self._log[line] - self._log[line[place]]
+        x, f = self._from_mirror[line] - self._from_mirror[line[place]], self._log[line] - self._log[line[place]]
         apart = max(NARROWEST, 0.5 * sum(self._half_angles))
-        found, parabolas = [], []
+        found, parabolas, curvature, beside = [], [], 0.0, []
         for side in (np.flatnonzero(x <= -apart)[::-1], np.flatnonzero(x >= apart)):
             if side.size:
                 a = side[0]
                 found.append((f[a] / x[a], abs(x[a])))
+                beside.append((x[a], f[a] / x[a]))
                 for b in side[abs(x[side] - x[a]) >= apart][:1]:
                     parabolas.append((f[a] * x[b] ** 2 - f[b] * x[a] ** 2) / (x[a] * x[b] * (x[b] - x[a])))
-        slope, size = _weighted(found), float(self._size[line[place]])
-        return slope * size, max((abs(p - slope) for p in parabolas), default=0.0) * size
+                    curvature = 2.0 * float(f[b] / x[b] - f[a] / x[a]) / float(x[b] - x[a])
+        if len(beside) == 2:
+            curvature = 2.0 * float(beside[1][1] - beside[0][1]) / float(beside[1][0] - beside[0][0])
+        k = line[place]
+        slope, size = _weighted(found), float(self._size[k])
+        along = abs(curvature * size + slope**2 * float(self.lobe[k]))
+        # a lobe is round in half vectors, which the cosine of the angle of difference makes narrower across the plane
+        cosine = math.cos(0.5 * float(self._x[k] + self._theta_i[k]))
+        across = max(along, abs(slope) * size / max(abs(float(self._from_mirror[k])), apart)) / cosine**2
+        doubt = max((abs(p - slope) for p in parabolas), default=0.0) * size
+        return slope * size, doubt, np.array([along, across])
 
     def _beyond(self, points: npt.NDArray[np.intp], group: npt.NDArray[np.intp]) -> None:
         """Slopes along x, y and theta_i of points out of the plane of incidence, and their standard uncertainty.
+
+        And the size of the second derivatives along x and y.
 
         Where a lobe is narrower than the points are apart, they do not tell its flank. The curves in the plane do: what
         they say of its shape over the angle of the half vector is taken out, and only the rest is interpolated.
@@ -182,7 +216,7 @@ class Curves:
         shapes = self._profile(np.concatenate([half for half, _ in found]), np.concatenate(differences))
         ends = np.cumsum([len(place) for place in places])
         for k, (around, weight), shape in zip(points, near, np.split(shapes, ends[:-1]), strict=True):
-            self.slope[k], self._doubt[k] = self._apart_from(shape, int(k), around, weight)
+            self.slope[k], self._doubt[k], self.bend[k] = self._apart_from(shape, int(k), around, weight)
 
     def _nearest(self, k: int, group: npt.NDArray[np.intp]) -> tuple[npt.NDArray[np.intp], Floats]:
         """The seven points nearest to point k, and their weights; both sides of the plane of incidence are alike."""
@@ -197,23 +231,28 @@ class Curves:
         places = np.stack([self._x[near], self._y[near], self._theta_i[near]], axis=1)
         return np.concatenate([here + PROBE * np.eye(3), here - PROBE * np.eye(3), [here], places])
 
-    def _apart_from(self, shape: Floats, k: int, near: npt.NDArray[np.intp], weight: Floats) -> tuple[Floats, float]:
-        """Slopes of point k and their standard uncertainty: those of a shape, and of what is left of the values.
+    def _apart_from(
+        self, shape: Floats, k: int, near: npt.NDArray[np.intp], weight: Floats
+    ) -> tuple[Floats, float, Floats]:
+        """Slopes of point k, their standard uncertainty and bends: those of a shape, and of what is left of the values.
 
         That is interpolated by a parabola in x and in y, even in y, through the nearest points of the same incidence.
         It is uncertain by itself: where it is steep, points are too far apart.
         """
         slopes: Floats = (shape[:3] - shape[3:6]) / (2 * PROBE)
+        bends = (shape[:2] + shape[3:5] - 2.0 * shape[6]) / PROBE**2
         doubt = 0.0
         if near.size >= 2:
             dx, dy2 = self._x[near] - self._x[k], self._y[near] ** 2 - self._y[k] ** 2
             design = np.stack([dx, dy2, dx**2], axis=1)[:, : min(3, near.size)] * weight[:, None]
             length = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
             change = (self._log[near] - self._log[k] - (shape[7:] - shape[6])) * weight
-            along, across = (np.linalg.lstsq(design / length, change, rcond=1e-3)[0] / length)[:2]
+            along, across, *rest = np.linalg.lstsq(design / length, change, rcond=1e-3)[0] / length
+            bends += 2.0 * np.array([rest[0] if rest else 0.0, across])
             slopes += np.array([along, 2.0 * self._y[k] * across, -along])
             doubt = math.hypot(along, 2.0 * self._y[k] * across)
-        return slopes * float(self._size[k]), doubt * float(self._size[k])
+        size = float(self._size[k])
+        return slopes * size, doubt * size, abs(bends * size + slopes[:2] ** 2 * float(self.lobe[k]))
 
     def _profile(self, half: Floats, difference: Floats) -> Floats:
         """Logarithm of the lobe in the plane of incidence, over angles of the half vector, near those of difference."""
@@ -274,6 +313,21 @@ class Curves:
         up = self.value(k, plus) * math.cos(plus.theta_i) / cosine - here
         down = self.value(k, minus) * math.cos(minus.theta_i) / cosine - here
         return 0.5 * (up - down), 0.5 * (up + down)
+
+    def over_region(self, k: int, read: Directions, omega_i: Floats, omega_r: Floats) -> float:
+        """What the lobe's slope and curvature change the mean over a region of interest by, at most [1/sr].
+
+        Unit vectors to source and detector from every pixel of the region, shape (n, 3), and the directions that were
+        read. The slope counts because the region's centroid is not the sample's centre: near pixels are larger.
+        """
+        along = np.array([math.cos(read.phi_i), math.sin(read.phi_i), 0.0])
+        theta_i = np.arctan2(omega_i @ along, omega_i[:, 2]) - read.theta_i
+        x = -np.arctan2(omega_r @ along, omega_r[:, 2])
+        centre = direction(read.theta_r, read.phi_r)
+        x -= -math.atan2(float(centre @ along), float(centre[2]))
+        across = (omega_r + omega_i - centre) @ (-along[1], along[0], 0.0)
+        first = abs(self.slope[k] @ (x.mean(), across.mean(), theta_i.mean()))
+        return float(first + 0.5 * self.bend[k] @ (np.var(x - theta_i), np.var(across)))
 
     def doubt(self, k: int, plus: Directions) -> float:
         """Standard uncertainty [1/sr] of the odd part of `effects`, where steps are too coarse to tell a slope."""

@@ -210,6 +210,7 @@ def _columns(
         unresolved = unresolved + _doubts(description, curves, points, axis, u) ** 2
         common[CAUSES[axis]] = odd - brdf * _change_of_cosine(description, visit, axis, u)
     blur = curves.spikes.variance
+    independent = independent + _over_region(description, curves, points, band) ** 2
     independent = (
         independent + np.where(curves.spike != 0, np.maximum(blur - said, 0.0), blur + even_parts) + unresolved
     )
@@ -304,13 +305,25 @@ def _shares(
     return out
 
 
+def _over_region(
+    description: RigDescription, curves: angle_sensitivity.Curves, points: list[Merged], band: Band
+) -> Floats:
+    """What the lobes' slopes and curvatures over the region of interest change every value by, at most [1/sr]."""
+    return np.array([curves.over_region(k, p.directions, *_pixels(description, p, band)) for k, p in enumerate(points)])
+
+
 def _over_pixels(description: RigDescription, point: Merged, band: Band) -> Floats:
     """What `spikes.from_mirror` changes by at the pixels that a point's value is the mean of, shape (n, 3)."""
+    omega_i, omega_r = _pixels(description, point, band)
+    return np.asarray(omega_r - omega_i * (-1.0, -1.0, 1.0) - spikes.from_mirror(point.directions))
+
+
+def _pixels(description: RigDescription, point: Merged, band: Band) -> tuple[Floats, Floats]:
+    """Unit vectors to source and detector from the pixels that a point's value is the mean of, shape (n, 3)."""
     view = kinematics.view(description, point.pose)
     region = imaging.roi(description, view, "sample", band.channel)
     seen = imaging.pixel_map(description, view, region.rows, region.cols)
-    there = seen.omega_r[region.mask] - seen.omega_i[region.mask] * (-1.0, -1.0, 1.0)
-    return np.asarray(there - spikes.from_mirror(point.directions))
+    return seen.omega_i[region.mask], seen.omega_r[region.mask]
 
 
 def _change_of_cosine(description: RigDescription, visit: Merged, axis: str, u: float) -> float:

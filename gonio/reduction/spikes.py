@@ -274,11 +274,15 @@ def find(scene: Scene, groups: Sequence[Places]) -> Spikes:
         out.told[k] = fit.told
         if not fit.told:
             out.u_amplitude[k] = fit.most
+            inside = abs(scene.brdf[k])
             if fit.u_lobe < 1.0:  # whatever stands on the lobe, neighbours' slopes are not its flanks
                 out.lobe[k] = np.minimum(out.lobe[k], fit.lobe)
+                u_above = np.hypot(scene.u[k], max(fit.u_lobe, SHAPE) * fit.lobe)
+                above = np.maximum(scene.brdf[k] - fit.lobe, 0.0) + 2.0 * u_above
+                inside = np.minimum(inside, above)
             spread = fit.most * np.sqrt(variance[k] + (at_read[k] - mean[k]) ** 2)
-            # the spike's part lies between 0 and the whole value
-            out.variance[k] = np.minimum(spread, np.maximum(abs(scene.brdf[k]), fit.most * at_read[k])) ** 2
+            # what is above the lobe is all a value holds of the spike; it lacks at most what the directions read see
+            out.variance[k] = np.minimum(spread, np.maximum(inside, fit.most * at_read[k])) ** 2
             continue
         t = np.stack([np.ones(group.size), scene.middle[group] - fit.theta])
         u = np.sqrt(np.einsum("ik,ij,jk->k", t, fit.covariance, t) + fit.common**2)
@@ -389,7 +393,9 @@ def _lobe_below(scene: Scene, group: Places, near: npt.NDArray[np.bool_]) -> tup
             four = np.array([ends[0][1][0], left[0], right[0], ends[1][1][0]])
             cubic = lagrange(inside, place[four], logs[four])
             return np.exp(cubic), max(0.5 * float(np.max(abs(cubic - straight))), noise, 0.01)
-        return np.exp(straight), max(0.5 * float(abs(logs[left[0]] - logs[right[0]])), noise, 0.05)
+        # between points this far apart a lobe may have risen and fallen by more than they differ
+        part = 0.5 if place[right[0]] - place[left[0]] < 2.0 * BESIDE else 1.0
+        return np.exp(straight), max(part * float(abs(logs[left[0]] - logs[right[0]])), noise, 0.05)
     apart = np.hypot(scene.across[free], scene.aside[free])
     if apart.size and apart.min() < BESIDE:
         nearest = free[np.argsort(apart)[:4]]

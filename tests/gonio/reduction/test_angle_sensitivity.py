@@ -331,3 +331,21 @@ def test_a_spike_of_which_only_the_edge_was_met_is_uncertain_by_what_it_added() 
     # half of the places that the errors leave see no spike at all: the excess is as uncertain as it is large
     assert model.spikes.variance[edge] ** 0.5 > 3.0
     assert model.lobe[edge] == pytest.approx(0.2, rel=1e-12)  # a constant lobe
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_run_over_theta_i_tells_slopes_though_no_incidence_has_two_points(times: int) -> None:
+    """The detector stands still; the lobe moves over it with the mirror direction, and falls by half in 7 degrees."""
+
+    def moving(d: Directions) -> float:
+        return 0.05 + 4.0 * math.exp(-0.5 * ((d.theta_r - d.theta_i) / 0.1) ** 2)
+
+    goals = [at(float(theta), 40.0) for theta in range(20, 62, 2) for _ in range(times)]
+    found, u = curves(moving, goals), math.radians(0.03)
+    for k, d in list(enumerate(goals))[times:-times]:
+        for axis in ({"i": u}, {"r": u}):
+            plus, minus = (moved(d, **{name: sign * by for name, by in axis.items()}) for sign in (1, -1))
+            cosine = math.cos(d.theta_i)
+            odd = 0.5 * (moving(plus) * math.cos(plus.theta_i) - moving(minus) * math.cos(minus.theta_i)) / cosine
+            # steps of 2 degrees on a lobe of 0.1 rad leave a slope a few percent of the steepest: 24 [1/sr per rad]
+            assert found.effects(k, d, plus, minus)[0] == pytest.approx(odd, abs=0.05 * 24.0 * u)

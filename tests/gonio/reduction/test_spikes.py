@@ -198,3 +198,26 @@ def test_pixels_of_the_patch_count_as_they_are() -> None:
     assert seen.variance == 0.0
     assert seen.most == seen.mean  # errors of the angles would leave more
     assert seen.at_read == pytest.approx(float(overlap(mirror_offset(d), HALF, HALF)), rel=1e-12)
+
+
+def test_a_point_beside_a_spike_that_nothing_tells_has_at_most_what_stands_above_its_lobe() -> None:
+    """1.03 degrees from the mirror direction nothing is seen where it was read: errors may only bring light."""
+    goals = [at(46.0, 47.03), *(at(46.0, float(r)) for r in (31, 36, 41, 51, 56, 61))]
+    f = np.full(len(goals), 0.159)
+    seen = shares(goals, math.radians(0.03))
+    found = Curves(goals, goals, f, 0.005 * f, (HALF, HALF), seen).spikes
+    assert seen[0].mean > 0.0
+    assert not found.told[0]
+    # two standard deviations of the lobe's shape (3 %) and of the noise; the whole value was stated before
+    assert math.sqrt(found.variance[0]) == pytest.approx(2.0 * math.hypot(0.03, 0.005) * 0.159, rel=0.05)
+    spiked = np.where(np.arange(f.size) == 0, 0.5, f)
+    found = Curves(goals, goals, spiked, 0.005 * f, (HALF, HALF), seen).spikes
+    assert math.sqrt(found.variance[0]) > 0.5 - 0.159
+
+
+def test_curvature_over_the_region_of_interest_is_in_the_budget(tmp_path: Path) -> None:
+    """Without noise, toward grazing: a patch of 0.8 mm at 1 m sees a lobe that is narrow across the plane."""
+    table = reduced(tmp_path, [(75.0, float(r), 180.0) for r in range(63, 86, 2)], name="sim-ideal")
+    z = pulls(table, ALUMINIUM)
+    assert np.all(abs(z) < 3.0)
+    assert np.all(table["u_brdf"] < 2e-3 * table["brdf"])
