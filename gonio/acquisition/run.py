@@ -630,7 +630,7 @@ def _plan_csv(points: list[Assessed]) -> str:
     lines = csv.writer(out, lineterminator="\n")
     lines.writerow(PLAN_COLUMNS)
     for row, a in enumerate(points):
-        lines.writerow([row, *(repr(getattr(a.point, name)) for name in ANGLES), a.flag, a.reason])
+        lines.writerow([row, *(repr(float(getattr(a.point, name))) for name in ANGLES), a.flag, a.reason])
     return out.getvalue()
 
 

@@ -454,9 +454,8 @@ def _notes(result: _BandResult) -> list[str]:
         )
     if result.coarse:
         out.append(
-            f"{name}: the plan's steps are too coarse for the lobe at {_listed(result.coarse)}: u_brdf there rests on "
-            "what neighbouring points leave open, and may be too small; measure in finer steps around the mirror "
-            "direction"
+            f"{name}: values change much from step to step at {_listed(result.coarse)}: u_brdf there rests on "
+            "what neighbouring points leave open, and may be too small; measure in finer steps there"
         )
     # three standard deviations of a reduced chi-square, and enough to matter: uncertainties 20 % too small
     if result.scatter > max(1.44, 1.0 + 3.0 * math.sqrt(2.0 / max(result.freedom, 1))):
