@@ -62,7 +62,7 @@ def njit(*signature: Any, **options: Any) -> Callable[[Callable[..., Any]], Any]
     return compiled
 
 
-def _tell(text: str) -> None:
+def tell(text: str) -> None:
     """One line on stderr, once a process."""
     global _told
     if not _told and sys.stderr is not None:
@@ -116,11 +116,11 @@ if FunctionCache is not None:
             except FileNotFoundError:
                 return None
             except OSError as error:
-                _tell(f"{path}: cannot be read ({error.strerror}), so its function is compiled again")
+                tell(f"{path}: cannot be read ({error.strerror}), so its function is compiled again")
                 return None
             content, checksum = content[:-SIZE], content[-SIZE:]
             if checksum != _checksum(path, content):
-                _tell(f"{path}: compiled code on disk was damaged; it is compiled again, which takes seconds")
+                tell(f"{path}: compiled code on disk was damaged; it is compiled again, which takes seconds")
                 return None
             return content[:-SIZE] if content[-SIZE:] == self._made_for(key) else None
 
@@ -135,14 +135,14 @@ if FunctionCache is not None:
             try:
                 return super().load_overload(signature, target)
             except Exception as error:  # whole, and yet of no use to this numba
-                _tell(f"{self.cache_path}: compiled code on disk cannot be used ({error!r:.100}); it is compiled again")
+                tell(f"{self.cache_path}: compiled code on disk cannot be used ({error!r:.100}); it is compiled again")
                 return None
 
         def save_overload(self, signature: Any, data: Any) -> None:
             try:
                 super().save_overload(signature, data)
             except OSError as error:
-                _tell(f"{self.cache_path}: compiled code cannot be kept ({error.strerror}): each start compiles again")
+                tell(f"{self.cache_path}: compiled code cannot be kept ({error.strerror}): each start compiles again")
 
 
 def _checksum(path: str, content: bytes) -> bytes:

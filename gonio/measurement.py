@@ -175,7 +175,7 @@ def write_model(model: Model, path: str | Path, *, name: str, format: str | None
     if not np.allclose(values, values[0], rtol=1e-6, atol=0):
         raise DataError(f"{path}: the model depends on the sample's azimuth; {chosen.title} is written isotropic only")
     chosen.write_model(model, name, path)
-    if hasattr(model, "specular_reflectivity"):
+    if model.has_spike:
         return ["the specular spike has no width and is not in the file: only the lobe and the diffuse part are"]
     return []
 

@@ -83,7 +83,7 @@ class Cones:
 
     def spike(self, model: Model, *, wavelength_nm: float = 550.0) -> Any:
         """What the receiver gets of the specular spike [1/sr]; 0 for a model without one."""
-        if not hasattr(model, "specular_reflectivity"):
+        if not model.has_spike:
             return np.zeros(self._where.shape)[()]
         return self._overlaps.seen(model, wavelength_nm).reshape(self._where.shape)[()]
 
@@ -109,7 +109,7 @@ def apparent_brdf(
     Parameters
     ----------
     model
-        Any `gonio.models.Model`; one without ``specular_reflectivity`` has no spike.
+        Any `gonio.models.Model`.
     theta_i, phi_i, theta_r, phi_r
         The cones' axes [rad], as in `Model.brdf`; they broadcast.
     wavelength_nm
@@ -143,7 +143,7 @@ def apparent_brdf(
         spike=spike,
     )
     lobe = cones.lobe(_checked(model), wavelength_nm=wavelength_nm)
-    if not hasattr(model, "specular_reflectivity"):
+    if not model.has_spike:
         return lobe
     return lobe + cones.spike(model, wavelength_nm=wavelength_nm)
 

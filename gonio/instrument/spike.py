@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -132,7 +132,7 @@ class Overlaps:
 
 def _reflectivity(model: Model, cosine: Floats, wavelength_nm: float) -> Floats:
     theta = np.arccos(np.clip(cosine, 0.0, 1.0))
-    return np.asarray(cast(Any, model).specular_reflectivity(theta, wavelength_nm=wavelength_nm), dtype=np.float64)
+    return np.asarray(model.specular_reflectivity(theta, wavelength_nm=wavelength_nm), dtype=np.float64)
 
 
 @functools.cache

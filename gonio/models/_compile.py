@@ -114,13 +114,33 @@ def _sources(kernel_file: str) -> str:
 
 
 @functools.cache
+def whole_vectors() -> bool:
+    """Whether this numba has the names that `_vector_width` rests on; with one line on stderr where it has not."""
+    try:
+        import gonio.models._vector_width  # noqa: F401
+    except (ImportError, AttributeError) as error:
+        from gonio.compiled import tell
+
+        tell(f"models are compiled as numba has it, and slower: this numba is not one they are made for ({error})")
+        return False
+    return True
+
+
+def _options(side_by_side: int | None = None, in_single: bool = False) -> dict[str, Any]:
+    """How numba compiles a function: our flags, and the pipeline of `_vector_width` where there is one."""
+    options: dict[str, Any] = {"fastmath": set(FASTMATH), "error_model": "numpy"}
+    if whole_vectors():
+        from gonio.models._vector_width import SIDE_BY_SIDE, wide
+
+        options["pipeline_class"] = wide(side_by_side or SIDE_BY_SIDE, in_single)
+    return options
+
+
+@functools.cache
 def _jit(function: Callable[..., Any], others: Others = (), in_single: bool = False) -> Any:
     import numba
 
-    from gonio.models._vector_width import wide
-
-    options = {"fastmath": set(FASTMATH), "error_model": "numpy", "pipeline_class": wide(in_single=in_single)}
-    return numba.njit(forceinline=True, **options)(_clone(function, {}, others, in_single))
+    return numba.njit(forceinline=True, **_options(in_single=in_single))(_clone(function, {}, others, in_single))
 
 
 def jit(function: Callable[..., Any]) -> Any:
@@ -150,7 +170,6 @@ def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int, i
     import numba
 
     from gonio.compiled import njit
-    from gonio.models._vector_width import wide
 
     types = numba.types
     real = types.float32 if in_single else types.float64
@@ -162,20 +181,19 @@ def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int, i
             return types.UniTuple(real, size)
         return types.Array(real, int(code[1]), "C", readonly=code[0] == "r")
 
-    options = {"fastmath": set(FASTMATH), "error_model": "numpy"}
     function = kernel.__dict__.get(function.__name__, function)  # a kernel of several passes brings its own loops
     signature = tuple(kind(code) for code in function.__dict__["__layout__"])
-    pipeline = wide(function.__dict__["__side_by_side__"], in_single)
+    options = _options(function.__dict__["__side_by_side__"], in_single)
     names: dict[str, Any] = {"kernel": kernel}
     if "columns" in kernel.__dict__ and not function.__dict__["__columns__"]:
         parts = {"shade": kernel, "take": kernel.__dict__["columns"]}
         whole = _clone(_of_directions, parts, kernel.__dict__.get("others", ()), in_single)
-        names = {"kernel": numba.njit(forceinline=True, **options, pipeline_class=pipeline)(whole)}
+        names = {"kernel": numba.njit(forceinline=True, **options)(whole)}
     plain = _clone(function, names, (), in_single)
-    sources = _sources(kernel.__code__.co_filename)
+    sources = _sources(kernel.__code__.co_filename) + ("" if whole_vectors() else "_stock")
     plain.__name__ = f"{function.__name__}_{real}_{kernel.__module__.rsplit('.', 1)[-1]}_{kernel.__name__}_{sources}"
     plain.__qualname__ = plain.__name__
-    return njit(*signature, nogil=True, pipeline_class=pipeline, **options)(plain)
+    return njit(*signature, nogil=True, **options)(plain)
 
 
 def loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int, *, in_single: bool = False) -> Any:

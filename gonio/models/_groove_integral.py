@@ -110,22 +110,22 @@ def mean_exchange(ms, mv, c):  # type: ignore[no-untyped-def]
     d1v = sqrt(mv * mv + (1.0 - mv) * f)
     ds1 = sqrt(ms * ms + (1.0 - ms) * f)
     dsv = sqrt((ms - mv) * (ms - mv) + (1.0 - ms) * (1.0 - mv) * f)
-    p = d1v + d11
-    q = dsv + ds1
+    sum_v = d1v + d11
+    sum_s = dsv + ds1
     turn = (ms - f) / (ds1 + d11) + (ms - 2.0 * mv - f * (1.0 - mv)) / (dsv + d1v)
-    return 0.5 * pi * ((2.0 - f) / q + (mv - f) * turn / (p * q))
+    return 0.5 * pi * ((2.0 - f) / sum_s + (mv - f) * turn / (sum_v * sum_s))
 
 
 @device
 def groove_point(s, v, c, second):  # type: ignore[no-untyped-def]
     """The integrand at S = s, V = v, without cos(theta_a): one bounce plus `second` (rho/pi) times two."""
-    one = min(s, 2.0) * v
-    one = min(one, 2.0 * s)
-    opposite = 2.0 - s
+    one_bounce = min(s, 2.0) * v  # Oren1994 eq. 6: min(S V, 2 V, 2 S)
+    one_bounce = min(one_bounce, 2.0 * s)
+    opposite = 2.0 - s  # S'
     ms = 2.0 / opposite if opposite > 2.0 else 1.0
     mv = 2.0 / v if v > 2.0 else 1.0
     lit = min(max(opposite, 0.0), 2.0)
-    total = max(one, 0.0) + second * lit * min(v, 2.0) * mean_exchange(ms, mv, c)
+    total = max(one_bounce, 0.0) + second * lit * min(v, 2.0) * mean_exchange(ms, mv, c)  # plus eq. 10
     return total if v > 0.0 else 0.0
 
 
@@ -139,22 +139,22 @@ def twice_over_arc(half, sm, cm, smd, cmd, a, b, ti, tr, sine, c, more, work):  
     """
     lit_cut = 1.0 - a * cm > 2.0
     seen_cut = 1.0 + b * cmd > 2.0
-    one = lit_cut != seen_cut
+    one_cut = lit_cut != seen_cut
     # with one side cut: w = uc cos(t) - us sin(t), and the uncut side is 1 + pc cos(t) - ps sin(t)
     uc, us = (tr * cmd, tr * smd) if seen_cut else (-ti * cm, -ti * sm)
     pc, ps = (-a * cm, -a * sm) if seen_cut else (b * cmd, b * smd)
     # cut on both sides, J has a ridge along S' = V as narrow as the smaller of 1/B and tan(theta_r)
-    steep = (b if seen_cut else a) if one else max(a, b) + 1.0 / max(ti, tr)
-    ridge = not one and abs(a * cm + b * cmd) < 0.5 * (b * cmd - a * cm)
+    steep = (b if seen_cut else a) if one_cut else max(a, b) + 1.0 / max(ti, tr)
+    ridge = not one_cut and abs(a * cm + b * cmd) < 0.5 * (b * cmd - a * cm)
     rule = len(MORE) * min(int(GRADES * log(1.0 + 4.0 * steep * half)), STEEPEST_GRADE - 1) + (more if ridge else 0)
     x = ARC_NODES[ARC_BEGINS[rule] : ARC_BEGINS[rule + 1]]
     weight = ARC_WEIGHTS[ARC_BEGINS[rule] : ARC_BEGINS[rule + 1]]
-    if one:
+    if one_cut:
         for j in range(x.size):
             sj, cj = sincos(half * x[j])
-            u = uc * cj - us * sj
-            u = u if u > 0.0 else 0.0
-            work[j] = weight[j] * (1.0 + pc * cj - ps * sj) * (1.0 - c + sine / (sqrt(1.0 + u * u) + u))
+            w = uc * cj - us * sj
+            w = w if w > 0.0 else 0.0
+            work[j] = weight[j] * (1.0 + pc * cj - ps * sj) * (1.0 - c + sine / (sqrt(1.0 + w * w) + w))
     else:
         for j in range(x.size):
             sj, cj = sincos(half * x[j])
@@ -259,10 +259,11 @@ def directions(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
 
 @device
 def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    """The BRDF for P(theta_a) = c exp(-theta_a^2/(2 sigma^2)), eq. 13.
+    """The BRDF for P(theta_a) = c exp(-theta_a^2/(2 sigma^2)), Oren1994 eq. 13.
 
     p: rho/pi, rho/pi of the second bounce, 1/(2 sigma^2), c, the largest theta_a.
     """
+    albedo_pi, second, per_2_sigma2, norm, largest = p
     ti, tr, delta, turns = directions(lx, ly, lz, vx, vy, vz)
     edges = np.empty(16)
     work = np.empty(144)
@@ -271,14 +272,14 @@ def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     count = 1
     for tangent in (ti, tr, ti * abs(cos(turns[0])), ti * abs(cos(turns[1]))):
         knot = atan2(1.0, tangent)
-        if knot < p[4]:
+        if knot < largest:
             k = count
             while knots[k - 1] > knot:
                 knots[k] = knots[k - 1]
                 k -= 1
             knots[k] = knot
             count += 1
-    knots[count] = p[4]
+    knots[count] = largest
     steep = max(ti, tr)
     # near the forward direction S' and V are nearly equal at every azimuth, and rings change fast beside a knot
     forward = ti * ti + tr * tr + 2.0 * ti * tr * cos(delta) < 0.01 * steep * steep
@@ -291,47 +292,51 @@ def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
             half = 0.5 * (high - low)
             if half > 1e-16:
                 smooth = steep * tan(low + half) <= 1.0
-                wide = half * sqrt(8.0 * p[2])  # the interval in units of sigma
+                wide = half * sqrt(8.0 * per_2_sigma2)  # the interval in units of sigma
                 rule = min(int((2.5 if smooth else 3.5) + 0.9 * wide), 16)
                 if forward and not smooth:
                     rule += 2
-                if high > 1.2 and high * high * p[2] < 7.0:  # S and V grow without bound toward 90 degrees
-                    rule += 8 if smooth else 2 if high * high * p[2] > 2.5 else 4
+                exponent = high * high * per_2_sigma2
+                if high > 1.2 and exponent < 7.0:  # S and V grow without bound toward 90 degrees
+                    rule += 8 if smooth else 2 if exponent > 2.5 else 4
                 for k in range(2 * rule * (rule - 1), 2 * rule * (rule + 1)):
                     u = NODES[k]
                     weight = half * WEIGHTS[k] * (1.0 if smooth else 1.5 * (1.0 - u * u))
                     theta = low + half * (1.0 + (u if smooth else 0.5 * u * (3.0 - u * u)))
                     sine, c = sincos(theta)
-                    ring = around(ti, tr, delta, turns, sine / c, c, p[1], more, edges, work)
-                    total += weight * exp(-theta * theta * p[2]) * sine * c * ring
+                    ring = around(ti, tr, delta, turns, sine / c, c, second, more, edges, work)
+                    total += weight * exp(-theta * theta * per_2_sigma2) * sine * c * ring
             low = high
-    value = p[0] * p[3] * total
+    value = albedo_pi * norm * total
     return np.inf if lz <= 0.0 and vz <= 0.0 and value > 1e6 else value
 
 
 @device
 def isotropic_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    """The BRDF for grooves of one slope in every direction, eq. 12.
+    """The BRDF for grooves of one slope in every direction, Oren1994 eq. 12.
 
     p: rho/pi, rho/pi of the second bounce, tan and cos of theta_a.
     """
+    albedo_pi, second, tan_a, cos_a = p
     ti, tr, delta, turns = directions(lx, ly, lz, vx, vy, vz)
-    value = p[0] * p[3] * around(ti, tr, delta, turns, p[2], p[3], p[1], 2, np.empty(16), np.empty(144))
+    ring = around(ti, tr, delta, turns, tan_a, cos_a, second, 2, np.empty(16), np.empty(144))
+    value = albedo_pi * cos_a * ring
     return np.inf if lz <= 0.0 and vz <= 0.0 and value > 1e6 else value
 
 
 @device
 def parallel_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    """The BRDF for parallel grooves of one slope, the mean of their two facets (sec. 3.1).
+    """The BRDF for parallel grooves of one slope, the mean of their two facets (Oren1994 sec. 3.1).
 
     p: as `isotropic_grooves`, then cos and sin of the facets' azimuth.
     """
-    li = (lx * p[4] + ly * p[5]) * p[2]
-    lr = (vx * p[4] + vy * p[5]) * p[2]
-    a = li / max(lz, 1e-300)
-    b = lr / max(vz, 1e-300)
+    albedo_pi, second, tan_a, cos_a, cos_phi_a, sin_phi_a = p
+    across_i = (lx * cos_phi_a + ly * sin_phi_a) * tan_a
+    across_r = (vx * cos_phi_a + vy * sin_phi_a) * tan_a
+    a = across_i / max(lz, 1e-300)  # A cos(phi_a): S = 1 + a for one facet, 1 - a for its opposite
+    b = across_r / max(vz, 1e-300)  # B cos(phi_a - Delta): V = 1 + b and 1 - b
     a = min(max(a, -STEEPEST), STEEPEST)
     b = min(max(b, -STEEPEST), STEEPEST)
-    value = groove_point(1.0 + a, 1.0 + b, p[3], p[1]) + groove_point(1.0 - a, 1.0 - b, p[3], p[1])
-    value = 0.5 * p[0] * p[3] * value
+    value = groove_point(1.0 + a, 1.0 + b, cos_a, second) + groove_point(1.0 - a, 1.0 - b, cos_a, second)
+    value = 0.5 * albedo_pi * cos_a * value
     return np.inf if lz <= 0.0 and vz <= 0.0 and value > 1e6 else value

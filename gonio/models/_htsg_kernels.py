@@ -14,12 +14,17 @@ import numpy as np
 from gonio.models._compile import device, template
 from gonio.models._facets import fresnel
 from gonio.models._htsg_expansion import TERMS, scaled_erfcx
-from gonio.models._htsg_series import BLOCK, EXPANDED, LANES, exp2_over, finish, lambert_w, narrow
+from gonio.models._htsg_series import BLOCK, EXPANDED, LANES, exp2_over, lambert_w, narrow, series
 from gonio.models._math import _LOG2_E, exp, sincos, sincos_polar
 from gonio.models.engine import HALF_PI, NORM_TOLERANCE, PHI_LIMIT
 
 _SQRT_PI = math.sqrt(math.pi)
 _ROWS = max(TERMS) + 1
+
+# The constants of a model at a wavelength, in order: a/pi, k0^4 sigma0^2 tau^2/(16 pi), (k0 sigma0)^2, (k0 tau)^2/4,
+# tau/(2 sigma0), 1 for eq. 25 as printed, |n~^2 - 1|^2, n^2 - k^2 - 1, n k, the tier of the series, 1 without Fresnel.
+DIFFUSE = 0
+TIER = 9
 
 
 @device
@@ -30,43 +35,49 @@ def shadowing(z_i, s_i, z_r, s_r, a, printed):
     He1991 eqs. 24 and 25 with the factor exp(-h^2) that the print lacks (`printed` = 1: as the print has it); K is
     eq. 82. Regular at grazing and at normal incidence. One division serves both directions.
     """
-    below_i, below_r = max(s_i, 1e-140), max(s_r, 1e-140)
-    r = 1.0 / (below_i * below_r)
-    h_i, h_r = a * z_i * (below_r * r), a * z_r * (below_i * r)
-    n_i, n_r = min(h_i, 6.5), min(h_r, 6.5)  # beyond, erfc(h) and exp(-h^2) are below 4e-20
-    e_i, e_r = exp2_over(n_i * n_i, _LOG2_E, False), exp2_over(n_r * n_r, _LOG2_E, False)
-    e_i, e_r = e_i if h_i <= 6.5 else 0.0, e_r if h_r <= 6.5 else 0.0
-    ti, tr, ui, ur = n_i + 3.0, n_r + 3.0, 1.0 + 2.0 * n_i, 1.0 + 2.0 * n_r
-    r = 1.0 / (ti * ui * (tr * ur))
-    erfc_i = e_i * scaled_erfcx((n_i - 3.0) * (ui * r * (tr * ur))) * (ti * r * (tr * ur))
-    erfc_r = e_r * scaled_erfcx((n_r - 3.0) * (ur * r * (ti * ui))) * (tr * r * (ti * ui))
+    # h = a cot(theta)
+    sin_i, sin_r = max(s_i, 1e-140), max(s_r, 1e-140)
+    per_sines = 1.0 / (sin_i * sin_r)
+    h_i, h_r = a * z_i * (sin_r * per_sines), a * z_r * (sin_i * per_sines)
+    x_i, x_r = min(h_i, 6.5), min(h_r, 6.5)  # beyond, erfc(h) and exp(-h^2) are below 4e-20
+    exp_i, exp_r = exp2_over(x_i * x_i, _LOG2_E, False), exp2_over(x_r * x_r, _LOG2_E, False)
+    exp_i, exp_r = exp_i if h_i <= 6.5 else 0.0, exp_r if h_r <= 6.5 else 0.0  # exp(-h^2)
+    # erfc(x) = exp(-x^2) scaled_erfcx((x - 3)/(x + 3)) / (1 + 2 x)
+    t_i, t_r, u_i, u_r = x_i + 3.0, x_r + 3.0, 1.0 + 2.0 * x_i, 1.0 + 2.0 * x_r
+    per_all = 1.0 / (t_i * u_i * (t_r * u_r))
+    erfc_i = exp_i * scaled_erfcx((x_i - 3.0) * (u_i * per_all * (t_r * u_r))) * (t_i * per_all * (t_r * u_r))
+    erfc_r = exp_r * scaled_erfcx((x_r - 3.0) * (u_r * per_all * (t_i * u_i))) * (t_r * per_all * (t_i * u_i))
+    # He1991 eqs. 24 and 25, with erfc(-h) = 2 - erfc(h)
     lit_i, lit_r = _SQRT_PI * a * (2.0 - erfc_i), _SQRT_PI * a * (2.0 - erfc_r)
-    dark_i, dark_r = s_i * (printed + (1.0 - printed) * e_i), s_r * (printed + (1.0 - printed) * e_r)
-    y_i, y_r = max(z_i, 1e-140), max(z_r, 1e-140)
-    k = (s_i * erfc_i * y_r + s_r * erfc_r * y_i) / (y_i * y_r)
+    dark_i, dark_r = s_i * (printed + (1.0 - printed) * exp_i), s_r * (printed + (1.0 - printed) * exp_r)
+    # He1991 eq. 82: K = tan(theta) erfc(h), for both directions
+    cos_i, cos_r = max(z_i, 1e-140), max(z_r, 1e-140)
+    k = (s_i * erfc_i * cos_r + s_r * erfc_r * cos_i) / (cos_i * cos_r)
     return lit_i, z_i * lit_i + dark_i, lit_r, z_r * lit_r + dark_r, min(k, 1e139)
 
 
 @device
-def lobe_state(lx, ly, lz, vx, vy, vz, p):
+def lobe_state(lx, ly, lz, vx, vy, vz, constants):
     """(factor, K, c, g_0) of a pair: its lobe is factor * N * T(N g_0, c), with N = (sigma/sigma0)^2 and T = S(g, c)/g.
 
     He1991 eq. 71 with G = |L+V|^4/(L+V)_z^2 (eq. 76 without its singularities), where g cancels (L+V)_z^2: with both
-    directions grazing the product stays finite. `p` is what `HeTorrance` puts together.
+    directions grazing the product stays finite. `constants` is what `HeTorrance` puts together; more may follow.
     """
-    hx, hy, hz = lx + vx, ly + vy, lz + vz
-    h2 = hx * hx + hy * hy
-    hh = h2 + hz * hz
+    _, scale, phase, width, slope, printed, contrast, real, imag, _, bare = constants[:11]
+    sx, sy, sz = lx + vx, ly + vy, lz + vz
+    sxy2 = sx * sx + sy * sy
+    s2 = sxy2 + sz * sz
     s_i, s_r = math.sqrt(lx * lx + ly * ly), math.sqrt(vx * vx + vy * vy)
-    lit_i, all_i, lit_r, all_r, k = shadowing(lz, s_i, vz, s_r, p[4], p[5])
-    up, down = fresnel(min(0.25 * hh, 1.0), p[6], p[7], p[8])
-    up, down = up if p[10] == 0.0 else 1.0, down if p[10] == 0.0 else 1.0
-    factor = p[1] * (hh * hh) * (up * lit_i * lit_r) / (down * all_i * all_r)
-    return (factor if lz > 0.0 and vz > 0.0 else 0.0), k, p[3] * h2, p[2] * hz * hz
+    lit_i, all_i, lit_r, all_r, k = shadowing(lz, s_i, vz, s_r, slope, printed)
+    f_up, f_down = fresnel(min(0.25 * s2, 1.0), contrast, real, imag)
+    f_up, f_down = f_up if bare == 0.0 else 1.0, f_down if bare == 0.0 else 1.0
+    factor = scale * (s2 * s2) * (f_up * lit_i * lit_r) / (f_down * all_i * all_r)
+    # He1991 eq. 78: c = v_xy^2 tau^2/4; eq. 79 with sigma0 for sigma: g_0 = (k0 sigma0 (cos theta_i + cos theta_r))^2
+    return (factor if lz > 0.0 and vz > 0.0 else 0.0), k, width * sxy2, phase * sz * sz
 
 
 @device
-def vector_states(count, l, v, p, s0, s1, s2, s3):  # noqa: E741
+def vector_states(count, l, v, constants, factor, k, c, g):  # noqa: E741
     """`lobe_state` of a block of pairs of vectors, one column each; 1 where a vector is not of unit length."""
     wrong = 0
     for j in range(count):
@@ -77,8 +88,8 @@ def vector_states(count, l, v, p, s0, s1, s2, s3):  # noqa: E741
         wrong |= 0 if abs(el) <= 2.0 * NORM_TOLERANCE and abs(ev) <= 2.0 * NORM_TOLERANCE else 1
         fl = 1.0 - el * (0.5 - 0.375 * el)
         fv = 1.0 - ev * (0.5 - 0.375 * ev)
-        s0[j], s1[j], s2[j], s3[j] = lobe_state(
-            lx * fl, ly * fl, max(lz * fl, 0.0), vx * fv, vy * fv, max(vz * fv, 0.0), p
+        factor[j], k[j], c[j], g[j] = lobe_state(
+            lx * fl, ly * fl, max(lz * fl, 0.0), vx * fv, vy * fv, max(vz * fv, 0.0), constants
         )
     return wrong
 
@@ -88,10 +99,10 @@ def vector_states(count, l, v, p, s0, s1, s2, s3):  # noqa: E741
 
 @template("r1 i r1 i p w1 i i")
 def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop):
+    diffuse, tier = constants[DIFFUSE], int(constants[TIER])
     wrong = 0
-    tier = int(constants[9])
     state, work = np.empty((6, BLOCK)), np.empty((8, EXPANDED))
-    order, key = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
+    order, kind_of = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
     powers = np.empty((_ROWS, LANES))
     for first in range(start, stop, BLOCK):
         count = min(BLOCK, stop - first)
@@ -100,20 +111,20 @@ def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop)
         o = out[first : first + count]
         wrong |= vector_states(count, l, v, constants, state[0], state[1], state[2], state[3])
         narrow(count, state)
-        finish(count, tier, state, o, order, key, work, powers)
+        series(count, tier, state, o, order, kind_of, work, powers)
         for j in range(count):
-            o[j] += constants[0] if l[3 * j + 2] >= 0.0 and v[3 * j + 2] >= 0.0 else 0.0
+            o[j] += diffuse if l[3 * j + 2] >= 0.0 and v[3 * j + 2] >= 0.0 else 0.0
     return wrong
 
 
 @template("r1 i r1 i r1 i r1 i p w1 i i")
 def _over_angles(theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, constants, out, start, stop):
+    diffuse, tier = constants[DIFFUSE], int(constants[TIER])
     wrong = 0
-    tier = int(constants[9])
     state, work = np.empty((6, BLOCK)), np.empty((8, EXPANDED))
-    order, key = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
+    order, kind_of = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
     powers = np.empty((_ROWS, LANES))
-    s0, s1, s2, s3 = state[0], state[1], state[2], state[3]
+    factor, k, c, g = state[0], state[1], state[2], state[3]
     for first in range(start, stop, BLOCK):
         count = min(BLOCK, stop - first)
         ti = theta_i[first * step_ti : first * step_ti + count]
@@ -129,13 +140,13 @@ def _over_angles(theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step
             sin_i, cos_i = sincos_polar(a)
             sin_r, cos_r = sincos_polar(b)
             sin_d, cos_d = sincos(q - p)  # in the frame of the source's azimuth
-            s0[j], s1[j], s2[j], s3[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
+            factor[j], k[j], c[j], g[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
                 sin_i, 0.0, cos_i, sin_r * cos_d, sin_r * sin_d, cos_r, constants
             )
         narrow(count, state)
-        finish(count, tier, state, o, order, key, work, powers)
+        series(count, tier, state, o, order, kind_of, work, powers)
         for j in range(count):
-            o[j] += constants[0]
+            o[j] += diffuse
     return wrong
 
 
@@ -145,26 +156,26 @@ def _over_angles(theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step
 @device
 def pair_state(lx, ly, lz, vx, vy, vz, slope, printed):
     """(shape, K, V.H^2, |s_xy|^2, s_z^2) of a pair, s = L + V: what of `lobe_state` no wavelength enters."""
-    hx, hy, hz = lx + vx, ly + vy, lz + vz
-    h2 = hx * hx + hy * hy
-    hh = h2 + hz * hz
+    sx, sy, sz = lx + vx, ly + vy, lz + vz
+    sxy2 = sx * sx + sy * sy
+    s2 = sxy2 + sz * sz
     s_i, s_r = math.sqrt(lx * lx + ly * ly), math.sqrt(vx * vx + vy * vy)
     lit_i, all_i, lit_r, all_r, k = shadowing(lz, s_i, vz, s_r, slope, printed)
-    shape = (hh * hh) * (lit_i * lit_r) / (all_i * all_r)
-    return (shape if lz > 0.0 and vz > 0.0 else 0.0), k, min(0.25 * hh, 1.0), h2, hz * hz
+    shape = (s2 * s2) * (lit_i * lit_r) / (all_i * all_r)
+    return (shape if lz > 0.0 and vz > 0.0 else 0.0), k, min(0.25 * s2, 1.0), sxy2, sz * sz
 
 
 @device
-def spectrum(count, first, pairs, tier, waves, state, shared, out, order, key, work, powers):
+def spectrum(count, first, pairs, tier, waves, state, shared, out, order, kind_of, work, powers):
     """The lobe of a block of pairs at every wavelength, from its `pair_state`, into one row of `out` a wavelength.
 
     `waves` has six numbers a wavelength: k0^4 sigma0^2 tau^2/(16 pi), (k0 sigma0)^2, (k0 tau)^2/4, and three of F.
     """
     narrow(count, state)
-    shape, c2, flat, up2, base = shared[0], shared[1], shared[2], shared[3], shared[4]
+    shape, c2, sxy2, sz2, base = shared[0], shared[1], shared[2], shared[3], shared[4]
     factor, c, g = state[0], state[2], state[3]
     for j in range(count):
-        shape[j], up2[j] = factor[j], g[j]
+        shape[j], sz2[j] = factor[j], g[j]
     for w in range(waves.size // 6):
         scale, phase, width = waves[6 * w], waves[6 * w + 1], waves[6 * w + 2]
         contrast, real, imag = waves[6 * w + 3], waves[6 * w + 4], waves[6 * w + 5]
@@ -172,8 +183,8 @@ def spectrum(count, first, pairs, tier, waves, state, shared, out, order, key, w
         for j in range(count):
             f_up, f_down = fresnel(c2[j], contrast, real, imag)
             factor[j] = scale * shape[j] * f_up / f_down
-            c[j], g[j] = width * flat[j], phase * up2[j]
-        finish(count, tier, state, o, order, key, work, powers)
+            c[j], g[j] = width * sxy2[j], phase * sz2[j]
+        series(count, tier, state, o, order, kind_of, work, powers)
         for j in range(count):
             o[j] += base[j]
 
@@ -183,9 +194,9 @@ def spectrum_over_vectors(omega_i, step_i, omega_r, step_r, pairs, constants, wa
     diffuse, slope, printed, tier = constants[0], constants[1], constants[2], int(constants[3])
     wrong = 0
     state, shared, work = np.empty((6, BLOCK)), np.empty((5, BLOCK)), np.empty((8, EXPANDED))
-    order, key = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
+    order, kind_of = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
     powers = np.empty((_ROWS, LANES))
-    factor, k, g, c2, flat, base = state[0], state[1], state[3], shared[1], shared[2], shared[4]
+    factor, k, g, c2, sxy2, base = state[0], state[1], state[3], shared[1], shared[2], shared[4]
     for first in range(start, stop, BLOCK):
         count = min(BLOCK, stop - first)
         l = omega_i[3 * first * step_i : 3 * (first * step_i + count)]  # noqa: E741
@@ -198,11 +209,11 @@ def spectrum_over_vectors(omega_i, step_i, omega_r, step_r, pairs, constants, wa
             wrong |= 0 if abs(el) <= 2.0 * NORM_TOLERANCE and abs(ev) <= 2.0 * NORM_TOLERANCE else 1
             fl = 1.0 - el * (0.5 - 0.375 * el)
             fv = 1.0 - ev * (0.5 - 0.375 * ev)
-            factor[j], k[j], c2[j], flat[j], g[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
+            factor[j], k[j], c2[j], sxy2[j], g[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
                 lx * fl, ly * fl, max(lz * fl, 0.0), vx * fv, vy * fv, max(vz * fv, 0.0), slope, printed
             )
             base[j] = diffuse if lz >= 0.0 and vz >= 0.0 else 0.0
-        spectrum(count, first, pairs, tier, waves, state, shared, out, order, key, work, powers)
+        spectrum(count, first, pairs, tier, waves, state, shared, out, order, kind_of, work, powers)
     return wrong
 
 
@@ -213,9 +224,9 @@ def spectrum_over_angles(
     diffuse, slope, printed, tier = constants[0], constants[1], constants[2], int(constants[3])
     wrong = 0
     state, shared, work = np.empty((6, BLOCK)), np.empty((5, BLOCK)), np.empty((8, EXPANDED))
-    order, key = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
+    order, kind_of = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
     powers = np.empty((_ROWS, LANES))
-    factor, k, g, c2, flat, base = state[0], state[1], state[3], shared[1], shared[2], shared[4]
+    factor, k, g, c2, sxy2, base = state[0], state[1], state[3], shared[1], shared[2], shared[4]
     for first in range(start, stop, BLOCK):
         count = min(BLOCK, stop - first)
         ti = theta_i[first * step_ti : first * step_ti + count]
@@ -230,11 +241,11 @@ def spectrum_over_angles(
             sin_i, cos_i = sincos_polar(a)
             sin_r, cos_r = sincos_polar(b)
             sin_d, cos_d = sincos(q - p)
-            factor[j], k[j], c2[j], flat[j], g[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
+            factor[j], k[j], c2[j], sxy2[j], g[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
                 sin_i, 0.0, cos_i, sin_r * cos_d, sin_r * sin_d, cos_r, slope, printed
             )
             base[j] = diffuse
-        spectrum(count, first, pairs, tier, waves, state, shared, out, order, key, work, powers)
+        spectrum(count, first, pairs, tier, waves, state, shared, out, order, kind_of, work, powers)
     return wrong
 
 
@@ -245,15 +256,16 @@ lobe_state.__dict__.update(_over_vectors=_over_vectors, _over_angles=_over_angle
 
 
 @device
-def spike_reflectivity(theta, p):
+def spike_reflectivity(theta, constants):
     """rho_s = |F|^2 exp(-g) S at the mirror direction (He1991 eq. 73)."""
-    s, z = sincos_polar(theta)
-    lit, whole, _, _, k = shadowing(z, s, z, s, p[4], p[5])
-    _, narrowing, _ = lambert_w(k * k * (0.125 / math.pi))
-    up, down = fresnel(z * z, p[6], p[7], p[8])
-    power = up / down if down > 0.0 else 0.0  # n = 1 at grazing
-    shadow = z * lit / whole if p[2] > 0.0 else 1.0
-    return power * exp(-4.0 * p[2] * narrowing * z * z) * shadow * shadow
+    _, _, phase, _, slope, printed, contrast, real, imag, _, _ = constants
+    sine, cosine = sincos_polar(theta)
+    lit, whole, _, _, k = shadowing(cosine, sine, cosine, sine, slope, printed)
+    _, narrowing, _ = lambert_w(k * k * (0.125 / math.pi))  # He1991 eqs. 80-83: (sigma/sigma0)^2
+    f_up, f_down = fresnel(cosine * cosine, contrast, real, imag)
+    f2 = f_up / f_down if f_down > 0.0 else 0.0  # n = 1 at grazing
+    s_1 = cosine * lit / whole if phase > 0.0 else 1.0  # eq. 24
+    return f2 * exp(-4.0 * phase * narrowing * cosine * cosine) * s_1 * s_1  # eq. 79: g = (2 k0 sigma cos(theta))^2
 
 
 @template("r1 p w1 i i")
@@ -332,7 +344,8 @@ MATRICES = 64  # Mueller matrices made at a time, column by column, before they 
 def mueller_over_angles(
     theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, constants, lobe, out, start, stop
 ):
-    diffuse, rise, loss = constants[0], constants[7], 2.0 * constants[8]
+    diffuse, _, _, _, _, _, _, rise, n_k, _, _ = constants
+    loss = 2.0 * n_k
     columns = np.empty((16, MATRICES))
     m0, m1, m2, m3 = columns[0], columns[1], columns[2], columns[3]
     m4, m5, m6, m7 = columns[4], columns[5], columns[6], columns[7]
@@ -363,11 +376,13 @@ def mueller_over_angles(
 
 @template("r1 r1 r1 p w1 i i")
 def jones_over_angles(theta_i, theta_r, dphi, constants, out, start, stop):
+    _, _, _, _, _, _, _, rise, n_k, _, _ = constants
+    loss = 2.0 * n_k
     for j in range(start, stop):
         sin_i, cos_i = sincos_polar(theta_i[j])
         sin_r, cos_r = sincos_polar(theta_r[j])
         sin_d, cos_d = sincos(dphi[j])
-        a, b, c, d = kernel(sin_i, cos_i, sin_r, cos_r, sin_d, cos_d, constants[7], 2.0 * constants[8])  # type: ignore[name-defined]  # noqa: F821
+        a, b, c, d = kernel(sin_i, cos_i, sin_r, cos_r, sin_d, cos_d, rise, loss)  # type: ignore[name-defined]  # noqa: F821
         row = out[8 * j : 8 * j + 8]
         row[0], row[1], row[2], row[3] = a[0], a[1], b[0], b[1]
         row[4], row[5], row[6], row[7] = c[0], c[1], d[0], d[1]

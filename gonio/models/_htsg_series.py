@@ -118,23 +118,23 @@ def rough_lambert(x):
     bits = np.float64(1.0 + x).view(np.int64) + (_ONE_BITS - _SQRT_HALF_BITS)
     exponent = np.int64((bits >> 52) + _TWO_52_BITS).view(np.float64) - (_TWO_52 + 1023.0)
     y = exponent * _LN2_HIGH + rough_log1p(np.int64((bits & _MANTISSA) + _SQRT_HALF_BITS).view(np.float64) - 1.0)
-    y = x if x < 1e-4 else y
-    above, below = lambert_start(y)
-    above *= y
-    both = above + below
-    r = 1.0 / (below * both)
-    return above * both * r, below * below * r
+    y = x if x < 1e-4 else y  # ln(1 + x)
+    up, down = lambert_start(y)  # W0 = y up/down
+    up *= y
+    total = up + down
+    r = 1.0 / (down * total)
+    return up * total * r, down * down * r
 
 
 @device
 def better_lambert(x, a, p):
-    """(w, 1/(1 + w), e^(w/2) - 1) with w = W0(x), from what `rough_lambert` gives.
+    """(w, 1/(1 + w), e^(w/2) - 1) with w = W0(x), from what `rough_lambert` gives: a near w, and p = 1/(1 + a).
 
     w = a + d with (a + d) e^d = x e^-a =: r, by the series in h = (r - a)/(1 + a); to a few units in the last place
     for x < 1e10, where d is small, and for all x the second time.
     """
     rise = expm1(0.5 * a)
-    scale = 1.0 + rise
+    scale = 1.0 + rise  # e^(a/2)
     h = (x / (scale * scale) - a) * p
     d3 = 1.0 / 3.0 + p * (2.0 / 3.0 + 0.5 * p)
     d4 = 0.25 + 0.75 * p + p * p * (25.0 / 24.0 + 0.625 * p)
@@ -198,14 +198,15 @@ def sum_terms(terms, n, quick, g, c, total, powers):
 
 
 @device
-def expand(tier, band, n, x, p, value, work):
-    """value = S m0/sqrt(p) exp(-phi) of n pairs from x = 1/m0 and p: a band's polynomial, four powers at a time."""
+def expand(tier, band, n, x, spread, value, work):
+    """value = S m0/sqrt(p) exp(-phi) of n pairs, x = 1/m0, p = spread: a band's polynomial, four powers at a time."""
     scales = _SCALES[tier, band]
     b, x_centre, x_scale, q_centre, q_scale = scales[0], scales[1], scales[2], scales[3], scales[4]
     y, t, row = work[0], work[1], work[2]
-    for i in range(n):
+    for i in range(n):  # the two variables on [-1, 1]: of 1/m0, and of q = p/(p + b (1 - p))
+        p = spread[i]
         y[i] = (x[i] - x_centre) * x_scale
-        t[i] = (p[i] / (p[i] + b * (1.0 - p[i])) - q_centre) * q_scale
+        t[i] = (p / (p + b * (1.0 - p)) - q_centre) * q_scale
         value[i] = 0.0
     k = _START[tier, band]
     for fours in _FOURS[tier, band]:
@@ -226,80 +227,114 @@ def expand(tier, band, n, x, p, value, work):
         value[i] = 1.0 + x[i] * value[i]
 
 
+# --- a block of pairs: the rows of its state are factor, K, c and g of each, and room for two numbers more ------------
+
+
 @device
 def narrow(n, state):
     """Factor and g of a block of n states from sigma0 to sigma: both times narrowing = (sigma/sigma0)^2."""
-    factor, spread, g, m0, phi = state[0], state[1], state[3], state[4], state[5]
+    factor, k, g = state[0], state[1], state[3]
+    x, w, spread = state[1], state[4], state[5]  # x = K^2/8 pi takes K's place; w = W0(x), spread = 1/(1 + w)
     # in short loops: a processor overlaps only what it can look ahead to
     far = 0
     for i in range(n):
-        x = spread[i] * spread[i] * (0.125 / math.pi)  # He1991 eqs. 80-83: narrowing = 1/(1 + W0(K^2/8 pi))
-        spread[i] = x
-        m0[i], phi[i] = rough_lambert(x)
-        far |= 1 if x > 1e10 else 0
+        x_i = k[i] * k[i] * (0.125 / math.pi)  # He1991 eqs. 80-83: narrowing = 1/(1 + W0(K^2/8 pi))
+        x[i] = x_i
+        w[i], spread[i] = rough_lambert(x_i)
+        far |= 1 if x_i > 1e10 else 0
     if far:
         for i in range(n):
-            if spread[i] > 1e10:
-                m0[i], phi[i], _ = better_lambert(spread[i], m0[i], phi[i])
+            if x[i] > 1e10:
+                w[i], spread[i], _ = better_lambert(x[i], w[i], spread[i])
     for i in range(n):
-        _, narrowing, _ = better_lambert(spread[i], m0[i], phi[i])
+        _, narrowing, _ = better_lambert(x[i], w[i], spread[i])
         factor[i] *= narrowing
         g[i] *= narrowing
 
 
 @device
-def finish(n, tier, state, out, order, key, work, powers):
-    """out = factor * T(g, c) for a block of n states, class by class."""
-    factor, g, c, spread, m0, phi = state[0], state[3], state[2], state[1], state[4], state[5]
+def largest_terms(n, state):
+    """Where each series is largest: spread, m0 and phi in the rows 1, 4 and 5.
+
+    Its largest term is at m0 = g e^(w/2), w = W0(2c/g^2), and as large as exp(phi); spread is p = 1/(1 + w).
+    """
+    c, g = state[2], state[3]
+    spread, m0, phi = state[1], state[4], state[5]
+    x, w = state[5], state[4]  # first x = 2c/g^2 in the row of phi, and w = W0(x) in the row of m0
     for i in range(n):
         g[i] = max(g[i], 1e-135)
-        x = min(2.0 * c[i] / (g[i] * g[i]), 1e280)
-        phi[i] = x
-        m0[i], spread[i] = rough_lambert(x)
+        x_i = min(2.0 * c[i] / (g[i] * g[i]), 1e280)
+        x[i] = x_i
+        w[i], spread[i] = rough_lambert(x_i)
     for i in range(n):
-        w, spread[i], rise = better_lambert(phi[i], m0[i], spread[i])
+        w_i, spread[i], rise = better_lambert(x[i], w[i], spread[i])
         m0[i] = g[i] + g[i] * rise
-        phi[i] = g[i] * (rise * (1.0 - w) - w)  # m0 (1 - u) - g - c/m0, where c/m0 = u m0 and w = 2u
-    kinds, least = _KINDS[tier], _LEAST[tier]
+        phi[i] = g[i] * (rise * (1.0 - w_i) - w_i)  # m0 (1 - u) - g - c/m0, where c/m0 = u m0 and w = 2u
+
+
+@device
+def classify(n, tier, state, kind_of):
+    """The class of each pair: a number of terms, a band, or `NOTHING` where the lobe is 0 or below 1e-306."""
+    factor, spread, c, m0, phi = state[0], state[1], state[2], state[4], state[5]
+    kinds, least_p = _KINDS[tier], _LEAST[tier]
     for i in range(n):
         eighth = (np.float64(m0[i]).view(np.int64) >> 49) - _FIRST_KIND
-        place = min(max(eighth, 0), least.size - 1)
-        kind = kinds[place + least.size if spread[i] >= least[place] else place]
-        key[i] = kind if factor[i] > 0.0 and max(phi[i], -c[i]) > -705.0 else NOTHING
+        place = min(max(eighth, 0), least_p.size - 1)
+        kind = kinds[place + least_p.size if spread[i] >= least_p[place] else place]
+        kind_of[i] = kind if factor[i] > 0.0 and max(phi[i], -c[i]) > -705.0 else NOTHING
+
+
+@device
+def sort_by_class(n, kind_of, order):
+    """Pairs in the order of their classes, into `order`; where each class starts in it."""
     starts = np.zeros(NOTHING + 2, np.int64)
     for i in range(n):
-        starts[key[i] + 1] += 1
-    for k in range(NOTHING + 1):
-        starts[k + 1] += starts[k]
+        starts[kind_of[i] + 1] += 1
+    for kind in range(NOTHING + 1):
+        starts[kind + 1] += starts[kind]
     ends = starts.copy()
     for i in range(n):
-        k = key[i]
-        order[ends[k]] = i
-        ends[k] += 1
+        kind = kind_of[i]
+        order[ends[kind]] = i
+        ends[kind] += 1
+    return starts
+
+
+@device
+def series(n, tier, state, out, order, kind_of, work, powers):
+    """out = factor * T(g, c) for a block of n states, class by class: the series of He1991 eq. 78, T = S(g, c)/g."""
+    factor, spread, c, g, m0, phi = state[0], state[1], state[2], state[3], state[4], state[5]
+    largest_terms(n, state)
+    classify(n, tier, state, kind_of)
+    starts = sort_by_class(n, kind_of, order)
     for j in range(starts[NOTHING], n):
         out[order[j]] = 0.0
-    a, b, total, q, rest = work[0], work[1], work[2], work[3], work[4]
+    # few terms: the sum from m = 1
+    lane_g, lane_c, total = work[0], work[1], work[2]
     for kind in range(SUMS):
         for first in range(starts[kind], starts[kind + 1], LANES):
             count = min(LANES, starts[kind + 1] - first)
             whole = (count + 7) // 8 * 8  # whole vectors: the last pair is repeated
             for j in range(whole):
                 i = order[first + min(j, count - 1)]
-                a[j], b[j] = g[i], c[i] * _LOG2_E
-            sum_terms(_COUNTS[kind], whole, tier == 2, a, b, total, powers)
+                lane_g[j], lane_c[j] = g[i], c[i] * _LOG2_E
+            sum_terms(_COUNTS[kind], whole, tier == 2, lane_g, lane_c, total, powers)
             for j in range(count):
                 i = order[first + j]
                 out[i] = factor[i] * total[j]
+    # many terms: the largest times sqrt(p) exp(phi) and a polynomial in 1/m0 and p
+    lane_x, lane_phi, lane_spread, scale = work[0], work[1], work[3], work[4]
     for kind in range(SUMS, NOTHING):
         for first in range(starts[kind], starts[kind + 1], EXPANDED):
             count = min(EXPANDED, starts[kind + 1] - first)
             whole = (count + 7) // 8 * 8
             for j in range(whole):
                 i = order[first + min(j, count - 1)]
-                r = 1.0 / (m0[i] * g[i])
-                a[j], b[j], q[j], rest[j] = g[i] * r, phi[i], spread[i], factor[i] * r
-            expand(tier, kind - SUMS, whole, a, q, total, work[5:])
+                per_m0_g = 1.0 / (m0[i] * g[i])
+                lane_x[j], lane_phi[j] = g[i] * per_m0_g, phi[i]
+                lane_spread[j], scale[j] = spread[i], factor[i] * per_m0_g
+            expand(tier, kind - SUMS, whole, lane_x, lane_spread, total, work[5:])
             for j in range(whole):
-                total[j] *= rest[j] * (exp(b[j]) * math.sqrt(q[j]))
+                total[j] *= scale[j] * (exp(lane_phi[j]) * math.sqrt(lane_spread[j]))
             for j in range(count):
                 out[order[first + j]] = total[j]

@@ -6,6 +6,9 @@ And it fetches a constant anew, with two instructions, wherever registers are sh
 of its instructions on that. A constant that it cannot see through is set up once before the loop and is an operand in
 memory (on an aligned stack). All are properties of each function, so that no other compiled code of the process is
 touched.
+
+This rests on names inside numba. Where one is gone, importing this module fails, and `_compile` leaves kernels to
+numba's stock pipeline: the same results but for roundings, slower.
 """
 
 # mypy: allow-any-generics, disallow-subclassing-any=False
@@ -30,6 +33,15 @@ ATTRIBUTES = ('"prefer-vector-width"="512"', '"frame-pointer"="all"')  # with a 
 PLAIN = (0.0, 0.5, 1.0, 2.0)  # what arithmetic with these can be simplified to is worth more
 SIDE_BY_SIDE = 4  # vectors that a loop takes, unless it asks for another number
 BITS = {llvm.DoubleType(): llvm.IntType(64), llvm.FloatType(): llvm.IntType(32)}
+NEEDED = (
+    Lower.lower_normal_function,
+    Lower.lower_assign,
+    NativeLowering.lowering_class,
+    DefaultPassBuilder.define_nopython_pipeline,
+    FunctionPass.run_pass,
+    IRProcessing.run_pass,
+)
+"""What is overridden or called beside the names imported above: a numba without one of them fails here."""
 BEYOND = {1e-75: 1e-9}
 """What stands in float32 for a bound whose products would leave its range."""
 

@@ -19,8 +19,8 @@ from gonio.models._facets import (
     SINGLE_RANGE,
     alpha_squared,
     by_angle,
-    by_flat,
     by_log_cos,
+    by_sxy2,
     cos_power,
     facet,
     fresnel,
@@ -49,57 +49,55 @@ if TYPE_CHECKING:
 DISTRIBUTIONS = ("trowbridge-reitz", "gaussian", "phong")
 
 
-# --- kernels: p is (k_d/pi, k_s/pi, coefficient, then |n~^2 - 1|^2, n^2 - k^2 - 1, n k) ---------------------------
+# --- kernels: p is (k_d/pi, k_s/pi, c1, c2 or c3, then |n~^2 - 1|^2, n^2 - k^2 - 1, n k) ---------------------------
 
 
 @device
 def log_cos_and_light(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
     """(ln (N.H)^2, N.L)."""
-    flat, sz, s2, _, _, _ = facet(lx, ly, lz, vx, vy, vz)
-    return log_cos2(flat, sz, s2), lz
+    sxy2, sz, s2, _, _, _ = facet(lx, ly, lz, vx, vy, vz)
+    return log_cos2(sxy2, sz, s2), lz
 
 
 @of_columns(log_cos_and_light, 2)
 def phong_highlight(log_square, lz, p):  # type: ignore[no-untyped-def]
     """s = (N.H)^c1."""
-    weight, exponent = p[1], p[2]
-    return weight * cos_power(log_square, exponent)
+    _, k_s, c1 = p
+    return k_s * cos_power(log_square, c1)
 
 
 @of_columns(log_cos_and_light, 2)
 def phong(log_square, lz, p):  # type: ignore[no-untyped-def]
     """(k_d + k_s s / cos(theta_i)) / pi."""
-    diffuse, weight, exponent = p[0], p[1], p[2]
-    s = weight * cos_power(log_square, exponent)
-    return diffuse + (s / lz if s > 0.0 else 0.0)
+    diffuse, k_s_over_pi, c1 = p
+    specular = k_s_over_pi * cos_power(log_square, c1)
+    return diffuse + (specular / lz if specular > 0.0 else 0.0)
 
 
 @device
-def d2(alpha2, c):  # type: ignore[no-untyped-def]
+def d2(alpha2, c2):  # type: ignore[no-untyped-def]
     """D2 = exp(-(alpha c2)^2)."""
-    return exp2(alpha2 * (-_LOG2_E * c * c))
+    return exp2(alpha2 * (-_LOG2_E * c2 * c2))
 
 
 @device
-def d3(flat, s2, sz, c):  # type: ignore[no-untyped-def]
+def d3(sxy2, s2, sz, c3):  # type: ignore[no-untyped-def]
     """D3 = [c3^2 / (cos^2(alpha) (c3^2 - 1) + 1)]^2, numerator and denominator, as 1/(cos^2 + sin^2/c3^2)."""
-    root = sz * sz + flat * (1.0 / (c * c))
+    root = sz * sz + sxy2 * (1.0 / (c3 * c3))
     return s2 * s2, root * root
 
 
 @device
-def torrance_sparrow(d_up, d_down, s2, sz, g, p):  # type: ignore[no-untyped-def]
+def torrance_sparrow(d_up, d_down, s2, sz, g, diffuse, weight, contrast, real, imag):  # type: ignore[no-untyped-def]
     """The BRDF for a distribution d_up/d_down: (k_d + k_s D F G/((N.E)(N.L))) / pi."""
-    diffuse, weight, contrast, real, imag = p[0], p[1], p[3], p[4], p[5]
     f_up, f_down = fresnel(0.25 * s2, contrast, real, imag)
     up = weight * d_up * f_up * sz
     return diffuse + (up / ((d_down * f_down) * g) if up > 0.0 else 0.0)
 
 
 @device
-def torrance_sparrow_highlight(d_up, d_down, lz, vz, s2, sz, p):  # type: ignore[no-untyped-def]
+def torrance_sparrow_highlight(d_up, d_down, lz, vz, s2, sz, weight, contrast, real, imag):  # type: ignore[no-untyped-def]
     """s = D F G/(N.E), from a distribution d_up/d_down."""
-    weight, contrast, real, imag = p[1], p[3], p[4], p[5]
     f_up, f_down = fresnel(0.25 * s2, contrast, real, imag)
     g_up, g_down = groove_over_viewer(lz, vz, sz, s2)
     up = weight * d_up * f_up * g_up
@@ -109,37 +107,47 @@ def torrance_sparrow_highlight(d_up, d_down, lz, vz, s2, sz, p):  # type: ignore
 @of_columns(by_log_cos, 4, single_range=SINGLE_RANGE)
 def brdf_d1(log_square, s2, sz, g, p):  # type: ignore[no-untyped-def]
     """With D1 = cos^c1(alpha)."""
-    return torrance_sparrow(cos_power(log_square, p[2]), 1.0, s2, sz, g, p)
+    diffuse, weight, c1, contrast, real, imag = p
+    return torrance_sparrow(cos_power(log_square, c1), 1.0, s2, sz, g, diffuse, weight, contrast, real, imag)
 
 
 @of_columns(by_angle, 4, single_range=SINGLE_RANGE)
 def brdf_d2(alpha2, s2, sz, g, p):  # type: ignore[no-untyped-def]
-    return torrance_sparrow(d2(alpha2, p[2]), 1.0, s2, sz, g, p)
+    """With D2 = exp(-(alpha c2)^2)."""
+    diffuse, weight, c2, contrast, real, imag = p
+    return torrance_sparrow(d2(alpha2, c2), 1.0, s2, sz, g, diffuse, weight, contrast, real, imag)
 
 
-@of_columns(by_flat, 4, single_range=SINGLE_RANGE)
-def brdf_d3(flat, s2, sz, g, p):  # type: ignore[no-untyped-def]
-    d_up, d_down = d3(flat, s2, sz, p[2])
-    return torrance_sparrow(d_up, d_down, s2, sz, g, p)
+@of_columns(by_sxy2, 4, single_range=SINGLE_RANGE)
+def brdf_d3(sxy2, s2, sz, g, p):  # type: ignore[no-untyped-def]
+    """With D3, Trowbridge and Reitz's."""
+    diffuse, weight, c3, contrast, real, imag = p
+    d_up, d_down = d3(sxy2, s2, sz, c3)
+    return torrance_sparrow(d_up, d_down, s2, sz, g, diffuse, weight, contrast, real, imag)
 
 
 @device
 def highlight_d1(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    flat, sz, s2, _, lz, vz = facet(lx, ly, lz, vx, vy, vz)
-    return torrance_sparrow_highlight(cos_power(log_cos2(flat, sz, s2), p[2]), 1.0, lz, vz, s2, sz, p)
+    _, weight, c1, contrast, real, imag = p
+    sxy2, sz, s2, _, lz, vz = facet(lx, ly, lz, vx, vy, vz)
+    d1 = cos_power(log_cos2(sxy2, sz, s2), c1)
+    return torrance_sparrow_highlight(d1, 1.0, lz, vz, s2, sz, weight, contrast, real, imag)
 
 
 @device
 def highlight_d2(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    flat, sz, s2, _, lz, vz = facet(lx, ly, lz, vx, vy, vz)
-    return torrance_sparrow_highlight(d2(alpha_squared(flat, sz, s2), p[2]), 1.0, lz, vz, s2, sz, p)
+    _, weight, c2, contrast, real, imag = p
+    sxy2, sz, s2, _, lz, vz = facet(lx, ly, lz, vx, vy, vz)
+    gaussian = d2(alpha_squared(sxy2, sz, s2), c2)
+    return torrance_sparrow_highlight(gaussian, 1.0, lz, vz, s2, sz, weight, contrast, real, imag)
 
 
 @device
 def highlight_d3(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
-    flat, sz, s2, _, lz, vz = facet(lx, ly, lz, vx, vy, vz)
-    d_up, d_down = d3(flat, s2, sz, p[2])
-    return torrance_sparrow_highlight(d_up, d_down, lz, vz, s2, sz, p)
+    _, weight, c3, contrast, real, imag = p
+    sxy2, sz, s2, _, lz, vz = facet(lx, ly, lz, vx, vy, vz)
+    d_up, d_down = d3(sxy2, s2, sz, c3)
+    return torrance_sparrow_highlight(d_up, d_down, lz, vz, s2, sz, weight, contrast, real, imag)
 
 
 _BRDFS: dict[str, Kernel] = {"phong": brdf_d1, "gaussian": brdf_d2, "trowbridge-reitz": brdf_d3}

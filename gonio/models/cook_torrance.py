@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 DEFAULT_INDEX = 0.64 + 2.6j
 
 
-# --- kernels: p is (diffuse BRDF, 3 constants of F, then -log2(e)/m^2 and the factor of every slope) ---
+# --- kernels: constants are the diffuse BRDF, 3 numbers of F, then -log2(e)/m^2 and the factor of every slope ---
 
 
 @device
@@ -47,54 +47,60 @@ def schlick(c2, f0, rest):  # type: ignore[no-untyped-def]
 
 
 @device
-def beckmann_slopes(tan2, p):  # type: ignore[no-untyped-def]
+def beckmann_slopes(tan2, slopes):  # type: ignore[no-untyped-def]
     """D = exp(-tan^2/m^2) / (m^2 cos^4), summed over slopes."""
-    d = 0.0
-    for j in range(4, len(p), 2):
-        d += p[j + 1] * exp2(tan2 * p[j])
-    return d * ((1.0 + tan2) * (1.0 + tan2))
+    cos4_d = 0.0
+    for j in range(0, len(slopes), 2):
+        rate, factor = slopes[j], slopes[j + 1]
+        cos4_d += factor * exp2(tan2 * rate)
+    return cos4_d * ((1.0 + tan2) * (1.0 + tan2))
 
 
 @device
-def gaussian_slopes(alpha2, p):  # type: ignore[no-untyped-def]
+def gaussian_slopes(alpha2, slopes):  # type: ignore[no-untyped-def]
     """D = c exp(-(alpha/m)^2) with c = 1, summed over slopes."""
     d = 0.0
-    for j in range(4, len(p), 2):
-        d += p[j + 1] * exp2(alpha2 * p[j])
+    for j in range(0, len(slopes), 2):
+        rate, factor = slopes[j], slopes[j + 1]
+        d += factor * exp2(alpha2 * rate)
     return d
 
 
 @device
-def facets(sz, g, base, up, down):  # type: ignore[no-untyped-def]
-    """The BRDF for D F = up / down."""
+def facets(sz, g, diffuse, up, down):  # type: ignore[no-untyped-def]
+    """The BRDF for D F = up / down: D F G/((N.L)(N.V)) with G/((N.L)(N.V)) = s_z/g."""
     up *= sz
-    return base + (up / (down * g) if up > 0.0 else 0.0)
+    return diffuse + (up / (down * g) if up > 0.0 else 0.0)
 
 
 @of_columns(by_tan2, 4, single_range=SINGLE_RANGE)
-def beckmann(tan2, s2, sz, g, p):  # type: ignore[no-untyped-def]
-    base, contrast, real, imag = p[0], p[1], p[2], p[3]
+def beckmann(tan2, s2, sz, g, constants):  # type: ignore[no-untyped-def]
+    """R_s with Beckmann's D and the exact F."""
+    (diffuse, contrast, real, imag), slopes = constants[:4], constants[4:]
     f_up, f_down = fresnel(0.25 * s2, contrast, real, imag)
-    return facets(sz, g, base, beckmann_slopes(tan2, p) * f_up, f_down)
+    return facets(sz, g, diffuse, beckmann_slopes(tan2, slopes) * f_up, f_down)
 
 
 @of_columns(by_angle, 4, single_range=SINGLE_RANGE)
-def gaussian(alpha2, s2, sz, g, p):  # type: ignore[no-untyped-def]
-    base, contrast, real, imag = p[0], p[1], p[2], p[3]
+def gaussian(alpha2, s2, sz, g, constants):  # type: ignore[no-untyped-def]
+    """R_s with the Gaussian D and the exact F."""
+    (diffuse, contrast, real, imag), slopes = constants[:4], constants[4:]
     f_up, f_down = fresnel(0.25 * s2, contrast, real, imag)
-    return facets(sz, g, base, gaussian_slopes(alpha2, p) * f_up, f_down)
+    return facets(sz, g, diffuse, gaussian_slopes(alpha2, slopes) * f_up, f_down)
 
 
 @of_columns(by_tan2, 4, single_range=SINGLE_RANGE)
-def beckmann_schlick(tan2, s2, sz, g, p):  # type: ignore[no-untyped-def]
-    base, f0, rest = p[0], p[1], p[2]
-    return facets(sz, g, base, beckmann_slopes(tan2, p) * schlick(0.25 * s2, f0, rest), 1.0)
+def beckmann_schlick(tan2, s2, sz, g, constants):  # type: ignore[no-untyped-def]
+    """R_s with Beckmann's D and Schlick's F."""
+    (diffuse, f0, rest, _), slopes = constants[:4], constants[4:]
+    return facets(sz, g, diffuse, beckmann_slopes(tan2, slopes) * schlick(0.25 * s2, f0, rest), 1.0)
 
 
 @of_columns(by_angle, 4, single_range=SINGLE_RANGE)
-def gaussian_schlick(alpha2, s2, sz, g, p):  # type: ignore[no-untyped-def]
-    base, f0, rest = p[0], p[1], p[2]
-    return facets(sz, g, base, gaussian_slopes(alpha2, p) * schlick(0.25 * s2, f0, rest), 1.0)
+def gaussian_schlick(alpha2, s2, sz, g, constants):  # type: ignore[no-untyped-def]
+    """R_s with the Gaussian D and Schlick's F."""
+    (diffuse, f0, rest, _), slopes = constants[:4], constants[4:]
+    return facets(sz, g, diffuse, gaussian_slopes(alpha2, slopes) * schlick(0.25 * s2, f0, rest), 1.0)
 
 
 _KERNELS: dict[tuple[str, str], Kernel] = {

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from gonio.errors import ArgumentError, refuse_masked
-from gonio.models._compile import device, loop, template
+from gonio.models._compile import device, loop, template, whole_vectors
 from gonio.models._math import sincos, sincos_polar
 
 if TYPE_CHECKING:
@@ -425,9 +425,9 @@ def _all_single(*arguments: Any) -> bool:
 
 
 def _in_single(kernel: Kernel, constants: Constants) -> bool:
-    """Whether float32 holds all that a kernel makes of these constants."""
+    """Whether a kernel has float32 arithmetic, and that holds all that it makes of these constants."""
     low, high = kernel.__dict__.get("single_range", (math.inf, 0.0))
-    return all(constant == 0.0 or low <= abs(constant) <= high for constant in constants)
+    return whole_vectors() and all(constant == 0.0 or low <= abs(constant) <= high for constant in constants)
 
 
 def _to_single(values: Any) -> Any:

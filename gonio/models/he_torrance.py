@@ -16,7 +16,7 @@ from gonio.models._facets import fresnel_constants
 from gonio.models._hemisphere import about_mirror, about_source
 from gonio.models._htsg_series import TIERS
 from gonio.models.engine import Constants, Kernel
-from gonio.models.model import Index, Model, checked_index, checked_wavelength, choice, index_at, number
+from gonio.models.model import Index, Model, checked_index, checked_wavelength, choice, index_at, number, over_thetas
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -137,20 +137,7 @@ class HeTorrance(Model):
         ArgumentError
             An angle is NaN or out of range; it names the argument.
         """
-        return engine.delivered(out, self._over_thetas(self._spike, theta_i, wavelength_nm))
-
-    def _over_thetas(self, evaluate: Any, theta_i: ArrayLike, wavelength_nm: ArrayLike) -> Any:
-        """``evaluate(flat theta, wavelength) -> flat`` over broadcast arguments."""
-        theta = engine.real_array("theta_i", theta_i)
-        engine.check_angles([theta, *[np.zeros(1)] * 3])
-        waves = engine.real_array("wavelength_nm", wavelength_nm)
-        shape = engine.common_shape(("theta_i", "wavelength_nm"), [theta.shape, waves.shape])
-        theta, waves = np.broadcast_to(theta, shape).ravel(), np.broadcast_to(waves, shape).ravel()
-        out = np.empty(theta.shape)
-        for wave in np.unique(waves):
-            here = waves == wave
-            out[here] = evaluate(np.ascontiguousarray(theta[here]), checked_wavelength(wave))
-        return out.reshape(shape)[()]
+        return engine.delivered(out, over_thetas(self._spike, theta_i, wavelength_nm))
 
     def _spike(self, theta: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
         constants = self._constants(wavelength_nm)
@@ -255,7 +242,7 @@ class HeTorrance(Model):
         float64 array of the shape that the arguments broadcast to. Nothing forces it below 1: the paper's own Figs. 9,
         11 and 14 exceed it.
         """
-        return engine.delivered(out, self._over_thetas(self._hemispherical, theta_i, wavelength_nm))
+        return engine.delivered(out, over_thetas(self._hemispherical, theta_i, wavelength_nm))
 
     def _hemispherical(self, theta: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
         constants = self._constants(wavelength_nm)
@@ -265,15 +252,16 @@ class HeTorrance(Model):
 
     def _lobe_hemispherical(self, theta: float, constants: Constants) -> float:
         """The integral of lobe * cos(theta_r), to 1e-9 of itself."""
-        if theta >= engine.HALF_PI or constants[1] == 0.0:
+        _, scale, _, width, slope, _, _, rise, *_ = constants
+        if theta >= engine.HALF_PI or scale == 0.0:
             return 0.0
-        narrow = min(0.25, 1.0 / math.sqrt(1.0 + 4.0 * constants[3]))  # 1/(k0 tau)
-        critical = math.asin(math.sqrt(1.0 + constants[7])) if -1.0 < constants[7] < 0.0 else None  # 0 < Re n^2 < 1
+        narrow = min(0.25, 1.0 / math.sqrt(1.0 + 4.0 * width))  # 1/(k0 tau)
+        critical = math.asin(math.sqrt(1.0 + rise)) if -1.0 < rise < 0.0 else None  # 0 < Re n^2 < 1
         omega_i = np.array([math.sin(theta), 0.0, math.cos(theta)])
         before = math.inf
         for order in (8, 12, 18, 27, 40):
             omega_r, weight = (
-                about_mirror(theta, narrow, constants[4], order)
+                about_mirror(theta, narrow, slope, order)
                 if critical is None
                 else about_source(theta, narrow, critical, order)
             )

@@ -141,9 +141,10 @@ def over_pairs(first, second, constants, out, start, stop):
 
 @device
 def _shadowing(theta, slope, p):
-    s, z = sincos_polar(theta)
-    lit, whole, _, _, _ = pair_shadowing(z, s, z, s, slope, p[0])
-    return min(z * lit / whole, 1.0)
+    printed, _ = p
+    sine, cosine = sincos_polar(theta)
+    lit, whole, _, _, _ = pair_shadowing(cosine, sine, cosine, sine, slope, printed)
+    return min(cosine * lit / whole, 1.0)  # He1991 eq. 24
 
 
 @device
@@ -166,18 +167,19 @@ def _lambert_w_of_exp(y):
 def _log_series(g, c, constants):
     if g == 0.0:
         return -math.inf
-    # w = 2u = W0(2c/g^2), by logarithms where it is large
+    # the largest term is at m0 = g e^(w/2), w = W0(2c/g^2), by logarithms where that is large; p = 1/(1 + w)
     if 2.0 * c < 1e280 * g * g:
-        w, spread, rise = lambert_w(2.0 * c / (g * g))
+        w, p, rise = lambert_w(2.0 * c / (g * g))
     else:
         w = _lambert_w_of_exp(math.log(2.0 * max(c, 1e-300)) - 2.0 * math.log(g))
-        spread, rise = 1.0 / (1.0 + w), expm1(0.5 * w)
+        p, rise = 1.0 / (1.0 + w), expm1(0.5 * w)
     m0 = math.exp(0.5 * w + math.log(g))
-    if m0 > 40.0 and m0 * spread > 1.9:
-        x, p, bracket, work = np.empty(1), np.empty(1), np.empty(1), np.empty((3, 1))
-        x[0], p[0] = 1.0 / m0, spread
-        expand(0, 3 if m0 < 120.0 else 4 if m0 < 1536.0 else 5, 1, x, p, bracket, work)
-        return g * (rise * (1.0 - w) - w) + math.log(math.sqrt(spread) / m0 * bracket[0])
+    if m0 > 40.0 and m0 * p > 1.9:
+        per_m0, width, bracket, work = np.empty(1), np.empty(1), np.empty(1), np.empty((3, 1))
+        per_m0[0], width[0] = 1.0 / m0, p
+        band = 3 if m0 < 120.0 else 4 if m0 < 1536.0 else 5
+        expand(0, band, 1, per_m0, width, bracket, work)
+        return g * (rise * (1.0 - w) - w) + math.log(math.sqrt(p) / m0 * bracket[0])
     top = max(1.0, math.floor(m0 + 0.5))
     log_top = top * math.log(g) - g - math.lgamma(top + 1.0) - math.log(top) - c / top
     return log_top + log(sum_around(g, c, top))

@@ -14,7 +14,8 @@ from gonio.models.model import Model, number, store
 @device
 def lambert(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     """The constant BRDF."""
-    return p[0]
+    (brdf,) = p
+    return brdf
 
 
 @dataclass(frozen=True, repr=False)

@@ -10,16 +10,19 @@ import inspect
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast, overload
 
 import numpy as np
 
 from gonio.errors import ArgumentError, refuse_masked
 from gonio.models import engine
 from gonio.models.engine import SPLIT, Constants, Geometry, Kernel
+from gonio.typing import Floats
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
+
+    Vector = tuple[float, float, float]
 
 Index = complex | str | Sequence[float] | Callable[[float], complex]
 """A complex refractive index n + ik, [n, k], a material's name, or a function of the wavelength in nm."""
@@ -29,7 +32,7 @@ class Model(ABC):
     """A reflectance model with its parameters.
 
     Subclasses are frozen dataclasses whose fields are the constructor's arguments; they name a compiled kernel and
-    the constants that it needs at a wavelength. A model with a specular delta also has ``specular_reflectivity``.
+    the constants that it needs at a wavelength. A model with a specular spike overrides `specular_reflectivity`.
     """
 
     name: ClassVar[str]
@@ -61,6 +64,30 @@ class Model(ABC):
     def _absolute(self) -> bool:
         """Whether the BRDF depends on both azimuths and not on their difference alone."""
         return False
+
+    @overload
+    def brdf(
+        self,
+        theta_i: float,
+        phi_i: float,
+        theta_r: float,
+        phi_r: float,
+        *,
+        wavelength_nm: float = ...,
+        out: None = ...,
+    ) -> float: ...
+
+    @overload
+    def brdf(
+        self,
+        theta_i: ArrayLike,
+        phi_i: ArrayLike,
+        theta_r: ArrayLike,
+        phi_r: ArrayLike,
+        *,
+        wavelength_nm: ArrayLike = ...,
+        out: Floats | None = ...,
+    ) -> Floats: ...
 
     def brdf(
         self,
@@ -112,6 +139,31 @@ class Model(ABC):
         """The BRDF (wavelengths, pairs) at four angles of one shape, or at two arrays of vectors."""
         evaluate = self.brdf if len(arguments) == 4 else self.brdf_vectors
         return np.stack([np.reshape(evaluate(*arguments, wavelength_nm=wave), -1) for wave in waves])
+
+    @overload
+    def brdf_vectors(  # type: ignore[overload-overlap]  # a tuple of three numbers is an ArrayLike too
+        self, omega_i: Vector, omega_r: Vector, *, wavelength_nm: float = ..., out: None = ...
+    ) -> float: ...
+
+    @overload
+    def brdf_vectors(
+        self,
+        omega_i: NDArray[np.float32],
+        omega_r: NDArray[np.float32],
+        *,
+        wavelength_nm: float = ...,
+        out: NDArray[np.float32] | None = ...,
+    ) -> NDArray[np.float32]: ...
+
+    @overload
+    def brdf_vectors(
+        self,
+        omega_i: ArrayLike,
+        omega_r: ArrayLike,
+        *,
+        wavelength_nm: ArrayLike = ...,
+        out: Floats | None = ...,
+    ) -> Floats: ...
 
     def brdf_vectors(
         self, omega_i: ArrayLike, omega_r: ArrayLike, *, wavelength_nm: ArrayLike = 550.0, out: Any = None
@@ -171,6 +223,48 @@ class Model(ABC):
         """
         kernel, constants = self._evaluation(checked_wavelength(wavelength_nm))
         return engine.at_geometry(kernel, constants, geometry, split=self.grain, out=out)
+
+    @property
+    def has_spike(self) -> bool:
+        """Whether the model has a specular spike: whether its class has a `specular_reflectivity` of its own."""
+        return type(self).specular_reflectivity is not Model.specular_reflectivity
+
+    def specular_reflectivity(self, theta_i: ArrayLike, *, wavelength_nm: ArrayLike = 550.0, out: Any = None) -> Any:
+        """Reflectivity of the specular spike: 0 for a model without one.
+
+        Parameters
+        ----------
+        theta_i
+            Polar angle of the source [rad], in [0, pi/2].
+        wavelength_nm
+            Wavelength [nm].
+        out
+            Where the result goes, as in `brdf`.
+
+        Returns
+        -------
+        float64 array of the shape that the arguments broadcast to, in [0, 1].
+
+        Raises
+        ------
+        ArgumentError
+            An angle is NaN or out of range; it names the argument.
+        """
+        return engine.delivered(out, over_thetas(lambda theta, _: np.zeros(theta.size), theta_i, wavelength_nm))
+
+
+def over_thetas(evaluate: Callable[[Floats, float], Floats], theta_i: ArrayLike, wavelength_nm: ArrayLike) -> Any:
+    """``evaluate(flat theta_i, wavelength) -> flat`` over checked arguments that broadcast."""
+    theta = engine.real_array("theta_i", theta_i)
+    engine.check_angles([theta, *[np.zeros(1)] * 3])
+    waves = engine.real_array("wavelength_nm", wavelength_nm)
+    shape = engine.common_shape(("theta_i", "wavelength_nm"), [theta.shape, waves.shape])
+    theta, waves = np.broadcast_to(theta, shape).ravel(), np.broadcast_to(waves, shape).ravel()
+    out = np.empty(theta.shape)
+    for wave in np.unique(waves):
+        here = waves == wave
+        out[here] = evaluate(np.ascontiguousarray(theta[here]), checked_wavelength(wave))
+    return out.reshape(shape)[()]
 
 
 def _by_wavelength(

@@ -28,85 +28,94 @@ STEEP = 1e60  # the functional form beyond this is infinite at exactly grazing
 
 
 @device
-def shares(tangent, steep):  # type: ignore[no-untyped-def]
+def shares(tan_half, steep):  # type: ignore[no-untyped-def]
     """(2 theta/pi, 1 - 2 theta/pi) of a polar angle, both to the last place.
 
-    `tangent` is that of half the angle or, where the angle is `steep`, of half its complement.
+    `tan_half` is the tangent of half the angle or, where the angle is `steep`, of half its complement.
     """
-    near = 2.0 * TWO_OVER_PI * tangent * atan_over_near(tangent * tangent)
+    near = 2.0 * TWO_OVER_PI * tan_half * atan_over_near(tan_half * tan_half)
     far = 1.0 - near
     return far if steep else near, near if steep else far
 
 
 @device
 def angular_terms(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
-    """What C2 without its roughness, C3 without its, and the second bounce of eqs. 14 to 16 make of the directions."""
-    ci = lz if lz > FLAT else FLAT
-    cr = vz if vz > FLAT else FLAT
-    si = sqrt(lx * lx + ly * ly)
-    sr = sqrt(vx * vx + vy * vy)
-    dot = lx * vx + ly * vy
-    cross = lx * vy - ly * vx
-    # alpha is the larger polar angle, beta the smaller
-    cos_a = ci if ci < cr else cr
-    cos_b = cr if ci < cr else ci
-    sin_a = si if si > sr else sr
-    sin_b = sr if si > sr else si
-    steep_a = cos_a < sin_a
-    steep_b = cos_b < sin_b
-    one_a = 1.0 + (sin_a if steep_a else cos_a)
-    one_b = 1.0 + (sin_b if steep_b else cos_b)
-    # every quotient is a product with one reciprocal
-    both = si * sr
-    more = both + abs(dot)
-    square = both * more
-    square = square if square > FLAT * FLAT else FLAT * FLAT  # at normal incidence the azimuth has no effect
-    ones = one_a * one_b
-    sum_cos = cos_a + cos_b
-    cosines = cos_b * sum_cos
-    inverse = 1.0 / (square * (ones * cosines))
-    for_azimuth = inverse * (ones * cosines)  # 1/(both more)
-    for_angles = inverse * square  # 1/(ones cosines)
-    per_both = for_azimuth * more
-    cosine = dot * per_both
-    cosine = cosine if cosine < 1.0 else 1.0
-    cosine = cosine if cosine > -1.0 else -1.0
-    sine = cross * per_both
-    per_one = for_angles * cosines
-    tan_a = (cos_a if steep_a else sin_a) * one_b * per_one
-    tan_b = (cos_b if steep_b else sin_b) * one_a * per_one
-    fa, _ = shares(tan_a, steep_a)
-    fb, ub = shares(tan_b, steep_b)
-    # cos(dphi) tan(beta) times sin(alpha), or times `braces` = sin(alpha) - (2 beta/pi)^3 on the mirror side
-    per_cosines = for_angles * ones
-    less = cos_a * tan_a if steep_a else 1.0 - sin_a
-    braces = ub * (3.0 - ub * (3.0 - ub)) - less
-    second = (dot if dot >= 0.0 else cosine * braces * sin_b) * (per_cosines * sum_cos)
-    flat = sine * sine
-    flat = flat if flat > 1e-30 else 0.0
-    # (1 - |cos(dphi)|) tan((alpha + beta)/2)
-    aside = flat * (both * both * for_azimuth) * ((sin_a + sin_b) * (per_cosines * cos_b))
-    third = (fa * fb) * (fa * fb) * aside
-    return second, third, 1.0 - cosine * fb * fb
+    """What eqs. 14 and 15 make of the directions, for every sigma and rho.
+
+    With dphi = phi_r - phi_i, and C_2 and C_3 without their functions of sigma: cos(dphi) C_2 tan(beta), then
+    (1 - |cos(dphi)|) C_3 tan((alpha + beta)/2), and the braces of eq. 15, 1 - cos(dphi) (2 beta/pi)^2.
+    """
+    cos_i = lz if lz > FLAT else FLAT
+    cos_r = vz if vz > FLAT else FLAT
+    sin_i = sqrt(lx * lx + ly * ly)
+    sin_r = sqrt(vx * vx + vy * vy)
+    dot = lx * vx + ly * vy  # sin(theta_i) sin(theta_r) cos(dphi)
+    cross = lx * vy - ly * vx  # sin(theta_i) sin(theta_r) sin(dphi)
+    # alpha = max(theta_r, theta_i), beta = min(theta_r, theta_i)
+    cos_alpha = cos_i if cos_i < cos_r else cos_r
+    cos_beta = cos_r if cos_i < cos_r else cos_i
+    sin_alpha = sin_i if sin_i > sin_r else sin_r
+    sin_beta = sin_r if sin_i > sin_r else sin_i
+    # tan(x/2) = sin(x)/(1 + cos(x)); of a steep angle that of half its complement, cos(x)/(1 + sin(x))
+    steep_alpha = cos_alpha < sin_alpha
+    steep_beta = cos_beta < sin_beta
+    half_alpha = 1.0 + (sin_alpha if steep_alpha else cos_alpha)
+    half_beta = 1.0 + (sin_beta if steep_beta else cos_beta)
+    # one division for all: the reciprocals of the three products follow from that of their product
+    sines = sin_i * sin_r
+    sines_1_cos = sines + abs(dot)  # sin(theta_i) sin(theta_r) (1 + |cos(dphi)|)
+    azimuth = sines * sines_1_cos
+    azimuth = azimuth if azimuth > FLAT * FLAT else FLAT * FLAT  # at normal incidence the azimuth has no effect
+    halves = half_alpha * half_beta
+    sum_cos = cos_alpha + cos_beta
+    cosines = cos_beta * sum_cos
+    inverse = 1.0 / (azimuth * (halves * cosines))
+    per_azimuth = inverse * (halves * cosines)
+    per_polar = inverse * azimuth  # 1/(halves cosines)
+    per_sines = per_azimuth * sines_1_cos
+    cos_dphi = dot * per_sines
+    cos_dphi = cos_dphi if cos_dphi < 1.0 else 1.0
+    cos_dphi = cos_dphi if cos_dphi > -1.0 else -1.0
+    sin_dphi = cross * per_sines
+    per_halves = per_polar * cosines
+    tan_half_alpha = (cos_alpha if steep_alpha else sin_alpha) * half_beta * per_halves
+    tan_half_beta = (cos_beta if steep_beta else sin_beta) * half_alpha * per_halves
+    alpha_share, _ = shares(tan_half_alpha, steep_alpha)  # 2 alpha/pi
+    beta_share, beta_rest = shares(tan_half_beta, steep_beta)  # 2 beta/pi, 1 - 2 beta/pi
+    per_cosines = per_polar * halves
+    # eq. 14, C_2: sin(alpha), less (2 beta/pi)^3 where cos(dphi) < 0
+    one_sin_alpha = cos_alpha * tan_half_alpha if steep_alpha else 1.0 - sin_alpha  # 1 - sin(alpha)
+    mirror_side = beta_rest * (3.0 - beta_rest * (3.0 - beta_rest)) - one_sin_alpha  # sin(alpha) - (2 beta/pi)^3
+    c2_term = (dot if dot >= 0.0 else cos_dphi * mirror_side * sin_beta) * (per_cosines * sum_cos)
+    # eq. 14, C_3: 1 - |cos(dphi)| = sin^2(dphi)/(1 + |cos(dphi)|)
+    sin2_dphi = sin_dphi * sin_dphi
+    sin2_dphi = sin2_dphi if sin2_dphi > 1e-30 else 0.0
+    tan_mean = (sin_alpha + sin_beta) * (per_cosines * cos_beta)  # tan((alpha + beta)/2)
+    off_plane = sin2_dphi * (sines * sines * per_azimuth) * tan_mean
+    c3_term = (alpha_share * beta_share) * (alpha_share * beta_share) * off_plane
+    # eq. 15
+    interreflection = 1.0 - cos_dphi * beta_share * beta_share
+    return c2_term, c3_term, interreflection
 
 
 @of_columns(angular_terms, 3)
-def functional(second, third, bounce, p):  # type: ignore[no-untyped-def]
+def functional(c2_term, c3_term, interreflection, p):  # type: ignore[no-untyped-def]
     """Eqs. 14 to 16, with s2 = sigma^2.
 
-    p: rho/pi times C1, times 0.45 s2/(s2 + 0.09), times 0.125 s2/(s2 + 0.09), and 0.17 rho^2/pi s2/(s2 + 0.13).
+    p: rho/pi times C_1, times 0.45 s2/(s2 + 0.09), times 0.125 s2/(s2 + 0.09), and 0.17 rho^2/pi s2/(s2 + 0.13).
     """
-    c1, c2, c3, twice = p[0], p[1], p[2], p[3]
-    value = c1 + c2 * second + c3 * third + twice * bounce
+    c1, c2, c3, twice = p
+    value = c1 + c2 * c2_term + c3 * c3_term + twice * interreflection
     return value if value < STEEP else INFINITE
 
 
 @device
 def qualitative(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     """Eq. 17, rho/pi (A + B max(0, cos(dphi)) sin(alpha) tan(beta)); p as `functional`."""
-    dot = lx * vx + ly * vy
-    high = lz if lz > vz else vz
-    return p[0] + (p[1] * dot / high if dot > 0.0 and p[1] > 0.0 else 0.0)
+    a, b, _, _ = p  # A and B times rho/pi
+    dot = lx * vx + ly * vy  # sin(alpha) sin(beta) cos(dphi)
+    cos_beta = lz if lz > vz else vz
+    return a + (b * dot / cos_beta if dot > 0.0 and b > 0.0 else 0.0)
 
 
 _KERNELS: dict[str, Kernel] = {"functional": functional, "qualitative": qualitative, "exact": gaussian_grooves}

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 class Sum(Model):
     """A weighted sum of models: brdf = sum of weight times brdf [1/sr].
 
-    It has ``specular_reflectivity`` when one of its terms has.
+    Its specular spike is the weighted sum of those of its terms.
 
     Parameters
     ----------
@@ -53,16 +53,6 @@ class Sum(Model):
     def __repr__(self) -> str:
         return f"Sum({', '.join(f'({model!r}, {weight!r})' for model, weight in self.terms)})"
 
-    def __getattr__(self, name: str) -> Any:
-        spiked = [(m, w) for m, w in self.__dict__.get("terms", ()) if hasattr(m, "specular_reflectivity")]
-        if name != "specular_reflectivity" or not spiked:
-            raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'")
-
-        def specular_reflectivity(theta_i: ArrayLike, *, wavelength_nm: ArrayLike = 550.0) -> Any:
-            return sum(w * m.specular_reflectivity(theta_i, wavelength_nm=wavelength_nm) for m, w in spiked)
-
-        return specular_reflectivity
-
     @property
     def parameters(self) -> dict[str, Any]:
         return {
@@ -93,6 +83,14 @@ class Sum(Model):
 
     def at(self, geometry: Geometry, *, wavelength_nm: float = 550.0, out: Any = None) -> Any:
         return self._total(lambda m: m.at(geometry, wavelength_nm=wavelength_nm), out)
+
+    @property
+    def has_spike(self) -> bool:
+        """Whether one of the terms has a specular spike."""
+        return any(model.has_spike for model, _ in self.terms)
+
+    def specular_reflectivity(self, theta_i: ArrayLike, *, wavelength_nm: ArrayLike = 550.0, out: Any = None) -> Any:
+        return self._total(lambda m: m.specular_reflectivity(theta_i, wavelength_nm=wavelength_nm), out)
 
     def _total(self, evaluate: Callable[[Model], Any], out: Any) -> Any:
         total = sum(_weighted(w, evaluate(m)) for m, w in self.terms)

@@ -185,7 +185,7 @@ class Renderer:
 
             grid = sample_function(lobes, -radius, -radius, 2 * radius, self._finest_mm)
             grid.paint(seen.x_mm, seen.y_mm, disc.centre, radius, brdf)
-            if not hasattr(model, "specular_reflectivity"):
+            if not model.has_spike:
                 return
             reach = self._spike_reach
             if _apart(scene, np.zeros(1), np.zeros(1))[0] > reach + radius * self._turn:

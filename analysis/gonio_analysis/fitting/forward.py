@@ -105,7 +105,7 @@ def _value(
     if without_width:
         return np.asarray(cones.centre(model, wavelength_nm=wave))
     lobe = cones.centre(model, wavelength_nm=wave) if quick else cones.lobe(model, wavelength_nm=wave, rules=rules)
-    if not hasattr(model, "specular_reflectivity"):
+    if not model.has_spike:
         return np.asarray(lobe)
     return np.asarray(lobe + cones.spike(model, wavelength_nm=wave))
 

@@ -256,7 +256,7 @@ def G_reduced(k_i: Vectors, k_r: Vectors) -> Numbers:
 def D(k_i: Vectors, k_r: Vectors, sigma: Numbers, tau: float, lam: float) -> Numbers:
     """He1991 eq. 78: the distribution function; its v_xy is that of the wave vector of eq. 20 [1/length].
 
-    Compiled: gonio.models._htsg_kernels.lobe_state, gonio.models._htsg_series
+    Compiled: gonio.models._htsg_kernels.lobe_state, gonio.models._htsg_series.series
     """
     theta_i, theta_r = angles(k_i, k_r)
     c = v_xy(k_i, k_r, lam) ** 2 * tau**2 / 4

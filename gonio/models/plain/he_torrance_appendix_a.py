@@ -302,7 +302,7 @@ def log_series(g: Numbers, c: Numbers) -> Numbers:
     120 more are summed: 2^-58 of the sum is left out. The terms are taken by logarithms, over the largest of them,
     since exp(-g) may underflow and m! overflow. That loses g ln(g) and c/m, whichever is larger.
 
-    Compiled: gonio.models.htsg.log_series, gonio.models._htsg_series
+    Compiled: gonio.models.htsg.log_series, gonio.models._htsg_series.series
     """
     g, c = np.broadcast_arrays(np.asarray(g, float), np.asarray(c, float))
     last = int(max(2 * g.max(initial=0.0), np.sqrt(2 * c.max(initial=0.0) / np.log(2)))) + 120

@@ -224,7 +224,7 @@ def C_1(sigma: Numbers) -> Numbers:
 def C_2(alpha: Numbers, beta: Numbers, dphi: Numbers, sigma: Numbers) -> Numbers:
     """Oren1994 eq. 14: C_2, which differs on the two sides of cos(phi_r - phi_i) = 0.
 
-    Compiled: gonio.models.oren_nayar.functional
+    Compiled: gonio.models.oren_nayar.angular_terms, gonio.models.oren_nayar.functional
     """
     mirror_side = np.where(np.cos(dphi) >= 0, 0, (2 * beta / PI) ** 3)
     return 0.45 * sigma**2 / (sigma**2 + 0.09) * (np.sin(alpha) - mirror_side)
@@ -233,7 +233,7 @@ def C_2(alpha: Numbers, beta: Numbers, dphi: Numbers, sigma: Numbers) -> Numbers
 def C_3(alpha: Numbers, beta: Numbers, sigma: Numbers) -> Numbers:
     """Oren1994 eq. 14: C_3.
 
-    Compiled: gonio.models.oren_nayar.functional
+    Compiled: gonio.models.oren_nayar.angular_terms, gonio.models.oren_nayar.functional
     """
     return 0.125 * sigma**2 / (sigma**2 + 0.09) * (4 * alpha * beta / PI**2) ** 2
 
@@ -257,7 +257,7 @@ def L1(theta_i: Numbers, theta_r: Numbers, dphi: Numbers, sigma: float, rho: flo
 def L2(theta_i: Numbers, theta_r: Numbers, dphi: Numbers, sigma: float, rho: float, E0: float = 1) -> Numbers:
     """Oren1994 eq. 15: the radiance by interreflection.
 
-    Compiled: gonio.models.oren_nayar.functional
+    Compiled: gonio.models.oren_nayar.angular_terms, gonio.models.oren_nayar.functional
     """
     beta = np.minimum(theta_r, theta_i)
     braces = 1 - np.cos(dphi) * (2 * beta / PI) ** 2

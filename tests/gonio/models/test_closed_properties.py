@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gonio.models import Blinn, CookTorrance, Lambert, Model, OrenNayar, Phong, Sum, fresnel
+from gonio.errors import ArgumentError
+from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, Sum, fresnel
 from gonio.models.blinn import DISTRIBUTIONS
 
 PI = math.pi
@@ -207,16 +208,39 @@ def test_sum_of_rough_base_and_highlight() -> None:
     theta = np.linspace(0.0, 1.5, 7)
     expected = 0.7 * base.brdf(0.4, 0.0, theta, PI) + 0.3 * gloss.brdf(0.4, 0.0, theta, PI)
     np.testing.assert_array_equal(both.brdf(0.4, 0.0, theta, PI), expected)
-    assert not hasattr(both, "specular_reflectivity")
+    assert not both.has_spike
 
 
 def test_sum_passes_the_specular_spike_on() -> None:
-    from gonio.models import HeTorrance
-
     smooth = HeTorrance(sigma0_um=0.05)
     both = Sum((Lambert(), 0.5), (smooth, 0.25))
     # one multiplication and one sum
     assert both.specular_reflectivity(0.3) == pytest.approx(0.25 * float(smooth.specular_reflectivity(0.3)), rel=1e-15)
+    assert both.has_spike
+    assert not Sum((Lambert(), 0.5)).has_spike
+
+
+@pytest.mark.parametrize("model", [Lambert(), CookTorrance(), Sum((Lambert(), 0.5), (OrenNayar(), 0.5))], ids=repr)
+def test_a_model_without_a_spike_reflects_nothing_in_it(model: Model) -> None:
+    theta = np.linspace(0.0, 1.5, 3)
+    one = model.specular_reflectivity(0.3)
+    assert isinstance(one, float)
+    assert one == 0.0
+    np.testing.assert_array_equal(model.specular_reflectivity(theta), np.zeros(3))
+    waves = np.array([[450.0], [550.0]])
+    np.testing.assert_array_equal(model.specular_reflectivity(theta, wavelength_nm=waves), np.zeros((2, 3)))
+    with pytest.raises(ArgumentError, match="theta_i"):
+        model.specular_reflectivity(2.0)
+
+
+def test_a_spike_is_known_by_the_method_that_a_model_brings() -> None:
+    class Mirror(Lambert):
+        def specular_reflectivity(self, theta_i: Any, *, wavelength_nm: Any = 550.0) -> Any:
+            return 0.5 + 0.0 * np.asarray(theta_i)
+
+    assert Mirror().has_spike
+    assert HeTorrance().has_spike
+    assert Sum((Mirror(), 0.5), (Lambert(), 0.5)).specular_reflectivity(0.3) == 0.25
 
 
 def test_unblocked_fraction() -> None:
