@@ -213,6 +213,11 @@ class Directions:
         """The same detectors with another azimuth of the source: at normal incidence its own means nothing."""
         return Directions(self.theta_i, phi_i, self.theta_r, self.phi_r)
 
+    @property
+    def swapped(self) -> Directions:
+        """Source and detector exchanged, as for an instrument that moves the source past a detector that stands."""
+        return Directions(self.theta_r, self.phi_r, self.theta_i, self.phi_i)
+
     def turned(self, turn: float) -> Directions:
         """The directions after the sample's x axis turned by -`turn`: both azimuths grow."""
         return Directions(self.theta_i, self.phi_i + turn, self.theta_r, self.phi_r + turn)

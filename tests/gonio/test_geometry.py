@@ -180,4 +180,5 @@ def test_directions_broadcast_and_are_chosen_by_rows() -> None:
     np.testing.assert_array_equal(some.theta_i, [0.5, 0.5])
     np.testing.assert_array_equal(some.signed, [0.2, 0.3])
     np.testing.assert_array_equal(d.seen_from(math.pi).signed, [-0.1, -0.2, -0.3])
+    np.testing.assert_array_equal(d.swapped.signed, [0.5, 0.5, 0.5])
     np.testing.assert_allclose(d.turned(1.0).out_of_plane, d.out_of_plane, atol=4 * EPS)

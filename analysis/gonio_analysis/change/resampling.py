@@ -22,16 +22,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio import geometry
+from gonio.geometry import SAME_ANGLE, SAME_DIRECTION, Directions
 from gonio.typing import Floats
-from gonio_analysis.curves.in_plane import IN_PLANE, SAME_ANGLE, Rows, groups
+from gonio_analysis.curves.in_plane import Rows, groups
 from gonio_analysis.fitting.observations import SAME_BAND_NM, Observations
 
 if TYPE_CHECKING:
     import pandas as pd
 
-SAME_DIRECTION = float(np.radians(0.02))
-"""Directions closer than this count as the same [rad]."""
 FARTHEST = float(np.radians(15.0))
 """Nothing is interpolated between directions farther apart than this [rad]."""
 
@@ -90,16 +88,17 @@ def carry(a: Observations, b: Observations, b_table: pd.DataFrame) -> Carried:
     for wave_a, wave_b in common_wavelengths(a, b):
         here_a, here_b = _at(a.wavelength_nm, wave_a), _at(b.wavelength_nm, wave_b)
         missing["at another wavelength"] -= here_a.size
-        pool = groups(b.theta_i, b.phi_i, here_b)
-        for group in groups(a.theta_i, a.phi_i, here_a):
+        pool = groups(b.directions.theta_i, b.directions.phi_i, here_b)
+        for group in groups(a.directions.theta_i, a.directions.phi_i, here_a):
             partner = _partner(a, group, b, pool)
             if partner is None:
                 missing["at another incidence"] = missing.get("at another incidence", 0) + group.size
                 continue
-            normal = float(a.phi_i[group[0]]) if a.theta_i[group].max() < SAME_ANGLE else None
+            incident = a.directions[group]
+            normal = float(incident.phi_i[0]) if incident.theta_i.max() < SAME_ANGLE else None
             holes = _holes(b, b_table, partner, wave_b, normal)
             nodes, weights, bend = interpolation(
-                _places(a, group, normal), _places(b, partner, normal), holes, b.brdf[partner]
+                _places(incident, normal), _places(b.directions[partner], normal), holes, b.brdf[partner]
             )
             found = nodes[:, 0] >= 0
             if not found.all():
@@ -130,36 +129,29 @@ def _at(waves: Floats, wave: float) -> Rows:
     return np.flatnonzero(np.isnan(waves) if np.isnan(wave) else np.abs(waves - wave) <= SAME_BAND_NM)
 
 
-def _place(theta_i: Floats, theta_r: Floats, dphi: Floats) -> _Places:
-    out = np.sin(theta_r) * np.sin(dphi)
-    points = np.stack([np.sin(theta_r) * np.cos(dphi) + np.sin(theta_i), out, np.cos(theta_r)], axis=1)
-    signed = np.asarray(geometry.in_plane_angle(theta_r, dphi) - theta_i)
-    return _Places(points, signed, np.abs(out) <= np.sin(IN_PLANE))
-
-
-def _places(data: Observations, rows: Rows, normal: float | None) -> _Places:
+def _places(d: Directions, normal: float | None) -> _Places:
     """At normal incidence azimuths count from `normal`: that of the source means nothing."""
-    phi_i = data.phi_i[rows] if normal is None else normal
-    return _place(data.theta_i[rows], data.theta_r[rows], data.phi_r[rows] - phi_i)
+    if normal is not None:
+        d = d.seen_from(normal)
+    points = d.from_incidence
+    points[:, 0] += np.sin(d.theta_i)
+    return _Places(points, d.signed - d.theta_i, d.in_plane)
 
 
 def _holes(b: Observations, table: pd.DataFrame, rows: Rows, wave: float, normal: float | None) -> _Places:
     """The rows of B's table at the incidence of `rows` that must not be used."""
     unused = np.setdiff1d(_at(table["wavelength_nm"].to_numpy(np.float64), wave), b.rows)
-    columns = ("theta_i", "phi_i", "theta_r", "phi_r")
-    angles = np.radians(np.stack([table[f"{c}_deg"].to_numpy(np.float64)[unused] for c in columns]))
-    angles = angles[:, np.isfinite(angles).all(axis=0)]
-    goal = geometry.direction(b.theta_i[rows], b.phi_i[rows]).mean(axis=0)
-    here = np.linalg.norm(geometry.direction(angles[0], angles[1]) - goal, axis=1) <= SAME_ANGLE
-    theta_i, phi_i, theta_r, phi_r = angles[:, here]
-    return _place(theta_i, theta_r, phi_r - (phi_i if normal is None else normal))
+    d = Directions.from_table(table)[unused]
+    d = d[np.isfinite(d.angles).all(axis=0)]
+    goal = b.directions[rows].vectors[0].mean(axis=0)
+    return _places(d[np.linalg.norm(d.vectors[0] - goal, axis=1) <= SAME_ANGLE], normal)
 
 
 def _partner(a: Observations, group: Rows, b: Observations, pool: list[Rows]) -> Rows | None:
     """The rows of B with the incidence of a group of A."""
 
     def incidence(data: Observations, rows: Rows) -> Floats:
-        return np.asarray(geometry.direction(data.theta_i[rows], data.phi_i[rows]).mean(axis=0))
+        return np.asarray(data.directions[rows].vectors[0].mean(axis=0))
 
     goal = incidence(a, group)
     off = [float(np.linalg.norm(incidence(b, rows) - goal)) for rows in pool]
