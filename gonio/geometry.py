@@ -98,6 +98,12 @@ def in_plane_angle(theta_r: npt.ArrayLike, dphi: npt.ArrayLike) -> Floats:
     return side * np.asarray(theta_r, dtype=np.float64) + 0.0  # + 0.0: the normal has no side, and no -0
 
 
+def unsigned(signed: npt.ArrayLike) -> tuple[Floats, Floats]:
+    """theta_r and dphi [rad] of signed viewing angles: `in_plane_angle` undone. The normal has the mirror's dphi."""
+    signed = np.asarray(signed, dtype=np.float64)
+    return np.abs(signed), np.where(signed < 0.0, 0.0, np.pi)
+
+
 def solid_angle_of_cone(half_angle: npt.ArrayLike) -> Floats:
     """Solid angle [sr] of a circular cone of half-angle `half_angle` [rad, 0 to pi].
 

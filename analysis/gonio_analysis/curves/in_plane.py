@@ -62,13 +62,14 @@ class Curve:
     def theory(self, model: Any, angle: Floats, data: Observations) -> Floats:
         """The model through the instrument at signed angles [rad] along this curve [1/sr]."""
         wavelength = data.wavelengths[0]
-        still = np.full(angle.shape, self.parameter)
-        phi_i = np.where((angle < 0) & (self.scanned == "theta_i"), self.phi_i + np.pi, self.phi_i)
-        phi_r = np.where((angle < 0) & (self.scanned == "theta_r"), self.phi_i, self.phi_i + np.pi)
-        theta_i, theta_r = (still, np.abs(angle)) if self.scanned == "theta_r" else (np.abs(angle), still)
+        still, (theta, dphi) = np.full(angle.shape, self.parameter), geometry.unsigned(angle)
+        phi = np.full(angle.shape, self.phi_i)
+        at = Directions(still, phi, theta, geometry.wrap(phi + dphi))
+        if self.scanned == "theta_i":
+            at = Directions(theta, geometry.wrap(phi + (np.pi - dphi)), still, geometry.wrap(phi + np.pi))
         return seen(
             model,
-            Directions(theta_i, geometry.wrap(phi_i), theta_r, geometry.wrap(phi_r)),
+            at,
             wavelength_nm=NO_WAVELENGTH_NM if np.isnan(wavelength) else wavelength,
             cones=(data.source_solid_angle_sr, data.receiver_solid_angle_sr),
         )

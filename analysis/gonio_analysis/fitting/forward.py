@@ -10,7 +10,7 @@ import numpy as np
 
 from gonio.geometry import Directions
 from gonio.typing import Floats
-from gonio_analysis.fitting.observations import LOBE_TOLERANCE, Observations
+from gonio_analysis.fitting.observations import Observations
 
 if TYPE_CHECKING:
     from gonio.instrument import Cones, Rules
@@ -76,7 +76,7 @@ def seen(
 
     Without a cone on either side a specular spike has no finite value: then the model without its spike is returned.
     """
-    from gonio.instrument import Cones
+    from gonio.instrument import LOBE_TOLERANCE, Cones
 
     through = Cones(
         *at.angles,

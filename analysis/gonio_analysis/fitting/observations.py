@@ -24,8 +24,6 @@ DEFAULT_WAVELENGTH_NM = 550.0
 SAME_BAND_NM = 1e-6
 LARGEST = 1e30
 """[1/sr] No BRDF: a perfect mirror seen through a cone of a nanoradian has less. Squares of such values overflow."""
-LOBE_TOLERANCE = 1e-5
-"""Relative error of a lobe's average over the cones: a hundredth of the uncertainty of the best values."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ class Observations:
     @cached_property
     def cones(self) -> list[tuple[float, Any, Cones]]:
         """Of each wavelength [nm]: the values that have it, and their directions, prepared for the forward model."""
-        from gonio.instrument import Cones
+        from gonio.instrument import LOBE_TOLERANCE, Cones
 
         out = []
         for wavelength in self.wavelengths:
