@@ -193,9 +193,7 @@ class Renderer:
             rows, cols = rows[near], cols[near]
             at = _directions_at(scene, seen.x_mm[rows, cols], seen.y_mm[rows, cols])
             for wave, share in waves:
-                spike = instrument.apparent_spike(
-                    model, *at.angles, wavelength_nm=wave, spike="exact", **self._cones
-                )
+                spike = instrument.apparent_spike(model, *at.angles, wavelength_nm=wave, spike="exact", **self._cones)
                 brdf[rows, cols] += share * spike
 
         return paint
