@@ -6,6 +6,7 @@ Directions leave the surface, toward the source and toward the detector alike.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,41 @@ if TYPE_CHECKING:
 
 TWO_PI = 2.0 * np.pi
 ANGLES = ("theta_i", "phi_i", "theta_r", "phi_r")
+
+# When angles agree, from rounding to what a person calls one direction: the one table of angular tolerances [rad].
+# docs/conventions.md says who uses which.
+PARALLEL = 1e-14
+"""Two directions are one: below this their plane is lost in the rounding of their vectors."""
+AT_LIMIT = 1e-12
+"""A goal beyond a limit is at the limit: a hundred times the rounding of degrees in a plan."""
+EXACTLY_IN_PLANE = 1e-9
+"""A direction is in the only plane that a rig reaches: well below any encoder's step, and above the rounding of degrees
+in a plan."""
+AT_HORIZON = 1e-9
+"""A direction grazes: its cosine is lost in the rounding of degrees in a table."""
+SAME_NOMINAL = 1e-4
+"""Angles of a plan are the same: plans give them to a hundredth of a degree (1.7e-4) at the finest."""
+SAME_DIRECTION = float(np.radians(0.02))
+"""Measured directions are the same: no BRDF that an instrument's cones of half a degree smooth changes in between."""
+SAME_ANGLE = float(np.radians(0.4))
+"""Polar angles belong to one curve, or an azimuth to one plane: encoders land a few tenths of a degree beside their
+goal, and plans step by half a degree at the finest. A polar angle below it has no azimuth to speak of."""
+AT_MIRROR = float(np.radians(0.6))
+"""A value counts as measured in the mirror direction: `SAME_ANGLE`, with an error of landing in both directions."""
+AT_NORMAL = float(np.radians(1.0))
+"""Below this angle of incidence the plane of incidence is not a direction that a BRDF could depend on: it turns by many
+degrees for one step of an encoder."""
+IN_PLANE = float(np.radians(1.5))
+"""A detector is in the plane of incidence: the angle between it and the plane, not an azimuth (near the normal a large
+azimuth is a small angle). Instruments' cones are as wide."""
+SAME_SPIKE = float(np.radians(1.5))
+"""Angles of incidence share one specular spike: its reflectivity changes by a few percent at most in between."""
+SAME_AZIMUTH = float(np.radians(2.0))
+"""Azimuths of incidence belong to one curve: spins of samples are set by hand on some instruments."""
+SAME_INCIDENCE = float(np.radians(2.0))
+"""Angles of incidence make one row of a report's regions: files of scattered directions have no curves to go by."""
+AROUND_MIRROR = float(np.radians(12.0))
+"""A value lies around the mirror direction: where the peaks of all but the roughest surfaces are."""
 
 
 def direction(theta: npt.ArrayLike, phi: npt.ArrayLike) -> Floats:
@@ -62,6 +98,12 @@ def in_plane_angle(theta_r: npt.ArrayLike, dphi: npt.ArrayLike) -> Floats:
     return side * np.asarray(theta_r, dtype=np.float64) + 0.0  # + 0.0: the normal has no side, and no -0
 
 
+def unsigned(signed: npt.ArrayLike) -> tuple[Floats, Floats]:
+    """theta_r and dphi [rad] of signed viewing angles: `in_plane_angle` undone. The normal has the mirror's dphi."""
+    signed = np.asarray(signed, dtype=np.float64)
+    return np.abs(signed), np.where(signed < 0.0, 0.0, np.pi)
+
+
 def solid_angle_of_cone(half_angle: npt.ArrayLike) -> Floats:
     """Solid angle [sr] of a circular cone of half-angle `half_angle` [rad, 0 to pi].
 
@@ -92,14 +134,27 @@ def half_angle_of_cone(solid_angle_sr: npt.ArrayLike) -> Floats:
     return np.asarray(2.0 * np.arcsin(np.sqrt(omega / (4.0 * np.pi))))
 
 
-@dataclass(frozen=True)
+def mirrored(omega: npt.ArrayLike) -> Floats:
+    """The mirror directions of vectors, shape (..., 3)."""
+    return np.asarray(omega, dtype=np.float64) * (-1.0, -1.0, 1.0)
+
+
+def angle_between(a: Floats, b: Floats) -> Floats:
+    """Angle [rad] between unit vectors of shape (..., 3), without cancellation near 0 and near pi."""
+    return np.asarray(2.0 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Directions:
     """Where source and detector are, seen from the sample (docs/conventions.md): what every step takes and gives.
+
+    One pair of directions, or arrays of them: `len`, indices and loops go over the pairs. All angles are radians.
 
     Attributes
     ----------
     theta_i, phi_i, theta_r, phi_r
-        Polar angles and azimuths [rad], toward the source and toward the detector: float64 arrays that broadcast.
+        Polar angles and azimuths, toward the source and toward the detector: float64 arrays that broadcast. One pair
+        has arrays of no dimension; `floats` takes its four numbers out.
     """
 
     theta_i: Floats
@@ -107,31 +162,71 @@ class Directions:
     theta_r: Floats
     phi_r: Floats
 
-    def __post_init__(self) -> None:
-        for name in ANGLES:
-            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=np.float64))
+    def __init__(
+        self, theta_i: npt.ArrayLike, phi_i: npt.ArrayLike, theta_r: npt.ArrayLike, phi_r: npt.ArrayLike
+    ) -> None:
+        for name, value in zip(ANGLES, (theta_i, phi_i, theta_r, phi_r), strict=True):
+            object.__setattr__(self, name, np.asarray(value, dtype=np.float64))
+
+    @classmethod
+    def from_degrees(
+        cls, theta_i: npt.ArrayLike, phi_i: npt.ArrayLike, theta_r: npt.ArrayLike, phi_r: npt.ArrayLike
+    ) -> Directions:
+        """The directions of four angles in degrees."""
+        return cls(*(np.radians(np.asarray(a, dtype=np.float64)) for a in (theta_i, phi_i, theta_r, phi_r)))
 
     @classmethod
     def from_table(cls, table: pd.DataFrame) -> Directions:
         """The directions of a measurement table or of a plan: its four columns of angles in degrees."""
-        return cls(*(np.radians(table[f"{name}_deg"].to_numpy(np.float64)) for name in ANGLES))
+        return cls.from_degrees(*(table[f"{name}_deg"].to_numpy(np.float64) for name in ANGLES))
 
     @classmethod
     def from_vectors(cls, omega_i: npt.ArrayLike, omega_r: npt.ArrayLike) -> Directions:
         """The directions of vectors of any length that leave the surface, shape (..., 3)."""
         return cls(*angles(omega_i), *angles(omega_r))
 
+    @classmethod
+    def stack(cls, single: Sequence[Directions]) -> Directions:
+        """An array of single pairs."""
+        return cls(*np.array([d.floats for d in single], dtype=np.float64).reshape(-1, 4).T)
+
+    @property
+    def angles(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """theta_i, phi_i, theta_r, phi_r."""
+        return self.theta_i, self.phi_i, self.theta_r, self.phi_r
+
+    @property
+    def floats(self) -> tuple[float, float, float, float]:
+        """theta_i, phi_i, theta_r, phi_r of a single pair."""
+        return float(self.theta_i), float(self.phi_i), float(self.theta_r), float(self.phi_r)
+
     @property
     def shape(self) -> tuple[int, ...]:
         """The shape that the four angles broadcast to."""
-        return np.broadcast_shapes(self.theta_i.shape, self.phi_i.shape, self.theta_r.shape, self.phi_r.shape)
+        return np.broadcast_shapes(*(a.shape for a in self.angles))
 
     def __len__(self) -> int:
         return self.shape[0]
 
     def __getitem__(self, rows: Any) -> Directions:
         """Some of the directions."""
-        return Directions(*(np.broadcast_to(getattr(self, name), self.shape)[rows] for name in ANGLES))
+        return Directions(*(np.broadcast_to(a, self.shape)[rows] for a in self.angles))
+
+    def __iter__(self) -> Iterator[Directions]:
+        return (self[k] for k in range(len(self)))
+
+    def seen_from(self, phi_i: npt.ArrayLike) -> Directions:
+        """The same detectors with another azimuth of the source: at normal incidence its own means nothing."""
+        return Directions(self.theta_i, phi_i, self.theta_r, self.phi_r)
+
+    @property
+    def swapped(self) -> Directions:
+        """Source and detector exchanged, as for an instrument that moves the source past a detector that stands."""
+        return Directions(self.theta_r, self.phi_r, self.theta_i, self.phi_i)
+
+    def turned(self, turn: float) -> Directions:
+        """The directions after the sample's x axis turned by -`turn`: both azimuths grow."""
+        return Directions(self.theta_i, self.phi_i + turn, self.theta_r, self.phi_r + turn)
 
     @property
     def dphi(self) -> Floats:
@@ -144,34 +239,53 @@ class Directions:
         return in_plane_angle(self.theta_r, self.phi_r - self.phi_i)
 
     @property
+    def along(self) -> Floats:
+        """Angle from the normal to the detector's projection on the plane of incidence, positive on the mirror side.
+
+        In the plane it is `signed`.
+        """
+        x, _, z = np.moveaxis(self.from_incidence, -1, 0)
+        return np.asarray(np.arctan2(-x, z))
+
+    @property
     def out_of_plane(self) -> Floats:
         """Angle between the detector and the plane of incidence, positive toward larger azimuths."""
-        dphi = self.phi_r - self.phi_i
-        sine = np.sin(self.theta_r)
-        return np.asarray(np.arctan2(sine * np.sin(dphi), np.hypot(sine * np.cos(dphi), np.cos(self.theta_r))))
+        x, y, z = np.moveaxis(self.from_incidence, -1, 0)
+        return np.asarray(np.arctan2(y, np.hypot(x, z)))
+
+    @property
+    def in_plane(self) -> npt.NDArray[np.bool_]:
+        """Whether the detector is in the plane of incidence, within `IN_PLANE`."""
+        return np.asarray(np.abs(self.out_of_plane) <= IN_PLANE)
+
+    @property
+    def from_incidence(self) -> Floats:
+        """Unit vectors toward the detector, shape (..., 3), with x toward the azimuth of the source."""
+        return direction(self.theta_r, self.phi_r - self.phi_i)
+
+    @property
+    def from_mirror(self) -> Floats:
+        """Unit vector toward the detector less that of the source's mirror direction, shape (..., 3)."""
+        source, detector = self.vectors
+        return detector - mirrored(source)
 
     @property
     def mirror_offset(self) -> Floats:
         """Angle between the detector and the mirror direction of the source."""
         source, detector = self.vectors
-        return _between(source * (-1.0, -1.0, 1.0), detector)
+        return angle_between(mirrored(source), detector)
 
     @property
     def half(self) -> tuple[Floats, Floats]:
         """theta_h, between the normal and the half vector, and theta_d, between the half vector and either direction.
 
-        At exactly grazing opposite directions there is no half vector; theta_h is 0 there.
+        At exactly opposite grazing directions there is no half vector, and theta_h is that of a rounding error.
         """
         source, detector = self.vectors
         x, y, z = np.moveaxis(source + detector, -1, 0)
-        return np.asarray(np.arctan2(np.hypot(x, y), z)), 0.5 * _between(source, detector)
+        return np.asarray(np.arctan2(np.hypot(x, y), z)), 0.5 * angle_between(source, detector)
 
     @property
     def vectors(self) -> tuple[Floats, Floats]:
         """Unit vectors toward the source and toward the detector, shape (..., 3)."""
         return direction(self.theta_i, self.phi_i), direction(self.theta_r, self.phi_r)
-
-
-def _between(a: Floats, b: Floats) -> Floats:
-    """Angle between unit vectors, without cancellation near 0 and near pi."""
-    return np.asarray(2.0 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1)))

@@ -21,9 +21,10 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from gonio.config import Strict, parse, read_toml
 from gonio.errors import ConfigError
+from gonio.geometry import Directions
 from gonio.rig import Pose, Step
 from gonio.rig.description import Band, Positive, RigDescription
-from gonio.rig.kinematics import Directions, Unreachable, reach
+from gonio.rig.kinematics import Unreachable, reach
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 MAX_POINTS = 1_000_000
@@ -162,8 +163,8 @@ class Point:
 
     @property
     def directions(self) -> Directions:
-        """The directions of source and detector [rad]."""
-        return Directions(*(math.radians(getattr(self, name)) for name in ANGLES))
+        """The directions of source and detector."""
+        return Directions.from_degrees(self.theta_i_deg, self.phi_i_deg, self.theta_r_deg, self.phi_r_deg)
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,10 +179,18 @@ class Plan:
     source: str
 
     @property
+    def directions(self) -> Directions:
+        """Those of all points."""
+        return Directions.from_degrees(*zip(*self._rows, strict=True))
+
+    @property
     def sha256(self) -> str:
         """What tells plans apart: a hash of points and wavelengths; name, comments and layout are free."""
-        rows = [[p.theta_i_deg, p.phi_i_deg, p.theta_r_deg, p.phi_r_deg] for p in self.points]
-        return points_sha256(self.wavelength_nm, rows)
+        return points_sha256(self.wavelength_nm, self._rows)
+
+    @property
+    def _rows(self) -> list[list[float]]:
+        return [[p.theta_i_deg, p.phi_i_deg, p.theta_r_deg, p.phi_r_deg] for p in self.points]
 
     def bands(self, description: RigDescription) -> tuple[Band, ...]:
         """The rig's bands that contain the plan's wavelengths, each once.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,7 +10,7 @@ import typer
 
 if TYPE_CHECKING:
     from gonio.acquisition.measure import RigChoice
-    from gonio.acquisition.plan import Assessed, Plan, Point
+    from gonio.acquisition.plan import Assessed, Plan
 
 app = typer.Typer(help="Look at plans.", no_args_is_help=True)
 
@@ -41,19 +42,19 @@ def describe(plan: Plan, rig: RigChoice | None) -> None:
     from gonio.cli import console
 
     points = [Assessed(p, None) for p in plan.points] if rig is None else assess(plan, rig.description)
-    by_incidence: dict[float, list[Assessed]] = {}
-    for a in points:
-        by_incidence.setdefault(a.point.theta_i_deg, []).append(a)
+    by_incidence: dict[float, list[_Place]] = {}
+    for place in _places(plan, points):
+        by_incidence.setdefault(place.assessed.point.theta_i_deg, []).append(place)
     headings = ["theta_i", "theta_r\nin plane", "dphi\nout of plane", "points"]
     if rig is not None:
         headings += ["measured", "not measured:\ntheta_r, or theta_r/dphi"]
     table = console.table(*headings, title=f"{plan.name}: {len(points)} points, angles in degrees")
     for theta_i, group in sorted(by_incidence.items()):
-        signed = sorted(t for a in group if (t := _signed(a.point)) is not None)
-        dphi = sorted({_dphi(a.point) for a in group if _signed(a.point) is None})
+        signed = sorted(place.signed_deg for place in group if place.in_plane)
+        dphi = sorted({place.dphi_deg for place in group if not place.in_plane})
         row = [f"{theta_i:g}", _span(signed), ", ".join(f"{d:g}" for d in dphi[:SHOWN]), str(len(group))]
         if rig is not None:
-            row += [str(sum(a.pose is not None for a in group)), _missing(group)]
+            row += [str(sum(place.assessed.pose is not None for place in group)), _missing(group)]
         table.add_row(*row)
     console.show(table)
     if plan.repeated:
@@ -81,27 +82,39 @@ def _reasons(points: list[Assessed]) -> list[tuple[tuple[str, str], int]]:
     return count_reasons(points)
 
 
-def _missing(group: list[Assessed]) -> str:
+def _missing(group: list[_Place]) -> str:
     """The points of a group that are not measured, by flag."""
     out: dict[str, list[str]] = {}
-    for a in group:
+    for place in group:
+        a = place.assessed
         if a.pose is None:
-            signed = _signed(a.point)
-            angles = f"{signed:g}" if signed is not None else f"{a.point.theta_r_deg:g}/{_dphi(a.point):g}"
+            angles = f"{place.signed_deg:g}" if place.in_plane else f"{a.point.theta_r_deg:g}/{place.dphi_deg:g}"
             out.setdefault(a.flag, []).append(angles)
     return "; ".join(
         f"{flag}: {', '.join(angles[:SHOWN])}{' ...' if len(angles) > SHOWN else ''}" for flag, angles in out.items()
     )
 
 
-def _dphi(point: Point) -> float:
-    return round((point.phi_r_deg - point.phi_i_deg) % 360.0, 6)
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where the detector of a point is, as tables for people have it."""
+
+    assessed: Assessed
+    dphi_deg: float
+    signed_deg: float
+
+    @property
+    def in_plane(self) -> bool:
+        """Whether a plan asks for it in a half-plane of incidence: at the normal too an azimuth is what was asked."""
+        return self.dphi_deg in (0.0, 180.0)
 
 
-def _signed(point: Point) -> float | None:
-    """theta_r in plane, positive on the mirror side; None out of plane."""
-    side = {0.0: -1.0, 180.0: 1.0}.get(_dphi(point))
-    return None if side is None else side * point.theta_r_deg + 0.0
+def _places(plan: Plan, points: list[Assessed]) -> list[_Place]:
+    import numpy as np
+
+    directions = plan.directions
+    dphi, signed = np.round(np.degrees(directions.dphi), 6) % 360.0, np.degrees(directions.signed)
+    return [_Place(*each) for each in zip(points, dphi.tolist(), signed.tolist(), strict=True)]
 
 
 def _span(angles: list[float]) -> str:

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from gonio import geometry
 from gonio.errors import DataError
 from gonio.formats.reader import RGB_NM, Format, table, write_bytes
 from gonio.typing import Floats
@@ -193,7 +194,7 @@ class Measured:
 
 
 def _vector(theta: Floats, phi: Floats) -> Floats:
-    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+    return np.moveaxis(geometry.direction(theta, phi), -1, 0)
 
 
 def _cell(u: Floats, nodes: int) -> tuple[npt.NDArray[np.intp], Floats]:

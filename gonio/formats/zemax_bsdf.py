@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gonio import geometry
 from gonio.errors import DataError
 from gonio.formats.reader import ANGLES, Format, Text, integer, number, numbers, single, table, wrap_deg, write_bytes
 from gonio.typing import Floats
@@ -166,8 +167,8 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     angles = frame[list(ANGLES)].to_numpy(np.float64)
     mirror, inward, side = _frame(angles[:, 0])
     theta, phi = np.deg2rad(angles[:, 2]), np.deg2rad(angles[:, 3] - angles[:, 1])
-    direction = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
-    along, toward, across = ((direction * axis).sum(axis=-1) for axis in (mirror, inward, side))
+    omega = geometry.direction(theta, phi)
+    along, toward, across = ((omega * axis).sum(axis=-1) for axis in (mirror, inward, side))
     rho = np.round(np.rad2deg(np.arctan2(np.hypot(toward, across), along)), 6)
     alpha = np.where(rho == 0, 0.0, np.round(wrap_deg(np.rad2deg(np.arctan2(across, toward))), 6) % 360.0)
     values = np.where(frame["flag"] == "", frame["brdf"].to_numpy(np.float64), 0.0)

@@ -18,18 +18,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from gonio.geometry import direction
-from gonio.reduction.spikes import Scene, Share, find, lagrange, mirror_offset, overlap
-from gonio.rig.kinematics import Directions
+from gonio.geometry import AT_NORMAL, SAME_NOMINAL, Directions
+from gonio.reduction.spikes import Scene, Share, find, lagrange, overlap
 from gonio.typing import Floats
 
-TOGETHER = 1e-4
-"""Points whose nominal angles of incidence differ by less [rad] belong to one curve."""
 NARROWEST = math.radians(0.2)
 """Points closer than this do not tell a slope: encoder steps and noise would."""
 FALL = 0.5
@@ -40,29 +36,21 @@ AT_ONCE = 256
 """Points out of plane whose shapes are computed together: a few megabytes with hundreds of curves."""
 ALIKE = math.radians(10.0)
 """Curves whose angles of difference differ by this much are alike."""
-NORMAL = math.radians(1.0)
-"""Below this angle of incidence the plane of incidence is not a direction that f could depend on."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Point:
-    """Where source and detector are, seen from above the sample, relative to the goal's plane of incidence."""
+def _from_above(d: Directions, azimuth: float) -> Floats:
+    """(x, y, theta_i) [rad] of one pair of directions, which stay smooth where an angle passes through the normal.
 
-    theta_i: float
-    x: float
-    """Detector, along the plane of incidence: positive on the mirror side [rad]."""
-    y: float
-    """Detector, across the plane of incidence [rad]."""
-
-
-def _relative(d: Directions, azimuth: float) -> _Point:
-    """Coordinates that stay smooth where an angle passes through the normal."""
-    along, across = d.theta_i * math.cos(d.phi_i - azimuth), d.theta_i * math.sin(d.phi_i - azimuth)
+    The detector is seen from above the sample: x along the goal's plane of incidence, whose azimuth is given, positive
+    on the mirror side, and y across it; theta_i has the sign of its side.
+    """
+    theta_i, phi_i, theta_r, phi_r = d.floats
+    along, across = theta_i * math.cos(phi_i - azimuth), theta_i * math.sin(phi_i - azimuth)
     # across a plane that the normal alone would define, theta_i does not change
-    theta_i = math.copysign(d.theta_i, along) if d.theta_i >= NORMAL else along
-    turn = math.atan2(across, along) if theta_i >= NORMAL else 0.0  # rotate with the plane of incidence
-    phi = d.phi_r - azimuth - turn
-    return _Point(theta_i, -d.theta_r * math.cos(phi), d.theta_r * math.sin(phi))
+    signed = math.copysign(theta_i, along) if theta_i >= AT_NORMAL else along
+    turn = math.atan2(across, along) if signed >= AT_NORMAL else 0.0  # rotate with the plane of incidence
+    phi = phi_r - azimuth - turn
+    return np.array([-theta_r * math.cos(phi), theta_r * math.sin(phi), signed])
 
 
 class Curves:
@@ -84,27 +72,25 @@ class Curves:
 
     def __init__(
         self,
-        goals: Sequence[Directions],
-        read: Sequence[Directions],
+        goals: Directions,
+        read: Directions,
         brdf: Floats,
         u: Floats,
         half_angles: tuple[float, float],
         shares: Sequence[Share],
     ) -> None:
         self._half_angles = half_angles
-        self._azimuth = [goal.phi_i for goal in goals]
-        self._points = [_relative(d, a) for d, a in zip(read, self._azimuth, strict=True)]
-        self._x = np.array([p.x for p in self._points])
-        self._y = np.array([p.y for p in self._points])
-        self._theta_i = np.array([p.theta_i for p in self._points])
-        self._from_mirror = self._x - self._theta_i
-        goal_x = [_relative(goal, a) for goal, a in zip(goals, self._azimuth, strict=True)]
-        in_plane = np.array([abs(p.y) < TOGETHER for p in goal_x])
-        incidence = np.round(np.array([goal.theta_i for goal in goals]) / TOGETHER)
+        self._azimuth = goals.phi_i.tolist()
+        self._places = np.array([_from_above(d, a) for d, a in zip(read, self._azimuth, strict=True)]).reshape(-1, 3)
+        self._x, self._y, self._theta_i = np.ascontiguousarray(self._places.T)
+        across = np.array([_from_above(goal, a)[1] for goal, a in zip(goals, self._azimuth, strict=True)])
+        in_plane = abs(across) < SAME_NOMINAL
+        incidence = np.round(goals.theta_i / SAME_NOMINAL)
         self._groups = [np.flatnonzero(incidence == value) for value in np.unique(incidence)]
         self._lines = [group[in_plane[group]] for group in self._groups]
         self._lines = [line[np.argsort(self._x[line])] for line in self._lines]
-        middle = np.array([0.5 * (d.theta_i + d.theta_r) for d in read])
+        self._from_mirror = self._x - self._theta_i
+        middle = 0.5 * (read.theta_i + read.theta_r)
         scene = Scene(self._theta_i, self._from_mirror, self._y, in_plane, middle, brdf, u, shares, half_angles)
         self.spikes = find(scene, self._groups)
         self.lobe, self.spike = self.spikes.lobe, self.spikes.amplitude
@@ -211,7 +197,7 @@ class Curves:
         """
         near = [self._nearest(int(k), group) for k in points]
         places = [self._probes(int(k), around) for k, (around, _) in zip(points, near, strict=True)]
-        found = [_halves(*place.T) for place in places]
+        found = [Directions(i, np.pi, np.hypot(x, y), np.arctan2(y, x)).half for x, y, i in (p.T for p in places)]
         differences = [np.full(half.size, difference[6]) for half, difference in found]
         shapes = self._profile(np.concatenate([half for half, _ in found]), np.concatenate(differences))
         ends = np.cumsum([len(place) for place in places])
@@ -222,7 +208,7 @@ class Curves:
         """The seven points nearest to point k, and their weights; both sides of the plane of incidence are alike."""
         distance = np.hypot(self._x[group] - self._x[k], np.abs(self._y[group]) - abs(self._y[k]))
         near = np.argsort(distance)
-        near = near[distance[near] > TOGETHER][:7]
+        near = near[distance[near] > SAME_NOMINAL][:7]
         return group[near], 1.0 / distance[near]
 
     def _probes(self, k: int, near: npt.NDArray[np.intp]) -> Floats:
@@ -282,7 +268,7 @@ class Curves:
             for other in others:
                 line, move = self._lines[other], self._middles[other] - self._theta_i[k]
                 x = self._x[k] + move
-                if line.size >= 2 and self._x[line[0]] <= x <= self._x[line[-1]] and abs(move) > TOGETHER:
+                if line.size >= 2 and self._x[line[0]] <= x <= self._x[line[-1]] and abs(move) > SAME_NOMINAL:
                     rise = float(_cubic(x, *self._curves[other])) - self._log[k]
                     side.append((rise / move, abs(move)))
                 if len(side) == 2:
@@ -300,11 +286,10 @@ class Curves:
 
     def value(self, k: int, d: Directions) -> float:
         """f [1/sr] at directions near those of point k."""
-        here, there = self._points[k], _relative(d, self._azimuth[k])
-        step = np.array([there.x - here.x, there.y - here.y, there.theta_i - here.theta_i])
+        step = _from_above(d, self._azimuth[k]) - self._places[k]
         out = float(self.lobe[k] + self.slope[k] @ step)
         if self.spike[k]:
-            out += float(self.spike[k] * overlap(mirror_offset(d), *self._half_angles))
+            out += float(self.spike[k] * overlap(d.mirror_offset, *self._half_angles))
         return out
 
     def effects(self, k: int, read: Directions, plus: Directions, minus: Directions) -> tuple[float, float]:
@@ -320,10 +305,11 @@ class Curves:
         Unit vectors to source and detector from every pixel of the region, shape (n, 3), and the directions that were
         read. The slope counts because the region's centroid is not the sample's centre: near pixels are larger.
         """
-        along = np.array([math.cos(read.phi_i), math.sin(read.phi_i), 0.0])
-        theta_i = np.arctan2(omega_i @ along, omega_i[:, 2]) - read.theta_i
+        at_i, phi_i, *_ = read.floats
+        along = np.array([math.cos(phi_i), math.sin(phi_i), 0.0])
+        theta_i = np.arctan2(omega_i @ along, omega_i[:, 2]) - at_i
         x = -np.arctan2(omega_r @ along, omega_r[:, 2])
-        centre = direction(read.theta_r, read.phi_r)
+        centre = read.vectors[1]
         x -= -math.atan2(float(centre @ along), float(centre[2]))
         across = (omega_r + omega_i - centre) @ (-along[1], along[0], 0.0)
         first = abs(self.slope[k] @ (x.mean(), across.mean(), theta_i.mean()))
@@ -331,18 +317,8 @@ class Curves:
 
     def doubt(self, k: int, plus: Directions) -> float:
         """Standard uncertainty [1/sr] of the odd part of `effects`, where steps are too coarse to tell a slope."""
-        here, there = self._points[k], _relative(plus, self._azimuth[k])
-        # a lobe moves with the mirror direction
-        return float(self._doubt[k]) * math.hypot((there.x - here.x) - (there.theta_i - here.theta_i), there.y - here.y)
-
-
-def _halves(x: Floats, y: Floats, theta_i: Floats) -> tuple[Floats, Floats]:
-    """Angles [rad] of the half vector to the normal and to the source, for detectors at (x, y) of `_Point`."""
-    detector, source = direction(np.hypot(x, y), np.arctan2(y, x)), direction(theta_i, np.full(theta_i.shape, np.pi))
-    half = source + detector
-    half /= np.linalg.norm(half, axis=-1)[:, None]
-    across = np.hypot(half[:, 0], half[:, 1])
-    return np.arctan2(across, half[:, 2]), np.arccos(np.clip((half * source).sum(axis=-1), -1.0, 1.0))
+        x, y, theta_i = (_from_above(plus, self._azimuth[k]) - self._places[k]).tolist()
+        return float(self._doubt[k]) * math.hypot(x - theta_i, y)  # a lobe moves with the mirror direction
 
 
 def _weighted(secants: list[tuple[float, float]]) -> float:

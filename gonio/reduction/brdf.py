@@ -21,12 +21,12 @@ import gonio
 from gonio import geometry
 from gonio.acquisition.plan import ANGLES
 from gonio.errors import ConfigError, DataError
+from gonio.geometry import Directions
 from gonio.reduction import angle_sensitivity, spikes, white_reference
 from gonio.reduction.count_rates import RETAKE, Bench, Merged, in_threads
 from gonio.reduction.dark_signal import COLUMNS, PATTERNS, strongest
 from gonio.rig import Pose, imaging, kinematics
 from gonio.rig.description import Axis, Band, RigDescription
-from gonio.rig.kinematics import Directions
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -110,9 +110,9 @@ class _BandResult:
     scatter: float
     """Reduced chi-square of the frames around the means of their steps."""
     freedom: int
-    untold: list[Directions]
+    untold: Directions
     """Nominal directions of points that may see a spike of which only a bound is known."""
-    coarse: list[Directions]
+    coarse: Directions
     """Nominal directions of points beside a lobe that is narrower than the plan's steps."""
 
 
@@ -173,7 +173,7 @@ def _level(bench: Bench, points: list[Merged], visits: list[Merged], band: Band)
 
 def _columns(
     bench: Bench, points: list[Merged], visit: Merged, fitted: white_reference.Level, band: Band
-) -> tuple[dict[str, Floats], list[Directions], list[Directions]]:
+) -> tuple[dict[str, Floats], Directions, Directions]:
     """BRDF and its uncertainties for the measured points of a band (docs/radiometry.md, "The budget").
 
     And the nominal directions of points whose blur by the angles' errors is only bounded, and of those whose slope the
@@ -187,11 +187,10 @@ def _columns(
     noise = np.array([point.variance for point in points]) / k**2
     prnu = np.array([_prnu(description, point, bench.reference[band.channel].count) for point in points])
     independent = noise + (brdf * prnu) ** 2 + (brdf * fitted.extra(times) / k) ** 2
-    nominal = np.radians(bench.run.plan[list(ANGLES)].to_numpy(dtype=float))
-    goals = [Directions(*nominal[point.point].tolist()) for point in points if point.point is not None]
+    goals = Directions.from_table(bench.run.plan)[[point.point for point in points]]
     cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
     shares = _shares(description, points, [*encoder.items(), *zeros.items()], cones, band)
-    read = [point.directions for point in points]
+    read = Directions.stack([point.directions for point in points])
     curves = angle_sensitivity.Curves(goals, read, brdf, np.sqrt(independent), cones, shares)
     brdf = brdf + curves.spikes.correction
     common = {
@@ -217,10 +216,9 @@ def _columns(
     darks = np.array([np.sum(point.dark**2) for point in points]) / k**2
     combined = np.sqrt(independent + darks + sum(column**2 for column in common.values()))
     bounded = ~curves.spikes.told & (blur > noise)
-    untold = [goal for goal, bound in zip(goals, bounded, strict=True) if bound]
     steep = curves.coarse | (unresolved > noise)
-    coarse = [goal for goal, narrow in zip(goals, steep, strict=True) if narrow]
-    return {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent)} | common, untold, coarse
+    columns = {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent)} | common
+    return columns, goals[bounded], goals[steep]
 
 
 def _share_darks(results: list[_BandResult]) -> None:
@@ -296,10 +294,10 @@ def _shares(
     out = []
     for point in points:
         d = point.directions
-        if spikes.mirror_offset(d) >= sum(cones) + blur:
+        if float(d.mirror_offset) >= sum(cones) + blur:
             out.append(spikes.Share())
             continue
-        moved = [_moved(description, point.pose, axis, u) for axis, u in errors]
+        moved = Directions.stack([_moved(description, point.pose, axis, u) for axis, u in errors])
         patch = spikes.over_patch(d, radius, g.light_distance_mm, g.camera_distance_mm)
         out.append(spikes.blurred_overlap(d, moved, cones, patch, _over_pixels(description, point, band)))
     return out
@@ -313,9 +311,9 @@ def _over_region(
 
 
 def _over_pixels(description: RigDescription, point: Merged, band: Band) -> Floats:
-    """What `spikes.from_mirror` changes by at the pixels that a point's value is the mean of, shape (n, 3)."""
+    """What `Directions.from_mirror` changes by at the pixels that a point's value is the mean of, shape (n, 3)."""
     omega_i, omega_r = _pixels(description, point, band)
-    return np.asarray(omega_r - omega_i * (-1.0, -1.0, 1.0) - spikes.from_mirror(point.directions))
+    return np.asarray(omega_r - geometry.mirrored(omega_i) - point.directions.from_mirror)
 
 
 def _pixels(description: RigDescription, point: Merged, band: Band) -> tuple[Floats, Floats]:
@@ -466,10 +464,9 @@ def _notes(result: _BandResult) -> list[str]:
     return out
 
 
-def _listed(points: list[Directions]) -> str:
+def _listed(points: Directions) -> str:
     """The first points of a list, for people, in degrees."""
     first = ", ".join(
-        f"({', '.join(f'{math.degrees(a):g}' for a in (d.theta_i, d.theta_r, (d.phi_r - d.phi_i) % (2 * math.pi)))})"
-        for d in points[:3]
+        f"({', '.join(f'{math.degrees(a):g}' for a in (d.theta_i, d.theta_r, d.dphi))})" for d in points[:3]
     )
     return f"(theta_i, theta_r, dphi) = {first} deg" + (f" and {len(points) - 3} more" if len(points) > 3 else "")

@@ -17,12 +17,12 @@ import numpy.typing as npt
 
 from gonio.acquisition.exposure import full_scale_dn
 from gonio.errors import DamagedFrame, DataError
+from gonio.geometry import Directions
 from gonio.reduction.dark_signal import FEW, PATTERNS, Darks, Patterns
 from gonio.rig import Frame, Pose, Target, kinematics
 from gonio.rig.description import Band, Camera, RigDescription
 from gonio.rig.dng import read_raw
 from gonio.rig.imaging import Channel, Roi, pixel_map, roi
-from gonio.rig.kinematics import Directions
 from gonio.typing import Floats
 
 if TYPE_CHECKING:

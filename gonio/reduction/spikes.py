@@ -16,8 +16,7 @@ from statistics import NormalDist
 import numpy as np
 import numpy.typing as npt
 
-from gonio.geometry import direction, solid_angle_of_cone
-from gonio.rig.kinematics import Directions
+from gonio.geometry import SAME_SPIKE, Directions, mirrored, solid_angle_of_cone
 from gonio.typing import Floats
 
 Places = npt.NDArray[np.intp]
@@ -35,8 +34,6 @@ TELLS = 9.0
 """Points tell an amplitude whose errors of the angles leave it a third of itself: sum of mean^2 / variance."""
 SURELY = 25.0
 """Below this sum they tell it within a factor: its uncertainty is the largest amplitude that goes with the values."""
-TOGETHER = math.radians(1.5)
-"""Angles of incidence this close share a spike, where one alone has too few points."""
 SEEN = 2.5
 """At an edge rare errors are large: a departure from lobe and spike that they explain is at most so many sigma."""
 SHAPE = 0.03
@@ -72,32 +69,18 @@ def overlap(offset: npt.ArrayLike, half_angle_1: float, half_angle_2: float) -> 
     return np.where(d <= large - small, 1.0, np.where(d >= large + small, 0.0, lens / (math.pi * full)))
 
 
-def from_mirror(d: Directions) -> tuple[float, float, float]:
-    """Unit vector to the detector less that of the mirror direction."""
-    return (
-        math.sin(d.theta_r) * math.cos(d.phi_r) + math.sin(d.theta_i) * math.cos(d.phi_i),
-        math.sin(d.theta_r) * math.sin(d.phi_r) + math.sin(d.theta_i) * math.sin(d.phi_i),
-        math.cos(d.theta_r) - math.cos(d.theta_i),
-    )
-
-
-def mirror_offset(d: Directions) -> float:
-    """Angle [rad] between the mirror direction and the detector, for angles small or large."""
-    return 2.0 * math.asin(min(0.5 * math.hypot(*from_mirror(d)), 1.0))
-
-
 def over_patch(d: Directions, radius_mm: float, light_mm: float, camera_mm: float) -> Floats:
-    """What `from_mirror` changes by at 24 places spread evenly over a round patch, shape (24, 3).
+    """What `Directions.from_mirror` changes by at 24 places spread evenly over a round patch, shape (24, 3).
 
     A spot x sees source and camera turned by -(x - (x . w) w) / distance, to first order.
     """
     turn = (np.arange(24) + 0.5) * math.pi * (3.0 - math.sqrt(5.0))  # Vogel's spiral
     radius = radius_mm * np.sqrt((np.arange(24) + 0.5) / 24)
     x = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(24)], axis=1)
-    source, detector = direction(d.theta_i, d.phi_i), direction(d.theta_r, d.phi_r)
+    source, detector = d.vectors
     to_source = -(x - (x @ source)[:, None] * source) / light_mm
     to_detector = -(x - (x @ detector)[:, None] * detector) / camera_mm
-    return np.asarray(to_detector - to_source * (-1.0, -1.0, 1.0))
+    return to_detector - mirrored(to_source)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +99,7 @@ class Share:
 
 def blurred_overlap(
     read: Directions,
-    moved: Sequence[Directions],
+    moved: Directions,
     half_angles: tuple[float, float],
     patch: Floats | None = None,
     pixels: Floats | None = None,
@@ -128,17 +111,17 @@ def blurred_overlap(
     read
         The directions that were read.
     moved
-        The directions for one standard deviation of each independent error; together they are taken for normal.
+        Those for one standard deviation of each independent error; together they are taken for normal.
     half_angles
         Of the lamp and of the lens [rad].
     patch
-        What `from_mirror` changes by at a few places of the patch, shape (n, 3); none for a point.
+        What `Directions.from_mirror` changes by at a few places of the patch, shape (n, 3); none for a point.
     pixels
         The same at every pixel. Errors of the angles are averaged over the few places, which need not be exact; what
         the patch itself takes from a spike at the directions read is averaged over all pixels.
     """
-    centre = np.array(from_mirror(read))
-    shifts = np.array([from_mirror(d) for d in moved]).reshape(-1, 3) - centre
+    centre = read.from_mirror
+    shifts = moved.from_mirror - centre
     values, vectors = np.linalg.eigh(shifts.T @ shifts)
     first, second = (math.sqrt(max(values[k], 0.0)) * vectors[:, k] for k in (2, 1))
     spots = np.zeros((1, 3)) if patch is None else patch
@@ -261,7 +244,7 @@ def find(scene: Scene, groups: Sequence[Places]) -> Spikes:
     for group, centre in zip(groups, centres, strict=True):
         fit = _fit(scene, group, near) if near[group].any() else None
         if fit is not None and not fit.told:
-            beside = [g for g, c in zip(groups, centres, strict=True) if abs(c - centre) < TOGETHER]
+            beside = [g for g, c in zip(groups, centres, strict=True) if abs(c - centre) < SAME_SPIKE]
             pooled = _fit(scene, np.concatenate([group, *(g for g in beside if g is not group)]), near, group)
             fit = pooled if pooled.told else fit
         fits.append(fit)

@@ -10,12 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import DataError
+from gonio.geometry import SAME_ANGLE, TWO_PI, Directions
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from gonio.rig.kinematics import Directions
 
 
 PAIR = np.array([-1, 0])
@@ -26,8 +25,6 @@ SAME_TIME_S = 1e-3
 EXTRAPOLATED = 0.1
 """Farther outside of the visits than these are apart, a line that changes the level by more than this part of it says
 nothing: a rate over such a level is not linear in the level's error any more, and the level may turn negative."""
-SAME_ANGLE = math.radians(0.5)
-"""A visit within this angle of a curve's incidence, and of the plane of incidence, lies on it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,8 +195,8 @@ def brdf_of_table(table: pd.DataFrame, directions: Directions, wavelength_nm: fl
     """BRDF [1/sr] of a reference in one visit's geometry, from a table of its BRDF.
 
     Linear in the signed angle of reflection on the curve of the table that has the visit's angle of incidence
-    (within 0.5 degrees) or between the two curves around it, and linear in wavelength. The reference is taken for
-    isotropic; only rows without a flag, in the plane of incidence and unpolarised count.
+    (within `geometry.SAME_ANGLE`) or between the two curves around it, and linear in wavelength. The reference is taken
+    for isotropic; only rows without a flag, in the plane of incidence and unpolarised count.
 
     Raises
     ------
@@ -207,38 +204,31 @@ def brdf_of_table(table: pd.DataFrame, directions: Directions, wavelength_nm: fl
         The visit lies outside of the angles or wavelengths of the table, or out of the plane of incidence.
     """
     source = table.attrs.get("source_file") or "the table of the white reference"
-    dphi = math.remainder(directions.phi_r - directions.phi_i, 2 * math.pi)
-    if min(directions.theta_i, directions.theta_r, abs(dphi), math.pi - abs(dphi)) > SAME_ANGLE:
+    if not _in_plane(directions):
         raise DataError(f"{source}: holds curves in the plane of incidence; the visit to the reference lies out of it")
-    signed = directions.theta_r * (1.0 if abs(dphi) > math.pi / 2 else -1.0)
-    if directions.theta_i < SAME_ANGLE:
-        signed = abs(signed)
+    theta_i, signed = float(directions.theta_i), float(_signed(directions))
     rows = table[table["flag"] == ""]
     polarised = rows["polarisation"] != "unpolarised"
     if polarised.any():
         raise DataError(f"{source}: a table of a white reference must be unpolarised")
-    theta_i, theta_r = np.radians(rows["theta_i_deg"].to_numpy()), np.radians(rows["theta_r_deg"].to_numpy())
-    turn = np.remainder(np.radians((rows["phi_r_deg"] - rows["phi_i_deg"]).to_numpy()) + np.pi, 2 * np.pi) - np.pi
-    off = np.minimum(abs(turn), np.pi - abs(turn))
-    in_plane = (off <= SAME_ANGLE) | (theta_r < SAME_ANGLE) | (theta_i < SAME_ANGLE)
-    angle = np.where((abs(turn) > np.pi / 2) | (theta_i < SAME_ANGLE), theta_r, -theta_r)
+    known_at = Directions.from_table(rows)
+    in_plane, angle = _in_plane(known_at), _signed(known_at)
     wavelengths, values = rows["wavelength_nm"].to_numpy(), rows["brdf"].to_numpy()
 
     def curve(incidence: float, wavelength: float) -> float:
-        on = in_plane & (abs(theta_i - incidence) < 1e-6) & ((wavelengths == wavelength) | np.isnan(wavelengths))
+        here = in_plane & (abs(known_at.theta_i - incidence) < 1e-6)
+        on = here & ((wavelengths == wavelength) | np.isnan(wavelengths))
         what = f"theta_r = {math.degrees(signed):g} deg at theta_i = {math.degrees(incidence):g} deg"
         return _interpolate(signed, angle[on], values[on], what, source)
 
     def spectrum(wavelength: float) -> float:
-        known = np.unique(theta_i[in_plane])
-        near = known[abs(known - directions.theta_i) <= SAME_ANGLE]
+        known = np.unique(known_at.theta_i[in_plane])
+        near = known[abs(known - theta_i) <= SAME_ANGLE]
         if near.size:
-            return curve(float(near[np.argmin(abs(near - directions.theta_i))]), wavelength)
-        around = known[np.unique(np.clip(np.searchsorted(known, directions.theta_i) + PAIR, 0, known.size - 1))]
-        what = f"theta_i = {math.degrees(directions.theta_i):g} deg"
-        return _interpolate(
-            directions.theta_i, around, np.array([curve(float(a), wavelength) for a in around]), what, source
-        )
+            return curve(float(near[np.argmin(abs(near - theta_i))]), wavelength)
+        around = known[np.unique(np.clip(np.searchsorted(known, theta_i) + PAIR, 0, known.size - 1))]
+        what = f"theta_i = {math.degrees(theta_i):g} deg"
+        return _interpolate(theta_i, around, np.array([curve(float(a), wavelength) for a in around]), what, source)
 
     known = np.unique(wavelengths[np.isfinite(wavelengths)])
     if known.size == 0:  # one broad band
@@ -248,6 +238,18 @@ def brdf_of_table(table: pd.DataFrame, directions: Directions, wavelength_nm: fl
         around = np.array([wavelength_nm])
     what = f"wavelength_nm = {wavelength_nm:g}"
     return _interpolate(wavelength_nm, around, np.array([spectrum(float(w)) for w in around]), what, source)
+
+
+def _in_plane(d: Directions) -> npt.NDArray[np.bool_]:
+    """Whether azimuths say so, where they say anything: beside the normal only a curve's own rows count."""
+    turn = np.minimum(d.dphi, TWO_PI - d.dphi)
+    at_normal = (d.theta_i < SAME_ANGLE) | (d.theta_r < SAME_ANGLE)
+    return np.asarray((np.minimum(turn, np.pi - turn) <= SAME_ANGLE) | at_normal)
+
+
+def _signed(d: Directions) -> Floats:
+    """Signed angle of reflection [rad]; at normal incidence both sides of an isotropic reference are one."""
+    return np.where(d.theta_i < SAME_ANGLE, d.theta_r, d.signed)
 
 
 def _interpolate(x: float, at: Floats, values: Floats, what: str, source: str) -> float:

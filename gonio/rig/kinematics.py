@@ -18,19 +18,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from gonio.errors import ConfigError
+from gonio.geometry import AT_LIMIT, EXACTLY_IN_PLANE, PARALLEL, Directions
 from gonio.rig.description import RigDescription
 from gonio.rig.protocols import Pose
 from gonio.typing import Floats
 
 Vector = tuple[float, float, float]
 
-PARALLEL = 1e-14
-"""Below this separation [rad] two directions are one: their plane is lost in the rounding of the vectors."""
-IN_PLANE = 1e-9
-"""How far [rad] a direction may lie out of the plane of a rig that has only its arms: well below any encoder step, and
-above the rounding of degrees in a plan."""
-ROUNDING = 1e-12
-"""A goal this close [rad] beyond a limit is at the limit."""
+Angles = tuple[float, float, float, float]
+"""theta_i, phi_i, theta_r, phi_r of one pair of directions: what is done for one point at a time is done in floats."""
 
 
 class Unreachable(ConfigError):
@@ -44,16 +40,6 @@ class Unreachable(ConfigError):
         super().__init__(reason)
         self.flag = flag
         self.cause = cause or reason
-
-
-@dataclass(frozen=True, slots=True)
-class Directions:
-    """Where the source and the detector are, seen from the sample [rad], as docs/conventions.md has it."""
-
-    theta_i: float
-    phi_i: float
-    theta_r: float
-    phi_r: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +79,12 @@ def directions(description: RigDescription, pose: Pose) -> Directions:
 
 
 def separation(d: Directions) -> float:
-    """Angle [rad] between the directions of source and detector, without cancellation near 0 and near pi."""
-    light, camera = _direction(d.theta_i, d.phi_i), _direction(d.theta_r, d.phi_r)
+    """Angle [rad] between source and detector of one pair of directions, without cancellation near 0 and near pi."""
+    return _separation(d.floats)
+
+
+def _separation(d: Angles) -> float:
+    light, camera = _direction(*d[:2]), _direction(*d[2:])
     difference = math.dist(light, camera)
     total = math.dist(light, (-camera[0], -camera[1], -camera[2]))
     return 2.0 * math.atan2(difference, total)
@@ -122,7 +112,7 @@ def reach(description: RigDescription, d: Directions) -> Pose:
     description : RigDescription
         Limits, axes and bodies.
     d : Directions
-        Polar angles in [0, pi/2], azimuths in any turn.
+        One pair of them: polar angles in [0, pi/2], azimuths in any turn.
 
     Raises
     ------
@@ -130,14 +120,15 @@ def reach(description: RigDescription, d: Directions) -> Pose:
         With flag "blocked" where one body hides the other, "unreachable" where the rig has no axis for the directions
         or both branches leave a limit, "below_horizon" for a polar angle above pi/2.
     """
-    for name, theta in (("theta_i", d.theta_i), ("theta_r", d.theta_r)):
-        if not 0.0 <= theta <= math.pi / 2 + ROUNDING:
+    one = d.floats
+    for name, theta in (("theta_i", one[0]), ("theta_r", one[2])):
+        if not 0.0 <= theta <= math.pi / 2 + AT_LIMIT:
             raise Unreachable("below_horizon", f"{name} = {math.degrees(theta):g} deg is outside 0 to 90 deg")
-    apart, cone = separation(d), blocked_cone(description)
-    if apart < cone - ROUNDING:
+    apart, cone = _separation(one), blocked_cone(description)
+    if apart < cone - AT_LIMIT:
         cause = f"the bodies of source and detector block {math.degrees(cone):.1f} deg around retro"
         raise Unreachable("blocked", f"source and detector are {math.degrees(apart):.1f} deg apart: {cause}", cause)
-    poses = _with_azimuth(description, d) if description.arms.azimuth is not None else _with_holder(description, d)
+    poses = _with_azimuth(description, one) if description.arms.azimuth is not None else _with_holder(description, one)
     fitting: list[Pose] = []
     failed: list[Unreachable] = []
     for pose in poses:
@@ -155,14 +146,15 @@ def _preference(pose: Pose) -> tuple[float, bool, bool, float]:
     return (round(abs(pose.spin), 9), pose.tilt < -1e-9, pose.light < -1e-9, round(abs(pose.azimuth), 9))
 
 
-def _with_holder(description: RigDescription, d: Directions) -> list[Pose]:
+def _with_holder(description: RigDescription, d: Angles) -> list[Pose]:
     """Both branches of arms with tilt and spin; without those axes, what is left of them."""
     axes = description.holder.axes
-    light, camera = _direction(d.theta_i, d.phi_i), _direction(d.theta_r, d.phi_r)
+    theta_i, phi_i, theta_r, phi_r = d
+    light, camera = _direction(theta_i, phi_i), _direction(theta_r, phi_r)
     normal_to_arms = _normal_of_plane(light, camera, d)
     if "tilt" not in axes:
         # the arms' plane must hold the normal of the sample: both directions in one vertical plane
-        if abs(normal_to_arms[2]) > IN_PLANE and min(d.theta_i, d.theta_r) > IN_PLANE:
+        if abs(normal_to_arms[2]) > EXACTLY_IN_PLANE and min(theta_i, theta_r) > EXACTLY_IN_PLANE:
             raise Unreachable(
                 "unreachable",
                 "the detector lies out of the plane of incidence, and the rig has no axis for that: neither a tilt of "
@@ -187,25 +179,27 @@ def _with_holder(description: RigDescription, d: Directions) -> list[Pose]:
     return poses if "spin" in axes else _without_spin(poses, d)
 
 
-def _with_azimuth(description: RigDescription, d: Directions) -> list[Pose]:
+def _with_azimuth(description: RigDescription, d: Angles) -> list[Pose]:
     """Both sides of the light arm, times both sides of the camera arm, which an azimuth axis carries."""
+    theta_i, phi_i, theta_r, phi_r = d
     poses = []
     for light_side in (0.0, math.pi):
         # the light stands at the azimuth 0 or pi of the lab, and phi_i = that azimuth - spin
-        spin = _half_turns(light_side - d.phi_i) if d.theta_i > PARALLEL else 0.0
-        light = d.theta_i if light_side == 0.0 else -d.theta_i
+        spin = _half_turns(light_side - phi_i) if theta_i > PARALLEL else 0.0
+        light = theta_i if light_side == 0.0 else -theta_i
         for camera_side in (0.0, math.pi):
-            azimuth = _half_turns(d.phi_r + spin - camera_side) if d.theta_r > PARALLEL else 0.0
-            camera = d.theta_r if camera_side == 0.0 else -d.theta_r
+            azimuth = _half_turns(phi_r + spin - camera_side) if theta_r > PARALLEL else 0.0
+            camera = theta_r if camera_side == 0.0 else -theta_r
             poses.append(Pose(light=light, camera=camera, spin=spin, azimuth=azimuth))
     return poses if "spin" in description.holder.axes else _without_spin(poses, d)
 
 
-def _without_spin(poses: list[Pose], d: Directions) -> list[Pose]:
+def _without_spin(poses: list[Pose], d: Angles) -> list[Pose]:
     """The poses that need no spin."""
-    still = [pose for pose in poses if abs(math.sin(pose.spin / 2.0)) <= IN_PLANE]
+    still = [pose for pose in poses if abs(math.sin(pose.spin / 2.0)) <= EXACTLY_IN_PLANE]
     if not still:
-        name, phi = ("phi_i", d.phi_i) if d.theta_i > IN_PLANE else ("phi_r", d.phi_r)
+        theta_i, phi_i, _, phi_r = d
+        name, phi = ("phi_i", phi_i) if theta_i > EXACTLY_IN_PLANE else ("phi_r", phi_r)
         cause = (
             f"{name} other than 0 and 180 deg needs an axis that spins the sample, and the rig has none: its arms "
             "stay in one plane"
@@ -222,7 +216,7 @@ def _inside_limits(description: RigDescription, pose: Pose) -> Pose:
         lower, upper = math.radians(lower_deg), math.radians(upper_deg)
         turns = [values[name]] + ([values[name] + k * 2.0 * math.pi for k in (-1, 1)] if name in FREE_TURNS else [])
         for value in turns:
-            if lower - ROUNDING <= value <= upper + ROUNDING:
+            if lower - AT_LIMIT <= value <= upper + AT_LIMIT:
                 values[name] = min(max(value, lower), upper)
                 break
         else:
@@ -259,7 +253,7 @@ def _sample_frame(pose: Pose) -> tuple[Vector, Vector, Vector, Vector]:
     return to_sample(light), to_sample(camera), to_sample(image_x), to_sample(image_y)
 
 
-def _normal_of_plane(light: Vector, camera: Vector, d: Directions) -> Vector:
+def _normal_of_plane(light: Vector, camera: Vector, d: Angles) -> Vector:
     """Unit normal of the plane of both directions; of the vertical plane through them where they are parallel.
 
     (L + V) x (V - L) = 2 L x V keeps its digits where L and V nearly agree, or are nearly opposite.
@@ -269,7 +263,8 @@ def _normal_of_plane(light: Vector, camera: Vector, d: Directions) -> Vector:
     cross = _cross(total, difference)
     if math.hypot(*cross) > 2.0 * PARALLEL:
         return _unit(cross)
-    phi = d.phi_i if d.theta_i > PARALLEL else d.phi_r if d.theta_r > PARALLEL else 0.0
+    theta_i, phi_i, theta_r, phi_r = d
+    phi = phi_i if theta_i > PARALLEL else phi_r if theta_r > PARALLEL else 0.0
     return (-math.sin(phi), math.cos(phi), 0.0)
 
 

@@ -39,8 +39,6 @@ Mask = npt.NDArray[np.bool_]
 
 GRAZING = math.radians(89.99)
 """Nodes of a grid beyond this polar angle take the BRDF at it; pixels there see next to nothing."""
-LOBE_TOLERANCE = 1e-5
-"""Relative error of a lobe's average over the cones."""
 DETAIL = 16.0
 """Nodes in the width of the cones, at the finest grid."""
 KEPT = 2
@@ -174,11 +172,11 @@ class Renderer:
             radius = disc.radius
 
             def lobes(x: Floats, y: Floats) -> Floats:
-                angles = _angles_at(scene, x, y)
+                at = _directions_at(scene, x, y)
                 out = np.zeros(x.shape)
                 for wave, share in waves:
                     lobe = instrument.apparent_lobe(
-                        model, *angles, wavelength_nm=wave, tolerance=LOBE_TOLERANCE, **self._cones
+                        model, *at.angles, wavelength_nm=wave, tolerance=instrument.LOBE_TOLERANCE, **self._cones
                     )
                     out += share * lobe
                 return out
@@ -193,9 +191,9 @@ class Renderer:
             rows, cols = np.nonzero(disc.covers(seen))
             near = _apart(scene, seen.x_mm[rows, cols], seen.y_mm[rows, cols]) <= reach
             rows, cols = rows[near], cols[near]
-            angles = _angles_at(scene, seen.x_mm[rows, cols], seen.y_mm[rows, cols])
+            at = _directions_at(scene, seen.x_mm[rows, cols], seen.y_mm[rows, cols])
             for wave, share in waves:
-                spike = instrument.apparent_spike(model, *angles, wavelength_nm=wave, spike="exact", **self._cones)
+                spike = instrument.apparent_spike(model, *at.angles, wavelength_nm=wave, spike="exact", **self._cones)
                 brdf[rows, cols] += share * spike
 
         return paint
@@ -211,12 +209,11 @@ def _apart(scene: View, x: Floats, y: Floats) -> Floats:
     return chord
 
 
-def _angles_at(scene: View, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """theta_i, phi_i, theta_r, phi_r [rad] at spots of the sample's plane."""
+def _directions_at(scene: View, x: Floats, y: Floats) -> geometry.Directions:
+    """Where source and camera are, seen from spots of the sample's plane; at most `GRAZING`."""
     spots = np.stack([x, y, np.zeros_like(x)], axis=-1)
-    theta_i, phi_i = geometry.angles(scene.source_mm - spots)
-    theta_r, phi_r = geometry.angles(scene.camera_mm - spots)
-    return np.minimum(theta_i, GRAZING), phi_i, np.minimum(theta_r, GRAZING), phi_r
+    d = geometry.Directions.from_vectors(scene.source_mm - spots, scene.camera_mm - spots)
+    return geometry.Directions(np.minimum(d.theta_i, GRAZING), d.phi_i, np.minimum(d.theta_r, GRAZING), d.phi_r)
 
 
 def _wavelengths(band: Band) -> list[tuple[float, float]]:

@@ -10,6 +10,7 @@ from gonio_analysis.fitting.covariance import Covariance
 from gonio_analysis.fitting.forward import seen
 
 from gonio.formats.reader import table
+from gonio.geometry import Directions
 from gonio.typing import Floats
 
 
@@ -39,10 +40,7 @@ def measure(
     theta_r = np.abs(signed)
     true = seen(
         model,
-        np.radians(theta_i),
-        np.zeros(theta_i.size),
-        np.radians(theta_r),
-        np.radians(phi_r),
+        Directions.from_degrees(theta_i, 0.0, theta_r, phi_r),
         wavelength_nm=550.0 if np.isnan(wavelength_nm) else wavelength_nm,
         cones=(cone_sr, cone_sr),
     )

@@ -23,9 +23,9 @@ import numpy.typing as npt
 
 from gonio import geometry
 from gonio.errors import ConfigError, DataError
+from gonio.geometry import SAME_ANGLE, Directions
 from gonio.typing import Floats
 from gonio_analysis.change.resampling import Carried, carry
-from gonio_analysis.curves.in_plane import SAME_ANGLE
 from gonio_analysis.fitting.covariance import Covariance
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.metrics import metrics
@@ -204,7 +204,7 @@ def _measurements(a: Side, b: Side) -> Change:
         table = table.assign(
             phi_i_deg=table["phi_i_deg"] + np.degrees(turn), phi_r_deg=table["phi_r_deg"] + np.degrees(turn)
         )
-        data = replace(data, phi_i=data.phi_i + turn, phi_r=data.phi_r + turn)
+        data = replace(data, directions=data.directions.turned(turn))
         off = np.degrees(min(turn, 2 * np.pi - turn))
         notes.append(
             f"The planes of incidence differ by {off:.3g}° in azimuth; they are laid on each other, as if the sample"
@@ -281,7 +281,9 @@ def _judged(
     notes: Sequence[str],
 ) -> Change:
     white = None if covariance is None else covariance.whiten(of.b - of.a)
-    numbers = metrics(of.b, of.a, np.cos(at.theta_i), None if covariance is None else covariance.total, white)
+    numbers = metrics(
+        of.b, of.a, np.cos(at.directions.theta_i), None if covariance is None else covariance.total, white
+    )
     verdict = None if covariance is None else judge(of.a, of.b, covariance)
     told = tuple(dict.fromkeys(notes))
     return Change(
@@ -335,8 +337,8 @@ def _turn(a: Observations, b: Observations) -> float:
     """Azimuth [rad] that lays B's only plane of incidence on A's; 0 where either has several, or they agree."""
     means = []
     for x in (a, b):
-        tilted = x.theta_i > SAME_ANGLE
-        arrow = np.exp(1j * x.phi_i[tilted])
+        tilted = x.directions[x.directions.theta_i > SAME_ANGLE]
+        arrow = np.exp(1j * tilted.phi_i)
         if not arrow.size or np.abs(arrow - arrow[0]).max() > SAME_ANGLE:
             return 0.0
         means.append(float(np.angle(arrow.mean())))
@@ -351,6 +353,6 @@ def _directions(wavelength_nm: float) -> Observations:
     theta_i, theta_r, phi_r = (x.ravel() for x in grid)
     zero = np.zeros(theta_i.size)
     return Observations(
-        theta_i=theta_i, phi_i=zero, theta_r=theta_r, phi_r=phi_r, wavelength_nm=np.full(theta_i.size, wavelength_nm),
+        directions=Directions(theta_i, zero, theta_r, phi_r), wavelength_nm=np.full(theta_i.size, wavelength_nm),
         brdf=zero, covariance=None, rows=np.arange(theta_i.size),
     )  # fmt: skip

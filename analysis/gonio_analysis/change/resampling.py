@@ -22,16 +22,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio import geometry
+from gonio.geometry import SAME_ANGLE, SAME_DIRECTION, Directions
 from gonio.typing import Floats
-from gonio_analysis.curves.in_plane import IN_PLANE, SAME_ANGLE, Rows, groups
+from gonio_analysis.curves.in_plane import Rows, groups
 from gonio_analysis.fitting.observations import SAME_BAND_NM, Observations
 
 if TYPE_CHECKING:
     import pandas as pd
 
-SAME_DIRECTION = float(np.radians(0.02))
-"""Directions closer than this count as the same [rad]."""
 FARTHEST = float(np.radians(15.0))
 """Nothing is interpolated between directions farther apart than this [rad]."""
 
@@ -91,17 +89,18 @@ def carry(a: Observations, b: Observations, b_table: pd.DataFrame) -> Carried:
     for wave_a, wave_b in common_wavelengths(a, b):
         here_a, here_b = _at(a.wavelength_nm, wave_a), _at(b.wavelength_nm, wave_b)
         missing["at another wavelength"] -= here_a.size
-        pool = groups(b.theta_i, b.phi_i, here_b)
+        pool = groups(b.directions.theta_i, b.directions.phi_i, here_b)
         gone = unused.at(wave_b)
-        for group in groups(a.theta_i, a.phi_i, here_a):
+        for group in groups(a.directions.theta_i, a.directions.phi_i, here_a):
             partner = _partner(a, group, b, pool)
             if partner is None:
                 missing["at another incidence"] = missing.get("at another incidence", 0) + group.size
                 continue
-            normal = float(a.phi_i[group[0]]) if a.theta_i[group].max() < SAME_ANGLE else None
+            incident = a.directions[group]
+            normal = float(incident.phi_i[0]) if incident.theta_i.max() < SAME_ANGLE else None
             holes = gone.holes(b, partner, normal)
             nodes, weights, bend = interpolation(
-                _places(a, group, normal), _places(b, partner, normal), holes, b.brdf[partner]
+                _places(incident, normal), _places(b.directions[partner], normal), holes, b.brdf[partner]
             )
             found = nodes[:, 0] >= 0
             if not found.all():
@@ -132,17 +131,13 @@ def _at(waves: Floats, wave: float) -> Rows:
     return np.flatnonzero(np.isnan(waves) if np.isnan(wave) else np.abs(waves - wave) <= SAME_BAND_NM)
 
 
-def _place(theta_i: Floats, theta_r: Floats, dphi: Floats) -> _Places:
-    out = np.sin(theta_r) * np.sin(dphi)
-    points = np.stack([np.sin(theta_r) * np.cos(dphi) + np.sin(theta_i), out, np.cos(theta_r)], axis=1)
-    signed = np.asarray(geometry.in_plane_angle(theta_r, dphi) - theta_i)
-    return _Places(points, signed, np.abs(out) <= np.sin(IN_PLANE))
-
-
-def _places(data: Observations, rows: Rows, normal: float | None) -> _Places:
+def _places(d: Directions, normal: float | None) -> _Places:
     """At normal incidence azimuths count from `normal`: that of the source means nothing."""
-    phi_i = data.phi_i[rows] if normal is None else normal
-    return _place(data.theta_i[rows], data.theta_r[rows], data.phi_r[rows] - phi_i)
+    if normal is not None:
+        d = d.seen_from(normal)
+    points = d.from_incidence
+    points[:, 0] += np.sin(d.theta_i)
+    return _Places(points, d.signed - d.theta_i, d.in_plane)
 
 
 @dataclass(frozen=True)
@@ -150,8 +145,7 @@ class _Unused:
     """The rows of a table that must not be used."""
 
     wavelength_nm: Floats
-    angles: Floats
-    """(4, n) theta_i, phi_i, theta_r, phi_r [rad]."""
+    directions: Directions
     source: Floats
     """(n, 3) unit vectors toward the source."""
 
@@ -160,30 +154,28 @@ class _Unused:
         """Those of B's table that are not in `b`; an angle that is not finite is nowhere, and leaves no hole."""
         unused = np.ones(len(table), dtype=bool)
         unused[b.rows] = False
-        columns = ("theta_i", "phi_i", "theta_r", "phi_r")
-        angles = np.radians(np.stack([table[f"{c}_deg"].to_numpy(np.float64)[unused] for c in columns]))
-        known = np.isfinite(angles).all(axis=0)
-        angles, waves = angles[:, known], table["wavelength_nm"].to_numpy(np.float64)[unused][known]
-        return cls(waves, angles, np.asarray(geometry.direction(angles[0], angles[1])))
+        found = Directions.from_table(table)[unused]
+        known = np.isfinite(found.angles).all(axis=0)
+        waves = table["wavelength_nm"].to_numpy(np.float64)[unused][known]
+        return cls(waves, found[known], found[known].vectors[0])
 
     def at(self, wave: float) -> _Unused:
         """Those at a wavelength [nm]."""
         here = _at(self.wavelength_nm, wave)
-        return _Unused(self.wavelength_nm[here], self.angles[:, here], self.source[here])
+        return _Unused(self.wavelength_nm[here], self.directions[here], self.source[here])
 
     def holes(self, b: Observations, rows: Rows, normal: float | None) -> _Places:
         """Where those at the incidence of B's `rows` lie."""
-        goal = geometry.direction(b.theta_i[rows], b.phi_i[rows]).mean(axis=0)
+        goal = b.directions[rows].vectors[0].mean(axis=0)
         here = np.linalg.norm(self.source - goal, axis=1) <= SAME_ANGLE
-        theta_i, phi_i, theta_r, phi_r = self.angles[:, here]
-        return _place(theta_i, theta_r, phi_r - (phi_i if normal is None else normal))
+        return _places(self.directions[here], normal)
 
 
 def _partner(a: Observations, group: Rows, b: Observations, pool: list[Rows]) -> Rows | None:
     """The rows of B with the incidence of a group of A."""
 
     def incidence(data: Observations, rows: Rows) -> Floats:
-        return np.asarray(geometry.direction(data.theta_i[rows], data.phi_i[rows]).mean(axis=0))
+        return np.asarray(data.directions[rows].vectors[0].mean(axis=0))
 
     goal = incidence(a, group)
     off = [float(np.linalg.norm(incidence(b, rows) - goal)) for rows in pool]

@@ -1,6 +1,6 @@
 """Curves in the plane of incidence, and what each is normalised by.
 
-A direction counts as in plane where it lies within `IN_PLANE` of the plane of incidence (the angle between the
+A direction counts as in plane where it lies within `geometry.IN_PLANE` of the plane of incidence (the angle between the
 direction and that plane, not an azimuth: near the normal a large azimuth is a small angle). The running angle is
 signed: negative on the retro side, positive on the mirror side.
 
@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio import geometry
+from gonio.geometry import AT_MIRROR, IN_PLANE, SAME_ANGLE, SAME_AZIMUTH, Directions
 from gonio.typing import Floats
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.fitting.observations import Observations
@@ -25,12 +26,6 @@ Rows = npt.NDArray[np.intp]
 Scanned = Literal["theta_r", "theta_i"]
 Normalise = Literal["mirror", "max", "model"]
 
-IN_PLANE = float(np.radians(1.5))
-"""Largest angle out of the plane of incidence [rad]."""
-SAME_ANGLE = float(np.radians(0.4))
-"""Directions closer than this belong to one curve [rad]: encoders land a little beside their goal."""
-AT_MIRROR = float(np.radians(0.6))
-"""A value counts as measured in the mirror direction within this angle [rad]."""
 MOST_CURVES = 6
 
 
@@ -67,16 +62,14 @@ class Curve:
     def theory(self, model: Any, angle: Floats, data: Observations) -> Floats:
         """The model through the instrument at signed angles [rad] along this curve [1/sr]."""
         wavelength = data.wavelengths[0]
-        still = np.full(angle.shape, self.parameter)
-        phi_i = np.where((angle < 0) & (self.scanned == "theta_i"), self.phi_i + np.pi, self.phi_i)
-        phi_r = np.where((angle < 0) & (self.scanned == "theta_r"), self.phi_i, self.phi_i + np.pi)
-        theta_i, theta_r = (still, np.abs(angle)) if self.scanned == "theta_r" else (np.abs(angle), still)
+        still, (theta, dphi) = np.full(angle.shape, self.parameter), geometry.unsigned(angle)
+        phi = np.full(angle.shape, self.phi_i)
+        at = Directions(still, phi, theta, geometry.wrap(phi + dphi))
+        if self.scanned == "theta_i":
+            at = Directions(theta, geometry.wrap(phi + (np.pi - dphi)), still, geometry.wrap(phi + np.pi))
         return seen(
             model,
-            theta_i,
-            geometry.wrap(phi_i),
-            theta_r,
-            geometry.wrap(phi_r),
+            at,
             wavelength_nm=NO_WAVELENGTH_NM if np.isnan(wavelength) else wavelength,
             cones=(data.source_solid_angle_sr, data.receiver_solid_angle_sr),
         )
@@ -104,28 +97,29 @@ NORM_WORDS = {
 
 def curves(data: Observations) -> list[Curve]:
     """The in-plane curves of observations at one wavelength, by their parameter; at least two values each."""
-    dphi = data.phi_r - data.phi_i
-    side = np.abs(np.arcsin(np.clip(np.sin(data.theta_r) * np.sin(dphi), -1, 1)))
-    inside = np.flatnonzero((side <= IN_PLANE) | (data.theta_i < SAME_ANGLE))
-    by_incidence = groups(data.theta_i, data.phi_i, inside)
-    by_view = groups(data.theta_r, data.phi_r, inside)
+    at = data.directions
+    side = np.abs(at.out_of_plane)
+    inside = np.flatnonzero((side <= IN_PLANE) | (at.theta_i < SAME_ANGLE))
+    by_incidence = groups(at.theta_i, at.phi_i, inside)
+    by_view = groups(at.theta_r, at.phi_r, inside)
     if len(by_view) * 3 <= len(by_incidence):  # the source was moved, in steps finer than the detector's
         return _curves(data, by_view, "theta_i", side)
     return _curves(data, by_incidence, "theta_r", side)
 
 
 def _curves(data: Observations, groups: list[Rows], scanned: Scanned, side: Floats) -> list[Curve]:
-    still, moving = (data.theta_i, data.theta_r) if scanned == "theta_r" else (data.theta_r, data.theta_i)
     u = data.u
     out = []
     for group in groups:
-        at_normal = bool(data.theta_i[group].max() < SAME_ANGLE)
+        at = data.directions[group]
+        at_normal = bool(at.theta_i.max() < SAME_ANGLE)
         # at normal incidence the azimuth of the source means nothing: one azimuth of the table is taken for all
-        phi_i = _mean_azimuth(data.phi_i[group]) if scanned == "theta_r" else _mean_azimuth(data.phi_r[group]) + np.pi
-        reference = phi_i if at_normal else data.phi_i[group]
-        angle = geometry.in_plane_angle(moving[group], data.phi_r[group] - reference)
-        flat = np.abs(np.sin(data.theta_r[group]) * np.sin(data.phi_r[group] - reference)) <= np.sin(IN_PLANE)
-        group, angle = group[flat], angle[flat]
+        phi_i = _mean_azimuth(at.phi_i) if scanned == "theta_r" else _mean_azimuth(at.phi_r) + np.pi
+        if at_normal:
+            at = at.seen_from(phi_i)
+        flat = at.in_plane
+        group, at = group[flat], at[flat]
+        still, angle = (at.theta_i, at.signed) if scanned == "theta_r" else (at.theta_r, at.swapped.signed)
         order = np.argsort(angle, kind="stable")
         if order.size < 2:
             continue
@@ -133,7 +127,7 @@ def _curves(data: Observations, groups: list[Rows], scanned: Scanned, side: Floa
         out.append(
             Curve(
                 scanned=scanned,
-                parameter=float(still[rows].mean()),
+                parameter=float(still[order].mean()),
                 phi_i=float(geometry.wrap(phi_i)),
                 angle=angle[order],
                 rows=rows,
@@ -146,7 +140,7 @@ def _curves(data: Observations, groups: list[Rows], scanned: Scanned, side: Floa
 
 
 def groups(theta: Floats, phi: Floats, rows: Rows) -> list[Rows]:
-    """Rows of one direction each: chains of nearly equal polar angle, split where azimuths differ by 2 degrees."""
+    """Rows of one direction each: chains of nearly equal polar angle, split where azimuths differ by `SAME_AZIMUTH`."""
     out: list[Rows] = []
     if not rows.size:
         return out
@@ -157,7 +151,7 @@ def groups(theta: Floats, phi: Floats, rows: Rows) -> list[Rows]:
             continue
         turn = np.exp(1j * phi[chain])
         while chain.size:
-            near = np.abs(turn - turn[0]) <= np.radians(2.0)
+            near = np.abs(turn - turn[0]) <= SAME_AZIMUTH
             out.append(chain[near])
             chain, turn = chain[~near], turn[~near]
     return out

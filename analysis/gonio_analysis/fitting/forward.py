@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gonio.geometry import Directions
 from gonio.typing import Floats
-from gonio_analysis.fitting.observations import LOBE_TOLERANCE, Observations
+from gonio_analysis.fitting.observations import Observations
 
 if TYPE_CHECKING:
     from gonio.instrument import Cones, Rules
@@ -66,25 +67,19 @@ def pointlike(at: Observations) -> bool:
 
 def seen(
     model: Any,
-    theta_i: Floats,
-    phi_i: Floats,
-    theta_r: Floats,
-    phi_r: Floats,
+    at: Directions,
     *,
     wavelength_nm: float,
     cones: tuple[float, float],
 ) -> Floats:
-    """As `apparent`, in the directions [rad] given, through cones of (source, receiver) solid angle [sr].
+    """As `apparent`, in the directions given, through cones of (source, receiver) solid angle [sr].
 
     Without a cone on either side a specular spike has no finite value: then the model without its spike is returned.
     """
-    from gonio.instrument import Cones
+    from gonio.instrument import LOBE_TOLERANCE, Cones
 
     through = Cones(
-        theta_i,
-        phi_i,
-        theta_r,
-        phi_r,
+        *at.angles,
         source_solid_angle_sr=cones[0],
         receiver_solid_angle_sr=cones[1],
         spike="exact",

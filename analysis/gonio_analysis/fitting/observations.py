@@ -1,4 +1,4 @@
-"""What a fit or a plot uses of a table: the rows that count, as arrays in radians, with their covariance."""
+"""What a fit or a plot uses of a table: the rows that count, as arrays, with their covariance."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import DataError
+from gonio.geometry import AT_HORIZON, Directions
 from gonio.typing import Floats
 from gonio_analysis.fitting.covariance import Covariance
 
@@ -23,22 +24,17 @@ DEFAULT_WAVELENGTH_NM = 550.0
 SAME_BAND_NM = 1e-6
 LARGEST = 1e30
 """[1/sr] No BRDF: a perfect mirror seen through a cone of a nanoradian has less. Squares of such values overflow."""
-LOBE_TOLERANCE = 1e-5
-"""Relative error of a lobe's average over the cones: a hundredth of the uncertainty of the best values."""
 
 
 @dataclass(frozen=True)
 class Observations:
     """The usable values of one sample, in the order of the table.
 
-    Angles are radians; `brdf` and everything of `covariance` are 1/sr. `wavelength_nm` is NaN in a broad band.
+    `brdf` and everything of `covariance` are 1/sr. `wavelength_nm` is NaN in a broad band.
     `covariance` is None where the table states no uncertainty.
     """
 
-    theta_i: Floats
-    phi_i: Floats
-    theta_r: Floats
-    phi_r: Floats
+    directions: Directions
     wavelength_nm: Floats
     brdf: Floats
     covariance: Covariance | None
@@ -72,17 +68,14 @@ class Observations:
     @cached_property
     def cones(self) -> list[tuple[float, Any, Cones]]:
         """Of each wavelength [nm]: the values that have it, and their directions, prepared for the forward model."""
-        from gonio.instrument import Cones
+        from gonio.instrument import LOBE_TOLERANCE, Cones
 
         out = []
         for wavelength in self.wavelengths:
             rows = np.isnan(self.wavelength_nm) if np.isnan(wavelength) else self.wavelength_nm == wavelength
             here = slice(None) if rows.all() else rows
             cones = Cones(
-                self.theta_i[here],
-                self.phi_i[here],
-                self.theta_r[here],
-                self.phi_r[here],
+                *self.directions[here].angles,
                 source_solid_angle_sr=self.source_solid_angle_sr,
                 receiver_solid_angle_sr=self.receiver_solid_angle_sr,
                 spike="exact",
@@ -96,7 +89,7 @@ class Observations:
 
     def take(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> Observations:
         """Some of the values."""
-        arrays = ("theta_i", "phi_i", "theta_r", "phi_r", "wavelength_nm", "brdf", "rows")
+        arrays = ("directions", "wavelength_nm", "brdf", "rows")
         covariance = self.covariance.take(rows) if self.covariance is not None else None
         return replace(self, covariance=covariance, **{name: getattr(self, name)[rows] for name in arrays})
 
@@ -139,14 +132,14 @@ def observations(table: pd.DataFrame, name: str = "the table") -> Observations:
     """
     from gonio import measurement
 
-    angles = {c: np.radians(table[f"{c}_deg"].to_numpy(np.float64)) for c in ("theta_i", "phi_i", "theta_r", "phi_r")}
+    directions = Directions.from_table(table)
     brdf = table["brdf"].to_numpy(np.float64)
     flags = table["flag"].fillna("").astype(str).to_numpy()
     why = np.where(flags == "", "", np.char.add("flagged ", flags.astype(str))).astype(object)
     why[(why == "") & (table["polarisation"] != "unpolarised").to_numpy()] = "polarised"
     why[(why == "") & ~np.isfinite(brdf)] = "without a value"
     why[(why == "") & (np.abs(brdf) > LARGEST)] = f"beyond {LARGEST:g} 1/sr"
-    horizon = (angles["theta_i"] >= np.pi / 2 - 1e-9) | (angles["theta_r"] >= np.pi / 2 - 1e-9)
+    horizon = np.maximum(directions.theta_i, directions.theta_r) >= np.pi / 2 - AT_HORIZON
     why[(why == "") & horizon] = "at the horizon"
 
     random, common, causes = measurement.uncertainty(table)
@@ -178,7 +171,7 @@ def observations(table: pd.DataFrame, name: str = "the table") -> Observations:
             " direction there."
         )
     return Observations(
-        **{key: value[keep] for key, value in angles.items()},
+        directions=directions[keep],
         wavelength_nm=wavelength[keep],
         brdf=brdf[keep],
         covariance=covariance,

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from gonio import geometry
 from gonio.typing import Floats
 from gonio_analysis.change.resampling import FARTHEST
-from gonio_analysis.curves.in_plane import IN_PLANE, Rows
+from gonio_analysis.curves.in_plane import Rows
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots.in_plane import FAINT, INK, angle_axis, style
@@ -140,21 +140,20 @@ def slices(data: Observations, rows: Rows) -> list[Line]:
 
     The signed angle is positive where the receiver is on the mirror side of the plane across the plane of incidence.
     """
-    dphi = geometry.wrap(data.phi_r[rows] - data.phi_i[rows])
-    off = np.abs(np.sin(data.theta_r[rows]) * np.sin(dphi)) > np.sin(IN_PLANE)
-    rows, dphi = rows[off], dphi[off]
-    turn = np.round(np.degrees(dphi) % 180.0, 0)
+    off = ~data.directions[rows].in_plane
+    rows, at = rows[off], data.directions[rows[off]]
+    turn = np.round(np.degrees(at.dphi) % 180.0, 0)
     out = []
     u = data.u
     for half in np.unique(turn):
         here = turn == half
-        angle = geometry.in_plane_angle(data.theta_r[rows[here]], dphi[here])
+        angle = at[here].signed
         order = np.argsort(angle)
         chosen = rows[here][order]
         if chosen.size < FEWEST:
             continue
         nothing = np.empty(0)
-        azimuth = round(float(np.mean(np.degrees(dphi[here]) % 180.0)), 1)
+        azimuth = round(float(np.mean(np.degrees(at[here].dphi) % 180.0)), 1)
         out.append(
             Line(f"Δφ = {azimuth:g}°/{azimuth + 180:g}°", nothing, nothing, angle[order], data.brdf[chosen], u[chosen])
         )
@@ -280,7 +279,8 @@ def _on_disc(theta: Floats, dphi: Floats) -> tuple[Floats, Floats]:
 
 
 def _in_space(theta: Floats, dphi: Floats, radius: Floats) -> tuple[Floats, Floats, Floats]:
-    return -radius * np.sin(theta) * np.cos(dphi), -radius * np.sin(theta) * np.sin(dphi), radius * np.cos(theta)
+    x, y, z = np.moveaxis(geometry.direction(theta, dphi), -1, 0)
+    return -radius * x, -radius * y, radius * z
 
 
 def _bar(ax: Any, artist: Any, label: str) -> None:

@@ -197,7 +197,7 @@ def _words(ratio: float | None) -> str:
 
 def _columns(c: Change) -> list[Any]:
     v, n = c.verdict, len(c.at)
-    angles = [np.round(np.degrees(x), 10) for x in (c.at.theta_i, c.at.phi_i, c.at.theta_r, c.at.phi_r)]
+    angles = [np.round(np.degrees(x), 10) for x in c.at.directions.angles]
     z = v.z if v is not None else np.full(n, np.nan)
     marked = v.marked.astype(object) if v is not None else np.full(n, "", dtype=object)
     return [c.at.wavelength_nm, *angles, c.value_a, c.value_b, c.error, c.difference, c.u, z, marked]

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from gonio import geometry
 from gonio.typing import Floats
 from gonio_analysis.change.point_by_point import LEVEL, Change
-from gonio_analysis.curves.in_plane import IN_PLANE, Curve, groups, labels
+from gonio_analysis.curves.in_plane import Curve, groups, labels
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots import in_plane, maps, thinning
@@ -116,13 +115,13 @@ def _change_maps(c: Change, at: Observations, where: str) -> list[Drawing]:
         top = max(float(np.quantile(np.abs(value), 0.95)), 1e-6)
         what = "ln(B/A)"
     rings = "; upright triangles: above 0" + ("; rings mark values that changed" if c.verdict is not None else "")
-    dphi = at.phi_r - at.phi_i
-    off = np.abs(np.sin(at.theta_r) * np.sin(dphi)) > np.sin(IN_PLANE)
+    d = at.directions
+    off = ~d.in_plane
     out = []
     flat = np.flatnonzero(~off)
     if flat.size:
-        angle = geometry.in_plane_angle(at.theta_r[flat], dphi[flat])
-        tilts = np.round(np.degrees(at.theta_i[flat]), 1)
+        angle = d[flat].signed
+        tilts = np.round(np.degrees(d.theta_i[flat]), 1)
         levels = np.unique(tilts)
         high = max(1.3 + 0.22 * levels.size, 2.1)
         if levels.size <= 24:
@@ -137,20 +136,20 @@ def _change_maps(c: Change, at: Observations, where: str) -> list[Drawing]:
                 marked=marked[flat][kept], label=label, top=top, high=high,
             )  # fmt: skip
             out.append(Drawing("map-plane", "map", "", caption, caption, (5.6, high), on))
-    every = [g for g in groups(at.theta_i, at.phi_i, np.arange(len(at))) if np.count_nonzero(off[g]) >= 4]
+    every = [g for g in groups(d.theta_i, d.phi_i, np.arange(len(at))) if np.count_nonzero(off[g]) >= 4]
     some = (
         [every[k] for k in np.unique(np.round(np.linspace(0, len(every) - 1, min(MOST_DISCS, len(every)))).astype(int))]
         if every
         else []
     )
     for k, g in enumerate(some):
-        kept = thinning.over_hemisphere(at.theta_r[g], dphi[g], value[g], DISC_PT, MOST_DRAWN, keep=marked[g])
-        theta = f"θi = {np.degrees(at.theta_i[g].mean()):.1f}°"
+        kept = thinning.over_hemisphere(d[g].theta_r, d[g].dphi, value[g], DISC_PT, MOST_DRAWN, keep=marked[g])
+        theta = f"θi = {np.degrees(d.theta_i[g].mean()):.1f}°"
         caption = f"Map of the hemisphere, {theta}{where}: {what}{rings}. Empty: no shared direction."
         caption += thinning.words(kept.size, g.size)
         h = g[kept]
         on = partial(
-            _on_disc, theta_r=at.theta_r[h], dphi=dphi[h], value=value[h], marked=marked[h], label=label, top=top
+            _on_disc, theta_r=d[h].theta_r, dphi=d[h].dphi, value=value[h], marked=marked[h], label=label, top=top
         )
         out.append(Drawing(f"map-{k + 1}", "map", "", caption, caption, (4.6, 4.0), on))
     return out

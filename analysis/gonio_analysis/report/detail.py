@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from gonio import geometry
+from gonio.geometry import Directions
 from gonio.typing import Floats
-from gonio_analysis.curves.in_plane import IN_PLANE, Curve, Rows, groups, labels
+from gonio_analysis.curves.in_plane import Curve, Rows, groups, labels
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.plots import diagnostics, in_plane, maps, thinning
@@ -60,8 +61,9 @@ def draw(d: Dataset, facts: dict[str, Any], most: int) -> list[Drawing]:
 
 def _incidences(d: Dataset) -> list[Rows]:
     data = d.data
-    off = np.abs(np.sin(data.theta_r) * np.sin(data.phi_r - data.phi_i)) > np.sin(IN_PLANE)
-    every = [g for g in groups(data.theta_i, data.phi_i, np.arange(len(data))) if np.count_nonzero(off[g]) >= FEWEST]
+    at = data.directions
+    off = ~at.in_plane
+    every = [g for g in groups(at.theta_i, at.phi_i, np.arange(len(data))) if np.count_nonzero(off[g]) >= FEWEST]
     return [every[k] for k in _evenly(len(every))]
 
 
@@ -71,21 +73,21 @@ def _evenly(count: int) -> list[int]:
 
 
 def _theta(d: Dataset, rows: Rows) -> float:
-    return float(d.data.theta_i[rows].mean())
+    return float(d.data.directions.theta_i[rows].mean())
 
 
 def _heat(d: Dataset, facts: dict[str, Any], rows: Rows, k: int, most: int) -> Drawing:
     data, theta = d.data, _theta(d, rows)
     rows = rows[data.brdf[rows] > 0]
-    dphi = data.phi_r[rows] - data.phi_i[rows]
-    some = thinning.over_hemisphere(data.theta_r[rows], dphi, data.brdf[rows], DISC_PT, max(most, MOST_ON_DISC))
+    at = data.directions[rows]
+    some = thinning.over_hemisphere(at.theta_r, at.dphi, data.brdf[rows], DISC_PT, max(most, MOST_ON_DISC))
     caption = (
         f"Hemisphere, θi = {np.degrees(theta):.1f}°: measured BRDF over the receiver's direction; radius: θr. Cross:"
         " mirror direction; circle: source. Points were measured; colours between neighbours within 15° are a guide."
         + thinning.words(some.size, rows.size)
     )
-    shown = rows[some]
-    on = partial(_on_disc, theta_r=data.theta_r[shown], dphi=dphi[some], value=data.brdf[shown], theta_i=theta)
+    shown = at[some]
+    on = partial(_on_disc, theta_r=shown.theta_r, dphi=shown.dphi, value=data.brdf[rows[some]], theta_i=theta)
     return Drawing(f"{facts['slug']}-heat-{k + 1}", "heat", "", caption, caption, (4.6, 4.0), on)
 
 
@@ -123,17 +125,17 @@ def _lobe(d: Dataset, facts: dict[str, Any], rows: Rows, most: int) -> Drawing:
         still = np.full(theta_r.shape, theta)
         cones = (0.0, 0.0)  # the lobe without its spike, which would leave nothing else to see
         nm = NO_WAVELENGTH_NM if np.isnan(wave) else wave
-        return seen(best.model, still, 0 * still, theta_r, geometry.wrap(dphi), wavelength_nm=nm, cones=cones)
+        at = Directions(still, 0 * still, theta_r, geometry.wrap(dphi))
+        return seen(best.model, at, wavelength_nm=nm, cones=cones)
 
-    dphi = data.phi_r[rows] - data.phi_i[rows]
-    some = thinning.over_hemisphere(data.theta_r[rows], dphi, data.brdf[rows], DISC_PT, most)
+    at = data.directions[rows]
+    some = thinning.over_hemisphere(at.theta_r, at.dphi, data.brdf[rows], DISC_PT, most)
     caption = (
         f"Lobe, θi = {np.degrees(theta):.1f}°: {best.name} as fitted, without a spike (mesh); measured values (points)."
         + thinning.words(some.size, rows.size)
     )
-    on = partial(
-        _on_space, mesh=maps.lobe_mesh(brdf), measured=(data.theta_r[rows][some], dphi[some], data.brdf[rows][some])
-    )
+    shown = at[some]
+    on = partial(_on_space, mesh=maps.lobe_mesh(brdf), measured=(shown.theta_r, shown.dphi, data.brdf[rows][some]))
     return Drawing(f"{facts['slug']}-lobe", "lobe", "", caption, caption, (4.6, 4.0), on)
 
 

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from gonio import geometry
 from gonio_analysis.curves.line import Line
 from gonio_analysis.plots import in_plane, thinning
 from gonio_analysis.report.text import cause, number, slug
@@ -166,10 +165,10 @@ def _absolute(d: Dataset, facts: dict[str, Any], model: str, f: Fitted, most: in
     free[used] = False
     rest = np.flatnonzero(free)
     data = d.data
-    moving = data.theta_i if d.curves and d.curves[0].scanned == "theta_i" else data.theta_r
+    at = data.directions[rest]
     with np.errstate(divide="ignore"):
         values = f.fit.whitened[rest] if stated else f.fit.predicted[rest] / data.brdf[rest] - 1.0
-    angle = geometry.in_plane_angle(moving[rest], data.phi_r[rest] - data.phi_i[rest])
+    angle = (at.swapped if d.curves and d.curves[0].scanned == "theta_i" else at).signed
     top = thinning.on_logarithm(lines, PANEL_PT, 0.6 * PANEL_PT, most)
     low = thinning.of_residuals(lines, PANEL_PT, 0.25 * PANEL_PT, most)
     some = thinning.residuals(angle, values, PANEL_PT, 0.25 * PANEL_PT, most)

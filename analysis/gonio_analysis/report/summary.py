@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gonio_analysis.curves.in_plane import AT_MIRROR, IN_PLANE, NORM_WORDS
+from gonio.geometry import AT_MIRROR, IN_PLANE
+from gonio_analysis.curves.in_plane import NORM_WORDS
 from gonio_analysis.fitting.fit import FitResult, finite
 from gonio_analysis.fitting.metrics import BELOW, DESCRIPTIONS
 from gonio_analysis.fitting.observations import describe_left_out
@@ -81,7 +82,7 @@ def _dataset(d: Dataset, slug: str) -> dict[str, Any]:
         "receiver_solid_angle_sr": finite(attrs.get("receiver_solid_angle_sr")),
         "uncertainty_stated": stated,
         "causes": list(d.data.covariance.causes) if d.data.covariance is not None else [],
-        "theta_i_deg": [float(x) for x in np.unique(np.round(np.degrees(d.data.theta_i), 1))],
+        "theta_i_deg": [float(x) for x in np.unique(np.round(np.degrees(d.data.directions.theta_i), 1))],
         "brdf_min": float(d.data.brdf.min()),
         "brdf_max": float(d.data.brdf.max()),
         "median_u_rel": finite(float(np.median(d.data.u / np.abs(d.data.brdf))))

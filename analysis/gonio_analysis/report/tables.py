@@ -97,7 +97,7 @@ def write(
 def _of_dataset(d: Dataset, slug: str, folder: Path) -> list[str]:
     """Fitted values with every model's prediction, and the plotted curves."""
     data = d.data
-    angles = [_degrees(x) for x in (data.theta_i, data.phi_i, data.theta_r, data.phi_r)]
+    angles = [_degrees(x) for x in data.directions.angles]
     models, c = list(d.fitted), data.covariance
     values = [v for f in d.fitted.values() for v in (f.fit.predicted, f.fit.whitened)]
     write_columns(

@@ -176,7 +176,7 @@ def _fitted(result: FitResult, shown: list[Curve], normalise: Normalise, series:
     numbers = metrics(
         result.predicted,
         data.brdf,
-        np.cos(data.theta_i),
+        np.cos(data.directions.theta_i),
         data.u if stated else None,
         result.whitened if stated else None,
     )

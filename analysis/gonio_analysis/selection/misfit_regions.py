@@ -9,16 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from gonio.typing import Floats
+from gonio.geometry import AROUND_MIRROR, SAME_INCIDENCE
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.selection.surrogate import Rows
 
-TOGETHER = math.radians(2.0)
-"""Incidences closer than this are one."""
-OUT_OF_PLANE = math.radians(5.0)
-"""Angle between the detector and the plane of incidence beyond which a value is out of plane."""
-AROUND_MIRROR = math.radians(12.0)
 FOLDS = 5
 
 
@@ -48,26 +43,19 @@ class Region:
 
 def incidences(data: Observations) -> list[tuple[float, Rows]]:
     """The angles of incidence [rad], ascending, and the values measured at each."""
-    order = np.argsort(data.theta_i)
-    cuts = np.flatnonzero(np.diff(data.theta_i[order]) > TOGETHER) + 1
-    return [(float(data.theta_i[group].mean()), group) for group in np.split(order, cuts)]
-
-
-def signed(data: Observations) -> tuple[Floats, Floats]:
-    """The detector's angle in the plane of incidence (positive on the mirror side) and out of it [rad]."""
-    dphi = data.phi_r - data.phi_i
-    along = -np.sin(data.theta_r) * np.cos(dphi)
-    across = np.sin(data.theta_r) * np.sin(dphi)
-    return np.arctan2(along, np.cos(data.theta_r)), np.arcsin(np.clip(across, -1.0, 1.0))
+    theta_i = data.directions.theta_i
+    order = np.argsort(theta_i)
+    cuts = np.flatnonzero(np.diff(theta_i[order]) > SAME_INCIDENCE) + 1
+    return [(float(theta_i[group].mean()), group) for group in np.split(order, cuts)]
 
 
 def worst(result: FitResult) -> Region | None:
     """The region with the largest excess of chi-square over the number of its values; None where there is none."""
     data, square = result.data, result.whitened**2
-    along, across = signed(data)
+    along, in_plane = data.directions.along, data.directions.in_plane
     found: list[tuple[float, str, Rows]] = []
     for theta_i, rows in incidences(data):
-        flat = np.abs(across[rows]) < OUT_OF_PLANE
+        flat = in_plane[rows]
         mirror = np.abs(along[rows] - theta_i) < AROUND_MIRROR
         zones = {
             "on the retro side": flat & ~mirror & (along[rows] < 0),
@@ -100,8 +88,8 @@ def blocks(data: Observations) -> tuple[list[Rows], str]:
         if len(groups) > 2 * FOLDS:  # a dense set of incidences: neighbours go together
             groups = [np.concatenate(part) for part in _parts(groups, FOLDS)]
         return groups, "angle of incidence"
-    along, _ = signed(data)
-    return [part for part in np.array_split(np.argsort(along), FOLDS) if part.size], "range of the detector's angle"
+    order = np.argsort(data.directions.along)
+    return [part for part in np.array_split(order, FOLDS) if part.size], "range of the detector's angle"
 
 
 def _parts(groups: list[Rows], count: int) -> list[list[Rows]]:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from gonio import geometry
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, OrenNayar, Phong, engine, fresnel, htsg
 from gonio.models._compile import loop
 from gonio.models._facets import fresnel_constants
@@ -281,8 +282,7 @@ def _oren_nayar() -> Family:
     for sigma, rho in sorted(set(zip(r["sigma"], r["rho"], strict=True))):
         here = (columns["sigma"] == sigma) & (columns["rho"] == rho)
         ti, tr, phi = (columns[key][here] for key in ("theta_i", "theta_r", "phi"))
-        source = np.stack([np.sin(ti), 0 * ti, np.cos(ti)], axis=-1)
-        viewer = np.stack([np.sin(tr) * np.cos(phi), np.sin(tr) * np.sin(phi), np.cos(tr)], axis=-1)
+        source, viewer = geometry.Directions(ti, 0.0, tr, phi).vectors
         p = {"albedo": rho, "sigma_deg": math.degrees(sigma)}
         value = columns["value"][here]
         samples.append(Sample("grid", p, (source, viewer), value, 0.0 * value, ("",) * len(value)))

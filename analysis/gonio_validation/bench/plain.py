@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from gonio import geometry
 from gonio.models.plain import blinn as blinn_1977
 from gonio.models.plain import cook_torrance as cook_torrance_1982
 from gonio.models.plain import fresnel
@@ -25,7 +26,7 @@ def cook_torrance(p: dict[str, Any], omega_i: Floats, omega_r: Floats) -> Floats
 def blinn(p: dict[str, Any], omega_i: Floats, omega_r: Floats) -> Floats:
     """(k_d + k_s D G F/((N.E)(N.L)))/pi."""
     half = blinn_1977.H(omega_i, omega_r)
-    theta = np.arccos(np.sum(half * omega_r, axis=-1))
+    theta = geometry.angle_between(half, omega_r)
     d = _DISTRIBUTIONS[p["distribution"]](polar(half), p["c"])
     f = fresnel.reflectance(theta, complex(p["ior"]))
     s = blinn_1977.s(d, blinn_1977.G(omega_i, omega_r), f, omega_r)

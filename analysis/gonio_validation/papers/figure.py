@@ -10,6 +10,7 @@ import numpy as np
 from gonio_analysis.curves.line import Line
 from gonio_analysis.plots import in_plane
 
+from gonio import geometry
 from gonio.typing import Floats
 
 Origin = Literal["paper", "database", "derived", "assumed"]
@@ -124,7 +125,7 @@ def theory(label: str, angle: Floats, value: Floats, mirror: float | None = None
 
 def signed(theta_deg: Floats) -> tuple[Floats, Floats]:
     """Polar angle and azimuth [rad] of signed in-plane angles [deg], for a source at azimuth 0."""
-    return np.radians(np.abs(theta_deg)), np.where(theta_deg >= 0, np.pi, 0.0)
+    return geometry.unsigned(np.radians(theta_deg))
 
 
 def at(x: Floats, y: Floats, where: float) -> float:

@@ -13,10 +13,11 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from gonio.geometry import Directions
 from gonio.rig import Frame, Pose
 from gonio.rig.description import Acquisition, Arms, Band, Bands, Camera, Lamp, Reference, RigDescription
 from gonio.rig.dng import write_dng
-from gonio.rig.kinematics import Directions, directions, reach
+from gonio.rig.kinematics import directions, reach
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 BAND = Band(name="550 nm", centre_nm=550.0, fwhm_nm=10.0)

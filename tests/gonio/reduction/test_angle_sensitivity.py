@@ -8,12 +8,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from gonio.geometry import angles, direction
+from gonio.geometry import Directions, angles, direction
 from gonio.reduction.angle_sensitivity import Curves
-from gonio.reduction.spikes import Share, blurred_overlap, from_mirror, mirror_offset, over_patch, overlap
-from gonio.rig.kinematics import Directions
+from gonio.reduction.spikes import Share, blurred_overlap, over_patch, overlap
 
 HALF = math.radians(0.5)
+stack = Directions.stack
 Function = Callable[[Directions], float]
 
 
@@ -25,12 +25,12 @@ def at(theta_i: float, theta_r: float, dphi: float = 180.0) -> Directions:
 
 def curves(function: Function, goals: list[Directions], half: float = HALF, noise: float = 1e-6) -> Curves:
     values = np.array([function(d) for d in goals])
-    return Curves(goals, goals, values, noise * abs(values) + 1e-12, (half, half), sharp(goals, half))
+    return Curves(stack(goals), stack(goals), values, noise * abs(values) + 1e-12, (half, half), sharp(goals, half))
 
 
 def sharp(goals: list[Directions], half: float = HALF) -> list[Share]:
     """Shares of the lamp's mirror image for angles that are known exactly."""
-    return [blurred_overlap(d, [], (half, half)) for d in goals]
+    return [blurred_overlap(d, stack([]), (half, half)) for d in goals]
 
 
 def moved(d: Directions, i: float = 0.0, r: float = 0.0) -> Directions:
@@ -67,9 +67,9 @@ def test_overlap_of_equal_caps_falls_linearly() -> None:
 
 @pytest.mark.parametrize("theta", [0.0, 1e-9, 30.0, 75.0])
 def test_mirror_offset(theta: float) -> None:
-    assert mirror_offset(at(theta, theta)) == pytest.approx(0.0, abs=1e-15)
-    assert mirror_offset(at(theta, theta + 0.5)) == pytest.approx(math.radians(0.5), rel=1e-9)
-    assert mirror_offset(at(90.0, 90.0, 0.0)) == pytest.approx(math.pi)
+    assert at(theta, theta).mirror_offset == pytest.approx(0.0, abs=1e-15)
+    assert at(theta, theta + 0.5).mirror_offset == pytest.approx(math.radians(0.5), rel=1e-9)
+    assert at(90.0, 90.0, 0.0).mirror_offset == pytest.approx(math.pi)
 
 
 GRID = [at(i, float(r)) for i in (20.0, 25.0, 30.0, 35.0, 40.0) for r in range(-70, 71, 5)]
@@ -125,7 +125,7 @@ def test_normal_incidence_has_no_preferred_plane() -> None:
         return math.exp(-((d.theta_r / 0.5) ** 2))
 
     f = np.array([value(d) for d in goals])
-    model, u = Curves(goals, read, f, 1e-6 * f, (HALF, HALF), sharp(read)), math.radians(0.02)
+    model, u = Curves(stack(goals), stack(read), f, 1e-6 * f, (HALF, HALF), sharp(read)), math.radians(0.02)
     for k in range(2, len(goals) - 2):
         if goals[k].theta_r == 0:
             continue
@@ -151,13 +151,13 @@ SPIKED = [at(i, float(r)) for i in (60.0, 75.0) for r in np.arange(-80, 85.1, 2.
 
 
 def spiked(d: Directions) -> float:
-    share = float(overlap(mirror_offset(d), HALF, HALF))
+    share = float(overlap(d.mirror_offset, HALF, HALF))
     return lobe(d) + (40.0 * share if d.theta_i > 1.2 else 0.0)
 
 
 def test_a_spike_is_told_from_its_lobe_and_has_its_own_shape() -> None:
     model = curves(spiked, SPIKED)
-    top = next(k for k, d in enumerate(SPIKED) if mirror_offset(d) < 1e-9 and d.theta_i > 1.2)
+    top = next(k for k, d in enumerate(SPIKED) if d.mirror_offset < 1e-9 and d.theta_i > 1.2)
     # the cubic through the lobe's neighbours misses its fourth derivative: (2.5 deg / 0.4)^4 * 12 / 6
     assert model.spike[top] == pytest.approx(40.0, abs=0.01)
     assert model.lobe[top] == pytest.approx(lobe(SPIKED[top]), abs=0.01)
@@ -168,7 +168,7 @@ def test_a_spike_is_told_from_its_lobe_and_has_its_own_shape() -> None:
 def test_the_top_of_a_spike_falls_to_both_sides(step_deg: float) -> None:
     """A slope would say that nothing happens there."""
     model, u = curves(spiked, SPIKED), math.radians(step_deg)
-    top = next(k for k, d in enumerate(SPIKED) if mirror_offset(d) < 1e-9 and d.theta_i > 1.2)
+    top = next(k for k, d in enumerate(SPIKED) if d.mirror_offset < 1e-9 and d.theta_i > 1.2)
     d = SPIKED[top]
     odd, even = model.effects(top, d, moved(d, r=u), moved(d, r=-u))
     fall = 40.0 * (float(overlap(u, HALF, HALF)) - 1)
@@ -182,7 +182,7 @@ def test_a_point_just_outside_of_a_spike_knows_its_edge() -> None:
     k = next(k for k, d in enumerate(goals) if abs(math.degrees(d.theta_r) - 76.02) < 1e-9)
     d = goals[k]
     odd, even = model.effects(k, d, moved(d, r=u), moved(d, r=-u))
-    rise = 40.0 * float(overlap(mirror_offset(moved(d, r=-u)), HALF, HALF))
+    rise = 40.0 * float(overlap(moved(d, r=-u).mirror_offset, HALF, HALF))
     assert rise > 1.0
     assert even == pytest.approx(rise / 2, rel=0.05)
     assert odd == pytest.approx(-rise / 2, rel=0.05)
@@ -192,7 +192,7 @@ def test_a_smooth_peak_is_no_spike() -> None:
     """Eight degrees wide, measured every 2.5 degrees."""
 
     def peak(d: Directions) -> float:
-        return math.exp(-((mirror_offset(d) / math.radians(8)) ** 2)) + 0.01
+        return math.exp(-((d.mirror_offset / math.radians(8)) ** 2)) + 0.01
 
     assert not curves(peak, SPIKED).spike.any()
 
@@ -264,7 +264,7 @@ def test_repeated_readings_are_no_slope() -> None:
     goals = [at(30.0, 40.0 + 0.01 * k) for k in range(60)]
     read = [at(30.0, round((40.0 + 0.01 * k) / 0.088) * 0.088) for k in range(60)]
     f = 0.2 + 1e-3 * np.random.default_rng(0).standard_normal(60)
-    model, u = Curves(goals, read, f, np.full(60, 1e-3), (0.0, 0.0), [Share()] * 60), math.radians(0.025)
+    model, u = Curves(stack(goals), stack(read), f, np.full(60, 1e-3), (0.0, 0.0), [Share()] * 60), math.radians(0.025)
     effects = [model.effects(k, d, moved(d, r=u), moved(d, r=-u))[0] for k, d in enumerate(read)]
     # differences over at least 0.2 deg of noise of 1e-3: 0.025/0.2 of it
     assert np.max(np.abs(effects)) < 1e-3
@@ -277,7 +277,7 @@ def test_a_blurred_overlap_against_drawn_errors(offset_deg: float) -> None:
     read = at(40.0, 40.0 + offset_deg)
     across = 2 * tilt * math.cos(read.theta_i)
     turned = Directions(read.theta_i, 0.0, read.theta_r, read.phi_r + across / math.sin(read.theta_r))
-    seen = blurred_overlap(read, [moved(read, i=u), moved(read, r=u), turned], (HALF, HALF))
+    seen = blurred_overlap(read, stack([moved(read, i=u), moved(read, r=u), turned]), (HALF, HALF))
     rng = np.random.default_rng(3)
     along = math.radians(offset_deg) + u * (rng.standard_normal(200_000) + rng.standard_normal(200_000))
     drawn = overlap(np.hypot(along, across * rng.standard_normal(200_000)), HALF, HALF)
@@ -289,12 +289,12 @@ def test_a_blurred_overlap_against_drawn_errors(offset_deg: float) -> None:
 def test_what_a_spike_s_top_lacks_on_average_is_given_back() -> None:
     """Values measured with the mean overlap: the correction restores those at the read directions."""
     u = math.radians(0.04)
-    shares = [blurred_overlap(d, [moved(d, i=u), moved(d, r=u)], (HALF, HALF)) for d in SPIKED]
+    shares = [blurred_overlap(d, stack([moved(d, i=u), moved(d, r=u)]), (HALF, HALF)) for d in SPIKED]
     exact = np.array([spiked(d) for d in SPIKED])
-    at_read = np.array([float(overlap(mirror_offset(d), HALF, HALF)) for d in SPIKED])
+    at_read = np.array([float(overlap(d.mirror_offset, HALF, HALF)) for d in SPIKED])
     steep = np.array([d.theta_i > 1.2 for d in SPIKED])
     measured = exact + np.where(steep, 40.0 * (np.array([share.mean for share in shares]) - at_read), 0.0)
-    model = Curves(SPIKED, SPIKED, measured, 1e-6 * measured, (HALF, HALF), shares)
+    model = Curves(stack(SPIKED), stack(SPIKED), measured, 1e-6 * measured, (HALF, HALF), shares)
     # 1e-3 of the spike: the cubic under it
     np.testing.assert_allclose(measured + model.spikes.correction, exact, atol=0.01)
     top = int(np.argmax(exact))
@@ -312,9 +312,9 @@ def test_a_patch_turns_the_mirror_direction() -> None:
     for k in range(24):
         spot = radius[k] * np.array([math.cos(turn[k]), math.sin(turn[k]), 0.0])
         (ti, pi), (tr, pr) = angles(source - spot), angles(eye - spot)
-        there = from_mirror(Directions(float(ti), float(pi), float(tr), float(pr)))
+        there = Directions(ti, pi, tr, pr).from_mirror
         # second order in 0.8 / 700
-        np.testing.assert_allclose(np.array(there) - from_mirror(d), patch[k], atol=2e-6)
+        np.testing.assert_allclose(there - d.from_mirror, patch[k], atol=2e-6)
     # of an even disc: <r^2> = R^2 / 2; in y nothing is foreshortened
     expected = 0.8 / 2 * (1 / 1000 + 1 / 700)
     assert float(np.sqrt(np.mean(patch[:, 1] ** 2))) == pytest.approx(expected, rel=0.03)
@@ -324,10 +324,10 @@ def test_a_spike_of_which_only_the_edge_was_met_is_uncertain_by_what_it_added() 
     """The one point of a coarse curve near the mirror direction lies where errors of the angles make the overlap."""
     goals = [at(40.0, r) for r in (*range(-80, 40, 8), 39.0, *range(48, 81, 8))]
     shares, edge = [Share()] * len(goals), 15
-    shares[edge] = blurred_overlap(goals[edge], [moved(goals[edge], r=math.radians(0.03))], (HALF, HALF))
+    shares[edge] = blurred_overlap(goals[edge], stack([moved(goals[edge], r=math.radians(0.03))]), (HALF, HALF))
     f = np.full(len(goals), 0.2)
     f[edge] += 3.0
-    model = Curves(goals, goals, f, 1e-3 * f, (HALF, HALF), shares)
+    model = Curves(stack(goals), stack(goals), f, 1e-3 * f, (HALF, HALF), shares)
     # half of the places that the errors leave see no spike at all: the excess is as uncertain as it is large
     assert model.spikes.variance[edge] ** 0.5 > 3.0
     assert model.lobe[edge] == pytest.approx(0.2, rel=1e-12)  # a constant lobe

@@ -13,12 +13,12 @@ import pytest
 
 from gonio import geometry, measurement
 from gonio.errors import DataError
+from gonio.geometry import Directions
 from gonio.reduction import brdf as radiometry
 from gonio.reduction import count_rates
 from gonio.rig import Frame, Pose
 from gonio.rig.description import ArmAxis, Arms, Band, Lamp
 from gonio.rig.dng import read_raw
-from gonio.rig.kinematics import Directions
 from tests.gonio.reduction.made_run import MadeRun, Maker, describe, in_plane
 
 POINTS = [in_plane(i, r) for i in (10.0, 45.0, 70.0) for r in (-60.0, -30.0, 0.0, 25.0, 50.0, 80.0)]

@@ -12,14 +12,15 @@ import pytest
 from gonio.acquisition.measure import carry_out
 from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.run import Run
+from gonio.geometry import Directions
 from gonio.reduction import brdf
 from gonio.reduction.angle_sensitivity import Curves
-from gonio.reduction.spikes import Share, blurred_overlap, from_mirror, mirror_offset, overlap
+from gonio.reduction.spikes import Share, blurred_overlap, overlap
 from gonio.rig.description import SampleDescription
-from gonio.rig.kinematics import Directions
 from tools.spike_campaign import measured, pulls, rig
 
 HALF = math.radians(0.5)
+stack = Directions.stack
 ALUMINIUM = SampleDescription(
     name="rough aluminium",
     model="he-torrance",
@@ -109,7 +110,7 @@ def shares(goals: list[Directions], u: float) -> list[Share]:
     return [
         blurred_overlap(
             d,
-            [Directions(d.theta_i + u, 0.0, d.theta_r, d.phi_r), Directions(d.theta_i, 0.0, d.theta_r + u, d.phi_r)],
+            Directions(d.theta_i + np.array([u, 0.0]), 0.0, d.theta_r + np.array([0.0, u]), d.phi_r),
             (HALF, HALF),
         )
         for d in goals
@@ -126,11 +127,11 @@ def test_neighbouring_incidences_tell_a_spike_that_one_point_cannot() -> None:
     u = math.radians(0.03)
     seen = shares(goals, u)
     f = np.array([0.5 + amplitude(d.theta_i) * share.mean for d, share in zip(goals, seen, strict=True)])
-    found = Curves(goals, goals, f, 0.005 * f, (HALF, HALF), seen).spikes
+    found = Curves(stack(goals), stack(goals), f, 0.005 * f, (HALF, HALF), seen).spikes
     assert found.told[-1]
     # the lobe of 0.5 under the ends, and their noise
     assert found.amplitude[-1] == pytest.approx(amplitude(goals[-1].theta_i), rel=0.05)
-    alone = Curves(goals[-1:], goals[-1:], f[-1:], 0.005 * f[-1:], (HALF, HALF), seen[-1:]).spikes
+    alone = Curves(stack(goals[-1:]), stack(goals[-1:]), f[-1:], 0.005 * f[-1:], (HALF, HALF), seen[-1:]).spikes
     assert not alone.told[0]
     assert alone.correction[0] == 0.0
     # the bound is the value itself: all of it spike, with two standard deviations of noise and blur
@@ -141,7 +142,7 @@ def test_beside_an_edge_that_nothing_tells_the_bound_is_that_of_physics() -> Non
     """A point 0.97 degrees from the mirror direction shows its lobe; what the spike adds there nobody knows."""
     goals = [at(40.0, 40.97), *(at(40.0, float(r)) for r in (30, 34, 37, 43, 46, 50))]
     f = np.full(len(goals), 0.2)
-    found = Curves(goals, goals, f, 0.005 * f, (HALF, HALF), shares(goals, math.radians(0.03))).spikes
+    found = Curves(stack(goals), stack(goals), f, 0.005 * f, (HALF, HALF), shares(goals, math.radians(0.03))).spikes
     assert found.told.tolist() == [False] + [True] * 6
     mirror = 1.0 / (math.cos(math.radians(40.0)) * 2.0 * math.pi * (1.0 - math.cos(HALF)))
     share = float(overlap(math.radians(0.97), HALF, HALF))
@@ -155,9 +156,9 @@ def test_a_value_that_departs_from_the_spike_says_so() -> None:
     goals = [at(75.0, 75.0 + x) for x in (-8, -6, -4, -2, -0.6, -0.3, 0.0, 0.3, 0.6, 1.1, 2, 4, 6, 8)]
     seen = shares(goals, math.radians(0.03))
     f = np.array([1.0 + 1000.0 * share.mean for share in seen])
-    quiet = Curves(goals, goals, f, 0.005 * f, (HALF, HALF), seen).spikes.variance[9]
+    quiet = Curves(stack(goals), stack(goals), f, 0.005 * f, (HALF, HALF), seen).spikes.variance[9]
     f[9] += 2.0
-    loud = Curves(goals, goals, f, 0.005 * f, (HALF, HALF), seen).spikes.variance[9]
+    loud = Curves(stack(goals), stack(goals), f, 0.005 * f, (HALF, HALF), seen).spikes.variance[9]
     # the fit gives the lobe at most a percent of it
     assert math.sqrt(loud) == pytest.approx(2.0 / 2.5, rel=0.02)
     assert loud > 100.0 * quiet
@@ -177,7 +178,7 @@ def test_beside_a_lobe_narrower_than_the_steps_u_is_large_enough_or_the_point_is
 
         goals = [at(60.0, float(r)) for r in np.arange(start, 86.0, step)]
         f = np.array([lobe(d) for d in goals])
-        model = Curves(goals, goals, f, 0.005 * f, (HALF, HALF), shares(goals, u))
+        model = Curves(stack(goals), stack(goals), f, 0.005 * f, (HALF, HALF), shares(goals, u))
         for k, d in enumerate(goals):
             plus, minus = at(60.0, math.degrees(d.theta_r + u)), at(60.0, math.degrees(d.theta_r - u))
             truth = 0.5 * (lobe(plus) - lobe(minus))
@@ -192,12 +193,12 @@ def test_pixels_of_the_patch_count_as_they_are() -> None:
     """Few places stand for the errors of the angles, all pixels for the patch: both together without errors."""
     d, rng = at(50.0, 50.8), np.random.default_rng(5)
     pixels = 2e-3 * rng.standard_normal((400, 3))
-    seen = blurred_overlap(d, [], (HALF, HALF), pixels[:24], pixels)
-    places = np.linalg.norm(np.array(from_mirror(d)) + pixels, axis=1)
+    seen = blurred_overlap(d, stack([]), (HALF, HALF), pixels[:24], pixels)
+    places = np.linalg.norm(d.from_mirror + pixels, axis=1)
     assert seen.mean == pytest.approx(float(np.mean(overlap(2 * np.arcsin(places / 2), HALF, HALF))), rel=1e-12)
     assert seen.variance == 0.0
     assert seen.most == seen.mean  # errors of the angles would leave more
-    assert seen.at_read == pytest.approx(float(overlap(mirror_offset(d), HALF, HALF)), rel=1e-12)
+    assert seen.at_read == pytest.approx(float(overlap(d.mirror_offset, HALF, HALF)), rel=1e-12)
 
 
 def test_a_point_beside_a_spike_that_nothing_tells_has_at_most_what_stands_above_its_lobe() -> None:

@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from gonio.errors import DataError
+from gonio.geometry import Directions
 from gonio.reduction import white_reference
-from gonio.rig.kinematics import Directions
 
 RNG = np.random.default_rng(7)
 

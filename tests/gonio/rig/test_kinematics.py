@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 from gonio import geometry
 from gonio.errors import ConfigError
+from gonio.geometry import Directions
 from gonio.rig import Pose
 from gonio.rig.description import ArmAxis, Arms, Geometry, Holder
-from gonio.rig.kinematics import Directions, Unreachable, blocked_cone, directions, reach, separation, view
+from gonio.rig.kinematics import Unreachable, blocked_cone, directions, reach, separation, view
 from tests.gonio.numpy_rig import describe
 
 DEG = math.pi / 180

@@ -75,7 +75,7 @@ def test_interpolation_over_the_hemisphere_stays_within_its_stated_error() -> No
     assert np.mean(off <= found.error) > 0.68
     assert np.mean(off <= 2 * found.error) > 0.95
     # beyond the last ring nothing is known
-    assert np.degrees(goal.theta_r[found.rows].max()) < 70.0
+    assert np.degrees(goal.directions.theta_r[found.rows].max()) < 70.0
     assert sum(found.missing.values()) == len(goal) - found.rows.size > 0
 
 
@@ -86,7 +86,7 @@ def test_holes_stay_holes() -> None:
     at = holed["theta_r_deg"].isin([25.0, 30.0]) & (holed["phi_r_deg"] == 0.0)
     holed.loc[at, "flag"] = "blocked"
     goal = observations(measure(GLOSS, incidences=(30.0,), views=np.arange(-60.0, 61.0, 2.0)))
-    signed = np.degrees(np.where(np.cos(goal.phi_r) < 0, 1, -1) * goal.theta_r)
+    signed = np.degrees(np.where(np.cos(goal.directions.phi_r) < 0, 1, -1) * goal.directions.theta_r)
     kept = carry(goal, observations(holed), holed)
     assert set(np.round(np.setdiff1d(signed, signed[kept.rows]))) == {-34, -32, -30, -28, -26, -24, -22}
     # nor is anything carried over where the neighbours are far apart

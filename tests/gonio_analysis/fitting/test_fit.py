@@ -92,12 +92,16 @@ def test_jacobian_where_the_model_is_linear_in_the_parameter() -> None:
     got = derivatives(problem, data, vector)
     one = build("phong", {"k_d": 1.0, "k_s": 0.0, "exponent": 20.0})
     shine = build("phong", {"k_d": 0.0, "k_s": 1.0, "exponent": 20.0})
-    angles = (data.theta_i, data.phi_i, data.theta_r, data.phi_r)
+    angles = data.directions.angles
     # a step of 1e-4 over a difference of values near 1: the rounding of the models, 1e-16, gives 1e-12
     np.testing.assert_allclose(got[:, 0], one.brdf(*angles), rtol=1e-9)
     np.testing.assert_allclose(got[:, 1], shine.brdf(*angles), rtol=1e-9, atol=1e-10)
     # d/d(ln p) of k_s H^p / (pi cos theta_i) = k_s H^p p ln H / (...), with H^20 from the shine itself
-    base = build("phong", {"k_d": 0.0, "k_s": 1.0, "exponent": 1.0}).brdf(*angles) * math.pi * np.cos(data.theta_i)
+    base = (
+        build("phong", {"k_d": 0.0, "k_s": 1.0, "exponent": 1.0}).brdf(*angles)
+        * math.pi
+        * np.cos(data.directions.theta_i)
+    )
     base = np.clip(base, 0.0, 1.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         expected = np.where(base > 0, 0.6 * shine.brdf(*angles) * 20.0 * np.log(base), 0.0)

@@ -25,20 +25,22 @@ def axes(**how: Any) -> Any:
 def test_heat_map_shows_each_value_in_its_direction() -> None:
     ax = axes()
     data = observations(hemisphere(GLOSS))
-    artists = maps.heat_map(ax, data.theta_r, data.phi_r, data.brdf, label="BRDF [1/sr]", theta_i=np.radians(30.0))
+    artists = maps.heat_map(
+        ax, data.directions.theta_r, data.directions.phi_r, data.brdf, label="BRDF [1/sr]", theta_i=np.radians(30.0)
+    )
     points = artists[1]  # after the triangles
     xy, shown = np.asarray(points.get_offsets()), np.asarray(points.get_array())
     brightest = xy[np.argmax(shown)]
     assert brightest == pytest.approx([30.0, 0.0], abs=1e-9)  # the mirror direction, on the right
-    assert np.hypot(*xy.T) == pytest.approx(np.degrees(data.theta_r))
+    assert np.hypot(*xy.T) == pytest.approx(np.degrees(data.directions.theta_r))
     assert ax.figure.axes[1].get_ylabel() == "BRDF [1/sr]"
 
 
 def test_heat_map_leaves_holes_empty() -> None:
     data = observations(hemisphere(GLOSS))
-    kept = ~((data.phi_r > np.radians(80.0)) & (data.phi_r < np.radians(130.0)))
+    kept = ~((data.directions.phi_r > np.radians(80.0)) & (data.directions.phi_r < np.radians(130.0)))
     ax = axes()
-    mesh = maps.heat_map(ax, data.theta_r[kept], data.phi_r[kept], data.brdf[kept], label="")[0]
+    mesh = maps.heat_map(ax, data.directions.theta_r[kept], data.directions.phi_r[kept], data.brdf[kept], label="")[0]
     x, y = -30 * np.cos(np.radians(105.0)), -30 * np.sin(np.radians(105.0))
     inside = [p for p in mesh.get_paths() if p.contains_point((x, y))]
     assert not inside

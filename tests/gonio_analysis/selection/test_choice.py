@@ -120,7 +120,7 @@ def test_blocks_to_leave_out_are_neighbours() -> None:
     groups, by = blocks(one)
     assert by == "range of the detector's angle"
     assert sorted(np.concatenate(groups)) == list(range(len(one)))
-    signed = np.where(one.phi_r > 1, one.theta_r, -one.theta_r)
+    signed = np.where(one.directions.phi_r > 1, one.directions.theta_r, -one.directions.theta_r)
     assert all(np.ptp(signed[g]) < np.radians(160 / 4) for g in groups)
 
 

@@ -1,0 +1,55 @@
+"""The region of angles where a model is farthest from the data."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+from gonio_analysis.curves.in_plane import curves
+from gonio_analysis.fitting.fit import FitResult
+from gonio_analysis.fitting.observations import observations
+from gonio_analysis.selection.misfit_regions import worst
+
+from gonio.formats.reader import table
+
+RINGS = np.array([10.0, 20.0, 40.0, 50.0, 60.0])
+
+
+def misfitting(away_deg: float) -> FitResult:
+    """At 30 degrees, along the plane of incidence and so far out of it; the model is wrong in the latter by 5 u."""
+    turn = np.degrees(np.arcsin(np.sin(np.radians(away_deg)) / np.sin(np.radians(RINGS))))
+    frame = table(
+        theta_i_deg=30.0,
+        phi_i_deg=0.0,
+        theta_r_deg=np.concatenate([RINGS, RINGS]),
+        phi_r_deg=np.concatenate([np.full(5, 180.0), 180.0 - turn]),
+        wavelength_nm=550.0,
+        brdf=np.full(10, 0.3),
+        u_brdf=np.full(10, 0.01),
+        u_random=np.full(10, 0.01),
+        attrs={"source_solid_angle_sr": 0.0, "receiver_solid_angle_sr": 0.0},
+    )
+    data = observations(frame)
+    whitened = np.repeat([0.5, 5.0], 5)
+    return cast(FitResult, SimpleNamespace(data=data, whitened=whitened, predicted=data.brdf + 0.01 * whitened))
+
+
+@pytest.mark.parametrize(("away_deg", "in_plane"), [(1.4, True), (1.6, False), (4.0, False)])
+def test_in_plane_means_the_same_in_regions_and_in_curves(away_deg: float, in_plane: bool) -> None:
+    result = misfitting(away_deg)
+    found = worst(result)
+    assert found is not None
+    assert ("out of plane" not in found.words) == in_plane
+    (curve,) = curves(result.data)
+    assert curve.rows.size == (10 if in_plane else 5)
+
+
+def test_the_share_and_the_ratio_of_a_region() -> None:
+    found = worst(misfitting(4.0))
+    assert found is not None
+    assert (found.words, found.values) == ("θi = 30°, out of plane", 5)
+    assert found.excess == pytest.approx(5 * 25 - 5)  # whitened squares less their number
+    assert found.share == pytest.approx(1.0)  # nothing else is off by more than its uncertainty
+    assert found.ratio == pytest.approx(0.35 / 0.3)
