@@ -19,24 +19,24 @@ import hashlib
 import json
 import os
 import platform
-import re
 import sys
 import tomllib
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self, overload
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from gonio.acquisition.frame_writer import NAME, record_of
+from gonio.acquisition.frame_writer import NAME, label_of
 from gonio.acquisition.journal import Event, Events, Journal, has_lines, read_events
 from gonio.acquisition.plan import ANGLES, Assessed, Plan, assess, points_sha256
+from gonio.acquisition.steps import Index, Steps
 from gonio.config import Strict, parse, to_toml
 from gonio.disk import (
     MANIFEST,
@@ -130,7 +130,7 @@ class Run:
     unchecked: int = 0
     """Of how many frames only the size was looked at then."""
     _index: Index | None = None
-    _closed: Sequence[Event] | None = None
+    _closed: Events | None = None
     """The events of a run that was written by this object, and is closed."""
 
     @classmethod
@@ -309,7 +309,7 @@ class Run:
             raise DataError(f"{path}: does not hold the points that the run was begun with; {RESTORE}")
         return Points(table, flags, reasons)
 
-    def events(self) -> Sequence[Event]:
+    def events(self) -> Events:
         """Every event so far, without a torn last line; `DataError` where the journal is damaged before that."""
         if self.journal is not None:
             return self.journal.events
@@ -390,69 +390,6 @@ class Run:
             self._closed, self.journal = self.journal.events, None
 
 
-class Index:
-    """Which line of a journal holds which step, in a few bytes a step."""
-
-    def __init__(self) -> None:
-        self.lines: dict[int, int] = {}
-        """Number of a step: number of its line."""
-        self._seen = 0
-
-    def go_on(self, events: Sequence[Event]) -> None:
-        """Read the events that were not there before."""
-        if isinstance(events, Events):
-            for at, line in enumerate(events.lines(range(self._seen, len(events))), self._seen):
-                found = _STEP.match(line)
-                if found is not None and found[2] is not None:
-                    self.lines[int(found[2])] = at
-                elif found is None or found[1] in (b"step", b"lost"):
-                    self._note(at, json.loads(line))
-        self._seen = len(events)
-
-    def _note(self, at: int, event: Event) -> None:
-        if event.get("event") == "step":
-            self.lines[int(event["step"])] = at
-        elif event.get("event") == "lost":
-            for number in event["steps"]:
-                self.lines.pop(int(number), None)
-
-
-_STEP = re.compile(rb'\{"n":\d+,"event":"(\w+)"(?:,"step":(\d+),"kind":)?')
-"""How a line begins, as `gonio.acquisition.loop` writes it."""
-
-
-class Steps(Sequence[Event]):
-    """The events of the steps that are done, by their numbers; read when they are asked for, as `Events` are."""
-
-    def __init__(self, events: Sequence[Event], index: Index) -> None:
-        self._events = events
-        self.numbers = sorted(index.lines)
-        self._lines = [index.lines[number] for number in self.numbers]
-
-    def __len__(self) -> int:
-        return len(self.numbers)
-
-    @overload
-    def __getitem__(self, at: int) -> Event: ...
-    @overload
-    def __getitem__(self, at: slice) -> list[Event]: ...
-    def __getitem__(self, at: int | slice) -> Event | list[Event]:
-        if isinstance(at, slice):
-            return [self._events[line] for line in self._lines[at]]
-        return self._events[self._lines[at]]
-
-    def __iter__(self) -> Iterator[Event]:
-        return map(json.loads, self.raw())
-
-    def latest(self) -> Event:
-        """The one that was written last."""
-        return self._events[max(self._lines)]
-
-    def raw(self) -> Iterator[bytes]:
-        """Their lines, as they lie in the journal."""
-        return self._events.lines(self._lines) if isinstance(self._events, Events) else iter(())
-
-
 def own_files(path: Path) -> Manifest:
     """What the program wrote into the folder of a run: beside what the manifest names the journal, the frames that it
     names, and those that say themselves that they are of this run.
@@ -463,13 +400,13 @@ def own_files(path: Path) -> Manifest:
     with contextlib.suppress(DataError, ConfigError, OSError):
         run = Run.open(path)
         for step in run.steps():
-            out |= {f"frames/{frame['file']}": {frame["sha256"]} for frame in step["frames"]}
+            out |= {f"frames/{frame.file}": {frame.sha256} for frame in step.frames if frame.sha256 is not None}
         if (path / "journal.jsonl").is_file():
             out["journal.jsonl"] = {sha256_of(path / "journal.jsonl")}
         for file in (path / "frames").iterdir():
             if f"frames/{file.name}" not in out and NAME.fullmatch(file.name) and file.is_file():
-                record = record_of(file, file.read_bytes())
-                if record is not None and record.get("run") == run.key:
+                label = label_of(file, file.read_bytes())
+                if label is not None and label.run == run.key:
                     out[f"frames/{file.name}"] = {sha256_of(file)}
     return out
 

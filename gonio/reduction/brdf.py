@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from gonio import geometry
 from gonio.acquisition.plan import ANGLES
 from gonio.errors import ConfigError, DataError
 from gonio.reduction import angle_sensitivity, spikes, white_reference
-from gonio.reduction.count_rates import RETAKE, Bench, Merged, in_threads
+from gonio.reduction.count_rates import RETAKE, Reduced, Rejected, RunFrames, in_threads
 from gonio.reduction.dark_signal import COLUMNS, PATTERNS, strongest
 from gonio.rig import Pose, imaging, kinematics
 from gonio.rig.description import Axis, Band, RigDescription
@@ -75,18 +75,18 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
     ConfigError
         The reference's table is missing, or neither a table nor an albedo is given.
     """
-    bench = Bench(run)
-    count = len(bench.steps)
+    frames = RunFrames(run)
+    count = len(frames.steps)
     results = []
     for k, band in enumerate(run.bands):
-        merged = []
-        for step in in_threads(partial(bench.merge, band=band), bench.steps):
-            merged.append(step)
+        steps = []
+        for step in in_threads(partial(frames.reduce, band=band), frames.steps):
+            steps.append(step)
             if progress is not None:
-                progress(k * count + len(merged), len(run.bands) * count)
-        results.append(_reduce_band(bench, band, merged))
+                progress(k * count + len(steps), len(run.bands) * count)
+        results.append(_reduce_band(frames, band, steps))
     _share_darks(results)
-    return _assemble(run, results, _notes_on_damage(bench) + _notes_on_darks(bench))
+    return _assemble(run, results, _notes_on_damage(frames) + _notes_on_darks(frames))
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,9 +94,9 @@ class _BandResult:
     """One band of a run: its rows by point, why others have none, and what the attributes say of it."""
 
     band: Band
-    rows: dict[int, dict[str, Any]]
+    rows: dict[int, dict[str, float]]
     darks: dict[int, Floats]
-    """By point: change of its value [1/sr] by the noise of the dark frames, see `Merged.dark`."""
+    """By point: change of its value [1/sr] by the noise of the dark frames, see `Reduced.dark`."""
     flags: dict[int, str]
     level: white_reference.Level
     reference_brdf: float
@@ -112,15 +112,15 @@ class _BandResult:
     """Nominal directions of points beside a lobe that is narrower than the plan's steps."""
 
 
-def _reduce_band(bench: Bench, band: Band, merged: list[Merged | str]) -> _BandResult:
-    points = [m for m in merged if isinstance(m, Merged) and m.point is not None]
-    visits = [m for m in merged if isinstance(m, Merged) and m.point is None]
-    without = [(s, m) for s, m in zip(bench.steps, merged, strict=True) if isinstance(m, str) and s["kind"] == "point"]
-    fitted, reference_brdf = _level(bench, points, visits, band)
-    columns, untold, coarse = _columns(bench, points, visits[0], fitted, band)
+def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected]) -> _BandResult:
+    points = [step for step in steps if isinstance(step, Reduced) and step.point is not None]
+    visits = [step for step in steps if isinstance(step, Reduced) and step.point is None]
+    rejected = [step for step in steps if isinstance(step, Rejected)]
+    fitted, reference_brdf = _level(frames, points, visits, band)
+    columns, untold, coarse = _columns(frames, points, visits[0], fitted, band)
     levels = fitted.at(np.array([point.time_s for point in points]))
     rows = {
-        int(point.point): _angle_columns(point.directions) | {name: float(c[k]) for name, c in columns.items()}
+        point.point: _angle_columns(point.directions) | {name: float(c[k]) for name, c in columns.items()}
         for k, point in enumerate(points)
         if point.point is not None
     }
@@ -128,13 +128,12 @@ def _reduce_band(bench: Bench, band: Band, merged: list[Merged | str]) -> _BandR
     return _BandResult(
         band=band,
         rows=rows,
-        darks={int(m.point): m.dark / float(k) for m, k in zip(points, levels, strict=True) if m.point is not None},
-        flags=bench.flags | {int(step["point"]): flag for step, flag in without},
+        darks={p.point: p.dark / float(k) for p, k in zip(points, levels, strict=True) if p.point is not None},
+        flags=frames.flags | {step.point: step.flag for step in rejected if step.point is not None},
         level=fitted,
         reference_brdf=reference_brdf,
         visits=len(visits),
-        unusable=bench.lost_visits
-        + [m for s, m in zip(bench.steps, merged, strict=True) if isinstance(m, str) and s["kind"] == "reference"],
+        unusable=frames.lost_visits + [step.flag for step in rejected if step.point is None],
         scatter=sum(step.chi_square for step in (*points, *visits)) / max(freedom, 1),
         freedom=freedom,
         untold=untold,
@@ -142,9 +141,11 @@ def _reduce_band(bench: Bench, band: Band, merged: list[Merged | str]) -> _BandR
     )
 
 
-def _level(bench: Bench, points: list[Merged], visits: list[Merged], band: Band) -> tuple[white_reference.Level, float]:
+def _level(
+    frames: RunFrames, points: list[Reduced], visits: list[Reduced], band: Band
+) -> tuple[white_reference.Level, float]:
     """The signal per unit BRDF over time, and the reference's BRDF [1/sr], mean over the visits."""
-    run, description, reference = bench.run, bench.description, bench.description.reference
+    run, description, reference = frames.run, frames.description, frames.description.reference
     if not visits:
         raise DataError(f"{run.path}: no usable visit to the white reference in band {band.name}; see its frames")
     rates = np.array([visit.rate for visit in visits])
@@ -171,22 +172,22 @@ def _level(bench: Bench, points: list[Merged], visits: list[Merged], band: Band)
 
 
 def _columns(
-    bench: Bench, points: list[Merged], visit: Merged, fitted: white_reference.Level, band: Band
+    frames: RunFrames, points: list[Reduced], visit: Reduced, fitted: white_reference.Level, band: Band
 ) -> tuple[dict[str, Floats], list[Directions], list[Directions]]:
     """BRDF and its uncertainties for the measured points of a band (docs/radiometry.md, "The budget").
 
     And the nominal directions of points whose blur by the angles' errors is only bounded, and of those whose slope the
     plan's steps are too coarse to tell.
     """
-    description = bench.description
+    description = frames.description
     encoder, zeros = _encoder_steps(description), _zeros(description)
     times = np.array([point.time_s for point in points])
     k = fitted.at(times)
     brdf = np.array([point.rate for point in points]) / k
     noise = np.array([point.variance for point in points]) / k**2
-    prnu = np.array([_prnu(description, point, bench.reference[band.channel].count) for point in points])
+    prnu = np.array([_prnu(description, point, frames.reference[band.channel].count) for point in points])
     independent = noise + (brdf * prnu) ** 2 + (brdf * fitted.extra(times) / k) ** 2
-    nominal = np.radians(bench.run.plan[list(ANGLES)].to_numpy(dtype=float))
+    nominal = np.radians(frames.run.plan[list(ANGLES)].to_numpy(dtype=float))
     goals = [Directions(*nominal[point.point].tolist()) for point in points if point.point is not None]
     cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
     shares = _shares(description, points, [*encoder.items(), *zeros.items()], cones, band)
@@ -261,7 +262,7 @@ def _moved(description: RigDescription, pose: Pose, axis: str, by: float) -> Dir
 
 
 def _effects(
-    description: RigDescription, curves: angle_sensitivity.Curves, points: list[Merged], axis: str, u: float
+    description: RigDescription, curves: angle_sensitivity.Curves, points: list[Reduced], axis: str, u: float
 ) -> tuple[Floats, Floats]:
     """Odd and even change [1/sr] of every value when an axis truly stands +-u [rad] from where it is read."""
     out = np.zeros((2, len(points)))
@@ -273,7 +274,7 @@ def _effects(
 
 
 def _doubts(
-    description: RigDescription, curves: angle_sensitivity.Curves, points: list[Merged], axis: str, u: float
+    description: RigDescription, curves: angle_sensitivity.Curves, points: list[Reduced], axis: str, u: float
 ) -> Floats:
     """How uncertain [1/sr] the odd changes of `_effects` are, because steps are coarser than the lobe is wide."""
     return np.array([curves.doubt(k, _moved(description, p.pose, axis, u)) for k, p in enumerate(points)])
@@ -281,7 +282,7 @@ def _doubts(
 
 def _shares(
     description: RigDescription,
-    points: list[Merged],
+    points: list[Reduced],
     errors: list[tuple[str, float]],
     cones: tuple[float, float],
     band: Band,
@@ -302,7 +303,7 @@ def _shares(
     return out
 
 
-def _over_pixels(description: RigDescription, point: Merged, band: Band) -> Floats:
+def _over_pixels(description: RigDescription, point: Reduced, band: Band) -> Floats:
     """What `spikes.from_mirror` changes by at the pixels that a point's value is the mean of, shape (n, 3)."""
     view = kinematics.view(description, point.pose)
     region = imaging.roi(description, view, "sample", band.channel)
@@ -311,13 +312,13 @@ def _over_pixels(description: RigDescription, point: Merged, band: Band) -> Floa
     return np.asarray(there - spikes.from_mirror(point.directions))
 
 
-def _change_of_cosine(description: RigDescription, visit: Merged, axis: str, u: float) -> float:
+def _change_of_cosine(description: RigDescription, visit: Reduced, axis: str, u: float) -> float:
     """Relative change (odd part) of the light on the reference when an axis truly stands u [rad] off."""
     up, down = (math.cos(_moved(description, visit.pose, axis, by).theta_i) for by in (u, -u))
     return 0.5 * (up - down) / math.cos(visit.directions.theta_i)
 
 
-def _prnu(description: RigDescription, point: Merged, reference_pixels: int) -> float:
+def _prnu(description: RigDescription, point: Reduced, reference_pixels: int) -> float:
     """Relative standard deviation from the pixels' responsivities; those that both regions use cancel in part."""
     if not description.camera.prnu:
         return 0.0
@@ -342,13 +343,13 @@ def _assemble(run: Run, results: list[_BandResult], notes: list[str]) -> pd.Data
     rows = []
     for point, goal in zip(plan.index.astype(int).tolist(), plan.to_dict("records"), strict=True):
         for result in results:
-            row = {name: goal[name] for name in ANGLES} | nothing
+            values = {name: goal[name] for name in ANGLES} | nothing
             flag = goal["flag"] or result.flags.get(point, "")
             if not flag and point in result.rows:
-                row = result.rows[point]
+                values = result.rows[point]
             elif not flag:
                 flag = "not_measured"
-            rows.append(row | {"wavelength_nm": result.band.centre_nm, "polarisation": "unpolarised", "flag": flag})
+            rows.append({**values, "wavelength_nm": result.band.centre_nm, "polarisation": "unpolarised", "flag": flag})
     columns = [*ANGLES, "wavelength_nm", "polarisation", "brdf", "u_brdf", "u_random", *causes, "flag"]
     frame = pd.DataFrame(rows, columns=columns)
     lamp, camera = description.lamp, description.camera
@@ -372,7 +373,7 @@ def _assemble(run: Run, results: list[_BandResult], notes: list[str]) -> pd.Data
     return frame
 
 
-def _account(result: _BandResult) -> dict[str, Any]:
+def _account(result: _BandResult) -> dict[str, float | str | None]:
     """What the visits to the reference said."""
     fitted = result.level
     known = not fitted.unknown
@@ -398,13 +399,13 @@ def _notes_on_zeros(description: RigDescription) -> list[str]:
     ]
 
 
-def _notes_on_damage(bench: Bench) -> list[str]:
-    if not bench.damaged:
+def _notes_on_damage(frames: RunFrames) -> list[str]:
+    if not frames.damaged:
         return []
-    names = sorted(bench.damaged)
+    names = sorted(frames.damaged)
     shown = ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
     out = [f'{len(names)} frames are {DAMAGED} ({shown}); points that lack one are flagged "damaged", and {RETAKE}']
-    if bench.darks_taken > 1 and bench.darks_used == 1:
+    if frames.darks_taken > 1 and frames.darks_used == 1:
         out.append(
             "the dark frames of one exposure alone are left: the dark current is that of the rig file, and its "
             "uncertainty is not in u_brdf"
@@ -412,12 +413,12 @@ def _notes_on_damage(bench: Bench) -> list[str]:
     return out
 
 
-def _notes_on_darks(bench: Bench) -> list[str]:
+def _notes_on_darks(frames: RunFrames) -> list[str]:
     # all at 0 is a camera without noise; some at 0 is one whose noise is cut off there
-    if not CLIPPED < bench.clipped < 1.0:
+    if not CLIPPED < frames.clipped < 1.0:
         return []
     return [
-        f"{100.0 * bench.clipped:.2g} % of the pixels of the dark frames read 0 DN: what lies below is cut off, and "
+        f"{100.0 * frames.clipped:.2g} % of the pixels of the dark frames read 0 DN: what lies below is cut off, and "
         "values are too low by more than u_brdf says where the signal is small; raise the camera's black level"
     ]
 

@@ -10,12 +10,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from gonio.acquisition.exposure import full_scale_dn
+from gonio.acquisition.records import FrameRecord, StepRecord
 from gonio.errors import DamagedFrame, DataError
 from gonio.reduction.dark_signal import FEW, PATTERNS, Darks, Patterns
 from gonio.rig import Frame, Pose, Target, kinematics
@@ -63,8 +64,8 @@ class Shot:
 
 
 @dataclass(frozen=True, slots=True)
-class Merged:
-    """The frames of one step and band, merged."""
+class Reduced:
+    """The frames of one step and band, merged to a rate."""
 
     rate: float
     variance: float
@@ -82,20 +83,31 @@ class Merged:
     directions: Directions
     pose: Pose
     point: int | None
+    """Row of the plan; None for a visit to the reference."""
 
 
-class Bench:
-    """What all bands of a run share: its steps, what each looks at, and the dark signal there."""
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """A step that gives no rate in a band."""
+
+    point: int | None
+    """Row of the plan; None for a visit to the reference."""
+    flag: str
+    """Why."""
+
+
+class RunFrames:
+    """The frames of a run, and what all of its bands share: what each step looks at, and the dark signal there."""
 
     def __init__(self, run: Run) -> None:
         self.run = run
         self.damaged: dict[str, str] = {}
         """What is wrong with frames that were left out, by their names."""
         self.description: RigDescription = run.description
-        steps = [_needed(step) for step in run.steps()]
-        self.steps = [s for s in steps if s["kind"] != "dark" and not s.get("flag")]
-        self.flags = {int(s["point"]): str(s["flag"]) for s in steps if s["kind"] == "point" and s.get("flag")}
-        self.lost_visits = [str(s["flag"]) for s in steps if s["kind"] == "reference" and s.get("flag")]
+        steps = list(run.steps())
+        self.steps = [s for s in steps if s.kind != "dark" and not s.flag]
+        self.flags = {s.point: s.flag for s in steps if s.point is not None and s.flag}
+        self.lost_visits = [s.flag for s in steps if s.kind == "reference" and s.flag]
         """The flags of the visits to the reference without frames."""
         channels = dict.fromkeys(band.channel for band in run.bands)
         boxes: dict[Target, tuple[slice, slice]] = {}
@@ -122,12 +134,12 @@ class Bench:
         """The part of the used pixels that read 0 DN in the dark frames."""
         self.darks_taken = self.darks_used = 0
         """How many exposures the dark frames were taken with, and of how many some are left."""
-        self._darks = self._read_darks([f for s in steps if s["kind"] == "dark" for f in s["frames"]], boxes)
+        self._darks = self._read_darks([frame for step in steps if step.kind == "dark" for frame in step.frames], boxes)
 
-    def _look(self, step: dict[str, Any], channel: Channel) -> Region | None:
+    def _look(self, step: StepRecord, channel: Channel) -> Region | None:
         """The region of a step; None where source or camera stands below the horizon."""
-        target: Target = "reference" if step["kind"] == "reference" else "sample"
-        view = kinematics.view(self.description, Pose(**step["pose"]))
+        target: Target = "reference" if step.kind == "reference" else "sample"
+        view = kinematics.view(self.description, step.pose)
         if view.source_mm[2] <= 0 or view.camera_mm[2] <= 0:
             return None
         region = roi(self.description, view, target, channel)
@@ -135,9 +147,7 @@ class Bench:
         weight = seen.weight[region.mask]
         return Region(region, target, 1.0 / weight) if weight.min() > 0 else None
 
-    def _read_darks(
-        self, frames: list[dict[str, Any]], boxes: dict[Target, tuple[slice, slice]]
-    ) -> dict[Target, Darks]:
+    def _read_darks(self, frames: list[FrameRecord], boxes: dict[Target, tuple[slice, slice]]) -> dict[Target, Darks]:
         if not frames:
             raise DataError(f"{self.run.path}: the run has no dark frames; finish it with --resume")
         camera = self.description.camera
@@ -149,20 +159,20 @@ class Bench:
         if not all(crops.values()):
             raise DataError(f"{self.run.path}: every dark frame is missing or damaged ({self._first()}); {RETAKE}")
         used = {exposure_s for taken in crops.values() for exposure_s, _ in taken}
-        self.darks_taken, self.darks_used = len({float(f["exposure_s"]) for f in frames}), len(used)
+        self.darks_taken, self.darks_used = len({float(frame.exposure_s) for frame in frames}), len(used)
         empty = [float(np.mean(crop == 0)) for taken in crops.values() for _, crop in taken]
         self.clipped = sum(empty) / len(empty)
         rate = camera.dark_current_e_per_s / camera.electrons_per_dn
         return {target: Darks(crops[target], *box, rate) for target, box in boxes.items()}
 
-    def read(self, entry: dict[str, Any]) -> Frame:
+    def read(self, entry: FrameRecord) -> Frame:
         """A frame that the journal names, checked."""
-        path = Path(self.run.frame_path(entry["file"]))
+        path = Path(self.run.frame_path(entry.file))
         try:
             data = path.read_bytes()
         except OSError as error:
             raise DamagedFrame(f"{path}: a frame of the run cannot be read: {error.strerror or error}") from None
-        if hashlib.sha256(data).hexdigest() != entry["sha256"]:
+        if hashlib.sha256(data).hexdigest() != entry.sha256:
             raise DamagedFrame(
                 f"{path}: is not the frame that the journal names (its checksum differs): it was changed"
             )
@@ -176,27 +186,26 @@ class Bench:
             )
         return frame
 
-    def _read_or_note(self, entry: dict[str, Any]) -> Frame | None:
+    def _read_or_note(self, entry: FrameRecord) -> Frame | None:
         """A frame that the journal names, or None where it is missing or damaged."""
         try:
             return self.read(entry)
         except DamagedFrame as error:
-            self.damaged[entry["file"]] = str(error)
+            self.damaged[entry.file] = str(error)
             return None
 
     def _first(self) -> str:
         return next(iter(self.damaged.values()), "")
 
-    def shots(self, step: dict[str, Any], band: Band) -> tuple[Region, list[Shot]] | None:
+    def shots(self, step: StepRecord, band: Band) -> tuple[Region, list[Shot]] | None:
         """The frames of a step in a band, each reduced to its region, without those that are damaged; None for a
         region below the horizon.
         """
         region = self._look(step, band.channel)
         if region is None:
             return None
-        entries = [f for f in step["frames"] if f["band"] == band.name and f["lamp"]]
-        read = ((entry, self._read_or_note(entry)) for entry in entries)
-        return region, [self._shot(region, frame, float(entry["time_s"])) for entry, frame in read if frame is not None]
+        read = ((entry, self._read_or_note(entry)) for entry in _lit(step, band))
+        return region, [self._shot(region, frame, float(entry.time_s)) for entry, frame in read if frame is not None]
 
     def _shot(self, region: Region, frame: Frame, time_s: float) -> Shot:
         camera, darks = self.description.camera, self._darks[region.target]
@@ -210,26 +219,26 @@ class Bench:
             leverage=darks.leverage(frame.exposure_s),
         )
 
-    def merge(self, step: dict[str, Any], band: Band) -> Merged | str:
-        """The merged frames of a step in a band, or the flag that says why there is no value."""
+    def reduce(self, step: StepRecord, band: Band) -> Reduced | Rejected:
+        """The rate of a step in a band, from its merged frames."""
         found = self.shots(step, band)
         if found is None:
-            return "below_horizon"
+            return Rejected(step.point, "below_horizon")
         region, every = found
-        named = [f["file"] for f in step["frames"] if f["band"] == band.name and f["lamp"]]
+        named = [frame.file for frame in _lit(step, band)]
         # a point is taken again; a visit to the reference is worth what is left of it
-        if not self.damaged.keys().isdisjoint(named) and (step["kind"] == "point" or not every):
-            return "damaged"
+        if not self.damaged.keys().isdisjoint(named) and (step.kind == "point" or not every):
+            return Rejected(step.point, "damaged")
         shots = [shot for shot in every if shot.peak < USABLE]
         if not shots:
-            return "saturated" if every else "not_measured"
+            return Rejected(step.point, "saturated" if every else "not_measured")
         rate, variance, time_s, chi_square, of_darks = pool(
             self.description, region, shots, self._darks[region.target].exposures_s
         )
-        pose, reference = Pose(**step["pose"]), self.reference.get(band.channel)
+        reference = self.reference.get(band.channel)
         share = self._patterns[band.channel].of(region.roi) if region.target == "sample" else np.zeros(PATTERNS)
         shared = np.outer(of_darks, share)
-        return Merged(
+        return Reduced(
             rate=rate,
             variance=variance + max(float(np.sum(of_darks**2) - np.sum(shared**2)), 0.0),
             dark=shared,
@@ -238,17 +247,15 @@ class Bench:
             frames=len(shots),
             pixels=region.roi.count,
             shared=region.roi.shared(reference) if reference is not None else 0,
-            directions=kinematics.directions(self.description, pose),
-            pose=pose,
-            point=None if step["kind"] == "reference" else int(step["point"]),
+            directions=kinematics.directions(self.description, step.pose),
+            pose=step.pose,
+            point=step.point,
         )
 
 
-def _needed(step: dict[str, Any]) -> dict[str, Any]:
-    """What the reduction needs of a step: a run may have very many."""
-    out = {name: step[name] for name in ("kind", "point", "pose", "flag") if name in step}
-    names = ("file", "band", "exposure_s", "time_s", "lamp", "sha256")
-    return out | {"frames": [{name: frame[name] for name in names} for frame in step["frames"]]}
+def _lit(step: StepRecord, band: Band) -> list[FrameRecord]:
+    """The frames of a step that were taken in a band, with the lamp lit."""
+    return [frame for frame in step.frames if frame.band == band.name and frame.lamp]
 
 
 def pool(
