@@ -59,9 +59,9 @@ class StopAfter(Silent):
             signal.raise_signal(signal.SIGINT)
 
 
-def content(run: Run) -> list[dict[str, object]]:
+def content(run: Run) -> list[StepRecord]:
     """Everything in the steps that depends on the measurement."""
-    return [{k: v for k, v in step.items() if k not in ("n", "wall", "crc")} for step in run.steps()]
+    return list(run.steps())
 
 
 def test_a_run_holds_what_was_asked_and_what_happened(measure: Measure, tmp_path: Path) -> None:
