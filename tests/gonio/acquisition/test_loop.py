@@ -23,7 +23,7 @@ from gonio.reduction import brdf
 from gonio.rig import Frame
 from gonio.rig.description import Holder, Reference, RigDescription
 from gonio.rig.dng import read_raw
-from tests.gonio.numpy_rig import PLAN, SAMPLE, Bench, Plugin, describe
+from tests.gonio.numpy_rig import PLAN, SAMPLE, NumpyRig, Plugin, describe
 
 Measure = Callable[..., Run]
 
@@ -282,7 +282,7 @@ def test_a_computer_s_clock_that_jumps_changes_nothing(measure: Measure, monkeyp
 def test_frames_whose_times_do_not_grow_end_the_run(
     measure: Measure, stamps: Callable[[float], float], words: str, repeatable: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Bench, "time_s", lambda self: 100.0 * self.step + self.frame)
+    monkeypatch.setattr(NumpyRig, "time_s", lambda self: 100.0 * self.step + self.frame)
     rig = Plugin(options={"stamps": stamps, "repeatable": repeatable})
     with pytest.raises(DeviceError, match=f'the camera of the rig "bench of numpy" .*{words}') as caught:
         measure("run", rig=rig, yes=True)
@@ -473,8 +473,8 @@ def test_a_camera_s_own_file_is_kept_as_it_is(
 ) -> None:
     own = tmp_path / "IMG_0001.CR2"
     own.write_bytes(b"the camera's own bytes")
-    capture = Bench.capture
-    monkeypatch.setattr(Bench, "capture", lambda self, exposure_s: replace(capture(self, exposure_s), file=own))
+    capture = NumpyRig.capture
+    monkeypatch.setattr(NumpyRig, "capture", lambda self, exposure_s: replace(capture(self, exposure_s), file=own))
     run = measure("run")
     assert run.steps()[0].frames[0].file == "000000-dark-01.cr2"
     assert run.frame_path("000000-dark-01.cr2").read_bytes() == own.read_bytes()

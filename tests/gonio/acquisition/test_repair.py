@@ -23,7 +23,7 @@ from gonio.errors import ConfigError, DataError
 from gonio.reduction import brdf
 from gonio.rig.description import Reference
 from gonio.rig.dng import read_raw, read_record
-from tests.gonio.numpy_rig import PLAN, SAMPLE, Bench, Plugin, describe
+from tests.gonio.numpy_rig import PLAN, SAMPLE, NumpyRig, Plugin, describe
 
 Measure = Callable[..., Run]
 
@@ -169,8 +169,8 @@ def test_a_camera_s_own_files_have_their_labels_beside_them(
 ) -> None:
     own = tmp_path / "IMG_0001.CR2"
     own.write_bytes(b"the camera's own bytes")
-    capture = Bench.capture
-    monkeypatch.setattr(Bench, "capture", lambda self, exposure_s: replace(capture(self, exposure_s), file=own))
+    capture = NumpyRig.capture
+    monkeypatch.setattr(NumpyRig, "capture", lambda self, exposure_s: replace(capture(self, exposure_s), file=own))
     run = measure()
     whole = content(run)
     (run.path / "journal.jsonl").unlink()
