@@ -107,7 +107,8 @@ def test_dark_after_an_exception(lamp: Plugged) -> None:
 def test_dark_after_kill_9(lamp: Plugged, tmp_path: Path) -> None:
     table = {"port": lamp.port, "dialect": lamp.name, "settle_s": 0.0}
     program = (
-        "import os, signal\nfrom tests.gonio_drivers.test_light import DESCRIPTION, PATIENCE_S, SerialLight, settings, speak\n"
+        "import os, signal\n"
+        "from tests.gonio_drivers.test_light import DESCRIPTION, PATIENCE_S, SerialLight, settings, speak\n"
         f"light = SerialLight(DESCRIPTION, settings.Light.model_validate({table}))\n"
         "speak(light, timeout_s=PATIENCE_S, banner_s=PATIENCE_S)\n"
         "light.__enter__()\nlight.on()\nprint('lit', flush=True)\ninput()\n"
