@@ -23,6 +23,7 @@ from gonio.errors import ConfigError, DataError
 from gonio.reduction import angle_sensitivity, spikes, white_reference
 from gonio.reduction.count_rates import RETAKE, Reduced, Rejected, RunFrames, in_threads
 from gonio.reduction.dark_signal import COLUMNS, PATTERNS, strongest
+from gonio.reduction.reference_table import brdf_of_reference
 from gonio.rig import Pose, imaging, kinematics
 from gonio.rig.description import Axis, Band, RigDescription
 from gonio.rig.kinematics import Directions
@@ -155,7 +156,7 @@ def _level(
         from gonio import measurement
 
         table = measurement.read(reference.table)
-        known = np.array([white_reference.brdf_of_table(table, visit.directions, band.centre_nm) for visit in visits])
+        known = np.array([brdf_of_reference(table, visit.directions, band.centre_nm) for visit in visits])
     elif reference.albedo:
         known = np.full(len(visits), reference.albedo / math.pi)
     else:

@@ -1,24 +1,15 @@
-"""What the white reference says: its BRDF at the visits, and the signal per unit BRDF at any time in between."""
+"""What the visits to the white reference say: the signal per unit BRDF at any time in between."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from gonio.errors import DataError
 from gonio.typing import Floats
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from gonio.rig.kinematics import Directions
-
-
-PAIR = np.array([-1, 0])
 REJECTED = 0.01
 """A straight line whose chi-square is rarer than this does not describe the visits."""
 SAME_TIME_S = 1e-3
@@ -26,8 +17,6 @@ SAME_TIME_S = 1e-3
 EXTRAPOLATED = 0.1
 """Farther outside of the visits than these are apart, a line that changes the level by more than this part of it says
 nothing: a rate over such a level is not linear in the level's error any more, and the level may turn negative."""
-SAME_ANGLE = math.radians(0.5)
-"""A visit within this angle of a curve's incidence, and of the plane of incidence, lies on it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,67 +181,3 @@ def notes(fitted: Level, visits: int, unusable: list[str], name: str) -> list[st
             f"{fitted.chi_square:.1f} of {visits} visits): the level is interpolated between them"
         )
     return out
-
-
-def brdf_of_table(table: pd.DataFrame, directions: Directions, wavelength_nm: float) -> float:
-    """BRDF [1/sr] of a reference in one visit's geometry, from a table of its BRDF.
-
-    Linear in the signed angle of reflection on the curve of the table that has the visit's angle of incidence
-    (within 0.5 degrees) or between the two curves around it, and linear in wavelength. The reference is taken for
-    isotropic; only rows without a flag, in the plane of incidence and unpolarised count.
-
-    Raises
-    ------
-    DataError
-        The visit lies outside of the angles or wavelengths of the table, or out of the plane of incidence.
-    """
-    source = table.attrs.get("source_file") or "the table of the white reference"
-    dphi = math.remainder(directions.phi_r - directions.phi_i, 2 * math.pi)
-    if min(directions.theta_i, directions.theta_r, abs(dphi), math.pi - abs(dphi)) > SAME_ANGLE:
-        raise DataError(f"{source}: holds curves in the plane of incidence; the visit to the reference lies out of it")
-    signed = directions.theta_r * (1.0 if abs(dphi) > math.pi / 2 else -1.0)
-    if directions.theta_i < SAME_ANGLE:
-        signed = abs(signed)
-    rows = table[table["flag"] == ""]
-    polarised = rows["polarisation"] != "unpolarised"
-    if polarised.any():
-        raise DataError(f"{source}: a table of a white reference must be unpolarised")
-    theta_i, theta_r = np.radians(rows["theta_i_deg"].to_numpy()), np.radians(rows["theta_r_deg"].to_numpy())
-    turn = np.remainder(np.radians((rows["phi_r_deg"] - rows["phi_i_deg"]).to_numpy()) + np.pi, 2 * np.pi) - np.pi
-    off = np.minimum(abs(turn), np.pi - abs(turn))
-    in_plane = (off <= SAME_ANGLE) | (theta_r < SAME_ANGLE) | (theta_i < SAME_ANGLE)
-    angle = np.where((abs(turn) > np.pi / 2) | (theta_i < SAME_ANGLE), theta_r, -theta_r)
-    wavelengths, values = rows["wavelength_nm"].to_numpy(), rows["brdf"].to_numpy()
-
-    def curve(incidence: float, wavelength: float) -> float:
-        on = in_plane & (abs(theta_i - incidence) < 1e-6) & ((wavelengths == wavelength) | np.isnan(wavelengths))
-        what = f"theta_r = {math.degrees(signed):g} deg at theta_i = {math.degrees(incidence):g} deg"
-        return _interpolate(signed, angle[on], values[on], what, source)
-
-    def spectrum(wavelength: float) -> float:
-        known = np.unique(theta_i[in_plane])
-        near = known[abs(known - directions.theta_i) <= SAME_ANGLE]
-        if near.size:
-            return curve(float(near[np.argmin(abs(near - directions.theta_i))]), wavelength)
-        around = known[np.unique(np.clip(np.searchsorted(known, directions.theta_i) + PAIR, 0, known.size - 1))]
-        what = f"theta_i = {math.degrees(directions.theta_i):g} deg"
-        return _interpolate(
-            directions.theta_i, around, np.array([curve(float(a), wavelength) for a in around]), what, source
-        )
-
-    known = np.unique(wavelengths[np.isfinite(wavelengths)])
-    if known.size == 0:  # one broad band
-        return spectrum(math.nan)
-    around = known[np.unique(np.clip(np.searchsorted(known, wavelength_nm) + PAIR, 0, known.size - 1))]
-    if wavelength_nm in known:
-        around = np.array([wavelength_nm])
-    what = f"wavelength_nm = {wavelength_nm:g}"
-    return _interpolate(wavelength_nm, around, np.array([spectrum(float(w)) for w in around]), what, source)
-
-
-def _interpolate(x: float, at: Floats, values: Floats, what: str, source: str) -> float:
-    order = np.argsort(at)
-    at, values = at[order], values[order]
-    if at.size == 0 or not at[0] - SAME_ANGLE <= x <= at[-1] + SAME_ANGLE:
-        raise DataError(f"{source}: the visit to the reference at {what} lies outside of this table")
-    return float(np.interp(x, at, values))
