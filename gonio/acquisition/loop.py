@@ -9,22 +9,22 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
-import signal
-import threading
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from numbers import Real
-from types import FrameType, TracebackType
-from typing import Any, Protocol, Self
+from types import TracebackType
+from typing import Self
 
 from gonio import __version__
 from gonio.acquisition import exposure
 from gonio.acquisition.frame_writer import Files, Store, slugs
+from gonio.acquisition.progress import Live, Progress
 from gonio.acquisition.records import FrameFile, StepRecord
 from gonio.acquisition.run import Run
+from gonio.acquisition.stop import Stop
 from gonio.errors import DeviceError, Disturbed, Interrupted
 from gonio.rig import Frame, Pose, Rig, Step, Target
 from gonio.rig.description import Band
@@ -39,96 +39,6 @@ MOVED_STEPS = 2.5
 """An axis has moved where its readbacks before and after the frames differ by more steps: encoders flicker by one."""
 MOVED_DEG = 0.01
 """The same, for an axis whose encoder has no steps."""
-
-
-@dataclass(frozen=True, slots=True)
-class Live:
-    """What has just been measured, for a person who watches."""
-
-    step: Step
-    angles_deg: tuple[float, float, float, float] | None
-    """theta_i, phi_i, theta_r, phi_r of a point."""
-    level: float
-    """Of the brightest used pixel, as a fraction of full scale."""
-    exposure_s: float
-    flag: str
-
-
-class Progress(Protocol):
-    """Somebody who watches a measurement."""
-
-    def start(self, steps: int, done: int) -> None:
-        """Before the first step: how many steps the run has, and how many are done."""
-
-    def step(self, live: Live) -> None:
-        """After every step."""
-
-    def paused(self) -> contextlib.AbstractContextManager[None]:
-        """While the rig may talk to the user."""
-
-    def say(self, text: str) -> None:
-        """Something happened."""
-
-
-class Stop:
-    """What SIGINT, SIGTERM and SIGHUP ask for while it is entered: once to finish the step, twice to stop at once.
-
-    Enter it around the rig's own context. The second signal raises `Interrupted`, wherever the program is; what comes
-    later does nothing.
-
-    Parameters
-    ----------
-    progress
-        Who is told.
-    last
-        The process ends after this: where it was left by an error no signal is heard any more.
-    """
-
-    SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
-    def __init__(self, progress: Progress, *, last: bool = False) -> None:
-        self.requested = 0
-        self._progress, self._last = progress, last
-        self._held = self._raised = False
-        self._before: dict[signal.Signals, Any] = {}
-
-    def __enter__(self) -> Self:
-        if threading.current_thread() is threading.main_thread():
-            wanted = list(self.SIGNALS)
-            if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # under nohup a lost terminal means nothing
-                wanted.remove(signal.SIGHUP)
-            self._before = {number: signal.signal(number, self._request) for number in wanted}
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for number, before in self._before.items():
-            signal.signal(number, signal.SIG_IGN if self._last and error is not None else before)
-
-    @contextlib.contextmanager
-    def held(self) -> Iterator[None]:
-        """Meanwhile signals are counted, and raise nothing; whoever holds them looks at `requested` afterwards."""
-        self._held = True
-        try:
-            yield
-        finally:
-            self._raised = self.requested > 1
-            self._held = False
-
-    def _request(self, number: int, frame: FrameType | None) -> None:
-        self.requested += 1
-        if self._held:
-            return
-        if self.requested == 1:
-            self._held = True  # a second signal must not tear the start of the thread
-            # from a thread: the signal may have come in the middle of a line that is being printed
-            text = "finishing this step, then parking; once more stops every axis at once"
-            threading.Thread(target=self._progress.say, args=(text,)).start()
-            self._held = False
-        if self.requested > 1 and not self._raised:
-            self._raised = True
-            raise Interrupted("stopped at once, in the middle of a step")
 
 
 def measure(rig: Rig, run: Run, steps: Sequence[Step], progress: Progress, stop: Stop) -> None:
@@ -466,25 +376,3 @@ def _remarks(run: Run, progress: Progress) -> Iterator[None]:
         yield
     finally:
         log.removeHandler(handler)
-
-
-@contextlib.contextmanager
-def _nothing() -> Iterator[None]:
-    yield
-
-
-class Silent:
-    """Nobody watches."""
-
-    def start(self, steps: int, done: int) -> None:
-        """Nothing."""
-
-    def step(self, live: Live) -> None:
-        """Nothing."""
-
-    def paused(self) -> contextlib.AbstractContextManager[None]:
-        """Nothing."""
-        return _nothing()
-
-    def say(self, text: str) -> None:
-        """Nothing."""

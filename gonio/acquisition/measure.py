@@ -19,7 +19,7 @@ from gonio.rig.description import RigDescription, SampleDescription
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from gonio.acquisition.loop import Progress
+    from gonio.acquisition.progress import Progress
     from gonio.acquisition.run import Run
     from gonio.rig import Pose, Rig, RigPlugin, Step, Target
 
@@ -158,9 +158,13 @@ def carry_out(
     GonioError
         See `gonio.acquisition.loop.measure`, `Run.create`, `Run.resume` and the rig's own documentation.
     """
-    from gonio.acquisition.loop import Silent, Stop, measure
+    from gonio.acquisition.loop import measure
     from gonio.acquisition.plan import going_on
-    from gonio.acquisition.run import Request, Run, begun
+    from gonio.acquisition.progress import Silent
+    from gonio.acquisition.run import Run
+    from gonio.acquisition.run_folder import begun
+    from gonio.acquisition.run_settings import Request
+    from gonio.acquisition.stop import Stop
 
     out = Path(out)
     progress = progress or Silent()
@@ -210,7 +214,7 @@ def check(
 
 def _open(rig: RigChoice, out: Path, sample: SampleDescription | None, seed: int, resume: bool, yes: bool) -> Rig:
     """The rig, built but not entered, after every check that needs no device."""
-    from gonio.acquisition.run import begun, check_new, check_writable
+    from gonio.acquisition.run_folder import begun, check_new, check_writable
 
     attended = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
     device = rig.open(sample=sample, seed=seed, confirm=attended and not yes)

@@ -20,7 +20,8 @@ import numpy as np
 from gonio.acquisition.frame_writer import BESIDE, NAME, label_of
 from gonio.acquisition.journal import Event, decode, encode, locked, now
 from gonio.acquisition.records import FrameFile, FrameRecord, StepRecord
-from gonio.acquisition.run import Run, begun
+from gonio.acquisition.run import Run
+from gonio.acquisition.run_folder import begun
 from gonio.acquisition.steps import Steps
 from gonio.disk import half_written, set_aside, write_whole
 from gonio.errors import ConfigError, DataError

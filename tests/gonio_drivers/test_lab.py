@@ -24,9 +24,9 @@ from gonio_sim.wire import faults, motion, tether
 from gonio_sim.wire.servo import Servo
 from gonio_sim.wire.twins import Twins, plug
 
-from gonio.acquisition.loop import Silent
 from gonio.acquisition.measure import RigChoice, carry_out, find_rig
 from gonio.acquisition.plan import load_plan
+from gonio.acquisition.progress import Silent
 from gonio.acquisition.run import Run
 from gonio.cli import rigs
 from gonio.cli.rigs import checks

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gonio.acquisition.loop import Live, Silent
 from gonio.acquisition.measure import RigChoice, carry_out, check
 from gonio.acquisition.plan import Plan, load_plan
+from gonio.acquisition.progress import Live, Silent
 from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
 from gonio.config import to_toml
