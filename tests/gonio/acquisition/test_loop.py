@@ -307,7 +307,7 @@ def test_a_clock_that_was_set_back_between_two_sittings(measure: Measure) -> Non
             measure("run", rig=late, **again)
     run = measure("run", rig=Plugin(options={"repeatable": False}), **again)
     assert len([step for step in run.steps() if step.kind == "point"]) == 5
-    times = [f.time_s for e in run.events() if e["event"] == "step" for f in e["frames"]]
+    times = [f["time_s"] for e in run.events() if e["event"] == "step" for f in e["frames"]]
     assert np.all(np.diff(times) > 0)
 
 

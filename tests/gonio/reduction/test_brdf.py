@@ -336,7 +336,7 @@ def pixels_of_a_disc(theta_r_deg: float) -> float:
 @pytest.mark.parametrize("kind", ["changed", "missing", "cut"])
 def test_a_frame_that_is_not_the_journal_s_is_left_out_and_named(tmp_path: Path, kind: str) -> None:
     run = Maker(tmp_path, describe(), glossy).make(POINTS[:3], (0.25,))
-    path = run.frame_path(run.taken[3].frames[0]["file"])
+    path = run.frame_path(run.taken[3].frames[0].file)
     data = path.read_bytes()
     if kind == "missing":
         path.unlink()
@@ -419,7 +419,7 @@ def test_a_zero_that_the_reference_feels_too_cancels(tmp_path: Path) -> None:
 def test_dark_frames_of_one_exposure_take_the_data_sheet_s_dark_current(tmp_path: Path) -> None:
     class OneExposure(Maker):
         def darks(self) -> dict[str, Any]:
-            return self.event("dark", None, Pose(), [self.frame(None, "dark", 0.5) for _ in range(4)])
+            return self.record("dark", None, Pose(), [self.frame(None, "dark", 0.5) for _ in range(4)])
 
     description = describe(camera={"dark_current_e_per_s": 300.0})
     table = radiometry.reduce(OneExposure(tmp_path, description, glossy).make(POINTS, (0.25, 0.0625)))

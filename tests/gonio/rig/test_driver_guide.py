@@ -14,7 +14,7 @@ from gonio.acquisition.run import Run
 from gonio.measurement import read
 from tests.gonio.cli.test_cli import gonio, installed
 
-GUIDE = Path(__file__).parents[2] / "docs" / "writing_a_driver.md"
+GUIDE = Path(__file__).parents[3] / "docs" / "writing_a_driver.md"
 PLAN = """name = "tiny"
 wavelength_nm = [550]
 [[sweep]]
