@@ -10,22 +10,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-import gonio
-from gonio import geometry
 from gonio.acquisition.plan import ANGLES
 from gonio.errors import ConfigError, DataError
 from gonio.reduction import angle_sensitivity, spikes, white_reference
-from gonio.reduction.count_rates import RETAKE, Reduced, Rejected, RunFrames, in_threads
-from gonio.reduction.dark_signal import COLUMNS, PATTERNS, strongest
+from gonio.reduction.count_rates import Reduced, Rejected, RunFrames, in_threads
+from gonio.reduction.dark_signal import PATTERNS, strongest
 from gonio.reduction.reference_table import brdf_of_reference
+from gonio.reduction.table import (
+    CAUSES,
+    DARK,
+    BandResult,
+    angle_axes,
+    assemble,
+    notes_on_damage,
+    notes_on_darks,
+    zero_uncertainties,
+)
 from gonio.rig import Pose, imaging, kinematics
-from gonio.rig.description import Axis, Band, RigDescription
+from gonio.rig.description import Band, RigDescription
 from gonio.rig.kinematics import Directions
 from gonio.typing import Floats
 
@@ -33,17 +41,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from gonio.acquisition.run import Run
-
-
-CLIPPED = 1e-3
-"""Dark frames with a larger part of their pixels at 0 DN are cut off there."""
-DAMAGED = "missing or damaged and are left out"
-NAMED = 10
-"""At most so many damaged frames are named in a note."""
-COMMON = ("s_reference", "s_reference_noise", "s_lamp_drift")
-DARK = tuple(f"s_dark_{k + 1}" for k in range(COLUMNS))
-CAUSES = {"light": "s_theta_i_zero", "camera": "s_theta_r_zero", "tilt": "s_tilt_zero", "azimuth": "s_azimuth_zero"}
-"""Axes whose zeros are common causes. A spin turns both directions alike: an isotropic surface does not notice it."""
 
 
 def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> pd.DataFrame:
@@ -87,33 +84,10 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
                 progress(k * count + len(steps), len(run.bands) * count)
         results.append(_reduce_band(frames, band, steps))
     _share_darks(results)
-    return _assemble(run, results, _notes_on_damage(frames) + _notes_on_darks(frames))
+    return assemble(run, results, notes_on_damage(frames) + notes_on_darks(frames))
 
 
-@dataclass(frozen=True, slots=True)
-class _BandResult:
-    """One band of a run: its rows by point, why others have none, and what the attributes say of it."""
-
-    band: Band
-    rows: dict[int, dict[str, float]]
-    darks: dict[int, Floats]
-    """By point: change of its value [1/sr] by the noise of the dark frames, see `Reduced.dark`."""
-    flags: dict[int, str]
-    level: white_reference.Level
-    reference_brdf: float
-    visits: int
-    unusable: list[str]
-    """The flags of the other visits."""
-    scatter: float
-    """Reduced chi-square of the frames around the means of their steps."""
-    freedom: int
-    untold: list[Directions]
-    """Nominal directions of points that may see a spike of which only a bound is known."""
-    coarse: list[Directions]
-    """Nominal directions of points beside a lobe that is narrower than the plan's steps."""
-
-
-def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected]) -> _BandResult:
+def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected]) -> BandResult:
     points = [step for step in steps if isinstance(step, Reduced) and step.point is not None]
     visits = [step for step in steps if isinstance(step, Reduced) and step.point is None]
     rejected = [step for step in steps if isinstance(step, Rejected)]
@@ -126,7 +100,7 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
         if point.point is not None
     }
     freedom = sum(step.frames - 1 for step in (*points, *visits))
-    return _BandResult(
+    return BandResult(
         band=band,
         rows=rows,
         darks={p.point: p.dark / float(k) for p, k in zip(points, levels, strict=True) if p.point is not None},
@@ -181,7 +155,7 @@ def _columns(
     plan's steps are too coarse to tell.
     """
     description = frames.description
-    encoder, zeros = _encoder_steps(description), _zeros(description)
+    encoder, zeros = _encoder_steps(description), zero_uncertainties(description)
     times = np.array([point.time_s for point in points])
     k = fitted.at(times)
     brdf = np.array([point.rate for point in points]) / k
@@ -223,7 +197,7 @@ def _columns(
     return {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent)} | common, untold, coarse
 
 
-def _share_darks(results: list[_BandResult]) -> None:
+def _share_darks(results: list[BandResult]) -> None:
     """Give all rows the columns of the dark frames' noise, which bands of one channel share; the rest to `u_random`."""
     channels = list(dict.fromkeys(result.band.channel for result in results))
     rows = [row for result in results for row in result.rows.values()]
@@ -241,21 +215,12 @@ def _share_darks(results: list[_BandResult]) -> None:
         row["u_random"] = math.hypot(row["u_random"], math.sqrt(more))
 
 
-def _axes(description: RigDescription) -> dict[str, Axis]:
-    """The axes whose angles a value depends on."""
-    return {name: axis for name, axis in description.axes().items() if name in CAUSES}
-
-
 def _encoder_steps(description: RigDescription) -> dict[str, float]:
     """Standard uncertainty [rad] of a reading in whole steps: uniform over one step."""
-    axes = {name: math.radians(axis.encoder_step_deg) / math.sqrt(12.0) for name, axis in _axes(description).items()}
+    axes = {
+        name: math.radians(axis.encoder_step_deg) / math.sqrt(12.0) for name, axis in angle_axes(description).items()
+    }
     return {name: u for name, u in axes.items() if u > 0}
-
-
-def _zeros(description: RigDescription) -> dict[str, float]:
-    """Standard uncertainty [rad] of each zero; both arms are always there, so that tables have the same columns."""
-    axes = {name: math.radians(axis.zero_u_deg) for name, axis in _axes(description).items()}
-    return {name: u for name, u in axes.items() if u > 0 or name in ("light", "camera")}
 
 
 def _moved(description: RigDescription, pose: Pose, axis: str, by: float) -> Directions:
@@ -332,126 +297,3 @@ def _angle_columns(directions: Directions) -> dict[str, float]:
     theta = [min(round(math.degrees(t), 9), 90.0) for t in (directions.theta_i, directions.theta_r)]
     phi = [round(math.degrees(p), 9) % 360.0 for p in (directions.phi_i, directions.phi_r)]
     return dict(zip(ANGLES, (theta[0], phi[0], theta[1], phi[1]), strict=True))
-
-
-def _assemble(run: Run, results: list[_BandResult], notes: list[str]) -> pd.DataFrame:
-    """One row for every point of the plan and every band, and the attributes."""
-    import pandas as pd
-
-    description, plan = run.description, run.plan
-    causes = [*COMMON, *DARK, *(CAUSES[axis] for axis in _zeros(description))]
-    nothing = dict.fromkeys(["brdf", "u_brdf", "u_random", *causes], math.nan)
-    rows = []
-    for point, goal in zip(plan.index.astype(int).tolist(), plan.to_dict("records"), strict=True):
-        for result in results:
-            values = {name: goal[name] for name in ANGLES} | nothing
-            flag = goal["flag"] or result.flags.get(point, "")
-            if not flag and point in result.rows:
-                values = result.rows[point]
-            elif not flag:
-                flag = "not_measured"
-            rows.append({**values, "wavelength_nm": result.band.centre_nm, "polarisation": "unpolarised", "flag": flag})
-    columns = [*ANGLES, "wavelength_nm", "polarisation", "brdf", "u_brdf", "u_random", *causes, "flag"]
-    frame = pd.DataFrame(rows, columns=columns)
-    lamp, camera = description.lamp, description.camera
-    cones = (math.radians(lamp.half_angle_deg), math.radians(camera.lens_half_angle_deg))
-    frame.attrs.update(
-        quantity="brdf",
-        source_solid_angle_sr=float(geometry.solid_angle_of_cone(cones[0])),
-        receiver_solid_angle_sr=float(geometry.solid_angle_of_cone(cones[1])),
-        bands=[result.band.model_dump() for result in results],
-        polarisation="unpolarised",
-        source_file=str(run.path),
-        sample=run.sample.name if run.sample is not None else None,
-        provenance={
-            "reduced_by": f"gonio {gonio.__version__}",
-            "rig": description.name,
-            "seed": run.seed,
-            "reference": [_account(result) for result in results],
-        },
-        notes=notes + _notes_on_zeros(description) + [note for result in results for note in _notes(result)],
-    )
-    return frame
-
-
-def _account(result: _BandResult) -> dict[str, float | str | None]:
-    """What the visits to the reference said."""
-    fitted = result.level
-    known = not fitted.unknown
-    return {
-        "band": result.band.name,
-        "brdf": result.reference_brdf,
-        "visits": result.visits,
-        "level_e_per_s_sr": fitted.level,
-        "u_level_rel": fitted.u_level / fitted.level,
-        "drift_per_hour": fitted.slope / fitted.level * 3600.0 if known else None,
-        "u_drift_per_hour": fitted.u_slope / fitted.level * 3600.0 if known else None,
-        "chi_square": fitted.chi_square,
-        "straight": fitted.straight,
-        "frame_scatter": result.scatter,
-    }
-
-
-def _notes_on_zeros(description: RigDescription) -> list[str]:
-    return [
-        f"the zero of the {kinematics.NAMES[name]} is not known (zero_offset_known = false): its error is not in u_brdf"
-        for name, axis in _axes(description).items()
-        if not axis.zero_offset_known
-    ]
-
-
-def _notes_on_damage(frames: RunFrames) -> list[str]:
-    if not frames.damaged:
-        return []
-    names = sorted(frames.damaged)
-    shown = ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
-    out = [f'{len(names)} frames are {DAMAGED} ({shown}); points that lack one are flagged "damaged", and {RETAKE}']
-    if frames.darks_taken > 1 and frames.darks_used == 1:
-        out.append(
-            "the dark frames of one exposure alone are left: the dark current is that of the rig file, and its "
-            "uncertainty is not in u_brdf"
-        )
-    return out
-
-
-def _notes_on_darks(frames: RunFrames) -> list[str]:
-    # all at 0 is a camera without noise; some at 0 is one whose noise is cut off there
-    if not CLIPPED < frames.clipped < 1.0:
-        return []
-    return [
-        f"{100.0 * frames.clipped:.2g} % of the pixels of the dark frames read 0 DN: what lies below is cut off, and "
-        "values are too low by more than u_brdf says where the signal is small; raise the camera's black level"
-    ]
-
-
-def _notes(result: _BandResult) -> list[str]:
-    name = result.band.name
-    out = white_reference.notes(result.level, result.visits, result.unusable, name)
-    if result.untold:
-        out.append(
-            f"{name}: nothing tells whether a specular spike stands at {_listed(result.untold)}: what "
-            "errors of the angles would do to one is in u_brdf, which is large; measure the mirror direction too, and "
-            "points on both sides of it that the spike does not reach"
-        )
-    if result.coarse:
-        out.append(
-            f"{name}: the plan's steps are too coarse for the lobe at {_listed(result.coarse)}: u_brdf there rests on "
-            "what neighbouring points leave open, and may be too small; measure in finer steps around the mirror "
-            "direction"
-        )
-    # three standard deviations of a reduced chi-square, and enough to matter: uncertainties 20 % too small
-    if result.scatter > max(1.44, 1.0 + 3.0 * math.sqrt(2.0 / max(result.freedom, 1))):
-        out.append(
-            f"{name}: frames of one step scatter {math.sqrt(result.scatter):.1f} times as much as the rig file's noise "
-            "says (see lamp.noise and the camera's noise there): u_random is too small"
-        )
-    return out
-
-
-def _listed(points: list[Directions]) -> str:
-    """The first points of a list, for people, in degrees."""
-    first = ", ".join(
-        f"({', '.join(f'{math.degrees(a):g}' for a in (d.theta_i, d.theta_r, (d.phi_r - d.phi_i) % (2 * math.pi)))})"
-        for d in points[:3]
-    )
-    return f"(theta_i, theta_r, dphi) = {first} deg" + (f" and {len(points) - 3} more" if len(points) > 3 else "")

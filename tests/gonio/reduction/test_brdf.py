@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 
 from gonio import geometry, measurement
+from gonio.acquisition.records import StepRecord
 from gonio.errors import DataError
 from gonio.reduction import brdf as radiometry
 from gonio.reduction import count_rates
@@ -418,7 +419,7 @@ def test_a_zero_that_the_reference_feels_too_cancels(tmp_path: Path) -> None:
 
 def test_dark_frames_of_one_exposure_take_the_data_sheet_s_dark_current(tmp_path: Path) -> None:
     class OneExposure(Maker):
-        def darks(self) -> dict[str, Any]:
+        def darks(self) -> StepRecord:
             return self.record("dark", None, Pose(), [self.frame(None, "dark", 0.5) for _ in range(4)])
 
     description = describe(camera={"dark_current_e_per_s": 300.0})
