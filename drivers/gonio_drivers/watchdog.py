@@ -13,7 +13,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Protocol, TypeVar
 
-from gonio_drivers.dynamixel import Bus, Item
+from gonio_drivers.control_table import Item
+from gonio_drivers.dynamixel import Bus
 
 UNITS = 25
 PERIOD_S = UNITS * 0.020

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gonio import plugins
-from gonio.acquisition.plan import Assessed, Plan, schedule
+from gonio.acquisition.plan import Assessed, Plan
+from gonio.acquisition.schedule import schedule
 from gonio.config import load, parse
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig.description import RigDescription, SampleDescription
@@ -45,7 +46,7 @@ class RigChoice:
             raise
 
     def schedule(self, plan: Plan, points: list[Assessed] | None = None) -> list[Step]:
-        """The steps of a run, see `gonio.acquisition.plan.schedule`, of which every patch that is measured lies in
+        """The steps of a run, see `gonio.acquisition.schedule.schedule`, of which every patch that is measured lies in
         the frame.
 
         Raises
@@ -159,11 +160,11 @@ def carry_out(
         See `gonio.acquisition.loop.measure`, `Run.create`, `Run.resume` and the rig's own documentation.
     """
     from gonio.acquisition.loop import measure
-    from gonio.acquisition.plan import going_on
     from gonio.acquisition.progress import Silent
     from gonio.acquisition.run import Run
     from gonio.acquisition.run_folder import begun
     from gonio.acquisition.run_settings import Request
+    from gonio.acquisition.schedule import going_on
     from gonio.acquisition.stop import Stop
 
     out = Path(out)
