@@ -66,7 +66,7 @@ def run_demo(out: Path, *, quick: bool) -> Path:
     from gonio import measurement
     from gonio.acquisition.measure import carry_out, find_rig, load_sample
     from gonio.acquisition.plan import load_plan
-    from gonio.acquisition.run import check_writable
+    from gonio.acquisition.run_folder import check_writable
     from gonio.cli import console
     from gonio.disk import write_own
     from gonio.reduction import brdf

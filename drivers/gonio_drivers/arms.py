@@ -22,17 +22,14 @@ from gonio.errors import ConfigError, DeviceError, Disturbed
 from gonio.rig import Pose, Target
 from gonio.rig.description import RigDescription
 from gonio_drivers import joints, settings, watchdog
-from gonio_drivers.arrival import LARGEST_CORRECTION_DEG, SMALLEST_COUNTS, STILL_COUNTS, Landing
+from gonio_drivers.arrival import LARGEST_CORRECTION_DEG, STILL_COUNTS
 from gonio_drivers.dynamixel import Bus
-from gonio_drivers.joints import Joint, Report
+from gonio_drivers.joints import Joint
+from gonio_drivers.motion import Motion
 
 log = logging.getLogger("gonio.devices")
 
 AXES = tuple(field.name for field in fields(Pose))
-POLL_S = 0.020
-GRACE_S = 3.0
-"""A move may take twice its time, and this."""
-RELEASES = 3
 LOOKS, SECOND_LOOKS = 5, 9
 """Readings that tell where an axis has landed, and whether it has left that place."""
 ROUNDING = 1e-9
@@ -74,6 +71,7 @@ class ServoArms:
         }
         if servos.changer is not None:
             self.joints["changer"] = joints.changer_joint(self.bus, servos.changer, self._approach_deg)
+        self._motion = Motion(self.bus, self.joints, servos, self._approach_deg)
         self.last: Reading | None = None
         self.faulted = False
         """An axis has failed: nothing moves any more until the rig is opened again."""
@@ -137,7 +135,7 @@ class ServoArms:
             raise DeviceError("the arms have been stopped after a failure; open the rig again")
         self.stopped = False
         try:
-            self._approach(goals)
+            self._motion.approach(goals)
             for name, count in self._places(LOOKS).items():
                 self.joints[name].stood_at = count
             return self._readback().pose
@@ -188,7 +186,7 @@ class ServoArms:
             blocks = self.bus.glance([joint.id for joint in group], address, size)
             here = {j.name: j.table["Present Position"].decode(blocks[j.id], address) for j in group if j.id in blocks}
             if here:
-                self._send(here)
+                self._motion.send(here)
 
     def park(self) -> None:
         """Drive to the rest position."""
@@ -273,157 +271,6 @@ class ServoArms:
                 raise ConfigError(f"{name} = {angle:g} deg is outside this axis's limits, {lower:g} to {upper:g} deg")
             out[name] = angle
         return out
-
-    def _approach(self, goals: Mapping[str, float]) -> None:
-        """To a point below each goal, where that is needed, and from there up to the goals."""
-        finals = {name: self.joints[name].to_count(angle) for name, angle in goals.items()}
-        reports = joints.reports(self.bus, self.joints.values())
-        below: dict[str, float] = {}
-        ups: dict[str, float] = {}
-        for name, final in finals.items():
-            joint = self.joints[name]
-            position = reports[name].position
-            if joint.landed_at == final and joint.distance_deg(final, position) <= self._tolerance(joint):
-                continue
-            ups[name] = final
-            start = joint.to_count(goals[name] - self._approach_deg)
-            if joint.to_deg(position) > joint.to_deg(start) + self._tolerance(joint):
-                below[name] = start
-        for name in ups:
-            self.joints[name].landed_at = self.joints[name].stood_at = None
-        moving = [self.joints[name] for name in ups]
-        watchdog.arm(moving)
-        if below:
-            self._land(below, exact=False)
-        if ups:
-            self._land(ups, exact=True)
-        if watchdog.call_off(moving):  # at the very end: an axis that is released may give way a little
-            self._land(ups, exact=True)
-        for name, final in ups.items():
-            self.joints[name].landed_at = final
-
-    def _tolerance(self, joint: Joint) -> float:
-        """How far from its goal a joint may land [deg]: what the rig file says, but never less than counts allow."""
-        return max(self._servos.tolerance_deg, SMALLEST_COUNTS / abs(joint.counts_per_deg))
-
-    def _land(self, goals: Mapping[str, float], *, exact: bool) -> None:
-        """Drive to counts, all axes at once, until every one has landed (`exact`) or come to rest close by."""
-        start = time.monotonic()
-        before = joints.reports(self.bus, self.joints.values())
-        landings = {name: self._landing(name, goal, start, exact=exact) for name, goal in goals.items()}
-        self._send({name: landing.sent for name, landing in landings.items()})
-        allowed = max(self._duration(name, before[name].position, goal) for name, goal in goals.items())
-        deadline = start + 2 * allowed + GRACE_S
-        now = start
-        while not all(landing.done for landing in landings.values()):
-            time.sleep(POLL_S)
-            reports = joints.reports(self.bus, self.joints.values())
-            before_s, now = now, time.monotonic()
-            if now - before_s > watchdog.PERIOD_S:  # this program was held up, and the servos may have stopped
-                deadline += now - before_s
-            for name, landing in landings.items():
-                if not landing.done:
-                    self._watch(self.joints[name], landing, reports[name], now, exact=exact)
-            if now > deadline:
-                late = ", ".join(self._state(n, x, reports[n]) for n, x in landings.items() if not x.done)
-                raise DeviceError(f"no landing within {deadline - start:.1f} s: {late}; all axes are stopped")
-        joints.require_torque(self.bus, [self.joints[name] for name in goals])
-
-    def _landing(self, name: str, goal: float, start: float, *, exact: bool) -> Landing:
-        joint, servos = self.joints[name], self._servos
-        within_deg = self._tolerance(joint) if exact else self._approach_deg / 2
-        return Landing(joint, goal, round(goal), within_deg, servos.settle_s, servos.acceleration_deg_per_s2, start)
-
-    def _watch(self, joint: Joint, landing: Landing, report: Report, now: float, *, exact: bool) -> None:
-        """One look at an axis on its way: has it landed, does it need a correction, is it stuck?"""
-        changed = report.profile != joint.profile or report.goal != landing.sent
-        if changed and self._release(joint, landing, now):
-            return
-        if report.profile != joint.profile:
-            raise DeviceError(
-                f"axis {joint.name}: servo id {joint.id} has lost its settings: it has restarted (power dip?); "
-                "all axes are stopped"
-            )
-        if report.goal != landing.sent:
-            self._send_again(joint, landing)
-            return
-        verdict = landing.look(report, now)
-        if verdict == "landed":
-            landing.done = True
-        elif verdict == "short":
-            self._correct(joint, landing, now, exact=exact)
-        elif verdict == "stuck" and not self._release(joint, landing, now):
-            joints.require_torque(self.bus, [joint])
-            raise DeviceError(f"{self._state(joint.name, landing, report)}: it is stuck; all axes are stopped")
-
-    def _release(self, joint: Joint, landing: Landing, now: float) -> bool:
-        """Whether the servo had stopped by its bus watchdog, because this program was held up; it is sent on."""
-        if not joint.has_watchdog or joint.get(watchdog.ITEM) != watchdog.RUN_OUT:
-            return False
-        landing.released += 1
-        if landing.released > RELEASES:
-            raise DeviceError(
-                f"axis {joint.name}: servo id {joint.id} has stopped {landing.released} times on one way, because "
-                f"nothing came over the bus for {watchdog.PERIOD_S:g} s (is this computer overloaded?); all axes are "
-                "stopped"
-            )
-        log.warning(
-            "axis %s: nothing came over the bus for %g s, and the servo stopped; sent on", joint.name, watchdog.PERIOD_S
-        )
-        joint.write(watchdog.ITEM, watchdog.OFF)
-        joint.send_profile()
-        joint.write("Goal Position", landing.sent)
-        joint.write(watchdog.ITEM, watchdog.UNITS)
-        landing.begin(now)
-        return True
-
-    def _correct(self, joint: Joint, landing: Landing, now: float, *, exact: bool) -> None:
-        """A new goal that makes up for what is missing; from below again where the axis went too far."""
-        landing.corrections += 1
-        miss = round(landing.goal - landing.position)
-        short = miss * joint.counts_per_deg > 0
-        landing.sent += miss
-        lower, upper = joint.count_limits
-        landing.sent = max(lower, min(upper, landing.sent))
-        log.info("axis %s: %d counts from its goal, correction %d", joint.name, miss, landing.corrections)
-        if exact and not short:
-            back = landing.sent - round(self._approach_deg * joint.counts_per_deg)
-            self._land({joint.name: max(lower, min(upper, back))}, exact=False)
-        self._send({joint.name: landing.sent})
-        landing.begin(now)
-
-    def _send(self, counts: Mapping[str, int]) -> None:
-        """Give goals to several servos at the same moment; reports show whether they arrived."""
-        by_address: dict[int, dict[int, bytes]] = {}
-        for name, count in counts.items():
-            joint = self.joints[name]
-            goal = joint.table["Goal Position"]
-            by_address.setdefault(goal.address, {})[joint.id] = goal.encode(count)
-        for address, data in by_address.items():
-            self.bus.write_all(address, data)
-
-    def _send_again(self, joint: Joint, landing: Landing) -> None:
-        """A goal did not arrive (a sync write is not answered); this time with an answer."""
-        landing.resent += 1
-        if landing.resent > 3:
-            raise DeviceError(f"axis {joint.name}: servo id {joint.id} does not keep its goal; all axes are stopped")
-        log.warning("axis %s: the goal did not arrive; sent again", joint.name)
-        joint.write("Goal Position", landing.sent)
-        landing.begin(time.monotonic())
-
-    def _duration(self, name: str, position: float, goal: float) -> float:
-        """How long a way should take at the axis's speed and acceleration [s]."""
-        joint = self.joints[name]
-        way = joint.distance_deg(goal, position)
-        return way / joint.speed_deg_per_s + 2 * joint.speed_deg_per_s / self._servos.acceleration_deg_per_s2
-
-    def _state(self, name: str, landing: Landing, report: Report) -> str:
-        joint = self.joints[name]
-        return (
-            f"axis {name} (servo id {joint.id}) stands at {joint.to_deg(report.position):.2f} deg instead of "
-            f"{joint.to_deg(landing.goal):.2f} deg, current {report.current} of {joint.full_current}"
-            f"{', and says that it moves' if report.moving or report.under_way else ''}"
-        )
 
     # ---- reading ----
 

@@ -10,7 +10,7 @@ What is handled, and where:
   id, and the missing ones are read one by one;
 - byte stuffing is lost on transmit and can lose a byte on reception: `Packets` does both anew, and the length that a
   reply announces must be the length that was asked for;
-- values are unsigned: `Item.decode` extends the sign;
+- values are unsigned: `control_table.Item.decode` extends the sign;
 - open errors raise raw exceptions and nothing locks the port: `ExclusivePort` locks it at every (re)opening;
 - the SDK spins while it waits: `ExclusivePort` sleeps until bytes arrive;
 - it drops bytes that belong to no answer without a word: `ExclusivePort` counts them, and they are told.
@@ -18,17 +18,13 @@ What is handled, and where:
 
 from __future__ import annotations
 
-import difflib
 import logging
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from functools import cache
 from types import TracebackType
 from typing import Self
 
-from dynamixel_easy_sdk.control_table import ControlTable
 from dynamixel_sdk import (
     COMM_RX_CORRUPT,
     COMM_RX_TIMEOUT,
@@ -81,58 +77,6 @@ class Refusal(DeviceError):
     def __init__(self, message: str, error: int) -> None:
         super().__init__(message)
         self.error = error
-
-
-@dataclass(frozen=True, slots=True)
-class Item:
-    """One entry of a control table."""
-
-    name: str
-    address: int
-    size: int
-
-    def decode(self, data: bytes, start: int = 0) -> int:
-        """The value in a block of bytes that begins at the address `start`; the SDK's own readers forget the sign."""
-        raw = data[self.address - start : self.address - start + self.size]
-        return int.from_bytes(raw, "little", signed=self.name in SIGNED)
-
-    def encode(self, value: int) -> bytes:
-        """The bytes of a value, two's complement where it is negative."""
-        return (value % (1 << 8 * self.size)).to_bytes(self.size, "little")
-
-
-SIGNED = frozenset(
-    {
-        "Homing Offset", "Goal PWM", "Goal Current", "Goal Velocity", "Goal Position", "Present PWM", "Present Current",
-        "Present Load", "Present Velocity", "Present Position", "Velocity Trajectory", "Position Trajectory",
-    }
-)  # fmt: skip
-
-
-@cache
-def models() -> dict[int, str]:
-    """Model names by model number, as "xm430-w350", from the SDK's list."""
-    return {n: file.removesuffix(".model").replace("_", "-") for n, file in ControlTable.parsingModelList().items()}
-
-
-@cache
-def control_table(model: str, key: str = "model") -> dict[str, Item]:
-    """The control table of a model, from the SDK's own file; `key` is where the model was written.
-
-    Raises
-    ------
-    ConfigError
-        The SDK does not know the model, or its table is not that of the X series (4096 counts a turn).
-    """
-    for number, name in models().items():
-        if name == model.lower():
-            table = {n: Item(n, e.address, e.size) for n, e in ControlTable.getControlTable(number).items()}
-            if table.get("Profile Acceleration") != Item("Profile Acceleration", 108, 4):
-                raise ConfigError(f'{key} = "{model}" is no servo of the X series')
-            return table
-    near = difflib.get_close_matches(model.lower(), models().values(), n=3)
-    hint = f"did you mean {' or '.join(near)}?" if near else 'write it as it is printed on the servo, "xm430-w350"'
-    raise ConfigError(f'{key} = "{model}" is not known to the Dynamixel SDK; {hint}')
 
 
 class Bus:

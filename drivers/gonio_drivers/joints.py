@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig.description import Axis, RigDescription
-from gonio_drivers import dynamixel, settings, watchdog
-from gonio_drivers.dynamixel import Bus, Item
+from gonio_drivers import control_table, dynamixel, settings, watchdog
+from gonio_drivers.control_table import Item
+from gonio_drivers.dynamixel import Bus
 
 log = logging.getLogger("gonio.devices")
 
@@ -111,7 +112,7 @@ class Joint:
             number, _ = self.bus.ping(self.id)
         except dynamixel.BusError:
             raise DeviceError(self._who_is_there()) from None
-        found = dynamixel.models().get(number, f"model number {number}")
+        found = control_table.models().get(number, f"model number {number}")
         if found != self.servo.model.lower():
             raise DeviceError(
                 f'{self.key}.model = "{self.servo.model}", but servo id {self.id} on {self.bus.port} is a {found}; '
@@ -335,7 +336,7 @@ def require_torque(bus: Bus, joints: Iterable[Joint]) -> None:
 
 def joint(bus: Bus, description: RigDescription, name: str, servo: settings.ServoAxis, approach_deg: float) -> Joint:
     """The joint of an axis of the rig; `ConfigError` where its limits are beyond a turn of its servo."""
-    table = dynamixel.control_table(servo.model, f"devices.servos.axes.{name}.model")
+    table = control_table.of_model(servo.model, f"devices.servos.axes.{name}.model")
     axis, limits = description.axes()[name], description.limits_deg()[name]
     return _checked(Joint(bus, name, servo, axis, limits, table), approach_deg)
 
@@ -344,7 +345,7 @@ def changer_joint(bus: Bus, changer: settings.Changer, approach_deg: float) -> J
     """The joint of the sample changer, which is no axis of a pose; errors as of `joint`."""
     ends = sorted((changer.sample_deg, changer.reference_deg))
     axis = Axis(speed_deg_per_s=changer.speed_deg_per_s)
-    table = dynamixel.control_table(changer.model, "devices.servos.changer.model")
+    table = control_table.of_model(changer.model, "devices.servos.changer.model")
     return _checked(Joint(bus, "changer", changer, axis, (ends[0], ends[1]), table), approach_deg)
 
 
@@ -363,5 +364,5 @@ def _check_current_limit(joint: Joint) -> None:
 
 
 def _listed(found: Mapping[int, tuple[int, int]]) -> str:
-    names = dynamixel.models()
+    names = control_table.models()
     return ", ".join(f"id {k} {names.get(number, f'model {number}')}" for k, (number, _) in found.items())

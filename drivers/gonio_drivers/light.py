@@ -10,34 +10,19 @@ from __future__ import annotations
 import logging
 import re
 import time
-from collections import deque
 from types import TracebackType
 from typing import Self
-
-import serial
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig.description import Band, RigDescription
 from gonio_drivers import ports, settings
 from gonio_drivers.dialect import dialect
 from gonio_drivers.guard import Guard
+from gonio_drivers.lamp_line import TRIES, LampLine
 
 log = logging.getLogger("gonio.devices")
 
-TRIES = 3
-LATENESS = 2.0
-"""How much longer than its timeout a missing reply is awaited, so that it is not taken for the next one's."""
-SLOWEST = 10.0
-"""Longest wait for a controller that answers late, in timeouts of its dialect."""
-ERROR = r"[-+]?\d.*"
-"""What an entry of an error queue looks like: a number first."""
-ERRORS_KEPT = 100
-"""No controller's error queue holds more."""
 WAVELENGTH_STEP_NM = 0.1
-
-
-class Nak(DeviceError):
-    """The controller refuses a command."""
 
 
 class LampReset(DeviceError):
@@ -60,19 +45,12 @@ class SerialLight:
         self._dialect = dialect(light.dialect)
         self._bands = description.bands.all()
         self._warm_up_s = description.lamp.warm_up_s
-        self._port: serial.Serial | None = None
+        self._line = LampLine(light.port, self._dialect)
         self._guard: Guard | None = None
         self._channel = light.channel
         self._band: Band | None = None
         self._lit_since: float | None = None
         self._monitored: float | None = None
-        self._silent = False
-        """It has not answered for longer than even a late answer takes."""
-        self._sent: deque[str] = deque(maxlen=4)
-        """The last commands, as an echo would return them."""
-        self._ending = self._dialect.reply_ending.encode()
-        self._lines: deque[str] = deque()
-        """Lines that have come together, and have not been looked at."""
         self._warmed = False
         self.identity = ""
         self.lit = False
@@ -85,15 +63,7 @@ class SerialLight:
     def __enter__(self) -> Self:
         ports.require_free(self._light.port, "devices.light.port")
         baud = int(self._light.baud or self._dialect.baud)
-        try:
-            self._port = serial.Serial(
-                self._light.port,
-                baud,
-                timeout=self._dialect.timeout_s,
-                exclusive=True,
-            )
-        except (*ports.FAILURES, ValueError) as error:
-            raise ports.unopened(self._light.port, error, "devices.light.port") from None
+        self._line.open(baud)
         try:
             self._wake()
             self.off()
@@ -178,7 +148,7 @@ class SerialLight:
             It was not; what has been exposed since the last look is worth nothing.
         """
         d = self._dialect
-        answer = self._ask(d.state.format(channel=self._channel), f"{d.state_on}|{d.state_off}")
+        answer = self._line.ask(d.state.format(channel=self._channel), f"{d.state_on}|{d.state_off}")
         as_meant = re.fullmatch(d.state_on if self.lit else d.state_off, answer) is not None
         if as_meant and (not self.lit or (self._level_kept() and self._band_kept())):
             return
@@ -198,7 +168,7 @@ class SerialLight:
         d = self._dialect
         if d.monitor is None:
             return None
-        return self._number(d.monitor.format(channel=self._channel), d.monitor_got)
+        return self._line.number(d.monitor.format(channel=self._channel), d.monitor_got)
 
     def __str__(self) -> str:
         return f"{self.identity or self._dialect.name} on {self._light.port}"
@@ -209,19 +179,19 @@ class SerialLight:
         d = self._dialect
         if d.banner is not None:
             end = time.monotonic() + d.banner_s
-            while not re.fullmatch(d.banner, self._line()):
+            while not re.fullmatch(d.banner, self._line.next()):
                 if time.monotonic() > end:
                     log.warning("lamp on %s: no banner within %g s; asking anyway", self._light.port, d.banner_s)
                     break
         for command in d.start:
-            self._send(command)
-            self._reply(d.acknowledge or "")
+            self._line.send(command)
+            self._line.reply(d.acknowledge or "")
         try:
             for _ in range(TRIES):
-                self.identity = self._ask(d.identify, d.identity)
+                self.identity = self._line.ask(d.identify, d.identity)
                 if re.fullmatch(d.identity, self.identity):
                     break
-                self._calm(missing=False)  # it may have answered what another program asked, or half a line
+                self._line.calm(missing=False)  # it may have answered what another program asked, or half a line
         except DeviceError as failure:
             raise DeviceError(
                 f'devices.light.port = "{self._light.port}": {failure}; is it on, is devices.light.dialect = '
@@ -233,7 +203,7 @@ class SerialLight:
                 f'devices.light.dialect = "{self._light.dialect}": the lamp on {self._light.port} says it is '
                 f'"{self.identity}", which is no {d.name} controller; correct the dialect, or devices.light.port'
             )
-        self._drain_errors()
+        self._line.drain_errors()
 
     def _shine(self) -> None:
         d = self._dialect
@@ -258,8 +228,8 @@ class SerialLight:
     def _switch(self, command: str, wanted: str, channel: int) -> None:
         d = self._dialect
         for _ in range(TRIES):
-            self._order(command.format(channel=channel))
-            state = self._ask(d.state.format(channel=channel), f"{d.state_on}|{d.state_off}")
+            self._line.order(command.format(channel=channel))
+            state = self._line.ask(d.state.format(channel=channel), f"{d.state_on}|{d.state_off}")
             if re.fullmatch(wanted, state):
                 return
             log.warning('lamp on %s: after "%s" its state is "%s"; repeated', self._light.port, command, state)
@@ -268,8 +238,8 @@ class SerialLight:
     def _set(self, command: str, query: str, pattern: str, value: float, resolution: float) -> None:
         """A setting, read back; `resolution` is the largest difference that is none."""
         for _ in range(TRIES):
-            self._order(command)
-            got = self._number(query.format(channel=self._channel), pattern)
+            self._line.order(command)
+            got = self._line.number(query.format(channel=self._channel), pattern)
             if abs(got - value) <= resolution:
                 return
             log.warning('lamp on %s: after "%s" it reads back %g; repeated', self._light.port, command, got)
@@ -277,7 +247,7 @@ class SerialLight:
 
     def _level_kept(self) -> bool:
         d = self._dialect
-        got = self._number(d.get.format(channel=self._channel), d.got)
+        got = self._line.number(d.get.format(channel=self._channel), d.got)
         kept = abs(got - self._light.level * d.full_scale) <= d.resolution
         if kept and self._light.monitor_tolerance is not None and (seen := self.monitor()) is not None:
             first = self._monitored = self._monitored or seen
@@ -294,7 +264,7 @@ class SerialLight:
         d = self._dialect
         if d.selected is None or self._band is None:
             return True
-        return abs(self._number(d.selected, d.selected_got) - self._band.centre_nm) <= WAVELENGTH_STEP_NM
+        return abs(self._line.number(d.selected, d.selected_got) - self._band.centre_nm) <= WAVELENGTH_STEP_NM
 
     def _settle(self) -> None:
         now = time.monotonic()
@@ -308,169 +278,9 @@ class SerialLight:
         time.sleep(wait)
         self._monitored = self.monitor() if self._light.monitor_tolerance is not None else None
 
-    # ---- the line ----
-
-    def _order(self, command: str) -> None:
-        """A command that changes something: acknowledged, or followed by a look into the error queue."""
-        d = self._dialect
-        last: DeviceError | None = None
-        for attempt in range(TRIES):
-            reply = None
-            try:
-                self._send(command)
-                if d.acknowledge is not None:
-                    reply = self._reply(d.acknowledge)
-                    if not re.fullmatch(d.acknowledge, reply):
-                        raise self._disappointment(command, reply)
-                if d.error_query is not None:
-                    error = self._ask(d.error_query, f"{d.no_error}|{ERROR}")
-                    if not re.fullmatch(d.no_error, error):
-                        raise Nak(f'the lamp on {self._light.port} refuses "{command}": {error}')
-            except DeviceError as failure:
-                last = failure
-                self._calm(missing=reply == "")
-                continue
-            if attempt:
-                log.warning("lamp on %s: %s; obeyed at attempt %d", self._light.port, last, attempt + 1)
-            return
-        assert last is not None
-        raise last
-
-    def _ask(self, query: str, expected: str) -> str:
-        """A query and its reply; `expected` is the pattern of a usual one, which the caller compares."""
-        last: DeviceError | None = None
-        for attempt in range(TRIES):
-            self._send(query)
-            reply = self._reply(expected)
-            if reply and not any(p and re.fullmatch(p, reply) for p in (self._dialect.refuse, self._dialect.banner)):
-                if attempt:
-                    log.warning("lamp on %s: %s; answered at attempt %d", self._light.port, last, attempt + 1)
-                return reply
-            last = self._disappointment(query, reply)
-            self._calm(missing=not reply)
-        assert last is not None
-        raise last
-
-    def _disappointment(self, command: str, reply: str) -> DeviceError:
-        if not reply:
-            return DeviceError(f'the lamp on {self._light.port} does not answer "{command}"')
-        return Nak(f'the lamp on {self._light.port} answers "{command}" with "{reply}"')
-
-    def _number(self, query: str, pattern: str) -> float:
-        for _ in range(TRIES):
-            reply = self._ask(query, pattern)
-            found = re.fullmatch(pattern, reply)
-            try:
-                return float(found.group(1))  # type: ignore[union-attr]
-            except (AttributeError, ValueError):
-                self._calm(missing=False)
-        raise DeviceError(f'the lamp on {self._light.port} answers "{reply}" where a number was expected')
-
-    def _send(self, command: str) -> None:
-        if self._port is None:
-            raise DeviceError(f"the lamp on {self._light.port} is not open: enter the rig first")
-        try:
-            self._sent.append(command.strip())
-            self._lines.clear()
-            self._port.reset_input_buffer()
-            ports.send(self._port, (command + self._dialect.send_ending).encode())
-        except ports.FAILURES as error:
-            raise ports.lost(self._light.port, error, "devices.light.port") from None
-
-    def _reply(self, good: str) -> str:
-        """The line that is `good`; where none comes in time, the first one that may be meant as the answer.
-
-        That is none that refuses, greets or is `good` itself: an echo (some controllers return what was sent), the
-        acknowledgement of an earlier command, or a line that nobody has asked for may come before the answer.
-        """
-        d = self._dialect
-        end = time.monotonic() + self._timeout_s()
-        answer = ""
-        while line := self._line():
-            if any(pattern is not None and re.fullmatch(pattern, line) for pattern in (good, d.refuse, d.banner)):
-                answer = line
-                break
-            if line not in self._sent and not re.fullmatch(d.acknowledge or "(?!)", line):
-                answer = answer or line
-            if time.monotonic() > end:
-                break
-        self._silent = self._silent and not answer
-        return answer
-
-    def _timeout_s(self) -> float:
-        assert self._port is not None
-        return float(self._port.timeout)
-
-    def _line(self) -> str:
-        """One line without its ending and without a prompt; empty where no whole one comes in time."""
-        assert self._port is not None
-        end = time.monotonic() + self._timeout_s()
-        try:
-            while not self._lines:
-                raw = self._port.read_until(self._ending)
-                if raw and not raw.endswith(self._ending):  # this computer, or the adapter, was held up in mid-line
-                    raw += self._port.read_until(self._ending)
-                if not raw.endswith((self._ending, b"\r", b"\n")):
-                    return ""  # half a number is none
-                parts = re.split(r"[\r\n]+", str(raw, "ascii", "replace"))
-                self._lines.extend(text for part in parts if (text := self._without_prompt(part)))
-                if not raw.endswith(self._ending) and self._lines and self._lines[-1] not in self._sent:
-                    self._ending = raw[-1:]  # an echo may end otherwise than an answer
-                    log.warning(
-                        "lamp on %s: its lines end with %r, and reply_ending of its dialect is %r",
-                        self._light.port, self._ending.decode(), self._dialect.reply_ending,
-                    )  # fmt: skip
-                if time.monotonic() > end:
-                    break
-        except ports.FAILURES as error:
-            raise ports.lost(self._light.port, error, "devices.light.port") from None
-        return self._lines.popleft() if self._lines else ""
-
-    def _without_prompt(self, text: str) -> str:
-        prompt, text = (self._dialect.prompt or "").strip(), text.strip()
-        while prompt and text.startswith(prompt):
-            text = text.removeprefix(prompt).strip()
-        return text
-
-    def _calm(self, *, missing: bool) -> None:
-        """Let what is still on its way arrive, and drop it; for one that answers late, wait longer from now on."""
-        if self._port is None:
-            return
-        timeout_s = self._port.timeout
-        try:
-            if missing and not self._silent:  # of one that says nothing at all no more is awaited
-                begun = time.monotonic()
-                self._port.timeout = LATENESS * timeout_s
-                late = self._line()
-                self._port.timeout = timeout_s
-                self._silent = not late
-                if late and not re.fullmatch(self._dialect.banner or "", late):
-                    timeout_s += 2 * (time.monotonic() - begun)
-                    timeout_s = min(timeout_s, SLOWEST * self._dialect.timeout_s)
-                    self._port.timeout = timeout_s
-                    log.warning(
-                        "lamp on %s: it answers late; waiting for %.1f s from now on (timeout_s of its dialect)",
-                        self._light.port, timeout_s,
-                    )  # fmt: skip
-            time.sleep(0.05)
-            self._lines.clear()
-            self._port.reset_input_buffer()
-        except ports.FAILURES as error:
-            raise ports.lost(self._light.port, error, "devices.light.port") from None
-
-    def _drain_errors(self) -> None:
-        d = self._dialect
-        if d.error_query is not None:
-            for _ in range(ERRORS_KEPT):
-                if re.fullmatch(d.no_error, self._ask(d.error_query, f"{d.no_error}|{ERROR}")):
-                    return
-            raise DeviceError(f"the lamp on {self._light.port} has an error queue that does not end")
-
     def _close(self, *, in_order: bool) -> None:
         """Close the port; the guard tries once more where the lamp may not be dark."""
-        if self._port is not None:
-            self._port.close()
-            self._port = None
+        self._line.close()
         if self._guard is not None:
             self._guard.release(in_order=in_order)
             self._guard = None

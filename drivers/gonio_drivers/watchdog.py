@@ -10,11 +10,11 @@ driver keeps homing offsets at 0, and gives a goal of its own wherever it clears
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Protocol, TypeVar
 
-if TYPE_CHECKING:
-    from gonio_drivers.joints import Joint
+from gonio_drivers.control_table import Item
+from gonio_drivers.dynamixel import Bus
 
 UNITS = 25
 PERIOD_S = UNITS * 0.020
@@ -24,45 +24,71 @@ OFF = 0
 ITEM = "Bus Watchdog"
 
 
-def arm(joints: Iterable[Joint]) -> None:
-    """From now on the servos of these joints stop where the bus falls silent."""
-    watched = [joint for joint in joints if joint.has_watchdog]
+class Servo(Protocol):
+    """A servo that may have a watchdog."""
+
+    @property
+    def id(self) -> int:
+        """On its bus."""
+
+    @property
+    def bus(self) -> Bus:
+        """What it is reached by."""
+
+    @property
+    def table(self) -> Mapping[str, Item]:
+        """Its control table."""
+
+    @property
+    def has_watchdog(self) -> bool:
+        """False with a firmware older than 38."""
+
+    def write(self, name: str, value: int) -> None:
+        """Change an item of the table."""
+
+
+S = TypeVar("S", bound=Servo)
+
+
+def arm(servos: Iterable[Servo]) -> None:
+    """From now on these servos stop where the bus falls silent."""
+    watched = [servo for servo in servos if servo.has_watchdog]
     _write(watched, OFF)  # one that has run out takes nothing else
     _write(watched, UNITS)
 
 
-def call_off(joints: Iterable[Joint]) -> list[Joint]:
-    """Disarm, and see that it is so; those joints whose watchdog had run out.
+def call_off(servos: Iterable[S]) -> list[S]:
+    """Disarm, and see that it is so; those servos whose watchdog had run out.
 
     Raises
     ------
     DeviceError
         A servo does not answer.
     """
-    watched = [joint for joint in joints if joint.has_watchdog]
+    watched = [servo for servo in servos if servo.has_watchdog]
     before = _read(watched)
     _write(watched, OFF)
     after = _read(watched)
-    for joint in watched:
-        if after[joint.id] != OFF:
-            joint.write(ITEM, OFF)
-    return [joint for joint in watched if before[joint.id] == RUN_OUT]
+    for servo in watched:
+        if after[servo.id] != OFF:
+            servo.write(ITEM, OFF)
+    return [servo for servo in watched if before[servo.id] == RUN_OUT]
 
 
-def disarm(joints: Iterable[Joint]) -> None:
+def disarm(servos: Iterable[Servo]) -> None:
     """Disarm without waiting for anybody, in an emergency; goals can be given after it."""
-    _write([joint for joint in joints if joint.has_watchdog], OFF)
+    _write([servo for servo in servos if servo.has_watchdog], OFF)
 
 
-def _write(joints: list[Joint], value: int) -> None:
-    if joints:
-        item = joints[0].table[ITEM]  # at the same address in every model of the X series
-        joints[0].bus.write_all(item.address, {joint.id: item.encode(value) for joint in joints})
+def _write(servos: Sequence[Servo], value: int) -> None:
+    if servos:
+        item = servos[0].table[ITEM]  # at the same address in every model of the X series
+        servos[0].bus.write_all(item.address, {servo.id: item.encode(value) for servo in servos})
 
 
-def _read(joints: list[Joint]) -> dict[int, int]:
-    if not joints:
+def _read(servos: Sequence[Servo]) -> dict[int, int]:
+    if not servos:
         return {}
-    item = joints[0].table[ITEM]
-    blocks = joints[0].bus.read_all([joint.id for joint in joints], item.address, item.size)
+    item = servos[0].table[ITEM]
+    blocks = servos[0].bus.read_all([servo.id for servo in servos], item.address, item.size)
     return {identity: item.decode(block, item.address) for identity, block in blocks.items()}

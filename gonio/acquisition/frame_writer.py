@@ -1,6 +1,6 @@
-"""Frames on their way to the disk: written in a thread of their own, whole or not at all, each with its record.
+"""Frames on their way to the disk: written in a thread of their own, whole or not at all, each with its label.
 
-The record says which step of which run a frame belongs to. That of the last frame of a step holds all that the journal
+The label says which step of which run a frame belongs to. That of the last frame of a step holds all that the journal
 will say of the step, so that a journal that was lost can be made again (`gonio.acquisition.repair`).
 """
 
@@ -15,23 +15,19 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
+from gonio.acquisition.records import FrameFile, FrameLabel, FrameRecord, StepRecord
 from gonio.disk import sync_folder, write_whole
 from gonio.errors import DataError
-from gonio.rig import Frame, Step
+from gonio.rig import Frame, Pose, Step
 from gonio.rig.description import Band
 from gonio.rig.dng import read_record, write_dng
 
 WAITING = 8
 """How many frames may wait for the disk before the camera has to."""
-FORMAT = "gonio-frame-1"
 NAME = re.compile(r"(\d{6,})-\w+-\d{2,}\.\w+(\.json)?", re.ASCII)
-"""Names of frames, and of the records of frames whose files are the camera's own."""
+"""Names of frames, and of the labels of frames whose files are the camera's own."""
 BESIDE = ".json"
-
-Written = dict[str, Any]
-"""Of a frame's file: its sha256, and its size in bytes."""
 
 
 class Store:
@@ -42,24 +38,24 @@ class Store:
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="gonio-frames")
         self._room = threading.Semaphore(WAITING)
 
-    def put(self, frame: Frame, name: str, record: Callable[[], dict[str, Any]]) -> Future[Written]:
+    def put(self, frame: Frame, name: str, label: Callable[[], FrameLabel]) -> Future[FrameFile]:
         """Begin to write a frame; the future says what its file is, once that is on the disk.
 
-        `record` is called when all frames before this one are there.
+        `label` is called when all frames before this one are there.
         """
         self._room.acquire()
-        return self._pool.submit(self._write, frame, self._folder / name, record)
+        return self._pool.submit(self._write, frame, self._folder / name, label)
 
-    def _write(self, frame: Frame, path: Path, record: Callable[[], dict[str, Any]]) -> Written:
+    def _write(self, frame: Frame, path: Path, label: Callable[[], FrameLabel]) -> FrameFile:
         try:
-            text = json.dumps(record(), separators=(",", ":"), allow_nan=False)
+            text = json.dumps(label().to_json(), separators=(",", ":"), allow_nan=False)
             if frame.file is None:
                 write_dng(replace(frame, record=text), path)
             else:  # the camera's own file is kept as it is
                 write_whole(path.with_name(path.name + BESIDE), text.encode())
                 write_whole(path, frame.file.read_bytes())
             with path.open("rb") as file:
-                return {"sha256": hashlib.file_digest(file, "sha256").hexdigest(), "bytes": file.tell()}
+                return FrameFile(hashlib.file_digest(file, "sha256").hexdigest(), file.tell())
         except OSError as error:
             raise DataError(f"{path}: cannot be written: {error.strerror}") from None
         finally:
@@ -79,7 +75,7 @@ class Store:
 
 @dataclass(slots=True)
 class Files:
-    """The frames of one step. The last frame is held back until `close` tells what its record says of the step."""
+    """The frames of one step. The last frame is held back until `close` tells what its label says of the step."""
 
     store: Store
     step: Step
@@ -87,10 +83,12 @@ class Files:
     """The run's key."""
     count: int
     """How many frames the step has."""
-    known: dict[str, Any]
-    """What every frame's record says of the step: its goal, and the readback before its frames."""
-    frames: list[dict[str, Any]] = field(default_factory=list)
-    written: list[Future[Written]] = field(default_factory=list)
+    pose: Pose | None = None
+    """What the encoders read before the frames; None for a dark."""
+    pose_time_s: float | None = None
+    frames: list[FrameRecord] = field(default_factory=list)
+    """What the journal will say of them, but for their files."""
+    written: list[Future[FrameFile]] = field(default_factory=list)
     _last: Frame | None = None
     _numbers: Counter[str] = field(default_factory=Counter)
 
@@ -100,42 +98,36 @@ class Files:
         self._numbers[slug] += 1
         suffix = ".dng" if frame.file is None else frame.file.suffix.lower()
         name = f"{self.step.index:06d}-{slug}-{self._numbers[slug]:02d}{suffix}"
-        self.frames.append(
-            {
-                "file": name,
-                "band": band,
-                "exposure_s": frame.exposure_s,
-                "time_s": float(frame.time_s),
-                "lamp": lamp,
-            }
-        )
+        self.frames.append(FrameRecord(name, band, frame.exposure_s, float(frame.time_s), lamp))
         self._last = frame
 
-    def close(self, event: dict[str, Any]) -> None:
-        """Write the last frame, with the step's event in its record."""
-        self._put(event)
+    def close(self, record: StepRecord) -> None:
+        """Write the last frame, with the step's record in its label."""
+        self._put(record)
 
-    def _put(self, event: dict[str, Any] | None) -> None:
+    def _put(self, record: StepRecord | None) -> None:
         frame, self._last = self._last, None
         if frame is None:
             return
-        entry, number, before = self.frames[-1], len(self.frames), list(zip(self.frames, self.written, strict=False))
+        last, number, before = self.frames[-1], len(self.frames), list(zip(self.frames, self.written, strict=False))
+        step, pose, pose_time_s = self.step, self.pose, self.pose_time_s
+        goal = step.pose if pose is not None else None
 
-        def record() -> dict[str, Any]:
-            step = {"step": self.step.index, "kind": self.step.kind, "point": self.step.point}
-            out = {"format": FORMAT, "run": self.run, **step, "frame": number, "of": self.count, **entry, **self.known}
-            if event is not None:
-                every = [{**done, **file.result()} for done, file in before]
-                out["event"] = {**event, "frames": [*every, entry]}
-            return out
+        def label() -> FrameLabel:
+            whole = record
+            if whole is not None:
+                whole = replace(whole, frames=(*(done.stored(file.result()) for done, file in before), last))
+            return FrameLabel(
+                self.run, step.index, step.kind, step.point, number, self.count, last, goal, pose, pose_time_s, whole
+            )
 
-        self.written.append(self.store.put(frame, entry["file"], record))
+        self.written.append(self.store.put(frame, last.file, label))
 
 
-def record_of(path: Path, data: bytes) -> dict[str, Any] | None:
+def label_of(path: Path, data: bytes) -> FrameLabel | None:
     """What the frame with these bytes says of itself; None where it says nothing.
 
-    The record of a camera's own file lies beside it, and counts where the frame is the one that it was written for.
+    The label of a camera's own file lies beside it, and counts where the frame is the one that it was written for.
     """
     text = read_record(data)
     found = _parsed(text)
@@ -144,15 +136,14 @@ def record_of(path: Path, data: bytes) -> dict[str, Any] | None:
             found = _parsed(path.with_name(path.name + BESIDE).read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError):
             return None
-    return found if found is not None and found.get("file") == path.name else None
+    return found if found is not None and found.frame.file == path.name else None
 
 
-def _parsed(text: str) -> dict[str, Any] | None:
+def _parsed(text: str) -> FrameLabel | None:
     try:
-        found = json.loads(text)
-    except (ValueError, RecursionError):
+        return FrameLabel.from_json(json.loads(text))
+    except (ValueError, RecursionError, DataError):
         return None
-    return found if isinstance(found, dict) and found.get("format") == FORMAT else None
 
 
 def slugs(bands: tuple[Band, ...]) -> dict[str, str]:

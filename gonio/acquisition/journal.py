@@ -21,9 +21,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self, overload
 
+from gonio.acquisition.records import Json
 from gonio.errors import ConfigError, DataError
 
-Event = dict[str, Any]
+Event = Json
+"""A line: its `event` says what kind it is. Those of steps are `gonio.acquisition.records.StepRecord`."""
 
 MARK = b',"crc":"'
 
@@ -52,7 +54,7 @@ class Events(Sequence[Event]):
     """The events of a journal, in order. They are read from the file when they are asked for: a long run's are many."""
 
     def __init__(self, path: Path, starts: array[int]) -> None:
-        self._path, self._starts = path, starts
+        self.path, self._starts = path, starts
 
     def __len__(self) -> int:
         return len(self._starts)
@@ -89,9 +91,9 @@ class Events(Sequence[Event]):
 
     def _open(self) -> BinaryIO:
         try:
-            return self._path.open("rb")
+            return self.path.open("rb")
         except OSError as error:
-            raise DataError(f"{self._path}: cannot be read: {error.strerror}") from None
+            raise DataError(f"{self.path}: cannot be read: {error.strerror}") from None
 
 
 def _event(line: bytes) -> Event:
@@ -129,7 +131,7 @@ def _scan(path: Path) -> tuple[array[int], int]:
     return starts, good
 
 
-def read_events(path: Path) -> Sequence[Event]:
+def read_events(path: Path) -> Events:
     """The events of a journal, without a torn last line; none where there is no file.
 
     Raises
@@ -140,7 +142,7 @@ def read_events(path: Path) -> Sequence[Event]:
     try:
         return Events(path, _scan(path)[0])
     except FileNotFoundError:
-        return []
+        return Events(path, array("q"))
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from None
 

@@ -9,22 +9,22 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
-import signal
-import threading
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
-from types import FrameType, TracebackType
-from typing import Any, Protocol, Self
+from types import TracebackType
+from typing import Self
 
 from gonio import __version__
 from gonio.acquisition import exposure
-from gonio.acquisition.frame_writer import Files, Store, Written, slugs
-from gonio.acquisition.journal import Event
+from gonio.acquisition.frame_writer import Files, Store, slugs
+from gonio.acquisition.progress import Live, Progress
+from gonio.acquisition.records import FrameFile, StepRecord
 from gonio.acquisition.run import Run
+from gonio.acquisition.stop import Stop
 from gonio.errors import DeviceError, Disturbed, Interrupted
 from gonio.rig import Frame, Pose, Rig, Step, Target
 from gonio.rig.description import Band
@@ -39,96 +39,6 @@ MOVED_STEPS = 2.5
 """An axis has moved where its readbacks before and after the frames differ by more steps: encoders flicker by one."""
 MOVED_DEG = 0.01
 """The same, for an axis whose encoder has no steps."""
-
-
-@dataclass(frozen=True, slots=True)
-class Live:
-    """What has just been measured, for a person who watches."""
-
-    step: Step
-    angles_deg: tuple[float, float, float, float] | None
-    """theta_i, phi_i, theta_r, phi_r of a point."""
-    level: float
-    """Of the brightest used pixel, as a fraction of full scale."""
-    exposure_s: float
-    flag: str
-
-
-class Progress(Protocol):
-    """Somebody who watches a measurement."""
-
-    def start(self, steps: int, done: int) -> None:
-        """Before the first step: how many steps the run has, and how many are done."""
-
-    def step(self, live: Live) -> None:
-        """After every step."""
-
-    def paused(self) -> contextlib.AbstractContextManager[None]:
-        """While the rig may talk to the user."""
-
-    def say(self, text: str) -> None:
-        """Something happened."""
-
-
-class Stop:
-    """What SIGINT, SIGTERM and SIGHUP ask for while it is entered: once to finish the step, twice to stop at once.
-
-    Enter it around the rig's own context. The second signal raises `Interrupted`, wherever the program is; what comes
-    later does nothing.
-
-    Parameters
-    ----------
-    progress
-        Who is told.
-    last
-        The process ends after this: where it was left by an error no signal is heard any more.
-    """
-
-    SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
-    def __init__(self, progress: Progress, *, last: bool = False) -> None:
-        self.requested = 0
-        self._progress, self._last = progress, last
-        self._held = self._raised = False
-        self._before: dict[signal.Signals, Any] = {}
-
-    def __enter__(self) -> Self:
-        if threading.current_thread() is threading.main_thread():
-            wanted = list(self.SIGNALS)
-            if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # under nohup a lost terminal means nothing
-                wanted.remove(signal.SIGHUP)
-            self._before = {number: signal.signal(number, self._request) for number in wanted}
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for number, before in self._before.items():
-            signal.signal(number, signal.SIG_IGN if self._last and error is not None else before)
-
-    @contextlib.contextmanager
-    def held(self) -> Iterator[None]:
-        """Meanwhile signals are counted, and raise nothing; whoever holds them looks at `requested` afterwards."""
-        self._held = True
-        try:
-            yield
-        finally:
-            self._raised = self.requested > 1
-            self._held = False
-
-    def _request(self, number: int, frame: FrameType | None) -> None:
-        self.requested += 1
-        if self._held:
-            return
-        if self.requested == 1:
-            self._held = True  # a second signal must not tear the start of the thread
-            # from a thread: the signal may have come in the middle of a line that is being printed
-            text = "finishing this step, then parking; once more stops every axis at once"
-            threading.Thread(target=self._progress.say, args=(text,)).start()
-            self._held = False
-        if self.requested > 1 and not self._raised:
-            self._raised = True
-            raise Interrupted("stopped at once, in the middle of a step")
 
 
 def measure(rig: Rig, run: Run, steps: Sequence[Step], progress: Progress, stop: Stop) -> None:
@@ -201,18 +111,21 @@ def _fresh(steps: Sequence[Step], done: set[int]) -> list[Step]:
     return [Step(number + k, step.kind, pose=step.pose) for k, step in enumerate(again)]
 
 
-def _readback(pose: Pose, time_s: float) -> dict[str, Any]:
-    """What the encoders read, and when."""
-    return {"pose": asdict(pose), "pose_time_s": time_s}
+@dataclass(frozen=True, slots=True)
+class _Readback:
+    """What the encoders read, and when [s]."""
+
+    pose: Pose
+    time_s: float
 
 
 @dataclass(slots=True)
 class _Taken:
     """A step whose frames are on their way to the disk."""
 
-    event: Event
+    record: StepRecord
     """Its frames without what their files are."""
-    files: list[Future[Written]]
+    files: list[Future[FrameFile]]
     live: Live
 
 
@@ -228,15 +141,15 @@ class _Session:
         self._store = Store(run.path / "frames")
         self._names = slugs(run.bands)
         self._done = run.steps()
-        self._last: Event | None = None
+        self._last: StepRecord | None = None
         """The last point of this sitting that has frames."""
-        self._reference = next((e for e in self._done if e["kind"] == "reference" and not e["flag"]), None)
+        self._reference = next((s for s in self._done if s.kind == "reference" and not s.flag), None)
         self._angles = run.points.angles_deg
         self._last_s = -math.inf
         """When the last frame that counts was taken."""
         if not rig.repeatable and self._done:
             latest = self._done.latest()
-            self._last_s = max((float(frame["time_s"]) for frame in latest["frames"]), default=float(latest["time_s"]))
+            self._last_s = max((float(frame.time_s) for frame in latest.frames), default=float(latest.time_s))
         self._resumed = math.isfinite(self._last_s)
 
     def __enter__(self) -> Self:
@@ -251,10 +164,10 @@ class _Session:
         """Take a step; journal the one before it, whose frames were being written meanwhile."""
         self._rig.begin(step)
         taken = self._dark(step) if step.kind == "dark" else self._lit_step(step)
-        if step.kind == "reference" and not taken.event["flag"]:
-            self._reference = min(self._reference or taken.event, taken.event, key=lambda event: int(event["step"]))
-        if step.kind == "point" and taken.event["frames"]:
-            self._last = taken.event
+        if step.kind == "reference" and not taken.record.flag:
+            self._reference = min(self._reference or taken.record, taken.record, key=lambda record: record.step)
+        if step.kind == "point" and taken.record.frames:
+            self._last = taken.record
         self._pending.append(taken)
         while len(self._pending) > 1:
             self._write(self._pending.popleft())
@@ -265,20 +178,21 @@ class _Session:
             self._write(self._pending.popleft())
 
     def _write(self, taken: _Taken) -> None:
-        frames = [{**frame, **file.result()} for frame, file in zip(taken.event["frames"], taken.files, strict=True)]
+        pairs = zip(taken.record.frames, taken.files, strict=True)
+        frames = tuple(frame.stored(file.result()) for frame, file in pairs)
         self._store.sync()
-        self._run.append({**taken.event, "frames": frames})
+        self._run.append(replace(taken.record, frames=frames).to_json())
         self._progress.step(taken.live)
 
     def _dark(self, step: Step) -> _Taken:
         self._darken()
         exposures, number = exposure.dark_exposures_s(self._description), self._description.acquisition.dark_frames
-        files = Files(self._store, step, self._run.key, len(exposures) * number, {})
+        files = Files(self._store, step, self._run.key, len(exposures) * number)
         for exposure_s in exposures:
             for _ in range(number):
                 files.keep(self._capture(exposure_s), "dark", "", lamp=False)
         pose = self._rig.arms.read()
-        return self._taken(step, pose, _readback(pose, self._rig.time_s()), files, "", 0.0)
+        return self._taken(step, pose, _Readback(pose, self._rig.time_s()), files, "", 0.0)
 
     def _lit_step(self, step: Step) -> _Taken:
         target: Target = "reference" if step.kind == "reference" else "sample"
@@ -291,26 +205,26 @@ class _Session:
                 self._last_s = before_s
                 then = "it is taken again" if attempt < ATTEMPTS else 'it is flagged "moved"'
                 log.warning("step %d: %s; %s", step.index, disturbed, then)
-        readback = _readback(self._rig.arms.read(), self._rig.time_s())
+        readback = _Readback(self._rig.arms.read(), self._rig.time_s())
         return self._taken(step, step.pose, readback, None, "moved", 0.0)
 
     def _exposed(self, step: Step, target: Target) -> _Taken:
         """Move, and take the frames of every band; raises `Disturbed` where an axis did not stand still meanwhile."""
         pose = self._rig.arms.move(step.pose)
-        readback = _readback(pose, self._rig.time_s())
+        readback = _Readback(pose, self._rig.time_s())
         seen = view(self._description, pose)
         if seen.camera_mm[2] <= 0.0 or seen.source_mm[2] <= 0.0:
             return self._taken(step, step.pose, readback, None, "below_horizon", 0.0)
         levels, brightest = {}, 0.0
         count = len(self._run.bands) * (self._frames(step) + (step.kind == "point"))
-        files = Files(self._store, step, self._run.key, count, {"goal": asdict(step.pose), **readback})
+        files = Files(self._store, step, self._run.key, count, readback.pose, readback.time_s)
         for band in self._run.bands:
             levels[band.name], level = self._band(step, seen, target, band, files)
             brightest = max(brightest, level)
         after = self._rig.arms.read()
-        readback |= {"pose_after": asdict(after), "pose_after_time_s": self._rig.time_s(), "level_per_s": levels}
+        later = _Readback(after, self._rig.time_s())
         self._require_still(pose, after)
-        return self._taken(step, step.pose, readback, files, "", brightest)
+        return self._taken(step, step.pose, readback, files, "", brightest, later, levels)
 
     def _frames(self, step: Step) -> int:
         """How many equal frames a step has in a band."""
@@ -366,15 +280,15 @@ class _Session:
             files.keep(frame, slug, band.name, lamp=True)
         return found.level_per_s, level
 
-    def _before(self, step: Step, band: Band) -> Event | None:
+    def _before(self, step: Step, band: Band) -> StepRecord | None:
         """The last point before a step in the schedule that has frames of a band."""
         at = bisect_left(self._done.numbers, step.index)
         for k in range(at - 1, -1, -1):
-            event = self._done[k]
-            if self._last is not None and self._last["step"] > event["step"]:
+            record = self._done[k]
+            if self._last is not None and self._last.step > record.step:
                 break
-            if event["kind"] == "point" and any(frame["band"] == band.name for frame in event["frames"]):
-                return event
+            if record.kind == "point" and any(frame.band == band.name for frame in record.frames):
+                return record
         return self._last
 
     def _expected(self, step: Step, band: Band) -> float:
@@ -387,35 +301,46 @@ class _Session:
         cosine = exposure.cosine_of_incidence(step.pose)
         before = self._before(step, band) if step.kind == "point" else None
         if before is not None:
-            exposure_s: float = max(frame["exposure_s"] for frame in before["frames"] if frame["band"] == band.name)
-            ratio = cosine / exposure.cosine_of_incidence(Pose(**before["goal"]))
+            exposure_s = max(frame.exposure_s for frame in before.frames if frame.band == band.name)
+            ratio = cosine / exposure.cosine_of_incidence(before.goal)
             return self._description.acquisition.exposure_target / exposure_s * ratio
-        if self._reference is None or int(self._reference["step"]) >= step.index:
+        if self._reference is None or self._reference.step >= step.index or self._reference.level_per_s is None:
             return exposure.expected_level_per_s(self._description, step.pose, 1.0)
-        ratio = cosine / exposure.cosine_of_incidence(Pose(**self._reference["goal"]))
-        return max(float(self._reference["level_per_s"][band.name]), 1e-6) * ratio
+        ratio = cosine / exposure.cosine_of_incidence(self._reference.goal)
+        return max(float(self._reference.level_per_s[band.name]), 1e-6) * ratio
 
     def _taken(
-        self, step: Step, goal: Pose, readback: dict[str, Any], files: Files | None, flag: str, level: float
+        self,
+        step: Step,
+        goal: Pose,
+        readback: _Readback,
+        files: Files | None,
+        flag: str,
+        level: float,
+        after: _Readback | None = None,
+        levels_per_s: dict[str, float] | None = None,
     ) -> _Taken:
-        frames = files.frames if files is not None else []
-        event = {
-            "event": "step",
-            "step": step.index,
-            "kind": step.kind,
-            "point": step.point,
-            "time_s": frames[0]["time_s"] if frames else self._rig.time_s(),
-            "goal": asdict(goal),
-            **readback,
-            "flag": flag,
-            "frames": frames,
-        }
+        frames = tuple(files.frames) if files is not None else ()
+        record = StepRecord(
+            step=step.index,
+            kind=step.kind,
+            point=step.point,
+            time_s=frames[0].time_s if frames else self._rig.time_s(),
+            goal=goal,
+            pose=readback.pose,
+            pose_time_s=readback.time_s,
+            flag=flag,
+            frames=frames,
+            pose_after=after.pose if after is not None else None,
+            pose_after_time_s=after.time_s if after is not None else None,
+            level_per_s=levels_per_s,
+        )
         if files is not None:
-            files.close(event)
+            files.close(record)
         angles = None if step.point is None else tuple(map(float, self._angles[step.point]))
-        exposure_s = max((frame["exposure_s"] for frame in frames), default=0.0)
+        exposure_s = max((frame.exposure_s for frame in frames), default=0.0)
         live = Live(step, angles, level, exposure_s, flag)  # type: ignore[arg-type]
-        return _Taken(event, files.written if files is not None else [], live)
+        return _Taken(record, files.written if files is not None else [], live)
 
     def _present(self, target: Target) -> None:
         if target != self._target:
@@ -451,25 +376,3 @@ def _remarks(run: Run, progress: Progress) -> Iterator[None]:
         yield
     finally:
         log.removeHandler(handler)
-
-
-@contextlib.contextmanager
-def _nothing() -> Iterator[None]:
-    yield
-
-
-class Silent:
-    """Nobody watches."""
-
-    def start(self, steps: int, done: int) -> None:
-        """Nothing."""
-
-    def step(self, live: Live) -> None:
-        """Nothing."""
-
-    def paused(self) -> contextlib.AbstractContextManager[None]:
-        """Nothing."""
-        return _nothing()
-
-    def say(self, text: str) -> None:
-        """Nothing."""

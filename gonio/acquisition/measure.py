@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gonio import plugins
-from gonio.acquisition.plan import Assessed, Plan, schedule
+from gonio.acquisition.plan import Assessed, Plan
+from gonio.acquisition.schedule import schedule
 from gonio.config import load, parse
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig.description import RigDescription, SampleDescription
@@ -19,7 +20,7 @@ from gonio.rig.description import RigDescription, SampleDescription
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from gonio.acquisition.loop import Progress
+    from gonio.acquisition.progress import Progress
     from gonio.acquisition.run import Run
     from gonio.rig import Pose, Rig, RigPlugin, Step, Target
 
@@ -45,7 +46,7 @@ class RigChoice:
             raise
 
     def schedule(self, plan: Plan, points: list[Assessed] | None = None) -> list[Step]:
-        """The steps of a run, see `gonio.acquisition.plan.schedule`, of which every patch that is measured lies in
+        """The steps of a run, see `gonio.acquisition.schedule.schedule`, of which every patch that is measured lies in
         the frame.
 
         Raises
@@ -158,9 +159,13 @@ def carry_out(
     GonioError
         See `gonio.acquisition.loop.measure`, `Run.create`, `Run.resume` and the rig's own documentation.
     """
-    from gonio.acquisition.loop import Silent, Stop, measure
-    from gonio.acquisition.plan import going_on
-    from gonio.acquisition.run import Request, Run, begun
+    from gonio.acquisition.loop import measure
+    from gonio.acquisition.progress import Silent
+    from gonio.acquisition.run import Run
+    from gonio.acquisition.run_folder import begun
+    from gonio.acquisition.run_settings import Request
+    from gonio.acquisition.schedule import going_on
+    from gonio.acquisition.stop import Stop
 
     out = Path(out)
     progress = progress or Silent()
@@ -210,7 +215,7 @@ def check(
 
 def _open(rig: RigChoice, out: Path, sample: SampleDescription | None, seed: int, resume: bool, yes: bool) -> Rig:
     """The rig, built but not entered, after every check that needs no device."""
-    from gonio.acquisition.run import begun, check_new, check_writable
+    from gonio.acquisition.run_folder import begun, check_new, check_writable
 
     attended = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
     device = rig.open(sample=sample, seed=seed, confirm=attended and not yes)

@@ -12,17 +12,17 @@ import io
 import json
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, overload
+from typing import Annotated
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from gonio.config import Strict, parse, read_toml
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
-from gonio.rig import Pose, Step
+from gonio.rig import Pose
 from gonio.rig.description import Band, Positive, RigDescription
 from gonio.rig.kinematics import Unreachable, reach
 
@@ -31,8 +31,6 @@ MAX_POINTS = 1_000_000
 SAME_DEG = 1e-7
 """Points closer than this in every angle [deg] are one point: above rounding, and far below an encoder's step."""
 GRAZING_DEG = 1e-6
-EXPECTED_ALBEDO = 0.5
-"""What time estimates take the sample for."""
 
 Angle = Annotated[float, Field(strict=True)]
 """A number [deg]: neither a truth value nor text that looks like one."""
@@ -289,7 +287,7 @@ def _points_of(path: Path, lines: csv.DictReader[str]) -> list[Point]:
                     f"{path}: line {lines.line_num}: {name} = {row[name]!r}; "
                     f"allowed are numbers from {-limit:g} to {limit:g}"
                 )
-        points.append(_canonical(*values.values()))
+        points.append(canonical(*values.values()))
     if not points:
         raise ConfigError(f"{path}: holds no points")
     return points
@@ -310,150 +308,19 @@ def assess(plan: Plan, description: RigDescription) -> list[Assessed]:
     return out
 
 
-def reference_pose(description: RigDescription) -> Pose:
-    """The pose for visits to the white reference.
-
-    Raises
-    ------
-    ConfigError
-        The rig cannot reach the geometry that its own file asks for.
-    """
-    reference = description.reference
-    point = _canonical(reference.theta_i_deg, 0.0, reference.theta_r_deg, 180.0)
-    try:
-        return reach(description, point.directions)
-    except Unreachable as error:
-        raise ConfigError(
-            f'rig "{description.name}": [reference] theta_i_deg = {reference.theta_i_deg:g}, '
-            f"theta_r_deg = {reference.theta_r_deg:g} cannot be reached: {error}"
-        ) from None
-
-
-def schedule(plan: Plan, description: RigDescription, points: list[Assessed] | None = None) -> list[Step]:
-    """The numbered steps of a run: darks, a reference visit, points with a visit every `reference.every`, a last visit.
-
-    Parameters
-    ----------
-    plan, description
-        What to measure, and on which rig.
-    points : list of Assessed, optional
-        What `assess` made of them, where it has been called already.
-
-    Raises
-    ------
-    ConfigError
-        No point can be reached, or the reference cannot.
-    """
-    points = assess(plan, description) if points is None else points
-    reachable = {row: a.pose for row, a in enumerate(points) if a.pose is not None}
-    if not reachable:
-        reasons = "".join(f"\n  {count} {flag}: {cause}" for (flag, cause), count in count_reasons(points)[:3])
-        raise ConfigError(f'{plan.source}: no point can be reached on the rig "{description.name}":{reasons}')
-    return list(Schedule(description, list(reachable), lambda row: reachable[row]))
-
-
-class Schedule(Sequence[Step]):
-    """The steps of a run by their numbers, made when they are asked for.
-
-    Parameters
-    ----------
-    description
-        The rig.
-    rows
-        The points that it can reach, as rows of the plan.
-    pose
-        The pose of such a point.
-
-    Raises
-    ------
-    ConfigError
-        The reference cannot be reached.
-    """
-
-    def __init__(self, description: RigDescription, rows: Sequence[int], pose: Callable[[int], Pose]) -> None:
-        self._rows, self._pose = rows, pose
-        self._at_reference = reference_pose(description)
-        self._every = description.reference.every or len(rows)
-
-    def __len__(self) -> int:
-        return 2 + len(self._rows) + -(-len(self._rows) // self._every)
-
-    @overload
-    def __getitem__(self, at: int) -> Step: ...
-    @overload
-    def __getitem__(self, at: slice) -> list[Step]: ...
-    def __getitem__(self, at: int | slice) -> Step | list[Step]:
-        if isinstance(at, slice):
-            return [self[number] for number in range(len(self))[at]]
-        number = range(len(self))[at]
-        if number == 0:
-            return Step(0, "dark")
-        group, place = divmod(number - 2, self._every + 1)
-        if number == 1 or place == self._every or number == len(self) - 1:
-            return Step(number, "reference", pose=self._at_reference)
-        row = self._rows[group * self._every + place]
-        return Step(number, "point", row, self._pose(row))
-
-
-def going_on(plan: Plan, description: RigDescription, flags: Sequence[str]) -> Schedule:
-    """The schedule of a run that has begun; poses are sought for the steps that are asked for alone.
-
-    Parameters
-    ----------
-    plan, description
-        What is measured, and on which rig.
-    flags
-        Of each point: "", or why it cannot be measured, as `assess` found when the run began.
-    """
-    rows = [row for row, flag in enumerate(flags) if not flag]
-    return Schedule(description, rows, lambda row: reach(description, plan.points[row].directions))
-
-
 def count_reasons(points: list[Assessed]) -> list[tuple[tuple[str, str], int]]:
     """How many points are not measured for which (flag, cause), the most frequent first."""
     return Counter((a.flag, a.cause) for a in points if a.pose is None).most_common()
 
 
-def estimate_s(steps: list[Step], description: RigDescription, bands: int) -> float:
-    """How long a run takes [s] on the rig's own clock, for a matt sample of albedo 0.5, prompts and settling apart."""
-    from gonio.acquisition.exposure import dark_exposures_s, expected_exposure_s
-
-    camera, acquisition = description.camera, description.acquisition
-    frame = camera.frame_overhead_s
-    total, here = description.lamp.warm_up_s, Pose()
-    for step in steps:
-        if step.kind == "dark":
-            total += sum(acquisition.dark_frames * (t + frame) for t in dark_exposures_s(description))
-            continue
-        total += _move_s(here, step.pose, description)
-        here = step.pose
-        if step.kind == "reference":
-            exposure = expected_exposure_s(description, step.pose, 1.0)
-            total += bands * (description.reference.frames + 1) * (exposure + frame)
-        else:
-            exposure = expected_exposure_s(description, step.pose, EXPECTED_ALBEDO)
-            total += bands * ((acquisition.frames + 1.25) * exposure + (acquisition.frames + 2) * frame)
-    return total
-
-
-def _move_s(start: Pose, goal: Pose, description: RigDescription) -> float:
-    approach = 2.0 * description.acquisition.approach_deg
-    times = [
-        (math.degrees(abs(getattr(goal, name) - getattr(start, name))) + approach) / axis.speed_deg_per_s
-        for name, axis in description.axes().items()
-        if getattr(goal, name) != getattr(start, name)
-    ]
-    return max(times, default=0.0)
-
-
 def _combinations(sweep: Sweep) -> list[Point]:
     """In plane: a scan of theta_r for each theta_i. Out of plane: for each theta_i and dphi a scan of theta_r."""
     if sweep.dphi_deg is None:
-        return [_canonical(i, 0.0, r, 180.0) for i in sweep.theta_i_deg for r in sweep.theta_r_deg]
-    return [_canonical(i, 0.0, r, d) for i in sweep.theta_i_deg for d in sweep.dphi_deg for r in sweep.theta_r_deg]
+        return [canonical(i, 0.0, r, 180.0) for i in sweep.theta_i_deg for r in sweep.theta_r_deg]
+    return [canonical(i, 0.0, r, d) for i in sweep.theta_i_deg for d in sweep.dphi_deg for r in sweep.theta_r_deg]
 
 
-def _canonical(theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> Point:
+def canonical(theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> Point:
     """Signed angles [deg] to theta in [0, 90] and phi in [0, 360): (-theta, phi) is (theta, phi + 180)."""
     phi_i, phi_r = phi_i + 180.0 * (theta_i < 0), phi_r + 180.0 * (theta_r < 0)
     return Point(abs(theta_i), _turn(phi_i), abs(theta_r), _turn(phi_r))

@@ -11,15 +11,18 @@ import hashlib
 import os
 from array import array
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gonio.acquisition.frame_writer import BESIDE, NAME, record_of
+from gonio.acquisition.frame_writer import BESIDE, NAME, label_of
 from gonio.acquisition.journal import Event, decode, encode, locked, now
-from gonio.acquisition.run import Run, Steps, begun
+from gonio.acquisition.records import FrameFile, FrameRecord, StepRecord
+from gonio.acquisition.run import Run
+from gonio.acquisition.run_folder import begun
+from gonio.acquisition.steps import Steps
 from gonio.disk import half_written, set_aside, write_whole
 from gonio.errors import ConfigError, DataError
 
@@ -100,11 +103,11 @@ def _read(run: Run, steps: Steps, suspects: set[int], out: Found, *, whole: bool
         suspects.discard(number)
         if not (whole or suspect or (room > 0 and count > 0)):
             continue
-        for frame in steps[at]["frames"]:
-            path = run.frame_path(frame["file"])
+        for frame in steps[at].frames:
+            path = run.frame_path(frame.file)
             state = state_of(path, frame)
             if state:
-                out.damaged.setdefault(number, []).append(f"frames/{frame['file']} {state}")
+                out.damaged.setdefault(number, []).append(f"frames/{frame.file} {state}")
             else:
                 room -= path.stat().st_size
             count, done = count - 1, done + 1
@@ -113,14 +116,14 @@ def _read(run: Run, steps: Steps, suspects: set[int], out: Found, *, whole: bool
     out.unchecked = out.frames - done
 
 
-def state_of(path: Path, frame: dict[str, Any]) -> str:
+def state_of(path: Path, frame: FrameRecord) -> str:
     """What is wrong with the file of a frame that the journal names; "" where nothing is."""
     try:
         with path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
-            if "bytes" in frame and size != frame["bytes"]:
-                return f"is damaged: it holds {size} bytes, and was written with {frame['bytes']}"
-            if hashlib.file_digest(file, "sha256").hexdigest() != frame["sha256"]:
+            if frame.bytes is not None and size != frame.bytes:
+                return f"is damaged: it holds {size} bytes, and was written with {frame.bytes}"
+            if hashlib.file_digest(file, "sha256").hexdigest() != frame.sha256:
                 return "is damaged: it was changed after it was written (its checksum differs)"
     except FileNotFoundError:
         return "is missing"
@@ -206,10 +209,10 @@ def drop_orphans(run: Run, found: Found) -> None:
 def _is_of(run: Run, path: Path) -> bool:
     """Whether a frame says of itself that it belongs to a run."""
     try:
-        record = record_of(path, path.read_bytes())
+        label = label_of(path, path.read_bytes())
     except OSError:
         return False
-    return record is not None and record.get("run") == run.key
+    return label is not None and label.run == run.key
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,28 +261,28 @@ def repair(path: str | Path, *, progress: Progress | None = None) -> Repaired | 
         raise ConfigError(f"{run.path}: holds no frames: there is nothing to make a journal from")
     with _held(journal) as before:
         events, torn = _readable(before)
-        records = _Records(run, progress)
-        done: dict[int, Event] = {}
+        frames = _Frames(run, progress)
+        done: dict[int, StepRecord] = {}
         for event in events:
             if event.get("event") == "step":
-                done[int(event["step"])] = event
+                done[int(event["step"])] = StepRecord.from_json(event)
             elif event.get("event") == "lost":
                 for number in event["steps"]:
                     done.pop(int(number), None)
         rebuilt, lost = [], {}
-        for number in sorted({*done, *records.last}):
-            wrong = records.wrong(done[number]) if number in done else []
-            told = records.last.get(number)
-            if (number not in done or wrong) and told is not None and not records.wrong(told):
+        for number in sorted({*done, *frames.told}):
+            wrong = frames.wrong(done[number]) if number in done else []
+            told = frames.told.get(number)
+            if (number not in done or wrong) and told is not None and not frames.wrong(told):
                 rebuilt.append(told)
             elif wrong:
                 lost[number] = wrong
-        numbers = {event["step"] for event in rebuilt}
-        named = {frame["file"] for event in (*done.values(), *rebuilt) for frame in event["frames"]}
-        untold = sorted(name for name in records.names if name not in named)
+        numbers = {step.step for step in rebuilt}
+        named = {frame.file for step in (*done.values(), *rebuilt) for frame in step.frames}
+        untold = sorted(name for name in frames.names if name not in named)
         if not torn and events and not rebuilt and not lost:
             return None
-        new = [*events, *rebuilt]
+        new = [*events, *(step.to_json() for step in rebuilt)]
         if lost:
             what = [text for number in sorted(lost) for text in lost[number]]
             new.append({"event": "lost", "steps": sorted(lost), "frames": what})
@@ -327,12 +330,12 @@ def _keep(journal: Path) -> Path:
     return free
 
 
-class _Records:
+class _Frames:
     """What the frames of a run say, and their checksums."""
 
     def __init__(self, run: Run, progress: Progress | None) -> None:
-        self.last: dict[int, Event] = {}
-        """By step: the event in the record of its last frame."""
+        self.told: dict[int, StepRecord] = {}
+        """By step: what the label of its last frame says of it."""
         self._digests: dict[str, str] = {}
         self._run = run
         files = sorted(entry.name for entry in os.scandir(run.path / "frames") if entry.is_file())
@@ -349,22 +352,21 @@ class _Records:
         except OSError:
             return
         self._digests[name] = hashlib.sha256(data).hexdigest()
-        record = record_of(path, data)
-        if record is None or record.get("run") != self._run.key or "event" not in record:
+        label = label_of(path, data)
+        if label is None or label.run != self._run.key or label.record is None:
             return
-        event: Event = record["event"]
-        frames = [dict(frame) for frame in event["frames"]]
-        frames[-1] |= {"sha256": self._digests[name], "bytes": len(data)}
-        self.last[int(event["step"])] = {**event, "frames": frames}
+        step = label.record
+        last = step.frames[-1].stored(FrameFile(self._digests[name], len(data)))
+        self.told[step.step] = replace(step, frames=(*step.frames[:-1], last))
 
-    def wrong(self, event: Event) -> list[str]:
+    def wrong(self, step: StepRecord) -> list[str]:
         """What is wrong with the frames of a step, a line each."""
         out = []
-        for frame in event["frames"]:
-            digest = self._digests.get(frame["file"])
-            if digest != frame["sha256"]:
-                what = state_of(self._run.frame_path(frame["file"]), frame) or "cannot be read"
-                out.append(f"frames/{frame['file']} {what}")
+        for frame in step.frames:
+            digest = self._digests.get(frame.file)
+            if digest is None or digest != frame.sha256:
+                what = state_of(self._run.frame_path(frame.file), frame) or "cannot be read"
+                out.append(f"frames/{frame.file} {what}")
         return out
 
 

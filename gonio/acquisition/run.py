@@ -14,35 +14,32 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import datetime
 import hashlib
 import json
 import os
-import platform
-import re
 import sys
 import tomllib
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self, overload
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from gonio.acquisition.frame_writer import NAME, record_of
-from gonio.acquisition.journal import Event, Events, Journal, has_lines, read_events
-from gonio.acquisition.plan import ANGLES, Assessed, Plan, assess, points_sha256
-from gonio.config import Strict, parse, to_toml
+from gonio.acquisition.frame_writer import NAME, label_of
+from gonio.acquisition.journal import Event, Events, Journal, read_events
+from gonio.acquisition.plan import ANGLES, Assessed, points_sha256
+from gonio.acquisition.run_folder import OURS, begun, check_new, check_writable, make_folder, remove_begun
+from gonio.acquisition.run_settings import Request, Settings, differences, reference_table, resolved, settings_for
+from gonio.acquisition.steps import Index, Steps
+from gonio.config import parse, to_toml
 from gonio.disk import (
-    MANIFEST,
     Manifest,
     half_written,
-    is_manifest,
     is_own,
     read_manifest,
     require_name,
@@ -52,33 +49,15 @@ from gonio.disk import (
     write_own,
 )
 from gonio.errors import ConfigError, DataError
-from gonio.formats.native import meta_path
 from gonio.rig.description import Band, RigDescription, SampleDescription
 
 if TYPE_CHECKING:
     import pandas as pd
 
-FORMAT = 1
-OURS = ("run.toml", "plan.csv", "journal.jsonl", "frames", "reference.csv", "reference.meta.json", MANIFEST)
 PLAN_COLUMNS = ["point", *ANGLES, "flag", "reason"]
 TABLE = ("brdf.csv", "brdf.meta.json")
 RESTORE = "restore it, or move it away: `gonio measure ... --resume` writes it again"
 RECORDED = ("gonio", "numpy", "scipy", "numba", "pandas", "rawpy")
-
-
-class Header(Strict):
-    """The table [run] of a run.toml."""
-
-    format: int
-    created: str
-    command: str
-    plan: str
-    plan_sha256: str
-    wavelength_nm: tuple[float, ...]
-    bands: tuple[str, ...]
-    rig: str
-    """The entry point that drove it."""
-    seed: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,32 +69,6 @@ class Points:
     flags: list[str]
     """"" for a point that is measured, or why not."""
     reasons: list[str]
-
-
-class Settings(Strict):
-    """A run.toml."""
-
-    run: Header
-    versions: dict[str, str]
-    rig: RigDescription
-    sample: SampleDescription | None = None
-
-
-@dataclass(frozen=True)
-class Request:
-    """What a run is asked to be."""
-
-    plan: Plan
-    description: RigDescription
-    sample: SampleDescription | None
-    seed: int
-    command: str
-    """The command line, for the record."""
-
-    @cached_property
-    def points(self) -> list[Assessed]:
-        """The plan's points, as `description` sees them: a second for ten thousand."""
-        return assess(self.plan, self.description)
 
 
 @dataclass
@@ -130,7 +83,7 @@ class Run:
     unchecked: int = 0
     """Of how many frames only the size was looked at then."""
     _index: Index | None = None
-    _closed: Sequence[Event] | None = None
+    _closed: Events | None = None
     """The events of a run that was written by this object, and is closed."""
 
     @classmethod
@@ -144,7 +97,7 @@ class Run:
         """
         path = Path(path)
         check_new(path)
-        made = _make_folder(path)
+        made = make_folder(path)
         journal = None
         try:
             journal = Journal(path / "journal.jsonl")
@@ -152,8 +105,8 @@ class Run:
             for left in [entry for entry in path.iterdir() if half_written(entry.name, OURS)]:
                 left.unlink()
             (path / "frames").mkdir(exist_ok=True)
-            reference, description = _reference_table(request.description)
-            settings = _settings(request, description)
+            reference, description = reference_table(request.description)
+            settings = settings_for(request, description)
             plan = _plan_csv(request.points).encode()
             toml = to_toml(settings.model_dump(mode="json", exclude_none=True)).encode()
             write_own(path, reference | {"plan.csv": plan, "run.toml": toml})
@@ -161,7 +114,7 @@ class Run:
         except BaseException as error:
             if journal is not None:
                 if not len(journal.events):  # nothing has happened in it
-                    _remove_begun(path)
+                    remove_begun(path)
                 journal.close()
             for folder in reversed(made):
                 with contextlib.suppress(OSError):
@@ -169,7 +122,7 @@ class Run:
             if isinstance(error, OSError):
                 raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
             raise
-        return cls(path, _resolved(settings, path), journal)
+        return cls(path, resolved(settings, path), journal)
 
     @classmethod
     def resume(cls, path: str | Path, request: Request) -> Run:
@@ -195,7 +148,7 @@ class Run:
         run = cls.open(path)
         run.journal = Journal(path / "journal.jsonl")
         try:
-            differing = _differences(run.settings, _settings(request, request.description))
+            differing = differences(run.settings, settings_for(request, request.description))
             if differing:
                 raise ConfigError(
                     f"{path}: this run was begun with something else, so it cannot be resumed:\n"
@@ -244,7 +197,7 @@ class Run:
             settings = parse(Settings, values, path / "run.toml")
         except ConfigError as error:
             raise DataError(str(error)) from None
-        return cls(path, _resolved(settings, path))
+        return cls(path, resolved(settings, path))
 
     @property
     def description(self) -> RigDescription:
@@ -309,7 +262,7 @@ class Run:
             raise DataError(f"{path}: does not hold the points that the run was begun with; {RESTORE}")
         return Points(table, flags, reasons)
 
-    def events(self) -> Sequence[Event]:
+    def events(self) -> Events:
         """Every event so far, without a torn last line; `DataError` where the journal is damaged before that."""
         if self.journal is not None:
             return self.journal.events
@@ -390,69 +343,6 @@ class Run:
             self._closed, self.journal = self.journal.events, None
 
 
-class Index:
-    """Which line of a journal holds which step, in a few bytes a step."""
-
-    def __init__(self) -> None:
-        self.lines: dict[int, int] = {}
-        """Number of a step: number of its line."""
-        self._seen = 0
-
-    def go_on(self, events: Sequence[Event]) -> None:
-        """Read the events that were not there before."""
-        if isinstance(events, Events):
-            for at, line in enumerate(events.lines(range(self._seen, len(events))), self._seen):
-                found = _STEP.match(line)
-                if found is not None and found[2] is not None:
-                    self.lines[int(found[2])] = at
-                elif found is None or found[1] in (b"step", b"lost"):
-                    self._note(at, json.loads(line))
-        self._seen = len(events)
-
-    def _note(self, at: int, event: Event) -> None:
-        if event.get("event") == "step":
-            self.lines[int(event["step"])] = at
-        elif event.get("event") == "lost":
-            for number in event["steps"]:
-                self.lines.pop(int(number), None)
-
-
-_STEP = re.compile(rb'\{"n":\d+,"event":"(\w+)"(?:,"step":(\d+),"kind":)?')
-"""How a line begins, as `gonio.acquisition.loop` writes it."""
-
-
-class Steps(Sequence[Event]):
-    """The events of the steps that are done, by their numbers; read when they are asked for, as `Events` are."""
-
-    def __init__(self, events: Sequence[Event], index: Index) -> None:
-        self._events = events
-        self.numbers = sorted(index.lines)
-        self._lines = [index.lines[number] for number in self.numbers]
-
-    def __len__(self) -> int:
-        return len(self.numbers)
-
-    @overload
-    def __getitem__(self, at: int) -> Event: ...
-    @overload
-    def __getitem__(self, at: slice) -> list[Event]: ...
-    def __getitem__(self, at: int | slice) -> Event | list[Event]:
-        if isinstance(at, slice):
-            return [self._events[line] for line in self._lines[at]]
-        return self._events[self._lines[at]]
-
-    def __iter__(self) -> Iterator[Event]:
-        return map(json.loads, self.raw())
-
-    def latest(self) -> Event:
-        """The one that was written last."""
-        return self._events[max(self._lines)]
-
-    def raw(self) -> Iterator[bytes]:
-        """Their lines, as they lie in the journal."""
-        return self._events.lines(self._lines) if isinstance(self._events, Events) else iter(())
-
-
 def own_files(path: Path) -> Manifest:
     """What the program wrote into the folder of a run: beside what the manifest names the journal, the frames that it
     names, and those that say themselves that they are of this run.
@@ -463,164 +353,15 @@ def own_files(path: Path) -> Manifest:
     with contextlib.suppress(DataError, ConfigError, OSError):
         run = Run.open(path)
         for step in run.steps():
-            out |= {f"frames/{frame['file']}": {frame["sha256"]} for frame in step["frames"]}
+            out |= {f"frames/{frame.file}": {frame.sha256} for frame in step.frames if frame.sha256 is not None}
         if (path / "journal.jsonl").is_file():
             out["journal.jsonl"] = {sha256_of(path / "journal.jsonl")}
         for file in (path / "frames").iterdir():
             if f"frames/{file.name}" not in out and NAME.fullmatch(file.name) and file.is_file():
-                record = record_of(file, file.read_bytes())
-                if record is not None and record.get("run") == run.key:
+                label = label_of(file, file.read_bytes())
+                if label is not None and label.run == run.key:
                     out[f"frames/{file.name}"] = {sha256_of(file)}
     return out
-
-
-def begun(path: Path) -> bool:
-    """Whether a folder's journal begins with a complete line (`DataError` where it cannot be read)."""
-    require_name(path)
-    return has_lines(path / "journal.jsonl")
-
-
-def check_new(path: Path) -> None:
-    """Raise `ConfigError` where a run cannot be started in a folder, `DataError` where its journal was lost; touches
-    nothing.
-
-    A run is started in an absent or empty folder, or in one that holds nothing but what a run that was never begun
-    left there: no other file is removed or replaced.
-    """
-    require_name(path)
-    if path.exists() and not path.is_dir():
-        raise ConfigError(f"{path}: is not a folder")
-    if path.is_dir():
-        try:
-            _check_holds_nothing(path)
-        except OSError as error:
-            raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    check_writable(path)
-
-
-def _check_holds_nothing(path: Path) -> None:
-    if begun(path):
-        raise _needs_resume(path)
-    if (path / "journal.jsonl").is_file():
-        read_events(path / "journal.jsonl")  # damaged in its first line, or somebody else's
-    own, foreign = read_manifest(path), []
-    for entry in sorted(path.iterdir(), key=lambda entry: (entry.name != "frames", entry.name)):
-        name = entry.name
-        if name == "frames" and entry.is_dir() and not entry.is_symlink():
-            inside = sorted(file.name for file in entry.iterdir() if not half_written(file.name, NAME))
-            if any(NAME.fullmatch(file) for file in inside):
-                raise DataError(
-                    f"{path}: holds {len(inside)} frames, and no journal that says what they are; "
-                    f"`gonio run repair {path}` makes it again from what the frames carry"
-                )
-            foreign += [f"frames/{file}" for file in inside]
-        elif entry.is_symlink() or not entry.is_file() or not _left(entry, own):
-            foreign.append(name)
-    if foreign:
-        shown = ", ".join(f'"{name}"' for name in foreign[:5]) + (" ..." if len(foreign) > 5 else "")
-        raise ConfigError(
-            f"{path}: is not empty (it holds {shown}), and what this program did not write it leaves alone; "
-            "a run needs a folder of its own"
-        )
-
-
-def _left(file: Path, own: Manifest) -> bool:
-    """Whether a file is one that a run which never began may leave; of a journal this was looked at before."""
-    if file.name == MANIFEST:
-        return is_manifest(file)
-    return file.name == "journal.jsonl" or half_written(file.name, OURS) or is_own(file, own.get(file.name, ()))
-
-
-def _remove_begun(path: Path) -> None:
-    """Remove what `Run.create` has written, and nothing else."""
-    own = read_manifest(path)
-    for name in (*own, "journal.jsonl"):
-        with contextlib.suppress(OSError):
-            if name == "journal.jsonl" or is_own(path / name, own[name]):
-                (path / name).unlink()
-    for left in path.iterdir():
-        if left.name == MANIFEST or half_written(left.name, OURS):
-            left.unlink(missing_ok=True)
-    with contextlib.suppress(OSError):
-        (path / "frames").rmdir()
-
-
-def check_writable(path: Path) -> None:
-    """Raise `ConfigError` where a folder cannot be made, or files in it; touches nothing."""
-    at = path.absolute()
-    while not at.exists():
-        at = at.parent
-    if not at.is_dir():
-        raise ConfigError(f"{path}: {at} is not a folder")
-    if not os.access(at, os.W_OK | os.X_OK) or os.statvfs(at).f_flag & os.ST_RDONLY or _refuses(at):
-        raise ConfigError(f"{path}: {at} is not writable; choose another folder, or change its permissions")
-
-
-def _refuses(folder: Path) -> bool:
-    """Whether a folder takes no new entries although its permissions say so (as in /proc)."""
-    import tempfile
-
-    try:
-        with tempfile.TemporaryDirectory(prefix=".gonio-", dir=folder):
-            return False
-    except OSError:
-        return True
-
-
-def _settings(request: Request, description: RigDescription) -> Settings:
-    versions = {"python": platform.python_version()}
-    for name in RECORDED:
-        with contextlib.suppress(PackageNotFoundError):
-            versions[name] = version(name)
-    return Settings(
-        run=Header(
-            format=FORMAT,
-            created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
-            command=request.command,
-            plan=request.plan.name,
-            plan_sha256=request.plan.sha256,
-            wavelength_nm=request.plan.wavelength_nm,
-            bands=tuple(band.name for band in request.plan.bands(description)),
-            rig=description.rig,
-            seed=request.seed,
-        ),
-        versions=versions,
-        rig=description,
-        sample=request.sample,
-    )
-
-
-def _differences(was: Settings, now: Settings) -> list[str]:
-    """What keeps a run from being resumed with other settings, a line each."""
-    out = []
-    if was.run.plan_sha256 != now.run.plan_sha256:
-        out.append(f'plan: the points or wavelengths of "{now.run.plan}" are not those of "{was.run.plan}"')
-    if was.run.seed != now.run.seed:
-        out.append(f"seed: {was.run.seed} in the run, {now.run.seed} now")
-    out += _differing_keys("rig", _comparable(was.rig), _comparable(now.rig))
-    samples = [s.model_dump(mode="json") if s is not None else {} for s in (was.sample, now.sample)]
-    return out + _differing_keys("sample", *samples)
-
-
-def _comparable(description: RigDescription) -> dict[str, Any]:
-    """A rig's values; of its reference table the content counts, not where it lies."""
-    values = description.model_dump(mode="json")
-    if description.reference.table is not None:
-        with contextlib.suppress(OSError):
-            values["reference"]["table"] = hashlib.sha256(Path(description.reference.table).read_bytes()).hexdigest()[
-                :12
-            ]
-    return values
-
-
-def _differing_keys(name: str, was: Any, now: Any) -> list[str]:
-    if isinstance(was, dict) and isinstance(now, dict):
-        return [
-            line
-            for key in dict.fromkeys([*was, *now])
-            for line in _differing_keys(f"{name}.{key}", was.get(key), now.get(key))
-        ]
-    return [] if was == now else [f"{name}: {json.dumps(was)} in the run, {json.dumps(now)} now"]
 
 
 def _plan_csv(points: list[Assessed]) -> str:
@@ -632,47 +373,6 @@ def _plan_csv(points: list[Assessed]) -> str:
     for row, a in enumerate(points):
         lines.writerow([row, *(repr(float(getattr(a.point, name))) for name in ANGLES), a.flag, a.reason])
     return out.getvalue()
-
-
-def _reference_table(description: RigDescription) -> tuple[dict[str, bytes], RigDescription]:
-    """The reference's table, to be copied into the run so that this can be reduced without the rig file's folder."""
-    table = description.reference.table
-    if table is None:
-        return {}, description
-    source, name = Path(table), "reference.csv"
-    try:
-        files = {name: source.read_bytes()}
-        if meta_path(source).exists():
-            files[meta_path(name).name] = meta_path(source).read_bytes()
-    except FileNotFoundError:
-        raise ConfigError(f"{source}: the table of the white reference ([reference] table) is not there") from None
-    return files, description.model_copy(update={"reference": description.reference.model_copy(update={"table": name})})
-
-
-def _resolved(settings: Settings, path: Path) -> Settings:
-    """The settings with the path of the reference's table made whole."""
-    table = settings.rig.reference.table
-    if table is None:
-        return settings
-    reference = settings.rig.reference.model_copy(update={"table": str(path / table)})
-    return settings.model_copy(update={"rig": settings.rig.model_copy(update={"reference": reference})})
-
-
-def _make_folder(path: Path) -> list[Path]:
-    """Make a folder and its parents; those that were made, outermost first."""
-    missing = [folder for folder in (path.absolute(), *path.absolute().parents) if not folder.exists()][::-1]
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        for folder in reversed(missing):
-            with contextlib.suppress(OSError):
-                folder.rmdir()
-        raise ConfigError(f"{path}: cannot be made: {error.strerror}") from None
-    return missing
-
-
-def _needs_resume(path: Path) -> ConfigError:
-    return ConfigError(f"{path}: a run has begun here; go on with --resume, or measure into a new folder")
 
 
 def command_line() -> str:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress as ProgressBar
     from rich.table import Table
 
-    from gonio.acquisition.loop import Live, Progress
+    from gonio.acquisition.progress import Live, Progress
 
 LINES = 20
 """At most about so many lines of progress where there is no terminal."""

@@ -65,7 +65,7 @@ def reduce(
     from gonio.acquisition.run import Run
     from gonio.cli import console
     from gonio.reduction import brdf
-    from gonio.reduction.brdf import DAMAGED
+    from gonio.reduction.table import DAMAGED
 
     opened = Run.open(run)
     opened.check_table()

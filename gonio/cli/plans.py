@@ -38,7 +38,8 @@ def show(
 
 def describe(plan: Plan, rig: RigChoice | None) -> None:
     """Print a plan, as a rig sees it if there is one."""
-    from gonio.acquisition.plan import Assessed, assess, estimate_s
+    from gonio.acquisition.plan import Assessed, assess
+    from gonio.acquisition.schedule import estimate_s
     from gonio.cli import console
 
     points = [Assessed(p, None) for p in plan.points] if rig is None else assess(plan, rig.description)

@@ -127,7 +127,7 @@ def _check_devices(rig: Rig, rows: list[Row]) -> None:
     import numpy as np
 
     from gonio.acquisition import exposure
-    from gonio.acquisition.plan import reference_pose
+    from gonio.acquisition.schedule import reference_pose
     from gonio.rig import Step
 
     description = rig.description

@@ -10,40 +10,37 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-import gonio
-from gonio import geometry
 from gonio.acquisition.plan import ANGLES
 from gonio.errors import ConfigError, DataError
-from gonio.geometry import Directions
+from gonio.geometry import Directions, mirrored
 from gonio.reduction import angle_sensitivity, spikes, white_reference
-from gonio.reduction.count_rates import RETAKE, Bench, Merged, in_threads
-from gonio.reduction.dark_signal import COLUMNS, PATTERNS, strongest
+from gonio.reduction.count_rates import Reduced, Rejected, RunFrames, in_threads
+from gonio.reduction.dark_signal import PATTERNS, strongest
+from gonio.reduction.reference_table import brdf_of_reference
+from gonio.reduction.table import (
+    CAUSES,
+    DARK,
+    BandResult,
+    angle_axes,
+    assemble,
+    notes_on_damage,
+    notes_on_darks,
+    zero_uncertainties,
+)
 from gonio.rig import Pose, imaging, kinematics
-from gonio.rig.description import Axis, Band, RigDescription
+from gonio.rig.description import Band, RigDescription
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from gonio.acquisition.run import Run
-
-
-CLIPPED = 1e-3
-"""Dark frames with a larger part of their pixels at 0 DN are cut off there."""
-DAMAGED = "missing or damaged and are left out"
-NAMED = 10
-"""At most so many damaged frames are named in a note."""
-COMMON = ("s_reference", "s_reference_noise", "s_lamp_drift")
-DARK = tuple(f"s_dark_{k + 1}" for k in range(COLUMNS))
-CAUSES = {"light": "s_theta_i_zero", "camera": "s_theta_r_zero", "tilt": "s_tilt_zero", "azimuth": "s_azimuth_zero"}
-"""Axes whose zeros are common causes. A spin turns both directions alike: an isotropic surface does not notice it."""
 
 
 def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> pd.DataFrame:
@@ -76,66 +73,40 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
     ConfigError
         The reference's table is missing, or neither a table nor an albedo is given.
     """
-    bench = Bench(run)
-    count = len(bench.points)
+    frames = RunFrames(run)
+    count = len(frames.points)
     results = []
     for k, band in enumerate(run.bands):
-        merged = []
-        for step in in_threads(partial(bench.merge, band=band), bench.steps()):
-            merged.append(step)
+        steps = []
+        for step in in_threads(partial(frames.reduce, band=band), frames.steps()):
+            steps.append(step)
             if progress is not None:
-                progress(k * count + len(merged), len(run.bands) * count)
-        results.append(_reduce_band(bench, band, merged))
+                progress(k * count + len(steps), len(run.bands) * count)
+        results.append(_reduce_band(frames, band, steps))
     _share_darks(results)
-    return _assemble(run, results, _notes_on_damage(bench) + _notes_on_darks(bench))
+    return assemble(run, results, notes_on_damage(frames) + notes_on_darks(frames))
 
 
-@dataclass(frozen=True, slots=True)
-class _BandResult:
-    """One band of a run: its rows by point, why others have none, and what the attributes say of it."""
-
-    band: Band
-    points: npt.NDArray[np.intp]
-    """Those that have a value."""
-    columns: dict[str, Floats]
-    """Of the table, a number for each of them."""
-    darks: Floats
-    """Change of each value [1/sr] by the noise of the dark frames, see `Merged.dark`; shape (points, 2, n)."""
-    flags: dict[int, str]
-    level: white_reference.Level
-    reference_brdf: float
-    visits: int
-    unusable: list[str]
-    """The flags of the other visits."""
-    scatter: float
-    """Reduced chi-square of the frames around the means of their steps."""
-    freedom: int
-    untold: Directions
-    """Nominal directions of points that may see a spike of which only a bound is known."""
-    coarse: Directions
-    """Nominal directions of points beside a lobe that is narrower than the plan's steps."""
-
-
-def _reduce_band(bench: Bench, band: Band, merged: list[Merged | str]) -> _BandResult:
-    points = [m for m in merged if isinstance(m, Merged) and m.point is not None]
-    visits = [m for m in merged if isinstance(m, Merged) and m.point is None]
-    without = [(point, flag) for point, flag in zip(bench.points, merged, strict=True) if isinstance(flag, str)]
-    fitted, reference_brdf = _level(bench, points, visits, band)
-    columns, untold, coarse = _columns(bench, points, visits[0], fitted, band)
+def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected]) -> BandResult:
+    points = [step for step in steps if isinstance(step, Reduced) and step.point is not None]
+    visits = [step for step in steps if isinstance(step, Reduced) and step.point is None]
+    rejected = [step for step in steps if isinstance(step, Rejected)]
+    fitted, reference_brdf = _level(frames, points, visits, band)
+    columns, untold, coarse = _columns(frames, points, visits[0], fitted, band)
     levels = fitted.at(np.array([point.time_s for point in points]))
     angles = np.array([_angles_deg(point.directions) for point in points]).reshape(-1, len(ANGLES))
     darks = np.array([point.dark for point in points]).reshape(len(points), 2, PATTERNS)
     freedom = sum(step.frames - 1 for step in (*points, *visits))
-    return _BandResult(
+    return BandResult(
         band=band,
         points=np.array([point.point for point in points], dtype=np.intp),
         columns=dict(zip(ANGLES, angles.T, strict=True)) | columns,
         darks=darks / levels[:, None, None],
-        flags=bench.flags | {point: flag for point, flag in without if point is not None},
+        flags=frames.flags | {step.point: step.flag for step in rejected if step.point is not None},
         level=fitted,
         reference_brdf=reference_brdf,
         visits=len(visits),
-        unusable=bench.lost_visits + [flag for point, flag in without if point is None],
+        unusable=frames.lost_visits + [step.flag for step in rejected if step.point is None],
         scatter=sum(step.chi_square for step in (*points, *visits)) / max(freedom, 1),
         freedom=freedom,
         untold=untold,
@@ -143,9 +114,11 @@ def _reduce_band(bench: Bench, band: Band, merged: list[Merged | str]) -> _BandR
     )
 
 
-def _level(bench: Bench, points: list[Merged], visits: list[Merged], band: Band) -> tuple[white_reference.Level, float]:
+def _level(
+    frames: RunFrames, points: list[Reduced], visits: list[Reduced], band: Band
+) -> tuple[white_reference.Level, float]:
     """The signal per unit BRDF over time, and the reference's BRDF [1/sr], mean over the visits."""
-    run, description, reference = bench.run, bench.description, bench.description.reference
+    run, description, reference = frames.run, frames.description, frames.description.reference
     if not visits:
         raise DataError(f"{run.path}: no usable visit to the white reference in band {band.name}; see its frames")
     rates = np.array([visit.rate for visit in visits])
@@ -155,7 +128,7 @@ def _level(bench: Bench, points: list[Merged], visits: list[Merged], band: Band)
         from gonio import measurement
 
         table = measurement.read(reference.table)
-        known = np.array([white_reference.brdf_of_table(table, visit.directions, band.centre_nm) for visit in visits])
+        known = np.array([brdf_of_reference(table, visit.directions, band.centre_nm) for visit in visits])
     elif reference.albedo:
         known = np.full(len(visits), reference.albedo / math.pi)
     else:
@@ -172,22 +145,22 @@ def _level(bench: Bench, points: list[Merged], visits: list[Merged], band: Band)
 
 
 def _columns(
-    bench: Bench, points: list[Merged], visit: Merged, fitted: white_reference.Level, band: Band
+    frames: RunFrames, points: list[Reduced], visit: Reduced, fitted: white_reference.Level, band: Band
 ) -> tuple[dict[str, Floats], Directions, Directions]:
     """BRDF and its uncertainties for the measured points of a band (docs/radiometry.md, "The budget").
 
     And the nominal directions of points whose blur by the angles' errors is only bounded, and of those whose slope the
     plan's steps are too coarse to tell.
     """
-    description = bench.description
-    encoder, zeros = _encoder_steps(description), _zeros(description)
+    description = frames.description
+    encoder, zeros = _encoder_steps(description), zero_uncertainties(description)
     times = np.array([point.time_s for point in points])
     k = fitted.at(times)
     brdf = np.array([point.rate for point in points]) / k
     noise = np.array([point.variance for point in points]) / k**2
-    prnu = np.array([_prnu(description, point, bench.reference[band.channel].count) for point in points])
+    prnu = np.array([_prnu(description, point, frames.reference[band.channel].count) for point in points])
     independent = noise + (brdf * prnu) ** 2 + (brdf * fitted.extra(times) / k) ** 2
-    goals = Directions.from_table(bench.run.plan)[[point.point for point in points]]
+    goals = Directions.from_table(frames.run.plan)[[point.point for point in points]]
     cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
     shares = _shares(description, points, [*encoder.items(), *zeros.items()], cones, band)
     read = Directions.stack([point.directions for point in points])
@@ -221,7 +194,7 @@ def _columns(
     return columns, goals[bounded], goals[steep]
 
 
-def _share_darks(results: list[_BandResult]) -> None:
+def _share_darks(results: list[BandResult]) -> None:
     """Give all rows the columns of the dark frames' noise, which bands of one channel share; the rest to `u_random`."""
     channels = list(dict.fromkeys(result.band.channel for result in results))
     ends = np.cumsum([result.points.size for result in results])
@@ -240,21 +213,12 @@ def _share_darks(results: list[_BandResult]) -> None:
         result.columns["u_random"] = np.array(more)
 
 
-def _axes(description: RigDescription) -> dict[str, Axis]:
-    """The axes whose angles a value depends on."""
-    return {name: axis for name, axis in description.axes().items() if name in CAUSES}
-
-
 def _encoder_steps(description: RigDescription) -> dict[str, float]:
     """Standard uncertainty [rad] of a reading in whole steps: uniform over one step."""
-    axes = {name: math.radians(axis.encoder_step_deg) / math.sqrt(12.0) for name, axis in _axes(description).items()}
+    axes = {
+        name: math.radians(axis.encoder_step_deg) / math.sqrt(12.0) for name, axis in angle_axes(description).items()
+    }
     return {name: u for name, u in axes.items() if u > 0}
-
-
-def _zeros(description: RigDescription) -> dict[str, float]:
-    """Standard uncertainty [rad] of each zero; both arms are always there, so that tables have the same columns."""
-    axes = {name: math.radians(axis.zero_u_deg) for name, axis in _axes(description).items()}
-    return {name: u for name, u in axes.items() if u > 0 or name in ("light", "camera")}
 
 
 def _moved(description: RigDescription, pose: Pose, axis: str, by: float) -> Directions:
@@ -262,7 +226,7 @@ def _moved(description: RigDescription, pose: Pose, axis: str, by: float) -> Dir
 
 
 def _effects(
-    description: RigDescription, curves: angle_sensitivity.Curves, points: list[Merged], axis: str, u: float
+    description: RigDescription, curves: angle_sensitivity.Curves, points: list[Reduced], axis: str, u: float
 ) -> tuple[Floats, Floats]:
     """Odd and even change [1/sr] of every value when an axis truly stands +-u [rad] from where it is read."""
     out = np.zeros((2, len(points)))
@@ -274,7 +238,7 @@ def _effects(
 
 
 def _doubts(
-    description: RigDescription, curves: angle_sensitivity.Curves, points: list[Merged], axis: str, u: float
+    description: RigDescription, curves: angle_sensitivity.Curves, points: list[Reduced], axis: str, u: float
 ) -> Floats:
     """How uncertain [1/sr] the odd changes of `_effects` are, because steps are coarser than the lobe is wide."""
     return np.array([curves.doubt(k, _moved(description, p.pose, axis, u)) for k, p in enumerate(points)])
@@ -282,7 +246,7 @@ def _doubts(
 
 def _shares(
     description: RigDescription,
-    points: list[Merged],
+    points: list[Reduced],
     errors: list[tuple[str, float]],
     cones: tuple[float, float],
     band: Band,
@@ -304,19 +268,19 @@ def _shares(
 
 
 def _over_region(
-    description: RigDescription, curves: angle_sensitivity.Curves, points: list[Merged], band: Band
+    description: RigDescription, curves: angle_sensitivity.Curves, points: list[Reduced], band: Band
 ) -> Floats:
     """What the lobes' slopes and curvatures over the region of interest change every value by, at most [1/sr]."""
     return np.array([curves.over_region(k, p.directions, *_pixels(description, p, band)) for k, p in enumerate(points)])
 
 
-def _over_pixels(description: RigDescription, point: Merged, band: Band) -> Floats:
+def _over_pixels(description: RigDescription, point: Reduced, band: Band) -> Floats:
     """What `Directions.from_mirror` changes by at the pixels that a point's value is the mean of, shape (n, 3)."""
     omega_i, omega_r = _pixels(description, point, band)
-    return np.asarray(omega_r - geometry.mirrored(omega_i) - point.directions.from_mirror)
+    return np.asarray(omega_r - mirrored(omega_i) - point.directions.from_mirror)
 
 
-def _pixels(description: RigDescription, point: Merged, band: Band) -> tuple[Floats, Floats]:
+def _pixels(description: RigDescription, point: Reduced, band: Band) -> tuple[Floats, Floats]:
     """Unit vectors to source and detector from the pixels that a point's value is the mean of, shape (n, 3)."""
     view = kinematics.view(description, point.pose)
     region = imaging.roi(description, view, "sample", band.channel)
@@ -324,13 +288,13 @@ def _pixels(description: RigDescription, point: Merged, band: Band) -> tuple[Flo
     return seen.omega_i[region.mask], seen.omega_r[region.mask]
 
 
-def _change_of_cosine(description: RigDescription, visit: Merged, axis: str, u: float) -> float:
+def _change_of_cosine(description: RigDescription, visit: Reduced, axis: str, u: float) -> float:
     """Relative change (odd part) of the light on the reference when an axis truly stands u [rad] off."""
     up, down = (math.cos(_moved(description, visit.pose, axis, by).theta_i) for by in (u, -u))
     return 0.5 * (up - down) / math.cos(visit.directions.theta_i)
 
 
-def _prnu(description: RigDescription, point: Merged, reference_pixels: int) -> float:
+def _prnu(description: RigDescription, point: Reduced, reference_pixels: int) -> float:
     """Relative standard deviation from the pixels' responsivities; those that both regions use cancel in part."""
     if not description.camera.prnu:
         return 0.0
@@ -343,130 +307,3 @@ def _angles_deg(directions: Directions) -> tuple[float, float, float, float]:
     theta = [min(round(math.degrees(t), 9), 90.0) for t in (directions.theta_i, directions.theta_r)]
     phi = [round(math.degrees(p), 9) % 360.0 for p in (directions.phi_i, directions.phi_r)]
     return theta[0], phi[0], theta[1], phi[1]
-
-
-def _assemble(run: Run, results: list[_BandResult], notes: list[str]) -> pd.DataFrame:
-    """One row for every point of the plan and every band, and the attributes."""
-    import pandas as pd
-
-    description, plan = run.description, run.plan
-    causes = [*COMMON, *DARK, *(CAUSES[axis] for axis in _zeros(description))]
-    numbers = [*ANGLES, "brdf", "u_brdf", "u_random", *causes]
-    values = np.full((len(numbers), len(plan), len(results)), math.nan)
-    values[: len(ANGLES)] = plan[list(ANGLES)].to_numpy(dtype=float).T[..., None]
-    flags = np.empty((len(plan), len(results)), dtype=object)
-    planned = plan["flag"].tolist()
-    for k, result in enumerate(results):
-        measured = set(result.points.tolist())
-        flags[:, k] = [
-            flag or result.flags.get(point, "") or ("" if point in measured else "not_measured")
-            for point, flag in enumerate(planned)
-        ]
-        good = np.array([not flags[point, k] for point in result.points], dtype=bool)
-        if good.any():
-            for column, name in zip(values, numbers, strict=True):
-                column[result.points[good], k] = result.columns[name][good]
-    frame = pd.DataFrame(dict(zip(numbers, values.reshape(len(numbers), -1), strict=True)))
-    frame.insert(len(ANGLES), "wavelength_nm", np.tile([result.band.centre_nm for result in results], len(plan)))
-    frame.insert(len(ANGLES) + 1, "polarisation", "unpolarised")
-    frame["flag"] = pd.Series(flags.ravel().tolist(), dtype=str)
-    lamp, camera = description.lamp, description.camera
-    cones = (math.radians(lamp.half_angle_deg), math.radians(camera.lens_half_angle_deg))
-    frame.attrs.update(
-        quantity="brdf",
-        source_solid_angle_sr=float(geometry.solid_angle_of_cone(cones[0])),
-        receiver_solid_angle_sr=float(geometry.solid_angle_of_cone(cones[1])),
-        bands=[result.band.model_dump() for result in results],
-        polarisation="unpolarised",
-        source_file=str(run.path),
-        sample=run.sample.name if run.sample is not None else None,
-        provenance={
-            "reduced_by": f"gonio {gonio.__version__}",
-            "rig": description.name,
-            "seed": run.seed,
-            "reference": [_account(result) for result in results],
-        },
-        notes=notes + _notes_on_zeros(description) + [note for result in results for note in _notes(result)],
-    )
-    return frame
-
-
-def _account(result: _BandResult) -> dict[str, Any]:
-    """What the visits to the reference said."""
-    fitted = result.level
-    known = not fitted.unknown
-    return {
-        "band": result.band.name,
-        "brdf": result.reference_brdf,
-        "visits": result.visits,
-        "level_e_per_s_sr": fitted.level,
-        "u_level_rel": fitted.u_level / fitted.level,
-        "drift_per_hour": fitted.slope / fitted.level * 3600.0 if known else None,
-        "u_drift_per_hour": fitted.u_slope / fitted.level * 3600.0 if known else None,
-        "chi_square": fitted.chi_square,
-        "straight": fitted.straight,
-        "frame_scatter": result.scatter,
-    }
-
-
-def _notes_on_zeros(description: RigDescription) -> list[str]:
-    return [
-        f"the zero of the {kinematics.NAMES[name]} is not known (zero_offset_known = false): its error is not in u_brdf"
-        for name, axis in _axes(description).items()
-        if not axis.zero_offset_known
-    ]
-
-
-def _notes_on_damage(bench: Bench) -> list[str]:
-    if not bench.damaged:
-        return []
-    names = sorted(bench.damaged)
-    shown = ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
-    out = [f'{len(names)} frames are {DAMAGED} ({shown}); points that lack one are flagged "damaged", and {RETAKE}']
-    if bench.darks_taken > 1 and bench.darks_used == 1:
-        out.append(
-            "the dark frames of one exposure alone are left: the dark current is that of the rig file, and its "
-            "uncertainty is not in u_brdf"
-        )
-    return out
-
-
-def _notes_on_darks(bench: Bench) -> list[str]:
-    # all at 0 is a camera without noise; some at 0 is one whose noise is cut off there
-    if not CLIPPED < bench.clipped < 1.0:
-        return []
-    return [
-        f"{100.0 * bench.clipped:.2g} % of the pixels of the dark frames read 0 DN: what lies below is cut off, and "
-        "values are too low by more than u_brdf says where the signal is small; raise the camera's black level"
-    ]
-
-
-def _notes(result: _BandResult) -> list[str]:
-    name = result.band.name
-    out = white_reference.notes(result.level, result.visits, result.unusable, name)
-    if result.untold:
-        out.append(
-            f"{name}: nothing tells whether a specular spike stands at {_listed(result.untold)}: what "
-            "errors of the angles would do to one is in u_brdf, which is large; measure the mirror direction too, and "
-            "points on both sides of it that the spike does not reach"
-        )
-    if result.coarse:
-        out.append(
-            f"{name}: values change much from step to step at {_listed(result.coarse)}: u_brdf there rests on "
-            "what neighbouring points leave open, and may be too small; measure in finer steps there"
-        )
-    # three standard deviations of a reduced chi-square, and enough to matter: uncertainties 20 % too small
-    if result.scatter > max(1.44, 1.0 + 3.0 * math.sqrt(2.0 / max(result.freedom, 1))):
-        out.append(
-            f"{name}: frames of one step scatter {math.sqrt(result.scatter):.1f} times as much as the rig file's noise "
-            "says (see lamp.noise and the camera's noise there): u_random is too small"
-        )
-    return out
-
-
-def _listed(points: Directions) -> str:
-    """The first points of a list, for people, in degrees."""
-    first = ", ".join(
-        f"({', '.join(f'{math.degrees(a):g}' for a in (d.theta_i, d.theta_r, d.dphi))})" for d in points[:3]
-    )
-    return f"(theta_i, theta_r, dphi) = {first} deg" + (f" and {len(points) - 3} more" if len(points) > 3 else "")

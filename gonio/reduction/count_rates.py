@@ -10,12 +10,13 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from gonio.acquisition.exposure import full_scale_dn
+from gonio.acquisition.records import FrameRecord, StepRecord
 from gonio.errors import DamagedFrame, DataError
 from gonio.geometry import Directions
 from gonio.reduction.dark_signal import FEW, PATTERNS, Darks, Patterns
@@ -63,8 +64,8 @@ class Shot:
 
 
 @dataclass(frozen=True, slots=True)
-class Merged:
-    """The frames of one step and band, merged."""
+class Reduced:
+    """The frames of one step and band, merged to a rate."""
 
     rate: float
     variance: float
@@ -82,10 +83,21 @@ class Merged:
     directions: Directions
     pose: Pose
     point: int | None
+    """Row of the plan; None for a visit to the reference."""
 
 
-class Bench:
-    """What all bands of a run share: its steps, what each looks at, and the dark signal there."""
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """A step that gives no rate in a band."""
+
+    point: int | None
+    """Row of the plan; None for a visit to the reference."""
+    flag: str
+    """Why."""
+
+
+class RunFrames:
+    """The frames of a run, and what all of its bands share: what each step looks at, and the dark signal there."""
 
     def __init__(self, run: Run) -> None:
         self.run = run
@@ -98,17 +110,17 @@ class Bench:
         """Of points without frames."""
         self.lost_visits: list[str] = []
         """The flags of the visits to the reference without frames."""
-        dark: list[dict[str, Any]] = []
+        dark: list[FrameRecord] = []
         self._every = run.steps()
         for step in self._every:
-            if step["kind"] == "dark":
-                dark += step["frames"]
-            elif not step.get("flag"):
-                self.points.append(int(step["point"]) if step["kind"] == "point" else None)
-            elif step["kind"] == "point":
-                self.flags[int(step["point"])] = str(step["flag"])
+            if step.kind == "dark":
+                dark += step.frames
+            elif not step.flag:
+                self.points.append(step.point)
+            elif step.point is not None:
+                self.flags[step.point] = step.flag
             else:
-                self.lost_visits.append(str(step["flag"]))
+                self.lost_visits.append(step.flag)
         channels = dict.fromkeys(band.channel for band in run.bands)
         boxes: dict[Target, tuple[slice, slice]] = {}
         self.reference: dict[str, Roi] = {}
@@ -136,14 +148,14 @@ class Bench:
         """How many exposures the dark frames were taken with, and of how many some are left."""
         self._darks = self._read_darks(dark, boxes)
 
-    def steps(self) -> Iterator[dict[str, Any]]:
+    def steps(self) -> Iterator[StepRecord]:
         """The steps with frames of point or reference, each read when it is asked for: a run may have very many."""
-        return (step for step in self._every if step["kind"] != "dark" and not step.get("flag"))
+        return (step for step in self._every if step.kind != "dark" and not step.flag)
 
-    def _look(self, step: dict[str, Any], channel: Channel) -> Region | None:
+    def _look(self, step: StepRecord, channel: Channel) -> Region | None:
         """The region of a step; None where source or camera stands below the horizon."""
-        target: Target = "reference" if step["kind"] == "reference" else "sample"
-        view = kinematics.view(self.description, Pose(**step["pose"]))
+        target: Target = "reference" if step.kind == "reference" else "sample"
+        view = kinematics.view(self.description, step.pose)
         if view.source_mm[2] <= 0 or view.camera_mm[2] <= 0:
             return None
         region = roi(self.description, view, target, channel)
@@ -151,9 +163,7 @@ class Bench:
         weight = seen.weight[region.mask]
         return Region(region, target, 1.0 / weight) if weight.min() > 0 else None
 
-    def _read_darks(
-        self, frames: list[dict[str, Any]], boxes: dict[Target, tuple[slice, slice]]
-    ) -> dict[Target, Darks]:
+    def _read_darks(self, frames: list[FrameRecord], boxes: dict[Target, tuple[slice, slice]]) -> dict[Target, Darks]:
         if not frames:
             raise DataError(f"{self.run.path}: the run has no dark frames; finish it with --resume")
         camera = self.description.camera
@@ -165,22 +175,22 @@ class Bench:
         if not all(crops.values()):
             raise DataError(f"{self.run.path}: every dark frame is missing or damaged ({self._first()}); {RETAKE}")
         used = {exposure_s for taken in crops.values() for exposure_s, _ in taken}
-        self.darks_taken, self.darks_used = len({float(f["exposure_s"]) for f in frames}), len(used)
+        self.darks_taken, self.darks_used = len({float(frame.exposure_s) for frame in frames}), len(used)
         empty = [float(np.mean(crop == 0)) for taken in crops.values() for _, crop in taken]
         self.clipped = sum(empty) / len(empty)
         rate = camera.dark_current_e_per_s / camera.electrons_per_dn
         return {target: Darks(crops[target], *box, rate) for target, box in boxes.items()}
 
-    def read(self, entry: dict[str, Any]) -> Frame:
+    def read(self, entry: FrameRecord) -> Frame:
         """A frame that the journal names, checked."""
-        path = Path(self.run.frame_path(entry["file"]))
+        path = Path(self.run.frame_path(entry.file))
         if path.exists() and not path.is_file():  # a pipe would be waited for without end
             raise DamagedFrame(f"{path}: a frame of the run cannot be read: it is not a file")
         try:
             data = path.read_bytes()
         except OSError as error:
             raise DamagedFrame(f"{path}: a frame of the run cannot be read: {error.strerror or error}") from None
-        if hashlib.sha256(data).hexdigest() != entry["sha256"]:
+        if hashlib.sha256(data).hexdigest() != entry.sha256:
             raise DamagedFrame(
                 f"{path}: is not the frame that the journal names (its checksum differs): it was changed"
             )
@@ -194,27 +204,26 @@ class Bench:
             )
         return frame
 
-    def _read_or_note(self, entry: dict[str, Any]) -> Frame | None:
+    def _read_or_note(self, entry: FrameRecord) -> Frame | None:
         """A frame that the journal names, or None where it is missing or damaged."""
         try:
             return self.read(entry)
         except DamagedFrame as error:
-            self.damaged[entry["file"]] = str(error)
+            self.damaged[entry.file] = str(error)
             return None
 
     def _first(self) -> str:
         return next(iter(self.damaged.values()), "")
 
-    def shots(self, step: dict[str, Any], band: Band) -> tuple[Region, list[Shot]] | None:
+    def shots(self, step: StepRecord, band: Band) -> tuple[Region, list[Shot]] | None:
         """The frames of a step in a band, each reduced to its region, without those that are damaged; None for a
         region below the horizon.
         """
         region = self._look(step, band.channel)
         if region is None:
             return None
-        entries = [f for f in step["frames"] if f["band"] == band.name and f["lamp"]]
-        read = ((entry, self._read_or_note(entry)) for entry in entries)
-        return region, [self._shot(region, frame, float(entry["time_s"])) for entry, frame in read if frame is not None]
+        read = ((entry, self._read_or_note(entry)) for entry in _lit(step, band))
+        return region, [self._shot(region, frame, float(entry.time_s)) for entry, frame in read if frame is not None]
 
     def _shot(self, region: Region, frame: Frame, time_s: float) -> Shot:
         camera, darks = self.description.camera, self._darks[region.target]
@@ -228,26 +237,26 @@ class Bench:
             leverage=darks.leverage(frame.exposure_s),
         )
 
-    def merge(self, step: dict[str, Any], band: Band) -> Merged | str:
-        """The merged frames of a step in a band, or the flag that says why there is no value."""
+    def reduce(self, step: StepRecord, band: Band) -> Reduced | Rejected:
+        """The rate of a step in a band, from its merged frames."""
         found = self.shots(step, band)
         if found is None:
-            return "below_horizon"
+            return Rejected(step.point, "below_horizon")
         region, every = found
-        named = [f["file"] for f in step["frames"] if f["band"] == band.name and f["lamp"]]
+        named = [frame.file for frame in _lit(step, band)]
         # a point is taken again; a visit to the reference is worth what is left of it
-        if not self.damaged.keys().isdisjoint(named) and (step["kind"] == "point" or not every):
-            return "damaged"
+        if not self.damaged.keys().isdisjoint(named) and (step.kind == "point" or not every):
+            return Rejected(step.point, "damaged")
         shots = [shot for shot in every if shot.peak < USABLE]
         if not shots:
-            return "saturated" if every else "not_measured"
+            return Rejected(step.point, "saturated" if every else "not_measured")
         rate, variance, time_s, chi_square, of_darks = pool(
             self.description, region, shots, self._darks[region.target].exposures_s
         )
-        pose, reference = Pose(**step["pose"]), self.reference.get(band.channel)
+        reference = self.reference.get(band.channel)
         share = self._patterns[band.channel].of(region.roi) if region.target == "sample" else np.zeros(PATTERNS)
         shared = np.outer(of_darks, share)
-        return Merged(
+        return Reduced(
             rate=rate,
             variance=variance + max(float(np.sum(of_darks**2) - np.sum(shared**2)), 0.0),
             dark=shared,
@@ -256,10 +265,15 @@ class Bench:
             frames=len(shots),
             pixels=region.roi.count,
             shared=region.roi.shared(reference) if reference is not None else 0,
-            directions=kinematics.directions(self.description, pose),
-            pose=pose,
-            point=None if step["kind"] == "reference" else int(step["point"]),
+            directions=kinematics.directions(self.description, step.pose),
+            pose=step.pose,
+            point=step.point,
         )
+
+
+def _lit(step: StepRecord, band: Band) -> list[FrameRecord]:
+    """The frames of a step that were taken in a band, with the lamp lit."""
+    return [frame for frame in step.frames if frame.band == band.name and frame.lamp]
 
 
 def pool(

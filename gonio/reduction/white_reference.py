@@ -1,23 +1,15 @@
-"""What the white reference says: its BRDF at the visits, and the signal per unit BRDF at any time in between."""
+"""What the visits to the white reference say: the signal per unit BRDF at any time in between."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from gonio.errors import DataError
-from gonio.geometry import SAME_ANGLE, TWO_PI, Directions
 from gonio.typing import Floats
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-
-PAIR = np.array([-1, 0])
 REJECTED = 0.01
 """A straight line whose chi-square is rarer than this does not describe the visits."""
 SAME_TIME_S = 1e-3
@@ -189,72 +181,3 @@ def notes(fitted: Level, visits: int, unusable: list[str], name: str) -> list[st
             f"{fitted.chi_square:.1f} of {visits} visits): the level is interpolated between them"
         )
     return out
-
-
-def brdf_of_table(table: pd.DataFrame, directions: Directions, wavelength_nm: float) -> float:
-    """BRDF [1/sr] of a reference in one visit's geometry, from a table of its BRDF.
-
-    Linear in the signed angle of reflection on the curve of the table that has the visit's angle of incidence
-    (within `geometry.SAME_ANGLE`) or between the two curves around it, and linear in wavelength. The reference is taken
-    for isotropic; only rows without a flag, in the plane of incidence and unpolarised count.
-
-    Raises
-    ------
-    DataError
-        The visit lies outside of the angles or wavelengths of the table, or out of the plane of incidence.
-    """
-    source = table.attrs.get("source_file") or "the table of the white reference"
-    if not _in_plane(directions):
-        raise DataError(f"{source}: holds curves in the plane of incidence; the visit to the reference lies out of it")
-    theta_i, signed = float(directions.theta_i), float(_signed(directions))
-    rows = table[table["flag"] == ""]
-    polarised = rows["polarisation"] != "unpolarised"
-    if polarised.any():
-        raise DataError(f"{source}: a table of a white reference must be unpolarised")
-    known_at = Directions.from_table(rows)
-    in_plane, angle = _in_plane(known_at), _signed(known_at)
-    wavelengths, values = rows["wavelength_nm"].to_numpy(), rows["brdf"].to_numpy()
-
-    def curve(incidence: float, wavelength: float) -> float:
-        here = in_plane & (abs(known_at.theta_i - incidence) < 1e-6)
-        on = here & ((wavelengths == wavelength) | np.isnan(wavelengths))
-        what = f"theta_r = {math.degrees(signed):g} deg at theta_i = {math.degrees(incidence):g} deg"
-        return _interpolate(signed, angle[on], values[on], what, source)
-
-    def spectrum(wavelength: float) -> float:
-        known = np.unique(known_at.theta_i[in_plane])
-        near = known[abs(known - theta_i) <= SAME_ANGLE]
-        if near.size:
-            return curve(float(near[np.argmin(abs(near - theta_i))]), wavelength)
-        around = known[np.unique(np.clip(np.searchsorted(known, theta_i) + PAIR, 0, known.size - 1))]
-        what = f"theta_i = {math.degrees(theta_i):g} deg"
-        return _interpolate(theta_i, around, np.array([curve(float(a), wavelength) for a in around]), what, source)
-
-    known = np.unique(wavelengths[np.isfinite(wavelengths)])
-    if known.size == 0:  # one broad band
-        return spectrum(math.nan)
-    around = known[np.unique(np.clip(np.searchsorted(known, wavelength_nm) + PAIR, 0, known.size - 1))]
-    if wavelength_nm in known:
-        around = np.array([wavelength_nm])
-    what = f"wavelength_nm = {wavelength_nm:g}"
-    return _interpolate(wavelength_nm, around, np.array([spectrum(float(w)) for w in around]), what, source)
-
-
-def _in_plane(d: Directions) -> npt.NDArray[np.bool_]:
-    """Whether azimuths say so, where they say anything: beside the normal only a curve's own rows count."""
-    turn = np.minimum(d.dphi, TWO_PI - d.dphi)
-    at_normal = (d.theta_i < SAME_ANGLE) | (d.theta_r < SAME_ANGLE)
-    return np.asarray((np.minimum(turn, np.pi - turn) <= SAME_ANGLE) | at_normal)
-
-
-def _signed(d: Directions) -> Floats:
-    """Signed angle of reflection [rad]; at normal incidence both sides of an isotropic reference are one."""
-    return np.where(d.theta_i < SAME_ANGLE, d.theta_r, d.signed)
-
-
-def _interpolate(x: float, at: Floats, values: Floats, what: str, source: str) -> float:
-    order = np.argsort(at)
-    at, values = at[order], values[order]
-    if at.size == 0 or not at[0] - SAME_ANGLE <= x <= at[-1] + SAME_ANGLE:
-        raise DataError(f"{source}: the visit to the reference at {what} lies outside of this table")
-    return float(np.interp(x, at, values))

@@ -1,7 +1,7 @@
 """What a goniometer is: its description, the protocols of its devices, its geometry and its raw frames."""
 
+from gonio.rig.prompt import PROMPTS, ask_for
 from gonio.rig.protocols import (
-    PROMPTS,
     ArmsDevice,
     CameraDevice,
     Frame,
@@ -11,7 +11,6 @@ from gonio.rig.protocols import (
     RigPlugin,
     Step,
     Target,
-    ask_for,
 )
 
 __all__ = [

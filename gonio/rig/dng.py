@@ -141,7 +141,7 @@ def encode_dng(frame: Frame) -> bytes:
 
 
 def _pack(mosaic: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint8]:
-    from gonio.rig._pixels import pack12
+    from gonio.rig._dng_packing import pack12
 
     packed = np.empty((mosaic.shape[0], (3 * mosaic.shape[1] + 1) // 2), dtype=np.uint8)
     pack12(mosaic, packed)
@@ -248,7 +248,7 @@ def _read_own(tags: _Tags, data: bytes) -> tuple[npt.NDArray[np.uint16], str, fl
     if bits == 16:
         mosaic[:] = strip.view("<u2").reshape(mosaic.shape)
     else:
-        from gonio.rig._pixels import unpack12
+        from gonio.rig._dng_packing import unpack12
 
         unpack12(strip.reshape(rows, -1), mosaic)
     return mosaic, pattern, float(white)

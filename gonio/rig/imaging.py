@@ -59,7 +59,7 @@ class PixelMap:
 
     @cached_property
     def _spots(self) -> tuple[Floats, Floats, Floats, Floats]:
-        from gonio.rig._pixels import spots
+        from gonio.rig._sight_lines import spots
 
         out = np.empty((4, self._by_row.shape[0], self._by_col.shape[1]))
         spots(self._by_row, self._by_col, self._camera, self._source, self._distance_mm, *out)

@@ -140,10 +140,10 @@ class Renderer:
         if reference.table is None:
             certified = (reference.albedo or 0.0) / math.pi
         else:
-            from gonio.reduction.white_reference import brdf_of_table
+            from gonio.reduction.reference_table import brdf_of_reference
 
             at_centre = directions(self._world.description, self._world.pose)
-            certified = brdf_of_table(self._table, at_centre, band.centre_nm)
+            certified = brdf_of_reference(self._table, at_centre, band.centre_nm)
 
         def paint(seen: PixelMap, scene: View, disc: Disc, brdf: Floats) -> None:
             brdf[disc.covers(seen)] = self._world.reference_scale * certified

@@ -48,7 +48,7 @@ _CLOCK = itertools.count(1.9e9)
 
 
 @dataclass
-class Bench:
+class NumpyRig:
     """The rig: its own arms, light and camera. A Lambertian sample; noise follows (seed, step, frame)."""
 
     description: RigDescription
@@ -153,12 +153,14 @@ class Bench:
 class Plugin:
     """An entry point whose rigs can be looked at afterwards."""
 
-    opened: list[Bench] = field(default_factory=list)
+    opened: list[NumpyRig] = field(default_factory=list)
     options: dict[str, object] = field(default_factory=dict)
     toml: str = ""
 
-    def open(self, description: RigDescription, *, sample: SampleDescription | None, seed: int, confirm: bool) -> Bench:
-        self.opened.append(Bench(description, seed, **self.options))  # type: ignore[arg-type]
+    def open(
+        self, description: RigDescription, *, sample: SampleDescription | None, seed: int, confirm: bool
+    ) -> NumpyRig:
+        self.opened.append(NumpyRig(description, seed, **self.options))  # type: ignore[arg-type]
         return self.opened[-1]
 
 

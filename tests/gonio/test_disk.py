@@ -243,7 +243,7 @@ def test_a_demo_replaces_a_demo_and_nothing_else(measure: Measure, tmp_path: Pat
             _clear(out)
         assert tree(out) == before
         (out / name).unlink()
-    changed = run.frame_path(run.steps()[2]["frames"][0]["file"])
+    changed = run.frame_path(run.steps()[2].frames[0].file)
     whole = changed.read_bytes()
     changed.write_bytes(whole + b"x")
     with pytest.raises(ConfigError, match=changed.name):

@@ -366,7 +366,7 @@ def test_an_axis_that_is_blocked_stops_every_axis(arms: ServoArms, line: Line) -
 def test_an_axis_that_takes_too_long_stops_every_axis(
     arms: ServoArms, line: Line, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gonio_drivers.arms.GRACE_S", 0.2)
+    monkeypatch.setattr("gonio_drivers.motion.GRACE_S", 0.2)
     monkeypatch.setattr(arms, "_duration", lambda *_: 0.1)  # this servo creeps
     line.servos[1]._limits = lambda way: (1.0, 1e6)
     # 0.4 s, and as long as this machine stood still
@@ -379,7 +379,7 @@ def test_a_servo_with_a_low_velocity_limit_gets_the_time_that_it_needs(line: Lin
     line.servos[1].write(44, (10).to_bytes(4, "little"))  # 13.7 deg/s where 30 are asked
     with ServoArms(describe(), servos(line.port)) as arms:
         assert line.servos[1].get("Profile Velocity") == 10
-        assert arms._duration("light", 0, 4096 / 4) == pytest.approx(90 / 13.74, rel=0.1)  # and the ramps
+        assert arms._motion.duration_s("light", 0, 4096 / 4) == pytest.approx(90 / 13.74, rel=0.1)  # and the ramps
 
 
 # ---- the bus watchdog ----
@@ -431,7 +431,7 @@ def test_a_servo_that_stops_again_and_again_is_an_error_that_says_why(
     arms: ServoArms, line: Line, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(watchdog, "UNITS", 1)
-    monkeypatch.setattr("gonio_drivers.arms.POLL_S", 0.03)  # longer than the period of 0.02 s
+    monkeypatch.setattr("gonio_drivers.motion.POLL_S", 0.03)  # longer than the period of 0.02 s
     line.servos[1]._limits = lambda way: (1.0, 1e6)  # it never arrives
     with pytest.raises(DeviceError, match=r"has stopped 4 times on one way.*overloaded"):
         arms.move(pose(90, 0, 0))

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import pytest
 import serial
-from gonio_drivers import dynamixel, ports, sdk
+from gonio_drivers import control_table, dynamixel, ports, sdk
 from gonio_drivers.dynamixel import Bus
 from gonio_sim.wire import protocol2 as p2
 
@@ -116,7 +116,7 @@ def test_a_line_that_is_never_silent_is_no_servo_bus(line: Line, monkeypatch: py
 def test_values_are_signed(line: Line) -> None:
     line.servos[1].write(11, b"\x04")  # extended position mode
     line.servos[1].write(116, (-300).to_bytes(4, "little", signed=True))
-    table = dynamixel.control_table("xm430-w350")
+    table = control_table.of_model("xm430-w350")
     with Bus(line.port, BAUD) as bus:
         item = table["Goal Position"]
         assert item.decode(bus.read(1, item.address, item.size), item.address) == -300

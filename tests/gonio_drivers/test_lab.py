@@ -22,11 +22,11 @@ from gonio_drivers.arms import ServoArms
 from gonio_drivers.lab import LAB, LabRig
 from gonio_sim.wire import faults, motion, tether
 from gonio_sim.wire.servo import Servo
-from gonio_sim.wire.twins import Bench, plug
+from gonio_sim.wire.twins import Twins, plug
 
-from gonio.acquisition.loop import Silent
 from gonio.acquisition.measure import RigChoice, carry_out, find_rig
 from gonio.acquisition.plan import load_plan
+from gonio.acquisition.progress import Silent
 from gonio.acquisition.run import Run
 from gonio.cli import rigs
 from gonio.cli.rigs import checks
@@ -72,23 +72,23 @@ def small(**changes: dict[str, Any]) -> RigDescription:
 
 
 @pytest.fixture
-def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+def twins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Twins]:
     monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
     monkeypatch.setattr(tether, "FILE_LATE_S", 0.5)
     monkeypatch.setattr(folder_camera, "RELEASE_S", LONGEST_S)
-    with Bench(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
+    with Twins(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
         be_patient(served.peers["servos"], served.faults, monkeypatch)
         yield served
 
 
-def opened(bench: Bench) -> LabRig:
-    return LAB.open(bench.description, sample=None, seed=0, confirm=False)
+def opened(twins: Twins) -> LabRig:
+    return LAB.open(twins.description, sample=None, seed=0, confirm=False)
 
 
-def measure(bench: Bench, tmp_path: Path, progress: Any = None) -> Run:
+def measure(twins: Twins, tmp_path: Path, progress: Any = None) -> Run:
     plan = tmp_path / "plan.toml"
     plan.write_text(PLAN)
-    choice = RigChoice(LAB, bench.description, "twin")
+    choice = RigChoice(LAB, twins.description, "twin")
     return carry_out(load_plan(plan), choice, tmp_path / "run", progress=progress or Silent())
 
 
@@ -116,36 +116,36 @@ def remarks(run: Run) -> list[str]:
 # ---- measurements ----
 
 
-def test_a_measurement_over_the_wire_gives_the_sample(bench: Bench, tmp_path: Path) -> None:
-    assert_true(measure(bench, tmp_path), points=4)
-    assert bench.quiet
-    assert not any(servo.torque for servo in bench.servos.values())
+def test_a_measurement_over_the_wire_gives_the_sample(twins: Twins, tmp_path: Path) -> None:
+    assert_true(measure(twins, tmp_path), points=4)
+    assert twins.quiet
+    assert not any(servo.torque for servo in twins.servos.values())
 
 
-def test_wire_lamp_and_camera_faults_are_mended_in_a_measurement_and_told(bench: Bench, tmp_path: Path) -> None:
-    bench.world.description.devices["camera"]["timeout_s"] = SHORT_S  # of a missing file
+def test_wire_lamp_and_camera_faults_are_mended_in_a_measurement_and_told(twins: Twins, tmp_path: Path) -> None:
+    twins.world.description.devices["camera"]["timeout_s"] = SHORT_S  # of a missing file
     rng = random.Random(11)
     for fault in faults.WIRE:
-        bench.inject(fault, axis=rng.choice(list(bench.servos)), skip=rng.randrange(30, 200))
+        twins.inject(fault, axis=rng.choice(list(twins.servos)), skip=rng.randrange(30, 200))
     for fault in faults.LAMP:
-        bench.inject(fault, skip=rng.randrange(20, 80))
+        twins.inject(fault, skip=rng.randrange(20, 80))
     for fault in faults.CAMERA:
-        bench.inject(fault, skip=rng.randrange(2, 15))
-    run = measure(bench, tmp_path)
-    assert set(bench.faults.fired) == {*faults.WIRE, *faults.LAMP, *faults.CAMERA}
+        twins.inject(fault, skip=rng.randrange(2, 15))
+    run = measure(twins, tmp_path)
+    assert set(twins.faults.fired) == {*faults.WIRE, *faults.LAMP, *faults.CAMERA}
     assert_true(run, points=4)
     assert len(remarks(run)) >= len(faults.CAMERA)
-    assert bench.quiet
+    assert twins.quiet
 
 
 @pytest.mark.parametrize("fault", faults.SERVO)
-def test_an_unwell_servo_ends_the_measurement_in_the_dark_and_at_rest(bench: Bench, tmp_path: Path, fault: str) -> None:
-    bench.inject(fault, axis="camera", skip=120)
+def test_an_unwell_servo_ends_the_measurement_in_the_dark_and_at_rest(twins: Twins, tmp_path: Path, fault: str) -> None:
+    twins.inject(fault, axis="camera", skip=120)
     with pytest.raises(DeviceError):
-        measure(bench, tmp_path)
-    assert bench.faults.fired == [fault]
-    bench.servos["camera"].unblock()
-    assert bench.quiet
+        measure(twins, tmp_path)
+    assert twins.faults.fired == [fault]
+    twins.servos["camera"].unblock()
+    assert twins.quiet
 
 
 @pytest.mark.skipif("GONIO_INJECTIONS" not in os.environ, reason="a campaign for a person: GONIO_INJECTIONS=200")
@@ -161,24 +161,24 @@ def test_campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             folder.mkdir()
             description = small()
             description.devices["camera"]["timeout_s"] = SHORT_S
-            with Bench(description, SAMPLE, k, folder=folder / "twin", scale=SCALE) as bench:
-                axis = rng.choice(list(bench.servos))
+            with Twins(description, SAMPLE, k, folder=folder / "twin", scale=SCALE) as twins:
+                axis = rng.choice(list(twins.servos))
                 most = 25 if fault in faults.CAMERA else 100 if fault in faults.LAMP else 150
-                bench.inject(fault, axis=axis, skip=rng.randrange(most))
+                twins.inject(fault, axis=axis, skip=rng.randrange(most))
                 begun, outcome = time.monotonic(), "recovered"
                 try:
-                    run: Run | None = measure(bench, folder)
+                    run: Run | None = measure(twins, folder)
                 except DeviceError as error:
                     outcome = f"stopped: {error}"
                     run = Run.open(folder / "run") if (folder / "run" / "run.toml").exists() else None
                 took = time.monotonic() - begun
-                bench.servos[axis].unblock()
-                if not bench.faults.fired:
+                twins.servos[axis].unblock()
+                if not twins.faults.fired:
                     outcome = "not fired"
                 said = 0 if run is None else len(remarks(run))
                 print(f"{k} {fault} {axis} {took:.1f} s, {said} remarks, {outcome}", file=log, flush=True)
                 assert took < LONGEST_S, (k, fault)
-                assert bench.quiet, (k, fault)
+                assert twins.quiet, (k, fault)
                 if outcome == "recovered" and run is not None:
                     assert_true(run, points=4)
 
@@ -200,18 +200,18 @@ class Presses(Silent):
                 os.kill(os.getpid(), signal.SIGINT)
 
 
-def test_one_ctrl_c_finishes_the_step_and_parks(bench: Bench, tmp_path: Path) -> None:
+def test_one_ctrl_c_finishes_the_step_and_parks(twins: Twins, tmp_path: Path) -> None:
     with pytest.raises(Interrupted):
-        measure(bench, tmp_path, Presses(1))
-    assert bench.quiet
-    at = math.degrees(bench.followers["camera"].true())
+        measure(twins, tmp_path, Presses(1))
+    assert twins.quiet
+    at = math.degrees(twins.followers["camera"].true())
     assert at == pytest.approx(88, abs=0.3)  # parked on its upper limit, within landing and zero errors
 
 
 def test_a_press_on_the_way_to_the_rest_position_stops_there_and_says_so(
-    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    twins: Twins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    park, camera = ServoArms.park, bench.servos["camera"]
+    park, camera = ServoArms.park, twins.servos["camera"]
     follow = camera.leaving
 
     def leaving() -> None:
@@ -226,38 +226,38 @@ def test_a_press_on_the_way_to_the_rest_position_stops_there_and_says_so(
 
     monkeypatch.setattr(ServoArms, "park", pressed)
     with pytest.raises(Interrupted, match="on the way to the rest position; axes stopped, lamp dark"):
-        measure(bench, tmp_path, Presses(1))
-    assert bench.quiet
-    assert math.degrees(bench.followers["camera"].true()) < 80  # not parked
+        measure(twins, tmp_path, Presses(1))
+    assert twins.quiet
+    assert math.degrees(twins.followers["camera"].true()) < 80  # not parked
 
 
-def test_nobody_is_told_that_arms_are_parked_that_are_not(bench: Bench, tmp_path: Path) -> None:
+def test_nobody_is_told_that_arms_are_parked_that_are_not(twins: Twins, tmp_path: Path) -> None:
     class Jams(Presses):
         def step(self, live: Any) -> None:
             super().step(live)
-            bench.servos["camera"].block()
+            twins.servos["camera"].block()
 
     with pytest.raises(DeviceError, match=r"axis camera.*(stuck|overloaded)"):
-        measure(bench, tmp_path, Jams(1))
-    bench.servos["camera"].unblock()
-    assert bench.quiet
+        measure(twins, tmp_path, Jams(1))
+    twins.servos["camera"].unblock()
+    assert twins.quiet
 
 
-def test_ctrl_c_in_a_check_says_what_it_has_done(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_in_a_check_says_what_it_has_done(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
     def pressed(choice: RigChoice, *, move: bool) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(rigs, "checks", pressed)
-    monkeypatch.setattr("gonio.acquisition.measure.find_rig", lambda rig: RigChoice(LAB, bench.description, rig))
+    monkeypatch.setattr("gonio.acquisition.measure.find_rig", lambda rig: RigChoice(LAB, twins.description, rig))
     with pytest.raises(Interrupted, match="the lamp is dark"):
         rigs.check("twin")
 
 
-def test_two_stop_every_axis_at_once_and_darken(bench: Bench, tmp_path: Path) -> None:
+def test_two_stop_every_axis_at_once_and_darken(twins: Twins, tmp_path: Path) -> None:
     with pytest.raises(Interrupted):
-        measure(bench, tmp_path, Presses(2))
-    assert bench.quiet
-    assert math.degrees(bench.followers["camera"].true()) < 80  # not parked
+        measure(twins, tmp_path, Presses(2))
+    assert twins.quiet
+    assert math.degrees(twins.followers["camera"].true()) < 80  # not parked
 
 
 def patient_dialect(folder: Path) -> Path:
@@ -269,16 +269,16 @@ def patient_dialect(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("presses", [2, 5])
-def test_rapid_ctrl_c_ends_with_130_and_one_message(bench: Bench, tmp_path: Path, presses: int) -> None:
+def test_rapid_ctrl_c_ends_with_130_and_one_message(twins: Twins, tmp_path: Path, presses: int) -> None:
     (tmp_path / "plan.toml").write_text(PLAN)
-    rig = plug(bench.description)
+    rig = plug(twins.description)
     rig["devices"]["light"]["dialect"] = str(patient_dialect(tmp_path))
     (tmp_path / "rig.toml").write_text(to_toml(rig))
     program = "from gonio_drivers import arms, sdk; arms.GRACE_S, sdk.PATIENCE_MS = 600, 60_000\n"  # on a busy machine
     command = [sys.executable, "-c", program + "from gonio.cli import main; main()", "measure"]
     command += [str(tmp_path / "plan.toml"), "--rig", str(tmp_path / "rig.toml"), "--out", str(tmp_path / "run")]
     under_way = threading.Event()
-    for servo in bench.servos.values():
+    for servo in twins.servos.values():
         crawl(servo)  # the step is not over before the last press
         servo.leaving = lambda follow=servo.leaving, servo=servo: sets_out(follow, servo)  # type: ignore[misc]
 
@@ -306,22 +306,22 @@ def test_rapid_ctrl_c_ends_with_130_and_one_message(bench: Bench, tmp_path: Path
     assert child.returncode == 130, said
     assert "Traceback" not in said
     assert "axes stopped, lamp dark; go on with --resume" in said
-    assert bench.quiet
+    assert twins.quiet
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGUSR1])  # background jobs are deaf to SIGQUIT
-def test_a_signal_leaves_the_rig_dark(bench: Bench, number: signal.Signals) -> None:
-    with pytest.raises(Interrupted, match=number.name), opened(bench) as rig:  # noqa: PT012
+def test_a_signal_leaves_the_rig_dark(twins: Twins, number: signal.Signals) -> None:
+    with pytest.raises(Interrupted, match=number.name), opened(twins) as rig:  # noqa: PT012
         rig.light.select(rig.description.bands.all()[0])
         rig.light.on()
-        assert bench.lamp.shine.lit
+        assert twins.lamp.shine.lit
         os.kill(os.getpid(), number)
-    assert bench.quiet
+    assert twins.quiet
     assert signal.getsignal(number) is signal.SIG_DFL
 
 
-def test_a_second_ctrl_c_while_leaving_still_darkens_and_frees(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = opened(bench)
+def test_a_second_ctrl_c_while_leaving_still_darkens_and_frees(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = opened(twins)
     rig.__enter__()
     rig.light.on()
     real, calls = rig.light.off, []
@@ -335,70 +335,70 @@ def test_a_second_ctrl_c_while_leaving_still_darkens_and_frees(bench: Bench, mon
     monkeypatch.setattr(rig.light, "off", interrupted)
     with pytest.raises(KeyboardInterrupt):
         rig.__exit__(None, None, None)
-    assert bench.quiet
-    assert not any(servo.torque for servo in bench.servos.values())
+    assert twins.quiet
+    assert not any(servo.torque for servo in twins.servos.values())
 
 
-def test_an_error_of_anybody_leaves_the_rig_dark(bench: Bench) -> None:
-    with pytest.raises(ZeroDivisionError), opened(bench) as rig:  # noqa: PT012
+def test_an_error_of_anybody_leaves_the_rig_dark(twins: Twins) -> None:
+    with pytest.raises(ZeroDivisionError), opened(twins) as rig:  # noqa: PT012
         rig.light.on()
         1 / 0  # noqa: B018
-    assert bench.quiet
+    assert twins.quiet
 
 
 # ---- guarded frames ----
 
 
-def test_a_frame_during_which_the_lamp_reset_is_taken_again(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
-    with opened(bench) as rig:
+def test_a_frame_during_which_the_lamp_reset_is_taken_again(twins: Twins, caplog: pytest.LogCaptureFixture) -> None:
+    with opened(twins) as rig:
         rig.arms.move(Pose(camera=math.radians(45)))
         rig.light.select(rig.description.bands.all()[10])
         rig.light.on()
         bright = rig.camera.capture(0.02)
-        bench.lamp.reset(lambda data: None)
+        twins.lamp.reset(lambda data: None)
         again = rig.camera.capture(0.02)
     assert np.median(again.mosaic) == pytest.approx(np.median(bright.mosaic), rel=0.05)  # lamp noise is 0.8 %
     assert "the frame is taken again" in caplog.text
 
 
-def test_an_arm_that_moves_during_an_exposure_is_an_error(bench: Bench) -> None:
-    with pytest.raises(DeviceError, match="axis camera has moved by itself"), opened(bench) as rig:  # noqa: PT012
+def test_an_arm_that_moves_during_an_exposure_is_an_error(twins: Twins) -> None:
+    with pytest.raises(DeviceError, match="axis camera has moved by itself"), opened(twins) as rig:  # noqa: PT012
         rig.arms.move(Pose(camera=math.radians(45)))
-        bench.servos["camera"].write(116, (2000).to_bytes(4, "little"))
+        twins.servos["camera"].write(116, (2000).to_bytes(4, "little"))
         rig.camera.capture(0.5)
         rig.camera.capture(0.5)
 
 
 def test_a_push_during_an_exposure_costs_the_step_and_no_more(
-    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    twins: Twins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real, exposures = bench.camera._expose, []
+    real, exposures = twins.camera._expose, []
 
     def pushed(exposure_s: float) -> Any:
         exposures.append(exposure_s)
         if len(exposures) == 14:  # in the first point: 4 dark frames, then 4 of the reference and so on
-            camera = bench.servos["camera"]
+            camera = twins.servos["camera"]
             camera._path = motion.rest(0.0, camera.shaft()[0] - 7)  # 0.6 deg
         return real(exposure_s)
 
-    monkeypatch.setattr(bench.camera, "_expose", pushed)
-    run = measure(bench, tmp_path)
+    monkeypatch.setattr(twins.camera, "_expose", pushed)
+    run = measure(twins, tmp_path)
     assert_true(run, points=4)
     (remark,) = [remark for remark in remarks(run) if "moved by itself" in remark]  # a busy machine makes others
     assert "axis camera has moved by itself" in remark
     assert "it is taken again" in remark
 
 
-def test_a_target_is_changed_by_its_servo(bench: Bench) -> None:
-    with opened(bench) as rig:
+def test_a_target_is_changed_by_its_servo(twins: Twins) -> None:
+    with opened(twins) as rig:
         rig.present("reference")
-        assert bench._target() == "reference"
+        assert twins._target() == "reference"
         rig.present("sample")
-        assert bench._target() == "sample"
+        assert twins._target() == "sample"
 
 
-def test_times_go_on(bench: Bench) -> None:
-    with opened(bench) as rig:
+def test_times_go_on(twins: Twins) -> None:
+    with opened(twins) as rig:
         rig.begin(Step(0, "dark"))
         first = rig.camera.capture(0.001).time_s
         assert first < rig.camera.capture(0.001).time_s <= rig.time_s()
@@ -407,21 +407,21 @@ def test_times_go_on(bench: Bench) -> None:
 # ---- check ----
 
 
-def test_rig_check_reports_every_device_with_a_verdict(bench: Bench) -> None:
-    rows = {what: (found, good) for what, found, good in checks(RigChoice(LAB, bench.description, "twin"))}
+def test_rig_check_reports_every_device_with_a_verdict(twins: Twins) -> None:
+    rows = {what: (found, good) for what, found, good in checks(RigChoice(LAB, twins.description, "twin"))}
     assert {"light servo", "changer servo", "bus latency", "readback noise", "repeatability", "lamp"} <= set(rows)
     assert "xm430-w350 (1020), firmware 46, 34 C, 12.0 V" in rows["camera servo"][0]
     bad = [what for what, (_, good) in rows.items() if not good]
     assert bad in ([], ["bus latency"])  # a busy machine is slow
-    assert bench.quiet
+    assert twins.quiet
 
 
-def test_rig_check_without_moves_moves_nothing(bench: Bench) -> None:
-    before = [servo.shaft()[0] for servo in bench.servos.values()]
-    rows = {what for what, _, _ in checks(RigChoice(LAB, bench.description, "twin"), move=False)}
+def test_rig_check_without_moves_moves_nothing(twins: Twins) -> None:
+    before = [servo.shaft()[0] for servo in twins.servos.values()]
+    rows = {what for what, _, _ in checks(RigChoice(LAB, twins.description, "twin"), move=False)}
     assert {"light servo", "bus latency", "lamp dark"} <= rows
     assert "repeatability" not in rows
-    assert [servo.shaft()[0] for servo in bench.servos.values()] == before
+    assert [servo.shaft()[0] for servo in twins.servos.values()] == before
 
 
 # ---- messages ----
@@ -478,13 +478,13 @@ def test_a_bench_for_a_rig_with_another_camera(tmp_path: Path, driver: str) -> N
     description = small()
     camera = {"driver": driver, "folder": "images"}
     asked = description.model_copy(update={"devices": description.devices | {"camera": camera}})
-    bench = Bench(asked, SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE)
+    twins = Twins(asked, SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE)
     if driver == "sequence":
-        assert bench.description.devices["camera"] == {"driver": "sequence", "folder": str(Path("images").absolute())}
+        assert twins.description.devices["camera"] == {"driver": "sequence", "folder": str(Path("images").absolute())}
         with pytest.raises(ConfigError, match=r'"file-late" needs a tethered camera.*driver = "sequence"'):
-            bench.inject("file-late")
+            twins.inject("file-late")
         return
-    with bench, opened(bench) as rig:
+    with twins, opened(twins) as rig:
         assert rig.camera.capture(0.01).mosaic.shape == (48, 64)
 
 

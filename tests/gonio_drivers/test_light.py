@@ -33,6 +33,11 @@ SHORT_S = 0.25
 """For answers that do not come."""
 
 
+def speak(light: SerialLight, **changes: object) -> None:
+    """Let a driver speak its dialect with some keys changed."""
+    light._dialect = light._line._dialect = light._dialect.model_copy(update=changes)
+
+
 @dataclass
 class Plugged:
     """A lamp at the end of a cable, and everything that was said on the cable."""
@@ -46,7 +51,7 @@ class Plugged:
         channels = {} if self.name == "scpi" else {"blue": 1, "red": 2}
         table = {"port": self.port, "dialect": self.name, "level": 0.8, "settle_s": 0.0, "channels": channels}
         light = SerialLight(DESCRIPTION, settings.Light.model_validate(table | changes))
-        light._dialect = light._dialect.model_copy(update={"timeout_s": timeout_s, "banner_s": PATIENCE_S})
+        speak(light, timeout_s=timeout_s, banner_s=PATIENCE_S)
         return light
 
 
@@ -102,9 +107,10 @@ def test_dark_after_an_exception(lamp: Plugged) -> None:
 def test_dark_after_kill_9(lamp: Plugged, tmp_path: Path) -> None:
     table = {"port": lamp.port, "dialect": lamp.name, "settle_s": 0.0}
     program = (
-        "import os, signal\nfrom tests.gonio_drivers.test_light import DESCRIPTION, PATIENCE_S, SerialLight, settings\n"
+        "import os, signal\n"
+        "from tests.gonio_drivers.test_light import DESCRIPTION, PATIENCE_S, SerialLight, settings, speak\n"
         f"light = SerialLight(DESCRIPTION, settings.Light.model_validate({table}))\n"
-        "light._dialect = light._dialect.model_copy(update={'timeout_s': PATIENCE_S, 'banner_s': PATIENCE_S})\n"
+        "speak(light, timeout_s=PATIENCE_S, banner_s=PATIENCE_S)\n"
         "light.__enter__()\nlight.on()\nprint('lit', flush=True)\ninput()\n"
     )
     root = ROOT
@@ -209,8 +215,8 @@ def test_a_lamp_that_falls_silent_while_lit_is_an_error_that_says_to_switch_it_o
     light.__enter__()
     light.select(BANDS[0])
     light.on()
-    assert light._port is not None
-    light._port.timeout = SHORT_S
+    assert light._line._port is not None
+    light._line._port.timeout = SHORT_S
     lamp.twin.faults.arm("lamp-silent", times=10_000)
     with pytest.raises(DeviceError, match="switch it off by hand"):
         light.__exit__(None, None, None)
@@ -283,33 +289,33 @@ def test_a_dialect_that_cannot_work_is_refused_when_it_is_read(tmp_path: Path, w
 
 def test_a_device_that_never_stops_talking_is_no_lamp(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
     light = lamp.driver()
-    light._dialect = light._dialect.model_copy(update={"timeout_s": 0.01, "banner": "READY.*", "banner_s": 0.01})
-    monkeypatch.setattr(light, "_line", lambda: "TEMP 31.2")
+    speak(light, timeout_s=0.01, banner="READY.*", banner_s=0.01)
+    monkeypatch.setattr(light._line, "next", lambda: "TEMP 31.2")
     with pytest.raises(DeviceError, match=r'says it is "TEMP 31\.2", which is no'), light:
         pass
 
 
 def test_a_line_of_blanks_ends_in_time(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
     with lamp.driver() as light:
-        light._dialect = light._dialect.model_copy(update={"prompt": "> "})
-        monkeypatch.setattr(light._port, "timeout", 0.01)
-        monkeypatch.setattr(light._port, "read_until", lambda ending: b"> \r\n")
-        assert light._line() == ""
+        speak(light, prompt="> ")
+        monkeypatch.setattr(light._line._port, "timeout", 0.01)
+        monkeypatch.setattr(light._line._port, "read_until", lambda ending: b"> \r\n")
+        assert light._line.next() == ""
         monkeypatch.undo()
 
 
 def test_a_number_is_asked_for_again_where_something_else_comes(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
     with lamp.driver() as light:
-        real, answers = light._ask, iter(["TEMP is 31.2"])
-        monkeypatch.setattr(light, "_ask", lambda *asked: next(answers, None) or real(*asked))
-        assert light._number(light._dialect.get.format(channel=1), light._dialect.got) == 0
+        real, answers = light._line.ask, iter(["TEMP is 31.2"])
+        monkeypatch.setattr(light._line, "ask", lambda *asked: next(answers, None) or real(*asked))
+        assert light._line.number(light._dialect.get.format(channel=1), light._dialect.got) == 0
 
 
 def test_a_lamp_counts_as_dark_only_where_it_says_so(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
     with lamp.driver() as light:
         light.check()
-        real, answers = light._ask, iter(["who knows"])
-        monkeypatch.setattr(light, "_ask", lambda *asked: next(answers, None) or real(*asked))
+        real, answers = light._line.ask, iter(["who knows"])
+        monkeypatch.setattr(light._line, "ask", lambda *asked: next(answers, None) or real(*asked))
         with pytest.raises(LampReset):
             light.check()
 
@@ -387,8 +393,8 @@ def test_half_a_number_is_none(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -
     """A wait may end in the middle of a line, where the computer or the adapter is held up."""
     with lamp.driver() as light:
         light.on()
-        assert light._port is not None
-        whole, rest = light._port.read_until, []
+        assert light._line._port is not None
+        whole, rest = light._line._port.read_until, []
 
         def halves(ending: bytes) -> bytes:
             if rest:
@@ -397,7 +403,7 @@ def test_half_a_number_is_none(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -
             rest.append(line[1:])
             return line[:1]
 
-        monkeypatch.setattr(light._port, "read_until", halves)
+        monkeypatch.setattr(light._line._port, "read_until", halves)
         assert light.monitor() == {"scpi": 8e-4, "arduino": 0.8}.get(lamp.name)
 
 

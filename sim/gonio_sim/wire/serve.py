@@ -39,7 +39,7 @@ def serve(
     from gonio.disk import require_own, write_own
     from gonio.errors import ConfigError
     from gonio_sim.wire import faults
-    from gonio_sim.wire.twins import Bench, plug
+    from gonio_sim.wire.twins import Twins, plug
 
     wanted = fault or []
     if "list" in wanted:
@@ -54,21 +54,21 @@ def serve(
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: stop.set())
-    with Bench(choice.description, described, seed, folder=out.absolute(), scale=time_scale) as bench:
+    with Twins(choice.description, described, seed, folder=out.absolute(), scale=time_scale) as twins:
         path = out / "rig.toml"
-        write_own(out, {path.name: to_toml(plug(bench.description)).encode()})
+        write_own(out, {path.name: to_toml(plug(twins.description)).encode()})
         print(f"twins of {rig} are running, {time_scale:g} times as fast; Ctrl-C ends them")
-        if bench.replays:
+        if twins.replays:
             print(
-                f"  the camera has no twin: the images in {bench.description.devices['camera']['folder']} are replayed"
+                f"  the camera has no twin: the images in {twins.description.devices['camera']['folder']} are replayed"
             )
-        elif bench.driver != "folder":
-            print(f'  a tethered camera with RAW files stands in for driver = "{bench.driver}", which has no twin')
+        elif twins.driver != "folder":
+            print(f'  a tethered camera with RAW files stands in for driver = "{twins.driver}", which has no twin')
         print(f"  gonio rig check --rig {path}")
         print(f"  gonio measure PLAN --rig {path} --out RUN --yes", flush=True)
         if not stop.wait(after):
             for name in wanted:
                 what, _, axis = name.partition(":")
-                bench.inject(what, axis=axis or None)
+                twins.inject(what, axis=axis or None)
                 print(f"  fault armed: {name}", flush=True)
             stop.wait()

@@ -128,7 +128,7 @@ class Follower:
         return self.arm - self.offset - self.zero_error
 
 
-class Bench:
+class Twins:
     """The twins of one rig file; a context that serves them.
 
     Parameters

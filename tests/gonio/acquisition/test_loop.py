@@ -8,14 +8,14 @@ import signal
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from gonio.acquisition.loop import Live, Silent
 from gonio.acquisition.measure import RigChoice, carry_out, check
 from gonio.acquisition.plan import Plan, load_plan
+from gonio.acquisition.progress import Live, Silent
+from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
 from gonio.config import to_toml
 from gonio.errors import ConfigError, DataError, DeviceError, GonioError, Interrupted
@@ -23,7 +23,7 @@ from gonio.reduction import brdf
 from gonio.rig import Frame
 from gonio.rig.description import Holder, Reference, RigDescription
 from gonio.rig.dng import read_raw
-from tests.gonio.numpy_rig import PLAN, SAMPLE, Bench, Plugin, describe
+from tests.gonio.numpy_rig import PLAN, SAMPLE, NumpyRig, Plugin, describe
 
 Measure = Callable[..., Run]
 
@@ -59,9 +59,9 @@ class StopAfter(Silent):
             signal.raise_signal(signal.SIGINT)
 
 
-def content(run: Run) -> list[dict[str, object]]:
+def content(run: Run) -> list[StepRecord]:
     """Everything in the steps that depends on the measurement."""
-    return [{k: v for k, v in step.items() if k not in ("n", "wall", "crc")} for step in run.steps()]
+    return list(run.steps())
 
 
 def test_a_run_holds_what_was_asked_and_what_happened(measure: Measure, tmp_path: Path) -> None:
@@ -74,7 +74,7 @@ def test_a_run_holds_what_was_asked_and_what_happened(measure: Measure, tmp_path
     assert list(run.plan["flag"]) == ["", "blocked", "", "", "", ""]
     assert "around retro" in run.plan["reason"][1]
     assert [event["event"] for event in run.events()] == ["session", *["step"] * 9, "end"]
-    assert [step["kind"] for step in run.steps()] == [
+    assert [step.kind for step in run.steps()] == [
         *["dark", "reference", "point", "point", "point", "reference", "point", "point", "reference"]
     ]
     assert rig.opened[0].log[-2:] == ["off", "park"]
@@ -83,40 +83,40 @@ def test_a_run_holds_what_was_asked_and_what_happened(measure: Measure, tmp_path
 
 def test_frames_are_those_that_the_journal_names(measure: Measure) -> None:
     run = measure("run")
-    named = [frame for step in run.steps() for frame in step["frames"]]
-    assert {path.name for path in (run.path / "frames").iterdir()} == {frame["file"] for frame in named}
+    named = [frame for step in run.steps() for frame in step.frames]
+    assert {path.name for path in (run.path / "frames").iterdir()} == {frame.file for frame in named}
     for frame in named:
-        data = run.frame_path(frame["file"]).read_bytes()
-        assert hashlib.sha256(data).hexdigest() == frame["sha256"]
+        data = run.frame_path(frame.file).read_bytes()
+        assert hashlib.sha256(data).hexdigest() == frame.sha256
     point = run.steps()[2]
-    assert [f["file"] for f in point["frames"]] == [
+    assert [f.file for f in point.frames] == [
         *[f"000002-green550-{k:02d}.dng" for k in (1, 2, 3)],
         *[f"000002-red650-{k:02d}.dng" for k in (1, 2, 3)],
     ]
-    assert [f["band"] for f in point["frames"]] == ["green, 550"] * 3 + ["red 650"] * 3
-    first, _, short = point["frames"][:3]
-    assert short["exposure_s"] == pytest.approx(first["exposure_s"] / 4, abs=1e-6)  # whole microseconds
-    raw = read_raw(run.frame_path(first["file"]))
-    assert raw.exposure_s == first["exposure_s"]
+    assert [f.band for f in point.frames] == ["green, 550"] * 3 + ["red 650"] * 3
+    first, _, short = point.frames[:3]
+    assert short.exposure_s == pytest.approx(first.exposure_s / 4, abs=1e-6)  # whole microseconds
+    raw = read_raw(run.frame_path(first.file))
+    assert raw.exposure_s == first.exposure_s
     level = (float(np.max(raw.mosaic)) - 64) / (11_000 / 3)
     assert level == pytest.approx(0.6, abs=0.05)  # photon noise of the brightest pixel in the metering frame
 
 
 def test_darks_are_dark_and_the_lamp_is_lit_for_the_rest(measure: Measure) -> None:
     for step in measure("run").steps():
-        assert {frame["lamp"] for frame in step["frames"]} == {step["kind"] != "dark"}
+        assert {frame.lamp for frame in step.frames} == {step.kind != "dark"}
     dark = measure("again").steps()[0]
-    assert len({frame["exposure_s"] for frame in dark["frames"]}) == 2
-    assert len(dark["frames"]) == 4
+    assert len({frame.exposure_s for frame in dark.frames}) == 2
+    assert len(dark.frames) == 4
 
 
 def test_readbacks_before_and_after_the_frames_are_recorded_with_their_times(measure: Measure) -> None:
     dark, *others = measure("run").steps()
-    assert dark["pose_time_s"] >= dark["frames"][-1]["time_s"]
+    assert dark.pose_time_s >= dark.frames[-1].time_s
     for step in others:
-        assert step["pose"] == step["pose_after"] == step["goal"]  # this rig has no errors
-        times = [frame["time_s"] for frame in step["frames"]]
-        assert step["pose_time_s"] <= times[0] < times[-1] <= step["pose_after_time_s"]
+        assert step.pose == step.pose_after == step.goal  # this rig has no errors
+        times = [frame.time_s for frame in step.frames]
+        assert step.pose_time_s <= times[0] < times[-1] <= step.pose_after_time_s
 
 
 def test_a_step_during_which_an_arm_was_pushed_is_taken_again(measure: Measure) -> None:
@@ -128,14 +128,14 @@ def test_a_step_during_which_an_arm_was_pushed_is_taken_again(measure: Measure) 
 
 def test_a_step_during_which_an_arm_never_stands_still_is_flagged(measure: Measure) -> None:
     run = measure("run", rig=Plugin(options={"pushes": {1: 9, 3: 9}}))  # a visit to the reference, and a point
-    flags = {step["step"]: step["flag"] for step in run.steps()}
+    flags = {step.step: step.flag for step in run.steps()}
     assert flags == dict.fromkeys(range(9), "") | {1: "moved", 3: "moved"}
     assert [event["message"].rpartition("; ")[2] for event in run.events() if event["event"] == "remark"] == [
         *["it is taken again", "it is taken again", 'it is flagged "moved"'] * 2
     ]
     flagged = run.steps()[3]
-    assert flagged["frames"] == []
-    assert flagged["pose"]["camera"] - flagged["goal"]["camera"] == pytest.approx(math.radians(0.3))
+    assert flagged.frames == ()
+    assert flagged.pose.camera - flagged.goal.camera == pytest.approx(math.radians(0.3))
     table = brdf.reduce(run)
     assert list(table["flag"])[:4] == ["", "", "blocked", "blocked"]
     assert set(table["flag"][table["flag"] != "blocked"]) == {"", "moved"}
@@ -148,15 +148,15 @@ def test_one_seed_gives_one_run(measure: Measure) -> None:
     assert content(first) != content(other)
 
 
-def metering_frames(step: dict[str, Any]) -> int:
+def metering_frames(step: StepRecord) -> int:
     """How many frames a step took before those that it kept: on this rig a frame's time counts the step's frames."""
-    return round(step["frames"][-1]["time_s"]) - 100 * int(step["step"]) + 1 - len(step["frames"])
+    return round(step.frames[-1].time_s) - 100 * int(step.step) + 1 - len(step.frames)
 
 
 def test_a_point_is_metered_with_what_the_point_before_it_needed(measure: Measure) -> None:
     """Fifty times darker than white, a sample costs a search at its first point and one frame a band from then on."""
     rig = Plugin(options={"albedo": 0.02})
-    points = [step for step in measure("run", rig=rig).steps() if step["kind"] == "point"]
+    points = [step for step in measure("run", rig=rig).steps() if step.kind == "point"]
     taken = [metering_frames(step) for step in points]
     assert taken[0] > 2
     assert taken[1:] == [2] * (len(points) - 1)
@@ -166,7 +166,7 @@ def test_a_point_without_frames_is_no_guide(measure: Measure) -> None:
     """The point before it is: with step 3 flagged, step 4 is metered by step 2."""
     rig = Plugin(options={"albedo": 0.02, "pushes": {3: 9}})
     steps = measure("run", rig=rig).steps()
-    assert steps[3]["frames"] == []
+    assert steps[3].frames == ()
     assert metering_frames(steps[4]) == 2
 
 
@@ -219,7 +219,7 @@ def test_frames_of_a_step_that_was_cut_short_do_not_stay(measure: Measure) -> No
     journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:4]))
     with pytest.raises(Interrupted):
         measure("run", resume=True, progress=StopAfter(1))
-    named = {frame["file"] for step in Run.open(run.path).steps() for frame in step["frames"]}
+    named = {frame.file for step in Run.open(run.path).steps() for frame in step.frames}
     assert {path.name for path in (run.path / "frames").iterdir()} == named
 
 
@@ -282,7 +282,7 @@ def test_a_computer_s_clock_that_jumps_changes_nothing(measure: Measure, monkeyp
 def test_frames_whose_times_do_not_grow_end_the_run(
     measure: Measure, stamps: Callable[[float], float], words: str, repeatable: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Bench, "time_s", lambda self: 100.0 * self.step + self.frame)
+    monkeypatch.setattr(NumpyRig, "time_s", lambda self: 100.0 * self.step + self.frame)
     rig = Plugin(options={"stamps": stamps, "repeatable": repeatable})
     with pytest.raises(DeviceError, match=f'the camera of the rig "bench of numpy" .*{words}') as caught:
         measure("run", rig=rig, yes=True)
@@ -306,7 +306,7 @@ def test_a_clock_that_was_set_back_between_two_sittings(measure: Measure) -> Non
         with pytest.raises(DeviceError, match=r"this run holds a frame of 19\d+\.0 s: .*computer's clock"):
             measure("run", rig=late, **again)
     run = measure("run", rig=Plugin(options={"repeatable": False}), **again)
-    assert len([step for step in run.steps() if step["kind"] == "point"]) == 5
+    assert len([step for step in run.steps() if step.kind == "point"]) == 5
     times = [f["time_s"] for e in run.events() if e["event"] == "step" for f in e["frames"]]
     assert np.all(np.diff(times) > 0)
 
@@ -473,10 +473,10 @@ def test_a_camera_s_own_file_is_kept_as_it_is(
 ) -> None:
     own = tmp_path / "IMG_0001.CR2"
     own.write_bytes(b"the camera's own bytes")
-    capture = Bench.capture
-    monkeypatch.setattr(Bench, "capture", lambda self, exposure_s: replace(capture(self, exposure_s), file=own))
+    capture = NumpyRig.capture
+    monkeypatch.setattr(NumpyRig, "capture", lambda self, exposure_s: replace(capture(self, exposure_s), file=own))
     run = measure("run")
-    assert run.steps()[0]["frames"][0]["file"] == "000000-dark-01.cr2"
+    assert run.steps()[0].frames[0].file == "000000-dark-01.cr2"
     assert run.frame_path("000000-dark-01.cr2").read_bytes() == own.read_bytes()
     assert own.exists()
 

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gonio.acquisition.plan import ANGLES, Range, assess, estimate_s, load_plan, schedule
+from gonio.acquisition.plan import ANGLES, Range, assess, load_plan
+from gonio.acquisition.schedule import estimate_s, schedule
 from gonio.errors import ConfigError
 from gonio.rig.description import Geometry, Holder, Reference
 from tests.gonio.numpy_rig import PLAN, describe

@@ -13,16 +13,17 @@ import numpy as np
 import pytest
 
 from gonio.acquisition import repair
-from gonio.acquisition.frame_writer import record_of
-from gonio.acquisition.loop import Silent
+from gonio.acquisition.frame_writer import label_of
 from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import Plan, load_plan
+from gonio.acquisition.progress import Silent
+from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, DataError
 from gonio.reduction import brdf
 from gonio.rig.description import Reference
 from gonio.rig.dng import read_raw, read_record
-from tests.gonio.numpy_rig import PLAN, SAMPLE, Bench, Plugin, describe
+from tests.gonio.numpy_rig import PLAN, SAMPLE, NumpyRig, Plugin, describe
 
 Measure = Callable[..., Run]
 
@@ -48,8 +49,8 @@ class Told(Silent):
         self.text += text + "\n"
 
 
-def content(run: Run) -> list[dict[str, object]]:
-    return [{k: v for k, v in step.items() if k not in ("n", "wall", "crc")} for step in run.steps()]
+def content(run: Run) -> list[StepRecord]:
+    return list(run.steps())
 
 
 def tree(folder: Path) -> dict[str, bytes]:
@@ -59,29 +60,27 @@ def tree(folder: Path) -> dict[str, bytes]:
 def test_every_frame_says_what_it_is(measure: Measure) -> None:
     run = measure()
     for step in run.steps():
-        for number, frame in enumerate(step["frames"], 1):
-            path = run.frame_path(frame["file"])
-            record = record_of(path, path.read_bytes())
-            assert record is not None
-            assert record["run"] == run.key
-            assert [record[k] for k in ("step", "kind", "point")] == [step[k] for k in ("step", "kind", "point")]
-            assert (record["frame"], record["of"]) == (number, len(step["frames"]))
-            known = {k: v for k, v in frame.items() if k not in ("sha256", "bytes")}
-            assert record.items() >= known.items()
-            if step["kind"] != "dark":
-                assert record["goal"] == step["goal"]
-                assert record["pose"] == step["pose"]
-            assert ("event" in record) == (number == len(step["frames"]))
-            assert path.stat().st_size == frame["bytes"]
+        for number, frame in enumerate(step.frames, 1):
+            path = run.frame_path(frame.file)
+            label = label_of(path, path.read_bytes())
+            assert label is not None
+            assert label.run == run.key
+            assert (label.step, label.kind, label.point) == (step.step, step.kind, step.point)
+            assert (label.number, label.count) == (number, len(step.frames))
+            assert label.frame == replace(frame, sha256=None, bytes=None)
+            if step.kind != "dark":
+                assert (label.goal, label.pose) == (step.goal, step.pose)
+            assert (label.record is not None) == (number == len(step.frames))
+            assert path.stat().st_size == frame.bytes
 
 
-def test_the_record_does_not_touch_the_picture(measure: Measure) -> None:
+def test_the_label_does_not_touch_the_picture(measure: Measure) -> None:
     run = measure()
-    path = run.frame_path(run.steps()[2]["frames"][0]["file"])
+    path = run.frame_path(run.steps()[2].frames[0].file)
     data = path.read_bytes()
     assert read_record(data).isascii()
     frame = read_raw(path)
-    assert frame.exposure_s == run.steps()[2]["frames"][0]["exposure_s"]
+    assert frame.exposure_s == run.steps()[2].frames[0].exposure_s
     assert frame.mosaic.shape == (48, 64)
 
 
@@ -138,9 +137,9 @@ def test_a_journal_damaged_in_the_middle_keeps_what_is_readable(measure: Measure
 
 def test_a_step_that_is_not_provably_complete_is_taken_again(measure: Measure) -> None:
     run = measure()
-    whole, files = content(run), [frame["file"] for frame in run.steps()[3]["frames"]]
+    whole, files = content(run), [frame.file for frame in run.steps()[3].frames]
     (run.path / "journal.jsonl").unlink()
-    run.frame_path(files[-1]).unlink()  # it held the record of the step
+    run.frame_path(files[-1]).unlink()  # its label held the record of the step
     other = run.steps()  # as it was opened before
     del other
     done = repair.repair(run.path)
@@ -165,13 +164,13 @@ def test_frames_of_an_older_version_are_kept_and_said_to_tell_nothing(measure: M
     assert sorted(path.name for path in (run.path / "set-aside").iterdir()) == names
 
 
-def test_a_camera_s_own_files_have_their_records_beside_them(
+def test_a_camera_s_own_files_have_their_labels_beside_them(
     measure: Measure, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own = tmp_path / "IMG_0001.CR2"
     own.write_bytes(b"the camera's own bytes")
-    capture = Bench.capture
-    monkeypatch.setattr(Bench, "capture", lambda self, exposure_s: replace(capture(self, exposure_s), file=own))
+    capture = NumpyRig.capture
+    monkeypatch.setattr(NumpyRig, "capture", lambda self, exposure_s: replace(capture(self, exposure_s), file=own))
     run = measure()
     whole = content(run)
     (run.path / "journal.jsonl").unlink()
@@ -199,7 +198,7 @@ def lose(path: Path, how: str) -> None:
 def test_resuming_takes_again_what_was_lost(measure: Measure, how: str, number: int) -> None:
     run = measure()
     whole = content(run)
-    frame = run.steps()[number]["frames"][-1]["file"]
+    frame = run.steps()[number].frames[-1].file
     lose(run.frame_path(frame), how)
     damaged = run.frame_path(frame).read_bytes() if how != "missing" else None
     told, rig = Told(), Plugin()
@@ -225,7 +224,7 @@ def test_a_change_among_very_many_frames_is_found_by_the_check(
     measure: Measure, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = measure()
-    first = run.frame_path(run.steps()[0]["frames"][0]["file"])
+    first = run.frame_path(run.steps()[0].frames[0].file)
     lose(first, "changed")
     monkeypatch.setattr(repair, "LOOKED_INTO", 6)
     told = Told()
@@ -233,7 +232,7 @@ def test_a_change_among_very_many_frames_is_found_by_the_check(
     assert "only the size was compared" in told.text
     found = repair.check(run.path)
     assert first.name in found.damaged[0][0]
-    last = run.frame_path(run.steps()[-1]["frames"][-1]["file"])
+    last = run.frame_path(run.steps()[-1].frames[-1].file)
     lose(last, "changed")
     told = Told()
     measure(resume=True, progress=told)
@@ -249,16 +248,16 @@ def test_reduction_leaves_out_what_is_damaged(measure: Measure, how: str) -> Non
     run = measure()
     before = brdf.reduce(run)
     step = run.steps()[3]
-    lose(run.frame_path(step["frames"][0]["file"]), how)  # of the first band
+    lose(run.frame_path(step.frames[0].file), how)  # of the first band
     table = brdf.reduce(run)
-    row = 2 * step["point"]
+    row = 2 * step.point
     assert table["flag"][row] == "damaged"
     assert np.isnan(table["brdf"][row])
     rest = [k for k in range(len(table)) if k != row]
     assert list(table["flag"][rest]) == list(before["flag"][rest])
     np.testing.assert_allclose(table["brdf"][rest], before["brdf"][rest], rtol=1e-12)
     (note,) = (note for note in table.attrs["notes"] if "damaged" in note)
-    assert step["frames"][0]["file"] in note
+    assert step.frames[0].file in note
     assert "--resume" in note
 
 
@@ -266,8 +265,8 @@ def test_reduction_leaves_out_what_is_damaged(measure: Measure, how: str) -> Non
 def test_reduction_goes_on_without_a_visit_to_the_reference(measure: Measure, number: int) -> None:
     run = measure()
     before = brdf.reduce(run)
-    for frame in run.steps()[number]["frames"]:
-        lose(run.frame_path(frame["file"]), "changed")
+    for frame in run.steps()[number].frames:
+        lose(run.frame_path(frame.file), "changed")
     table = brdf.reduce(run)
     assert list(table["flag"]) == list(before["flag"])
     good = before["flag"] == ""
@@ -278,14 +277,14 @@ def test_reduction_goes_on_without_a_visit_to_the_reference(measure: Measure, nu
 
 def test_reduction_goes_on_with_the_dark_frames_that_are_left(measure: Measure) -> None:
     run = measure()
-    before, dark = brdf.reduce(run), run.steps()[0]["frames"]
-    lose(run.frame_path(dark[0]["file"]), "missing")
+    before, dark = brdf.reduce(run), run.steps()[0].frames
+    lose(run.frame_path(dark[0].file), "missing")
     assert list(brdf.reduce(run)["flag"]) == list(before["flag"])
-    lose(run.frame_path(dark[1]["file"]), "missing")  # one exposure is left
+    lose(run.frame_path(dark[1].file), "missing")  # one exposure is left
     table = brdf.reduce(run)
     assert any("dark frames of one exposure" in note for note in table.attrs["notes"])
     for frame in dark[2:]:
-        lose(run.frame_path(frame["file"]), "changed")
+        lose(run.frame_path(frame.file), "changed")
     with pytest.raises(DataError, match=r"every dark frame .*--resume"):
         brdf.reduce(run)
 
@@ -293,8 +292,8 @@ def test_reduction_goes_on_with_the_dark_frames_that_are_left(measure: Measure) 
 def test_reduction_needs_one_visit(measure: Measure) -> None:
     run = measure()
     for number in (1, 5, 8):
-        for frame in run.steps()[number]["frames"]:
-            lose(run.frame_path(frame["file"]), "missing")
+        for frame in run.steps()[number].frames:
+            lose(run.frame_path(frame.file), "missing")
     with pytest.raises(DataError, match="no usable visit to the white reference"):
         brdf.reduce(run)
 
@@ -335,13 +334,13 @@ def test_a_whole_run_needs_no_repair(measure: Measure) -> None:
 def test_repair_finds_damage_and_resuming_mends_it(measure: Measure) -> None:
     run = measure()
     whole = content(run)
-    frame = run.frame_path(run.steps()[4]["frames"][1]["file"])
+    frame = run.frame_path(run.steps()[4].frames[1].file)
     lose(frame, "changed")
     done = repair.repair(run.path)
     assert done is not None
     assert frame.name in done.damaged[0]
     assert frame.exists()
-    assert [step["step"] for step in Run.open(run.path).steps()] == [0, 1, 2, 3, 5, 6, 7, 8]
+    assert [step.step for step in Run.open(run.path).steps()] == [0, 1, 2, 3, 5, 6, 7, 8]
     assert content(measure(resume=True)) == whole
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from gonio.acquisition.records import FrameRecord, Kind, StepRecord
 from gonio.geometry import Directions
 from gonio.rig import Frame, Pose
 from gonio.rig.description import Acquisition, Arms, Band, Bands, Camera, Lamp, Reference, RigDescription
@@ -55,10 +56,10 @@ class MadeRun:
     bands: tuple[Band, ...] = (BAND,)
     sample: None = None
     seed: int = 0
-    events: list[dict[str, Any]] = field(default_factory=list)
+    taken: list[StepRecord] = field(default_factory=list)
 
-    def steps(self) -> list[dict[str, Any]]:
-        return self.events
+    def steps(self) -> list[StepRecord]:
+        return self.taken
 
     def frame_path(self, name: str) -> Path:
         return self.path / name
@@ -81,41 +82,37 @@ class Maker:
     ) -> MadeRun:
         plan = pd.DataFrame(points, columns=list(ANGLES)).assign(flag="", reason="")
         run = MadeRun(self.path, self.description, plan)
-        events = [self.darks()]
-        events.append(self.visit())
+        steps = [self.darks(), self.visit()]
         for row, point in enumerate(points):
             goal = reach(self.description, Directions(*np.radians(point)))
-            events.append(self.step("point", goal, exposures, row))
+            steps.append(self.step("point", goal, exposures, row))
             if (row + 1) % every == 0 or row + 1 == len(points):
-                events.append(self.visit())
-        run.events = events
+                steps.append(self.visit())
+        run.taken = steps
         return run
 
-    def visit(self) -> dict[str, Any]:
+    def visit(self) -> StepRecord:
         reference = self.description.reference
         goal = reach(self.description, Directions(*np.radians(in_plane(reference.theta_i_deg, reference.theta_r_deg))))
         return self.step("reference", goal, (0.5,) * reference.frames)
 
-    def darks(self) -> dict[str, Any]:
+    def darks(self) -> StepRecord:
         count = self.description.acquisition.dark_frames
         frames = [self.frame(None, "dark", t) for t in (0.001, 2.0) for _ in range(count)]
-        return self.event("dark", None, Pose(), frames)
+        return self.record("dark", None, Pose(), frames)
 
-    def step(self, kind: str, read: Pose, exposures: tuple[float, ...], row: int | None = None) -> dict[str, Any]:
+    def step(self, kind: Kind, read: Pose, exposures: tuple[float, ...], row: int | None = None) -> StepRecord:
         """The encoders read `read`; the axes may stand elsewhere (`stand`)."""
-        return self.event(kind, row, read, [self.frame(self.stand(read), kind, t) for t in exposures])
+        return self.record(kind, row, read, [self.frame(self.stand(read), kind, t) for t in exposures])
 
     def stand(self, read: Pose) -> Pose:
         return read
 
-    def event(self, kind: str, row: int | None, pose: Pose, frames: list[dict[str, Any]]) -> dict[str, Any]:
+    def record(self, kind: Kind, row: int | None, pose: Pose, frames: list[FrameRecord]) -> StepRecord:
         self.number += 1
-        return {
-            "event": "step", "step": self.number - 1, "kind": kind, "point": row, "time_s": self.time_s,
-            "goal": asdict(pose), "pose": asdict(pose), "flag": "", "frames": frames,
-        }  # fmt: skip
+        return StepRecord(self.number - 1, kind, row, self.time_s, pose, pose, None, "", tuple(frames))
 
-    def frame(self, pose: Pose | None, kind: str, exposure_s: float) -> dict[str, Any]:
+    def frame(self, pose: Pose | None, kind: str, exposure_s: float) -> FrameRecord:
         camera = self.description.camera
         electrons = np.zeros((camera.height, camera.width))
         if pose is not None:
@@ -125,12 +122,9 @@ class Maker:
         levels = camera.black_level_dn, camera.white_level_dn
         write_dng(Frame(dn, exposure_s, *levels, camera.pattern, time_s=self.time_s), self.path / name)
         digest = hashlib.sha256((self.path / name).read_bytes()).hexdigest()
-        entry = {
-            "file": name, "band": BAND.name, "exposure_s": exposure_s, "time_s": self.time_s,
-            "lamp": pose is not None, "sha256": digest,
-        }  # fmt: skip
+        record = FrameRecord(name, BAND.name, exposure_s, self.time_s, pose is not None, digest)
         self.time_s += exposure_s + 1.0
-        return entry
+        return record
 
     def rate(self, pose: Pose, kind: str) -> npt.NDArray[np.float64]:
         """Electrons a second of each pixel; rays and angles written out one vector at a time."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pandas as pd
 import pytest
 
 from gonio import geometry, measurement
+from gonio.acquisition.records import StepRecord
 from gonio.errors import DataError
 from gonio.geometry import Directions
 from gonio.reduction import brdf as radiometry
@@ -200,7 +202,7 @@ def test_a_lamp_that_jumps_is_interpolated_and_said_so(tmp_path: Path) -> None:
 
 def test_one_visit_says_that_the_drift_is_unknown(tmp_path: Path) -> None:
     run = Maker(tmp_path, describe(), glossy).make(POINTS[:3], (0.25,))
-    run.events = [e for e in run.events if e["kind"] != "reference" or e["step"] < 3]
+    run.taken = [e for e in run.taken if e.kind != "reference" or e.step < 3]
     table = radiometry.reduce(run)
     assert "drift of the lamp is not in u_brdf" in table.attrs["notes"][0]
     assert np.all(table["s_lamp_drift"] == 0)
@@ -214,8 +216,7 @@ def test_a_run_whose_frames_all_have_one_time(tmp_path: Path) -> None:
     description = describe(camera=NOISY, reference={"frames": 4})
     maker = Maker(tmp_path, description, glossy, np.random.default_rng(4), lamp=lambda t: 1.0 + 0.6 * t / 3600)
     run = maker.make(POINTS, (0.25, 0.0625), every=3)
-    for frame in (frame for event in run.events for frame in event["frames"]):
-        frame["time_s"] = 0.0
+    run.taken = [replace(s, frames=tuple(replace(frame, time_s=0.0) for frame in s.frames)) for s in run.taken]
     table = radiometry.reduce(run)
     assert "have one and the same time, so a drift of the lamp is not in u_brdf except" in table.attrs["notes"][0]
     assert not any("straight line" in note for note in table.attrs["notes"])
@@ -229,8 +230,8 @@ def test_a_run_cut_to_its_first_visit_has_the_uncertainty_of_its_noise(tmp_path:
     description = describe(camera=NOISY, reference={"frames": 8})
     run = Maker(tmp_path, description, glossy, np.random.default_rng(seed)).make(POINTS, (0.25, 0.0625), every=3)
     whole = radiometry.reduce(run)
-    first = next(e["step"] for e in run.events if e["kind"] == "reference")
-    run.events = [e for e in run.events if e["kind"] != "reference" or e["step"] == first]
+    first = next(e.step for e in run.taken if e.kind == "reference")
+    run.taken = [e for e in run.taken if e.kind != "reference" or e.step == first]
     cut = radiometry.reduce(run)
     assert np.all(cut["u_brdf"] < 1.5 * whole["u_brdf"])
     assert np.mean(abs(pulls(cut, glossy)) <= 2) > 0.85
@@ -239,9 +240,9 @@ def test_a_run_cut_to_its_first_visit_has_the_uncertainty_of_its_noise(tmp_path:
 def test_visits_that_were_lost_are_told(tmp_path: Path) -> None:
     """One of the visits saturated, one was moved: the third serves alone."""
     run = Maker(tmp_path, describe(), glossy).make(POINTS[:2], (0.25,), every=1)
-    visits = [e for e in run.events if e["kind"] == "reference"]
-    visits[0] |= {"flag": "moved", "frames": []}
-    visits[2]["frames"] = []
+    visits = [k for k, step in enumerate(run.taken) if step.kind == "reference"]
+    run.taken[visits[0]] = replace(run.taken[visits[0]], flag="moved", frames=())
+    run.taken[visits[2]] = replace(run.taken[visits[2]], frames=())
     notes = radiometry.reduce(run).attrs["notes"]
     assert notes[0].endswith("2 of 3 visits to the white reference cannot be used (1 moved, 1 not_measured)")
     assert "one visit to the white reference only" in notes[1]
@@ -263,10 +264,9 @@ def test_saturated_frames_are_left_out_and_saturated_points_flagged(tmp_path: Pa
 
 def test_flags_of_the_run_reach_the_table(tmp_path: Path) -> None:
     run = Maker(tmp_path, describe(), glossy).make(POINTS[:3], (0.25,))
-    step = next(e for e in run.events if e["point"] == 1)
-    step["flag"], step["frames"] = "below_horizon", []
-    low = next(e for e in run.events if e["point"] == 2)
-    low["pose"] = {**low["pose"], "camera": math.radians(90.5)}
+    step, low = (next(k for k, step in enumerate(run.taken) if step.point == point) for point in (1, 2))
+    run.taken[step] = replace(run.taken[step], flag="below_horizon", frames=())
+    run.taken[low] = replace(run.taken[low], pose=replace(run.taken[low].pose, camera=math.radians(90.5)))
     assert list(radiometry.reduce(run)["flag"]) == ["", "below_horizon", "below_horizon"]
 
 
@@ -293,7 +293,7 @@ def test_zeros_of_the_arms_are_common_causes_with_their_cosine(tmp_path: Path) -
     arms = Arms(light=ArmAxis(zero_u_deg=0.05), camera=ArmAxis(zero_u_deg=0.05))
     run = Maker(tmp_path, describe(arms=arms, reference={"u_rel": 0.004}), lambda d: 0.2).make(POINTS, (0.5,))
     table = radiometry.reduce(run)
-    light = np.array([e["pose"]["light"] for e in run.events if e["kind"] == "point"])
+    light = np.array([e.pose.light for e in run.taken if e.kind == "point"])
     expected = -table["brdf"] * np.tan(light) * math.radians(0.05)
     # 1e-4: the curve of a matt sample is flat but for whole DN
     np.testing.assert_allclose(table["s_theta_i_zero"], expected, rtol=1e-3, atol=2e-7)
@@ -337,7 +337,7 @@ def pixels_of_a_disc(theta_r_deg: float) -> float:
 @pytest.mark.parametrize("kind", ["changed", "missing", "cut"])
 def test_a_frame_that_is_not_the_journal_s_is_left_out_and_named(tmp_path: Path, kind: str) -> None:
     run = Maker(tmp_path, describe(), glossy).make(POINTS[:3], (0.25,))
-    path = run.frame_path(run.events[3]["frames"][0]["file"])
+    path = run.frame_path(run.taken[3].frames[0].file)
     data = path.read_bytes()
     if kind == "missing":
         path.unlink()
@@ -358,7 +358,7 @@ def test_a_frame_that_is_not_the_journal_s_is_left_out_and_named(tmp_path: Path,
 )
 def test_a_run_that_is_too_short_says_what_it_lacks(tmp_path: Path, kept: tuple[str, ...], message: str) -> None:
     run: MadeRun = Maker(tmp_path, describe(), glossy).make(POINTS[:2], (0.25,))
-    run.events = [e for e in run.events if e["kind"] in kept]
+    run.taken = [e for e in run.taken if e.kind in kept]
     with pytest.raises(DataError, match=message):
         radiometry.reduce(run)
 
@@ -419,8 +419,8 @@ def test_a_zero_that_the_reference_feels_too_cancels(tmp_path: Path) -> None:
 
 def test_dark_frames_of_one_exposure_take_the_data_sheet_s_dark_current(tmp_path: Path) -> None:
     class OneExposure(Maker):
-        def darks(self) -> dict[str, Any]:
-            return self.event("dark", None, Pose(), [self.frame(None, "dark", 0.5) for _ in range(4)])
+        def darks(self) -> StepRecord:
+            return self.record("dark", None, Pose(), [self.frame(None, "dark", 0.5) for _ in range(4)])
 
     description = describe(camera={"dark_current_e_per_s": 300.0})
     table = radiometry.reduce(OneExposure(tmp_path, description, glossy).make(POINTS, (0.25, 0.0625)))

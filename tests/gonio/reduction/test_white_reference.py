@@ -5,11 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from gonio.errors import DataError
-from gonio.geometry import Directions
 from gonio.reduction import white_reference
 
 RNG = np.random.default_rng(7)
@@ -159,86 +156,3 @@ def test_visits_that_cannot_be_used_are_counted_by_their_flags() -> None:
     lost, alone = white_reference.notes(fitted, 1, ["moved", "saturated", "moved"], "550 nm")
     assert lost == "550 nm: 3 of 4 visits to the white reference cannot be used (2 moved, 1 saturated)"
     assert alone.startswith("550 nm: one visit to the white reference only")
-
-
-def table(waves: tuple[float, ...] = (500.0, 600.0)) -> pd.DataFrame:
-    """In plane at 0 and 30 degrees, linear in every variable, so that linear interpolation is exact."""
-    rows = []
-    for w in waves:
-        rows += [(0.0, 20.0, r, 200.0, w, linear(0.0, r, w)) for r in range(0, 81, 10)]
-        rows += [(30.0, 20.0, abs(r), 200.0 if r >= 0 else 20.0, w, linear(30.0, r, w)) for r in range(-80, 81, 10)]
-    names = ["theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "wavelength_nm", "brdf"]
-    out = pd.DataFrame(rows, columns=names).assign(polarisation="unpolarised", flag="")
-    out.attrs["source_file"] = "spectralon.csv"
-    return out
-
-
-# values are linear in all three, so that what is read from the table is right to rounding: 1e-12
-def linear(theta_i: float, theta_r: float, wave: float) -> float:
-    return 0.3 - 1e-3 * theta_i - 2e-4 * theta_r + 1e-4 * (0.0 if math.isnan(wave) else wave)
-
-
-def visit(theta_i: float, theta_r: float) -> Directions:
-    return Directions(math.radians(theta_i), 1.0, math.radians(abs(theta_r)), 1.0 + (math.pi if theta_r >= 0 else 0.0))
-
-
-@pytest.mark.parametrize(
-    ("theta_i", "theta_r", "wave"), [(0.0, 45.0, 500.0), (30.0, 44.0, 550.0), (30.0, -12.0, 600.0), (30.0, 0.0, 580.0)]
-)
-def test_a_table_is_interpolated(theta_i: float, theta_r: float, wave: float) -> None:
-    value = white_reference.brdf_of_table(table(), visit(theta_i, theta_r), wave)
-    assert value == pytest.approx(linear(theta_i, theta_r, wave), rel=1e-12)
-
-
-def test_between_two_curves_of_a_table() -> None:
-    value = white_reference.brdf_of_table(table(), visit(12.0, 35.0), 500.0)
-    assert value == pytest.approx(linear(12.0, 35.0, 500.0), rel=1e-12)
-
-
-def test_a_read_angle_near_a_curve_lies_on_it() -> None:
-    assert white_reference.brdf_of_table(table(), visit(30.2, 20.0), 500.0) == pytest.approx(
-        linear(30.0, 20.0, 500.0), rel=1e-12
-    )
-    assert white_reference.brdf_of_table(table(), visit(0.03, -45.0), 500.0) == pytest.approx(
-        linear(0.0, 45.0, 500.0), rel=1e-12
-    )
-
-
-def test_a_broad_band_serves_every_wavelength() -> None:
-    broad = table(waves=(math.nan,))
-    assert white_reference.brdf_of_table(broad, visit(0.0, 45.0), 550.0) == pytest.approx(
-        linear(0, 45, math.nan), rel=1e-12
-    )
-
-
-@pytest.mark.parametrize(
-    ("theta_i", "theta_r", "wave", "message"),
-    [
-        (60.0, 10.0, 500.0, "theta_i = 60 deg lies outside"),
-        (0.0, 85.0, 500.0, "theta_r = 85 deg at theta_i = 0 deg lies outside"),
-        (0.0, 45.0, 450.0, "wavelength_nm = 450 lies outside"),
-    ],
-)
-def test_outside_of_a_table_is_an_error(theta_i: float, theta_r: float, wave: float, message: str) -> None:
-    with pytest.raises(DataError, match=f"spectralon.csv.*{message}"):
-        white_reference.brdf_of_table(table(), visit(theta_i, theta_r), wave)
-
-
-def test_out_of_the_plane_is_an_error() -> None:
-    across = Directions(math.radians(30), 0.0, math.radians(40), math.radians(90))
-    with pytest.raises(DataError, match="in the plane of incidence"):
-        white_reference.brdf_of_table(table(), across, 500.0)
-
-
-def test_flagged_rows_of_a_table_do_not_count() -> None:
-    spoiled = table()
-    bad = (spoiled["theta_r_deg"] == 40) & (spoiled["theta_i_deg"] == 0)
-    spoiled.loc[bad, "brdf"], spoiled.loc[bad, "flag"] = 9.0, "saturated"
-    value = white_reference.brdf_of_table(spoiled, visit(0.0, 45.0), 500.0)
-    assert value == pytest.approx(linear(0.0, 45.0, 500.0), rel=1e-12)
-
-
-def test_a_polarised_table_is_refused() -> None:
-    polarised = table().assign(polarisation="ss")
-    with pytest.raises(DataError, match="must be unpolarised"):
-        white_reference.brdf_of_table(polarised, visit(0.0, 45.0), 500.0)

@@ -14,7 +14,7 @@ from gonio.acquisition.run import Run
 from gonio.measurement import read
 from tests.gonio.cli.test_cli import gonio, installed
 
-GUIDE = Path(__file__).parents[2] / "docs" / "writing_a_driver.md"
+GUIDE = Path(__file__).parents[3] / "docs" / "writing_a_driver.md"
 PLAN = """name = "tiny"
 wavelength_nm = [550]
 [[sweep]]
@@ -94,10 +94,10 @@ def test_the_guide_s_rig_measures(tmp_path: Path, stranger: str) -> None:
     assert list(table["flag"]) == ["", "", ""]
     assert np.all(abs(table["brdf"] / (0.99 / math.pi) - 1) < 3 * table["u_brdf"] / table["brdf"] + 2e-4)
     assert np.all(table["u_brdf"] / table["brdf"] < 0.01)
-    times = [frame["time_s"] for step in Run.open(tmp_path / "run").steps() for frame in step["frames"]]
+    times = [frame.time_s for step in Run.open(tmp_path / "run").steps() for frame in step.frames]
     assert np.all(np.diff(times) > 0)
     assert times[0] > 1.7e9  # seconds since 1970, so that sittings follow each other
-    poses = [step["pose"]["light"] for step in Run.open(tmp_path / "run").steps() if step["kind"] == "point"]
+    poses = [step.pose.light for step in Run.open(tmp_path / "run").steps() if step.kind == "point"]
     # from the true zero; rounding of 35 degrees minus 5
     np.testing.assert_allclose(np.abs(poses), math.radians(30), atol=1e-12)
 

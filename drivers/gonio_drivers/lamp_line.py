@@ -1,0 +1,233 @@
+"""The line to a lamp's controller: commands, queries and replies in its dialect, repeated where one is lost.
+
+What an answer means is the driver's affair (`gonio_drivers.light`).
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import time
+from collections import deque
+
+import serial
+
+from gonio.errors import DeviceError
+from gonio_drivers import ports
+from gonio_drivers.dialect import Dialect
+
+log = logging.getLogger("gonio.devices")
+
+TRIES = 3
+LATENESS = 2.0
+"""How much longer than its timeout a missing reply is awaited, so that it is not taken for the next one's."""
+SLOWEST = 10.0
+"""Longest wait for a controller that answers late, in timeouts of its dialect."""
+ERROR = r"[-+]?\d.*"
+"""What an entry of an error queue looks like: a number first."""
+ERRORS_KEPT = 100
+"""No controller's error queue holds more."""
+
+
+class Nak(DeviceError):
+    """The controller refuses a command."""
+
+
+class LampLine:
+    """A serial port on which a controller's dialect is spoken.
+
+    Parameters
+    ----------
+    port
+        Its name, as the rig file has it.
+    dialect
+        The controller's language.
+
+    Raises
+    ------
+    DeviceError
+        The controller does not answer, refuses (`Nak`), or the port is lost.
+    """
+
+    def __init__(self, port: str, dialect: Dialect) -> None:
+        self._name, self._dialect = port, dialect
+        self._port: serial.Serial | None = None
+        self._silent = False
+        """It has not answered for longer than even a late answer takes."""
+        self._sent: deque[str] = deque(maxlen=4)
+        """The last commands, as an echo would return them."""
+        self._ending = dialect.reply_ending.encode()
+        self._lines: deque[str] = deque()
+        """Lines that have come together, and have not been looked at."""
+
+    def open(self, baud: int) -> None:
+        """Open the port, for this process alone."""
+        try:
+            self._port = serial.Serial(self._name, baud, timeout=self._dialect.timeout_s, exclusive=True)
+        except (*ports.FAILURES, ValueError) as error:
+            raise ports.unopened(self._name, error, "devices.light.port") from None
+
+    def close(self) -> None:
+        """Close the port, if it is open."""
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+    def order(self, command: str) -> None:
+        """A command that changes something: acknowledged, or followed by a look into the error queue."""
+        d = self._dialect
+        last: DeviceError | None = None
+        for attempt in range(TRIES):
+            reply = None
+            try:
+                self.send(command)
+                if d.acknowledge is not None:
+                    reply = self.reply(d.acknowledge)
+                    if not re.fullmatch(d.acknowledge, reply):
+                        raise self._disappointment(command, reply)
+                if d.error_query is not None:
+                    error = self.ask(d.error_query, f"{d.no_error}|{ERROR}")
+                    if not re.fullmatch(d.no_error, error):
+                        raise Nak(f'the lamp on {self._name} refuses "{command}": {error}')
+            except DeviceError as failure:
+                last = failure
+                self.calm(missing=reply == "")
+                continue
+            if attempt:
+                log.warning("lamp on %s: %s; obeyed at attempt %d", self._name, last, attempt + 1)
+            return
+        assert last is not None
+        raise last
+
+    def ask(self, query: str, expected: str) -> str:
+        """A query and its reply; `expected` is the pattern of a usual one, which the caller compares."""
+        last: DeviceError | None = None
+        for attempt in range(TRIES):
+            self.send(query)
+            reply = self.reply(expected)
+            if reply and not any(p and re.fullmatch(p, reply) for p in (self._dialect.refuse, self._dialect.banner)):
+                if attempt:
+                    log.warning("lamp on %s: %s; answered at attempt %d", self._name, last, attempt + 1)
+                return reply
+            last = self._disappointment(query, reply)
+            self.calm(missing=not reply)
+        assert last is not None
+        raise last
+
+    def _disappointment(self, command: str, reply: str) -> DeviceError:
+        if not reply:
+            return DeviceError(f'the lamp on {self._name} does not answer "{command}"')
+        return Nak(f'the lamp on {self._name} answers "{command}" with "{reply}"')
+
+    def number(self, query: str, pattern: str) -> float:
+        """The number in the reply to a query, the first group of `pattern`."""
+        for _ in range(TRIES):
+            reply = self.ask(query, pattern)
+            found = re.fullmatch(pattern, reply)
+            try:
+                return float(found.group(1))  # type: ignore[union-attr]
+            except (AttributeError, ValueError):
+                self.calm(missing=False)
+        raise DeviceError(f'the lamp on {self._name} answers "{reply}" where a number was expected')
+
+    def send(self, command: str) -> None:
+        """Write a command; what came before it is dropped."""
+        if self._port is None:
+            raise DeviceError(f"the lamp on {self._name} is not open: enter the rig first")
+        try:
+            self._sent.append(command.strip())
+            self._lines.clear()
+            self._port.reset_input_buffer()
+            ports.send(self._port, (command + self._dialect.send_ending).encode())
+        except ports.FAILURES as error:
+            raise ports.lost(self._name, error, "devices.light.port") from None
+
+    def reply(self, good: str) -> str:
+        """The line that is `good`; where none comes in time, the first one that may be meant as the answer.
+
+        That is none that refuses, greets or is `good` itself: an echo (some controllers return what was sent), the
+        acknowledgement of an earlier command, or a line that nobody has asked for may come before the answer.
+        """
+        d = self._dialect
+        end = time.monotonic() + self._timeout_s()
+        answer = ""
+        while line := self.next():
+            if any(pattern is not None and re.fullmatch(pattern, line) for pattern in (good, d.refuse, d.banner)):
+                answer = line
+                break
+            if line not in self._sent and not re.fullmatch(d.acknowledge or "(?!)", line):
+                answer = answer or line
+            if time.monotonic() > end:
+                break
+        self._silent = self._silent and not answer
+        return answer
+
+    def _timeout_s(self) -> float:
+        assert self._port is not None
+        return float(self._port.timeout)
+
+    def next(self) -> str:
+        """One line without its ending and without a prompt; empty where no whole one comes in time."""
+        assert self._port is not None
+        end = time.monotonic() + self._timeout_s()
+        try:
+            while not self._lines:
+                raw = self._port.read_until(self._ending)
+                if raw and not raw.endswith(self._ending):  # this computer, or the adapter, was held up in mid-line
+                    raw += self._port.read_until(self._ending)
+                if not raw.endswith((self._ending, b"\r", b"\n")):
+                    return ""  # half a number is none
+                parts = re.split(r"[\r\n]+", str(raw, "ascii", "replace"))
+                self._lines.extend(text for part in parts if (text := self._without_prompt(part)))
+                if not raw.endswith(self._ending) and self._lines and self._lines[-1] not in self._sent:
+                    self._ending = raw[-1:]  # an echo may end otherwise than an answer
+                    log.warning(
+                        "lamp on %s: its lines end with %r, and reply_ending of its dialect is %r",
+                        self._name, self._ending.decode(), self._dialect.reply_ending,
+                    )  # fmt: skip
+                if time.monotonic() > end:
+                    break
+        except ports.FAILURES as error:
+            raise ports.lost(self._name, error, "devices.light.port") from None
+        return self._lines.popleft() if self._lines else ""
+
+    def _without_prompt(self, text: str) -> str:
+        prompt, text = (self._dialect.prompt or "").strip(), text.strip()
+        while prompt and text.startswith(prompt):
+            text = text.removeprefix(prompt).strip()
+        return text
+
+    def calm(self, *, missing: bool) -> None:
+        """Let what is still on its way arrive, and drop it; for one that answers late, wait longer from now on."""
+        if self._port is None:
+            return
+        timeout_s = self._port.timeout
+        try:
+            if missing and not self._silent:  # of one that says nothing at all no more is awaited
+                begun = time.monotonic()
+                self._port.timeout = LATENESS * timeout_s
+                late = self.next()
+                self._port.timeout = timeout_s
+                self._silent = not late
+                if late and not re.fullmatch(self._dialect.banner or "", late):
+                    timeout_s += 2 * (time.monotonic() - begun)
+                    timeout_s = min(timeout_s, SLOWEST * self._dialect.timeout_s)
+                    self._port.timeout = timeout_s
+                    log.warning(
+                        "lamp on %s: it answers late; waiting for %.1f s from now on (timeout_s of its dialect)",
+                        self._name, timeout_s,
+                    )  # fmt: skip
+            time.sleep(0.05)
+            self._lines.clear()
+            self._port.reset_input_buffer()
+        except ports.FAILURES as error:
+            raise ports.lost(self._name, error, "devices.light.port") from None
+
+    def drain_errors(self) -> None:
+        """Ask for what lies in the error queue until it is empty."""
+        d = self._dialect
+        if d.error_query is not None:
+            for _ in range(ERRORS_KEPT):
+                if re.fullmatch(d.no_error, self.ask(d.error_query, f"{d.no_error}|{ERROR}")):
+                    return
+            raise DeviceError(f"the lamp on {self._name} has an error queue that does not end")

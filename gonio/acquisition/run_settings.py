@@ -1,0 +1,144 @@
+"""What a run was asked to be, as its run.toml holds it, and what keeps it from being resumed with something else."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import hashlib
+import json
+import platform
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from gonio.acquisition.plan import Assessed, Plan, assess
+from gonio.config import Strict
+from gonio.errors import ConfigError
+from gonio.formats.native import meta_path
+from gonio.rig.description import RigDescription, SampleDescription
+
+FORMAT = 1
+RECORDED = ("gonio", "numpy", "scipy", "numba", "pandas", "rawpy")
+
+
+class Header(Strict):
+    """The table [run] of a run.toml."""
+
+    format: int
+    created: str
+    command: str
+    plan: str
+    plan_sha256: str
+    wavelength_nm: tuple[float, ...]
+    bands: tuple[str, ...]
+    rig: str
+    """The entry point that drove it."""
+    seed: int
+
+
+class Settings(Strict):
+    """A run.toml."""
+
+    run: Header
+    versions: dict[str, str]
+    rig: RigDescription
+    sample: SampleDescription | None = None
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a run is asked to be."""
+
+    plan: Plan
+    description: RigDescription
+    sample: SampleDescription | None
+    seed: int
+    command: str
+    """The command line, for the record."""
+
+    @cached_property
+    def points(self) -> list[Assessed]:
+        """The plan's points, as `description` sees them: a second for ten thousand."""
+        return assess(self.plan, self.description)
+
+
+def settings_for(request: Request, description: RigDescription) -> Settings:
+    versions = {"python": platform.python_version()}
+    for name in RECORDED:
+        with contextlib.suppress(PackageNotFoundError):
+            versions[name] = version(name)
+    return Settings(
+        run=Header(
+            format=FORMAT,
+            created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
+            command=request.command,
+            plan=request.plan.name,
+            plan_sha256=request.plan.sha256,
+            wavelength_nm=request.plan.wavelength_nm,
+            bands=tuple(band.name for band in request.plan.bands(description)),
+            rig=description.rig,
+            seed=request.seed,
+        ),
+        versions=versions,
+        rig=description,
+        sample=request.sample,
+    )
+
+
+def differences(was: Settings, now: Settings) -> list[str]:
+    """What keeps a run from being resumed with other settings, a line each."""
+    out = []
+    if was.run.plan_sha256 != now.run.plan_sha256:
+        out.append(f'plan: the points or wavelengths of "{now.run.plan}" are not those of "{was.run.plan}"')
+    if was.run.seed != now.run.seed:
+        out.append(f"seed: {was.run.seed} in the run, {now.run.seed} now")
+    out += _differing_keys("rig", _comparable(was.rig), _comparable(now.rig))
+    samples = [s.model_dump(mode="json") if s is not None else {} for s in (was.sample, now.sample)]
+    return out + _differing_keys("sample", *samples)
+
+
+def _comparable(description: RigDescription) -> dict[str, Any]:
+    """A rig's values; of its reference table the content counts, not where it lies."""
+    values = description.model_dump(mode="json")
+    if description.reference.table is not None:
+        with contextlib.suppress(OSError):
+            values["reference"]["table"] = hashlib.sha256(Path(description.reference.table).read_bytes()).hexdigest()[
+                :12
+            ]
+    return values
+
+
+def _differing_keys(name: str, was: Any, now: Any) -> list[str]:
+    if isinstance(was, dict) and isinstance(now, dict):
+        return [
+            line
+            for key in dict.fromkeys([*was, *now])
+            for line in _differing_keys(f"{name}.{key}", was.get(key), now.get(key))
+        ]
+    return [] if was == now else [f"{name}: {json.dumps(was)} in the run, {json.dumps(now)} now"]
+
+
+def reference_table(description: RigDescription) -> tuple[dict[str, bytes], RigDescription]:
+    """The reference's table, to be copied into the run so that this can be reduced without the rig file's folder."""
+    table = description.reference.table
+    if table is None:
+        return {}, description
+    source, name = Path(table), "reference.csv"
+    try:
+        files = {name: source.read_bytes()}
+        if meta_path(source).exists():
+            files[meta_path(name).name] = meta_path(source).read_bytes()
+    except FileNotFoundError:
+        raise ConfigError(f"{source}: the table of the white reference ([reference] table) is not there") from None
+    return files, description.model_copy(update={"reference": description.reference.model_copy(update={"table": name})})
+
+
+def resolved(settings: Settings, path: Path) -> Settings:
+    """The settings with the path of the reference's table made whole."""
+    table = settings.rig.reference.table
+    if table is None:
+        return settings
+    reference = settings.rig.reference.model_copy(update={"table": str(path / table)})
+    return settings.model_copy(update={"rig": settings.rig.model_copy(update={"reference": reference})})

@@ -1,0 +1,147 @@
+"""The steps of a run in their order, and how long they take."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import overload
+
+from gonio.acquisition.plan import Assessed, Plan, assess, canonical, count_reasons
+from gonio.errors import ConfigError
+from gonio.rig import Pose, Step
+from gonio.rig.description import RigDescription
+from gonio.rig.kinematics import Unreachable, reach
+
+EXPECTED_ALBEDO = 0.5
+"""What time estimates take the sample for."""
+
+
+def reference_pose(description: RigDescription) -> Pose:
+    """The pose for visits to the white reference.
+
+    Raises
+    ------
+    ConfigError
+        The rig cannot reach the geometry that its own file asks for.
+    """
+    reference = description.reference
+    point = canonical(reference.theta_i_deg, 0.0, reference.theta_r_deg, 180.0)
+    try:
+        return reach(description, point.directions)
+    except Unreachable as error:
+        raise ConfigError(
+            f'rig "{description.name}": [reference] theta_i_deg = {reference.theta_i_deg:g}, '
+            f"theta_r_deg = {reference.theta_r_deg:g} cannot be reached: {error}"
+        ) from None
+
+
+def schedule(plan: Plan, description: RigDescription, points: list[Assessed] | None = None) -> list[Step]:
+    """The numbered steps of a run: darks, a reference visit, points with a visit every `reference.every`, a last visit.
+
+    Parameters
+    ----------
+    plan, description
+        What to measure, and on which rig.
+    points : list of Assessed, optional
+        What `assess` made of them, where it has been called already.
+
+    Raises
+    ------
+    ConfigError
+        No point can be reached, or the reference cannot.
+    """
+    points = assess(plan, description) if points is None else points
+    reachable = {row: a.pose for row, a in enumerate(points) if a.pose is not None}
+    if not reachable:
+        reasons = "".join(f"\n  {count} {flag}: {cause}" for (flag, cause), count in count_reasons(points)[:3])
+        raise ConfigError(f'{plan.source}: no point can be reached on the rig "{description.name}":{reasons}')
+    return list(Schedule(description, list(reachable), lambda row: reachable[row]))
+
+
+class Schedule(Sequence[Step]):
+    """The steps of a run by their numbers, made when they are asked for.
+
+    Parameters
+    ----------
+    description
+        The rig.
+    rows
+        The points that it can reach, as rows of the plan.
+    pose
+        The pose of such a point.
+
+    Raises
+    ------
+    ConfigError
+        The reference cannot be reached.
+    """
+
+    def __init__(self, description: RigDescription, rows: Sequence[int], pose: Callable[[int], Pose]) -> None:
+        self._rows, self._pose = rows, pose
+        self._at_reference = reference_pose(description)
+        self._every = description.reference.every or len(rows)
+
+    def __len__(self) -> int:
+        return 2 + len(self._rows) + -(-len(self._rows) // self._every)
+
+    @overload
+    def __getitem__(self, at: int) -> Step: ...
+    @overload
+    def __getitem__(self, at: slice) -> list[Step]: ...
+    def __getitem__(self, at: int | slice) -> Step | list[Step]:
+        if isinstance(at, slice):
+            return [self[number] for number in range(len(self))[at]]
+        number = range(len(self))[at]
+        if number == 0:
+            return Step(0, "dark")
+        group, place = divmod(number - 2, self._every + 1)
+        if number == 1 or place == self._every or number == len(self) - 1:
+            return Step(number, "reference", pose=self._at_reference)
+        row = self._rows[group * self._every + place]
+        return Step(number, "point", row, self._pose(row))
+
+
+def going_on(plan: Plan, description: RigDescription, flags: Sequence[str]) -> Schedule:
+    """The schedule of a run that has begun; poses are sought for the steps that are asked for alone.
+
+    Parameters
+    ----------
+    plan, description
+        What is measured, and on which rig.
+    flags
+        Of each point: "", or why it cannot be measured, as `assess` found when the run began.
+    """
+    rows = [row for row, flag in enumerate(flags) if not flag]
+    return Schedule(description, rows, lambda row: reach(description, plan.points[row].directions))
+
+
+def estimate_s(steps: list[Step], description: RigDescription, bands: int) -> float:
+    """How long a run takes [s] on the rig's own clock, for a matt sample of albedo 0.5, prompts and settling apart."""
+    from gonio.acquisition.exposure import dark_exposures_s, expected_exposure_s
+
+    camera, acquisition = description.camera, description.acquisition
+    frame = camera.frame_overhead_s
+    total, here = description.lamp.warm_up_s, Pose()
+    for step in steps:
+        if step.kind == "dark":
+            total += sum(acquisition.dark_frames * (t + frame) for t in dark_exposures_s(description))
+            continue
+        total += _move_s(here, step.pose, description)
+        here = step.pose
+        if step.kind == "reference":
+            exposure = expected_exposure_s(description, step.pose, 1.0)
+            total += bands * (description.reference.frames + 1) * (exposure + frame)
+        else:
+            exposure = expected_exposure_s(description, step.pose, EXPECTED_ALBEDO)
+            total += bands * ((acquisition.frames + 1.25) * exposure + (acquisition.frames + 2) * frame)
+    return total
+
+
+def _move_s(start: Pose, goal: Pose, description: RigDescription) -> float:
+    approach = 2.0 * description.acquisition.approach_deg
+    times = [
+        (math.degrees(abs(getattr(goal, name) - getattr(start, name))) + approach) / axis.speed_deg_per_s
+        for name, axis in description.axes().items()
+        if getattr(goal, name) != getattr(start, name)
+    ]
+    return max(times, default=0.0)

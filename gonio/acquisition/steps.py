@@ -1,0 +1,82 @@
+"""The steps of a run that are done: where their lines stand in the journal, and what these say.
+
+The journal of a long run is read once, without parsing it; a step is parsed when it is asked for.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Sequence
+from typing import overload
+
+from gonio.acquisition.journal import Event, Events
+from gonio.acquisition.records import StepRecord
+from gonio.errors import DataError
+
+_STEP = re.compile(rb'\{"n":\d+,"event":"(\w+)"(?:,"step":(\d+),"kind":)?')
+"""How a line begins, as `gonio.acquisition.loop` writes it."""
+
+
+class Index:
+    """Which line of a journal holds which step, in a few bytes a step."""
+
+    def __init__(self) -> None:
+        self.lines: dict[int, int] = {}
+        """Number of a step: number of its line."""
+        self._seen = 0
+
+    def go_on(self, events: Events) -> None:
+        """Read the events that were not there before."""
+        for at, line in enumerate(events.lines(range(self._seen, len(events))), self._seen):
+            found = _STEP.match(line)
+            if found is not None and found[2] is not None:
+                self.lines[int(found[2])] = at
+            elif found is None or found[1] in (b"step", b"lost"):
+                self._note(at, json.loads(line))
+        self._seen = len(events)
+
+    def _note(self, at: int, event: Event) -> None:
+        if event.get("event") == "step":
+            self.lines[int(event["step"])] = at
+        elif event.get("event") == "lost":
+            for number in event["steps"]:
+                self.lines.pop(int(number), None)
+
+
+class Steps(Sequence[StepRecord]):
+    """The steps that are done, in the order of their numbers; read when they are asked for, as `Events` are."""
+
+    def __init__(self, events: Events, index: Index) -> None:
+        self._events = events
+        self.numbers = sorted(index.lines)
+        self._lines = [index.lines[number] for number in self.numbers]
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    @overload
+    def __getitem__(self, at: int) -> StepRecord: ...
+    @overload
+    def __getitem__(self, at: slice) -> list[StepRecord]: ...
+    def __getitem__(self, at: int | slice) -> StepRecord | list[StepRecord]:
+        if isinstance(at, slice):
+            return [self._record(self._events[line]) for line in self._lines[at]]
+        return self._record(self._events[self._lines[at]])
+
+    def __iter__(self) -> Iterator[StepRecord]:
+        return (self._record(json.loads(line)) for line in self.raw())
+
+    def latest(self) -> StepRecord:
+        """The one that was written last."""
+        return self._record(self._events[max(self._lines)])
+
+    def _record(self, event: Event) -> StepRecord:
+        try:
+            return StepRecord.from_json(event)
+        except DataError as error:
+            raise DataError(f"{self._events.path}: line {event['n'] + 1}: {error}") from None
+
+    def raw(self) -> Iterator[bytes]:
+        """Their lines, as they lie in the journal."""
+        return self._events.lines(self._lines)

@@ -1,0 +1,74 @@
+"""Stopping a measurement by a signal: once finishes the step, twice stops at once."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Iterator
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+from gonio.acquisition.progress import Progress
+from gonio.errors import Interrupted
+
+
+class Stop:
+    """What SIGINT, SIGTERM and SIGHUP ask for while it is entered: once to finish the step, twice to stop at once.
+
+    Enter it around the rig's own context. The second signal raises `Interrupted`, wherever the program is; what comes
+    later does nothing.
+
+    Parameters
+    ----------
+    progress
+        Who is told.
+    last
+        The process ends after this: where it was left by an error no signal is heard any more.
+    """
+
+    SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+    def __init__(self, progress: Progress, *, last: bool = False) -> None:
+        self.requested = 0
+        self._progress, self._last = progress, last
+        self._held = self._raised = False
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            wanted = list(self.SIGNALS)
+            if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # under nohup a lost terminal means nothing
+                wanted.remove(signal.SIGHUP)
+            self._before = {number: signal.signal(number, self._request) for number in wanted}
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, before in self._before.items():
+            signal.signal(number, signal.SIG_IGN if self._last and error is not None else before)
+
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """Meanwhile signals are counted, and raise nothing; whoever holds them looks at `requested` afterwards."""
+        self._held = True
+        try:
+            yield
+        finally:
+            self._raised = self.requested > 1
+            self._held = False
+
+    def _request(self, number: int, frame: FrameType | None) -> None:
+        self.requested += 1
+        if self._held:
+            return
+        if self.requested == 1:
+            self._held = True  # a second signal must not tear the start of the thread
+            # from a thread: the signal may have come in the middle of a line that is being printed
+            text = "finishing this step, then parking; once more stops every axis at once"
+            threading.Thread(target=self._progress.say, args=(text,)).start()
+            self._held = False
+        if self.requested > 1 and not self._raised:
+            self._raised = True
+            raise Interrupted("stopped at once, in the middle of a step")

@@ -1,0 +1,117 @@
+"""The BRDF of a white reference where a visit looks at it, from the table of its certificate."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.errors import DataError
+from gonio.geometry import SAME_ANGLE, TWO_PI, Directions
+from gonio.typing import Floats
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SAME_CURVE = 1e-6
+"""Rows whose angles of incidence differ by less [rad] belong to one curve."""
+
+
+def brdf_of_reference(table: pd.DataFrame, directions: Directions, wavelength_nm: float) -> float:
+    """BRDF [1/sr] of a reference in one visit's geometry, from a table of its BRDF.
+
+    Linear in the signed angle of reflection on the curve of the table that has the visit's angle of incidence
+    (within `geometry.SAME_ANGLE`) or between the two curves around it, and linear in wavelength. The reference is
+    taken for isotropic; only rows without a flag, in the plane of incidence and unpolarised count.
+
+    Raises
+    ------
+    DataError
+        The visit lies outside of the angles or wavelengths of the table, or out of the plane of incidence.
+    """
+    source = table.attrs.get("source_file") or "the table of the white reference"
+    if not _in_plane(directions):
+        raise DataError(f"{source}: holds curves in the plane of incidence; the visit to the reference lies out of it")
+    rows = table[table["flag"] == ""]
+    if (rows["polarisation"] != "unpolarised").any():
+        raise DataError(f"{source}: a table of a white reference must be unpolarised")
+    return _Certificate.of(rows, source).at_wavelength(
+        wavelength_nm, float(directions.theta_i), float(_signed(directions))
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Certificate:
+    """The rows of a reference's table that lie in the plane of incidence."""
+
+    source: str
+    wavelength_nm: Floats
+    """NaN for a broad band."""
+    theta_i: Floats
+    signed_theta_r: Floats
+    brdf: Floats
+
+    @classmethod
+    def of(cls, rows: pd.DataFrame, source: str) -> _Certificate:
+        """The rows of a table that count."""
+        directions = Directions.from_table(rows)
+        here = _in_plane(directions)
+        wavelength_nm, brdf = rows["wavelength_nm"].to_numpy(), rows["brdf"].to_numpy()
+        return cls(source, wavelength_nm[here], directions.theta_i[here], _signed(directions)[here], brdf[here])
+
+    def at_wavelength(self, wavelength_nm: float, theta_i: float, signed_theta_r: float) -> float:
+        """Between the two wavelengths of the table around a wavelength; of a broad band, its only value."""
+        tabulated = np.unique(self.wavelength_nm[np.isfinite(self.wavelength_nm)])
+        if tabulated.size == 0:
+            return self.at_incidence(math.nan, theta_i, signed_theta_r)
+        used = np.array([wavelength_nm]) if wavelength_nm in tabulated else _around(wavelength_nm, tabulated)
+        values = [self.at_incidence(float(known), theta_i, signed_theta_r) for known in used]
+        return self._interpolated(wavelength_nm, used, values, f"wavelength_nm = {wavelength_nm:g}")
+
+    def at_incidence(self, tabulated_nm: float, theta_i: float, signed_theta_r: float) -> float:
+        """On the curve of an angle of incidence, or between the two curves around it."""
+        incidences = np.unique(self.theta_i)
+        same = incidences[abs(incidences - theta_i) <= SAME_ANGLE]
+        if same.size:
+            return self.on_curve(tabulated_nm, float(same[np.argmin(abs(same - theta_i))]), signed_theta_r)
+        used = _around(theta_i, incidences)
+        values = [self.on_curve(tabulated_nm, float(incidence), signed_theta_r) for incidence in used]
+        return self._interpolated(theta_i, used, values, f"theta_i = {math.degrees(theta_i):g} deg")
+
+    def on_curve(self, tabulated_nm: float, incidence: float, signed_theta_r: float) -> float:
+        """On the curve of one of the table's wavelengths and angles of incidence."""
+        of_wavelength = (self.wavelength_nm == tabulated_nm) | np.isnan(self.wavelength_nm)
+        on = of_wavelength & (abs(self.theta_i - incidence) < SAME_CURVE)
+        place = f"theta_r = {math.degrees(signed_theta_r):g} deg at theta_i = {math.degrees(incidence):g} deg"
+        return self._interpolated(signed_theta_r, self.signed_theta_r[on], self.brdf[on], place)
+
+    def _interpolated(self, x: float, at: Floats, values: npt.ArrayLike, place: str) -> float:
+        """Linear between the values at `at`; up to `SAME_ANGLE` beyond the ends, the value there."""
+        order = np.argsort(at)
+        at, values = at[order], np.asarray(values)[order]
+        if at.size == 0 or not at[0] - SAME_ANGLE <= x <= at[-1] + SAME_ANGLE:
+            raise DataError(f"{self.source}: the visit to the reference at {place} lies outside of this table")
+        return float(np.interp(x, at, values))
+
+
+def _around(x: float, known: Floats) -> Floats:
+    """The values of an ascending array next to x: two, or the first or the last; none of an empty one."""
+    if not known.size:
+        return known
+    above = int(np.searchsorted(known, x))
+    return np.asarray(known[np.unique(np.clip([above - 1, above], 0, known.size - 1))])
+
+
+def _in_plane(d: Directions) -> npt.NDArray[np.bool_]:
+    """Whether directions lie in the plane of incidence; every plane holds the normal."""
+    turn = np.minimum(d.dphi, TWO_PI - d.dphi)
+    at_normal = (d.theta_i < SAME_ANGLE) | (d.theta_r < SAME_ANGLE)
+    return np.asarray((np.minimum(turn, np.pi - turn) <= SAME_ANGLE) | at_normal)
+
+
+def _signed(d: Directions) -> Floats:
+    """Signed angle of reflection [rad]; at normal incidence both sides of an isotropic reference are one."""
+    return np.where(d.theta_i < SAME_ANGLE, d.theta_r, d.signed)

@@ -1,0 +1,94 @@
+"""What a journal says of a step: typed values whose JSON comes back to the byte."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gonio.acquisition.journal import Journal, decode, encode
+from gonio.acquisition.records import FrameLabel, FrameRecord, StepRecord
+from gonio.acquisition.steps import Index, Steps
+from gonio.errors import DataError
+from gonio.rig import Pose
+
+# a line as runs hold it from before records were typed
+LINE = (
+    b'{"n":3,"event":"step","step":2,"kind":"point","point":0,"time_s":27.25,'
+    b'"goal":{"light":-0.35,"camera":0.35,"tilt":0.0,"spin":0.0,"azimuth":0.0},'
+    b'"pose":{"light":-0.349,"camera":0.351,"tilt":0.0,"spin":0.0,"azimuth":0.0},"pose_time_s":27.0,'
+    b'"pose_after":{"light":-0.349,"camera":0.351,"tilt":0.0,"spin":0.0,"azimuth":0.0},"pose_after_time_s":29.5,'
+    b'"level_per_s":{"550 nm":0.7},"flag":"","frames":[{"file":"000002-550nm-01.dng","band":"550 nm",'
+    b'"exposure_s":1.0,"time_s":27.25,"lamp":true,"sha256":"ab","bytes":12}],"wall":"2026-11-20T10:00:00.000Z"'
+)
+
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+text = st.text(max_size=8)
+poses = st.builds(Pose, numbers, numbers, numbers, numbers, numbers)
+frames = st.builds(
+    FrameRecord, text, text, numbers, numbers, st.booleans(), st.none() | text, st.none() | st.integers(0, 2**40)
+)
+# the readback after the frames and the levels stand in a record together, or not at all
+afters = st.none() | st.tuples(poses, numbers, st.dictionaries(text, numbers))
+
+
+@st.composite
+def records(draw: st.DrawFn) -> StepRecord:
+    after = draw(afters)
+    return StepRecord(
+        draw(st.integers(0)), draw(st.sampled_from(["dark", "reference", "point"])), draw(st.none() | st.integers(0)),
+        draw(numbers), draw(poses), draw(poses), draw(st.none() | numbers), draw(text),
+        tuple(draw(st.lists(frames, max_size=3))), *(after or ()),
+    )  # fmt: skip
+
+
+@given(records())
+def test_a_step_comes_back_from_its_json(record: StepRecord) -> None:
+    written = json.dumps(record.to_json())
+    assert StepRecord.from_json(json.loads(written)) == record
+    assert json.dumps(StepRecord.from_json(json.loads(written)).to_json()) == written
+
+
+@given(text, frames, poses, records(), st.booleans())
+def test_a_label_comes_back_from_its_json(
+    run: str, frame: FrameRecord, pose: Pose, step: StepRecord, last: bool
+) -> None:
+    dark = FrameLabel(run, 0, "dark", None, 1, 8, frame, None, None, None, step if last else None)
+    lit = FrameLabel(run, 5, "point", 3, 2, 2, frame, pose, pose, 0.5, step if last else None)
+    for label in (dark, lit):
+        assert FrameLabel.from_json(json.loads(json.dumps(label.to_json()))) == label
+
+
+def test_a_line_of_an_older_journal_is_read_and_written_to_the_byte() -> None:
+    import zlib
+
+    line = LINE + b',"crc":"%08x"}\n' % zlib.crc32(LINE)
+    event = decode(line, 3)
+    assert event is not None
+    record = StepRecord.from_json(event)
+    assert record.frames[0].exposure_s == 1.0
+    assert record.pose == Pose(-0.349, 0.351)
+    assert encode({"n": 3, **record.to_json(), "wall": event["wall"]}) == line
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("frames", None, "has no 'frames'"),
+        ("goal", {"lihgt": 0.0}, "cannot be understood.*lihgt"),
+        ("frames", [{"file": "a.dng"}], "has no 'band'"),
+    ],
+)
+def test_a_step_that_says_too_little_is_named(tmp_path: Path, key: str, value: object, message: str) -> None:
+    event = json.loads(LINE + b"}") | {key: value}
+    if value is None:
+        del event[key]
+    with Journal(tmp_path / "journal.jsonl") as journal:
+        journal.append({name: value for name, value in event.items() if name not in ("n", "wall")})
+    index = Index()
+    index.go_on(journal.events)
+    with pytest.raises(DataError, match=rf"journal.jsonl: line 1: the record of a \w+ {message}"):
+        list(Steps(journal.events, index))

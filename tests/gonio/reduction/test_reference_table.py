@@ -1,0 +1,95 @@
+"""The BRDF of a white reference from its table: linear between rows, an error beyond them."""
+
+from __future__ import annotations
+
+import math
+
+import pandas as pd
+import pytest
+
+from gonio.errors import DataError
+from gonio.reduction.reference_table import brdf_of_reference
+from gonio.rig.kinematics import Directions
+
+
+def table(waves: tuple[float, ...] = (500.0, 600.0)) -> pd.DataFrame:
+    """In plane at 0 and 30 degrees, linear in every variable, so that linear interpolation is exact."""
+    rows = []
+    for w in waves:
+        rows += [(0.0, 20.0, r, 200.0, w, linear(0.0, r, w)) for r in range(0, 81, 10)]
+        rows += [(30.0, 20.0, abs(r), 200.0 if r >= 0 else 20.0, w, linear(30.0, r, w)) for r in range(-80, 81, 10)]
+    names = ["theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "wavelength_nm", "brdf"]
+    out = pd.DataFrame(rows, columns=names).assign(polarisation="unpolarised", flag="")
+    out.attrs["source_file"] = "spectralon.csv"
+    return out
+
+
+# values are linear in all three, so that what is read from the table is right to rounding: 1e-12
+def linear(theta_i: float, theta_r: float, wave: float) -> float:
+    return 0.3 - 1e-3 * theta_i - 2e-4 * theta_r + 1e-4 * (0.0 if math.isnan(wave) else wave)
+
+
+def visit(theta_i: float, theta_r: float) -> Directions:
+    return Directions(math.radians(theta_i), 1.0, math.radians(abs(theta_r)), 1.0 + (math.pi if theta_r >= 0 else 0.0))
+
+
+@pytest.mark.parametrize(
+    ("theta_i", "theta_r", "wave"), [(0.0, 45.0, 500.0), (30.0, 44.0, 550.0), (30.0, -12.0, 600.0), (30.0, 0.0, 580.0)]
+)
+def test_a_table_is_interpolated(theta_i: float, theta_r: float, wave: float) -> None:
+    value = brdf_of_reference(table(), visit(theta_i, theta_r), wave)
+    assert value == pytest.approx(linear(theta_i, theta_r, wave), rel=1e-12)
+
+
+def test_between_two_curves_of_a_table() -> None:
+    value = brdf_of_reference(table(), visit(12.0, 35.0), 500.0)
+    assert value == pytest.approx(linear(12.0, 35.0, 500.0), rel=1e-12)
+
+
+def test_a_read_angle_near_a_curve_lies_on_it() -> None:
+    assert brdf_of_reference(table(), visit(30.2, 20.0), 500.0) == pytest.approx(linear(30.0, 20.0, 500.0), rel=1e-12)
+    assert brdf_of_reference(table(), visit(0.03, -45.0), 500.0) == pytest.approx(linear(0.0, 45.0, 500.0), rel=1e-12)
+
+
+def test_a_broad_band_serves_every_wavelength() -> None:
+    broad = table(waves=(math.nan,))
+    assert brdf_of_reference(broad, visit(0.0, 45.0), 550.0) == pytest.approx(linear(0, 45, math.nan), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("theta_i", "theta_r", "wave", "message"),
+    [
+        (60.0, 10.0, 500.0, "theta_i = 60 deg lies outside"),
+        (0.0, 85.0, 500.0, "theta_r = 85 deg at theta_i = 0 deg lies outside"),
+        (0.0, 45.0, 450.0, "wavelength_nm = 450 lies outside"),
+    ],
+)
+def test_outside_of_a_table_is_an_error(theta_i: float, theta_r: float, wave: float, message: str) -> None:
+    with pytest.raises(DataError, match=f"spectralon.csv.*{message}"):
+        brdf_of_reference(table(), visit(theta_i, theta_r), wave)
+
+
+def test_out_of_the_plane_is_an_error() -> None:
+    across = Directions(math.radians(30), 0.0, math.radians(40), math.radians(90))
+    with pytest.raises(DataError, match="in the plane of incidence"):
+        brdf_of_reference(table(), across, 500.0)
+
+
+def test_flagged_rows_of_a_table_do_not_count() -> None:
+    spoiled = table()
+    bad = (spoiled["theta_r_deg"] == 40) & (spoiled["theta_i_deg"] == 0)
+    spoiled.loc[bad, "brdf"], spoiled.loc[bad, "flag"] = 9.0, "saturated"
+    value = brdf_of_reference(spoiled, visit(0.0, 45.0), 500.0)
+    assert value == pytest.approx(linear(0.0, 45.0, 500.0), rel=1e-12)
+
+
+def test_a_polarised_table_is_refused() -> None:
+    polarised = table().assign(polarisation="ss")
+    with pytest.raises(DataError, match="must be unpolarised"):
+        brdf_of_reference(polarised, visit(0.0, 45.0), 500.0)
+
+
+def test_a_table_without_curves_in_the_plane_of_incidence_is_an_error() -> None:
+    across = table().assign(theta_i_deg=30.0, theta_r_deg=40.0, phi_r_deg=110.0)
+    with pytest.raises(DataError, match=r"spectralon.csv: the visit .* lies outside of this table"):
+        brdf_of_reference(across, visit(30.0, 45.0), 500.0)
