@@ -7,6 +7,7 @@ and why not the others; `schedule` makes the fixed list of steps that a run is (
 from __future__ import annotations
 
 import csv
+import functools
 import hashlib
 import io
 import json
@@ -450,6 +451,7 @@ def _canonical(theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> Po
     return Point(abs(theta_i), _turn(phi_i), abs(theta_r), _turn(phi_r))
 
 
+@functools.lru_cache(4096)  # a sweep has few azimuths
 def _turn(phi: float) -> float:
     out = round(phi % 360.0, 9)
     return out if out < 360.0 else 0.0
@@ -457,6 +459,7 @@ def _turn(phi: float) -> float:
 
 def _identity(point: Point) -> tuple[int, ...]:
     """Equal for points with the same directions; along the normal the azimuth means nothing."""
-    i, pi, r, pr = (round(getattr(point, name) / SAME_DEG) for name in ANGLES)
+    i, pi = round(point.theta_i_deg / SAME_DEG), round(point.phi_i_deg / SAME_DEG)
+    r, pr = round(point.theta_r_deg / SAME_DEG), round(point.phi_r_deg / SAME_DEG)
     turn = round(360.0 / SAME_DEG)
     return (i, pi % turn if i else 0, r, pr % turn if r else 0)

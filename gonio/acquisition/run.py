@@ -22,11 +22,11 @@ import platform
 import re
 import sys
 import tomllib
-from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, overload
@@ -61,6 +61,8 @@ if TYPE_CHECKING:
 FORMAT = 1
 OURS = ("run.toml", "plan.csv", "journal.jsonl", "frames", "reference.csv", "reference.meta.json", MANIFEST)
 PLAN_COLUMNS = ["point", *ANGLES, "flag", "reason"]
+ROWS = 4096
+"""So many rows of a plan.csv are read at once."""
 TABLE = ("brdf.csv", "brdf.meta.json")
 RESTORE = "restore it, or move it away: `gonio measure ... --resume` writes it again"
 RECORDED = ("gonio", "numpy", "scipy", "numba", "pandas", "rawpy")
@@ -289,22 +291,26 @@ class Run:
         own = read_manifest(self.path).get("plan.csv")
         if own is not None and path.is_file() and not is_own(path, own):
             raise DataError(f"{path}: was changed after it was written (its checksum differs); {RESTORE}")
-        angles, flags, reasons = array("d"), [], []
+        angles: list[npt.NDArray[np.float64]] = [np.empty((0, len(ANGLES)))]
+        flags: list[str] = []
+        reasons: list[str] = []
         try:
             with path.open(encoding="utf-8", newline="") as file:
                 rows = csv.reader(file, strict=True)
                 if next(rows, None) != PLAN_COLUMNS:
                     raise ValueError(f"its columns are not {', '.join(PLAN_COLUMNS)}")
-                for number, (point, *cells, flag, reason) in enumerate(rows):
-                    if int(point) != number or len(cells) != len(ANGLES):
-                        raise ValueError(f'point {number} is missing, or stands at another place ("{point}")')
-                    angles.extend(map(float, cells))
-                    flags.append(sys.intern(flag))
-                    reasons.append(sys.intern(reason))
+                while some := list(islice(rows, ROWS)):
+                    number, (point, *cells, flag, reason) = len(flags), zip(*some, strict=True)
+                    for expected, there in enumerate(map(int, point), number):
+                        if there != expected:
+                            raise ValueError(f'point {expected} is missing, or stands at another place ("{there}")')
+                    angles.append(np.array([list(map(float, column)) for column in cells]).T)
+                    flags += map(sys.intern, flag)
+                    reasons += map(sys.intern, reason)
         except (OSError, ValueError, csv.Error) as error:
             told = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
             raise DataError(f"{path}: cannot be read as the points of the run: {told}; {RESTORE}") from None
-        table = np.array(angles).reshape(-1, len(ANGLES))
+        table = np.concatenate(angles)
         if own is None and points_sha256(run.wavelength_nm, table.tolist()) != run.plan_sha256:
             raise DataError(f"{path}: does not hold the points that the run was begun with; {RESTORE}")
         return Points(table, flags, reasons)
