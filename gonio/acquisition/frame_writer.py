@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from gonio.disk import sync_folder, write_whole
+from gonio.disk import read_file, sync_folder, write_whole
 from gonio.errors import DataError
 from gonio.rig import Frame, Step
 from gonio.rig.description import Band
@@ -141,7 +141,7 @@ def record_of(path: Path, data: bytes) -> dict[str, Any] | None:
     found = _parsed(text)
     if found is None:
         try:
-            found = _parsed(path.with_name(path.name + BESIDE).read_text(encoding="utf-8"))
+            found = _parsed(read_file(path.with_name(path.name + BESIDE)).decode())
         except (OSError, UnicodeDecodeError):
             return None
     return found if found is not None and found.get("file") == path.name else None

@@ -21,6 +21,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self, overload
 
+from gonio.disk import only_file
 from gonio.errors import ConfigError, DataError
 
 Event = dict[str, Any]
@@ -89,7 +90,7 @@ class Events(Sequence[Event]):
 
     def _open(self) -> BinaryIO:
         try:
-            return self._path.open("rb")
+            return open(self._path, "rb", opener=only_file)
         except OSError as error:
             raise DataError(f"{self._path}: cannot be read: {error.strerror}") from None
 
@@ -108,7 +109,7 @@ def _scan(path: Path) -> tuple[array[int], int]:
         A line before the last is damaged (the message names it), or the file is no journal.
     """
     starts, good, number = array("q"), 0, 0
-    with path.open("rb") as file:
+    with open(path, "rb", opener=only_file) as file:
         for line in file:
             body, mark, tail = line.rpartition(MARK)
             whole = mark and tail == b'%08x"}\n' % zlib.crc32(body)
@@ -148,7 +149,7 @@ def read_events(path: Path) -> Sequence[Event]:
 def has_lines(path: Path) -> bool:
     """Whether a journal begins with a whole line, however it goes on; `DataError` where it cannot be read."""
     try:
-        with path.open("rb") as file:
+        with open(path, "rb", opener=only_file) as file:
             return decode(file.readline(), 0) is not None
     except FileNotFoundError:
         return False
@@ -174,7 +175,7 @@ def locked(path: Path) -> Iterator[BinaryIO]:
 
 def _lock(path: Path) -> Any:
     try:
-        file = path.open("a+b", buffering=0)
+        file = open(path, "a+b", buffering=0, opener=only_file)  # noqa: SIM115
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
     try:

@@ -21,6 +21,7 @@ from typing import Annotated, overload
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from gonio.config import Strict, parse, read_toml
+from gonio.disk import only_file
 from gonio.errors import ConfigError
 from gonio.rig import Pose, Step
 from gonio.rig.description import Band, Positive, RigDescription
@@ -245,7 +246,8 @@ def read_points(path: Path) -> list[Point]:
         The file is missing, a column is missing, or an angle is not a number or out of range (with its line).
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        with open(path, encoding="utf-8-sig", opener=only_file) as file:
+            text = file.read()
     except FileNotFoundError:
         raise ConfigError(f"{path}: there is no such file (a plan's `file` is looked up beside the plan)") from None
     except (OSError, UnicodeDecodeError) as error:

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from gonio.acquisition.frame_writer import BESIDE, NAME, record_of
 from gonio.acquisition.journal import Event, decode, encode, locked, now
 from gonio.acquisition.run import Run, Steps, begun
-from gonio.disk import half_written, set_aside, write_whole
+from gonio.disk import half_written, only_file, read_file, set_aside, write_whole
 from gonio.errors import ConfigError, DataError
 
 LOOKED_INTO = 2_500
@@ -113,7 +113,7 @@ def _read(run: Run, steps: Steps, suspects: set[int], out: Found, *, whole: bool
 def state_of(path: Path, frame: dict[str, Any]) -> str:
     """What is wrong with the file of a frame that the journal names; "" where nothing is."""
     try:
-        with path.open("rb") as file:
+        with open(path, "rb", opener=only_file) as file:
             size = os.fstat(file.fileno()).st_size
             if "bytes" in frame and size != frame["bytes"]:
                 return f"is damaged: it holds {size} bytes, and was written with {frame['bytes']}"
@@ -218,7 +218,7 @@ def drop_orphans(run: Run, found: Found) -> None:
 def _is_of(run: Run, path: Path) -> bool:
     """Whether a frame says of itself that it belongs to a run."""
     try:
-        record = record_of(path, path.read_bytes())
+        record = record_of(path, read_file(path))
     except OSError:
         return False
     return record is not None and record.get("run") == run.key
@@ -309,7 +309,7 @@ def _held(journal: Path) -> Iterator[bytes]:
         return
     with locked(journal):
         try:
-            data = journal.read_bytes()
+            data = read_file(journal)
         except OSError as error:
             raise DataError(f"{journal}: cannot be read: {error.strerror}") from None
         yield data
@@ -357,7 +357,7 @@ class _Records:
     def _look(self, name: str) -> None:
         path = self._run.frame_path(name)
         try:
-            data = path.read_bytes()
+            data = read_file(path)
         except OSError:
             return
         self._digests[name] = hashlib.sha256(data).hexdigest()

@@ -44,6 +44,8 @@ from gonio.disk import (
     half_written,
     is_manifest,
     is_own,
+    only_file,
+    read_file,
     read_manifest,
     require_name,
     require_own,
@@ -235,7 +237,7 @@ class Run:
         if not path.is_dir():
             raise ConfigError(f"{path}: there is no such folder; a run is a folder that `gonio measure` has written")
         try:
-            values = tomllib.loads((path / "run.toml").read_text(encoding="utf-8"))
+            values = tomllib.loads(read_file(path / "run.toml").decode())
         except FileNotFoundError:
             raise ConfigError(
                 f"{path}: holds no run.toml; a run is a folder that `gonio measure` has written"
@@ -295,7 +297,7 @@ class Run:
         flags: list[str] = []
         reasons: list[str] = []
         try:
-            with path.open(encoding="utf-8", newline="") as file:
+            with open(path, encoding="utf-8", newline="", opener=only_file) as file:
                 rows = csv.reader(file, strict=True)
                 if next(rows, None) != PLAN_COLUMNS:
                     raise ValueError(f"its columns are not {', '.join(PLAN_COLUMNS)}")
@@ -474,7 +476,7 @@ def own_files(path: Path) -> Manifest:
             out["journal.jsonl"] = {sha256_of(path / "journal.jsonl")}
         for file in (path / "frames").iterdir():
             if f"frames/{file.name}" not in out and NAME.fullmatch(file.name) and file.is_file():
-                record = record_of(file, file.read_bytes())
+                record = record_of(file, read_file(file))
                 if record is not None and record.get("run") == run.key:
                     out[f"frames/{file.name}"] = {sha256_of(file)}
     return out
@@ -613,9 +615,7 @@ def _comparable(description: RigDescription) -> dict[str, Any]:
     values = description.model_dump(mode="json")
     if description.reference.table is not None:
         with contextlib.suppress(OSError):
-            values["reference"]["table"] = hashlib.sha256(Path(description.reference.table).read_bytes()).hexdigest()[
-                :12
-            ]
+            values["reference"]["table"] = hashlib.sha256(read_file(description.reference.table)).hexdigest()[:12]
     return values
 
 
@@ -647,9 +647,9 @@ def _reference_table(description: RigDescription) -> tuple[dict[str, bytes], Rig
         return {}, description
     source, name = Path(table), "reference.csv"
     try:
-        files = {name: source.read_bytes()}
+        files = {name: read_file(source)}
         if meta_path(source).exists():
-            files[meta_path(name).name] = meta_path(source).read_bytes()
+            files[meta_path(name).name] = read_file(meta_path(source))
     except FileNotFoundError:
         raise ConfigError(f"{source}: the table of the white reference ([reference] table) is not there") from None
     return files, description.model_copy(update={"reference": description.reference.model_copy(update={"table": name})})
