@@ -14,6 +14,8 @@ from gonio.errors import ConfigError
 
 MANIFEST = "gonio.sha256"
 """The file of a folder that names what this program wrote there."""
+NOT_OWN = f"was not written by this version of gonio (as its {MANIFEST} tells), or was changed since"
+"""Why a file is not replaced: versions that wrote no manifest left what nothing tells from a person's own files."""
 LONGEST_NAME, LONGEST_PATH = 255, 4000
 """Bytes that file systems take; the path leaves room for what is written below it."""
 
@@ -205,8 +207,7 @@ def require_own(folder: Path, names: Iterable[str], own: Manifest | None = None)
         foreign.insert(0, MANIFEST)
     if foreign:
         raise ConfigError(
-            f"{folder / foreign[0]}: was not written by this program, or was changed since: it is not replaced; "
-            "move it, or give it another name"
+            f"{folder / foreign[0]}: {NOT_OWN}, and is not replaced; move it away, or remove it if nobody needs it"
         )
 
 

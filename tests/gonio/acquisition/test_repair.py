@@ -393,3 +393,20 @@ def test_a_restored_journal_is_one_that_can_be_written_to(measure: Measure) -> N
 
 def test_the_reference_rig_has_three_visits() -> None:
     assert describe().reference == Reference(every=3, frames=2)  # what the numbers of the steps above rest on
+
+
+@pytest.mark.parametrize("repaired", [False, True])
+def test_a_step_that_is_taken_again_changes_nothing_in_the_table(measure: Measure, repaired: bool) -> None:
+    """In simulation the step comes out as before, although others were taken after it: the table is the same."""
+    whole = brdf.reduce(measure("whole"))
+    run = measure()
+    for frame in run.steps()[4]["frames"]:
+        run.frame_path(frame["file"]).unlink()
+    assert flags(Run.open(run.path)).count("damaged") == 2  # a point in two bands
+    if repaired:
+        assert repair.repair(run.path) is not None
+    again = brdf.reduce(measure(resume=True))
+    assert again.flag.tolist() == whole.flag.tolist()
+    for name in whole.columns:
+        one, two = whole[name].to_numpy(), again[name].to_numpy()
+        assert one.tobytes() == two.tobytes() if one.dtype.kind == "f" else (one == two).all(), name
