@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import shutil
@@ -20,6 +21,7 @@ from gonio.acquisition.plan import Plan, load_plan
 from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, DataError
 from gonio.reduction import brdf
+from gonio.rig import Frame
 from gonio.rig.description import Reference
 from gonio.rig.dng import read_raw, read_record
 from tests.gonio.numpy_rig import PLAN, SAMPLE, Bench, Plugin, describe
@@ -410,3 +412,22 @@ def test_a_step_that_is_taken_again_changes_nothing_in_the_table(measure: Measur
     for name in whole.columns:
         one, two = whole[name].to_numpy(), again[name].to_numpy()
         assert one.tobytes() == two.tobytes() if one.dtype.kind == "f" else (one == two).all(), name
+
+
+def test_the_reduction_holds_the_frames_of_one_step_at_a_time(measure: Measure) -> None:
+    """Neither pictures nor what the journal says of frames pile up: a long run has a hundred thousand."""
+    run = measure()
+    total = sum(len(step["frames"]) for step in run.steps())
+    most = max(len(step["frames"]) for step in run.steps())
+    pictures, entries = [], []
+
+    def look(done: int, of: int) -> None:
+        there = gc.get_objects()
+        pictures.append(sum(isinstance(each, Frame) for each in there))
+        entries.append(sum(isinstance(each, dict) and "sha256" in each and "exposure_s" in each for each in there))
+
+    gc.collect()
+    brdf.reduce(run, progress=look)
+    assert len(pictures) > 3
+    assert max(pictures) <= most
+    assert max(entries) - min(entries) <= most < total / 3
