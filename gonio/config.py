@@ -11,6 +11,7 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from gonio.disk import only_file
 from gonio.errors import ConfigError
 
 MAX_DEPTH = 32
@@ -39,7 +40,8 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     path = Path(path)
     too_deep = ConfigError(f"{path}: is nested too deeply: at most {MAX_DEPTH} levels are read")
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        with open(path, encoding="utf-8-sig", opener=only_file) as file:
+            text = file.read()
         if _LONG_KEY.search(text):
             raise too_deep
         tables = tomllib.loads(text)

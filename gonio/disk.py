@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import re
+import stat
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
@@ -12,8 +14,36 @@ from gonio.errors import ConfigError
 
 MANIFEST = "gonio.sha256"
 """The file of a folder that names what this program wrote there."""
+NOT_OWN = f"was not written by this version of gonio (as its {MANIFEST} tells), or was changed since"
+"""Why a file is not replaced: versions that wrote no manifest left what nothing tells from a person's own files."""
 LONGEST_NAME, LONGEST_PATH = 255, 4000
 """Bytes that file systems take; the path leaves room for what is written below it."""
+
+
+def only_file(path: str, flags: int) -> int:
+    """An `opener` for `open`, which opens files alone: a pipe would be waited for, and a device may have no end.
+
+    Raises
+    ------
+    OSError
+        It cannot be opened, or is a folder, a pipe, a socket or a device.
+    """
+    none = OSError(errno.EINVAL, "it is a pipe, a socket or a device, not a file", path)
+    try:
+        handle = os.open(path, flags | os.O_NONBLOCK | os.O_NOCTTY, 0o666)
+    except OSError as error:
+        raise none if error.errno == errno.ENXIO else error from None  # a socket, or a pipe that nobody reads
+    mode = os.fstat(handle).st_mode
+    if stat.S_ISREG(mode):
+        return handle
+    os.close(handle)
+    raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), path) if stat.S_ISDIR(mode) else none
+
+
+def read_file(path: str | Path) -> bytes:
+    """The bytes of a file; raises `OSError` as `only_file` does."""
+    with open(path, "rb", opener=only_file) as file:
+        return file.read()
 
 
 def write_whole(path: Path, data: bytes) -> None:
@@ -64,7 +94,7 @@ def require_name(path: str | Path) -> None:
 
 def sha256_of(path: Path) -> str:
     """The SHA-256 of a file, in hexadecimal; raises `OSError`."""
-    with path.open("rb") as file:
+    with open(path, "rb", opener=only_file) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -98,7 +128,7 @@ _LINE = re.compile("([0-9a-f]{64})  (.+)")
 
 
 def _lines(path: Path) -> list[str]:
-    return path.read_text(encoding="utf-8").splitlines()
+    return read_file(path).decode().splitlines()
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
@@ -177,8 +207,7 @@ def require_own(folder: Path, names: Iterable[str], own: Manifest | None = None)
         foreign.insert(0, MANIFEST)
     if foreign:
         raise ConfigError(
-            f"{folder / foreign[0]}: was not written by this program, or was changed since: it is not replaced; "
-            "move it, or give it another name"
+            f"{folder / foreign[0]}: {NOT_OWN}, and is not replaced; move it away, or remove it if nobody needs it"
         )
 
 

@@ -20,12 +20,14 @@ what a file leaves out or what a reader did to it.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio import formats
+from gonio.disk import only_file
 from gonio.errors import ConfigError, DataError
 from gonio.formats.native import check, check_columns, meta_path
 from gonio.formats.reader import ANGLES, COLUMNS, MAX_BYTES
@@ -294,16 +296,16 @@ def _choose(frame: pd.DataFrame, sample: str, path: Path) -> pd.DataFrame:
 
 def _table_of_run(folder: Path) -> Path:
     path = folder / "brdf.csv"
-    if path.is_file():
+    if os.path.lexists(path):
         return path
-    if (folder / "run.toml").is_file():
+    if os.path.lexists(folder / "run.toml"):
         raise ConfigError(f"{folder}: this run has no brdf.csv yet; make it with: gonio reduce {folder}")
     raise ConfigError(f"{folder}: is a folder, but not a run (there is no run.toml and no brdf.csv in it)")
 
 
 def _load(path: Path) -> bytes:
     try:
-        with open(path, "rb") as stream:
+        with open(path, "rb", opener=only_file) as stream:
             data = stream.read(MAX_BYTES + 1)
     except FileNotFoundError:
         raise ConfigError(f"{path}: there is no such file") from None

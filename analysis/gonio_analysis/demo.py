@@ -119,7 +119,7 @@ def run_demo(out: Path, *, quick: bool) -> Path:
 def _clear(out: Path) -> None:
     """Take an earlier demo away; refuse anything else."""
     from gonio.acquisition.run import own_files
-    from gonio.disk import remove_own, require_name, strangers
+    from gonio.disk import NOT_OWN, remove_own, require_name, strangers
 
     require_name(out)
     if os.path.lexists(out) and not out.is_dir():
@@ -132,8 +132,8 @@ def _clear(out: Path) -> None:
         if foreign:
             names = ", ".join(foreign[:5]) + (" ..." if len(foreign) > 5 else "")
             raise ConfigError(
-                f"{out}: is not empty and holds what no demo has written, or what was changed since ({names}); name "
-                "another folder with --out"
+                f"{out}: holds what {NOT_OWN} ({names}), and is not replaced; move it away, or choose another folder "
+                "with --out"
             )
         if (out / "run").is_dir():
             remove_own(out / "run", own_files(out / "run"))

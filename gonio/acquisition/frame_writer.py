@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from gonio.acquisition.records import FrameFile, FrameLabel, FrameRecord, StepRecord
-from gonio.disk import sync_folder, write_whole
+from gonio.disk import read_file, sync_folder, write_whole
 from gonio.errors import DataError
 from gonio.rig import Frame, Pose, Step
 from gonio.rig.description import Band
@@ -133,7 +133,7 @@ def label_of(path: Path, data: bytes) -> FrameLabel | None:
     found = _parsed(text)
     if found is None:
         try:
-            found = _parsed(path.with_name(path.name + BESIDE).read_text(encoding="utf-8"))
+            found = _parsed(read_file(path.with_name(path.name + BESIDE)).decode())
         except (OSError, UnicodeDecodeError):
             return None
     return found if found is not None and found.frame.file == path.name else None

@@ -22,6 +22,7 @@ from types import TracebackType
 from typing import Any, BinaryIO, Self, overload
 
 from gonio.acquisition.records import Json
+from gonio.disk import only_file
 from gonio.errors import ConfigError, DataError
 
 Event = Json
@@ -91,7 +92,7 @@ class Events(Sequence[Event]):
 
     def _open(self) -> BinaryIO:
         try:
-            return self.path.open("rb")
+            return open(self.path, "rb", opener=only_file)
         except OSError as error:
             raise DataError(f"{self.path}: cannot be read: {error.strerror}") from None
 
@@ -110,7 +111,7 @@ def _scan(path: Path) -> tuple[array[int], int]:
         A line before the last is damaged (the message names it), or the file is no journal.
     """
     starts, good, number = array("q"), 0, 0
-    with path.open("rb") as file:
+    with open(path, "rb", opener=only_file) as file:
         for line in file:
             body, mark, tail = line.rpartition(MARK)
             whole = mark and tail == b'%08x"}\n' % zlib.crc32(body)
@@ -150,7 +151,7 @@ def read_events(path: Path) -> Events:
 def has_lines(path: Path) -> bool:
     """Whether a journal begins with a whole line, however it goes on; `DataError` where it cannot be read."""
     try:
-        with path.open("rb") as file:
+        with open(path, "rb", opener=only_file) as file:
             return decode(file.readline(), 0) is not None
     except FileNotFoundError:
         return False
@@ -176,7 +177,7 @@ def locked(path: Path) -> Iterator[BinaryIO]:
 
 def _lock(path: Path) -> Any:
     try:
-        file = path.open("a+b", buffering=0)
+        file = open(path, "a+b", buffering=0, opener=only_file)  # noqa: SIM115
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
     try:

@@ -7,6 +7,7 @@ and why not the others; `schedule` makes the fixed list of steps that a run is (
 from __future__ import annotations
 
 import csv
+import functools
 import hashlib
 import io
 import json
@@ -20,6 +21,7 @@ from typing import Annotated
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from gonio.config import Strict, parse, read_toml
+from gonio.disk import only_file
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.rig import Pose
@@ -251,7 +253,8 @@ def read_points(path: Path) -> list[Point]:
         The file is missing, a column is missing, or an angle is not a number or out of range (with its line).
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        with open(path, encoding="utf-8-sig", opener=only_file) as file:
+            text = file.read()
     except FileNotFoundError:
         raise ConfigError(f"{path}: there is no such file (a plan's `file` is looked up beside the plan)") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -326,6 +329,7 @@ def canonical(theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> Poi
     return Point(abs(theta_i), _turn(phi_i), abs(theta_r), _turn(phi_r))
 
 
+@functools.lru_cache(4096)  # a sweep has few azimuths
 def _turn(phi: float) -> float:
     out = round(phi % 360.0, 9)
     return out if out < 360.0 else 0.0
@@ -333,6 +337,7 @@ def _turn(phi: float) -> float:
 
 def _identity(point: Point) -> tuple[int, ...]:
     """Equal for points with the same directions; along the normal the azimuth means nothing."""
-    i, pi, r, pr = (round(getattr(point, name) / SAME_DEG) for name in ANGLES)
+    i, pi = round(point.theta_i_deg / SAME_DEG), round(point.phi_i_deg / SAME_DEG)
+    r, pr = round(point.theta_r_deg / SAME_DEG), round(point.phi_r_deg / SAME_DEG)
     turn = round(360.0 / SAME_DEG)
     return (i, pi % turn if i else 0, r, pr % turn if r else 0)

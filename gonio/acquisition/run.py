@@ -19,10 +19,10 @@ import json
 import os
 import sys
 import tomllib
-from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
@@ -41,6 +41,8 @@ from gonio.disk import (
     Manifest,
     half_written,
     is_own,
+    only_file,
+    read_file,
     read_manifest,
     require_name,
     require_own,
@@ -55,6 +57,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 PLAN_COLUMNS = ["point", *ANGLES, "flag", "reason"]
+ROWS = 4096
+"""So many rows of a plan.csv are read at once."""
 TABLE = ("brdf.csv", "brdf.meta.json")
 RESTORE = "restore it, or move it away: `gonio measure ... --resume` writes it again"
 RECORDED = ("gonio", "numpy", "scipy", "numba", "pandas", "rawpy")
@@ -186,7 +190,7 @@ class Run:
         if not path.is_dir():
             raise ConfigError(f"{path}: there is no such folder; a run is a folder that `gonio measure` has written")
         try:
-            values = tomllib.loads((path / "run.toml").read_text(encoding="utf-8"))
+            values = tomllib.loads(read_file(path / "run.toml").decode())
         except FileNotFoundError:
             raise ConfigError(
                 f"{path}: holds no run.toml; a run is a folder that `gonio measure` has written"
@@ -242,22 +246,26 @@ class Run:
         own = read_manifest(self.path).get("plan.csv")
         if own is not None and path.is_file() and not is_own(path, own):
             raise DataError(f"{path}: was changed after it was written (its checksum differs); {RESTORE}")
-        angles, flags, reasons = array("d"), [], []
+        angles: list[npt.NDArray[np.float64]] = [np.empty((0, len(ANGLES)))]
+        flags: list[str] = []
+        reasons: list[str] = []
         try:
-            with path.open(encoding="utf-8", newline="") as file:
+            with open(path, encoding="utf-8", newline="", opener=only_file) as file:
                 rows = csv.reader(file, strict=True)
                 if next(rows, None) != PLAN_COLUMNS:
                     raise ValueError(f"its columns are not {', '.join(PLAN_COLUMNS)}")
-                for number, (point, *cells, flag, reason) in enumerate(rows):
-                    if int(point) != number or len(cells) != len(ANGLES):
-                        raise ValueError(f'point {number} is missing, or stands at another place ("{point}")')
-                    angles.extend(map(float, cells))
-                    flags.append(sys.intern(flag))
-                    reasons.append(sys.intern(reason))
+                while some := list(islice(rows, ROWS)):
+                    number, (point, *cells, flag, reason) = len(flags), zip(*some, strict=True)
+                    for expected, there in enumerate(map(int, point), number):
+                        if there != expected:
+                            raise ValueError(f'point {expected} is missing, or stands at another place ("{there}")')
+                    angles.append(np.array([list(map(float, column)) for column in cells]).T)
+                    flags += map(sys.intern, flag)
+                    reasons += map(sys.intern, reason)
         except (OSError, ValueError, csv.Error) as error:
             told = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
             raise DataError(f"{path}: cannot be read as the points of the run: {told}; {RESTORE}") from None
-        table = np.array(angles).reshape(-1, len(ANGLES))
+        table = np.concatenate(angles)
         if own is None and points_sha256(run.wavelength_nm, table.tolist()) != run.plan_sha256:
             raise DataError(f"{path}: does not hold the points that the run was begun with; {RESTORE}")
         return Points(table, flags, reasons)
@@ -358,7 +366,7 @@ def own_files(path: Path) -> Manifest:
             out["journal.jsonl"] = {sha256_of(path / "journal.jsonl")}
         for file in (path / "frames").iterdir():
             if f"frames/{file.name}" not in out and NAME.fullmatch(file.name) and file.is_file():
-                label = label_of(file, file.read_bytes())
+                label = label_of(file, read_file(file))
                 if label is not None and label.run == run.key:
                     out[f"frames/{file.name}"] = {sha256_of(file)}
     return out

@@ -15,6 +15,7 @@ from typing import Any
 
 from gonio.acquisition.plan import Assessed, Plan, assess
 from gonio.config import Strict
+from gonio.disk import read_file
 from gonio.errors import ConfigError
 from gonio.formats.native import meta_path
 from gonio.rig.description import RigDescription, SampleDescription
@@ -104,9 +105,7 @@ def _comparable(description: RigDescription) -> dict[str, Any]:
     values = description.model_dump(mode="json")
     if description.reference.table is not None:
         with contextlib.suppress(OSError):
-            values["reference"]["table"] = hashlib.sha256(Path(description.reference.table).read_bytes()).hexdigest()[
-                :12
-            ]
+            values["reference"]["table"] = hashlib.sha256(read_file(description.reference.table)).hexdigest()[:12]
     return values
 
 
@@ -127,9 +126,9 @@ def reference_table(description: RigDescription) -> tuple[dict[str, bytes], RigD
         return {}, description
     source, name = Path(table), "reference.csv"
     try:
-        files = {name: source.read_bytes()}
+        files = {name: read_file(source)}
         if meta_path(source).exists():
-            files[meta_path(name).name] = meta_path(source).read_bytes()
+            files[meta_path(name).name] = read_file(meta_path(source))
     except FileNotFoundError:
         raise ConfigError(f"{source}: the table of the white reference ([reference] table) is not there") from None
     return files, description.model_copy(update={"reference": description.reference.model_copy(update={"table": name})})

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gonio.disk import require_name
+from gonio.disk import read_file, require_name
 from gonio.errors import ConfigError, DataError
 from gonio.formats.reader import (
     COLUMNS,
@@ -165,7 +165,7 @@ def _require_own_attributes(meta: Path) -> None:
     if not os.path.lexists(meta):
         return
     try:
-        stored = json.loads(meta.read_bytes())
+        stored = json.loads(read_file(meta))
     except (OSError, ValueError, RecursionError):
         stored = None
     if not isinstance(stored, dict) or not stored.keys() <= attributes().keys() | {"samples"}:
@@ -260,7 +260,7 @@ def _floats(cells: tuple[str, ...], name: str, path: Path, line: int) -> Floats:
 def _read_attrs(path: Path) -> dict[str, Any]:
     meta = meta_path(path)
     try:
-        stored = json.loads(meta.read_bytes())
+        stored = json.loads(read_file(meta))
     except FileNotFoundError:
         note = f"there is no {meta.name} beside the table, so its solid angles and provenance are unknown"
         return attributes(source_file=str(path), notes=[note])

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gonio.disk import only_file
 from gonio.errors import DataError
 from gonio.formats._xls import MAGIC, worksheets
 from gonio.formats.reader import MAX_BYTES, Format, fold, table
@@ -42,7 +43,7 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
     if blank is None:
         notes.append("no blank measurement (blank*.xls) lies beside the file: none was subtracted")
     else:
-        with open(blank, "rb") as stream:
+        with open(blank, "rb", opener=only_file) as stream:
             dark = {tuple(row[:3]): row[3] for row in _measurements(stream.read(MAX_BYTES), blank).tolist()}
         signal -= [dark.get(tuple(row), math.nan) for row in rows[:, :3].tolist()]
         alone = int(np.isnan(signal).sum())

@@ -21,6 +21,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from gonio.geometry import AT_NORMAL, SAME_NOMINAL, Directions
 from gonio.reduction.spikes import Scene, Share, find, lagrange, overlap
@@ -34,6 +35,8 @@ PROBE = math.radians(0.5)
 """Step of differences along a curve."""
 AT_ONCE = 256
 """Points out of plane whose shapes are computed together: a few megabytes with hundreds of curves."""
+AMONG = 24
+"""So many points nearest to one are looked at for the seven nearest: enough where some are equally far away."""
 ALIKE = math.radians(10.0)
 """Curves whose angles of difference differ by this much are alike."""
 
@@ -154,8 +157,10 @@ class Curves:
         diagonal = np.array([self._along_mirror(number, int(k)) if in_plane[k] else 0.0 for k in group])
         self.slope[group, 2] = diagonal - self.slope[group, 0]
         beyond = group[~in_plane[group]]
-        for start in range(0, beyond.size, AT_ONCE):
-            self._beyond(beyond[start : start + AT_ONCE], group)
+        if beyond.size:
+            tree = cKDTree(np.stack([self._x[group], np.abs(self._y[group])], axis=1))
+            for start in range(0, beyond.size, AT_ONCE):
+                self._beyond(beyond[start : start + AT_ONCE], group, tree)
 
     def _along_line(self, line: npt.NDArray[np.intp], place: int) -> tuple[float, float, Floats]:
         """Slope of the lobe along its curve, from the nearest points on each side that the cones tell apart.
@@ -187,7 +192,7 @@ class Curves:
         doubt = max((abs(p - slope) for p in parabolas), default=0.0) * size
         return slope * size, doubt, np.array([along, across])
 
-    def _beyond(self, points: npt.NDArray[np.intp], group: npt.NDArray[np.intp]) -> None:
+    def _beyond(self, points: npt.NDArray[np.intp], group: npt.NDArray[np.intp], tree: cKDTree) -> None:
         """Slopes along x, y and theta_i of points out of the plane of incidence, and their standard uncertainty.
 
         And the size of the second derivatives along x and y.
@@ -195,7 +200,9 @@ class Curves:
         Where a lobe is narrower than the points are apart, they do not tell its flank. The curves in the plane do: what
         they say of its shape over the angle of the half vector is taken out, and only the rest is interpolated.
         """
-        near = [self._nearest(int(k), group) for k in points]
+        at = np.stack([self._x[points], np.abs(self._y[points])], axis=1)
+        among = np.sort(tree.query(at, k=[*range(1, min(AMONG, group.size) + 1)])[1], axis=1)
+        near = [self._nearest(int(k), group[some], group) for k, some in zip(points, among, strict=True)]
         places = [self._probes(int(k), around) for k, (around, _) in zip(points, near, strict=True)]
         found = [Directions(i, np.pi, np.hypot(x, y), np.arctan2(y, x)).half for x, y, i in (p.T for p in places)]
         differences = [np.full(half.size, difference[6]) for half, difference in found]
@@ -204,12 +211,21 @@ class Curves:
         for k, (around, weight), shape in zip(points, near, np.split(shapes, ends[:-1]), strict=True):
             self.slope[k], self._doubt[k], self.bend[k] = self._apart_from(shape, int(k), around, weight)
 
-    def _nearest(self, k: int, group: npt.NDArray[np.intp]) -> tuple[npt.NDArray[np.intp], Floats]:
-        """The seven points nearest to point k, and their weights; both sides of the plane of incidence are alike."""
-        distance = np.hypot(self._x[group] - self._x[k], np.abs(self._y[group]) - abs(self._y[k]))
-        near = np.argsort(distance)
+    def _nearest(
+        self, k: int, some: npt.NDArray[np.intp], group: npt.NDArray[np.intp]
+    ) -> tuple[npt.NDArray[np.intp], Floats]:
+        """The seven points nearest to point k, and their weights; both sides of the plane of incidence are alike.
+
+        They are looked for among `some`, the nearest ones, and in the whole group where those do not tell. Of points
+        that are equally far away the first ones of the run are taken.
+        """
+        distance = np.hypot(self._x[some] - self._x[k], np.abs(self._y[some]) - abs(self._y[k]))
+        near = np.argsort(distance, kind="stable")
         near = near[distance[near] > SAME_NOMINAL][:7]
-        return group[near], 1.0 / distance[near]
+        # others may be as far away as the farthest of some; 1e-9 is above the rounding of the tree's distances
+        if some.size < group.size and (near.size < 7 or distance[near[6]] > (1 - 1e-9) * distance.max()):
+            return self._nearest(k, group, group)
+        return some[near], 1.0 / distance[near]
 
     def _probes(self, k: int, near: npt.NDArray[np.intp]) -> Floats:
         """Places (x, y, theta_i) a step to either side of point k, its own, and those of points near it."""

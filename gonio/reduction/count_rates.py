@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from gonio.acquisition.exposure import full_scale_dn
 from gonio.acquisition.records import FrameRecord, StepRecord
+from gonio.disk import read_file
 from gonio.errors import DamagedFrame, DataError
 from gonio.geometry import Directions
 from gonio.reduction.dark_signal import FEW, PATTERNS, Darks, Patterns
@@ -184,10 +185,8 @@ class RunFrames:
     def read(self, entry: FrameRecord) -> Frame:
         """A frame that the journal names, checked."""
         path = Path(self.run.frame_path(entry.file))
-        if path.exists() and not path.is_file():  # a pipe would be waited for without end
-            raise DamagedFrame(f"{path}: a frame of the run cannot be read: it is not a file")
         try:
-            data = path.read_bytes()
+            data = read_file(path)
         except OSError as error:
             raise DamagedFrame(f"{path}: a frame of the run cannot be read: {error.strerror or error}") from None
         if hashlib.sha256(data).hexdigest() != entry.sha256:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio.disk import write_whole
+from gonio.disk import read_file, write_whole
 from gonio.errors import ArgumentError, DataError
 from gonio.rig.protocols import Frame
 
@@ -196,7 +196,7 @@ def read_raw(path: str | Path, data: bytes | None = None) -> Frame:
     path = Path(path)
     if data is None:
         try:
-            data = path.read_bytes()
+            data = read_file(path)
         except OSError as error:
             raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
     tags = _read_directories(data, path)

@@ -12,7 +12,10 @@ import pytest
 from gonio_analysis.demo import PLAN as DEMO_PLAN
 from gonio_analysis.demo import SAMPLE as DEMO_SAMPLE
 from gonio_analysis.demo import _clear
+from gonio_analysis.report import make
 from gonio_analysis.report.files import staged
+from gonio_validation import papers
+from gonio_validation.bench import report as bench
 
 from gonio import disk, measurement
 from gonio.acquisition.measure import RigChoice, carry_out
@@ -275,3 +278,64 @@ def test_a_name_that_is_too_long_is_one_message(measure: Measure, tmp_path: Path
         with pytest.raises(ConfigError, match="too long"):
             wrong()
     assert [path.name for path in tmp_path.iterdir()] == ["plan.toml"]
+
+
+def _reduce(run: Path) -> None:
+    opened = Run.open(run)
+    opened.check_table()
+    opened.write_table(table())
+
+
+def _compare(out: Path) -> None:
+    measurement.write(table(), out.parent / "t.csv")
+    make([str(out.parent / "t.csv")], out, models=["lambert"])
+
+
+WRITERS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "reduce": (_reduce, "brdf.csv"),
+    "report": (lambda run: make([str(run)], run / "report", models=["lambert"]), "report"),
+    "compare": (_compare, "page"),
+    "demo": (_clear, "demo"),
+    "figures": (lambda out: papers.make("htsg-8", out), "page"),
+    "bench": (lambda out: bench.make(out, quick=True), "page"),
+}
+
+
+@pytest.mark.parametrize("command", WRITERS)
+def test_output_without_a_manifest_is_refused_in_words_that_help(
+    measure: Measure, tmp_path: Path, command: str
+) -> None:
+    """Earlier versions wrote none."""
+    write, named = WRITERS[command]
+    out = tmp_path / named
+    if command in ("reduce", "report"):
+        out = measure("run").path
+        _reduce(out)
+        report(out / "report")
+    elif command == "demo":
+        _reduce(measure(out / "run").path)
+    else:
+        report(out)
+    for manifest in out.rglob("gonio.sha256"):
+        manifest.unlink()
+    before = tree(out)
+    with pytest.raises(ConfigError) as raised:
+        write(out)
+    told = str(raised.value)
+    assert "not written by this version of gonio" in told
+    assert "or was changed since" in told
+    assert "move it away, or " in told
+    assert "\n" not in told
+    assert named in told
+    assert tree(out) == before
+
+
+def test_output_is_written_again_over_its_own(measure: Measure, tmp_path: Path) -> None:
+    run = measure("run").path
+    for _ in range(2):
+        _reduce(run)
+        make([str(run)], run / "report", models=["lambert"])
+        _compare(tmp_path / "page")
+        report(tmp_path / "staged")  # as figures and bench write theirs
+    assert (run / "report" / "index.html").is_file()
+    assert (tmp_path / "page" / "index.html").is_file()

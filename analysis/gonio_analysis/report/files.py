@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gonio.disk import MANIFEST, manifest_of, remove_own, require_name, strangers, write_manifest
+from gonio.disk import MANIFEST, NOT_OWN, manifest_of, remove_own, require_name, strangers, write_manifest
 from gonio.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -95,8 +95,8 @@ def _check(final: Path, shown: Path) -> None:
             if foreign:
                 names = ", ".join(foreign[:5]) + (" ..." if len(foreign) > 5 else "")
                 raise ConfigError(
-                    f"{shown}: is not empty and holds what this program did not write, or what was changed since "
-                    f"({names}); nothing of that is replaced: move it, or choose another folder for --out"
+                    f"{shown}: holds what {NOT_OWN} ({names}), and is not replaced; move it away, or choose another "
+                    "folder with --out"
                 )
         elif os.path.lexists(final):
             raise ConfigError(f"{shown}: is a file; --out names a folder")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import shutil
@@ -21,6 +22,7 @@ from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, DataError
 from gonio.reduction import brdf
+from gonio.rig import Frame
 from gonio.rig.description import Reference
 from gonio.rig.dng import read_raw, read_record
 from tests.gonio.numpy_rig import PLAN, SAMPLE, NumpyRig, Plugin, describe
@@ -392,3 +394,39 @@ def test_a_restored_journal_is_one_that_can_be_written_to(measure: Measure) -> N
 
 def test_the_reference_rig_has_three_visits() -> None:
     assert describe().reference == Reference(every=3, frames=2)  # what the numbers of the steps above rest on
+
+
+@pytest.mark.parametrize("repaired", [False, True])
+def test_a_step_that_is_taken_again_changes_nothing_in_the_table(measure: Measure, repaired: bool) -> None:
+    """In simulation the step comes out as before, although others were taken after it: the table is the same."""
+    whole = brdf.reduce(measure("whole"))
+    run = measure()
+    for frame in run.steps()[4]["frames"]:
+        run.frame_path(frame["file"]).unlink()
+    assert flags(Run.open(run.path)).count("damaged") == 2  # a point in two bands
+    if repaired:
+        assert repair.repair(run.path) is not None
+    again = brdf.reduce(measure(resume=True))
+    assert again.flag.tolist() == whole.flag.tolist()
+    for name in whole.columns:
+        one, two = whole[name].to_numpy(), again[name].to_numpy()
+        assert one.tobytes() == two.tobytes() if one.dtype.kind == "f" else (one == two).all(), name
+
+
+def test_the_reduction_holds_the_frames_of_one_step_at_a_time(measure: Measure) -> None:
+    """Neither pictures nor what the journal says of frames pile up: a long run has a hundred thousand."""
+    run = measure()
+    total = sum(len(step["frames"]) for step in run.steps())
+    most = max(len(step["frames"]) for step in run.steps())
+    pictures, entries = [], []
+
+    def look(done: int, of: int) -> None:
+        there = gc.get_objects()
+        pictures.append(sum(isinstance(each, Frame) for each in there))
+        entries.append(sum(isinstance(each, dict) and "sha256" in each and "exposure_s" in each for each in there))
+
+    gc.collect()
+    brdf.reduce(run, progress=look)
+    assert len(pictures) > 3
+    assert max(pictures) <= most
+    assert max(entries) - min(entries) <= most < total / 3

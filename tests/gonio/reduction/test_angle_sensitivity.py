@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gonio.geometry import Directions, angles, direction
+from gonio.reduction import angle_sensitivity
 from gonio.reduction.angle_sensitivity import Curves
 from gonio.reduction.spikes import Share, blurred_overlap, over_patch, overlap
 
@@ -349,3 +350,36 @@ def test_a_run_over_theta_i_tells_slopes_though_no_incidence_has_two_points(time
             odd = 0.5 * (moving(plus) * math.cos(plus.theta_i) - moving(minus) * math.cos(minus.theta_i)) / cosine
             # steps of 2 degrees on a lobe of 0.1 rad leave a slope a few percent of the steepest: 24 [1/sr per rad]
             assert found.effects(k, d, plus, minus)[0] == pytest.approx(odd, abs=0.05 * 24.0 * u)
+
+
+def scattered(count: int) -> list[Directions]:
+    """Points of two angles of incidence in and out of the plane, in an order that tells nothing."""
+    rng = np.random.default_rng(5)
+    grid = [at(i, float(r), float(p)) for i in (25.0, 35.0) for r in np.arange(3.0, 75.0, 6.0) for p in (60, 100, 180)]
+    return [grid[k] for k in rng.permutation(len(grid))[:count]]
+
+
+@pytest.mark.parametrize("at_once", [1, 7])
+def test_slopes_do_not_depend_on_how_many_points_are_computed_together(
+    monkeypatch: pytest.MonkeyPatch, at_once: int
+) -> None:
+    def lobe(d: Directions) -> float:
+        return 0.1 + math.exp(-((d.theta_r - d.theta_i) ** 2 + 0.2 * (d.phi_r - math.pi) ** 2) / 0.05)
+
+    points = scattered(72)
+    together = curves(lobe, points)
+    assert np.ptp(together.slope) > 1.0  # there is something to tell
+    monkeypatch.setattr(angle_sensitivity, "AT_ONCE", at_once)
+    alone = curves(lobe, points)
+    # sums of other lengths may round otherwise: a few units in the last place of the largest slope
+    np.testing.assert_allclose(alone.slope, together.slope, rtol=0, atol=1e-13 * np.abs(together.slope).max())
+
+
+def test_the_nearest_points_are_those_of_all_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A grid with many points equally far away, points read twice, and hardly any room to look among."""
+    points = scattered(72) + scattered(20)
+    few = curves(lambda d: 0.1 + 0.2 * math.cos(d.theta_r), points)
+    for among in (8, 24, 1000):
+        monkeypatch.setattr(angle_sensitivity, "AMONG", among)
+        again = curves(lambda d: 0.1 + 0.2 * math.cos(d.theta_r), points)
+        assert again.slope.tobytes() == few.slope.tobytes()

@@ -1,0 +1,158 @@
+"""A pipe, socket, device or folder where a file belongs: a named error at once, and nothing waits for it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from gonio.acquisition.frame_writer import BESIDE
+from gonio.acquisition.measure import RigChoice, carry_out
+from gonio.acquisition.plan import load_plan
+from gonio.acquisition.run import Run
+from gonio.disk import only_file, read_file
+from gonio.reduction import brdf
+from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, describe
+
+LIMIT_S = 60
+"""A command that has not ended by then waits for something; each takes a second or two."""
+
+
+def _pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def _socket(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(os.path.relpath(path))
+
+
+def _device(path: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+KINDS: dict[str, Callable[[Path], None]] = {"pipe": _pipe, "socket": _socket, "device": _device, "folder": Path.mkdir}
+
+CALL = """
+import sys
+from pathlib import Path
+from gonio.acquisition import repair
+from gonio.acquisition.measure import RigChoice, carry_out
+from gonio.acquisition.plan import load_plan
+from gonio.acquisition.run import Run
+from gonio.errors import GonioError
+from gonio import measurement
+from gonio.reduction import brdf
+from tests.gonio.numpy_rig import SAMPLE, Plugin, describe
+
+run = Path(sys.argv[1])
+rig = RigChoice(Plugin(), describe(), "numpy")
+todo = {
+    "check": lambda: repair.check(run),
+    "repair": lambda: repair.repair(run),
+    "resume": lambda: carry_out(load_plan(run.parent / "plan.toml"), rig, run, sample=SAMPLE, seed=1, resume=True),
+    "reduce": lambda: brdf.reduce(Run.open(run)),
+    "read": lambda: measurement.read(run),
+}
+for name in sys.argv[2:]:
+    try:
+        out = todo[name]()
+        print(name, ",".join(out["flag"]) if name == "reduce" else "done")
+    except (GonioError, OSError) as error:
+        print(name, type(error).__name__, str(error).replace("\\n", " "))
+"""
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("whole")
+    (folder / "plan.toml").write_text(PLAN)
+    rig = RigChoice(Plugin(), describe(), "numpy")
+    run = carry_out(load_plan(folder / "plan.toml"), rig, folder / "run", sample=SAMPLE, seed=1, command="")
+    run.write_table(brdf.reduce(run))
+    return folder
+
+
+def call(run: Path, *names: str) -> dict[str, str]:
+    out = subprocess.run(
+        [sys.executable, "-c", CALL, str(run), *names], capture_output=True, text=True, timeout=LIMIT_S, check=False
+    )
+    assert out.returncode == 0, out.stderr
+    return dict(line.split(" ", 1) for line in out.stdout.splitlines())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_only_files_are_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    KINDS[kind](tmp_path / "there")
+    with pytest.raises(OSError, match="directory" if kind == "folder" else "not a file"):
+        read_file(tmp_path / "there")
+    if kind != "device":  # one behind a link, opened for writing, would be the machine's own
+        with pytest.raises(OSError, match=r"directory|not a file"):
+            open(tmp_path / "there", "a+b", buffering=0, opener=only_file)  # noqa: SIM115
+
+
+def test_a_file_that_is_made_has_the_usual_permissions(tmp_path: Path) -> None:
+    (tmp_path / "usual").touch()
+    with open(tmp_path / "made", "a+b", opener=only_file) as file:
+        file.write(b"x")
+    assert (tmp_path / "made").stat().st_mode == (tmp_path / "usual").stat().st_mode
+    assert read_file(tmp_path / "made") == b"x"
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [(name, "pipe") for name in ("run.toml", "journal.jsonl", "plan.csv", "brdf.csv", "brdf.meta.json")]
+    + [("run.toml", "folder"), ("journal.jsonl", "socket"), ("plan.csv", "device"), ("brdf.csv", "device")],
+)
+def test_nothing_waits_for_what_is_no_file(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, kind: str
+) -> None:
+    shutil.copytree(whole, tmp_path / "w")
+    run = tmp_path / "w" / "run"
+    (run / name).unlink()
+    monkeypatch.chdir(run)
+    KINDS[kind](run / name)
+    monkeypatch.undo()
+    table = name.startswith("brdf")
+    told = call(run, "read") if table else call(run, "check", "repair", "resume", "reduce")
+    expected = {"repair"} if name == "plan.csv" else set()  # which it does not read
+    for command, text in told.items():
+        if command not in expected:
+            assert text.startswith(("ConfigError", "DataError")), (command, text)
+            assert name in text, (command, text)
+            assert "irectory" in text or "not a file" in text, (command, text)
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_a_point_whose_frame_is_no_file_is_flagged(whole: Path, tmp_path: Path, kind: str) -> None:
+    shutil.copytree(whole, tmp_path / "w")
+    run = tmp_path / "w" / "run"
+    step = next(step for step in Run.open(run).steps() if step["kind"] == "point")
+    for frame in step["frames"]:
+        (run / "frames" / frame["file"]).unlink()
+        KINDS[kind](run / "frames" / frame["file"])
+    told = call(run, "reduce", "check", "resume", "repair")
+    flags = told["reduce"].split(",")
+    assert flags[step["point"]] == "damaged"
+    assert flags.count("damaged") == 2  # the point, in two bands
+    for command in ("check", "resume"):
+        assert told[command].startswith("ConfigError")
+        assert "is not a file" in told[command]
+    assert told["repair"] == "done"
+    assert step["step"] not in Run.open(run).steps().numbers  # it counts no more
+
+
+def test_a_record_that_is_a_pipe_says_nothing(whole: Path, tmp_path: Path) -> None:
+    shutil.copytree(whole, tmp_path / "w")
+    run = tmp_path / "w" / "run"
+    frame = run / "frames" / "000900-550nm-01.dng"
+    frame.write_bytes(b"a camera's own file")
+    _pipe(frame.with_name(frame.name + BESIDE))
+    assert call(run, "repair")["repair"] == "done"
