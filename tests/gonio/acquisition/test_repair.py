@@ -401,8 +401,8 @@ def test_a_step_that_is_taken_again_changes_nothing_in_the_table(measure: Measur
     """In simulation the step comes out as before, although others were taken after it: the table is the same."""
     whole = brdf.reduce(measure("whole"))
     run = measure()
-    for frame in run.steps()[4]["frames"]:
-        run.frame_path(frame["file"]).unlink()
+    for frame in run.steps()[4].frames:
+        run.frame_path(frame.file).unlink()
     assert flags(Run.open(run.path)).count("damaged") == 2  # a point in two bands
     if repaired:
         assert repair.repair(run.path) is not None
@@ -416,8 +416,8 @@ def test_a_step_that_is_taken_again_changes_nothing_in_the_table(measure: Measur
 def test_the_reduction_holds_the_frames_of_one_step_at_a_time(measure: Measure) -> None:
     """Neither pictures nor what the journal says of frames pile up: a long run has a hundred thousand."""
     run = measure()
-    total = sum(len(step["frames"]) for step in run.steps())
-    most = max(len(step["frames"]) for step in run.steps())
+    total = sum(len(step.frames) for step in run.steps())
+    most = max(len(step.frames) for step in run.steps())
     pictures, entries = [], []
 
     def look(done: int, of: int) -> None:

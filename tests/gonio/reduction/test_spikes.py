@@ -206,13 +206,13 @@ def test_a_point_beside_a_spike_that_nothing_tells_has_at_most_what_stands_above
     goals = [at(46.0, 47.03), *(at(46.0, float(r)) for r in (31, 36, 41, 51, 56, 61))]
     f = np.full(len(goals), 0.159)
     seen = shares(goals, math.radians(0.03))
-    found = Curves(goals, goals, f, 0.005 * f, (HALF, HALF), seen).spikes
+    found = Curves(Directions.stack(goals), Directions.stack(goals), f, 0.005 * f, (HALF, HALF), seen).spikes
     assert seen[0].mean > 0.0
     assert not found.told[0]
     # two standard deviations of the lobe's shape (3 %) and of the noise; the whole value was stated before
     assert math.sqrt(found.variance[0]) == pytest.approx(2.0 * math.hypot(0.03, 0.005) * 0.159, rel=0.05)
     spiked = np.where(np.arange(f.size) == 0, 0.5, f)
-    found = Curves(goals, goals, spiked, 0.005 * f, (HALF, HALF), seen).spikes
+    found = Curves(Directions.stack(goals), Directions.stack(goals), spiked, 0.005 * f, (HALF, HALF), seen).spikes
     assert math.sqrt(found.variance[0]) > 0.5 - 0.159
 
 
