@@ -60,9 +60,11 @@ AROUND_MIRROR = float(np.radians(12.0))
 
 def direction(theta: npt.ArrayLike, phi: npt.ArrayLike) -> Floats:
     """Unit vectors, shape (..., 3), of the directions at polar angle `theta` and azimuth `phi` [rad]."""
-    theta, phi = np.broadcast_arrays(np.asarray(theta, dtype=np.float64), np.asarray(phi, dtype=np.float64))
+    theta, phi = np.asarray(theta, dtype=np.float64), np.asarray(phi, dtype=np.float64)
     sine = np.sin(theta)
-    return np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)], axis=-1)
+    out = np.empty((*np.broadcast(theta, phi).shape, 3))
+    out[..., 0], out[..., 1], out[..., 2] = sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)
+    return out
 
 
 def angles(omega: npt.ArrayLike) -> tuple[Floats, Floats]:
@@ -203,7 +205,7 @@ class Directions:
     @property
     def shape(self) -> tuple[int, ...]:
         """The shape that the four angles broadcast to."""
-        return np.broadcast_shapes(*(a.shape for a in self.angles))
+        return np.broadcast(*self.angles).shape
 
     def __len__(self) -> int:
         return self.shape[0]

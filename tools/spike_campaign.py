@@ -24,9 +24,10 @@ import numpy as np
 
 from gonio import instrument, models
 from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import ANGLES, Plan, Point
+from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.run import Run
 from gonio.config import parse
+from gonio.geometry import Directions
 from gonio.reduction import brdf
 from gonio.rig.description import RigDescription, SampleDescription
 
@@ -114,7 +115,7 @@ def pulls(table: pd.DataFrame, what: SampleDescription) -> np.ndarray:
     model = models.build(what.model, what.parameters)
     truth = instrument.apparent_brdf(
         model,
-        *np.radians(table[list(ANGLES)].to_numpy(dtype=float)).T,
+        *Directions.from_table(table).angles,
         wavelength_nm=float(table["wavelength_nm"].iloc[0]),
         source_solid_angle_sr=table.attrs["source_solid_angle_sr"],
         receiver_solid_angle_sr=table.attrs["receiver_solid_angle_sr"],

@@ -302,17 +302,22 @@ class Curves:
 
     def value(self, k: int, d: Directions) -> float:
         """f [1/sr] at directions near those of point k."""
-        step = _from_above(d, self._azimuth[k]) - self._places[k]
-        out = float(self.lobe[k] + self.slope[k] @ step)
-        if self.spike[k]:
-            out += float(self.spike[k] * overlap(d.mirror_offset, *self._half_angles))
+        return self._values(k, [d])[0]
+
+    def _values(self, k: int, near: list[Directions]) -> list[float]:
+        steps = [_from_above(d, self._azimuth[k]) - self._places[k] for d in near]
+        out = [float(self.lobe[k] + self.slope[k] @ step) for step in steps]
+        if self.spike[k]:  # all in one call, which costs more than what it computes
+            spikes = self.spike[k] * overlap(Directions.stack(near).mirror_offset, *self._half_angles)
+            out = [lobe + spike for lobe, spike in zip(out, spikes.tolist(), strict=True)]
         return out
 
     def effects(self, k: int, read: Directions, plus: Directions, minus: Directions) -> tuple[float, float]:
         """Odd and even part [1/sr] of the change of point k when its true directions are `plus` or `minus`."""
-        cosine, here = math.cos(read.theta_i), self.value(k, read)
-        up = self.value(k, plus) * math.cos(plus.theta_i) / cosine - here
-        down = self.value(k, minus) * math.cos(minus.theta_i) / cosine - here
+        cosine = math.cos(read.theta_i)
+        here, above, below = self._values(k, [read, plus, minus])
+        up = above * math.cos(plus.theta_i) / cosine - here
+        down = below * math.cos(minus.theta_i) / cosine - here
         return 0.5 * (up - down), 0.5 * (up + down)
 
     def over_region(self, k: int, read: Directions, omega_i: Floats, omega_r: Floats) -> float:
