@@ -127,16 +127,16 @@ class RunFrames:
         self.reference: dict[str, Roi] = {}
         regions: dict[Channel, list[Roi]] = {channel: [] for channel in channels}
         seen = dict.fromkeys(channels, 0)
-        every = -(-len(self.points) // FEW)
+        spacing = -(-len(self.points) // FEW)
         for step in self.steps():
             for channel in channels:
-                region = self._look(step, channel)
+                region = self._region(step, channel)
                 if region is not None:
                     boxes[region.target] = _around(region.roi, boxes.get(region.target))
                     if region.target == "reference":
                         self.reference.setdefault(channel, region.roi)
                     else:
-                        if seen[channel] % every == 0:
+                        if seen[channel] % spacing == 0:
                             regions[channel].append(region.roi)
                         seen[channel] += 1
         if not boxes:
@@ -153,7 +153,7 @@ class RunFrames:
         """The steps with frames of point or reference, each read when it is asked for: a run may have very many."""
         return (step for step in self._every if step.kind != "dark" and not step.flag)
 
-    def _look(self, step: StepRecord, channel: Channel) -> Region | None:
+    def _region(self, step: StepRecord, channel: Channel) -> Region | None:
         """The region of a step; None where source or camera stands below the horizon."""
         target: Target = "reference" if step.kind == "reference" else "sample"
         view = kinematics.view(self.description, step.pose)
@@ -218,7 +218,7 @@ class RunFrames:
         """The frames of a step in a band, each reduced to its region, without those that are damaged; None for a
         region below the horizon.
         """
-        region = self._look(step, band.channel)
+        region = self._region(step, band.channel)
         if region is None:
             return None
         read = ((entry, self._read_or_note(entry)) for entry in _lit(step, band))
@@ -241,14 +241,14 @@ class RunFrames:
         found = self.shots(step, band)
         if found is None:
             return Rejected(step.point, "below_horizon")
-        region, every = found
+        region, taken = found
         named = [frame.file for frame in _lit(step, band)]
         # a point is taken again; a visit to the reference is worth what is left of it
-        if not self.damaged.keys().isdisjoint(named) and (step.kind == "point" or not every):
+        if not self.damaged.keys().isdisjoint(named) and (step.kind == "point" or not taken):
             return Rejected(step.point, "damaged")
-        shots = [shot for shot in every if shot.peak < USABLE]
+        shots = [shot for shot in taken if shot.peak < USABLE]
         if not shots:
-            return Rejected(step.point, "saturated" if every else "not_measured")
+            return Rejected(step.point, "saturated" if taken else "not_measured")
         rate, variance, time_s, chi_square, of_darks = pool(
             self.description, region, shots, self._darks[region.target].exposures_s
         )

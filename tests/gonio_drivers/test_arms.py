@@ -367,7 +367,7 @@ def test_an_axis_that_takes_too_long_stops_every_axis(
     arms: ServoArms, line: Line, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("gonio_drivers.motion.GRACE_S", 0.2)
-    monkeypatch.setattr(arms, "_duration", lambda *_: 0.1)  # this servo creeps
+    monkeypatch.setattr(arms._motion, "duration_s", lambda *_: 0.1)  # this servo creeps
     line.servos[1]._limits = lambda way: (1.0, 1e6)
     # 0.4 s, and as long as this machine stood still
     with pytest.raises(DeviceError, match=r"no landing within \d+\.\d s: axis light"):

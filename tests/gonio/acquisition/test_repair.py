@@ -19,6 +19,7 @@ from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import Plan, load_plan
 from gonio.acquisition.progress import Silent
 from gonio.acquisition.records import StepRecord
+from gonio.acquisition.records import FrameRecord
 from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, DataError
 from gonio.reduction import brdf
@@ -423,7 +424,7 @@ def test_the_reduction_holds_the_frames_of_one_step_at_a_time(measure: Measure) 
     def look(done: int, of: int) -> None:
         there = gc.get_objects()
         pictures.append(sum(isinstance(each, Frame) for each in there))
-        entries.append(sum(isinstance(each, dict) and "sha256" in each and "exposure_s" in each for each in there))
+        entries.append(sum(isinstance(each, FrameRecord) for each in there))
 
     gc.collect()
     brdf.reduce(run, progress=look)
