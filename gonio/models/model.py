@@ -17,10 +17,11 @@ import numpy as np
 from gonio.errors import ArgumentError, refuse_masked
 from gonio.models import engine
 from gonio.models.engine import SPLIT, Constants, Geometry, Kernel
-from gonio.typing import Floats
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
+
+    from gonio.typing import Floats
 
     Vector = tuple[float, float, float]
 

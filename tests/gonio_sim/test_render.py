@@ -121,7 +121,7 @@ def test_a_smooth_sample_shows_the_mirror_image_of_the_lamp() -> None:
     pose = deg(30, -30)
     rendered = scene(description, mirror, pose)
     seen = pixel_map(description, view(description, pose))
-    rho_s = models.build("he-torrance", mirror.parameters).specular_reflectivity(theta)  # type: ignore[attr-defined]
+    rho_s = models.build("he-torrance", mirror.parameters).specular_reflectivity(theta)
     expected = R * math.pi * rho_s / float(solid_angle_of_cone(half))
     # 1e-4: theta differs by 5e-4 rad within the pixel's spot and the lens
     assert rendered[239:241, 319:321].mean() == pytest.approx(expected, rel=1e-4)
