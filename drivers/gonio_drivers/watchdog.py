@@ -10,11 +10,10 @@ driver keeps homing offsets at 0, and gives a goal of its own wherever it clears
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Protocol, TypeVar
 
-if TYPE_CHECKING:
-    from gonio_drivers.joints import Joint
+from gonio_drivers.dynamixel import Bus, Item
 
 UNITS = 25
 PERIOD_S = UNITS * 0.020
@@ -24,14 +23,31 @@ OFF = 0
 ITEM = "Bus Watchdog"
 
 
-def arm(joints: Iterable[Joint]) -> None:
+class Watched(Protocol):
+    """A servo on a bus, as far as its watchdog is concerned (`gonio_drivers.joints.Joint`)."""
+
+    has_watchdog: bool
+
+    @property
+    def id(self) -> int: ...
+    @property
+    def bus(self) -> Bus: ...
+    @property
+    def table(self) -> Mapping[str, Item]: ...
+    def write(self, name: str, value: int, /) -> None: ...
+
+
+J = TypeVar("J", bound=Watched)
+
+
+def arm(joints: Iterable[Watched]) -> None:
     """From now on the servos of these joints stop where the bus falls silent."""
     watched = [joint for joint in joints if joint.has_watchdog]
     _write(watched, OFF)  # one that has run out takes nothing else
     _write(watched, UNITS)
 
 
-def call_off(joints: Iterable[Joint]) -> list[Joint]:
+def call_off(joints: Iterable[J]) -> list[J]:
     """Disarm, and see that it is so; those joints whose watchdog had run out.
 
     Raises
@@ -49,18 +65,18 @@ def call_off(joints: Iterable[Joint]) -> list[Joint]:
     return [joint for joint in watched if before[joint.id] == RUN_OUT]
 
 
-def disarm(joints: Iterable[Joint]) -> None:
+def disarm(joints: Iterable[Watched]) -> None:
     """Disarm without waiting for anybody, in an emergency; goals can be given after it."""
     _write([joint for joint in joints if joint.has_watchdog], OFF)
 
 
-def _write(joints: list[Joint], value: int) -> None:
+def _write(joints: Sequence[Watched], value: int) -> None:
     if joints:
         item = joints[0].table[ITEM]  # at the same address in every model of the X series
         joints[0].bus.write_all(item.address, {joint.id: item.encode(value) for joint in joints})
 
 
-def _read(joints: list[Joint]) -> dict[int, int]:
+def _read(joints: Sequence[Watched]) -> dict[int, int]:
     if not joints:
         return {}
     item = joints[0].table[ITEM]
