@@ -1,5 +1,7 @@
 """Every citation in the tree leads to an entry of docs/references.bib, and every entry is cited.
 
+from tests.places import ROOT
+
 Citations are keys ("He1991 eq. 25"), names and a year in prose ("Benjamini and Hochberg (1995)": the first name and the
 year make the key), and standards and databases by their names.
 """
@@ -12,7 +14,6 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
 NAME = r"[A-Z][A-Za-z]*[a-z]"
 YEAR = r"(?:1[89]|20)\d\d"
 KEY = re.compile(rf"\b({NAME}{YEAR})\b")
