@@ -1,7 +1,5 @@
 """Every citation in the tree leads to an entry of docs/references.bib, and every entry is cited.
 
-from tests.places import ROOT
-
 Citations are keys ("He1991 eq. 25"), names and a year in prose ("Benjamini and Hochberg (1995)": the first name and the
 year make the key), and standards and databases by their names.
 """
@@ -13,6 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from tests.places import ROOT
 
 NAME = r"[A-Z][A-Za-z]*[a-z]"
 YEAR = r"(?:1[89]|20)\d\d"
