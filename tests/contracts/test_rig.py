@@ -210,7 +210,7 @@ def test_sample_and_reference_are_presented_in_turn(case: Case) -> None:
     with case.build() as rig:
         start(rig, case)
         for target in ("reference", "reference", "sample"):
-            rig.present(target)  # type: ignore[arg-type]
+            rig.present(target)
 
 
 def test_what_is_repeatable_gives_the_same_step_again(case: Case) -> None:

@@ -31,11 +31,11 @@ def side(frame: pd.DataFrame, name: str = "x") -> Side:
 
 def hemisphere(model: object, *, step: float = 10.0, shift: float = 0.0) -> pd.DataFrame:
     """One incidence over the hemisphere, without noise."""
-    theta, dphi = np.meshgrid(
+    polar, turn = np.meshgrid(
         np.arange(10.0, 71.0, step) + shift, np.arange(0.0, 360.0, 10.0) + 3 * shift, indexing="ij"
     )
-    view, turn = theta.ravel(), dphi.ravel() % 360.0
-    true = model.brdf(np.radians(30.0), 0.0, np.radians(view), np.radians(turn))  # type: ignore[attr-defined]
+    theta, dphi = polar.ravel(), turn.ravel() % 360.0
+    true = model.brdf(np.radians(30.0), 0.0, np.radians(theta), np.radians(dphi))  # type: ignore[attr-defined]
     return table(
         theta_i_deg=np.full(theta.size, 30.0), phi_i_deg=0.0, theta_r_deg=theta, phi_r_deg=dphi, wavelength_nm=550.0,
         brdf=true, u_brdf=1e-3 * true, u_random=1e-3 * true, attrs={},
