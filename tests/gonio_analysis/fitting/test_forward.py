@@ -29,4 +29,7 @@ def test_with_cones_it_is_the_average_over_them_spike_included() -> None:
     )  # fmt: skip
     np.testing.assert_allclose(got, want, rtol=1e-4)  # fits average with fewer directions
     lobe = MODEL.brdf(THETA_I, PHI_I, THETA_R, PHI_R, wavelength_nm=550.0)
-    assert got[0] > 10 * lobe[0]  # the spike, in the mirror direction, which `brdf` leaves out
+    # in the mirror direction the whole spike comes in; He1991 eq. 6, with the cosine of the cones' middle
+    spike = MODEL.specular_reflectivity(THETA_I[0], wavelength_nm=550.0) / (np.cos(THETA_I[0]) * cone)
+    # 1 %: the cosine over half a degree at 30 degrees, and the lobe over the cones
+    np.testing.assert_allclose(got[0], lobe[0] + spike, rtol=0.01)

@@ -34,8 +34,6 @@ def test_arguments_build_the_model(name: str) -> None:
     middle = {}
     for p in family.parameters:
         middle[p.name] = (p.lower * p.upper) ** 0.5 if p.scale == "log" else (p.lower + p.upper) / 2
-        p.name: (p.lower * p.upper) ** 0.5 if p.scale == "log" else (p.lower + p.upper) / 2 for p in family.parameters
-    }
     assert build(name, family.arguments({**middle, **family.fixed})).name == name
 
 
