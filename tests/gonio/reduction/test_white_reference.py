@@ -43,7 +43,7 @@ def test_order_of_the_visits_does_not_matter() -> None:
 
 def test_levels_that_are_straight_are_seldom_called_crooked() -> None:
     """1 % of them, by the test's own level: at most 10 of 300 with a chance of 1e-3."""
-    times = np.arange(6) * 100.0
+    times = np.linspace(0.0, 500.0, 6)
     levels = [np.array([100 + float(RNG.normal()) for _ in times], dtype=np.float64) for _ in range(300)]
     crooked = sum(not white_reference.fit(times, level, np.ones(6)).straight for level in levels)
     assert crooked <= 10
