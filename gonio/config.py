@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import json
 import re
 import tomllib
 from pathlib import Path
@@ -133,34 +132,6 @@ def _model_inside(annotation: Any) -> type[BaseModel] | None:
 
 def to_toml(tables: dict[str, Any]) -> str:
     """TOML of nested tables of strings, booleans, finite numbers and lists; None does not occur."""
-    lines: list[str] = []
+    import tomli_w
 
-    def table(name: str, values: dict[str, Any]) -> None:
-        if name:
-            lines.extend(["", f"[{name}]"])
-        for key, value in values.items():
-            if not isinstance(value, dict):
-                lines.append(f"{_key(key)} = {_value(value)}")
-        for key, value in values.items():
-            if isinstance(value, dict):
-                table(f"{name}.{_key(key)}" if name else _key(key), value)
-
-    table("", tables)
-    return "\n".join(lines).strip() + "\n"
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int | float):
-        return repr(value)
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + " }"
-    return "[" + ", ".join(_value(item) for item in value) + "]"
-
-
-def _key(key: str) -> str:
-    plain = key and all(c.isascii() and (c.isalnum() or c in "_-") for c in key)
-    return key if plain else _value(key)
+    return tomli_w.dumps(tables)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 
+import pytest
 from hypothesis import settings
 
 # the same examples in every run; `pytest --hypothesis-profile=default` draws others
@@ -14,3 +15,8 @@ settings.load_profile("gonio")
 for _number, _usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGQUIT, signal.SIG_DFL)):
     if signal.getsignal(_number) is signal.SIG_IGN:
         signal.signal(_number, _usual)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--rig", help="try the contracts (tests/contracts) on this rig alone: a rig file, or a rig's name")
+    parser.addoption("--sample", help="the sample file that a simulated rig is given with --rig")

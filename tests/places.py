@@ -1,9 +1,34 @@
 """Where tests find what is not beside them."""
 
+from __future__ import annotations
+
 import os
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 REFERENCE = ROOT / "tests" / "reference"
 SHARED_DATA = Path(os.environ.get("GONIO_SHARED_DATA", ROOT / ".." / "shared" / "data"))
-"""Measured data that are not part of the project; tests that need them skip where they are missing."""
+"""Measured data that are not part of the project."""
+
+
+def measured(name: str) -> Path:
+    """A file or folder of the measured data, by its path below them.
+
+    Where it cannot be read the test is skipped, and says why. In continuous integration (`CI=true`) it fails instead
+    as soon as the data folder is there: a check that the data are meant for must not fall silent.
+    """
+    path = SHARED_DATA / name
+    try:
+        if path.is_dir():
+            next(path.iterdir())
+        else:
+            with path.open("rb") as stream:
+                stream.read(1)
+    except (OSError, StopIteration) as error:
+        said = f"no measured data at {path}: {error or 'the folder is empty'}"
+        if os.environ.get("CI", "").lower() in ("1", "true") and SHARED_DATA.is_dir():
+            pytest.fail(said)
+        pytest.skip(said)
+    return path

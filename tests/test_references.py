@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+from tests.places import ROOT
+
 NAME = r"[A-Z][A-Za-z]*[a-z]"
 YEAR = r"(?:1[89]|20)\d\d"
 KEY = re.compile(rf"\b({NAME}{YEAR})\b")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import shutil
 from collections.abc import Callable
@@ -57,19 +58,19 @@ def test_code_is_kept_and_loaded_without_a_word(cache: Path, capfd: pytest.Captu
     assert capfd.readouterr() == ("", "")
 
 
-def _cut(path: Path, size: int) -> None:
+def _cut(size: int, path: Path) -> None:
     path.write_bytes(path.read_bytes()[:size])
 
 
-def _flip(path: Path, place: float) -> None:
+def _flip(place: float, path: Path) -> None:
     content = bytearray(path.read_bytes())
     content[int(place * (len(content) - 1))] ^= 0x10
     path.write_bytes(content)
 
 
-DAMAGE: dict[str, Callable[[Path], None]] = {
-    **{f"cut to {size}": lambda path, size=size: _cut(path, size) for size in (0, 1, 33, 100, -64, -1)},
-    **{f"a bit at {place}": lambda path, place=place: _flip(path, place) for place in (0, 0.2, 0.8, 1)},
+DAMAGE: dict[str, Callable[[Path], object]] = {
+    **{f"cut to {size}": functools.partial(_cut, size) for size in (0, 1, 33, 100, -64, -1)},
+    **{f"a bit at {place}": functools.partial(_flip, place) for place in (0, 0.2, 0.8, 1)},
     "zeros": lambda path: path.write_bytes(bytes(path.stat().st_size)),
     "more": lambda path: path.write_bytes(path.read_bytes() * 2),
     "text": lambda path: path.write_text("not compiled code\n"),
@@ -168,6 +169,6 @@ def test_kernels_of_models_are_kept_so(cache: Path, capfd: pytest.CaptureFixture
 
     fresh()
     assert loaded(fresh())
-    _cut(only(cache, ".nbc"), 200)
+    _cut(200, only(cache, ".nbc"))
     assert not loaded(fresh())
     assert "damaged" in capfd.readouterr().err

@@ -109,7 +109,8 @@ def test_what_a_run_that_never_began_left_is_no_obstacle_unless_it_was_edited(me
 
 def test_a_manifest_is_what_sha256sum_reads(measure: Measure) -> None:
     path = measure("run").path
-    lines = dict(reversed(line.split("  ")) for line in (path / "gonio.sha256").read_text().splitlines())
+    words = (line.split("  ") for line in (path / "gonio.sha256").read_text().splitlines())
+    lines = {name: digest for digest, name in words}
     assert lines == {name: hashlib.sha256((path / name).read_bytes()).hexdigest() for name in ("run.toml", "plan.csv")}
 
 

@@ -7,13 +7,11 @@ import sys
 
 import numpy as np
 import pytest
-import yaml
+import yaml  # type: ignore[import-untyped]
 
 from gonio import materials
 from gonio.errors import ArgumentError
-from tests.places import SHARED_DATA
-
-SHARED = SHARED_DATA
+from tests.places import measured
 
 PAGES = {
     "Al": ("main", "Al", "Rakic"),
@@ -58,9 +56,7 @@ def test_agrees_with_the_packages_own_evaluation(name: str) -> None:
      ("brass", "brass_Cu70Zn30_Querry1985"), ("stainless", "stainless_Karlsson1982")],
 )  # fmt: skip
 def test_agrees_with_the_published_tables_at_their_own_points(name: str, file: str) -> None:
-    path = SHARED / "nk" / f"{file}.yml"
-    if not path.is_file():
-        pytest.skip(f"no measured data at {path}")
+    path = measured(f"nk/{file}.yml")
     (block,) = yaml.safe_load(path.read_text(encoding="utf-8"))["DATA"]
     um, n, k = np.array([line.split() for line in block["data"].splitlines()], dtype=float).T
     index = materials.ior(name)(um * 1000)

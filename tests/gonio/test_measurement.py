@@ -6,7 +6,9 @@ import contextlib
 import json
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,7 +23,7 @@ from gonio.formats import native
 from gonio.formats.reader import ANGLES, COLUMNS, fold, plain_degrees, table
 
 
-def example(count: int = 4, **changes: object) -> pd.DataFrame:
+def example(count: int = 4, **changes: Any) -> pd.DataFrame:
     frame = table(
         theta_i_deg=30.0,
         phi_i_deg=0.0,
@@ -38,9 +40,7 @@ def example(count: int = 4, **changes: object) -> pd.DataFrame:
         },
     )
     frame.insert(len(frame.columns) - 1, "s_reference", -0.008)
-    for name, value in changes.items():
-        frame[name] = value
-    return frame
+    return frame.assign(**changes)
 
 
 def test_columns_are_those_of_the_contract(tmp_path: Path) -> None:
@@ -108,7 +108,7 @@ def test_attributes_without_their_file_are_said_to_be_unknown(tmp_path: Path) ->
     ],
 )
 def test_a_value_that_is_not_allowed_names_file_line_and_column(
-    tmp_path: Path, column: str, value: object, told: str
+    tmp_path: Path, column: str, value: Any, told: str
 ) -> None:
     frame = example()
     frame.loc[2, column] = value
@@ -149,12 +149,13 @@ def test_wrong_columns_and_empty_files(tmp_path: Path, text: str, told: str) -> 
 def test_cells_that_are_wrong_are_located(tmp_path: Path) -> None:
     lines = example().to_csv(index=False).splitlines()
     path = tmp_path / "x.csv"
-    for damage, told in (
+    damages: tuple[tuple[Callable[[str], str], str], ...] = (
         (lambda line: line.replace("550.0", "green"), 'line 3: wavelength_nm is "green", not a number'),
         (lambda line: line + ",1", "line 3: 12 cells, and the header names 11 columns"),
         (lambda line: line.rsplit(",", 4)[0], "line 3: 7 cells"),
         (lambda line: line.replace("550.0", "1e999"), "line 3: wavelength_nm"),
-    ):
+    )
+    for damage, told in damages:
         path.write_text("\n".join([*lines[:2], damage(lines[2]), *lines[3:]]) + "\n")
         with pytest.raises(DataError) as caught:
             measurement.read(path)

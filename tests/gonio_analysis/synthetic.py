@@ -63,5 +63,11 @@ def measure(
         },
     )
     if reference:
-        frame.insert(frame.columns.get_loc("flag"), "s_reference", reference * measured)
+        frame.insert(list(frame.columns).index("flag"), "s_reference", reference * measured)
     return frame
+
+
+def known(value: float | None) -> float:
+    """A value that has to be there."""
+    assert value is not None
+    return value

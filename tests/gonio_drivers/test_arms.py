@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 import os
@@ -140,7 +141,7 @@ def test_a_servo_that_keeps_no_profile_is_not_moved(line: Line, monkeypatch: pyt
 
 def test_a_servo_that_measures_no_voltage_is_not_taken_for_one_without_a_supply(line: Line) -> None:
     put = line.servos[2]._put
-    line.servos[2]._put = lambda n, v: put(n, 0 if n == "Present Input Voltage" else v)  # type: ignore[method-assign]
+    line.servos[2]._put = lambda name, value: put(name, 0 if name == "Present Input Voltage" else value)  # type: ignore[method-assign]
     with ServoArms(describe(), servos(line.port)) as arms:
         assert arms.joints["camera"].health.voltage_v == 0  # type: ignore[union-attr]
 
@@ -279,7 +280,7 @@ def test_every_landing_is_within_the_tolerance_and_reached_from_below(
     for servo in line.servos.values():
         servo.mechanics = Mechanics(short_counts=6)  # friction: 0.53 deg, more than the tolerance
     for k, servo in line.servos.items():
-        servo.leaving = lambda k=k, servo=servo: goals[k].append(servo.get("Goal Position"))
+        servo.leaving = functools.partial(lambda k, servo: goals[k].append(servo.get("Goal Position")), k, servo)
     for target in [(30, -20, 10), (-30, 40, -5), (-30.5, 40, 15)]:
         for told in goals.values():
             told.clear()
@@ -368,7 +369,7 @@ def test_an_axis_that_takes_too_long_stops_every_axis(
 ) -> None:
     monkeypatch.setattr("gonio_drivers.motion.GRACE_S", 0.2)
     monkeypatch.setattr(arms._motion, "duration_s", lambda *_: 0.1)  # this servo creeps
-    line.servos[1]._limits = lambda way: (1.0, 1e6)
+    line.servos[1]._limits = lambda way=0.0: (1.0, 1e6)
     # 0.4 s, and as long as this machine stood still
     with pytest.raises(DeviceError, match=r"no landing within \d+\.\d s: axis light"):
         arms.move(pose(80, 0, 0))
@@ -432,7 +433,7 @@ def test_a_servo_that_stops_again_and_again_is_an_error_that_says_why(
 ) -> None:
     monkeypatch.setattr(watchdog, "UNITS", 1)
     monkeypatch.setattr("gonio_drivers.motion.POLL_S", 0.03)  # longer than the period of 0.02 s
-    line.servos[1]._limits = lambda way: (1.0, 1e6)  # it never arrives
+    line.servos[1]._limits = lambda way=0.0: (1.0, 1e6)  # it never arrives
     with pytest.raises(DeviceError, match=r"has stopped 4 times on one way.*overloaded"):
         arms.move(pose(90, 0, 0))
     assert at_rest(line)
@@ -445,9 +446,9 @@ def test_old_firmware_without_a_watchdog_moves_and_says_so(
     for servo in line.servos.values():
         read, put = servo.read, servo._put
         if answer == "a refusal":
-            servo.read = lambda a, n, read=read: refuse() if a == 98 else read(a, n)  # type: ignore[method-assign]
+            servo.read = functools.partial(lambda read, a, n: refuse() if a == 98 else read(a, n), read)  # type: ignore[method-assign]
         else:
-            servo._put = lambda n, v, put=put: put(n, 0 if n == "Bus Watchdog" else v)  # type: ignore[method-assign]
+            servo._put = functools.partial(lambda put, n, v: put(n, 0 if n == "Bus Watchdog" else v), put)  # type: ignore[method-assign]
     if answer == "none":
         deaf_to(line, bytes([p2.READ, 98, 0]))
 

@@ -7,6 +7,7 @@ import pty
 import random
 import threading
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 import serial
@@ -36,7 +37,11 @@ def test_noise_is_passed_over_and_told(line: Line, caplog: pytest.LogCaptureFixt
             pass
         assert len(bus.read_all([1, 2, 3], 132, 4)) == 3
         assert bus.noisy == 6
-    assert [record.args[1] for record in caplog.records] == [7, 7, 7]  # the first, the second and the fourth time
+    assert [record.args[1] for record in caplog.records if isinstance(record.args, tuple)] == [
+        7,
+        7,
+        7,
+    ]  # the first, the second and the fourth time
 
 
 def test_an_exception_in_a_transaction_leaves_the_port_free(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -207,7 +212,12 @@ def test_a_line_that_takes_no_more_is_told(monkeypatch: pytest.MonkeyPatch) -> N
 def test_for_an_absent_servo_is_waited_asleep(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
     with Bus(line.port, BAUD) as bus:
         looks, look = [], bus._port.readPort
-        monkeypatch.setattr(bus._port, "readPort", lambda length: looks.append(1) or look(length))
+
+        def looked(length: int) -> Any:
+            looks.append(1)
+            return look(length)
+
+        monkeypatch.setattr(bus._port, "readPort", looked)
         with pytest.raises(dynamixel.BusError):
             bus.ping(9)
     # four attempts and as many pings of 84 ms, at one look in 2 ms; the SDK alone would look without a pause

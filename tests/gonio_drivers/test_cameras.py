@@ -18,7 +18,7 @@ from gonio_drivers import cameras, folder_camera, settings
 from gonio_drivers.folder_camera import FolderCamera
 from gonio_drivers.uvc import UvcCamera
 from gonio_sim.wire import tether
-from gonio_sim.wire.faults import Faults
+from gonio_sim.wire.faults import FILE_LATE_S, Faults
 from gonio_sim.wire.peer import SerialPeer
 from gonio_sim.wire.tether import TetheredCamera
 from gonio_sim.wire.uvc import VideoStandIn
@@ -26,7 +26,7 @@ from gonio_sim.wire.uvc import VideoStandIn
 from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.rig import Frame
 from gonio.rig.description import Band, Bands, Camera, RigDescription
-from gonio.rig.dng import write_dng
+from gonio.rig.dng import read_raw, write_dng
 
 SIZE = (48, 64)
 DESCRIPTION = RigDescription(
@@ -87,7 +87,7 @@ def tethered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Tether
     given_up = threading.Event()
 
     def sleep(seconds: float) -> None:
-        if seconds == tether.FILE_LATE_S:
+        if seconds == FILE_LATE_S:
             given_up.wait(PATIENCE_S)  # later than the driver waits, however long that is on this machine
         else:
             time.sleep(seconds)
@@ -201,7 +201,7 @@ def test_a_program_may_write_the_same_name_again_and_again(tmp_path: Path, monke
 
 
 def test_a_temporary_name_that_is_gone_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = folder_camera.read_raw
+    real = read_raw
 
     def renamed(path: Path, data: bytes) -> Frame:
         if path.name == "part.dng":
@@ -331,7 +331,7 @@ def test_a_video_frame_is_fresh_manual_and_linear(response: str) -> None:
     dn = round(25_500 * 0.006)
     # the calibration is interpolated between points 15 DN apart: second derivative times 15^2 / 8 is 0.32 %
     assert frame.mosaic[0, 0] == pytest.approx(65_535 * (dn / 255) ** 2.2, rel=4e-3)
-    assert frame.exposure_s == pytest.approx(0.006)
+    assert frame.exposure_s == pytest.approx(0.006, rel=1e-12)  # 60 steps of 0.1 ms
 
 
 def test_time_stamps_of_another_clock_make_no_queued_frame_fresh(
@@ -394,7 +394,7 @@ def test_a_basler_camera(emulated: None) -> None:
     assert frame.mosaic.shape == SIZE
     assert frame.mosaic.dtype == np.uint16
     assert frame.mosaic.max() > 255  # 12 bits
-    assert frame.exposure_s == pytest.approx(0.005)
+    assert frame.exposure_s == pytest.approx(0.005, abs=1e-6)  # whole microseconds
 
 
 def test_a_basler_camera_that_is_not_there(emulated: None) -> None:

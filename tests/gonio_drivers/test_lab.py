@@ -106,7 +106,11 @@ def assert_true(run: Run, points: int | None = None) -> None:
 def crawl(servo: Servo) -> None:
     """Let the servo take minutes for more than a small way: whatever happens to it on a busy machine, it is there."""
     usual = servo._limits
-    servo._limits = lambda way=0.0: (1.0, 1e6) if abs(way) > 50 else usual(way)  # counts/s  # type: ignore
+
+    def limits(way: float = 0.0) -> tuple[float, float]:
+        return (1.0, 1e6) if abs(way) > 50 else usual(way)  # counts/s
+
+    servo._limits = limits  # type: ignore[method-assign]
 
 
 def remarks(run: Run) -> list[str]:
@@ -504,5 +508,6 @@ def test_serve_writes_a_rig_file_that_works(tmp_path: Path) -> None:
     finally:
         twin.send_signal(signal.SIGINT)
         assert twin.wait(timeout=600) == 0
-        twin.stdout.close()
+        if twin.stdout is not None:
+            twin.stdout.close()
     assert not (tmp_path / "twin" / "servos").exists()

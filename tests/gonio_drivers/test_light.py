@@ -394,7 +394,8 @@ def test_half_a_number_is_none(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -
     with lamp.driver() as light:
         light.on()
         assert light._line._port is not None
-        whole, rest = light._line._port.read_until, []
+        whole = light._line._port.read_until
+        rest: list[bytes] = []
 
         def halves(ending: bytes) -> bytes:
             if rest:

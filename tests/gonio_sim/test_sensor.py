@@ -56,7 +56,7 @@ def test_photon_transfer(mean: float) -> None:
     assert np.mean((charge - mean) ** 3) == pytest.approx(mean, abs=SIGMAS * math.sqrt(sixth / PIXELS))
 
 
-def observed_and_expected(counts: npt.NDArray[np.int64], mean: float) -> tuple[npt.NDArray, npt.NDArray]:
+def observed_and_expected(counts: npt.NDArray[np.int64], mean: float) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     """How often each count occurred and should have; rare ones (below 10) are taken together on either side."""
     low, high = stats.poisson.ppf([10 / counts.size, 1 - 10 / counts.size], mean).astype(int)
     edges = np.arange(low, high + 1)

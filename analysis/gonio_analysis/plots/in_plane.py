@@ -136,14 +136,13 @@ def semilog(ax: Any, lines: Sequence[Line], *, unit: str = "BRDF [1/sr]") -> lis
                     **look,
                 )
             )
+    ax.set_yscale("log")  # before the limits: a linear axis refuses limits as small as a table may hold
     if positive:
         measured = [line.measured[line.measured > 0] for line in lines if np.any(line.measured > 0)]
         low = min(float(np.min(v)) for v in (measured or positive))
         high = max(float(np.max(v)) for v in positive)
         low, high = low / 1.5, high * 1.5
         ax.set_ylim(low, high)
-    ax.set_yscale("log")
-    if positive:
         if high < 100 * low:  # few decades: label the steps between them too
             from matplotlib.ticker import FixedLocator, NullLocator
 

@@ -6,7 +6,9 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -25,7 +27,7 @@ def written(path: Path, events: list[dict[str, object]] = EVENTS) -> bytes:
     return path.read_bytes()
 
 
-def steps(events: list[dict[str, object]]) -> list[object]:
+def steps(events: Iterable[dict[str, Any]]) -> list[object]:
     return [event["step"] for event in events]
 
 

@@ -18,8 +18,7 @@ from gonio.acquisition.frame_writer import label_of
 from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import Plan, load_plan
 from gonio.acquisition.progress import Silent
-from gonio.acquisition.records import StepRecord
-from gonio.acquisition.records import FrameRecord
+from gonio.acquisition.records import FrameRecord, StepRecord
 from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, DataError
 from gonio.reduction import brdf

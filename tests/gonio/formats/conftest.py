@@ -14,7 +14,7 @@ import pytest
 from gonio import measurement
 from gonio.errors import DataError
 from gonio.formats.reader import table
-from tests.places import ROOT
+from tests.places import measured
 
 MUTATIONS = int(os.environ.get("GONIO_MUTATIONS", "400"))
 """Damaged files a format; raise it for a long run by hand."""
@@ -23,15 +23,7 @@ MUTATIONS = int(os.environ.get("GONIO_MUTATIONS", "400"))
 @pytest.fixture(scope="session")
 def shared() -> Callable[[str], Path]:
     """A file or folder of the measured BRDFs, or a skip where it is missing."""
-    beside = ROOT / ".." / "shared" / "data"
-    folder = Path(os.environ.get("GONIO_SHARED_DATA", beside)) / "brdf"
-
-    def find(name: str) -> Path:
-        if not (folder / name).exists():
-            pytest.skip(f"no measured data at {folder / name}")
-        return folder / name
-
-    return find
+    return lambda name: measured(f"brdf/{name}")
 
 
 @pytest.fixture

@@ -45,7 +45,7 @@ def test_klems_holds_averages_over_patches(tmp_path: Path) -> None:
     measurement.write_model(GLOSSY, tmp_path / "g.xml", name="glossy")
     frame = measurement.read(tmp_path / "g.xml")
     row = frame[(frame["theta_i_deg"] == 20) & (frame["phi_i_deg"] == 180) & (frame["theta_r_deg"] == 20)]
-    peak = row.loc[row["brdf"].idxmax()]
+    peak = row.iloc[int(row["brdf"].argmax())]
     assert peak["phi_r_deg"] == 0.0  # the mirror patch
     # by random directions, even in sin^2 and azimuth, in the patches of 16 in the ring from 15 to 25 degrees
     dice = np.random.default_rng(3)

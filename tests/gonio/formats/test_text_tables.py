@@ -194,7 +194,7 @@ def test_reflectance_factor_table(shared: Callable[[str], Path]) -> None:
     frame = measurement.read(shared("reflectance_factor_table/two_dimensional_reflectance_factor.csv"))
     assert len(frame) == 329 * 35
     for theta_i, group in frame[frame["flag"] == ""].groupby("theta_i_deg"):
-        peak = group.loc[group["brdf"].idxmax()]
+        peak = group.iloc[int(group["brdf"].argmax())]
         assert abs(peak["theta_r_deg"] - theta_i) <= 1  # the step of the table at its peaks
         assert peak["phi_r_deg"] == 180.0
 
@@ -248,8 +248,8 @@ def test_columns_are_found_by_name(text: str) -> None:
         lines.append(f"{head}{space}{last},{first}" if first and "line" not in line else line)
     other = measurement.parse("\n".join(lines).encode(), Path("tile"))
     keys = ["theta_i_deg", "theta_r_deg", "phi_r_deg", "wavelength_nm"]
-    first, second = (f.sort_values(keys, ignore_index=True) for f in (plain, other))
-    pd.testing.assert_frame_equal(second, first, check_exact=True)
+    ordered, turned = (f.sort_values(keys, ignore_index=True) for f in (plain, other))
+    pd.testing.assert_frame_equal(turned, ordered, check_exact=True)
 
 
 @pytest.mark.parametrize(("text", "cell"), [(ASTM, "0.250000"), (NIST, "3.10E-01"), (MWIR, "2.0"), (FACTOR, "0.7")])

@@ -108,8 +108,8 @@ def test_a_published_file_and_the_same_data_in_sample_angles(shared: Callable[[s
     # at 50 degrees the lobe doubles outward of the mirror and falls inward of it; the grid about the mirror is the
     # laboratory's interpolation of scattered points, within 8 % of the ones that it published beside it
     assert fred[60] > 1.5 * fred[40]
-    for theta_r in (30, 40, 60, 70):
-        assert value(frame, 50, theta_r, 180) == pytest.approx(fred[theta_r], rel=0.08)
+    for view in (30.0, 40.0, 60.0, 70.0):
+        assert value(frame, 50, view, 180) == pytest.approx(fred[view], rel=0.08)
     measurement.write(frame, tmp_path / "a.bsdf")
     again = measurement.read(tmp_path / "a.bsdf")
     pd.testing.assert_frame_equal(again, frame, check_exact=True)

@@ -66,7 +66,7 @@ def test_cook_torrance(angles: tuple[float, float, float, float], index: complex
             model = CookTorrance(slopes=slopes, ior=index, distribution=distribution)
             check(
                 float(model.brdf(*angles)),
-                lambda *a, s=slopes, d=distribution: oracles.cook_torrance(*a, s, index, d),
+                lambda a, b, e, f, s=slopes, d=distribution: oracles.cook_torrance(a, b, e, f, s, index, d),
                 angles,
             )
 
@@ -86,14 +86,18 @@ def test_cook_torrance(angles: tuple[float, float, float, float], index: complex
 def test_blinn(angles: tuple[float, float, float, float], distribution: str, c: float) -> None:
     for index in (200.0, 1.8, 0.6667):
         model = Blinn(k_d=0.0, k_s=1.0, ior=index, distribution=distribution, c=c)
-        check(float(model.brdf(*angles)), lambda *a, n=index: oracles.blinn(*a, c, n, distribution), angles)
+        check(
+            float(model.brdf(*angles)),
+            lambda a, b, e, f, n=index: oracles.blinn(a, b, e, f, c, n, distribution),
+            angles,
+        )
 
 
 @pytest.mark.parametrize("angles", GEOMETRIES.values(), ids=GEOMETRIES.keys())
 @pytest.mark.parametrize("sigma_deg", [0.0, 1e-6, 1.0, 30.0, 60.0])
 def test_oren_nayar_functional(angles: tuple[float, float, float, float], sigma_deg: float) -> None:
     got = float(OrenNayar(0.7, sigma_deg).brdf(*angles))
-    check(got, lambda *a: oracles.oren_nayar(*a, 0.7, math.radians(sigma_deg)), angles)
+    check(got, lambda a, b, e, f: oracles.oren_nayar(a, b, e, f, 0.7, math.radians(sigma_deg)), angles)
 
 
 def test_oren_nayar_functional_is_negative_near_forward_grazing_as_in_the_paper() -> None:

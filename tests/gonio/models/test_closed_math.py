@@ -16,29 +16,33 @@ from gonio.models._compile import device, loop, template
 RNG = np.random.default_rng(4)
 
 
+kernel: Any
+"""Put in by the template."""
+
+
 @template("r1 p w1 i i")
-def over_values(x, p, out, start, stop):
+def over_values(x: Any, p: Any, out: Any, start: int, stop: int) -> None:
     for j in range(start, stop):
         out[j] = kernel(x[j])  # noqa: F821
 
 
 @device
-def sine(x):
+def sine(x: Any) -> Any:
     return _sincos(x)[0]
 
 
 @device
-def cosine(x):
+def cosine(x: Any) -> Any:
     return _sincos(x)[1]
 
 
 @device
-def polar_sine(x):
+def polar_sine(x: Any) -> Any:
     return _polar(x)[0]
 
 
 @device
-def polar_cosine(x):
+def polar_cosine(x: Any) -> Any:
     return _polar(x)[1]
 
 

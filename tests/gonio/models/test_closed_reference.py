@@ -154,7 +154,7 @@ def test_oren_nayar_single_slope(case: dict[str, Any]) -> None:
     angles = (i["theta_i"], 0.0, i["theta_r"], i["phi"])
     cosine = math.cos(i["theta_i"])
     slope, across = math.degrees(i["theta_a"]), math.degrees(i["phi_a"])
-    once = {"form": "single-slope", "slope_deg": slope, "interreflections": False}
+    once: dict[str, Any] = {"form": "single-slope", "slope_deg": slope, "interreflections": False}
     one = float(OrenNayar(i["rho"], groove_azimuth_deg=across, **once).brdf(*angles)) * cosine
     # degrees and back, and tan(theta_a) up to 6: 2e-14
     assert one == pytest.approx(float(out["uni_L1"]), rel=2e-14)

@@ -238,7 +238,7 @@ BAD_ANGLES = [
 
 
 @pytest.mark.parametrize(("name", "angles"), BAD_ANGLES)
-def test_bad_angles_are_named(name: str, angles: tuple) -> None:
+def test_bad_angles_are_named(name: str, angles: tuple[float, ...]) -> None:
     for model in (MODEL, OrenNayar(form="exact"), OrenNayar(form="single-slope", slope_deg=20, groove_azimuth_deg=0)):
         with pytest.raises(ArgumentError, match=name):
             model.brdf(*angles)
@@ -326,13 +326,13 @@ def test_wavelengths_broadcast() -> None:
         ("oren-nayar", {"form": "approximate"}, "form"),
     ],
 )
-def test_bad_parameters_are_named(name: str, parameters: dict, said: str) -> None:
+def test_bad_parameters_are_named(name: str, parameters: dict[str, Any], said: str) -> None:
     with pytest.raises(ArgumentError, match=said):
         build(name, parameters)
 
 
 @pytest.mark.parametrize("value", ["1.5", [1.0, 2.0], None, float("nan"), True])
-def test_an_index_function_that_gives_no_index_is_named(value: object) -> None:
+def test_an_index_function_that_gives_no_index_is_named(value: Any) -> None:
     with pytest.raises(ArgumentError, match="ior at 550 nm"):
         CookTorrance(ior=lambda nm: value).brdf(0.1, 0.0, 0.2, 0.3)
 
@@ -365,7 +365,7 @@ def test_bad_arrays_are_named(call: Callable[[], object], said: str) -> None:
     ],
     ids=repr,
 )
-def test_a_model_is_rebuilt_from_its_parameters(model: object) -> None:
+def test_a_model_is_rebuilt_from_its_parameters(model: Model) -> None:
     assert build(model.name, model.parameters) == model
     assert model.convention.endswith(".")
     assert repr(model).startswith(type(model).__name__)
@@ -381,19 +381,20 @@ def test_masked_values_are_refused_and_not_computed_with() -> None:
     some, none = np.ma.array([0.1, 0.2], mask=[False, True]), np.ma.array([0.1, 0.2])
     model = Lambert(0.5)
     assert np.all(model.brdf(none, 0.0, 0.3, 0.0) == model.brdf(none.data, 0.0, 0.3, 0.0))
-    cones = {"source_solid_angle_sr": 1e-4, "receiver_solid_angle_sr": 1e-4}
-    for name, call in {
+    cones: dict[str, Any] = {"source_solid_angle_sr": 1e-4, "receiver_solid_angle_sr": 1e-4}
+    calls: dict[str, Callable[[], object]] = {
         "theta_r": lambda: model.brdf(0.1, 0.0, some, 0.0),
         "phi_i": lambda: geometry(0.1, some, 0.1, 0.0),
-        "omega_i": lambda: model.brdf_vectors(np.ma.array([0.0, 0.0, 1.0], mask=[1, 0, 0]), [0.0, 0.0, 1.0]),
+        "omega_i": lambda: model.brdf_vectors(np.ma.array([0.0, 0.0, 1.0], mask=[True, False, False]), [0.0, 0.0, 1.0]),
         "wavelength_nm": lambda: model.brdf(0.1, 0.0, 0.2, 0.0, wavelength_nm=np.ma.array([500.0], mask=[True])),
         "theta_i": lambda: apparent_brdf(model, some, 0.0, 0.1, 0.0, wavelength_nm=550.0, **cones),
         "cos_theta": lambda: fresnel.amplitudes(some, 1.5),
-        "albedo": lambda: Lambert(np.ma.masked),
+        "albedo": lambda: Lambert(np.ma.masked),  # type: ignore[arg-type]
         "wavelength_nm ": lambda: materials.ior("Al")(np.ma.array([500.0], mask=[True])),
         "brdf": lambda: table(
             theta_i_deg=0, phi_i_deg=0, theta_r_deg=0, phi_r_deg=0, wavelength_nm=550, brdf=some, attrs={}
         ),
-    }.items():
+    }
+    for name, call in calls.items():
         with pytest.raises(ArgumentError, match=f"{name.strip()} is a masked array"):
             call()

@@ -223,11 +223,12 @@ def test_parameter_sets_share_what_the_directions_give() -> None:
 
 def test_a_real_index_is_the_limit_of_a_complex_one() -> None:
     light, view = (np.concatenate(both) for both in zip(pairs(2000), hard_pairs(), strict=True))
-    for make in (
+    makers: tuple[Callable[[complex], Model], ...] = (
         lambda ior: CookTorrance(ior=ior),
         lambda ior: CookTorrance(ior=ior, distribution="gaussian"),
         *(lambda ior, d=d: Blinn(ior=ior, distribution=d) for d in ("phong", "gaussian", "trowbridge-reitz")),
-    ):
+    )
+    for make in makers:
         for n in (0.5, 1.0 + 1e-9, 1.5, 200.0):
             # k = 1e-18 changes F by less than 1e-15, but where 1 - n is as small, and at the critical angle
             real, nearly = (make(ior).brdf_vectors(light, view) for ior in (n, complex(n, 1e-18)))

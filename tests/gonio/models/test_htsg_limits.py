@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import mpmath as mp
 import numpy as np
@@ -108,7 +109,7 @@ def test_absorption_tends_to_none() -> None:
 def test_total_reflection_below_index_one() -> None:
     """n = 0.75: beyond the critical angle every facet reflects all, as a conductor does."""
     at = (1.3, 0.0, 1.3, math.pi)
-    args = {"sigma0_um": 0.15, "tau_um": 1.5}
+    args: dict[str, Any] = {"sigma0_um": 0.15, "tau_um": 1.5}
     all_of_it = HeTorrance(ior=1e8 + 0j, **args).brdf(*at)
     assert HeTorrance(ior=0.75, **args).brdf(*at) == pytest.approx(all_of_it, rel=1e-6)  # F = 1 - 4e-8/cos
 

@@ -7,9 +7,10 @@ where formulas have difficulties. Where a plain formula is 0/0 it is not asked.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from gonio.models.blinn import coefficient
 from gonio.models.cook_torrance import unblocked_fraction
 from gonio.models.plain import blinn, cook_torrance, he_torrance, he_torrance_appendix_a, oren_nayar
 from gonio.models.plain import fresnel as plain_fresnel
-from gonio.models.plain.vectors import direction, dot, polar
+from gonio.models.plain.vectors import direction, dot, length, polar
 from tests.gonio.models.reference import cases
 
 EPS = float(np.finfo(float).eps)
@@ -43,7 +44,10 @@ HARD_DEG = [
 ]
 
 
-def pairs(seed: int, count: int = 60) -> tuple[np.ndarray, ...]:
+Angles = tuple[Any, Any, Any, Any]
+
+
+def pairs(seed: int, count: int = 60) -> Angles:
     """theta_i, phi_i, theta_r, phi_r [rad]: hard ones, then random ones, up to 89 degrees."""
     rng = np.random.default_rng(seed)
     theta, phi = rng.uniform(0.0, math.radians(89.0), (2, count)), rng.uniform(0.0, 2.0 * PI, (2, count))
@@ -76,6 +80,10 @@ def facet_loss(light: np.ndarray, view: np.ndarray) -> tuple[Any, Any]:
     return polar(h), 1.0 / dot(view, h) ** 2
 
 
+def schlick(f0: Any, theta: Any, ior: complex) -> Any:
+    return plain_fresnel.schlick(theta, f0)
+
+
 @pytest.mark.parametrize("reflectance", ["exact", "schlick"])
 @pytest.mark.parametrize("distribution", ["beckmann", "gaussian"])
 def test_cook_torrance(distribution: str, reflectance: str) -> None:
@@ -84,14 +92,14 @@ def test_cook_torrance(distribution: str, reflectance: str) -> None:
     D = {"beckmann": cook_torrance.D_beckmann, "gaussian": cook_torrance.D_gaussian}[distribution]
     for ior, slopes in itertools.product(INDICES, (((0.4, 0.4), (0.2, 0.6)), ((0.05, 1.0),), ((1.5, 1.0),))):
         f0 = plain_fresnel.reflectance(0.0, ior)
-        F = {"exact": plain_fresnel.reflectance, "schlick": lambda theta, _, f0=f0: plain_fresnel.schlick(theta, f0)}
+        F: dict[str, Any] = {"exact": plain_fresnel.reflectance, "schlick": functools.partial(schlick, f0)}
         plain = cook_torrance.brdf(light, view, slopes, ior, 0.3, 0.6, 0.8, D, F[reflectance])
         m = min(m for m, _ in slopes)
         # dlnD/dalpha, of an alpha that is uncertain as H is; N.L and N.V are exact
         steep = (
             np.tan(alpha) * (1.0 + 1.0 / np.cos(alpha) ** 2 / m**2) if D is cook_torrance.D_beckmann else alpha / m**2
         )
-        more = {"distribution": distribution, "fresnel": reflectance, "diffuse_albedo": 0.8, "ior": ior}
+        more: dict[str, Any] = {"distribution": distribution, "fresnel": reflectance, "diffuse_albedo": 0.8, "ior": ior}
         model = CookTorrance(0.3, 0.6, slopes, **more)
         agree(model.brdf_vectors(light, view), plain, 4.0 * (1.0 + steep) * loss)
         base = 0.6 * 0.8 / PI
@@ -284,7 +292,7 @@ def lobe_loss(theta_i: Any, phi_i: Any, theta_r: Any, phi_r: Any, sigma0: float,
     c = he_torrance_appendix_a.v_xy(k_i, k_r, lam) ** 2 * tau**2 / 4.0
     series = g * (1.0 + np.abs(np.log(g))) + np.minimum(c, g + np.sqrt(c)) + np.sqrt(c) * tau * 2.0 * PI / lam
     grazing = np.tan(theta_i) + np.tan(theta_r)
-    return 4.0 * series + grazing * (1.0 + g) + 1.0 / he_torrance_appendix_a.length(k_r - k_i) ** 2
+    return 4.0 * series + grazing * (1.0 + g) + 1.0 / length(k_r - k_i) ** 2
 
 
 @pytest.mark.parametrize("surface", SURFACES, ids=str)
@@ -306,9 +314,9 @@ def test_he_torrance_lobe_and_spike(surface: tuple[float, float, float, complex]
 @pytest.mark.parametrize("surface", SURFACES[:4], ids=str)
 def test_he_torrance_polarised(surface: tuple[float, float, float, complex]) -> None:
     sigma0, tau, lam, n = surface
-    at = tuple(part[7:] for part in pairs(8, 40))  # M is 0/0 along the normal and in retro-reflection
+    at = cast(Angles, tuple(part[7:] for part in pairs(8, 40)))  # M is 0/0 along the normal and in retro-reflection
     k_i, k_r = he_torrance.directions(*at)
-    apart = he_torrance_appendix_a.length(np.cross(k_r, k_i)) ** 2
+    apart = length(np.cross(k_r, k_i)) ** 2
     polarised = 1.0 / apart / np.minimum(np.sin(at[0]), np.sin(at[2]))
     model = HeTorrance(sigma0, tau, n, 0.2)
     jones = model.jones(*at, wavelength_nm=1000.0 * lam)
@@ -342,9 +350,11 @@ def test_he_torrance_spike_in_its_cone() -> None:
 def test_he_torrance_hemisphere() -> None:
     sigma0, tau, lam, n = SURFACES[1]
     for theta_i in (0.0, 0.6, 1.2):
-        lobe = he_torrance.rho_dh(
-            lambda theta, phi, at=theta_i: he_torrance.rho_dd(at, 0.0, theta, phi, sigma0, tau, lam, n), 64
-        )
+
+        def lobe_of(theta: Any, phi: Any, at: float = theta_i) -> Any:
+            return he_torrance.rho_dd(at, 0.0, theta, phi, sigma0, tau, lam, n)
+
+        lobe = he_torrance.rho_dh(lobe_of, 64)
         total = he_torrance.rho_s(theta_i, sigma0, tau, lam, n) + lobe + 0.1
         model = HeTorrance(sigma0, tau, n, 0.1)
         # a lobe of 20 degrees is resolved; shadowing sets in fast near the horizon
@@ -566,7 +576,7 @@ def test_plain_he_torrance_polarised_digits() -> None:
         i, out = case["in"], case["out"]
         at = (i["theta_i"], i["phi_i"] + PI, i["theta_r"], i["phi_i"] + i["phi"])
         k_i, k_r = he_torrance.directions(*at)
-        apart = float(he_torrance_appendix_a.length(np.cross(k_r, k_i)))
+        apart = float(length(np.cross(k_r, k_i)))
         if min(math.sin(at[0]), math.sin(at[2]), apart) < 1e-4:
             continue  # M is 0/0 there
         tried += 1

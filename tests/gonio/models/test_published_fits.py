@@ -19,9 +19,8 @@ import numpy as np
 import pytest
 
 from gonio.models import CookTorrance, Lambert, Model, Sum
-from tests.places import SHARED_DATA
+from tests.places import measured
 
-FITS = SHARED_DATA / "fits"
 FIT = re.compile(
     r"(?P<name>\S+) = Aggregate\(Lambertian\(albedo = \[(?P<diffuse>[^]]+)\]\), "
     r"(?P<model>\w+)\(albedo = \[(?P<specular>[^]]+)\](?P<rest>[^)]*)\)\)"
@@ -33,9 +32,7 @@ DPHI = np.deg2rad([0.0, 90.0, 160.0, 180.0])
 
 def published(file: str) -> dict[str, tuple[list[float], list[float], dict[str, float]]]:
     """Diffuse and specular weights of red, green and blue, and the other parameters, by material."""
-    path = FITS / file
-    if not path.is_file():
-        pytest.skip(f"no published fits at {path}")
+    path = measured(f"fits/{file}")
     out = {}
     for line in path.read_text(encoding="utf-8").splitlines():
         match = FIT.fullmatch(line.strip())

@@ -129,7 +129,7 @@ class Maker:
     def rate(self, pose: Pose, kind: str) -> npt.NDArray[np.float64]:
         """Electrons a second of each pixel; rays and angles written out one vector at a time."""
         d, geometry, camera = directions(self.description, pose), self.description.geometry, self.description.camera
-        value = self.description.reference.albedo / math.pi if kind == "reference" else self.brdf(d)
+        value = float(self.description.reference.albedo or 0.0) / math.pi if kind == "reference" else self.brdf(d)
         source, eye = (
             distance * np.array([math.sin(t) * math.cos(p), math.sin(t) * math.sin(p), math.cos(t)])
             for distance, t, p in (

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +14,9 @@ import pandas as pd
 import pytest
 
 from gonio import geometry, measurement
+from gonio.acquisition.plan import ANGLES
 from gonio.acquisition.records import StepRecord
+from gonio.acquisition.run import Run
 from gonio.errors import DataError
 from gonio.geometry import Directions
 from gonio.reduction import brdf as radiometry
@@ -26,6 +29,10 @@ from tests.gonio.reduction.made_run import MadeRun, Maker, describe, in_plane
 POINTS = [in_plane(i, r) for i in (10.0, 45.0, 70.0) for r in (-60.0, -30.0, 0.0, 25.0, 50.0, 80.0)]
 
 
+def reduce(made: MadeRun) -> pd.DataFrame:
+    return radiometry.reduce(cast(Run, made))
+
+
 def glossy(d: Directions) -> float:
     """Smooth in all angles: a lobe half a radian wide on a matt ground."""
     offset = np.linalg.norm(geometry.direction(d.theta_i, d.phi_i)[:2] + geometry.direction(d.theta_r, d.phi_r)[:2])
@@ -33,7 +40,7 @@ def glossy(d: Directions) -> float:
 
 
 def truth(table: pd.DataFrame, brdf: Any) -> npt.NDArray[np.float64]:
-    return np.array([brdf(Directions(*np.radians(row))) for row in table[list(radiometry.ANGLES)].to_numpy()])
+    return np.array([brdf(Directions(*np.radians(row))) for row in table[list(ANGLES)].to_numpy()])
 
 
 class Exact(Maker):
@@ -64,7 +71,7 @@ def test_noise_free_frames_reduce_exactly(tmp_path: Path, monkeypatch: pytest.Mo
     description = describe(camera={"dark_current_e_per_s": 20.0, "electrons_per_dn": 2.0}, reference={"frames": 2})
     maker = Exact(tmp_path, description, glossy, lamp=lambda t: 1.0 - 2e-5 * t)
     monkeypatch.setattr(count_rates, "read_raw", maker.read)
-    table = radiometry.reduce(maker.make(POINTS, (0.25, 0.25, 0.0625)))
+    table = reduce(maker.make(POINTS, (0.25, 0.25, 0.0625)))
     # 1e-10: sums of 1000 doubles of 1e4, differences of 1e3 below them
     np.testing.assert_allclose(table["brdf"], truth(table, glossy), rtol=1e-10)
     account = table.attrs["provenance"]["reference"][0]
@@ -79,7 +86,7 @@ def centre(table: pd.DataFrame) -> float:
 
 def test_whole_numbers_of_a_raw_file_cost_what_the_budget_says(tmp_path: Path) -> None:
     run = Maker(tmp_path, describe(), glossy).make(POINTS, (0.25, 0.0625))
-    table = radiometry.reduce(run)
+    table = reduce(run)
     error = table["brdf"].to_numpy() - truth(table, glossy)
     # half a DN is 1.73 standard deviations of a rounding error; point and reference together at most 1.73 sqrt(2)
     assert np.all(abs(error) < 2.5 * table["u_brdf"])
@@ -89,9 +96,11 @@ def test_whole_numbers_of_a_raw_file_cost_what_the_budget_says(tmp_path: Path) -
 def test_the_table_is_a_valid_measurement_table_in_the_plan_s_order(tmp_path: Path) -> None:
     run = Maker(tmp_path, describe(lamp=Lamp(half_angle_deg=0.5), camera={"lens_half_angle_deg": 0.25}), glossy)
     made = run.make(POINTS, (0.25,))
-    made.plan.loc[len(made.plan)] = [40.0, 0.0, 40.0, 0.0, "blocked", "in each other's way"]
-    made.plan.loc[len(made.plan)] = [40.0, 0.0, 41.0, 180.0, "", ""]
-    table = radiometry.reduce(made)
+    made.plan.loc[len(made.plan)] = pd.Series(
+        [40.0, 0.0, 40.0, 0.0, "blocked", "in each other's way"], made.plan.columns
+    )
+    made.plan.loc[len(made.plan)] = pd.Series([40.0, 0.0, 41.0, 180.0, "", ""], made.plan.columns)
+    table = reduce(made)
     measurement.write(table, tmp_path / "brdf.csv")
     back = measurement.read(tmp_path / "brdf.csv")
     pd.testing.assert_frame_equal(back, table)
@@ -120,14 +129,18 @@ def pulls(table: pd.DataFrame, brdf: Any) -> npt.NDArray[np.float64]:
     return (table["brdf"].to_numpy() - truth(table, brdf)) / table["u_brdf"].to_numpy()
 
 
+def flicker(rng: np.random.Generator, time_s: float) -> float:
+    return 1.0 + 0.003 * float(rng.standard_normal())
+
+
 def test_pulls_of_sensor_and_lamp_noise_are_standard_normal(tmp_path: Path) -> None:
     """Independent frames from numpy's generators; dim and bright points, short and long frames."""
     found = []
     for seed in range(10):
         rng = np.random.default_rng(seed)
         description = describe(camera=NOISY, lamp=Lamp(noise=0.003), reference={"frames": 8})
-        maker = Maker(tmp_path, description, glossy, rng, lamp=lambda t, rng=rng: 1.0 + 0.003 * rng.standard_normal())
-        found.append(pulls(radiometry.reduce(maker.make(POINTS, (0.25, 0.25, 0.0625))), glossy))
+        maker = Maker(tmp_path, description, glossy, rng, lamp=functools.partial(flicker, rng))
+        found.append(pulls(reduce(maker.make(POINTS, (0.25, 0.25, 0.0625))), glossy))
     z = np.concatenate(found)
     # 180 pulls, about 20 % of whose variance is common to the 18 of a run: the standard deviation of their mean is 0.16
     # (from 10 runs), that of their standard deviation 0.06; three of each
@@ -143,7 +156,7 @@ def test_dim_points_keep_their_sign_and_their_scatter(tmp_path: Path) -> None:
     description = describe(camera=NOISY | {"read_noise_e": 30.0}, acquisition={"roi_radius_mm": 1.0, "dark_frames": 12})
     points = [in_plane(20.0, float(r)) for r in range(-10, 70)]
     maker = Maker(tmp_path, description, lambda d: black, rng)
-    table = radiometry.reduce(maker.make(points, (0.02,), every=40))
+    table = reduce(maker.make(points, (0.02,), every=40))
     assert set(table["flag"]) == {""}
     assert np.sum(table["brdf"] < 0) > 10
     z = (table["brdf"] - black) / table["u_brdf"]
@@ -159,7 +172,7 @@ def test_the_noise_of_the_dark_frames_is_common_to_all_points(tmp_path: Path) ->
     means, chi_squares = [], []
     for seed in range(12):
         maker = Maker(tmp_path, description, lambda d: 0.0, np.random.default_rng(seed))
-        table = radiometry.reduce(maker.make(points, (0.5, 0.5, 0.125)))
+        table = reduce(maker.make(points, (0.5, 0.5, 0.125)))
         error = table["brdf"].to_numpy()
         common = table[[name for name in table.columns if name.startswith("s_")]].to_numpy()
         assert (table["s_dark_1"] < 0).all()  # more dark signal, less light
@@ -178,7 +191,7 @@ def test_a_drifting_lamp_is_followed(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     description = describe(camera=NOISY, reference={"frames": 4})
     maker = Maker(tmp_path, description, glossy, rng, lamp=lambda t: 1.0 + 0.4 * t / 3600)
-    table = radiometry.reduce(maker.make(POINTS, (0.25, 0.0625), every=3))
+    table = reduce(maker.make(POINTS, (0.25, 0.0625), every=3))
     account = table.attrs["provenance"]["reference"][0]
     assert account["straight"]
     assert account["drift_per_hour"] == pytest.approx(0.4, abs=4 * account["u_drift_per_hour"])
@@ -193,7 +206,7 @@ def test_a_lamp_that_jumps_is_interpolated_and_said_so(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     description = describe(camera=NOISY, reference={"frames": 8})
     maker = Maker(tmp_path, description, glossy, rng, lamp=lambda t: 1.0 + 0.02 * math.sin(t / 12.0))
-    table = radiometry.reduce(maker.make(POINTS, (0.25,), every=1))
+    table = reduce(maker.make(POINTS, (0.25,), every=1))
     account = table.attrs["provenance"]["reference"][0]
     assert not account["straight"]
     assert any("straight line" in note for note in table.attrs["notes"])
@@ -203,7 +216,7 @@ def test_a_lamp_that_jumps_is_interpolated_and_said_so(tmp_path: Path) -> None:
 def test_one_visit_says_that_the_drift_is_unknown(tmp_path: Path) -> None:
     run = Maker(tmp_path, describe(), glossy).make(POINTS[:3], (0.25,))
     run.taken = [e for e in run.taken if e.kind != "reference" or e.step < 3]
-    table = radiometry.reduce(run)
+    table = reduce(run)
     assert "drift of the lamp is not in u_brdf" in table.attrs["notes"][0]
     assert np.all(table["s_lamp_drift"] == 0)
     account = table.attrs["provenance"]["reference"][0]
@@ -217,7 +230,7 @@ def test_a_run_whose_frames_all_have_one_time(tmp_path: Path) -> None:
     maker = Maker(tmp_path, description, glossy, np.random.default_rng(4), lamp=lambda t: 1.0 + 0.6 * t / 3600)
     run = maker.make(POINTS, (0.25, 0.0625), every=3)
     run.taken = [replace(s, frames=tuple(replace(frame, time_s=0.0) for frame in s.frames)) for s in run.taken]
-    table = radiometry.reduce(run)
+    table = reduce(run)
     assert "have one and the same time, so a drift of the lamp is not in u_brdf except" in table.attrs["notes"][0]
     assert not any("straight line" in note for note in table.attrs["notes"])
     assert np.all(table["s_lamp_drift"] == 0)
@@ -229,10 +242,10 @@ def test_a_run_cut_to_its_first_visit_has_the_uncertainty_of_its_noise(tmp_path:
     """Against the same run with all of its visits: one visit of four leaves out noise of level and drift."""
     description = describe(camera=NOISY, reference={"frames": 8})
     run = Maker(tmp_path, description, glossy, np.random.default_rng(seed)).make(POINTS, (0.25, 0.0625), every=3)
-    whole = radiometry.reduce(run)
+    whole = reduce(run)
     first = next(e.step for e in run.taken if e.kind == "reference")
     run.taken = [e for e in run.taken if e.kind != "reference" or e.step == first]
-    cut = radiometry.reduce(run)
+    cut = reduce(run)
     assert np.all(cut["u_brdf"] < 1.5 * whole["u_brdf"])
     assert np.mean(abs(pulls(cut, glossy)) <= 2) > 0.85
 
@@ -243,7 +256,7 @@ def test_visits_that_were_lost_are_told(tmp_path: Path) -> None:
     visits = [k for k, step in enumerate(run.taken) if step.kind == "reference"]
     run.taken[visits[0]] = replace(run.taken[visits[0]], flag="moved", frames=())
     run.taken[visits[2]] = replace(run.taken[visits[2]], frames=())
-    notes = radiometry.reduce(run).attrs["notes"]
+    notes = reduce(run).attrs["notes"]
     assert notes[0].endswith("2 of 3 visits to the white reference cannot be used (1 moved, 1 not_measured)")
     assert "one visit to the white reference only" in notes[1]
 
@@ -256,7 +269,7 @@ def test_saturated_frames_are_left_out_and_saturated_points_flagged(tmp_path: Pa
 
     maker = Maker(tmp_path, describe(camera={"full_well_e": 70_000.0}), bright)
     points = [in_plane(10.0, 25.0), in_plane(45.0, 50.0), in_plane(70.0, 80.0)]
-    table = radiometry.reduce(maker.make(points, (4.0, 0.5)))
+    table = reduce(maker.make(points, (4.0, 0.5)))
     assert list(table["flag"]) == ["", "saturated", ""]
     assert table[["brdf", "u_brdf", "u_random", "s_reference"]].iloc[1].isna().all()
     np.testing.assert_allclose(table["brdf"].iloc[[0, 2]], truth(table, bright)[[0, 2]], rtol=1e-4)  # whole DN
@@ -267,7 +280,7 @@ def test_flags_of_the_run_reach_the_table(tmp_path: Path) -> None:
     step, low = (next(k for k, step in enumerate(run.taken) if step.point == point) for point in (1, 2))
     run.taken[step] = replace(run.taken[step], flag="below_horizon", frames=())
     run.taken[low] = replace(run.taken[low], pose=replace(run.taken[low].pose, camera=math.radians(90.5)))
-    assert list(radiometry.reduce(run)["flag"]) == ["", "below_horizon", "below_horizon"]
+    assert list(reduce(run)["flag"]) == ["", "below_horizon", "below_horizon"]
 
 
 def test_only_the_channel_of_the_band_counts(tmp_path: Path) -> None:
@@ -284,7 +297,7 @@ def test_only_the_channel_of_the_band_counts(tmp_path: Path) -> None:
 
     run = Coloured(tmp_path, description, glossy).make(POINTS, (0.25,))
     run.bands = (green,)
-    table = radiometry.reduce(run)
+    table = reduce(run)
     np.testing.assert_allclose(table["brdf"], truth(table, glossy), rtol=2e-4)  # whole DN of 1000
 
 
@@ -292,7 +305,7 @@ def test_zeros_of_the_arms_are_common_causes_with_their_cosine(tmp_path: Path) -
     """A matt sample feels the light's zero alone: d(cos)/cos, in the sense of the arm's turn."""
     arms = Arms(light=ArmAxis(zero_u_deg=0.05), camera=ArmAxis(zero_u_deg=0.05))
     run = Maker(tmp_path, describe(arms=arms, reference={"u_rel": 0.004}), lambda d: 0.2).make(POINTS, (0.5,))
-    table = radiometry.reduce(run)
+    table = reduce(run)
     light = np.array([e.pose.light for e in run.taken if e.kind == "point"])
     expected = -table["brdf"] * np.tan(light) * math.radians(0.05)
     # 1e-4: the curve of a matt sample is flat but for whole DN
@@ -311,7 +324,7 @@ def test_a_zero_that_is_off_shifts_the_table_by_its_column(tmp_path: Path) -> No
             return Pose(light=read.light + off, camera=read.camera)
 
     points = [in_plane(i, float(r)) for i in (25.0, 30.0, 35.0) for r in range(-60, 71, 5) if abs(r + i) > 5]
-    table = radiometry.reduce(Off(tmp_path, describe(arms=arms), glossy).make(points, (0.5,)))
+    table = reduce(Off(tmp_path, describe(arms=arms), glossy).make(points, (0.5,)))
     shift = table["brdf"].to_numpy() - truth(table, glossy)
     inner = (table["theta_i_deg"] == 30) & (table["theta_r_deg"] < 66)
     # finite differences of a lobe 29 deg wide over 5 deg: (5/29)^2 of the slope; and whole DN
@@ -323,7 +336,7 @@ def test_pixels_of_both_regions_cancel(tmp_path: Path) -> None:
     run = Maker(tmp_path, describe(camera={"prnu": 0.01}), lambda d: 0.2).make(
         [in_plane(0.0, 45.0), in_plane(0.0, 70.0)], (0.5,)
     )
-    table = radiometry.reduce(run)
+    table = reduce(run)
     assert table["u_random"][0] < 1e-5 * table["brdf"][0]  # the very pixels of the visits
     n, m = (pixels_of_a_disc(t) for t in (70.0, 45.0))
     assert table["u_random"][1] / table["brdf"][1] == pytest.approx(0.01 * math.sqrt(1 / n - 1 / m), rel=0.05)
@@ -343,7 +356,7 @@ def test_a_frame_that_is_not_the_journal_s_is_left_out_and_named(tmp_path: Path,
         path.unlink()
     else:
         path.write_bytes(data[:-1] + b"\x55" if kind == "changed" else data[:5000])
-    table = radiometry.reduce(run)
+    table = reduce(run)
     assert list(table["flag"]).count("damaged") == 1
     assert any(path.name in note for note in table.attrs["notes"])
 
@@ -360,14 +373,14 @@ def test_a_run_that_is_too_short_says_what_it_lacks(tmp_path: Path, kept: tuple[
     run: MadeRun = Maker(tmp_path, describe(), glossy).make(POINTS[:2], (0.25,))
     run.taken = [e for e in run.taken if e.kind in kept]
     with pytest.raises(DataError, match=message):
-        radiometry.reduce(run)
+        reduce(run)
 
 
 def test_frames_of_another_camera_are_refused(tmp_path: Path) -> None:
     run = Maker(tmp_path, describe(), glossy).make(POINTS[:2], (0.25,))
     run.description = describe(camera={"width": 128})
     with pytest.raises(DataError, match=r"holds 64 x 64 pixels.*camera.width = 128"):
-        radiometry.reduce(run)
+        reduce(run)
 
 
 def test_a_lamp_that_flickers_more_than_the_rig_file_says_is_noticed(tmp_path: Path) -> None:
@@ -375,7 +388,7 @@ def test_a_lamp_that_flickers_more_than_the_rig_file_says_is_noticed(tmp_path: P
     for noise, noted in ((0.005, False), (0.001, True)):
         description = describe(camera=NOISY, lamp=Lamp(noise=noise), reference={"frames": 4})
         maker = Maker(tmp_path, description, glossy, rng, lamp=lambda t: 1.0 + 0.005 * rng.standard_normal())
-        table = radiometry.reduce(maker.make(POINTS, (0.25, 0.25, 0.0625)))
+        table = reduce(maker.make(POINTS, (0.25, 0.25, 0.0625)))
         assert any("u_random is too small" in note for note in table.attrs["notes"]) is noted
 
 
@@ -383,7 +396,7 @@ def test_a_reference_beside_the_sample(tmp_path: Path) -> None:
     """It is nearer to the lamp on one side, and seen by other pixels: both are in the geometry."""
     beside = {"how": "beside", "offset_mm": (-3.5, 2.0), "theta_i_deg": 40.0, "theta_r_deg": 0.0, "diameter_mm": 4.0}
     description = describe(reference=beside, acquisition={"roi_radius_mm": 1.5})
-    table = radiometry.reduce(Maker(tmp_path, description, glossy).make(POINTS, (0.25,)))
+    table = reduce(Maker(tmp_path, description, glossy).make(POINTS, (0.25,)))
     np.testing.assert_allclose(table["brdf"], truth(table, glossy), rtol=2e-4)  # whole DN of 1000
 
 
@@ -391,7 +404,7 @@ def test_a_reference_known_by_a_table(tmp_path: Path) -> None:
     """40 % brighter toward the normal than at the visits' angle: the value at the visits' angle counts."""
     rows = pd.DataFrame(
         [(0.0, 0.0, float(r), 180.0, 0.45 - 0.003 * r) for r in range(0, 81, 10)],
-        columns=[*radiometry.ANGLES, "brdf"],
+        columns=[*ANGLES, "brdf"],
     )
     rows = rows.assign(wavelength_nm=550.0, polarisation="unpolarised", u_brdf=np.nan, u_random=np.nan, flag="")
     measurement.write(rows[list(measurement.COLUMNS)], tmp_path / "white.csv")
@@ -399,7 +412,7 @@ def test_a_reference_known_by_a_table(tmp_path: Path) -> None:
     run = Maker(tmp_path, description, glossy).make(POINTS, (0.25,))
     table = {"albedo": None, "table": str(tmp_path / "white.csv")}
     run.description = describe(reference=table)
-    found = radiometry.reduce(run)
+    found = reduce(run)
     at_visit = 0.45 - 0.003 * 45
     np.testing.assert_allclose(found["brdf"], truth(found, glossy) * at_visit / (0.99 / math.pi), rtol=1e-4)  # whole DN
     assert found.attrs["provenance"]["reference"][0]["brdf"] == pytest.approx(at_visit, rel=1e-9)
@@ -410,7 +423,7 @@ def test_a_zero_that_the_reference_feels_too_cancels(tmp_path: Path) -> None:
     arms = Arms(light=ArmAxis(zero_u_deg=0.05), camera=ArmAxis())
     description = describe(arms=arms, reference={"theta_i_deg": 60.0, "theta_r_deg": 0.0})
     points = [in_plane(i, r) for i in (30.0, 60.0) for r in (-20.0, 0.0, 20.0)]
-    table = radiometry.reduce(Maker(tmp_path, description, lambda d: 0.2).make(points, (0.5,)))
+    table = reduce(Maker(tmp_path, description, lambda d: 0.2).make(points, (0.5,)))
     expected = [math.tan(math.radians(t)) - math.tan(math.radians(60)) for t in (30, 60)]
     relative = table["s_theta_i_zero"] / table["brdf"] / math.radians(0.05)
     # 1e-3: whole DN in the curves' slopes
@@ -423,20 +436,20 @@ def test_dark_frames_of_one_exposure_take_the_data_sheet_s_dark_current(tmp_path
             return self.record("dark", None, Pose(), [self.frame(None, "dark", 0.5) for _ in range(4)])
 
     description = describe(camera={"dark_current_e_per_s": 300.0})
-    table = radiometry.reduce(OneExposure(tmp_path, description, glossy).make(POINTS, (0.25, 0.0625)))
+    table = reduce(OneExposure(tmp_path, description, glossy).make(POINTS, (0.25, 0.0625)))
     np.testing.assert_allclose(table["brdf"], truth(table, glossy), rtol=3e-4)  # whole DN, three roundings
 
 
 def test_a_run_without_a_single_usable_point_is_all_flags(tmp_path: Path) -> None:
     maker = Maker(tmp_path, describe(camera={"full_well_e": 60_000.0}), lambda d: 100.0)
-    table = radiometry.reduce(maker.make(POINTS[:3], (0.5,)))
+    table = reduce(maker.make(POINTS[:3], (0.5,)))
     assert list(table["flag"]) == ["saturated"] * 3
     assert table["brdf"].isna().all()
 
 
 def test_a_zero_that_nobody_knows_is_said(tmp_path: Path) -> None:
     arms = Arms(light=ArmAxis(zero_offset_known=False), camera=ArmAxis())
-    table = radiometry.reduce(Maker(tmp_path, describe(arms=arms), glossy).make(POINTS[:2], (0.25,)))
+    table = reduce(Maker(tmp_path, describe(arms=arms), glossy).make(POINTS[:2], (0.25,)))
     assert table.attrs["notes"][0].startswith("the zero of the light arm is not known")
 
 
@@ -444,5 +457,5 @@ def test_a_zero_that_nobody_knows_is_said(tmp_path: Path) -> None:
 def test_dark_frames_that_are_cut_off_at_zero_are_said(tmp_path: Path, black_level: float, noted: bool) -> None:
     """A read noise of 2.7 DN below a black level of 4 DN."""
     description = describe(camera=NOISY | {"black_level_dn": black_level})
-    table = radiometry.reduce(Maker(tmp_path, description, glossy, np.random.default_rng(3)).make(POINTS[:2], (0.25,)))
+    table = reduce(Maker(tmp_path, description, glossy, np.random.default_rng(3)).make(POINTS[:2], (0.25,)))
     assert any("read 0 DN" in note for note in table.attrs["notes"]) is noted

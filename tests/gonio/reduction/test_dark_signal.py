@@ -44,7 +44,11 @@ def test_patterns_hold_what_regions_share() -> None:
     few = [REGIONS[0], REGIONS[10], REGIONS[20]]
     found = np.array([Patterns(few, BOX).of(region) for region in few])
     np.testing.assert_allclose(found @ found.T, correlation(few), atol=1e-12)  # as many patterns as regions: exact
-    assert Patterns([], (slice(0, 0), slice(0, 0)))  # a run without a single measured point
+
+
+def test_a_run_without_a_measured_point_has_no_patterns() -> None:
+    nothing = Roi(slice(0, 0), slice(0, 0), np.zeros((0, 0), dtype=bool))
+    assert np.all(Patterns([], (slice(0, 0), slice(0, 0))).of(nothing) == 0.0)
 
 
 def test_patterns_of_some_regions_serve_all(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -40,8 +40,9 @@ def test_order_of_the_visits_does_not_matter() -> None:
 
 def test_levels_that_are_straight_are_seldom_called_crooked() -> None:
     """1 % of them, by the test's own level: at most 10 of 300 with a chance of 1e-3."""
-    times = np.arange(6) * 100.0
-    crooked = sum(not white_reference.fit(times, 100 + RNG.normal(0, 1, 6), np.ones(6)).straight for _ in range(300))
+    times = np.linspace(0.0, 500.0, 6)
+    levels = [np.array([100 + float(RNG.normal()) for _ in times], dtype=np.float64) for _ in range(300)]
+    crooked = sum(not white_reference.fit(times, level, np.ones(6)).straight for level in levels)
     assert crooked <= 10
 
 
@@ -89,9 +90,9 @@ def test_one_visit_tells_no_drift_whatever_its_numbers(seed: int) -> None:
 @pytest.mark.parametrize("apart", [0.0, 3e-7])
 def test_visits_at_one_time_are_averaged_and_tell_no_drift(start: float, apart: float) -> None:
     """Of a rig that stamped none, or all alike; two doubles since 1970 are no closer than 2.4e-7 s."""
-    times, values = start + apart * np.arange(3), np.array([10.0, 10.3, 9.9])
+    times, values = np.array([start, start + apart, start + 2 * apart]), np.array([10.0, 10.3, 9.9])
     variances = np.array([0.04, 0.01, 0.04])
-    fitted = white_reference.fit(times, values, variances, start + np.array([0.0, 600.0]))
+    fitted = white_reference.fit(times, values, variances, np.array([start, start + 600.0]))
     assert (fitted.slope, fitted.u_slope, fitted.straight) == (0.0, 0.0, True)
     assert fitted.level == pytest.approx((10.0 / 0.04 + 10.3 / 0.01 + 9.9 / 0.04) / 150, rel=1e-12)
     assert fitted.u_level == pytest.approx(150**-0.5, rel=1e-12)

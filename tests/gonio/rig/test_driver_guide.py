@@ -13,8 +13,9 @@ import pytest
 from gonio.acquisition.run import Run
 from gonio.measurement import read
 from tests.gonio.cli.test_cli import gonio, installed
+from tests.places import ROOT
 
-GUIDE = Path(__file__).parents[3] / "docs" / "writing_a_driver.md"
+GUIDE = ROOT / "docs" / "writing_a_driver.md"
 PLAN = """name = "tiny"
 wavelength_nm = [550]
 [[sweep]]

@@ -31,10 +31,10 @@ def side(frame: pd.DataFrame, name: str = "x") -> Side:
 
 def hemisphere(model: object, *, step: float = 10.0, shift: float = 0.0) -> pd.DataFrame:
     """One incidence over the hemisphere, without noise."""
-    theta, dphi = np.meshgrid(
+    polar, turn = np.meshgrid(
         np.arange(10.0, 71.0, step) + shift, np.arange(0.0, 360.0, 10.0) + 3 * shift, indexing="ij"
     )
-    theta, dphi = theta.ravel(), dphi.ravel() % 360.0
+    theta, dphi = polar.ravel(), turn.ravel() % 360.0
     true = model.brdf(np.radians(30.0), 0.0, np.radians(theta), np.radians(dphi))  # type: ignore[attr-defined]
     return table(
         theta_i_deg=np.full(theta.size, 30.0), phi_i_deg=0.0, theta_r_deg=theta, phi_r_deg=dphi, wavelength_nm=550.0,
@@ -144,7 +144,7 @@ def test_verdicts_are_as_rare_as_they_say() -> None:
 def test_one_changed_value_is_found_under_a_change_of_scale() -> None:
     a, b = measure(GLOSS, noise=0.003, reference=0.01, seed=3), measure(GLOSS, noise=0.003, reference=0.01, seed=4)
     spot = 40
-    b.loc[spot, "brdf"] *= 1.05
+    b["brdf"] = b["brdf"].where(b.index != spot, 1.05 * b["brdf"])
     found = change(side(a), side(b))
     assert found.verdict is not None
     assert found.verdict.changed

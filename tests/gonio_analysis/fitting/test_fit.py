@@ -13,7 +13,7 @@ from gonio_analysis.fitting.search import derivatives, pose
 
 from gonio.errors import ConfigError, DataError
 from gonio.models import build
-from tests.gonio_analysis.synthetic import measure
+from tests.gonio_analysis.synthetic import known, measure
 
 MATTE = build("lambert", {"albedo": 0.5})
 PAINT = build("cook-torrance", {"s": 0.1, "d": 0.9, "slopes": ((0.25, 1.0),), "diffuse_albedo": 0.4, "ior": 1.5})
@@ -43,7 +43,7 @@ def test_pulls_with_a_common_cause_have_unit_width() -> None:
     assert np.std(z) == pytest.approx(1.0, abs=0.3)
     assert abs(np.mean(z)) < 0.43
     # 60 x 98 degrees of freedom: 1 +- sqrt(2/5880) = 0.018
-    assert np.mean(chi) == pytest.approx(1.0, abs=0.06)
+    assert np.mean([known(c) for c in chi]) == pytest.approx(1.0, abs=0.06)
 
 
 def test_common_cause_limits_the_error_of_the_scale() -> None:
@@ -77,10 +77,12 @@ def test_he_torrance_through_the_cones() -> None:
     table = measure(METAL, incidences=(10, 45, 75), noise=0.004, reference=0.002, cone_sr=CONE_SR, wavelength_nm=500)
     r = fit(table, "he-torrance", ior=0.77 + 6.08j)
     assert all(abs(z) < 3.5 for z in pulls("he-torrance", r, true))
-    assert all(r.parameters[n].u < 0.02 * t for n, t in true.items())
+    assert all(known(r.parameters[n].u) < 0.02 * t for n, t in true.items())
     assert r.reduced_chi_square == pytest.approx(1.0, abs=0.5)  # 96 degrees of freedom: +- 0.144
     assert r.derived["slope_m"].value == pytest.approx(2 * 0.28 / 1.77, rel=0.01)
-    assert r.derived["slope_m"].u < r.parameters["sigma0_um"].u * 2 / 1.77  # the ratio is known better than either
+    assert (
+        known(r.derived["slope_m"].u) < known(r.parameters["sigma0_um"].u) * 2 / 1.77
+    )  # the ratio is known better than either
     assert r.parameters["k"].fixed
     assert r.parameters["k"].value == 6.08
 
@@ -136,7 +138,7 @@ def test_without_uncertainties_there_is_no_chi_square() -> None:
     assert any("no uncertainties" in note for note in r.notes)
     assert any("scatter" in note for note in r.notes)
     assert r.parameters["m"].value == pytest.approx(0.25, rel=0.04)  # five standard errors
-    assert 0 < r.parameters["m"].u < 0.05
+    assert 0 < known(r.parameters["m"].u) < 0.05
 
 
 def test_fixed_parameters_stay() -> None:
@@ -171,7 +173,7 @@ def test_two_slopes() -> None:
     )
     # five standard errors
     np.testing.assert_allclose(found, [(0.15, 0.6), (0.45, 0.4)], rtol=0.006)
-    assert r.reduced_chi_square < 1.6
+    assert known(r.reduced_chi_square) < 1.6
 
 
 def test_no_optical_constants_is_said() -> None:
@@ -213,7 +215,7 @@ def test_very_rough_metal_tells_only_the_slope() -> None:
 def test_a_parameter_on_its_bound_is_said() -> None:
     r = fit(measure(METAL, wavelength_nm=500, noise=0.002), "he-torrance", ior=0.77 + 6.08j)
     e = r.parameters["diffuse_albedo"]
-    assert e.at_bound == "lower" or e.value < 4 * e.u
+    assert e.at_bound == "lower" or e.value < 4 * known(e.u)
 
 
 def test_json_has_the_agreed_keys_and_is_json() -> None:
@@ -221,7 +223,7 @@ def test_json_has_the_agreed_keys_and_is_json() -> None:
     assert set(out) >= {"model", "parameters", "correlation", "reduced_chi_square", "n_points", "wall_s"}
     assert set(out["parameters"]) == {"s", "m", "diffuse_albedo", "ior", "k"}
     assert set(out["parameters"]["m"]) >= {"value", "u", "fixed"}
-    assert out["correlation"]["m"]["m"] == pytest.approx(1.0)
+    assert out["correlation"]["m"]["m"] == pytest.approx(1.0, rel=1e-14)  # u / u
     json.dumps(out, allow_nan=False)
 
 
@@ -264,7 +266,7 @@ def test_no_usable_row() -> None:
 def test_a_prior_counts_like_one_more_measurement() -> None:
     table = measure(MATTE, noise=0.02, floor=0.0)
     free = fit(table, "lambert").parameters["albedo"]
-    u = free.u
+    u = known(free.u)
     held = fit(table, "lambert", priors={"albedo": (free.value + 2 * u, u)}).parameters["albedo"]
     # two values of equal weight: their mean, with the error of a mean; linear but for the bound far away
     assert held.value == pytest.approx(free.value + u, rel=1e-6)
@@ -273,7 +275,7 @@ def test_a_prior_counts_like_one_more_measurement() -> None:
 
 def test_bounds_hold_and_are_said() -> None:
     r = fit(measure(PAINT), "cook-torrance", bounds={"m": (0.05, 0.2)})
-    assert r.parameters["m"].value == pytest.approx(0.2)
+    assert r.parameters["m"].value == pytest.approx(0.2, rel=1e-9)  # the search keeps 1e-10 of a range off a bound
     assert r.parameters["m"].at_bound == "upper"
 
 

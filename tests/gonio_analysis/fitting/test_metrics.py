@@ -8,18 +8,22 @@ import numpy as np
 import pytest
 from gonio_analysis.fitting.metrics import DESCRIPTIONS, metrics
 
+from tests.gonio_analysis.synthetic import known
+
 MEASURED = np.array([1.0, 8.0])
 MODEL = np.array([2.0, 8.0])
 COSINE = np.array([1.0, 0.5])
+HAND = 1e-14
+"""A few roundings."""
 
 
 def test_values_by_hand() -> None:
     got = metrics(MODEL, MEASURED, COSINE, np.full(2, 0.1), np.array([3.0, 4.0]))
-    assert got["weighted"] == pytest.approx(math.sqrt(12.5))
-    assert got["log_ratio"] == pytest.approx(math.log(2) / math.sqrt(2))
-    assert got["log_cosine"] == pytest.approx((math.log(3) - math.log(2)) / math.sqrt(2))
-    assert got["ngan"] == pytest.approx(1 / math.sqrt(2))
-    assert got["cube_root"] == pytest.approx((2 ** (1 / 3) - 1) / math.sqrt(2))
+    assert got["weighted"] == pytest.approx(math.sqrt(12.5), rel=HAND)
+    assert got["log_ratio"] == pytest.approx(math.log(2) / math.sqrt(2), rel=HAND)
+    assert got["log_cosine"] == pytest.approx((math.log(3) - math.log(2)) / math.sqrt(2), rel=HAND)
+    assert got["ngan"] == pytest.approx(1 / math.sqrt(2), rel=HAND)
+    assert got["cube_root"] == pytest.approx((2 ** (1 / 3) - 1) / math.sqrt(2), rel=HAND)
     assert got["n_log"] == 2
     assert set(got) == {*DESCRIPTIONS, "n_log"}
 
@@ -28,7 +32,7 @@ def test_logarithms_leave_out_values_below_3_u() -> None:
     got = metrics(MODEL, MEASURED, COSINE, np.array([0.4, 0.1]))
     assert got["n_log"] == 1
     assert got["log_ratio"] == 0.0
-    assert got["ngan"] > 0  # the others use every value
+    assert known(got["ngan"]) > 0  # the others use every value
 
 
 def test_negative_values_without_uncertainties() -> None:

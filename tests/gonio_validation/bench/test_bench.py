@@ -125,7 +125,7 @@ def test_report(tmp_path: Path) -> None:
     assert result.stdout.strip() == str(out / "index.html")
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     page = (out / "index.html").read_text(encoding="utf-8")
-    assert not re.search(r'(src|href)="(?!#)', bench_page)  # nothing is loaded
+    assert not re.search(r'(src|href)="(?!#)', page)  # nothing is loaded
     assert [f["name"] for f in summary["families"]] == ["cook-torrance", "roughness"]
     for family in summary["families"]:
         assert f'<section id="{family["name"]}">' in page

@@ -1,0 +1,167 @@
+"""The rigs that the contracts are tried on: ours, the twins of a laboratory, a stranger's, or that of --rig."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+import tomllib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from gonio_drivers.lab import LAB
+from gonio_sim.rig import SIM, SIM_IDEAL, SimulatedRig
+from gonio_sim.wire import tether
+from gonio_sim.wire.twins import Bench
+
+from gonio.acquisition.measure import find_rig, load_sample
+from gonio.config import parse
+from gonio.rig import Rig, RigPlugin
+from gonio.rig.description import RigDescription, SampleDescription
+from tests.gonio_drivers.conftest import be_patient
+from tests.gonio_drivers.test_lab import small
+from tests.places import ROOT
+
+SAMPLE = SampleDescription(name="matt", model="lambert", parameters={"albedo": 0.5})
+RIGS = ("sim", "sim-ideal", "lab-scpi", "lab-mightex", "lab-arduino", "stranger")
+SMALL = {"width": 64, "height": 48}
+SDK = '''
+import math
+
+import numpy as np
+
+
+class Bench:
+    """A matt surface behind the controller that the guide's rig speaks to."""
+
+    def __init__(self):
+        self.angles, self.lit, self.rng = {"light": 0.0, "camera": 0.0}, True, np.random.default_rng(1)
+
+    def go(self, angles):
+        self.angles.update(angles)
+
+    def where(self):
+        return dict(self.angles)
+
+    def halt(self):
+        pass
+
+    def filter(self, name):
+        assert name == "green"
+
+    def lamp(self, on):
+        self.lit = on
+
+    def expose(self, seconds):
+        light = math.radians(self.angles["light"])
+        charge = self.rng.poisson(40_000 * 0.5 * math.cos(light) * seconds if self.lit else 0.0, (120, 160))
+        return np.clip(np.rint(charge / 3 + 64), 0, 4095).astype(np.uint16)
+
+    def close(self):
+        pass
+
+
+BENCH = Bench()
+
+
+def open(port, timeout):
+    return BENCH
+'''
+
+
+@dataclass(frozen=True)
+class Case:
+    """A rig to try: how to build it anew, and where a lamp can be looked at from outside, whether it shines."""
+
+    name: str
+    plugin: RigPlugin
+    description: RigDescription
+    sample: SampleDescription | None
+    shines: Callable[[], bool] | None = None
+
+    def build(self) -> Rig:
+        """The rig, with no device touched."""
+        return self.plugin.open(self.description, sample=self.sample, seed=5, confirm=False)
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    if "case" in metafunc.fixturenames:
+        named = metafunc.config.getoption("--rig")
+        metafunc.parametrize("case", [named] if named else RIGS, indirect=True)
+
+
+@pytest.fixture
+def case(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Case]:
+    name = request.param
+    if request.config.getoption("--rig"):
+        choice = find_rig(name)
+        file = request.config.getoption("--sample")
+        yield Case(name, choice.plugin, choice.description, load_sample(file) if file else SAMPLE)
+    elif name == "stranger":
+        yield stranger(tmp_path, monkeypatch)
+    elif name.startswith("lab-"):
+        yield from twins(name, tmp_path, monkeypatch)
+    else:
+        yield simulated(name)
+
+
+def simulated(name: str) -> Case:
+    plugin = {"sim": SIM, "sim-ideal": SIM_IDEAL}[name]
+    tables = tomllib.loads(plugin.toml)
+    tables["camera"] |= SMALL
+
+    @dataclass(frozen=True)
+    class Watched:
+        """Keeps the rig that was built last, so that its lamp can be looked at."""
+
+        toml: str
+        built: list[SimulatedRig]
+
+        def open(
+            self, description: RigDescription, *, sample: SampleDescription | None, seed: int, confirm: bool
+        ) -> Rig:
+            self.built.append(plugin.open(description, sample=sample, seed=seed, confirm=confirm))
+            return self.built[-1]
+
+    watched = Watched(plugin.toml, [])
+    description = parse(RigDescription, tables, name)
+    return Case(name, watched, description, SAMPLE, lambda: watched.built[-1].world.lamp_on)
+
+
+def twins(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Case]:
+    """The laboratory's drivers on the wire; lamps in the three languages."""
+    monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)
+    monkeypatch.setattr(tether, "FILE_LATE_S", 0.5)
+    described = small()
+    devices = described.devices | {"light": described.devices["light"] | {"dialect": name.partition("-")[2]}}
+    described = described.model_copy(update={"devices": devices})
+    with Bench(described, SAMPLE, 3, folder=tmp_path / "twin", scale=50.0) as bench:
+        be_patient(bench.peers["servos"], bench.faults, monkeypatch)
+        yield Case(name, LAB, bench.description, None, lambda: bench.world.lamp_on)
+
+
+def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Case:
+    """The rig of docs/writing_a_driver.md, as it stands there."""
+    guide = (ROOT / "docs" / "writing_a_driver.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```\w+\n(.*?)^```", guide, re.DOTALL | re.MULTILINE)
+    (code,) = (block for block in blocks if "class BenchPlugin" in block)
+    (toml,) = (block for block in blocks if 'rig = "bench"' in block)
+    sdk = imported("bench_sdk", SDK, tmp_path)
+    monkeypatch.setitem(sys.modules, "bench_sdk", sdk)
+    driver = imported("stranger_rig", code, tmp_path)
+    description = parse(RigDescription, tomllib.loads(toml), "bench.toml")
+    return Case("stranger", driver.BENCH, description, None, lambda: bool(sdk.BENCH.lit))
+
+
+def imported(name: str, code: str, folder: Path) -> ModuleType:
+    path = folder / f"{name}.py"
+    path.write_text(code)
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
