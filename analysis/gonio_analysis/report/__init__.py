@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.parameters import Ior
-from gonio_analysis.report import detail, figures, files, page, pdf, tables, viewer
+from gonio_analysis.report import detail, figures, files, html, page, pdf, tables, viewer
 from gonio_analysis.report.drawing import Draughtsmen, draughtsmen
 from gonio_analysis.report.summary import summarise
 from gonio_analysis.selection import parallel
@@ -140,10 +140,10 @@ def write(
     views = [viewer.viewer(d, facts, normalise, room) if d.curves else None for d, facts in both]
     summary["tables"] = tables.write(datasets, summary, views, folder / "tables")
     pages = page.render(summary, drawn, views)
-    for name, html in pages.items():
-        (folder / name).write_text(html, encoding="utf-8")
-    files.write(folder, pages["index.html"], summary, every)
-    pdf.write(folder / "report.pdf", "".join(pages.values()), {f.name: f.png for f in every})
+    for name, shown in pages.items():
+        (folder / name).write_text(html.document(shown), encoding="utf-8")
+    files.write(folder, summary, every)
+    pdf.write(folder / "report.pdf", list(pages.values()))
     return summary
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,22 @@ from gonio_analysis.fitting.metrics import DESCRIPTIONS
 from gonio_analysis.fitting.observations import Observations, describe_left_out
 from gonio_analysis.plots import thinning
 from gonio_analysis.report import change_figures, files, html, pdf, viewer
+from gonio_analysis.report.blocks import (
+    Block,
+    Figures,
+    Footer,
+    Group,
+    Heading,
+    Page,
+    Paragraph,
+    Table,
+    Viewer,
+    code,
+    facts,
+    lead,
+    notes,
+    table,
+)
 from gonio_analysis.report.drawing import Draughtsmen, draughtsmen
 from gonio_analysis.report.figures import Figure
 from gonio_analysis.report.page import MOST_BYTES, MOST_ROWS
@@ -33,6 +48,13 @@ SPIKE = 30.0
 COLUMNS = (
     *("wavelength_nm", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "a", "b", "u_interpolation", "change"),
     *("u_change", "standard_deviations", "changed"),
+)
+
+FOOTER = Footer(
+    (
+        *("Every number on this page is in ", code("summary.json"), ", every compared value in "),
+        *(code("tables/change.csv"), ", the figures as SVG and PNG in ", code("figures/"), "."),
+    )
 )
 
 
@@ -93,9 +115,10 @@ def _write(
         rows = ([w[name] for name in names] for w in facts["wavelengths"])
         write_csv(folder / "tables" / "wavelengths.csv", names, rows)
     view = _view(c, at, listed, drawn, shown) if drawn else None
-    page = html.within(_render(facts, figures, view), MOST_BYTES)
-    files.write(folder, page, facts, figures)
-    pdf.write(folder / "report.pdf", page, {f.name: f.png for f in figures})
+    page = _page(facts, figures, view)
+    files.write(folder, facts, figures)
+    (folder / "index.html").write_text(html.document(page), encoding="utf-8")
+    pdf.write(folder / "report.pdf", [page])
 
 
 def summary(c: Change, command: str, runs: Sequence[Any]) -> dict[str, Any]:
@@ -240,40 +263,40 @@ def _view(c: Change, at: Observations, listed: list[Curve], drawn: list[Curve], 
     }
 
 
-def _render(s: dict[str, Any], figures: Sequence[Figure], view: dict[str, Any] | None) -> str:
-    body = [
-        f'<header>\n<h1>{escape(s["title"])}</h1>\n<p class="sub">Point by point, {escape(s["created"][:10])}, gonio'
-        f" {escape(s['versions']['gonio'])}. Uncertainties are standard uncertainties (k = 1).</p>\n</header>",
-        f'<p class="lead">{escape(html.glued(s["conclusion"]))}</p>',
-        "<h3>What was compared</h3>",
-        html.facts(_facts(s)),
-        html.notes(s["notes"]) if s["notes"] else "",
+def _page(s: dict[str, Any], figures: Sequence[Figure], view: dict[str, Any] | None) -> Page:
+    sub = (
+        f"Point by point, {s['created'][:10]}, gonio {s['versions']['gonio']}."
+        " Uncertainties are standard uncertainties (k = 1)."
+    )
+    body: list[Block] = [
+        Group("header", (Heading(1, s["title"]), Paragraph(sub, "sub"))),
+        lead(s["conclusion"]),
+        Heading(3, "What was compared"),
+        facts(_facts(s)),
     ]
+    body += [notes(s["notes"])] if s["notes"] else []
     if view is not None:
-        body += ["<h3>Both in the plane of incidence</h3>", viewer.element(view, "change")]
-    body += [html.grid(figures), "<h3>Metrics</h3>", _metrics(s)]
+        body += [Heading(3, "Both in the plane of incidence"), Viewer("change", view)]
+    drawings = Figures(tuple(figures))
+    after: list[Block] = [Heading(3, "Metrics"), _metrics(s)]
     if len(s["wavelengths"]) > 1:
-        body += ["<h3>Wavelengths</h3>", _wavelengths(s)]
-    body += ["<h3>How it is judged</h3>", _method(s)] if s["verdict"] else []
-    versions = ", ".join(f"{k} {v}" for k, v in s["versions"].items())
-    made = [("command", s["command"] or "–"), ("report made", s["created"]), ("versions", versions)]
-    body += ["<h2>Provenance</h2>", html.facts(made)]
-    body += [
-        "<footer>Every number on this page is in <code>summary.json</code>, every compared value in"
-        " <code>tables/change.csv</code>, the figures as SVG and PNG in <code>figures/</code>.</footer>",
-        viewer.script() if view is not None else "",
-    ]
-    return html.document(s["title"], body)
+        after += [Heading(3, "Wavelengths"), _wavelengths(s)]
+    after += [Heading(3, "How it is judged"), _method(s)] if s["verdict"] else []
+    made = [("command", s["command"] or "–"), ("report made", s["created"])]
+    made.append(("versions", ", ".join(f"{k} {v}" for k, v in s["versions"].items())))
+    after += [Heading(2, "Provenance"), facts(made), FOOTER]
+    room = MOST_BYTES - html.size(html.document(Page(s["title"], (*body, *after))))
+    return Page(s["title"], (*body, html.within(drawings, room), *after))
 
 
-def _wavelengths(s: dict[str, Any]) -> str:
+def _wavelengths(s: dict[str, Any]) -> Table:
     rows = []
     for w in s["wavelengths"]:
         name = "broad band" if w["wavelength_nm"] is None else f"{w['wavelength_nm']:g} nm"
         counts = [str(w.get(key, "–")) for key in ("n_points", "beyond", "changed_points")]
         rows.append([name, *counts, number(w["median_ratio"], 4)])
     header = ["wavelength", "values", "beyond 2", "changed", "median B/A"]
-    return html.table("", header, rows, right=(1, 2, 3, 4), most=(MOST_ROWS, "wavelengths.csv"))
+    return table("", header, rows, right=(1, 2, 3, 4), most=(MOST_ROWS, "wavelengths.csv"))
 
 
 def _facts(s: dict[str, Any]) -> list[tuple[str, str]]:
@@ -306,9 +329,9 @@ def _facts(s: dict[str, Any]) -> list[tuple[str, str]]:
     return rows
 
 
-def _metrics(s: dict[str, Any]) -> str:
-    rows = [[escape(m["label"]), number(m["value"]), escape(DESCRIPTIONS[k][1])] for k, m in s["metrics"].items()]
-    return html.table(
+def _metrics(s: dict[str, Any]) -> Table:
+    rows = [[m["label"], number(m["value"]), DESCRIPTIONS[k][1]] for k, m in s["metrics"].items()]
+    return table(
         "B takes the place of the model, A that of the measurement.",
         ["metric", "value", "what it is"],
         rows,
@@ -316,7 +339,7 @@ def _metrics(s: dict[str, Any]) -> str:
     )
 
 
-def _method(s: dict[str, Any]) -> str:
+def _method(s: dict[str, Any]) -> Paragraph:
     v = s["verdict"]
     text = (
         "The difference of each value is judged against what all the others predict of it, with the covariance of both"
@@ -330,4 +353,4 @@ def _method(s: dict[str, Any]) -> str:
         f" them ({v['largest']:.2f} standard deviations, p {_p(v['p_largest'])}); where nothing changed it says so in"
         f" {100 * (1 - v['level']):g} % of the cases."
     )
-    return f"<p>{escape(text)}</p>"
+    return Paragraph(text)

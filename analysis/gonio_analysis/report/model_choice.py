@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import re
-from html import escape
+from collections.abc import Sequence
 from typing import Any
 
-from gonio_analysis.report import html
-from gonio_analysis.report.text import number, with_u
+from gonio_analysis.report.blocks import Block, Heading, Notes, Paragraph, Table, Text, code, table
+from gonio_analysis.report.text import glued, number, with_u
 
 
-def section(choice: dict[str, Any]) -> list[str]:
-    """HTML of the section; nothing where one model alone was tried.
+def section(choice: dict[str, Any]) -> list[Block]:
+    """The section; nothing where one model alone was tried.
 
     Parameters
     ----------
@@ -25,22 +25,22 @@ def section(choice: dict[str, Any]) -> list[str]:
     least = {key: min(c[key] for c in tried) for key in ("aic", "bic")}
     rows = [
         [
-            escape(c["label"]),
+            c["label"],
             str(c["n_free"]),
             number(c["reduced_chi_square"]),
             number(c["aic"] - least["aic"]),
             number(c["bic"] - least["bic"]),
             number(c["held_out"]),
             f"{c['wall_s']:.1f} s",
-            escape(_verdict(c)),
-            escape(_fails(c)),
+            _verdict(c),
+            _fails(c),
         ]
         for c in tried
     ]
     marks = ["best" if c["label"] == choice["named"] else "" for c in tried]
-    out = ["<h3>Which model</h3>", f"<p>{escape(html.glued(choice['words']))}</p>"]
+    out: list[Block] = [Heading(3, "Which model"), Paragraph(glued(choice["words"]))]
     out.append(
-        html.table(
+        table(
             "From the simplest up. AIC and BIC are differences to the lowest; the held-out error is the mean squared"
             f" residual{', in units of the uncertainty,' if stated else ''} of values left out by"
             f" {choice['held_out_by']}. A model is rejected where"
@@ -55,11 +55,7 @@ def section(choice: dict[str, Any]) -> list[str]:
     if choice["intervals"]:
         out.append(_intervals(choice))
     if choice["left_out"]:
-        out.append(
-            '<ul class="notes">'
-            + "".join(f"<li>{escape(m)} was not tried: {escape(why)}.</li>" for m, why in choice["left_out"].items())
-            + "</ul>"
-        )
+        out.append(Notes(tuple(f"{m} was not tried: {why}." for m, why in choice["left_out"].items())))
     return out
 
 
@@ -81,14 +77,14 @@ def _fails(c: dict[str, Any]) -> str:
     return text
 
 
-def _intervals(choice: dict[str, Any]) -> str:
+def _intervals(choice: dict[str, Any]) -> Table:
     named = next(c for c in choice["candidates"] if c["label"] == choice["named"])
-    rows = []
+    rows: list[Sequence[Text]] = []
     for name, i in choice["intervals"].items():
         p = named["parameters"][name]
         bounds = [f"{number(i[end], 4)}{' (bound)' if i[f'open_{end}'] else ''}" for end in ("low", "high")]
-        rows.append([f"<code>{escape(name)}</code>", with_u(p["value"], p["u"]), " to ".join(bounds)])
-    return html.table(
+        rows.append([code(name), with_u(p["value"], p["u"]), " to ".join(bounds)])
+    return table(
         f"Parameters of {named['label']} with profile-likelihood intervals: each is held while all others follow.",
         ["parameter", "value and standard error", "95 % interval"],
         rows,

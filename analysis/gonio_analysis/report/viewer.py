@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -175,21 +173,6 @@ def rows(view: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
                 us = s["u"] or [None] * len(s["angle"])
                 for angle, brdf, u in zip(s["angle"], s["brdf"], us, strict=True):
                     yield wave["nm"], curve["label"], s["name"], angle, brdf, u
-
-
-def element(view: dict[str, Any], slug: str) -> str:
-    """The place of the plot on a page, hidden until the script fills it, and its data."""
-    data = json.dumps(view, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    return (
-        f'<div class="viewer" id="{slug}-viewer" hidden></div>\n'
-        f'<script type="application/json" id="{slug}-viewer-data">{data}</script>'
-    )
-
-
-def script() -> str:
-    """The program that fills those places, as an element."""
-    code = files("gonio_analysis.report").joinpath("viewer.js").read_text(encoding="utf-8")
-    return f"<script>\n{code}</script>"
 
 
 def _degrees(angle: Floats) -> list[float]:
