@@ -118,7 +118,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("few")
 def test_report(tmp_path: Path) -> None:
-    from gonio_validation.bench.cli import app
+    from gonio_validation.commands import bench as app
 
     out = tmp_path / "bench"
     result = CliRunner().invoke(app, ["models", "--quick", "--out", str(out)])
