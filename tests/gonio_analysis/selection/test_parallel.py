@@ -40,8 +40,8 @@ def test_an_examined_sample_comes_back_whole() -> None:
     dataset = examine(measure(Lambert(0.5), name="matte"), ["lambert", "oren-nayar"], name="matte")
     again = pickle.loads(pickle.dumps(dataset))
     assert (
-        summarise([again], title="", normalise="mirror", command="")["datasets"]
-        == summarise([dataset], title="", normalise="mirror", command="")["datasets"]
+        summarise([again], title="", normalise="mirror", command="").datasets
+        == summarise([dataset], title="", normalise="mirror", command="").datasets
     )
 
 
