@@ -14,7 +14,7 @@ import numpy as np
 
 from gonio import geometry
 from gonio_analysis.curves.line import Line
-from gonio_analysis.plots import in_plane, thinning
+from gonio_analysis.plots import diagnostics, in_plane, thinning
 from gonio_analysis.report.text import cause, number, slug
 from gonio_analysis.selection.compare import Dataset, Fitted
 from gonio_analysis.summaries import DatasetSummary
@@ -243,7 +243,7 @@ def _budget(facts: DatasetSummary) -> Drawing:
 def _on_bars(figure: Any, *, parts: list[tuple[str, float, float]]) -> None:
     ax = figure.add_subplot()
     figure.subplots_adjust(0.25, 0.48 / budget_height(len(parts)), 0.97, 0.97)
-    in_plane.budget(ax, parts)
+    diagnostics.budget(ax, parts)
 
 
 def budget_height(parts: int) -> float:
@@ -273,7 +273,7 @@ def _on_series(figure: Any, *, x: Any, values: dict[str, Any]) -> None:
         y, u = found.T
         span = float(np.ptp(y)) or float(np.abs(y).max()) or 1.0
         u = np.where(np.isfinite(u) & (u < 2 * span), u, 0.0)
-        in_plane.series(ax, x, y, u, x_label="wavelength [nm]", y_label="", colour=in_plane.COLOURS[k % 6])
+        diagnostics.series(ax, x, y, u, x_label="wavelength [nm]", y_label="", colour=in_plane.COLOURS[k % 6])
         ax.set_title(name, fontsize=8, color=in_plane.INK)  # a power of ten stands on the left
 
 

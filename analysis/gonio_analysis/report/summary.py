@@ -136,7 +136,10 @@ def usable(d: Dataset) -> pd.DataFrame:
 def _values(d: Dataset) -> list[MeasuredValue]:
     """The measured values of every wavelength, where no model can say anything of them: the first few."""
     rows = usable(d).head(MOST_VALUES).itertuples(index=False)
-    return [MeasuredValue(finite(nm), *angles, brdf, finite(u)) for nm, *angles, brdf, u in rows]
+    return [
+        MeasuredValue(finite(nm), theta_i, phi_i, theta_r, phi_r, brdf, finite(u))
+        for nm, theta_i, phi_i, theta_r, phi_r, brdf, u in rows
+    ]
 
 
 def _fitted(f: Fitted) -> ModelSummary:

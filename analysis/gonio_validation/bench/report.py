@@ -98,7 +98,7 @@ def collect(
 
 
 def _family(
-    family: evaluators.Family, others: Sequence[peers.Peer], pairs: int, repeats: int, budget_s: float
+    family: evaluators.Quantity, others: Sequence[peers.Peer], pairs: int, repeats: int, budget_s: float
 ) -> dict[str, Any]:
     out: dict[str, Any] = {key: getattr(family, key) for key in ("name", "title", "about", "inputs")}
     settings: dict[str, Any] = {"pairs": pairs, "repeats": repeats, "budget_s": budget_s}

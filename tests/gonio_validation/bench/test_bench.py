@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from gonio_analysis.report.blocks import plain
 from gonio_validation.bench import bench_page, evaluators, hard, peers, report, timing
-from gonio_validation.bench.evaluators import Family, Sample, Way
+from gonio_validation.bench.evaluators import Quantity, Sample, Way
 from typer.testing import CliRunner
 
 from gonio.errors import DataError
@@ -103,7 +103,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two families, and no processes to time the start-up of."""
     everything = evaluators.families
 
-    def chosen() -> list[Family]:
+    def chosen() -> list[Quantity]:
         return [f for f in everything() if f.name in ("cook-torrance", "roughness")]
 
     monkeypatch.setattr(evaluators, "families", chosen)
