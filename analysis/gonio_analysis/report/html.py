@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from html import escape
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
@@ -74,6 +75,7 @@ def _template(name: str) -> Template:
         loader=FunctionLoader(lambda asked: _file(f"{asked}.html.jinja")),
         autoescape=True,
         undefined=StrictUndefined,
+        finalize=_escaped,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
@@ -82,9 +84,16 @@ def _template(name: str) -> Template:
     return environment.get_template(name)
 
 
+def _escaped(value: object) -> str:
+    """Words as HTML has them, with the entities of Python's own `html.escape`."""
+    from markupsafe import Markup
+
+    return value if isinstance(value, Markup) else Markup(escape(str(value)))
+
+
 def _labelled(svg: str, alt: str) -> str:
     """A drawing with the words that stand for it."""
-    from markupsafe import Markup, escape
+    from markupsafe import Markup
 
     return Markup(svg.replace("<svg", f'<svg role="img" aria-label="{escape(alt)}"', 1))
 
