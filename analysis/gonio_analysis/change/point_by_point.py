@@ -13,7 +13,7 @@ values, and the largest single one of n.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -197,61 +197,90 @@ def change(a: Side, b: Side, *, wavelength_nm: float | None = None) -> Change:
 
 
 def _measurements(a: Side, b: Side) -> Change:
-    assert a.data is not None and b.data is not None and b.table is not None  # noqa: PT018
-    data, table, notes = b.data, b.table, []
-    turn = _turn(a.data, data)
-    if turn:
-        table = table.assign(
-            phi_i_deg=table["phi_i_deg"] + np.degrees(turn), phi_r_deg=table["phi_r_deg"] + np.degrees(turn)
-        )
-        data = replace(data, directions=data.directions.turned(turn))
-        off = np.degrees(min(turn, 2 * np.pi - turn))
-        notes.append(
-            f"The planes of incidence differ by {off:.3g}° in azimuth; they are laid on each other, as if the sample"
-            " had no grain."
-        )
-    assert a.table is not None
-    sides = {"A": (a.name, a.data), "B": (b.name, data)}
-    onto, away, carried = "A", "B", carry(a.data, data, table)
-    finer = carry(data, a.data, a.table)
-    if _roughness(finer) < 0.5 * _roughness(carried):  # what was sampled finely is interpolated, and not the other
-        onto, away, carried = "B", "A", finer
+    """The values of one side against those of the other, carried to its directions."""
+    assert a.data is not None and a.table is not None  # noqa: PT018
+    data, table, turned = _laid_on(a.data, b)
+    forth, back = carry(a.data, data, table), carry(data, a.data, a.table)
+    # what was sampled finely is interpolated, and not the other
+    onto = "B" if _roughness(back) < 0.5 * _roughness(forth) else "A"
+    carried = forth if onto == "A" else back
     if not carried.rows.size:
         why = describe_left_out(carried.missing)
         raise DataError(f"{a.source} and {b.source} share no direction: of the values of {a.source}, {why}")
-    at = sides[onto][1].take(carried.rows)
-    own, far = at.covariance, sides[away][1].covariance
-    for name, x in sides.values():
-        if x.covariance is None:
-            alone = "." if own is None and far is None else ": its values count as exact."
-            notes.append(f"{name} states no uncertainties{alone}")
-    cones = [(x.source_solid_angle_sr, x.receiver_solid_angle_sr) for x in (a.data, data)]
-    if not np.allclose(cones[0], cones[1], rtol=0.02):
-        notes.append(
-            "The solid angles of source or receiver differ or are unknown: narrow peaks look different for that alone."
-        )
-    if carried.interpolated:
-        share = carried.error[carried.error > 0] / np.maximum(np.abs(carried.value[carried.error > 0]), 1e-300)
-        notes.append(
-            f"{carried.interpolated} of {len(at)} values of {sides[away][0]} are interpolated between measured"
-            f" neighbours, in the directions of {sides[onto][0]}; the error of that is stated for each (median"
-            f" {100 * float(np.median(share)):.2g} %) and part of the uncertainty."
-        )
-    covariance = None
-    if own is not None or far is not None:
-        random = np.hypot(np.hypot(own.random if own is not None else 0.0, carried.random), carried.error)
-        common = [carried.common] if own is None else [own.common, carried.common]
-        causes = [f"{c} of {s}" for s, x in ((onto, own), (away, far)) if x is not None for c in x.causes]
-        floor = 1e-6 * np.maximum(np.abs(at.brdf), np.abs(carried.value))
-        covariance = Covariance(np.maximum(random, np.maximum(floor, 1e-300)), np.hstack(common), tuple(causes))
+    still, moved = (a.data, data) if onto == "A" else (data, a.data)
+    names = (a.name, b.name) if onto == "A" else (b.name, a.name)
+    at = still.take(carried.rows)
+    notes = [
+        *turned,
+        *_unstated({a.name: a.data, b.name: data}, at, moved),
+        *_cones(a.data, data),
+        *_interpolated(carried, len(at), *names),
+    ]
     u_carried = np.full(len(at), np.nan)
-    if far is not None:
+    if moved.covariance is not None:
         u_carried = np.sqrt(carried.random**2 + (carried.common**2).sum(axis=1) + carried.error**2)
     if onto == "A":
         values = _Values(at.brdf, carried.value, at.u, u_carried, carried.error, onto)
     else:
         values = _Values(carried.value, at.brdf, u_carried, at.u, carried.error, onto)
+    covariance = _of_difference(at, carried, moved, (onto, "B" if onto == "A" else "A"))
     return _judged(a, b, at, values, covariance, carried.missing, notes)
+
+
+def _laid_on(a: Observations, b: Side) -> tuple[Observations, pd.DataFrame, list[str]]:
+    """B's values and table with its plane of incidence turned onto A's, and a note where that was needed."""
+    assert b.data is not None and b.table is not None  # noqa: PT018
+    turn = _turn(a, b.data)
+    if not turn:
+        return b.data, b.table, []
+    turn_deg = np.degrees(turn)
+    table = b.table.assign(phi_i_deg=b.table["phi_i_deg"] + turn_deg, phi_r_deg=b.table["phi_r_deg"] + turn_deg)
+    off = np.degrees(min(turn, 2 * np.pi - turn))
+    note = (
+        f"The planes of incidence differ by {off:.3g}° in azimuth; they are laid on each other, as if the sample"
+        " had no grain."
+    )
+    return replace(b.data, directions=b.data.directions.turned(turn)), table, [note]
+
+
+def _unstated(sides: Mapping[str, Observations], at: Observations, moved: Observations) -> list[str]:
+    """Who states no uncertainties, which counts as none where the other side states its own."""
+    neither = at.covariance is None and moved.covariance is None
+    end = "." if neither else ": its values count as exact."
+    return [f"{name} states no uncertainties{end}" for name, x in sides.items() if x.covariance is None]
+
+
+def _cones(a: Observations, b: Observations) -> list[str]:
+    cones = [(x.source_solid_angle_sr, x.receiver_solid_angle_sr) for x in (a, b)]
+    if np.allclose(cones[0], cones[1], rtol=0.02):
+        return []
+    return ["The solid angles of source or receiver differ or are unknown: narrow peaks look different for that alone."]
+
+
+def _interpolated(carried: Carried, count: int, still: str, moved: str) -> list[str]:
+    if not carried.interpolated:
+        return []
+    between = carried.error > 0
+    share = carried.error[between] / np.maximum(np.abs(carried.value[between]), 1e-300)
+    return [
+        f"{carried.interpolated} of {count} values of {moved} are interpolated between measured"
+        f" neighbours, in the directions of {still}; the error of that is stated for each (median"
+        f" {100 * float(np.median(share)):.2g} %) and part of the uncertainty."
+    ]
+
+
+def _of_difference(
+    at: Observations, carried: Carried, moved: Observations, names: tuple[str, str]
+) -> Covariance | None:
+    """Covariance of the carried values less those where they were carried to; None where neither side states any."""
+    own, far = at.covariance, moved.covariance
+    if own is None and far is None:
+        return None
+    random = np.hypot(np.hypot(own.random if own is not None else 0.0, carried.random), carried.error)
+    common = [carried.common] if own is None else [own.common, carried.common]
+    causes = [f"{c} of {s}" for s, x in zip(names, (own, far), strict=True) if x is not None for c in x.causes]
+    floor = np.maximum(1e-6 * np.maximum(np.abs(at.brdf), np.abs(carried.value)), 1e-300)
+    return Covariance(np.maximum(random, floor), np.hstack(common), tuple(causes))
 
 
 def _roughness(carried: Carried) -> float:
@@ -301,6 +330,7 @@ def judge(value_a: Floats, value_b: Floats, covariance: Covariance) -> Verdict:
         Of the difference.
     """
     from scipy.special import chdtrc, ndtr
+    from scipy.stats import false_discovery_control
 
     difference = value_b - value_a
     n = difference.size
@@ -317,20 +347,10 @@ def judge(value_a: Floats, value_b: Floats, covariance: Covariance) -> Verdict:
         expected=float(n * 2 * ndtr(-BEYOND)),
         largest=float(np.abs(z).max()),
         p_largest=float(-np.expm1(n * np.log1p(-min(float(p.min()), 1 - 1e-16)))),
-        marked=discoveries(p),
+        marked=false_discovery_control(p) <= FALSE_DISCOVERIES,  # Benjamini and Hochberg (1995)
         scale=float(mean @ covariance.whiten(difference)) / strength,
         u_scale=float(strength**-0.5),
     )
-
-
-def discoveries(p: Floats, share: float = FALSE_DISCOVERIES) -> npt.NDArray[np.bool_]:
-    """Which of n tests are significant together: Benjamini and Hochberg (1995), their step-up procedure."""
-    order = np.argsort(p)
-    passed = np.flatnonzero(p[order] <= share * np.arange(1, p.size + 1) / p.size)
-    out = np.zeros(p.size, dtype=bool)
-    if passed.size:
-        out[order[: passed[-1] + 1]] = True
-    return out
 
 
 def _turn(a: Observations, b: Observations) -> float:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -26,21 +26,12 @@ from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.typing import Floats
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.identifiability import tied
-from gonio_analysis.fitting.objective import LOSSES, Objective, scaled_to
+from gonio_analysis.fitting.objective import Objective, scaled_to
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observations, observations
-from gonio_analysis.fitting.parameters import Family, Ior, Values
-from gonio_analysis.fitting.search import (
-    STARTS,
-    STEP,
-    Problem,
-    covariance,
-    pose,
-    refine,
-    search,
-    search_from,
-    settle,
-    together,
-)
+from gonio_analysis.fitting.parameters import Family
+from gonio_analysis.fitting.problem import STARTS, FitRequest, Problem, pose, together
+from gonio_analysis.fitting.search import STEP, covariance, refine, search, search_from, settle
+from gonio_analysis.summaries import FitSummary, ParameterSummary, as_json, finite
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -62,6 +53,10 @@ class Estimate:
     """ "lower" or "upper" where the search ended on a bound."""
     material: str | None = None
     """Where the value is that of a named material at the fitted wavelength."""
+
+    def summary(self) -> ParameterSummary:
+        """Plain numbers and words."""
+        return ParameterSummary(finite(self.value), finite(self.u), self.fixed, self.at_bound or None, self.material)
 
 
 @dataclass(frozen=True)
@@ -139,63 +134,40 @@ class FitResult:
             return f"formally rejected, but residuals are only {factor:.2f} times the stated uncertainties"
         return f"rejected: residuals are {factor:.3g} times the stated uncertainties"
 
-    def to_json(self) -> dict[str, Any]:
-        """What `gonio fit --json` prints: plain numbers, strings and None."""
+    def summary(self) -> FitSummary:
+        """Plain numbers and words."""
         c = self.correlation
         names = self.free
-        return {
-            "model": self.name,
-            "parameters": {k: _plain(v) for k, v in self.parameters.items()},
-            "derived": {k: _plain(v) for k, v in self.derived.items()},
-            "correlation": {a: {b: finite(c[i, j]) for j, b in enumerate(names)} for i, a in enumerate(names)},
-            "chi_square": finite(self.chi_square),
-            "reduced_chi_square": finite(self.reduced_chi_square),
-            "p_value": finite(self.p_value),
-            "verdict": self.verdict,
-            "n_points": len(self.data),
-            "n_free": len(names),
-            "wavelength_nm": finite(self.wavelength_nm),
-            "weighting": self.weighting,
-            "condition": finite(self.condition),
-            "left_out": self.data.left_out,
-            "source_solid_angle_sr": self.data.source_solid_angle_sr,
-            "receiver_solid_angle_sr": self.data.receiver_solid_angle_sr,
-            "convention": self.model.convention,
-            "notes": list(self.notes),
-            "wall_s": self.wall_s,
-        }
+        return FitSummary(
+            model=self.name,
+            parameters={k: v.summary() for k, v in self.parameters.items()},
+            derived={k: v.summary() for k, v in self.derived.items()},
+            correlation={a: {b: finite(c[i, j]) for j, b in enumerate(names)} for i, a in enumerate(names)},
+            chi_square=finite(self.chi_square),
+            reduced_chi_square=finite(self.reduced_chi_square),
+            p_value=finite(self.p_value),
+            verdict=self.verdict,
+            n_points=len(self.data),
+            n_free=len(names),
+            wavelength_nm=finite(self.wavelength_nm),
+            weighting=self.weighting,
+            condition=finite(self.condition),
+            left_out=self.data.left_out,
+            source_solid_angle_sr=self.data.source_solid_angle_sr,
+            receiver_solid_angle_sr=self.data.receiver_solid_angle_sr,
+            convention=self.model.convention,
+            notes=list(self.notes),
+            wall_s=self.wall_s,
+        )
 
-
-def finite(value: float | None) -> float | None:
-    """A number as JSON has it: None for what is not finite."""
-    return None if value is None or not math.isfinite(value) else float(value)
-
-
-def _plain(e: Estimate) -> dict[str, Any]:
-    out: dict[str, Any] = {"value": finite(e.value), "u": finite(e.u), "fixed": e.fixed}
-    if e.at_bound:
-        out["at_bound"] = e.at_bound
-    if e.material:
-        out["material"] = e.material
-    return out
+    def to_json(self) -> dict[str, Any]:
+        """What `gonio fit --json` prints: plain numbers, strings and None."""
+        found: dict[str, Any] = as_json(self.summary())
+        return found
 
 
 def fit(
-    table: pd.DataFrame | Observations,
-    model: str,
-    *,
-    ior: Ior = None,
-    fix: Mapping[str, float | str] | None = None,
-    free: Sequence[str] = (),
-    slopes: int = 1,
-    wavelength_nm: float | None = None,
-    each: Sequence[str] | None = None,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    priors: Mapping[str, tuple[float, float]] | None = None,
-    loss: str = "linear",
-    start: Sequence[Values] | None = None,
-    searches: int = STARTS,
-    name: str = "the table",
+    table: pd.DataFrame | Observations, model: str | FitRequest, *, name: str = "the table", **options: Any
 ) -> FitResult:
     """Fit one model to the usable values of a table, at one wavelength.
 
@@ -204,32 +176,7 @@ def fit(
     table
         A measurement table of one sample, or what `observations` made of one.
     model
-        Name on the command line: "lambert", "oren-nayar", "phong", "blinn", "cook-torrance", "he-torrance".
-    ior
-        Optical constants n + ik, or the name of a material: fixed, unless `free` names "ior" or "k".
-    fix
-        Values of parameters that are not to be fitted; a word (`form="exact"`) goes to the constructor as it is.
-    free
-        Parameters to fit beyond the usual ones.
-    slopes
-        Slopes of Cook-Torrance's facet distribution.
-    wavelength_nm
-        Where the table has several wavelengths, the nearest one is fitted (550 nm if none is given); in a broad band,
-        the effective wavelength.
-    each
-        Fit all wavelengths together, with a value at each wavelength for the parameters named and one for all others.
-    bounds
-        Parameter -> lowest and highest value, inside the model's own bounds.
-    priors
-        Parameter -> value and standard uncertainty known beforehand: a normal distribution that counts like one more
-        measurement.
-    loss
-        How large whitened residuals count: "linear" (their square), or one that outliers pull less: "soft_l1", "huber",
-        "cauchy", "arctan" (as in `scipy.optimize.least_squares`, with a scale of one standard uncertainty).
-    start
-        Sets of values to start from instead of a search: solutions of neighbours.
-    searches
-        How many points of the coarse grid are searched from.
+        What to fit; or the name of a model, with the attributes of `FitRequest` as `options`.
     name
         What messages call the table.
 
@@ -241,22 +188,20 @@ def fit(
         Fewer values than free parameters, or no usable value.
     """
     began = time.perf_counter()
-    problem = pose(model, ior, fix or {}, free, slopes, bounds, priors)
-    if loss not in LOSSES:
-        raise ConfigError(f"--loss {loss}: there is no such loss; known: {', '.join(LOSSES)}")
-    if searches < 1:
-        raise ConfigError(f"--searches {searches}: at least one search is needed")
+    asked = FitRequest(model, **options) if isinstance(model, str) else replace(model, **options)
+    problem, start = pose(asked), asked.start
     data = table if isinstance(table, Observations) else observations(table, name)
-    if each is not None:
-        if wavelength_nm is not None:
-            raise ConfigError(f"--wavelength-nm {wavelength_nm:g}: all wavelengths are fitted together; leave it out")
-        first = fit(data, model, ior=ior, fix=fix, free=free, slopes=slopes, bounds=bounds, priors=priors, name=name)
-        problem, data, notes = _together(problem, data, each, name)
+    if asked.each is not None:
+        if asked.wavelength_nm is not None:
+            nm = f"{asked.wavelength_nm:g}"
+            raise ConfigError(f"--wavelength-nm {nm}: all wavelengths are fitted together; leave it out")
+        first = fit(data, replace(asked, each=None, loss="linear", start=None, searches=STARTS), name=name)
+        problem, data, notes = _together(problem, data, asked.each, name)
         wavelength = math.nan
         known = first.problem.values(first.vector)
         start = [{n: known[n.partition("@")[0]] for n in problem.free}]
     else:
-        data, wavelength, notes = _one_wavelength(data, wavelength_nm, problem.family, name)
+        data, wavelength, notes = _one_wavelength(data, asked.wavelength_nm, problem.family, name)
     names = problem.free
     if len(data) <= len(names):
         at = "" if math.isnan(wavelength) else f" at {wavelength:g} nm"
@@ -266,8 +211,11 @@ def fit(
         )
     notes += problem.notes
 
-    vector = search(problem, data, loss, searches) if start is None else search_from(problem, data, start, loss)
-    goal = replace(scaled_to(data, apparent(problem.model(vector), data, quick=True)), loss=loss)
+    if start is None:
+        vector = search(problem, data, asked.loss, asked.searches)
+    else:
+        vector = search_from(problem, data, start, asked.loss)
+    goal = replace(scaled_to(data, apparent(problem.model(vector), data, quick=True)), loss=asked.loss)
     vector, jacobian = settle(problem, data, goal, refine(problem, data, goal, vector)[0])
     built = problem.model(vector)
     predicted = apparent(built, data)
@@ -278,7 +226,7 @@ def fit(
         spread = spread * max(total / (len(data) - len(names)), ROUNDING)
         notes.append("Standard errors come from the scatter of the residuals; there is no chi-square.")
     result = FitResult(
-        name=model,
+        name=asked.model,
         model=built,
         parameters=_estimates(problem, vector, spread, wavelength),
         free=names,

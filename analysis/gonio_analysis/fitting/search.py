@@ -1,4 +1,4 @@
-"""The search for the best parameters: a coarse grid, several short searches, one long one.
+"""The optimiser: a coarse grid, several short searches, one long one, and the derivatives that they need.
 
 The shapes of these models are multi-modal in their roughness, so a search that starts anywhere ends anywhere.
 Parameters move on their natural scale (logarithmic for lengths, widths and indices) inside bounds.
@@ -7,26 +7,25 @@ Parameters move on their natural scale (logarithmic for lengths, widths and indi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gonio.errors import ConfigError
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
-from gonio_analysis.fitting.forward import ByWavelength, apparent, averaging, pointlike
+from gonio_analysis.fitting.forward import apparent, averaging, pointlike
 from gonio_analysis.fitting.objective import Objective, alone, softened
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.parameters import Family, Ior, Parameter, Values
+from gonio_analysis.fitting.parameters import Values
+from gonio_analysis.fitting.problem import STARTS, Problem
 
 if TYPE_CHECKING:
     from gonio.instrument import Rules
 
 GRID_POINTS = 250
 """Values that a start is judged by."""
-STARTS = 4
 COARSE_U = 0.15
 """Relative uncertainty added while the start is sought."""
 MOST = 5000
@@ -35,209 +34,6 @@ STEP = 1e-4
 """Central differences, on the search scale: an error of 1e-8 relative, far above the rounding of the models."""
 SMALL_STEP = 1e-6
 """One-sided differences, on the search scale: good to about 1e-6, which is enough for the way to the solution."""
-
-
-@dataclass(frozen=True)
-class Problem:
-    """Which numbers move, on which scale, and the model that they make."""
-
-    family: Family
-    make: Callable[[Mapping[str, Any]], Any]
-    """Constructor's arguments -> model."""
-    free: tuple[str, ...]
-    fixed: Values
-    words: dict[str, str]
-    ior: Ior
-    notes: list[str]
-    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Parameter -> what is known of it beforehand: value and standard uncertainty."""
-    waves: tuple[float, ...] = ()
-    """Wavelengths [nm] that are fitted together; none for a fit at one."""
-    each: tuple[str, ...] = ()
-    """Parameters with a value of their own at each of `waves`: "albedo" is then fitted as "albedo@450", ..."""
-
-    asked: tuple[Any, ...] = ()
-    """The arguments of `pose` that it was made from."""
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # the functions of a family do not pickle: another process makes the problem again
-        return _posed, (self.asked, self.waves, self.each)
-
-    def parameter(self, name: str) -> Parameter:
-        """The parameter of a name in `free`."""
-        return self.family.parameter(name.partition("@")[0])
-
-    def at(self, values: Values, wavelength_nm: float) -> Values:
-        """The values that hold at one of `waves`."""
-        own = {n: values[f"{n}@{wavelength_nm:g}"] for n in self.each}
-        return {n: x for n, x in values.items() if "@" not in n} | own
-
-    def pulls(self, vector: Floats) -> Floats:
-        """Residuals of the priors, one each."""
-        values = self.values(vector)
-        return np.array([(values[n] - value) / u for n, (value, u) in self.priors.items()])
-
-    def pull_slopes(self, vector: Floats) -> Floats:
-        """d(pulls)/d(search scale), (priors, p)."""
-        slope = self.slope(vector)
-        rows = [np.where([m == n for m in self.free], slope / u, 0.0) for n, (_, u) in self.priors.items()]
-        return np.array(rows).reshape(len(rows), vector.size)
-
-    @property
-    def bounds(self) -> tuple[Floats, Floats]:
-        """Lower and upper bounds on the search scale."""
-        rows = [self.parameter(n) for n in self.free]
-        lower = [math.log(p.lower) if p.scale == "log" else p.lower for p in rows]
-        upper = [math.log(p.upper) if p.scale == "log" else p.upper for p in rows]
-        return np.array(lower), np.array(upper)
-
-    def values(self, vector: Floats) -> Values:
-        """All parameters by name, for a point of the search."""
-        out = dict(self.fixed)
-        for n, x in zip(self.free, vector, strict=True):
-            p = self.parameter(n)
-            out[n] = p.inside(math.exp(x) if p.scale == "log" else float(x))
-        return out
-
-    def vector(self, values: Values) -> Floats:
-        """The point of the search that has these values, brought inside the bounds."""
-        rows = [(self.parameter(n), values[n]) for n in self.free]
-        return np.array([math.log(p.inside(v)) if p.scale == "log" else p.inside(v) for p, v in rows])
-
-    def slope(self, vector: Floats) -> Floats:
-        """d(value)/d(search scale) of the free parameters."""
-        values = self.values(vector)
-        return np.array([values[n] if self.parameter(n).scale == "log" else 1.0 for n in self.free])
-
-    def known_slopes(self, vector: Floats) -> Values:
-        """d(model)/d(search scale) [1/sr] of the parameters for which it is the same in every direction."""
-        if self.each:
-            return {}
-        flat = self.family.flat(self.values(vector))
-        return {n: flat[n] * scale for n, scale in zip(self.free, self.slope(vector), strict=True) if n in flat}
-
-    def model(self, vector: Floats) -> Any:
-        """The model at a point of the search."""
-        values = self.values(vector)
-        if not self.waves:
-            return self.make({**self.family.arguments(values), **self.words})
-        several = {w: self.make({**self.family.arguments(self.at(values, w)), **self.words}) for w in self.waves}
-        return ByWavelength(several)
-
-
-def pose(
-    model: str,
-    ior: Ior,
-    fix: Mapping[str, float | str],
-    free: Sequence[str],
-    slopes: int,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    priors: Mapping[str, tuple[float, float]] | None = None,
-) -> Problem:
-    """What to fit, from what a user asks for; see `gonio_analysis.fitting.fit.fit`.
-
-    Raises
-    ------
-    ConfigError
-        Unknown model, parameter or option, or nothing is left to fit.
-    """
-    notes: list[str] = []
-    given = ior
-    if ior is not None and not parameters.needs_ior(model) and set(parameters.parts(model)) <= set(parameters.FAMILIES):
-        ior = None
-        notes.append(f"The optical constants are not used: {model} has none.")
-    family = parameters.family(model, slopes=slopes, ior=ior)
-    words = {k: v for k, v in fix.items() if isinstance(v, str)}
-    if words and len(parameters.parts(model)) > 1:
-        raise ConfigError(f"--fix {next(iter(words))}=...: words go to a single model's constructor, not to a sum")
-    numbers = {k: float(v) for k, v in fix.items() if not isinstance(v, str)}
-    for n, value in numbers.items():
-        p = family.parameter(n)
-        if not p.lower <= value <= p.upper:
-            raise ConfigError(f"--fix {n}={value:g}: {n} of {model} lies between {p.lower:g} and {p.upper:g}")
-    for n in free:
-        family.parameter(n)
-        if n in numbers:
-            raise ConfigError(f"{n} is given to --fix and to --free")
-        if isinstance(ior, str) and n in ("ior", "k"):
-            raise ConfigError(
-                f"--free {n}: with --ior {ior} the material fixes n + ik; give numbers (as 1.5+2j) to start from"
-            )
-    names = tuple(p.name for p in family.parameters)
-    moving = tuple(n for n in names if (n in family.free or n in free) and n not in numbers)
-    if not moving:
-        raise ConfigError(f"every parameter of {model} is fixed: there is nothing to fit")
-    if "k" in moving and "ior" in moving:
-        metallic = tuple(parameters.METALLIC_N if p.name == "ior" else p for p in family.parameters)
-        family = replace(family, parameters=metallic)
-    family = _bounded(family, bounds or {}, moving)
-    fixed = {**family.fixed, **numbers}
-    if ior is None and "ior" in moving and parameters.needs_ior(model) and not fixed.get("k") and "k" not in moving:
-        notes.append("No optical constants were given (--ior): a real refractive index n is fitted, with k = 0.")
-    return Problem(
-        family,
-        parameters.maker(model),
-        moving,
-        {n: v for n, v in fixed.items() if n not in moving},
-        words,
-        ior,
-        notes,
-        _checked_priors(priors or {}, model, moving),
-        asked=(model, given, dict(fix), tuple(free), slopes, bounds, priors),
-    )
-
-
-def _posed(asked: tuple[Any, ...], waves: tuple[float, ...], each: tuple[str, ...]) -> Problem:
-    problem = pose(*asked)
-    return together(problem, waves, each) if waves else problem
-
-
-def together(problem: Problem, waves: Sequence[float], each: Sequence[str]) -> Problem:
-    """The same fit at several wavelengths together: parameters are shared but for those that `each` names.
-
-    Raises
-    ------
-    ConfigError
-        `each` names a parameter that is not fitted, or one with a prior.
-    """
-    for n in each:
-        if n not in problem.free:
-            raise ConfigError(f"--each {n}: {n} is not fitted; fitted are {', '.join(problem.free)}")
-        if n in problem.priors:
-            raise ConfigError(f"--each {n}: a prior of {n} would hold at every wavelength; give one or the other")
-    shared = tuple(n for n in problem.free if n not in each)
-    own = tuple(f"{n}@{w:g}" for n in problem.free if n in each for w in waves)
-    return replace(problem, free=shared + own, waves=tuple(waves), each=tuple(n for n in problem.free if n in each))
-
-
-def _bounded(family: Family, bounds: Mapping[str, tuple[float, float]], moving: Sequence[str]) -> Family:
-    """The family with narrower bounds."""
-    for n, (low, high) in bounds.items():
-        p = family.parameter(n)
-        if not p.lower <= low < high <= p.upper:
-            raise ConfigError(
-                f"--bound {n}={low:g}:{high:g}: bounds of {n} ascend, between {p.lower:g} and {p.upper:g}"
-            )
-        if n not in moving:
-            raise ConfigError(f"--bound {n}={low:g}:{high:g}: {n} is not fitted; --free {n} would fit it")
-    narrower = (
-        replace(p, lower=bounds[p.name][0], upper=bounds[p.name][1]) for p in family.parameters if p.name in bounds
-    )
-    by_name = {p.name: p for p in narrower}
-    return replace(family, parameters=tuple(by_name.get(p.name, p) for p in family.parameters))
-
-
-def _checked_priors(
-    priors: Mapping[str, tuple[float, float]], model: str, moving: Sequence[str]
-) -> Mapping[str, tuple[float, float]]:
-    for n, (value, u) in priors.items():
-        if n not in moving:
-            raise ConfigError(f"--prior {n}={value:g}: {n} of {model} is not fitted; it fits {', '.join(moving)}")
-        if not (math.isfinite(value) and math.isfinite(u) and u > 0):
-            raise ConfigError(
-                f"--prior {n}: a value and its standard uncertainty above 0 are needed, as in {n}=1.77+-0.05"
-            )
-    return priors
 
 
 def search_from(problem: Problem, data: Observations, starts: Sequence[Values], loss: str = "linear") -> Floats:

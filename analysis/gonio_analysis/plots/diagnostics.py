@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gonio.typing import Floats
-from gonio_analysis.plots.in_plane import COLOURS, FAINT, INK, angle_axis
+from gonio_analysis.plots.in_plane import COLOURS, FAINT, INK, angle_axis, clean
 from gonio_analysis.selection.profile_likelihood import Interval
 
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1.5, 1, 1.5)), (0, (3, 1)), (0, (8, 2)))
@@ -79,4 +79,43 @@ def budget_over_angle(ax: Any, angle: Floats, parts: Sequence[tuple[str, Floats]
     ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     angle_axis(ax)
     ax.grid(color=FAINT, lw=0.5)
+    return artists
+
+
+def budget(ax: Any, parts: Sequence[tuple[str, float, float]]) -> list[Any]:
+    """Uncertainty budget: a bar for the median of each part relative to the value, with a tick at its 95th percentile.
+
+    Parameters
+    ----------
+    parts
+        (label, median, 95th percentile), relative (1 = 100 %); the first one on top.
+    """
+    y = np.arange(len(parts))[::-1]
+    median = np.array([max(p[1], 0.0) for p in parts]) * 100
+    high = np.array([p[2] for p in parts]) * 100
+    colours = [INK if label.startswith("combined") else "#0072B2" for label, *_ in parts]
+    artists: list[Any] = [ax.barh(y, median, height=0.55, color=colours, zorder=2)]
+    artists += ax.plot(high, y, ls="none", marker="|", ms=12, mew=1.6, color="#D55E00", zorder=3)
+    ax.set_yticks(y, [p[0] for p in parts])
+    smallest = min((m for m in median if m > 0), default=1e-3)
+    if high.max(initial=0.0) > 50 * smallest:
+        ax.set_xscale("log")
+        ax.set_xlim(max(smallest / 3, high.max() / 1e4), high.max() * 2)
+        ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    ax.set_xlabel("standard uncertainty relative to the value [%]")
+    ax.grid(axis="x", color=FAINT, lw=0.6)
+    clean(ax)
+    ax.tick_params(axis="y", length=0)
+    return artists
+
+
+def series(
+    ax: Any, x: Floats, y: Floats, u: Floats, *, x_label: str, y_label: str, colour: str = COLOURS[0]
+) -> list[Any]:
+    """A fitted parameter over wavelength, with standard errors where they are known."""
+    artists = [ax.errorbar(x, y, yerr=np.nan_to_num(u), marker="o", ms=3, lw=1.0, elinewidth=0.8, color=colour)]
+    ax.set_xlabel(x_label)
+    ax.set_ylabel(y_label)
+    ax.grid(color=FAINT, lw=0.5)
+    clean(ax)
     return artists

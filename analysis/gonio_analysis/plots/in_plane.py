@@ -269,45 +269,6 @@ def _plain(value: float) -> str:
     return text.replace("-", "−", 1)
 
 
-def budget(ax: Any, parts: Sequence[tuple[str, float, float]]) -> list[Any]:
-    """Uncertainty budget: a bar for the median of each part relative to the value, with a tick at its 95th percentile.
-
-    Parameters
-    ----------
-    parts
-        (label, median, 95th percentile), relative (1 = 100 %); the first one on top.
-    """
-    y = np.arange(len(parts))[::-1]
-    median = np.array([max(p[1], 0.0) for p in parts]) * 100
-    high = np.array([p[2] for p in parts]) * 100
-    colours = [INK if label.startswith("combined") else "#0072B2" for label, *_ in parts]
-    artists: list[Any] = [ax.barh(y, median, height=0.55, color=colours, zorder=2)]
-    artists += ax.plot(high, y, ls="none", marker="|", ms=12, mew=1.6, color="#D55E00", zorder=3)
-    ax.set_yticks(y, [p[0] for p in parts])
-    smallest = min((m for m in median if m > 0), default=1e-3)
-    if high.max(initial=0.0) > 50 * smallest:
-        ax.set_xscale("log")
-        ax.set_xlim(max(smallest / 3, high.max() / 1e4), high.max() * 2)
-        ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    ax.set_xlabel("standard uncertainty relative to the value [%]")
-    ax.grid(axis="x", color=FAINT, lw=0.6)
-    _clean(ax)
-    ax.tick_params(axis="y", length=0)
-    return artists
-
-
-def series(
-    ax: Any, x: Floats, y: Floats, u: Floats, *, x_label: str, y_label: str, colour: str = COLOURS[0]
-) -> list[Any]:
-    """A fitted parameter over wavelength, with standard errors where they are known."""
-    artists = [ax.errorbar(x, y, yerr=np.nan_to_num(u), marker="o", ms=3, lw=1.0, elinewidth=0.8, color=colour)]
-    ax.set_xlabel(x_label)
-    ax.set_ylabel(y_label)
-    ax.grid(color=FAINT, lw=0.5)
-    _clean(ax)
-    return artists
-
-
 def _half_disc(ax: Any, rim: float, label: str) -> None:
     from matplotlib.collections import LineCollection
 
@@ -387,10 +348,11 @@ def angle_axis(ax: Any) -> None:
     ax.set_xlim(-90, 90)
     ax.set_xticks(range(-90, 91, 30), [f"{d}°".replace("-", "−") for d in range(-90, 91, 30)])
     ax.grid(color=FAINT, lw=0.5)
-    _clean(ax)
+    clean(ax)
 
 
-def _clean(ax: Any) -> None:
+def clean(ax: Any) -> None:
+    """Axes with two quiet spines and small labels."""
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
     for side in ("left", "bottom"):

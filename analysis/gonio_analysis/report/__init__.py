@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.parameters import Ior
-from gonio_analysis.report import detail, figures, files, page, pdf, tables, viewer
+from gonio_analysis.report import detail, figures, files, html, page, pdf, tables, viewer
 from gonio_analysis.report.drawing import Draughtsmen, draughtsmen
 from gonio_analysis.report.summary import summarise
 from gonio_analysis.selection import parallel
-from gonio_analysis.selection.compare import Dataset, examine, run_facts
+from gonio_analysis.selection.compare import Dataset, examine
+from gonio_analysis.selection.run_record import run_facts
+from gonio_analysis.summaries import FigureSummary, Summary, as_json
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -103,7 +106,7 @@ def write(
     command: str = "",
     hands: Draughtsmen | None = None,
     progress: Callable[[str], None] = lambda text: None,
-) -> dict[str, Any]:
+) -> Summary:
     """Write a report of these measurements into a folder that exists (see `files.staged`).
 
     Parameters
@@ -123,11 +126,11 @@ def write(
 
     Returns
     -------
-    dict
+    Summary
         What `summary.json` holds: every number of the page.
     """
     summary = summarise(datasets, title=title, normalise=normalise, command=command)
-    both = list(zip(datasets, summary["datasets"], strict=True))
+    both = list(zip(datasets, summary.datasets, strict=True))
     progress("drawing")
     most = _most_values(datasets)
     groups = [[*figures.draw(d, facts, most), *detail.draw(d, facts, most)] for d, facts in both]
@@ -135,15 +138,15 @@ def write(
     rest = iter(every)
     drawn = [[next(rest) for _ in group] for group in groups]
     (folder / "tables").mkdir()
-    summary["figures"] = [{"name": f.name, "caption": f.caption, "alt": f.alt} for f in every]
+    listed = [FigureSummary(f.name, f.caption, f.alt) for f in every]
     room = viewer.BYTES // len(datasets)
     views = [viewer.viewer(d, facts, normalise, room) if d.curves else None for d, facts in both]
-    summary["tables"] = tables.write(datasets, summary, views, folder / "tables")
+    summary = replace(summary, figures=listed, tables=tables.write(datasets, summary, views, folder / "tables"))
     pages = page.render(summary, drawn, views)
-    for name, html in pages.items():
-        (folder / name).write_text(html, encoding="utf-8")
-    files.write(folder, pages["index.html"], summary, every)
-    pdf.write(folder / "report.pdf", "".join(pages.values()), {f.name: f.png for f in every})
+    for name, shown in pages.items():
+        (folder / name).write_text(html.document(shown), encoding="utf-8")
+    files.write(folder, as_json(summary), every)
+    pdf.write(folder / "report.pdf", list(pages.values()))
     return summary
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +12,45 @@ import numpy as np
 
 from gonio_analysis.change.point_by_point import FALSE_DISCOVERIES, LEVEL, Change, Side, change, side
 from gonio_analysis.curves.in_plane import Curve, curves, labels, selection
-from gonio_analysis.fitting.fit import finite
 from gonio_analysis.fitting.metrics import DESCRIPTIONS
 from gonio_analysis.fitting.observations import Observations, describe_left_out
 from gonio_analysis.plots import thinning
 from gonio_analysis.report import change_figures, files, html, pdf, viewer
+from gonio_analysis.report.blocks import (
+    Block,
+    Figures,
+    Footer,
+    Group,
+    Heading,
+    Page,
+    Paragraph,
+    Table,
+    Viewer,
+    code,
+    facts,
+    lead,
+    notes,
+    table,
+)
 from gonio_analysis.report.drawing import Draughtsmen, draughtsmen
 from gonio_analysis.report.figures import Figure
 from gonio_analysis.report.page import MOST_BYTES, MOST_ROWS
 from gonio_analysis.report.summary import stamp
 from gonio_analysis.report.tables import write_columns, write_csv
 from gonio_analysis.report.text import difference, number, percent
-from gonio_analysis.selection.compare import run_facts
+from gonio_analysis.selection.run_record import run_facts
+from gonio_analysis.summaries import (
+    ChangeAtWavelength,
+    ChangeMetric,
+    ChangeSummary,
+    FigureSummary,
+    MeasuredSide,
+    ModelSide,
+    RunFacts,
+    VerdictSummary,
+    as_json,
+    finite,
+)
 
 FIGURES = 6
 """That a comparison has, about."""
@@ -33,6 +59,13 @@ SPIKE = 30.0
 COLUMNS = (
     *("wavelength_nm", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "a", "b", "u_interpolation", "change"),
     *("u_change", "standard_deviations", "changed"),
+)
+
+FOOTER = Footer(
+    (
+        *("Every number on this page is in ", code("summary.json"), ", every compared value in "),
+        *(code("tables/change.csv"), ", the figures as SVG and PNG in ", code("figures/"), "."),
+    )
 )
 
 
@@ -74,31 +107,40 @@ def make(
 
 
 def _write(
-    c: Change, folder: Path, wavelength_nm: float | None, command: str, runs: Sequence[Any], hands: Draughtsmen
+    c: Change,
+    folder: Path,
+    wavelength_nm: float | None,
+    command: str,
+    runs: Sequence[RunFacts | None],
+    hands: Draughtsmen,
 ) -> None:
-    facts = summary(c, command, runs)
+    found = summary(c, command, runs)
     at, shown = _one(c, wavelength_nm)
-    facts["shown_wavelength_nm"] = finite(shown)
     every = curves(at)
     listed = selection(every, viewer.MOST_LISTED)
     drawn = selection(every)
     figures = hands.draw(change_figures.draw(c, at, drawn, shown))
     (folder / "tables").mkdir()
-    facts["figures"] = [{"name": f.name, "caption": f.caption, "alt": f.alt} for f in figures]
     write_columns(folder / "tables" / "change.csv", COLUMNS, _columns(c))
-    facts["tables"] = ["change.csv"]
-    if len(facts["wavelengths"]) > 1:
-        facts["tables"].append("wavelengths.csv")
-        names = list(facts["wavelengths"][0])
-        rows = ([w[name] for name in names] for w in facts["wavelengths"])
-        write_csv(folder / "tables" / "wavelengths.csv", names, rows)
+    listed_tables = ["change.csv"]
+    if len(found.wavelengths) > 1:
+        listed_tables.append("wavelengths.csv")
+        waves = [as_json(w) for w in found.wavelengths]
+        write_csv(folder / "tables" / "wavelengths.csv", list(waves[0]), (list(w.values()) for w in waves))
+    found = replace(
+        found,
+        shown_wavelength_nm=finite(shown),
+        figures=[FigureSummary(f.name, f.caption, f.alt) for f in figures],
+        tables=listed_tables,
+    )
     view = _view(c, at, listed, drawn, shown) if drawn else None
-    page = html.within(_render(facts, figures, view), MOST_BYTES)
-    files.write(folder, page, facts, figures)
-    pdf.write(folder / "report.pdf", page, {f.name: f.png for f in figures})
+    page = _page(found, figures, view)
+    files.write(folder, as_json(found), figures)
+    (folder / "index.html").write_text(html.document(page), encoding="utf-8")
+    pdf.write(folder / "report.pdf", [page])
 
 
-def summary(c: Change, command: str, runs: Sequence[Any]) -> dict[str, Any]:
+def summary(c: Change, command: str, runs: Sequence[RunFacts | None]) -> ChangeSummary:
     """Every number of the page."""
     v = c.verdict
     positive = (c.value_a > 0) & (c.value_b > 0)
@@ -107,55 +149,56 @@ def summary(c: Change, command: str, runs: Sequence[Any]) -> dict[str, Any]:
     waves = []
     for nm in c.at.wavelengths:
         here = np.isnan(c.at.wavelength_nm) if math.isnan(nm) else c.at.wavelength_nm == nm
-        row: dict[str, Any] = {"wavelength_nm": finite(nm), "n_points": int(here.sum())}
-        if v is not None:
-            row["beyond"] = int(np.count_nonzero(np.abs(v.z[here]) > 2))
-            row["changed_points"] = int(v.marked[here].sum())
         known = ratio[here & positive]
-        row["median_ratio"] = float(np.median(known)) if known.size else None
-        waves.append(row)
+        waves.append(
+            ChangeAtWavelength(
+                wavelength_nm=finite(nm),
+                n_points=int(here.sum()),
+                beyond=None if v is None else int(np.count_nonzero(np.abs(v.z[here]) > 2)),
+                changed_points=None if v is None else int(v.marked[here].sum()),
+                median_ratio=float(np.median(known)) if known.size else None,
+            )
+        )
     verdict = None
     if v is not None:
-        verdict = {
-            "changed": v.changed,
-            "chi_square": v.chi_square,
-            "p_value": v.p_value,
-            "n_points": int(v.z.size),
-            "beyond_2": v.beyond,
-            "expected_beyond_2": v.expected,
-            "largest": v.largest,
-            "p_largest": v.p_largest,
-            "changed_points": int(v.marked.sum()),
-            "false_discoveries": FALSE_DISCOVERIES,
-            "level": LEVEL,
-            "scale": v.scale,
-            "u_scale": v.u_scale,
-        }
-    return {
-        "title": f"{c.b.name} against {c.a.name}",
+        verdict = VerdictSummary(
+            changed=v.changed,
+            chi_square=v.chi_square,
+            p_value=v.p_value,
+            n_points=int(v.z.size),
+            beyond_2=v.beyond,
+            expected_beyond_2=v.expected,
+            largest=v.largest,
+            p_largest=v.p_largest,
+            changed_points=int(v.marked.sum()),
+            false_discoveries=FALSE_DISCOVERIES,
+            level=LEVEL,
+            scale=v.scale,
+            u_scale=v.u_scale,
+        )
+    return ChangeSummary(
+        title=f"{c.b.name} against {c.a.name}",
         **stamp(command),
-        "a": _side(c.a, runs[0]),
-        "b": _side(c.b, runs[1]),
-        "n_points": len(c.at),
-        "in_directions_of": c.onto,
-        "interpolated": int(np.count_nonzero(c.error)),
-        "median_interpolation_error_rel": _median_error(c),
-        "without_counterpart": c.missing,
-        "verdict": verdict,
-        "conclusion": _conclusion(c),
-        "metrics": {k: {"label": DESCRIPTIONS[k][0], "value": finite(c.metrics[k])} for k in DESCRIPTIONS},
-        "wavelengths": waves,
-        "notes": list(c.notes),
-    }
+        a=_side(c.a, runs[0]),
+        b=_side(c.b, runs[1]),
+        n_points=len(c.at),
+        in_directions_of=c.onto,
+        interpolated=int(np.count_nonzero(c.error)),
+        median_interpolation_error_rel=_median_error(c),
+        without_counterpart=c.missing,
+        verdict=verdict,
+        conclusion=_conclusion(c),
+        metrics={k: ChangeMetric(DESCRIPTIONS[k][0], finite(c.metrics[k])) for k in DESCRIPTIONS},
+        wavelengths=waves,
+        notes=list(c.notes),
+    )
 
 
-def _side(s: Side, run: Any) -> dict[str, Any]:
-    out: dict[str, Any] = {"name": s.name, "source": s.source, "kind": s.kind, "run": run}
-    if s.data is not None:
-        out |= {"values": len(s.data), "left_out": s.data.left_out, "uncertainty_stated": s.data.covariance is not None}
-    else:
-        out |= {"model": s.model.name, "convention": s.model.convention}
-    return out
+def _side(s: Side, run: RunFacts | None) -> MeasuredSide | ModelSide:
+    if s.data is None:
+        return ModelSide(s.name, s.source, s.kind, run, s.model.name, s.model.convention)
+    stated = s.data.covariance is not None
+    return MeasuredSide(s.name, s.source, s.kind, run, len(s.data), s.data.left_out, stated)
 
 
 def _median_error(c: Change) -> float | None:
@@ -209,7 +252,7 @@ def _one(c: Change, wavelength_nm: float | None) -> tuple[Observations, float]:
     return at.nearest(wavelength_nm)
 
 
-def _view(c: Change, at: Observations, listed: list[Curve], drawn: list[Curve], shown: float) -> dict[str, Any]:
+def _view(c: Change, at: Observations, listed: list[Curve], drawn: list[Curve], shown: float) -> viewer.View:
     """Both sides as an interactive plot."""
     names = labels(listed)
     keep = {int(k.rows[0]) for k in drawn}
@@ -240,75 +283,72 @@ def _view(c: Change, at: Observations, listed: list[Curve], drawn: list[Curve], 
     }
 
 
-def _render(s: dict[str, Any], figures: Sequence[Figure], view: dict[str, Any] | None) -> str:
-    body = [
-        f'<header>\n<h1>{escape(s["title"])}</h1>\n<p class="sub">Point by point, {escape(s["created"][:10])}, gonio'
-        f" {escape(s['versions']['gonio'])}. Uncertainties are standard uncertainties (k = 1).</p>\n</header>",
-        f'<p class="lead">{escape(html.glued(s["conclusion"]))}</p>',
-        "<h3>What was compared</h3>",
-        html.facts(_facts(s)),
-        html.notes(s["notes"]) if s["notes"] else "",
+def _page(s: ChangeSummary, figures: Sequence[Figure], view: viewer.View | None) -> Page:
+    sub = (
+        f"Point by point, {s.created[:10]}, gonio {s.versions['gonio']}."
+        " Uncertainties are standard uncertainties (k = 1)."
+    )
+    body: list[Block] = [
+        Group("header", (Heading(1, s.title), Paragraph(sub, "sub"))),
+        lead(s.conclusion),
+        Heading(3, "What was compared"),
+        facts(_facts(s)),
     ]
+    body += [notes(s.notes)] if s.notes else []
     if view is not None:
-        body += ["<h3>Both in the plane of incidence</h3>", viewer.element(view, "change")]
-    body += [html.grid(figures), "<h3>Metrics</h3>", _metrics(s)]
-    if len(s["wavelengths"]) > 1:
-        body += ["<h3>Wavelengths</h3>", _wavelengths(s)]
-    body += ["<h3>How it is judged</h3>", _method(s)] if s["verdict"] else []
-    versions = ", ".join(f"{k} {v}" for k, v in s["versions"].items())
-    made = [("command", s["command"] or "–"), ("report made", s["created"]), ("versions", versions)]
-    body += ["<h2>Provenance</h2>", html.facts(made)]
-    body += [
-        "<footer>Every number on this page is in <code>summary.json</code>, every compared value in"
-        " <code>tables/change.csv</code>, the figures as SVG and PNG in <code>figures/</code>.</footer>",
-        viewer.script() if view is not None else "",
-    ]
-    return html.document(s["title"], body)
+        body += [Heading(3, "Both in the plane of incidence"), Viewer("change", view)]
+    drawings = Figures(tuple(figures))
+    after: list[Block] = [Heading(3, "Metrics"), _metrics(s)]
+    if len(s.wavelengths) > 1:
+        after += [Heading(3, "Wavelengths"), _wavelengths(s)]
+    after += [Heading(3, "How it is judged"), _method(s)] if s.verdict else []
+    made = [("command", s.command or "–"), ("report made", s.created)]
+    made.append(("versions", ", ".join(f"{k} {v}" for k, v in s.versions.items())))
+    after += [Heading(2, "Provenance"), facts(made), FOOTER]
+    room = MOST_BYTES - html.size(html.document(Page(s.title, (*body, *after))))
+    return Page(s.title, (*body, html.within(drawings, room), *after))
 
 
-def _wavelengths(s: dict[str, Any]) -> str:
+def _wavelengths(s: ChangeSummary) -> Table:
     rows = []
-    for w in s["wavelengths"]:
-        name = "broad band" if w["wavelength_nm"] is None else f"{w['wavelength_nm']:g} nm"
-        counts = [str(w.get(key, "–")) for key in ("n_points", "beyond", "changed_points")]
-        rows.append([name, *counts, number(w["median_ratio"], 4)])
+    for w in s.wavelengths:
+        name = "broad band" if w.wavelength_nm is None else f"{w.wavelength_nm:g} nm"
+        counts = ["–" if n is None else str(n) for n in (w.n_points, w.beyond, w.changed_points)]
+        rows.append([name, *counts, number(w.median_ratio, 4)])
     header = ["wavelength", "values", "beyond 2", "changed", "median B/A"]
-    return html.table("", header, rows, right=(1, 2, 3, 4), most=(MOST_ROWS, "wavelengths.csv"))
+    return table("", header, rows, right=(1, 2, 3, 4), most=(MOST_ROWS, "wavelengths.csv"))
 
 
-def _facts(s: dict[str, Any]) -> list[tuple[str, str]]:
+def _facts(s: ChangeSummary) -> list[tuple[str, str]]:
     rows = []
-    for key in ("a", "b"):
-        x = s[key]
-        if x["kind"] == "model":
-            rows.append((key.upper(), f"{x['name']}: {x['model']} ({x['source']}); {x['convention']}"))
+    for key, x in (("A", s.a), ("B", s.b)):
+        if isinstance(x, ModelSide):
+            rows.append((key, f"{x.name}: {x.model} ({x.source}); {x.convention}"))
             continue
-        stated = "with uncertainties" if x["uncertainty_stated"] else "no uncertainties stated"
-        left = f"; left out: {describe_left_out(x['left_out'])}" if x["left_out"] else ""
-        run = f"; rig {x['run']['rig']}, {x['run']['created'][:10]}, seed {x['run']['seed']}" if x["run"] else ""
-        rows.append((key.upper(), f"{x['name']} ({x['source']}): {x['values']} values, {stated}{left}{run}"))
-    shared = f"{s['n_points']}"
-    if {s["a"]["kind"], s["b"]["kind"]} == {"measurement"}:
-        shared += f", in the directions of {s['in_directions_of']}"
-    if s["interpolated"]:
-        error = percent(s["median_interpolation_error_rel"])
-        shared += f", {s['interpolated']} of them by interpolation (median error {error})"
+        stated = "with uncertainties" if x.uncertainty_stated else "no uncertainties stated"
+        left = f"; left out: {describe_left_out(x.left_out)}" if x.left_out else ""
+        run = f"; rig {x.run.rig}, {x.run.created[:10]}, seed {x.run.seed}" if x.run else ""
+        rows.append((key, f"{x.name} ({x.source}): {x.values} values, {stated}{left}{run}"))
+    shared = f"{s.n_points}"
+    if {s.a.kind, s.b.kind} == {"measurement"}:
+        shared += f", in the directions of {s.in_directions_of}"
+    if s.interpolated:
+        error = percent(s.median_interpolation_error_rel)
+        shared += f", {s.interpolated} of them by interpolation (median error {error})"
     rows.append(("shared values", shared))
-    if s["without_counterpart"]:
+    if s.without_counterpart:
         rows.append(
             (
                 "not compared",
-                "; ".join(
-                    f"{n} values of {s['in_directions_of']} {why}" for why, n in s["without_counterpart"].items()
-                ),
+                "; ".join(f"{n} values of {s.in_directions_of} {why}" for why, n in s.without_counterpart.items()),
             )
         )
     return rows
 
 
-def _metrics(s: dict[str, Any]) -> str:
-    rows = [[escape(m["label"]), number(m["value"]), escape(DESCRIPTIONS[k][1])] for k, m in s["metrics"].items()]
-    return html.table(
+def _metrics(s: ChangeSummary) -> Table:
+    rows = [[m.label, number(m.value), DESCRIPTIONS[k][1]] for k, m in s.metrics.items()]
+    return table(
         "B takes the place of the model, A that of the measurement.",
         ["metric", "value", "what it is"],
         rows,
@@ -316,18 +356,19 @@ def _metrics(s: dict[str, Any]) -> str:
     )
 
 
-def _method(s: dict[str, Any]) -> str:
-    v = s["verdict"]
+def _method(s: ChangeSummary) -> Paragraph:
+    v = s.verdict
+    assert v is not None
     text = (
         "The difference of each value is judged against what all the others predict of it, with the covariance of both"
         " measurements: what a common cause (a reference, a drift, the zero of an angle) does to all values alike does"
         " not count as a change of each. The causes of two measurements count as independent; where both used the same"
         " reference its part cancels, and the verdict is on the safe side. "
-        f"Of {v['n_points']} values {v['expected_beyond_2']:.1f} are expected beyond 2 standard deviations by chance."
+        f"Of {v.n_points} values {v.expected_beyond_2:.1f} are expected beyond 2 standard deviations by chance."
         f" Values are marked by Benjamini and Hochberg's procedure, which lets"
-        f" {100 * v['false_discoveries']:g} % of the marks be wrong."
-        f" The verdict rests on chi-square of all values (p {_p(v['p_value'])}) and on the largest of"
-        f" them ({v['largest']:.2f} standard deviations, p {_p(v['p_largest'])}); where nothing changed it says so in"
-        f" {100 * (1 - v['level']):g} % of the cases."
+        f" {100 * v.false_discoveries:g} % of the marks be wrong."
+        f" The verdict rests on chi-square of all values (p {_p(v.p_value)}) and on the largest of"
+        f" them ({v.largest:.2f} standard deviations, p {_p(v.p_largest)}); where nothing changed it says so in"
+        f" {100 * (1 - v.level):g} % of the cases."
     )
-    return f"<p>{escape(text)}</p>"
+    return Paragraph(text)

@@ -18,6 +18,7 @@ from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, Drawing, budg
 from gonio_analysis.report.text import cause, unit
 from gonio_analysis.selection.compare import Dataset
 from gonio_analysis.selection.profile_likelihood import Interval
+from gonio_analysis.summaries import DatasetSummary
 
 MOST = 3
 """Incidences that are drawn, at most."""
@@ -29,7 +30,7 @@ FEWEST = 8
 """Values out of the plane that a map needs."""
 
 
-def draw(d: Dataset, facts: dict[str, Any], most: int) -> list[Drawing]:
+def draw(d: Dataset, facts: DatasetSummary, most: int) -> list[Drawing]:
     """What the data allow: maps, slices and a lobe where there are values out of plane, profiles, the budget.
 
     Parameters
@@ -50,11 +51,11 @@ def draw(d: Dataset, facts: dict[str, Any], most: int) -> list[Drawing]:
         lines = maps.slices(d.data, rows)
         if lines:
             out.append(_slices(d, facts, rows, lines, k, most))
-    if chosen and facts["best"]:
+    if chosen and facts.best:
         out.append(_lobe(d, facts, chosen[len(chosen) // 2], most))
     if d.choice.intervals:
         out.append(_profiles(d, facts))
-    if facts["budget"] and d.curves:
+    if facts.budget and d.curves:
         out.append(_budget(d, facts, most))
     return out
 
@@ -76,7 +77,7 @@ def _theta(d: Dataset, rows: Rows) -> float:
     return float(d.data.directions.theta_i[rows].mean())
 
 
-def _heat(d: Dataset, facts: dict[str, Any], rows: Rows, k: int, most: int) -> Drawing:
+def _heat(d: Dataset, facts: DatasetSummary, rows: Rows, k: int, most: int) -> Drawing:
     data, theta = d.data, _theta(d, rows)
     rows = rows[data.brdf[rows] > 0]
     at = data.directions[rows]
@@ -88,7 +89,7 @@ def _heat(d: Dataset, facts: dict[str, Any], rows: Rows, k: int, most: int) -> D
     )
     shown = at[some]
     on = partial(_on_disc, theta_r=shown.theta_r, dphi=shown.dphi, value=data.brdf[rows[some]], theta_i=theta)
-    return Drawing(f"{facts['slug']}-heat-{k + 1}", "heat", "", caption, caption, (4.6, 4.0), on)
+    return Drawing(f"{facts.slug}-heat-{k + 1}", "heat", "", caption, caption, (4.6, 4.0), on)
 
 
 def _on_disc(figure: Any, *, theta_r: Floats, dphi: Floats, value: Floats, theta_i: float) -> None:
@@ -96,7 +97,7 @@ def _on_disc(figure: Any, *, theta_r: Floats, dphi: Floats, value: Floats, theta
     maps.heat_map(ax, theta_r, dphi, value, label="BRDF [1/sr]", theta_i=theta_i)
 
 
-def _slices(d: Dataset, facts: dict[str, Any], rows: Rows, lines: list[Line], k: int, most: int) -> Drawing:
+def _slices(d: Dataset, facts: DatasetSummary, rows: Rows, lines: list[Line], k: int, most: int) -> Drawing:
     picks = np.unique(np.round(np.linspace(0, len(lines) - 1, min(6, len(lines)))).astype(int))
     every = [lines[p] for p in picks]
     shown = thinning.on_logarithm(every, PANEL_PT, 0.5 * PANEL_PT, most)
@@ -106,7 +107,7 @@ def _slices(d: Dataset, facts: dict[str, Any], rows: Rows, lines: list[Line], k:
         + thinning.words(thinning.measured(shown), thinning.measured(every))
     )
     on = partial(_on_slices, lines=shown)
-    return Drawing(f"{facts['slug']}-slices-{k + 1}", "slices", "", caption, caption, (5.6, 3.72), on)
+    return Drawing(f"{facts.slug}-slices-{k + 1}", "slices", "", caption, caption, (5.6, 3.72), on)
 
 
 def _on_slices(figure: Any, *, lines: list[Line]) -> None:
@@ -116,8 +117,9 @@ def _on_slices(figure: Any, *, lines: list[Line]) -> None:
     _legend(figure, [(line.label, in_plane.style(i)) for i, line in enumerate(lines)])
 
 
-def _lobe(d: Dataset, facts: dict[str, Any], rows: Rows, most: int) -> Drawing:
-    best = d.fitted[facts["best"]].fit
+def _lobe(d: Dataset, facts: DatasetSummary, rows: Rows, most: int) -> Drawing:
+    assert facts.best is not None
+    best = d.fitted[facts.best].fit
     data, theta = d.data, _theta(d, rows)
     wave = data.wavelengths[0]
 
@@ -136,7 +138,7 @@ def _lobe(d: Dataset, facts: dict[str, Any], rows: Rows, most: int) -> Drawing:
     )
     shown = at[some]
     on = partial(_on_space, mesh=maps.lobe_mesh(brdf), measured=(shown.theta_r, shown.dphi, data.brdf[rows][some]))
-    return Drawing(f"{facts['slug']}-lobe", "lobe", "", caption, caption, (4.6, 4.0), on)
+    return Drawing(f"{facts.slug}-lobe", "lobe", "", caption, caption, (4.6, 4.0), on)
 
 
 def _on_space(figure: Any, *, mesh: maps.Mesh, measured: tuple[Floats, Floats, Floats]) -> None:
@@ -144,7 +146,7 @@ def _on_space(figure: Any, *, mesh: maps.Mesh, measured: tuple[Floats, Floats, F
     maps.lobe(ax, mesh, measured=measured, label="BRDF / largest value of the model's lobe")
 
 
-def _profiles(d: Dataset, facts: dict[str, Any]) -> Drawing:
+def _profiles(d: Dataset, facts: DatasetSummary) -> Drawing:
     from gonio_analysis.selection.profile_likelihood import rise
 
     named = d.choice.named
@@ -164,7 +166,7 @@ def _profiles(d: Dataset, facts: dict[str, Any]) -> Drawing:
     panels = [(i, result.parameters[i.name].value, unit(result.parameters[i.name].unit)) for i in intervals]
     on = partial(_on_profiles, panels=panels, threshold=rise(result, level))
     size = (5.6, 1.9 * _rows_of(len(panels)))
-    return Drawing(f"{facts['slug']}-profiles", "profile", "", caption, caption, size, on)
+    return Drawing(f"{facts.slug}-profiles", "profile", "", caption, caption, size, on)
 
 
 def _rows_of(panels: int) -> int:
@@ -181,11 +183,11 @@ def _on_profiles(figure: Any, *, panels: list[tuple[Interval, float, str]], thre
         ax.set_axis_off()
 
 
-def _budget(d: Dataset, facts: dict[str, Any], most: int) -> Drawing:
+def _budget(d: Dataset, facts: DatasetSummary, most: int) -> Drawing:
     assert d.data.covariance is not None
     names = labels(d.curves)
     shown = [(d.curves[k], names[k]) for k in _evenly(len(d.curves))]
-    common = largest([p["median"] for p in facts["budget"][2:]])
+    common = largest([p.median for p in facts.budget[2:]])
     legend = [cause(d.data.covariance.causes[k]) for k in common]
     entries = [(part, diagnostics.look(k)) for k, part in enumerate(["combined", "random", *legend])]
     # every cause is a line over the same angles
@@ -198,7 +200,7 @@ def _budget(d: Dataset, facts: dict[str, Any], most: int) -> Drawing:
     )
     on = partial(_on_budget, panels=panels, entries=entries)
     size = (5.6, budget_height(len(entries)))
-    return Drawing(f"{facts['slug']}-budget-angle", "budget-angle", "", caption, caption, size, on)
+    return Drawing(f"{facts.slug}-budget-angle", "budget-angle", "", caption, caption, size, on)
 
 
 def _on_budget(figure: Any, *, panels: list[Any], entries: list[tuple[str, dict[str, Any]]]) -> None:

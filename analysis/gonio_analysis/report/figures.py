@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from gonio_analysis.curves.line import Line
-from gonio_analysis.plots import in_plane, thinning
+from gonio_analysis.plots import diagnostics, in_plane, thinning
 from gonio_analysis.report.text import cause, number, slug
 from gonio_analysis.selection.compare import Dataset, Fitted
+from gonio_analysis.summaries import DatasetSummary
 
 SVG = {
     "svg.fonttype": "none",
@@ -65,7 +66,7 @@ class Drawing:
         return rendered(self.name, self.kind, self.model, self.caption, self.alt, self.inches, self.on)
 
 
-def draw(d: Dataset, facts: dict[str, Any], most: int) -> list[Drawing]:
+def draw(d: Dataset, facts: DatasetSummary, most: int) -> list[Drawing]:
     """Every figure of one measured sample.
 
     Parameters
@@ -83,13 +84,13 @@ def draw(d: Dataset, facts: dict[str, Any], most: int) -> list[Drawing]:
             out.append(_polar(d, facts, model, f, most))
     for model, f in d.fitted.items():
         out.append(_absolute(d, facts, model, f, most))
-    if facts["budget"]:
+    if facts.budget:
         out.append(_budget(facts))
     out += [_series(facts, model, f) for model, f in d.fitted.items() if len(f.series) > 1]
     return out
 
 
-def _polar(d: Dataset, facts: dict[str, Any], model: str, f: Fitted, most: int) -> Drawing:
+def _polar(d: Dataset, facts: DatasetSummary, model: str, f: Fitted, most: int) -> Drawing:
     every = [c.normalised() for c in f.drawn]
     rim = in_plane.radius_of(every)
     lines = thinning.on_half_disc(every, rim, 0.42 * 5.6 * thinning.POINTS_AN_INCH, most)
@@ -99,12 +100,12 @@ def _polar(d: Dataset, facts: dict[str, Any], model: str, f: Fitted, most: int) 
         caption += f" Cut at the rim: {', '.join(cut)}."
     caption += _spikes(f) + thinning.words(thinning.measured(lines), thinning.measured(every))
     alt = f"Half-disc polar plot for {d.name} and {model}. " + " ".join(
-        f"{c['label']}: measured peak at {c['measured_peak_deg']:.1f}°, theory's at {c['theory_peak_deg']:.1f}°."
-        for c in facts["models"][model]["curves"]
+        f"{c.label}: measured peak at {c.measured_peak_deg:.1f}°, theory's at {c.theory_peak_deg:.1f}°."
+        for c in facts.models[model].curves
     )
     on = partial(_on_half_disc, lines=lines, rim=rim, label=_radius_label(f), legend=_Legend.of(f))
     high = 3.22 + LEGEND_ROW_IN * _Legend.of(f).rows
-    return Drawing(f"{facts['slug']}-polar-{slug(model)}", "polar", model, caption, alt, (5.6, high), on)
+    return Drawing(f"{facts.slug}-polar-{slug(model)}", "polar", model, caption, alt, (5.6, high), on)
 
 
 def _on_half_disc(figure: Any, *, lines: list[Line], rim: float, label: str, legend: _Legend) -> None:
@@ -157,7 +158,7 @@ def _spikes(f: Fitted) -> str:
     return f" The spike at {where} is {times} times the largest value beside it: see the semilog curves."
 
 
-def _absolute(d: Dataset, facts: dict[str, Any], model: str, f: Fitted, most: int) -> Drawing:
+def _absolute(d: Dataset, facts: DatasetSummary, model: str, f: Fitted, most: int) -> Drawing:
     lines = [c.absolute() for c in f.drawn]
     stated = d.data.covariance is not None
     used = np.concatenate([c.curve.rows for c in f.drawn]) if f.drawn else np.empty(0, dtype=np.intp)
@@ -182,7 +183,7 @@ def _absolute(d: Dataset, facts: dict[str, Any], model: str, f: Fitted, most: in
     caption += "; grey: values that belong to no curve shown." if rest.size else "."
     drawn = thinning.measured(low) + some.size
     caption += thinning.words(drawn, thinning.measured(lines) + rest.size)
-    chi = facts["models"][model]["reduced_chi_square"]
+    chi = facts.models[model].reduced_chi_square
     alt = f"Semilog curves and residuals for {d.name} and {model}" + (
         f"; reduced chi-square {number(chi)}." if chi is not None else "."
     )
@@ -192,7 +193,7 @@ def _absolute(d: Dataset, facts: dict[str, Any], model: str, f: Fitted, most: in
         legend=_Legend.of(f, star=False),
     )  # fmt: skip
     high = 3.57 + 0.46 + LEGEND_ROW_IN * _Legend.of(f).rows
-    return Drawing(f"{facts['slug']}-absolute-{slug(model)}", "absolute", model, caption, alt, (5.6, high), on)
+    return Drawing(f"{facts.slug}-absolute-{slug(model)}", "absolute", model, caption, alt, (5.6, high), on)
 
 
 def _on_two_panels(
@@ -222,8 +223,8 @@ def largest(medians: list[float]) -> list[int]:
     return sorted(first)
 
 
-def _budget(facts: dict[str, Any]) -> Drawing:
-    every = [(cause(p["cause"]), p["median"], p["p95"]) for p in facts["budget"]]
+def _budget(facts: DatasetSummary) -> Drawing:
+    every = [(cause(p.cause), p.median, p.p95) for p in facts.budget]
     parts = every[:2] + [every[2:][k] for k in largest([p[1] for p in every[2:]])]
     caption = (
         "Uncertainty budget: standard uncertainty by cause, relative to the value. Bar: median over the values; tick:"
@@ -235,13 +236,13 @@ def _budget(facts: dict[str, Any]) -> Drawing:
         f"{c}: median {100 * m:.2g} %, 95th percentile {100 * p:.2g} %." for c, m, p in parts
     )
     size = (5.6, budget_height(len(parts)))
-    return Drawing(f"{facts['slug']}-budget", "budget", "", caption, alt, size, partial(_on_bars, parts=parts))
+    return Drawing(f"{facts.slug}-budget", "budget", "", caption, alt, size, partial(_on_bars, parts=parts))
 
 
 def _on_bars(figure: Any, *, parts: list[tuple[str, float, float]]) -> None:
     ax = figure.add_subplot()
     figure.subplots_adjust(0.25, 0.48 / budget_height(len(parts)), 0.97, 0.97)
-    in_plane.budget(ax, parts)
+    diagnostics.budget(ax, parts)
 
 
 def budget_height(parts: int) -> float:
@@ -249,7 +250,7 @@ def budget_height(parts: int) -> float:
     return 0.7 + 0.3 * parts
 
 
-def _series(facts: dict[str, Any], model: str, f: Fitted) -> Drawing:
+def _series(facts: DatasetSummary, model: str, f: Fitted) -> Drawing:
     x = np.array([r.wavelength_nm for r in f.series])
     values = {
         name: np.array([(r.parameters[name].value, r.parameters[name].u) for r in f.series], dtype=float)
@@ -261,7 +262,7 @@ def _series(facts: dict[str, Any], model: str, f: Fitted) -> Drawing:
         " than the panel are not drawn)."
     )
     on = partial(_on_series, x=x, values=values)
-    return Drawing(f"{facts['slug']}-series-{slug(model)}", "series", model, caption, caption, (5.6, 1.9), on)
+    return Drawing(f"{facts.slug}-series-{slug(model)}", "series", model, caption, caption, (5.6, 1.9), on)
 
 
 def _on_series(figure: Any, *, x: Any, values: dict[str, Any]) -> None:
@@ -271,7 +272,7 @@ def _on_series(figure: Any, *, x: Any, values: dict[str, Any]) -> None:
         y, u = found.T
         span = float(np.ptp(y)) or float(np.abs(y).max()) or 1.0
         u = np.where(np.isfinite(u) & (u < 2 * span), u, 0.0)
-        in_plane.series(ax, x, y, u, x_label="wavelength [nm]", y_label="", colour=in_plane.COLOURS[k % 6])
+        diagnostics.series(ax, x, y, u, x_label="wavelength [nm]", y_label="", colour=in_plane.COLOURS[k % 6])
         ax.set_title(name, fontsize=8, color=in_plane.INK)  # a power of ten stands on the left
 
 

@@ -76,8 +76,8 @@ def staged(folder: str | Path) -> Iterator[Staged]:
         raise
 
 
-def write(folder: Path, page: str, summary: Mapping[str, Any], figures: Iterable[Figure] = ()) -> None:
-    """Write `index.html`, `summary.json` and the drawings (`figures/`, as SVG and PNG) into a folder that exists."""
+def write(folder: Path, summary: Mapping[str, Any], figures: Iterable[Figure] = ()) -> None:
+    """Write `summary.json` and the drawings (`figures/`, as SVG and PNG) into a folder that exists."""
     for figure in figures:
         drawn = folder / "figures"
         drawn.mkdir(exist_ok=True)
@@ -85,7 +85,6 @@ def write(folder: Path, page: str, summary: Mapping[str, Any], figures: Iterable
         (drawn / f"{figure.name}.png").write_bytes(figure.png)
     text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
-    (folder / "index.html").write_text(page, encoding="utf-8")
 
 
 def _check(final: Path, shown: Path) -> None:

@@ -3,93 +3,90 @@
 from __future__ import annotations
 
 import re
-from html import escape
-from typing import Any
+from collections.abc import Sequence
 
-from gonio_analysis.report import html
-from gonio_analysis.report.text import number, with_u
+from gonio_analysis.report.blocks import Block, Heading, Notes, Paragraph, Table, Text, code, table
+from gonio_analysis.report.text import glued, number, with_u
+from gonio_analysis.summaries import CandidateSummary, ChoiceSummary
 
 
-def section(choice: dict[str, Any]) -> list[str]:
-    """HTML of the section; nothing where one model alone was tried.
+def section(choice: ChoiceSummary) -> list[Block]:
+    """The section; nothing where one model alone was tried.
 
     Parameters
     ----------
     choice
-        As `gonio_analysis.selection.choice.Choice.to_json` has it.
+        As `gonio_analysis.selection.choice.Choice.summary` has it.
     """
-    tried = choice["candidates"]
+    tried = choice.candidates
     if len(tried) < 2:
         return []
-    stated = any(c["reduced_chi_square"] is not None for c in tried)
-    least = {key: min(c[key] for c in tried) for key in ("aic", "bic")}
+    stated = any(c.reduced_chi_square is not None for c in tried)
+    aic, bic = (min(x for x in xs if x is not None) for xs in ([c.aic for c in tried], [c.bic for c in tried]))
     rows = [
         [
-            escape(c["label"]),
-            str(c["n_free"]),
-            number(c["reduced_chi_square"]),
-            number(c["aic"] - least["aic"]),
-            number(c["bic"] - least["bic"]),
-            number(c["held_out"]),
-            f"{c['wall_s']:.1f} s",
-            escape(_verdict(c)),
-            escape(_fails(c)),
+            c.label,
+            str(c.n_free),
+            number(c.reduced_chi_square),
+            number(None if c.aic is None else c.aic - aic),
+            number(None if c.bic is None else c.bic - bic),
+            number(c.held_out),
+            f"{c.wall_s:.1f} s",
+            _verdict(c),
+            _fails(c),
         ]
         for c in tried
     ]
-    marks = ["best" if c["label"] == choice["named"] else "" for c in tried]
-    out = ["<h3>Which model</h3>", f"<p>{escape(html.glued(choice['words']))}</p>"]
+    marks = ["best" if c.label == choice.named else "" for c in tried]
+    out: list[Block] = [Heading(3, "Which model"), Paragraph(glued(choice.words))]
     out.append(
-        html.table(
+        table(
             "From the simplest up. AIC and BIC are differences to the lowest; the held-out error is the mean squared"
             f" residual{', in units of the uncertainty,' if stated else ''} of values left out by"
-            f" {choice['held_out_by']}. A model is rejected where"
-            + (f" the probability of its chi-square is below {100 * choice['significance']:g} %, or where" * stated)
-            + f" another is better by more than {choice['decisive_aic']:g} in AIC.",
+            f" {choice.held_out_by}. A model is rejected where"
+            + (f" the probability of its chi-square is below {100 * choice.significance:g} %, or where" * stated)
+            + f" another is better by more than {choice.decisive_aic:g} in AIC.",
             ["model", "parameters", "reduced χ²", "ΔAIC", "ΔBIC", "held-out", "time", "verdict", "largest misfit"],
             rows,
             right=(1, 2, 3, 4, 5, 6),
             marks=marks,
         )
     )
-    if choice["intervals"]:
+    if choice.intervals:
         out.append(_intervals(choice))
-    if choice["left_out"]:
-        out.append(
-            '<ul class="notes">'
-            + "".join(f"<li>{escape(m)} was not tried: {escape(why)}.</li>" for m, why in choice["left_out"].items())
-            + "</ul>"
-        )
+    if choice.left_out:
+        out.append(Notes(tuple(f"{m} was not tried: {why}." for m, why in choice.left_out.items())))
     return out
 
 
-def _verdict(c: dict[str, Any]) -> str:
+def _verdict(c: CandidateSummary) -> str:
     """Without the chi-square that stands beside it."""
-    why = re.sub(r"^reduced chi-square \S+ \((.*)\)$", r"\1", c["rejected"])
+    why = re.sub(r"^reduced chi-square \S+ \((.*)\)$", r"\1", c.rejected)
     return f"rejected: {why}" if why else "not rejected"
 
 
-def _fails(c: dict[str, Any]) -> str:
-    region = c["fails"]
-    if region is None or not c["rejected"]:
+def _fails(c: CandidateSummary) -> str:
+    region = c.fails
+    if region is None or not c.rejected:
         return ""
-    text = f"{region['words']}: {100 * region['share']:.0f} % of the misfit"
-    if region["ratio"] is not None:
-        off = 100 * (region["ratio"] - 1)
+    text = f"{region.words}: {100 * region.share:.0f} % of the misfit"
+    if region.ratio is not None:
+        off = 100 * (region.ratio - 1)
         if abs(off) >= 0.1:
             text += f", model {number(abs(off), 2)} % too {'high' if off > 0 else 'low'}"
     return text
 
 
-def _intervals(choice: dict[str, Any]) -> str:
-    named = next(c for c in choice["candidates"] if c["label"] == choice["named"])
-    rows = []
-    for name, i in choice["intervals"].items():
-        p = named["parameters"][name]
-        bounds = [f"{number(i[end], 4)}{' (bound)' if i[f'open_{end}'] else ''}" for end in ("low", "high")]
-        rows.append([f"<code>{escape(name)}</code>", with_u(p["value"], p["u"]), " to ".join(bounds)])
-    return html.table(
-        f"Parameters of {named['label']} with profile-likelihood intervals: each is held while all others follow.",
+def _intervals(choice: ChoiceSummary) -> Table:
+    named = next(c for c in choice.candidates if c.label == choice.named)
+    rows: list[Sequence[Text]] = []
+    for name, i in choice.intervals.items():
+        p = named.parameters[name]
+        ends = ((i.low, i.open_low), (i.high, i.open_high))
+        bounds = [f"{number(end, 4)}{' (bound)' if at_bound else ''}" for end, at_bound in ends]
+        rows.append([code(name), with_u(p.value, p.u), " to ".join(bounds)])
+    return table(
+        f"Parameters of {named.label} with profile-likelihood intervals: each is held while all others follow.",
         ["parameter", "value and standard error", "95 % interval"],
         rows,
     )

@@ -1,19 +1,34 @@
 """A page of this package as a PDF on A4: the same text, tables and figures, set without a browser.
 
-It knows the few elements that `gonio_analysis.report.html` makes. Figures are the page's PNG files, two in a row: 160
-dots per inch at 142 mm are 260 at the 86 mm that they have here.
+Figures are the page's PNG files, two in a row: 160 dots per inch at 142 mm are 260 at the 86 mm that they have here.
+The contents and the interactive plot are left out.
 """
 
 from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping, Sequence
-from html.parser import HTMLParser
+from collections.abc import Sequence, Set
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from gonio_analysis.report.blocks import (
+    Block,
+    Facts,
+    Figures,
+    Footer,
+    Group,
+    Heading,
+    Notes,
+    Page,
+    Paragraph,
+    Table,
+    Text,
+    plain,
+)
+from gonio_analysis.report.text import glued
 
 MM = 72.0 / 25.4
 WIDTH, HEIGHT, MARGIN = 210.0 * MM, 297.0 * MM, 16.0 * MM
@@ -22,108 +37,62 @@ INK, SOFT, RULE = "#1b1f24", "#55606e", "#c9ced6"
 LEADING = 1.38
 COLUMN_GAP = 6 * MM
 CELL_GAP = 2.6 * MM
-SILENT = frozenset({"script", "style", "nav", "svg", "title"})
 TEXTS = {"h1": 18.0, "h2": 13.5, "h3": 10.5, "p": 8.6, "li": 8.2, "footer": 7.4}
 """Size [pt] of what stands on lines of its own."""
 
 
-def write(path: Path, page: str, figures: Mapping[str, bytes]) -> None:
-    """Set a page as PDF.
+def write(path: Path, pages: Sequence[Page]) -> None:
+    """Set pages as one PDF.
 
     Parameters
     ----------
     path
         Of the PDF.
-    page
-        The HTML text of the page.
-    figures
-        PNG of each figure, by the `id` of its element.
+    pages
+        In their order; the first one's title is the document's.
     """
     from matplotlib import rc_context
     from matplotlib.backends.backend_pdf import PdfPages
 
-    reader = _Reader()
-    reader.feed(page)
     look = {"pdf.fonttype": 3, "font.family": ["sans-serif"], "font.sans-serif": ["DejaVu Sans"]}
-    about = {"CreationDate": None, "Producer": "gonio", "Title": reader.title}
+    about = {"CreationDate": None, "Producer": "gonio", "Title": pages[0].title}
     with rc_context(look), PdfPages(path, metadata=about) as sink:
         sheet = _Sheet(sink)
-        waiting: list[tuple[str, str]] = []
-        for kind, content in [*reader.blocks, ("end", "")]:
-            if kind == "figure":
-                waiting.append(content)
-                continue
-            for k in range(0, len(waiting), 2):
-                sheet.figures([(figures[name], caption) for name, caption in waiting[k : k + 2]])
-            waiting = []
-            if kind == "table":
-                sheet.table(*content)
-            elif kind == "facts":
-                sheet.facts(content)
-            elif kind != "end":
-                sheet.text(kind, content)
+        for page in pages:
+            _set(sheet, page.blocks)
         sheet.close()
 
 
-class _Reader(HTMLParser):
-    """The blocks of a page in order: (kind, content)."""
+def _lines_of(text: Text) -> str:
+    """A text with single spaces, as a browser sets it."""
+    return re.sub(r"[ \t\r\n]+", " ", plain(text)).strip(" ")
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.blocks: list[tuple[str, Any]] = []
-        self.title = ""
-        self._words: list[str] = []
-        self._silent = 0
-        self._figure = ""
-        self._facts: list[tuple[str, str]] = []
-        self._caption = ""
-        self._rows: list[list[str]] = []
-        self._right: set[int] = set()
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        given = dict(attrs)
-        self._silent += tag in SILENT
-        if tag in TEXTS or tag in ("dt", "dd", "figcaption", "caption", "th", "td", "title"):
-            self._words = []
-        if tag == "br":
-            self._words.append(" ")
-        elif tag == "figure":
-            self._figure = given.get("id") or ""
-        elif tag == "dl":
-            self._facts = []
-        elif tag == "table":
-            self._caption, self._rows, self._right = "", [], set()
-        elif tag == "tr":
-            self._rows.append([])
-        elif tag in ("td", "th") and given.get("class") == "n":
-            self._right.add(len(self._rows[-1]))
-
-    def handle_endtag(self, tag: str) -> None:
-        self._silent -= tag in SILENT
-        text = re.sub(r"[ \t\r\n]+", " ", "".join(self._words)).strip(" ")
-        if tag in TEXTS and text:
-            self.blocks.append((tag, text))
-            self.title = self.title or text
-        elif tag == "dt":
-            self._facts.append((text, ""))
-        elif tag == "dd":
-            self._facts[-1] = (self._facts[-1][0], text)
-        elif tag == "dl":
-            self.blocks.append(("facts", self._facts))
-        elif tag == "figcaption":
-            self.blocks.append(("figure", (self._figure, text)))
-        elif tag == "caption":
-            self._caption = text
-        elif tag in ("td", "th"):
-            self._rows[-1].append(text)
-        elif tag == "table":
-            self.blocks.append(("table", (self._caption, self._rows, self._right)))
-        if tag in TEXTS:
-            self._words = []
-
-    def handle_data(self, data: str) -> None:
-        if not self._silent:
-            self._words.append(data)
+def _set(sheet: _Sheet, blocks: Sequence[Block]) -> None:
+    """What is printed of blocks, in their order."""
+    for block in blocks:
+        match block:
+            case Group():
+                _set(sheet, block.blocks)
+            case Heading():
+                sheet.text(f"h{block.level}", _lines_of(block.text))
+            case Paragraph():
+                sheet.text("p", _lines_of(block.text))
+            case Footer():
+                sheet.text("footer", _lines_of(block.text))
+            case Notes():
+                for item in block.items:
+                    sheet.text("li", _lines_of(item))
+            case Facts():
+                sheet.facts([(_lines_of(name), _lines_of(value)) for name, value in block.rows])
+            case Table():
+                rows = [block.header, *block.rows]
+                cells = [[_lines_of(cell) for cell in row] for row in rows]
+                sheet.table(_lines_of(block.caption), cells, block.right)
+            case Figures():
+                for k in range(0, len(block.figures), 2):
+                    pair = block.figures[k : k + 2]
+                    sheet.figures([(f.png, _lines_of(glued(f.caption))) for f in pair])
 
 
 def _words() -> Any:
@@ -214,7 +183,7 @@ class _Sheet:
             self.y += max(len(left), len(right)) * size * LEADING + 0.5 * MM
         self.y += 1.6 * MM
 
-    def table(self, caption: str, rows: Sequence[Sequence[str]], right: set[int]) -> None:
+    def table(self, caption: str, rows: Sequence[Sequence[str]], right: Set[int]) -> None:
         """A table; its first row is the heading."""
         size = 7.4
         if caption:

@@ -13,11 +13,23 @@ import numpy as np
 
 from gonio.geometry import AT_MIRROR, IN_PLANE
 from gonio_analysis.curves.in_plane import NORM_WORDS
-from gonio_analysis.fitting.fit import FitResult, finite
+from gonio_analysis.fitting.budget import budget
+from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.metrics import BELOW, DESCRIPTIONS
 from gonio_analysis.fitting.observations import describe_left_out
 from gonio_analysis.report.text import difference, slug
-from gonio_analysis.selection.compare import Dataset, Drawn, Fitted, budget
+from gonio_analysis.selection.compare import Dataset, Drawn, Fitted
+from gonio_analysis.summaries import (
+    AtWavelength,
+    CurveSummary,
+    DatasetSummary,
+    MeasuredValue,
+    MetricSummary,
+    ModelSummary,
+    Summary,
+    Value,
+    finite,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,24 +42,24 @@ VALUES = ("wavelength_nm", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg
 VERSIONS = ("gonio", "numpy", "scipy", "numba", "pandas", "matplotlib")
 
 
-def summarise(datasets: Sequence[Dataset], *, title: str, normalise: str, command: str) -> dict[str, Any]:
+def summarise(datasets: Sequence[Dataset], *, title: str, normalise: str, command: str) -> Summary:
     """The summary of a comparison; see `gonio_analysis.report.write`."""
     slugs: list[str] = []
     for d in datasets:
         base = slug(d.name) or "sample"
         slugs.append(base if base not in slugs else f"{base}-{len(slugs) + 1}")
     models = list(dict.fromkeys(m for d in datasets for m in [*d.fitted, *d.skipped]))
-    return {
-        "title": title,
+    return Summary(
+        title=title,
         **stamp(command),
-        "normalise": normalise,
-        "models": models,
-        "in_plane_tolerance_deg": math.degrees(IN_PLANE),
-        "mirror_tolerance_deg": math.degrees(AT_MIRROR),
-        "log_metrics_above_u": BELOW,
-        "metrics": {k: {"label": label, "meaning": meaning} for k, (label, meaning) in DESCRIPTIONS.items()},
-        "datasets": [_dataset(d, slug) for d, slug in zip(datasets, slugs, strict=True)],
-    }
+        normalise=normalise,
+        models=models,
+        in_plane_tolerance_deg=math.degrees(IN_PLANE),
+        mirror_tolerance_deg=math.degrees(AT_MIRROR),
+        log_metrics_above_u=BELOW,
+        metrics={k: MetricSummary(label, meaning) for k, (label, meaning) in DESCRIPTIONS.items()},
+        datasets=[_dataset(d, slug) for d, slug in zip(datasets, slugs, strict=True)],
+    )
 
 
 def stamp(command: str) -> dict[str, Any]:
@@ -59,53 +71,53 @@ def stamp(command: str) -> dict[str, Any]:
     }
 
 
-def _dataset(d: Dataset, slug: str) -> dict[str, Any]:
+def _dataset(d: Dataset, slug: str) -> DatasetSummary:
     attrs = d.table.attrs
     stated = d.data.covariance is not None
     negative = int(np.count_nonzero(d.data.brdf < 0))
-    out: dict[str, Any] = {
-        "name": d.name,
-        "slug": slug,
-        "source": d.source,
-        "format": attrs.get("format"),
-        "quantity": attrs.get("quantity", "brdf"),
-        "rows": len(d.table),
-        "rows_here": len(d.data) + sum(d.data.left_out.values()),
-        "used": len(d.data),
-        "left_out": d.data.left_out,
-        "left_out_words": _left_out(d.data.left_out),
-        "negative": negative,
-        "wavelength_nm": finite(d.wavelength_nm),
-        "wavelengths_nm": [finite(w) for w in d.wavelengths],
-        "bands": attrs.get("bands") or [],
-        "source_solid_angle_sr": finite(attrs.get("source_solid_angle_sr")),
-        "receiver_solid_angle_sr": finite(attrs.get("receiver_solid_angle_sr")),
-        "uncertainty_stated": stated,
-        "causes": list(d.data.covariance.causes) if d.data.covariance is not None else [],
-        "theta_i_deg": [float(x) for x in np.unique(np.round(np.degrees(d.data.directions.theta_i), 1))],
-        "brdf_min": float(d.data.brdf.min()),
-        "brdf_max": float(d.data.brdf.max()),
-        "median_u_rel": finite(float(np.median(d.data.u / np.abs(d.data.brdf))))
+    best = _best(d)
+    return DatasetSummary(
+        name=d.name,
+        slug=slug,
+        source=d.source,
+        format=attrs.get("format"),
+        quantity=attrs.get("quantity", "brdf"),
+        rows=len(d.table),
+        rows_here=len(d.data) + sum(d.data.left_out.values()),
+        used=len(d.data),
+        left_out=d.data.left_out,
+        left_out_words=_left_out(d.data.left_out),
+        negative=negative,
+        wavelength_nm=finite(d.wavelength_nm),
+        wavelengths_nm=[finite(w) for w in d.wavelengths],
+        bands=attrs.get("bands") or [],
+        source_solid_angle_sr=finite(attrs.get("source_solid_angle_sr")),
+        receiver_solid_angle_sr=finite(attrs.get("receiver_solid_angle_sr")),
+        uncertainty_stated=stated,
+        causes=list(d.data.covariance.causes) if d.data.covariance is not None else [],
+        theta_i_deg=[float(x) for x in np.unique(np.round(np.degrees(d.data.directions.theta_i), 1))],
+        brdf_min=float(d.data.brdf.min()),
+        brdf_max=float(d.data.brdf.max()),
+        median_u_rel=finite(float(np.median(d.data.u / np.abs(d.data.brdf))))
         if stated and np.all(d.data.brdf)
         else None,
-        "budget": [{"cause": c, "median": m, "p95": p} for c, m, p in budget(d.data)],
-        "curves_known": d.curves_known,
-        "scanned": d.curves[0].scanned if d.curves else None,
-        "out_of_plane_deg": math.degrees(max((c.out_of_plane for c in d.curves), default=0.0)),
-        "curves_without_mirror": [_angle(c.parameter) for c in d.curves if c.mirror is None],
-        "notes": _notes(d),
-        "data_notes": list(d.data.notes),
-        "provenance": _plain(attrs.get("provenance") or {}),
-        "run": d.run,
-        "models": {name: _fitted(f) for name, f in d.fitted.items()},
-        "skipped": dict(d.skipped),
-        "choice": d.choice.to_json(),
-        "values": [] if d.fitted else _values(d),
-        "usable_everywhere": len(usable(d)),
-    }
-    out["best"] = _best(d)
-    out["conclusion"] = _conclusion(d, out["best"])
-    return out
+        budget=budget(d.data),
+        curves_known=d.curves_known,
+        scanned=d.curves[0].scanned if d.curves else None,
+        out_of_plane_deg=math.degrees(max((c.out_of_plane for c in d.curves), default=0.0)),
+        curves_without_mirror=[_angle(c.parameter) for c in d.curves if c.mirror is None],
+        notes=_notes(d),
+        data_notes=list(d.data.notes),
+        provenance=_plain(attrs.get("provenance") or {}),
+        run=d.run,
+        models={name: _fitted(f) for name, f in d.fitted.items()},
+        skipped=dict(d.skipped),
+        choice=d.choice.summary(),
+        values=[] if d.fitted else _values(d),
+        usable_everywhere=len(usable(d)),
+        best=best,
+        conclusion=_conclusion(d, best),
+    )
 
 
 def _left_out(reasons: Mapping[str, int]) -> str:
@@ -122,47 +134,51 @@ def usable(d: Dataset) -> pd.DataFrame:
     return d.table.loc[kept, list(VALUES)]
 
 
-def _values(d: Dataset) -> list[dict[str, float | None]]:
+def _values(d: Dataset) -> list[MeasuredValue]:
     """The measured values of every wavelength, where no model can say anything of them: the first few."""
-    return [{str(n): finite(x) for n, x in row.items()} for row in usable(d).head(MOST_VALUES).to_dict("records")]
+    rows = usable(d).head(MOST_VALUES).itertuples(index=False)
+    return [
+        MeasuredValue(finite(nm), theta_i, phi_i, theta_r, phi_r, brdf, finite(u))
+        for nm, theta_i, phi_i, theta_r, phi_r, brdf, u in rows
+    ]
 
 
-def _fitted(f: Fitted) -> dict[str, Any]:
-    return {
-        **f.fit.to_json(),
-        "metrics": {k: finite(v) for k, v in f.metrics.items()},
-        "curves": [_curve(drawn) for drawn in f.drawn],
-        "series": [
-            {
-                "wavelength_nm": r.wavelength_nm,
-                "n_points": len(r.data),
-                "reduced_chi_square": finite(r.reduced_chi_square),
-                "parameters": {n: {"value": finite(e.value), "u": finite(e.u)} for n, e in r.parameters.items()},
-            }
+def _fitted(f: Fitted) -> ModelSummary:
+    return ModelSummary(
+        **vars(f.fit.summary()),
+        metrics={k: finite(v) for k, v in f.metrics.items()},
+        curves=[_curve(drawn) for drawn in f.drawn],
+        series=[
+            AtWavelength(
+                r.wavelength_nm,
+                len(r.data),
+                finite(r.reduced_chi_square),
+                {n: Value(finite(e.value), finite(e.u)) for n, e in r.parameters.items()},
+            )
             for r in f.series
         ],
-    }
+    )
 
 
-def _curve(drawn: Drawn) -> dict[str, Any]:
+def _curve(drawn: Drawn) -> CurveSummary:
     c, n = drawn.curve, drawn.norm
     top = int(np.argmax(drawn.theory))
-    return {
-        "label": drawn.label,
-        "scanned": c.scanned,
-        "parameter_deg": math.degrees(c.parameter),
-        "phi_i_deg": math.degrees(c.phi_i),
-        "points": int(c.angle.size),
-        "normalised_by": n.kind,
-        "normalised_by_words": NORM_WORDS[n.kind],
-        "normalised_at_deg": math.degrees(n.angle),
-        "norm_measured": n.measured,
-        "norm_theory": n.theory,
-        "theory_peak_deg": math.degrees(drawn.theory_angle[top]),
-        "theory_peak": float(drawn.theory[top]),
-        "measured_peak_deg": math.degrees(c.angle[int(np.argmax(c.brdf))]),
-        "measured_peak": float(c.brdf.max()),
-    }
+    return CurveSummary(
+        label=drawn.label,
+        scanned=c.scanned,
+        parameter_deg=math.degrees(c.parameter),
+        phi_i_deg=math.degrees(c.phi_i),
+        points=int(c.angle.size),
+        normalised_by=n.kind,
+        normalised_by_words=NORM_WORDS[n.kind],
+        normalised_at_deg=math.degrees(n.angle),
+        norm_measured=n.measured,
+        norm_theory=n.theory,
+        theory_peak_deg=math.degrees(drawn.theory_angle[top]),
+        theory_peak=float(drawn.theory[top]),
+        measured_peak_deg=math.degrees(c.angle[int(np.argmax(c.brdf))]),
+        measured_peak=float(c.brdf.max()),
+    )
 
 
 def _best(d: Dataset) -> str | None:

@@ -15,80 +15,81 @@ from gonio.typing import Floats
 from gonio_analysis.report import viewer
 from gonio_analysis.report.summary import VALUES, usable
 from gonio_analysis.selection.compare import Dataset, Drawn
+from gonio_analysis.summaries import Summary
 
 ROWS_AT_ONCE = 100_000
 
 
 def write(
-    datasets: Sequence[Dataset], summary: dict[str, Any], views: Sequence[dict[str, Any] | None], folder: Path
+    datasets: Sequence[Dataset], summary: Summary, views: Sequence[viewer.View | None], folder: Path
 ) -> list[str]:
     """Write parameters, metrics, curves, theory, profiles, and parameters over wavelength; the names of the files."""
-    facts = summary["datasets"]
+    facts = summary.datasets
     write_csv(
         folder / "parameters.csv",
         ("sample", "model", "parameter", "value", "standard_error", "fixed", "at_bound"),
         (
-            (s["name"], m, n, p["value"], p["u"], p["fixed"], p.get("at_bound", ""))
+            (s.name, m, n, p.value, p.u, p.fixed, p.at_bound or "")
             for s in facts
-            for m, f in s["models"].items()
-            for n, p in f["parameters"].items()
+            for m, f in s.models.items()
+            for n, p in f.parameters.items()
         ),
     )
-    names = list(summary["metrics"])
+    names = list(summary.metrics)
     write_csv(
         folder / "metrics.csv",
         ("sample", "model", "points", "free_parameters", "reduced_chi_square", "p_value", *names, "n_log"),
         (
             (
-                s["name"],
+                s.name,
                 m,
-                f["n_points"],
-                f["n_free"],
-                f["reduced_chi_square"],
-                f["p_value"],
-                *(f["metrics"][n] for n in names),
-                f["metrics"]["n_log"],
+                f.n_points,
+                f.n_free,
+                f.reduced_chi_square,
+                f.p_value,
+                *(f.metrics[n] for n in names),
+                f.metrics["n_log"],
             )
             for s in facts
-            for m, f in s["models"].items()
+            for m, f in s.models.items()
         ),
     )
     files = ["parameters.csv", "metrics.csv"]
     for d, s, view in zip(datasets, facts, views, strict=True):
-        files += _of_dataset(d, s["slug"], folder)
-        if s["values"] and s["usable_everywhere"] > len(s["values"]):
-            files.append(f"{s['slug']}-all-values.csv")
+        files += _of_dataset(d, s.slug, folder)
+        if s.values and s.usable_everywhere > len(s.values):
+            files.append(f"{s.slug}-all-values.csv")
             rows = usable(d)
             write_columns(folder / files[-1], VALUES, [rows[name].to_numpy() for name in VALUES])
-        if s["budget"]:
-            files.append(f"{s['slug']}-budget.csv")
+        if s.budget:
+            files.append(f"{s.slug}-budget.csv")
             header = ("cause", "median_relative", "p95_relative")
-            write_csv(folder / files[-1], header, ((b["cause"], b["median"], b["p95"]) for b in s["budget"]))
+            write_csv(folder / files[-1], header, ((b.cause, b.median, b.p95) for b in s.budget))
         if view is not None:
-            files.append(f"{s['slug']}-interactive.csv")
+            files.append(f"{s.slug}-interactive.csv")
             write_csv(folder / files[-1], viewer.COLUMNS, viewer.rows(view))
-        if any(f["series"] for f in s["models"].values()):
-            files.append(f"{s['slug']}-wavelengths.csv")
+        if any(f.series for f in s.models.values()):
+            files.append(f"{s.slug}-wavelengths.csv")
             write_csv(
                 folder / files[-1],
                 ("model", "wavelength_nm", "points", "reduced_chi_square", "parameter", "value", "standard_error"),
                 (
-                    (m, r["wavelength_nm"], r["n_points"], r["reduced_chi_square"], n, p["value"], p["u"])
-                    for m, f in s["models"].items()
-                    for r in f["series"]
-                    for n, p in r["parameters"].items()
+                    (m, r.wavelength_nm, r.n_points, r.reduced_chi_square, n, p.value, p.u)
+                    for m, f in s.models.items()
+                    for r in f.series
+                    for n, p in r.parameters.items()
                 ),
             )
-        intervals = (s["choice"] or {}).get("intervals") or {}
+        intervals = s.choice.intervals
         if intervals:
-            files.append(f"{s['slug']}-profiles.csv")
+            files.append(f"{s.slug}-profiles.csv")
             write_csv(
                 folder / files[-1],
                 ("model", "parameter", "value", "rise_of_chi_square"),
                 (
-                    (s["choice"]["named"], n, value, rise)
+                    (s.choice.named, n, value, rise)
                     for n, i in intervals.items()
-                    for value, rise in zip(i["profile"]["values"], i["profile"]["rise"], strict=True)
+                    for value, rise in zip(i.profile.values, i.profile.rise, strict=True)
                 ),
             )
     return files

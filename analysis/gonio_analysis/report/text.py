@@ -91,6 +91,17 @@ def difference(rms_of_logarithm: float | None) -> str:
     return f"factor {number(factor, 2) if factor < 1000 else _scientific(factor, 2)}"
 
 
+def cut(text: str, most: int) -> str:
+    """A text of at most so many characters, about; what is left out is said."""
+    return text if len(text) <= most else f"{text[:most]} … ({len(text) - most} more characters in summary.json)"
+
+
+def glued(text: str) -> str:
+    """A text whose numbers stay on one line with what belongs to them: 1.2 ± 0.3, 4 × 10⁻⁷, 22 %, θi = 30°."""
+    text = re.sub(r"(?<=[\d)]) (?=[±×%])|(?<=[±×]) (?=[\d−])", "\u00a0", text)
+    return re.sub(r"(?<=θ[ir]) = (?=\d)", "\u00a0=\u00a0", text)
+
+
 def percent(value: float | None) -> str:
     """A fraction in percent, two significant digits."""
     return "–" if value is None else f"{number(100 * value, 2)} %"

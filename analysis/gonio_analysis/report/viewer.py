@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
 
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import MOST_CURVES, Curve, curves, labels, selection
-from gonio_analysis.fitting.fit import FitResult, finite
+from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.plots import thinning
 from gonio_analysis.selection.compare import Dataset, theory_angles
+from gonio_analysis.summaries import DatasetSummary, finite
 
 MOST_LISTED = 16
 """Curves of one wavelength that can be chosen, at most."""
@@ -24,10 +23,12 @@ LEVELS = ((MOST_LISTED, 40), (MOST_CURVES, 40), (MOST_CURVES, 12), (3, 8), (2, 4
 FEWEST = 60
 MEASURED_BYTES, THEORY_BYTES = 28, 17
 """Of one value."""
+View = dict[str, Any]
+"""What the page's program reads: JSON, whose keys `viewer` names."""
 COLUMNS = ("wavelength_nm", "curve", "series", "signed_angle_deg", "brdf", "u_brdf")
 
 
-def viewer(d: Dataset, facts: dict[str, Any], normalise: str, room: int = BYTES) -> dict[str, Any]:
+def viewer(d: Dataset, facts: DatasetSummary, normalise: str, room: int = BYTES) -> View:
     """In-plane curves of a sample at every wavelength that was fitted, with every model's theory.
 
     Parameters
@@ -63,7 +64,7 @@ def viewer(d: Dataset, facts: dict[str, Any], normalise: str, room: int = BYTES)
     chosen, most = _level(every, here, drawn, len(d.fitted), room)
     ready = {m: {int(c.curve.rows[0]): (c.theory_angle, c.theory) for c in f.drawn} for m, f in d.fitted.items()}
     first: list[str] = []
-    out: list[dict[str, Any]] = []
+    out: list[View] = []
     values = {"of": 0, "drawn": 0}
     for nm, listed in chosen.items():
         at_report, data = nm == here, known[nm]
@@ -88,13 +89,13 @@ def viewer(d: Dataset, facts: dict[str, Any], normalise: str, room: int = BYTES)
     names = list(dict.fromkeys([*first, *(c["label"] for w in out for c in w["curves"])]))
     return {
         "name": d.name,
-        "moving": "θr" if facts["scanned"] == "theta_r" else "θi",
+        "moving": "θr" if facts.scanned == "theta_r" else "θi",
         "at": next(k for k, w in enumerate(out) if w["nm"] == here),
         "labels": names,
         "shown": first,
         "points": ["measured"],
         "models": list(d.fitted),
-        "chosen": ["measured", *([facts["best"]] if facts["best"] else [])],
+        "chosen": ["measured", *([facts.best] if facts.best else [])],
         "normalise": normalise,
         "note": note(values["drawn"], values["of"], len(out), len(known)),
         "waves": out,
@@ -137,7 +138,7 @@ def note(drawn: int, of: int, waves: int, known: int) -> str:
     return "; ".join(parts) + "; all values are in tables/." if parts else ""
 
 
-def _curve(c: Curve, name: str, theory: dict[str, tuple[Floats, Floats]]) -> dict[str, Any]:
+def _curve(c: Curve, name: str, theory: dict[str, tuple[Floats, Floats]]) -> View:
     top = int(np.argmax(c.brdf))
     mirror = c.mirror
     series = [points("measured", c, c.brdf, c.u)]
@@ -155,7 +156,7 @@ def _curve(c: Curve, name: str, theory: dict[str, tuple[Floats, Floats]]) -> dic
     return {"label": name, "mirror": round(float(np.degrees(c.parameter)), 4), "series": series}
 
 
-def points(name: str, c: Curve, brdf: Floats, u: Floats) -> dict[str, Any]:
+def points(name: str, c: Curve, brdf: Floats, u: Floats) -> View:
     """Values [1/sr] along a curve as a series; it is divided by its own value in the mirror direction, or largest."""
     mirror = None if c.mirror is None else _positive(brdf[c.mirror])
     return {
@@ -167,7 +168,7 @@ def points(name: str, c: Curve, brdf: Floats, u: Floats) -> dict[str, Any]:
     }
 
 
-def rows(view: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
+def rows(view: View) -> Iterator[tuple[Any, ...]]:
     """The same curves as rows of a table with `COLUMNS`."""
     for wave in view["waves"]:
         for curve in wave["curves"]:
@@ -175,21 +176,6 @@ def rows(view: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
                 us = s["u"] or [None] * len(s["angle"])
                 for angle, brdf, u in zip(s["angle"], s["brdf"], us, strict=True):
                     yield wave["nm"], curve["label"], s["name"], angle, brdf, u
-
-
-def element(view: dict[str, Any], slug: str) -> str:
-    """The place of the plot on a page, hidden until the script fills it, and its data."""
-    data = json.dumps(view, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    return (
-        f'<div class="viewer" id="{slug}-viewer" hidden></div>\n'
-        f'<script type="application/json" id="{slug}-viewer-data">{data}</script>'
-    )
-
-
-def script() -> str:
-    """The program that fills those places, as an element."""
-    code = files("gonio_analysis.report").joinpath("viewer.js").read_text(encoding="utf-8")
-    return f"<script>\n{code}</script>"
 
 
 def _degrees(angle: Floats) -> list[float]:

@@ -12,20 +12,20 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
 from gonio.errors import ConfigError, DataError
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
-from gonio_analysis.fitting.fit import FitResult, finite, fit
+from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.parameters import Ior, Values
-from gonio_analysis.fitting.search import pose
+from gonio_analysis.fitting.problem import FitRequest, pose
 from gonio_analysis.selection.misfit_regions import Region, blocks, worst
 from gonio_analysis.selection.profile_likelihood import Interval, profiles
 from gonio_analysis.selection.surrogate import Near, Rows
+from gonio_analysis.summaries import CandidateSummary, ChoiceSummary, Value, finite
 
 SIGNIFICANCE = 0.01
 DECISIVE = 10.0
@@ -59,6 +59,11 @@ class Candidate:
         """For reports."""
         return self.model + (", two slopes" if self.slopes == 2 else "") + (", n + ik" if "k" in self.free else "")
 
+    def request(self, ior: Ior) -> FitRequest:
+        """Its fit, with the optical constants where it has any."""
+        own = ior if parameters.needs_ior(self.model) else None
+        return FitRequest(self.model, ior=own, free=self.free, slopes=self.slopes)
+
 
 @dataclass(frozen=True)
 class Judged:
@@ -75,6 +80,25 @@ class Judged:
     rejected: str = ""
     """Why the data reject it, in words; "" where they do not."""
     wall_s: float = 0.0
+
+    def summary(self) -> CandidateSummary:
+        """Plain numbers and words."""
+        return CandidateSummary(
+            label=self.candidate.label,
+            model=self.candidate.model,
+            n_free=len(self.fit.free),
+            free=list(self.fit.free),
+            parameters={n: Value(finite(e.value), finite(e.u)) for n, e in self.fit.parameters.items()},
+            chi_square=finite(self.fit.chi_square),
+            reduced_chi_square=finite(self.fit.reduced_chi_square),
+            p_value=finite(self.fit.p_value),
+            aic=finite(self.aic),
+            bic=finite(self.bic),
+            held_out=finite(self.held_out),
+            wall_s=self.wall_s,
+            rejected=self.rejected,
+            fails=None if self.fails is None else self.fails.summary(),
+        )
 
 
 @dataclass(frozen=True)
@@ -98,19 +122,19 @@ class Choice:
         alike = [other for other in self.judged if other.candidate.model == j.candidate.model]
         return j.candidate.model in SINGLE and j is min(alike, key=lambda other: other.aic)
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain numbers, strings and None."""
-        return {
-            "named": self.named.candidate.label if self.named else None,
-            "model": self.named.candidate.model if self.named else None,
-            "words": self.words,
-            "significance": SIGNIFICANCE,
-            "decisive_aic": DECISIVE,
-            "held_out_by": self.held_out_by,
-            "candidates": [_plain(j) for j in self.judged],
-            "intervals": {n: i.to_json() for n, i in self.intervals.items()},
-            "left_out": self.left_out,
-        }
+    def summary(self) -> ChoiceSummary:
+        """Plain numbers and words."""
+        return ChoiceSummary(
+            named=self.named.candidate.label if self.named else None,
+            model=self.named.candidate.model if self.named else None,
+            words=self.words,
+            significance=SIGNIFICANCE,
+            decisive_aic=DECISIVE,
+            held_out_by=self.held_out_by,
+            candidates=[j.summary() for j in self.judged],
+            intervals={n: i.summary() for n, i in self.intervals.items()},
+            left_out=self.left_out,
+        )
 
 
 def candidates(models: Sequence[str], ior: Ior = None) -> list[Candidate]:
@@ -183,16 +207,7 @@ def choose(
     enough = math.inf
 
     def fitted(candidate: Candidate, start: Sequence[Values] | None) -> FitResult:
-        return fit(
-            data,
-            candidate.model,
-            ior=ior if parameters.needs_ior(candidate.model) else None,
-            free=candidate.free,
-            slopes=candidate.slopes,
-            wavelength_nm=wavelength_nm,
-            start=start,
-            name=name,
-        )
+        return fit(data, replace(candidate.request(ior), wavelength_nm=wavelength_nm, start=start), name=name)
 
     for candidate in sorted(tried, key=lambda c: sizes[c]):  # stable
         if sizes[candidate] > enough and not all_of_them:
@@ -258,7 +273,7 @@ def _follows(j: Judged, named: Judged) -> bool:
 
 
 def _parameters(candidate: Candidate, ior: Ior) -> int:
-    return len(pose(candidate.model, ior, {}, candidate.free, candidate.slopes).free)
+    return len(pose(candidate.request(ior)).free)
 
 
 def _starts(candidate: Candidate, fits: Mapping[Candidate, FitResult]) -> list[list[Values] | None]:
@@ -362,22 +377,3 @@ def _words(judged: Sequence[Judged], named: Judged | None) -> str:
     if any(_follows(j, named) for j in judged):
         text += " It takes k as 0; n + ik is not rejected either, and the intervals let k follow."
     return text
-
-
-def _plain(j: Judged) -> dict[str, Any]:
-    return {
-        "label": j.candidate.label,
-        "model": j.candidate.model,
-        "n_free": len(j.fit.free),
-        "free": list(j.fit.free),
-        "parameters": {n: {"value": finite(e.value), "u": finite(e.u)} for n, e in j.fit.parameters.items()},
-        "chi_square": finite(j.fit.chi_square),
-        "reduced_chi_square": finite(j.fit.reduced_chi_square),
-        "p_value": finite(j.fit.p_value),
-        "aic": finite(j.aic),
-        "bic": finite(j.bic),
-        "held_out": finite(j.held_out),
-        "wall_s": j.wall_s,
-        "rejected": j.rejected,
-        "fails": None if j.fails is None else j.fails.to_json(),
-    }

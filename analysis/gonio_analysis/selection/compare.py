@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,11 +22,11 @@ from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.parameters import Ior
 from gonio_analysis.selection.choice import Choice, Judged, candidates, choose
+from gonio_analysis.summaries import RunFacts
 
 if TYPE_CHECKING:
     import pandas as pd
 
-REFERENCE = {"beside": "beside the sample", "axis": "brought by an axis", "swap": "swapped with the sample by hand"}
 MOST_ANGLES = 1000
 """Measured angles of one curve at which theory is evaluated too."""
 MOST_WAVELENGTHS = 40
@@ -97,7 +96,7 @@ class Dataset:
     """Model -> why it was not fitted."""
     choice: Choice
     """Which model the data ask for."""
-    run: dict[str, Any] | None = None
+    run: RunFacts | None = None
     """What the run's own record says, for a table that a run made."""
 
 
@@ -110,7 +109,7 @@ def examine(
     normalise: Normalise = "mirror",
     ior: Ior = None,
     wavelength_nm: float | None = None,
-    run: dict[str, Any] | None = None,
+    run: RunFacts | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Dataset:
     """Fit every model to one sample and prepare its curves.
@@ -209,15 +208,8 @@ def _series(judged: Judged, data: Observations, known: list[float], ior: Ior, na
         near = out.get(k - 1 if k > middle else k + 1, result)
         start = {n: e.value for n, e in near.parameters.items()}
         try:
-            out[k] = fit(
-                data.at(waves[k]),
-                result.name,
-                ior=ior if parameters.needs_ior(result.name) else None,
-                free=candidate.free,
-                slopes=candidate.slopes,
-                start=[start],
-                name=f"{name} at {waves[k]:g} nm",
-            )
+            asked = replace(candidate.request(ior), start=[start])
+            out[k] = fit(data.at(waves[k]), asked, name=f"{name} at {waves[k]:g} nm")
         except DataError:
             continue  # too few usable values at this wavelength: the series has a gap there
     return [out[k] for k in sorted(out)]
@@ -241,61 +233,3 @@ def theory_angles(curve: Curve, data: Observations, *, dense: bool = True) -> Fl
     measured = curve.angle[np.unique(np.linspace(0, n - 1, min(n, MOST_ANGLES)).astype(np.intp))]
     angle = np.concatenate([even, near, spike, [-end, end, curve.parameter], measured])
     return np.unique(angle[np.abs(angle) <= end])
-
-
-def run_facts(path: Path) -> dict[str, Any] | None:
-    """What a RUN folder's record says of how its table was made; None for a path that is no run."""
-    folder = path if path.is_dir() else path.parent
-    if path.is_file() and path.name != "brdf.csv":
-        return None
-    if not (folder / "run.toml").is_file():
-        return None
-    from gonio.acquisition.run import Run
-
-    run = Run.open(folder)
-    settings = run.settings
-    plan = run.plan
-    cannot = plan["flag"].astype(str)
-    rig = settings.rig
-    return {
-        "folder": str(folder),
-        "plan": settings.run.plan,
-        "plan_sha256": settings.run.plan_sha256,
-        "points": len(plan),
-        "points_not_reachable": {str(k): int(v) for k, v in cannot[cannot != ""].value_counts().items()},
-        "created": settings.run.created,
-        "command": settings.run.command,
-        "rig": rig.name,
-        "driver": settings.run.rig,
-        "seed": settings.run.seed,
-        "bands": list(settings.run.bands),
-        "steps": len(run.steps()),
-        "versions": dict(settings.versions),
-        "lamp_half_angle_deg": rig.lamp.half_angle_deg,
-        "lens_half_angle_deg": rig.camera.lens_half_angle_deg,
-        "reference": f"{REFERENCE[rig.reference.how]}; standard uncertainty {100 * rig.reference.u_rel:g} %",
-        "sample": None
-        if settings.sample is None
-        else {
-            "name": settings.sample.name,
-            "model": settings.sample.model,
-            "parameters": dict(settings.sample.parameters),
-        },
-    }
-
-
-def budget(data: Observations) -> list[tuple[str, float, float]]:
-    """Uncertainty by cause: (cause, median, 95th percentile) of |u / value|, the combined one first.
-
-    Values within 3 u of zero are left out: relative to them nothing means anything. Empty where nothing is stated.
-    """
-    if data.covariance is None:
-        return []
-    c = data.covariance
-    use = np.abs(data.brdf) > 3 * data.u
-    if not use.any():
-        return []
-    size = np.abs(data.brdf[use])
-    parts = [("combined", c.total[use]), ("random (independent)", c.random[use])]
-    parts += [(cause.replace("_", " "), np.abs(c.common[use, k])) for k, cause in enumerate(c.causes)]
-    return [(label, float(np.median(p / size)), float(np.quantile(p / size, 0.95))) for label, p in parts]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from gonio.geometry import AROUND_MIRROR, SAME_INCIDENCE
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.selection.surrogate import Rows
+from gonio_analysis.summaries import RegionSummary
 
 FOLDS = 5
 
@@ -30,15 +30,9 @@ class Region:
     ratio: float | None
     """Median of model / measurement there, over values above 3 u."""
 
-    def to_json(self) -> dict[str, Any]:
+    def summary(self) -> RegionSummary:
         """Plain numbers."""
-        return {
-            "words": self.words,
-            "values": self.values,
-            "excess": self.excess,
-            "share": self.share,
-            "ratio": self.ratio,
-        }
+        return RegionSummary(self.words, self.values, self.excess, self.share, self.ratio)
 
 
 def incidences(data: Observations) -> list[tuple[float, Rows]]:

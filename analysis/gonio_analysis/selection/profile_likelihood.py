@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import ROUNDING, FitResult
 from gonio_analysis.selection.surrogate import Near
+from gonio_analysis.summaries import IntervalSummary, ProfileSummary
 
 LEVEL = 0.95
 TRIES = 14
@@ -51,16 +51,10 @@ class Interval:
         """Lower and upper end, and whether each is a bound."""
         return (self.low, self.open_low), (self.high, self.open_high)
 
-    def to_json(self) -> dict[str, Any]:
+    def summary(self) -> IntervalSummary:
         """Plain numbers."""
-        return {
-            "low": self.low,
-            "high": self.high,
-            "open_low": self.open_low,
-            "open_high": self.open_high,
-            "level": self.level,
-            "profile": {"values": self.values.tolist(), "rise": self.rise.tolist()},
-        }
+        profile = ProfileSummary(self.values.tolist(), self.rise.tolist())
+        return IntervalSummary(self.low, self.high, self.open_low, self.open_high, self.level, profile)
 
     def extended(self, other: Interval) -> Interval:
         """This interval, with the ends of another one of the same parameter where they lie farther out."""

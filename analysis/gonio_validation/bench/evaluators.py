@@ -18,6 +18,7 @@ from gonio.models._compile import loop
 from gonio.models._facets import fresnel_constants
 from gonio.typing import Floats
 from gonio_validation.bench import naive, plain
+from gonio_validation.bench.plain import Parameters
 
 Evaluate = Callable[..., Any]
 
@@ -31,7 +32,7 @@ class Sample:
 
     kind: str
     """"grid" or "hard"."""
-    parameters: dict[str, Any]
+    parameters: Parameters
     arrays: tuple[Floats, ...]
     value: Floats
     condition: Floats
@@ -43,7 +44,7 @@ class Way:
     """One way of evaluating a family."""
 
     name: str
-    prepare: Callable[[dict[str, Any]], Evaluate]
+    prepare: Callable[[Parameters], Evaluate]
     """From parameters to a function of the arrays; what it costs is not timed."""
     ours: bool = False
     note: str = ""
@@ -57,14 +58,14 @@ class Way:
 
 
 @dataclass(frozen=True)
-class Family:
+class Quantity:
     """A quantity, its reference samples, inputs to time it with, and ways of evaluating it."""
 
     name: str
     title: str
     about: str
     samples: tuple[Sample, ...]
-    timed: Callable[[int], list[tuple[dict[str, Any], tuple[Floats, ...]]]]
+    timed: Callable[[int], list[tuple[Parameters, tuple[Floats, ...]]]]
     """Parameters and arrays for about so many evaluations."""
     inputs: str
     """The timed inputs in words."""
@@ -100,7 +101,7 @@ def to_angles(omega_i: Floats, omega_r: Floats) -> tuple[Floats, ...]:
     return tuple(out)
 
 
-def families() -> list[Family]:
+def families() -> list[Quantity]:
     """Every family, with every way that runs in this process (for others see `gonio_validation.bench.peers`)."""
     return [
         *_he_torrance(),
@@ -142,8 +143,8 @@ def _samples(name: str, wanted: dict[str, str]) -> tuple[Sample, ...]:
     return tuple(out)
 
 
-def _split(parameters: list[dict[str, Any]]) -> Callable[[int], list[tuple[dict[str, Any], tuple[Floats, ...]]]]:
-    def timed(count: int) -> list[tuple[dict[str, Any], tuple[Floats, ...]]]:
+def _split(parameters: list[Parameters]) -> Callable[[int], list[tuple[Parameters, tuple[Floats, ...]]]]:
+    def timed(count: int) -> list[tuple[Parameters, tuple[Floats, ...]]]:
         each = max(1, count // len(parameters))
         return [(p, directions(each, seed)) for seed, p in enumerate(parameters, 1)]
 
@@ -153,13 +154,13 @@ def _split(parameters: list[dict[str, Any]]) -> Callable[[int], list[tuple[dict[
 # --- He-Torrance --------------------------------------------------------------------------------------------------
 
 
-def he_torrance_model(p: dict[str, Any], **more: Any) -> HeTorrance:
+def he_torrance_model(p: Parameters, **more: Any) -> HeTorrance:
     """The model of a reference sample."""
     return HeTorrance(sigma0_um=p["sigma0_um"], tau_um=p["tau_um"], ior=complex(p["n"], p["k"]), **more)
 
 
-def _ours(tolerance: float, call: str = "brdf_vectors") -> Callable[[dict[str, Any]], Evaluate]:
-    def prepare(p: dict[str, Any]) -> Evaluate:
+def _ours(tolerance: float, call: str = "brdf_vectors") -> Callable[[Parameters], Evaluate]:
+    def prepare(p: Parameters) -> Evaluate:
         return functools.partial(
             getattr(he_torrance_model(p, tolerance=tolerance), call), wavelength_nm=p["wavelength_nm"]
         )
@@ -167,20 +168,20 @@ def _ours(tolerance: float, call: str = "brdf_vectors") -> Callable[[dict[str, A
     return prepare
 
 
-def _summed(kernel: Any, terms: int = 0, beckmann_from: float = math.inf) -> Callable[[dict[str, Any]], Evaluate]:
-    def prepare(p: dict[str, Any]) -> Evaluate:
+def _summed(kernel: Any, terms: int = 0, beckmann_from: float = math.inf) -> Callable[[Parameters], Evaluate]:
+    def prepare(p: Parameters) -> Evaluate:
         constants = (*he_torrance_model(p)._constants(p["wavelength_nm"]), float(terms), beckmann_from)
         return functools.partial(engine.over_vectors, kernel, constants, split=HeTorrance.grain)
 
     return prepare
 
 
-def _mueller(p: dict[str, Any]) -> Evaluate:
+def _mueller(p: Parameters) -> Evaluate:
     model = he_torrance_model(p)
     return lambda *angles: model.mueller(*angles, wavelength_nm=p["wavelength_nm"])[..., 0, 0]
 
 
-def _he_torrance() -> list[Family]:
+def _he_torrance() -> list[Quantity]:
     one, blocks = naive.from_one, naive.from_one_vectorised
     public = "from m = 1, pair by pair, as public code has it; vectorised: term by term over blocks of pairs"
     ways = (
@@ -202,7 +203,7 @@ def _he_torrance() -> list[Family]:
     whole = _samples("he-torrance", {"whole": "grid", "hard": "hard"})
     about = "The unpolarised lobe with Smith's shadowing; the ways differ in how they sum the series S(g, c). "
     return [
-        Family(
+        Quantity(
             "he-torrance common",
             "He-Torrance, common range (g < 90)",
             about + "σ0 = 0.28 µm, τ = 1.77 µm, 500 nm: g up to 49.5.",
@@ -211,7 +212,7 @@ def _he_torrance() -> list[Family]:
             EVEN,
             (*ways, *more),
         ),
-        Family(
+        Quantity(
             "he-torrance whole",
             "He-Torrance, whole domain",
             about
@@ -227,12 +228,12 @@ def _he_torrance() -> list[Family]:
 # --- closed forms -------------------------------------------------------------------------------------------------
 
 
-def _cook(p: dict[str, Any]) -> Any:
+def _cook(p: Parameters) -> Any:
     return CookTorrance(slopes=p["slopes"], ior=complex(p["n"], p["k"]))
 
 
-def _over_plain(function: Any) -> Callable[[dict[str, Any]], Evaluate]:
-    def prepare(p: dict[str, Any]) -> Evaluate:
+def _over_plain(function: Any) -> Callable[[Parameters], Evaluate]:
+    def prepare(p: Parameters) -> Evaluate:
         def evaluate(omega_i: Floats, omega_r: Floats) -> Floats:
             with np.errstate(all="ignore"):
                 result: Floats = function(p, omega_i, omega_r)
@@ -243,28 +244,28 @@ def _over_plain(function: Any) -> Callable[[dict[str, Any]], Evaluate]:
     return prepare
 
 
-def _vectors_and_angles(build: Callable[[dict[str, Any]], Any]) -> tuple[Way, ...]:
+def _vectors_and_angles(build: Callable[[Parameters], Any]) -> tuple[Way, ...]:
     return (
         Way("ours, vectors", lambda p: build(p).brdf_vectors, True, "brdf_vectors", stated=1e-13),
         Way("ours, angles", lambda p: build(p).brdf, True, "brdf", to_angles, stated=1e-13),
     )
 
 
-def _closed(name: str, title: str, about: str, build: Callable[[dict[str, Any]], Any], form: Any) -> Family:
+def _closed(name: str, title: str, about: str, build: Callable[[Parameters], Any], form: Any) -> Quantity:
     samples = _samples(name, {"grid": "grid", "hard": "hard"})
     first = next(s for s in samples if s.kind == "grid")
     ways = (
         *_vectors_and_angles(build),
         Way("plain numpy", _over_plain(form), note="the specification, written to be read"),
     )
-    return Family(name, title, about, samples, _split([first.parameters]), EVEN, ways)
+    return Quantity(name, title, about, samples, _split([first.parameters]), EVEN, ways)
 
 
-def _lambert() -> Family:
+def _lambert() -> Quantity:
     grid = next(s for s in _samples("cook-torrance", {"grid": "grid"}))
     p = {"albedo": 0.5}
     value = np.full(grid.value.shape, 0.5 / math.pi)
-    return Family(
+    return Quantity(
         "lambert",
         "Lambert",
         "A constant: what reading the arrays, checking them and writing the result cost.",
@@ -275,7 +276,7 @@ def _lambert() -> Family:
     )
 
 
-def _oren_nayar() -> Family:
+def _oren_nayar() -> Quantity:
     r = reference()["oren-nayar exact"]
     columns = {key: np.array(r[key]) for key in ("theta_i", "theta_r", "phi", "sigma", "rho", "value")}
     samples = []
@@ -290,7 +291,7 @@ def _oren_nayar() -> Family:
     def way(form: str, note: str, stated: float | None = None) -> Way:
         return Way(form, lambda p: OrenNayar(**p, form=form).brdf_vectors, True, note, stated=stated)
 
-    return Family(
+    return Quantity(
         "oren-nayar exact",
         "Oren-Nayar, against the exact integral",
         "Reference: the V-groove integral with two bounces by quadruple-precision quadrature. For the functional and "
@@ -313,7 +314,7 @@ def _over_pairs(kernel: Any, constants: tuple[float, ...], first: Floats) -> Flo
     return out
 
 
-def _fresnel() -> Family:
+def _fresnel() -> Quantity:
     r = reference()
 
     def samples(key: str, kind: str) -> list[Sample]:
@@ -331,8 +332,8 @@ def _fresnel() -> Family:
 
     average = complex(1.02, 2.58)
 
-    def kernel(function: Any) -> Callable[[dict[str, Any]], Evaluate]:
-        def prepare(p: dict[str, Any]) -> Evaluate:
+    def kernel(function: Any) -> Callable[[Parameters], Evaluate]:
+        def prepare(p: Parameters) -> Evaluate:
             index = complex(p["n"], p["k"])
             f0 = float(fresnel.reflectance(1.0, index))
             mean = float(fresnel.reflectance(1.0, average))
@@ -342,7 +343,7 @@ def _fresnel() -> Family:
 
         return prepare
 
-    return Family(
+    return Quantity(
         "fresnel",
         "Fresnel reflectance",
         "Unpolarised, for copper-like (three wavelengths), aluminium-like and glass-like indices, every 5 degrees. "
@@ -366,7 +367,7 @@ def _fresnel() -> Family:
     )
 
 
-def _roughness() -> Family:
+def _roughness() -> Quantity:
     r = reference()["roughness"]
     k = np.array(r["K"])
     value = np.array(r["value"])
@@ -376,10 +377,10 @@ def _roughness() -> Family:
         for kind, here in (("grid", grid), ("hard", ~grid & (k < 1e139)))
     )
 
-    def kernel(function: Any, *constants: float) -> Callable[[dict[str, Any]], Evaluate]:
+    def kernel(function: Any, *constants: float) -> Callable[[Parameters], Evaluate]:
         return lambda p: lambda k: _over_pairs(function, (*constants, 0.0), k)
 
-    return Family(
+    return Quantity(
         "roughness",
         "Effective roughness",
         "sigma/sigma0 as a function of K = K_i + K_r (eqs. 80 to 82).",

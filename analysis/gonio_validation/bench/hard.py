@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, fresnel, htsg
-from gonio_validation.bench.evaluators import Family, Sample, directions, reference
+from gonio_validation.bench.evaluators import Quantity, Sample, directions, reference
 from gonio_validation.bench.timing import NOTHING
 
 EXACT = 16.0
@@ -81,7 +81,7 @@ class _Case:
         }
 
 
-def table(found: list[Family], huge: int) -> list[dict[str, Any]]:
+def table(found: list[Quantity], huge: int) -> list[dict[str, Any]]:
     """Every hard case as a row.
 
     Parameters

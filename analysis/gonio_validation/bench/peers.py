@@ -23,6 +23,7 @@ import numpy as np
 from gonio.errors import DataError
 from gonio.typing import Floats
 from gonio_validation.bench.evaluators import Evaluate, Way, directions, families, to_angles
+from gonio_validation.bench.plain import Parameters
 
 PACKAGES = {"Dr.Jit": "drjit", "Mitsuba": "mitsuba", "pySCATMECH": "pySCATMECH"}
 LLVM = "DRJIT_LIBLLVM_PATH"
@@ -180,7 +181,7 @@ def _to_drjit(omega_i: Floats, omega_r: Floats) -> tuple[Any, ...]:
     return arrays
 
 
-def _drjit(p: dict[str, Any]) -> Evaluate:
+def _drjit(p: Parameters) -> Evaluate:
     import drjit as dr
 
     n = complex(p["n"], p["k"])
@@ -226,7 +227,7 @@ def _to_mitsuba(omega_i: Floats, omega_r: Floats) -> tuple[Any, ...]:
     return vectors
 
 
-def _mitsuba(p: dict[str, Any]) -> Evaluate:
+def _mitsuba(p: Parameters) -> Evaluate:
     import drjit as dr
     import mitsuba as mi
 
@@ -247,7 +248,7 @@ def _mitsuba(p: dict[str, Any]) -> Evaluate:
     return evaluate
 
 
-def _scatmech(p: dict[str, Any]) -> Evaluate:
+def _scatmech(p: Parameters) -> Evaluate:
     from pySCATMECH.brdf import BRDF_Model
 
     def facets(m: float) -> dict[Any, str]:

@@ -14,16 +14,19 @@ from gonio.models.plain import oren_nayar as oren_nayar_1994
 from gonio.models.plain.vectors import polar
 from gonio.typing import Floats
 
+Parameters = dict[str, Any]
+"""What a model is evaluated with, as the reference values name it."""
+
 _DISTRIBUTIONS = {"phong": blinn_1977.D_1, "gaussian": blinn_1977.D_2, "trowbridge-reitz": blinn_1977.D_3}
 
 
-def cook_torrance(p: dict[str, Any], omega_i: Floats, omega_r: Floats) -> Floats:
+def cook_torrance(p: Parameters, omega_i: Floats, omega_r: Floats) -> Floats:
     """(F/pi) D G/((N.L)(N.V)) with Beckmann's distribution."""
     out: Floats = cook_torrance_1982.brdf(omega_i, omega_r, p["slopes"], complex(p["n"], p["k"]))
     return out
 
 
-def blinn(p: dict[str, Any], omega_i: Floats, omega_r: Floats) -> Floats:
+def blinn(p: Parameters, omega_i: Floats, omega_r: Floats) -> Floats:
     """(k_d + k_s D G F/((N.E)(N.L)))/pi."""
     half = blinn_1977.H(omega_i, omega_r)
     theta = geometry.angle_between(half, omega_r)
@@ -34,14 +37,14 @@ def blinn(p: dict[str, Any], omega_i: Floats, omega_r: Floats) -> Floats:
     return out
 
 
-def phong(p: dict[str, Any], omega_i: Floats, omega_r: Floats) -> Floats:
+def phong(p: Parameters, omega_i: Floats, omega_r: Floats) -> Floats:
     """(k_d + k_s (N.H)^c1/(N.L))/pi."""
     s = blinn_1977.s_phong(omega_i, omega_r, p["exponent"])
     out: Floats = blinn_1977.brdf(s, omega_i, p["k_d"], p["k_s"])
     return out
 
 
-def oren_nayar(p: dict[str, Any], omega_i: Floats, omega_r: Floats) -> Floats:
+def oren_nayar(p: Parameters, omega_i: Floats, omega_r: Floats) -> Floats:
     """Oren1994 eqs. 14 to 16 by angles."""
     dphi = np.arctan2(omega_r[..., 1], omega_r[..., 0]) - np.arctan2(omega_i[..., 1], omega_i[..., 0])
     at = (polar(omega_i), polar(omega_r), dphi, np.radians(p["sigma_deg"]), p["albedo"])

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from gonio_analysis.report import files
+from gonio_analysis.report import files, html
 
 from gonio_validation.bench import bench_page, evaluators, figures, hard, peers, timing
 
@@ -98,7 +98,7 @@ def collect(
 
 
 def _family(
-    family: evaluators.Family, others: Sequence[peers.Peer], pairs: int, repeats: int, budget_s: float
+    family: evaluators.Quantity, others: Sequence[peers.Peer], pairs: int, repeats: int, budget_s: float
 ) -> dict[str, Any]:
     out: dict[str, Any] = {key: getattr(family, key) for key in ("name", "title", "about", "inputs")}
     settings: dict[str, Any] = {"pairs": pairs, "repeats": repeats, "budget_s": budget_s}
@@ -204,7 +204,8 @@ def _target(what: str, target: str, achieved: float, unit: str, most: float) -> 
 def write(summary: dict[str, Any], folder: Path) -> None:
     """Write page, numbers, tables and figures into a folder that exists."""
     drawn = {f["name"]: figures.front(f) for f in summary["families"] if len(f["ways"]) > 2}
-    files.write(folder, bench_page.render(summary, drawn), summary, drawn.values())
+    files.write(folder, summary, drawn.values())
+    (folder / "index.html").write_text(html.document(bench_page.render(summary, drawn)), encoding="utf-8")
     (folder / "tables").mkdir()
     points = [
         {"family": f["name"], **w, "set": kind, **e, **w["time"]}

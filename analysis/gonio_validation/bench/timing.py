@@ -19,7 +19,8 @@ import numpy as np
 from gonio import models
 from gonio.models import engine
 from gonio.typing import Floats
-from gonio_validation.bench.evaluators import Family, Sample, Way, directions
+from gonio_validation.bench.evaluators import Quantity, Sample, Way, directions
+from gonio_validation.bench.plain import Parameters
 
 NOTHING = 1e-290
 """References below this count as 0."""
@@ -73,13 +74,13 @@ def summary(e: Errors) -> dict[str, Any]:
     }
 
 
-def by_set(family: Family, way: Way) -> dict[str, Any]:
+def by_set(family: Quantity, way: Way) -> dict[str, Any]:
     """Errors of a way on each set of the family's samples; none where its results are not comparable."""
     sets = {s.kind: [x for x in family.samples if x.kind == s.kind] for s in family.samples}
     return {kind: summary(errors(way, sets[kind])) for kind in ("grid", "hard") if kind in sets and way.accurate}
 
 
-def times(family: Family, *, pairs: int, repeats: int, budget_s: float) -> dict[str, dict[str, Any]]:
+def times(family: Quantity, *, pairs: int, repeats: int, budget_s: float) -> dict[str, dict[str, Any]]:
     """Wall-clock and processor ns an evaluation of each way, all ways in turn within each repeat.
 
     Parameters
@@ -121,7 +122,7 @@ def times(family: Family, *, pairs: int, repeats: int, budget_s: float) -> dict[
     }
 
 
-def _job(way: Way, inputs: list[tuple[dict[str, Any], tuple[Floats, ...]]]) -> Callable[[], None]:
+def _job(way: Way, inputs: list[tuple[Parameters, tuple[Floats, ...]]]) -> Callable[[], None]:
     ready = [(way.prepare(p), way.convert(*arrays) if way.convert else arrays) for p, arrays in inputs]
 
     def job() -> None:

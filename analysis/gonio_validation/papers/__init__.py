@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from gonio.errors import ConfigError
 
 if TYPE_CHECKING:
-    from gonio_validation.papers.figure import Page
+    from gonio_validation.papers.figure import PaperFigure
 
 FIGURES = {
     "htsg-7": "rough aluminium at 2.0 µm: a specular spike over a weak lobe",
@@ -41,7 +41,7 @@ def silent(text: str) -> None:
     """Nobody watches."""
 
 
-def build(name: str, progress: Callable[[str], None] = silent) -> Page:
+def build(name: str, progress: Callable[[str], None] = silent) -> PaperFigure:
     """Curves, claims and drawings of a paper's figure.
 
     Parameters
@@ -58,7 +58,7 @@ def build(name: str, progress: Callable[[str], None] = silent) -> Page:
     """
     check(name)
     paper, _, number = name.rpartition("-")
-    page: Page = import_module(f"gonio_validation.papers.{PAPERS[paper]}").build(int(number), progress)
+    page: PaperFigure = import_module(f"gonio_validation.papers.{PAPERS[paper]}").build(int(number), progress)
     return page
 
 
@@ -94,7 +94,7 @@ def make(name: str, out: str | Path, *, command: str = "", progress: Callable[[s
     ConfigError
         There is no such figure, or the folder cannot be written or holds something else.
     """
-    from gonio_analysis.report import files
+    from gonio_analysis.report import files, html
 
     from gonio_validation.papers import figure_page
 
@@ -108,7 +108,9 @@ def make(name: str, out: str | Path, *, command: str = "", progress: Callable[[s
                 folder.mkdir()
                 facts.append(figure_page.write(build(each, progress), folder, command))
             summary = {"figures": [{k: f[k] for k in ("figure", "title", "claims")} for f in facts]}
-            files.write(stage.work, figure_page.index(facts, command), summary)
+            files.write(stage.work, summary)
+            index = html.document(figure_page.index(facts, command))
+            (stage.work / "index.html").write_text(index, encoding="utf-8")
         else:
             figure_page.write(build(name, progress), stage.work, command)
     return Path(out) / "index.html"

@@ -10,7 +10,7 @@ import numpy as np
 from gonio_analysis.report.text import number
 
 from gonio.typing import Floats
-from gonio_validation.papers.figure import Claim, Page, Parameter, Table, agreed, polar_panel, signed, theory
+from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results, agreed, polar_panel, signed, theory
 
 PAPER = "Blinn, Models of Light Reflection for Computer Synthesized Pictures, SIGGRAPH 1977"
 INCIDENCE_DEG = {5: 30.0, 6: 70.0}
@@ -62,7 +62,7 @@ def highlights(surface: Surface, theta_i_deg: float, angle_deg: Floats) -> tuple
     return np.asarray(phong), np.asarray(facets)
 
 
-def build(figure: int, progress: Callable[[str], None]) -> Page:
+def build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
     """The page of Fig. 5 or 6."""
     progress(f"blinn-{figure}: theory")
     theta_i = INCIDENCE_DEG[figure]
@@ -98,7 +98,7 @@ def build(figure: int, progress: Callable[[str], None]) -> Page:
             ]
         )
     first = surfaces()[0]
-    return Page(
+    return PaperFigure(
         f"blinn-{figure}",
         f"Blinn Fig. {figure}: Phong and Torrance-Sparrow at {theta_i:g}°",
         PAPER,
@@ -114,7 +114,7 @@ def build(figure: int, progress: Callable[[str], None]) -> Page:
         ],
         claims(figure),
         panels,
-        Table(
+        Results(
             "Peaks of s. Intensities: Torrance-Sparrow's largest over Phong's.",
             ("surface", "Phong's peak at", "Torrance-Sparrow's", "Phong's s", "Torrance-Sparrow's s", "intensities"),
             text,

@@ -15,10 +15,10 @@ from gonio_validation.papers.cook_torrance_3 import PAPER, SIMILAR
 from gonio_validation.papers.figure import (
     SIZE,
     Claim,
-    Page,
     Panel,
+    PaperFigure,
     Parameter,
-    Table,
+    Results,
     Trace,
     agreed,
     plain_axes,
@@ -31,7 +31,7 @@ EARLY_DEG = 70.0
 SUFFICIENT = 0.01
 
 
-def build(figure: int, progress: Callable[[str], None]) -> Page:
+def build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
     """The page of Fig. 3, 4 or 5."""
     progress(f"cook-torrance-{figure}: theory")
     return {3: cook_torrance_3.build, 4: _spectrum, 5: _colours}[figure]()
@@ -108,7 +108,7 @@ def _claims_4() -> list[Claim]:
     ]
 
 
-def _spectrum() -> Page:
+def _spectrum() -> PaperFigure:
     nm = colour.wavelengths()
     normal = spectrum(np.zeros(1))[0]
     light = colour.d65()
@@ -117,7 +117,7 @@ def _spectrum() -> Page:
         k = int(np.argmin(np.abs(nm - w)))
         text.append([f"{w / 1000:g} µm", number(normal[k]), number(light[k], 4), number(light[k] * normal[k], 4)])
         numbers.append({"wavelength_nm": w, "reflectance": float(normal[k]), "d65": float(light[k])})
-    return Page(
+    return PaperFigure(
         "cook-torrance-4",
         "Cook-Torrance Fig. 4: reflectance and reflected light of a copper mirror",
         PAPER,
@@ -149,7 +149,7 @@ def _spectrum() -> Page:
                 "relative spectral power",
             ),
         ],
-        Table("", ("wavelength", "reflectance", "D6500", "reflected"), text),
+        Results("", ("wavelength", "reflectance", "D6500", "reflected"), text),
         numbers,
     )
 
@@ -248,7 +248,7 @@ def _claims_5() -> list[Claim]:
     ]
 
 
-def _colours() -> Page:
+def _colours() -> PaperFigure:
     theta = np.radians(np.append(np.arange(0.0, 90.0, 0.5), 89.999))
     deg, nm = np.degrees(theta), colour.wavelengths()
     found = colours(theta)
@@ -284,7 +284,7 @@ def _colours() -> Page:
         k = int(np.argmin(np.abs(deg - d)))
         text.append([f"{d:g}°", *(", ".join(f"{v:.3f}" for v in found[name][k]) for name in found)])
         numbers.append({"theta_deg": d, **{name: [float(v) for v in found[name][k]] for name in found}})
-    return Page(
+    return PaperFigure(
         "cook-torrance-5",
         "Cook-Torrance Fig. 5: copper over the angle of incidence",
         PAPER,
@@ -316,6 +316,6 @@ def _colours() -> Page:
                 rows,
             ),
         ],
-        Table("Linear RGB, 1 for white.", ("angle", *found), text),
+        Results("Linear RGB, 1 for white.", ("angle", *found), text),
         numbers,
     )  # fmt: skip

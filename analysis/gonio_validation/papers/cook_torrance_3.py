@@ -9,7 +9,16 @@ import numpy as np
 from gonio_analysis.report.text import number
 
 from gonio.typing import Floats
-from gonio_validation.papers.figure import Claim, Page, Parameter, Table, Trace, polar_panel, theory, trace_panel
+from gonio_validation.papers.figure import (
+    Claim,
+    PaperFigure,
+    Parameter,
+    Results,
+    Trace,
+    polar_panel,
+    theory,
+    trace_panel,
+)
 
 PAPER = "Cook and Torrance, A Reflectance Model for Computer Graphics, ACM Transactions on Graphics 1 (1982) 7-24"
 SLOPES = (0.2, 0.6)
@@ -110,7 +119,7 @@ def claims() -> list[Claim]:
     ]
 
 
-def build() -> Page:
+def build() -> PaperFigure:
     """The page of Fig. 3."""
     alpha = _alpha()
     theta_r = np.radians(np.arange(-90.0, 90.01, 0.5))
@@ -133,7 +142,7 @@ def build() -> Page:
         numbers.append(row)
         values = (number(row["d_0"]), f"{row['half_angle_deg']:.1f}°")
         text.append([name, *values, number(row["projected_over_pi"], 5), number(row["reflected_as_printed"])])
-    return Page(
+    return PaperFigure(
         "cook-torrance-3",
         "Cook-Torrance Fig. 3: facet distributions",
         PAPER,
@@ -164,7 +173,7 @@ def build() -> Page:
                 "D / D(0)",
             ),
         ],
-        Table(
+        Results(
             "α½: where D is half of D(0). Reflected: with R_s as printed and F = 1, at normal incidence.",
             ("distribution", "D(0)", "α½", "∫ D cos α dω / π", "reflected"),
             text,

@@ -80,7 +80,7 @@ class Panel:
 
 
 @dataclass(frozen=True)
-class Table:
+class Results:
     """A table of results on the page; cells are plain text."""
 
     caption: str
@@ -89,7 +89,7 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Page:
+class PaperFigure:
     """One figure of a paper, made again."""
 
     name: str
@@ -98,7 +98,7 @@ class Page:
     parameters: Sequence[Parameter]
     claims: Sequence[Claim]
     panels: Sequence[Panel]
-    results: Table
+    results: Results
     numbers: Sequence[Mapping[str, Any]]
     """The results at full precision, a curve each, for `summary.json`."""
     notes: Sequence[str] = ()

@@ -3,22 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 from pathlib import Path
 from typing import Any
 
 from gonio_analysis.report import files, html
+from gonio_analysis.report.blocks import (
+    Block,
+    Figures,
+    Footer,
+    Group,
+    Heading,
+    Notes,
+    Page,
+    Paragraph,
+    Span,
+    Text,
+    code,
+    facts,
+    section,
+    strong,
+    table,
+)
 from gonio_analysis.report.figures import Figure, rendered
 from gonio_analysis.report.summary import stamp
 from gonio_analysis.report.tables import write_csv
 
 from gonio_validation.papers import FIGURES
-from gonio_validation.papers.figure import COLUMNS, ORIGINS, Page
+from gonio_validation.papers.figure import COLUMNS, ORIGINS, PaperFigure
 
 VERDICTS = ("holds", "does not hold", "no verdict")
+ALL = "The papers' figures, made again"
+FOOTER = Footer(
+    (
+        *("Every curve is in ", code("curves.csv"), ", every verdict in ", code("summary.json")),
+        *(", the drawings as SVG and PNG in ", code("figures/"), "."),
+    )
+)
 
 
-def write(page: Page, folder: Path, command: str) -> dict[str, Any]:
+def write(page: PaperFigure, folder: Path, command: str) -> dict[str, Any]:
     """Write a page into a folder that exists; returns what its summary holds."""
     drawn = [
         rendered(f"{page.name}-{p.name}", p.name, "", p.caption, f"{page.title}. {p.caption}", p.inches, p.draw)
@@ -28,12 +51,13 @@ def write(page: Page, folder: Path, command: str) -> dict[str, Any]:
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(content)
     write_csv(folder / "curves.csv", COLUMNS, [(p.name, *row) for p in page.panels for row in p.rows])
-    facts = summary(page, command)
-    files.write(folder, render(page, facts, drawn), facts, drawn)
-    return facts
+    found = summary(page, command)
+    files.write(folder, found, drawn)
+    (folder / "index.html").write_text(html.document(render(page, found, drawn)), encoding="utf-8")
+    return found
 
 
-def summary(page: Page, command: str) -> dict[str, Any]:
+def summary(page: PaperFigure, command: str) -> dict[str, Any]:
     """What `summary.json` holds."""
     return {
         "figure": page.name,
@@ -52,83 +76,60 @@ def summary(page: Page, command: str) -> dict[str, Any]:
     }
 
 
-def render(page: Page, facts: dict[str, Any], drawn: list[Figure]) -> str:
-    """The page, as HTML text."""
-    claims = [[c.verdict, escape(c.text), escape(c.found), escape(c.criterion)] for c in page.claims]
+def render(page: PaperFigure, found: dict[str, Any], drawn: list[Figure]) -> Page:
+    """The page of a figure."""
+    claims = [[c.verdict, c.text, c.found, c.criterion] for c in page.claims]
     parameters = [
-        [
-            escape(p.name),
-            escape(p.value),
-            f"<b>{ORIGINS[p.origin]}</b>" if p.origin == "assumed" else ORIGINS[p.origin],
-            escape(p.why),
-        ]
+        [p.name, p.value, strong(ORIGINS[p.origin]) if p.origin == "assumed" else ORIGINS[p.origin], p.why]
         for p in page.parameters
     ]
-    notes = "".join(f"<li>{escape(n)}</li>" for n in page.notes)
-    columns = tuple(range(1, len(page.results.header)))
-    body = [
-        _header(page.title, f"{page.paper}. Made again", facts),
-        f'<p class="lead">{escape(_words(facts["claims"]))}</p>',
-        html.grid(drawn),
-        "<section><h2>What the paper says, and what the curves say</h2>",
-        html.table("", ["verdict", "claim", "found", "criterion"], claims),
-        "</section>",
-        "<section><h2>Curves</h2>",
-        html.table(
-            page.results.caption,
-            page.results.header,
-            [[escape(cell) for cell in row] for row in page.results.rows],
-            right=columns,
+    results, columns = page.results, tuple(range(1, len(page.results.header)))
+    body: list[Block] = [
+        _header(page.title, f"{page.paper}. Made again", found),
+        Paragraph(_words(found["claims"]), "lead"),
+        Figures(tuple(drawn)),
+        section(
+            [
+                Heading(2, "What the paper says, and what the curves say"),
+                table("", ["verdict", "claim", "found", "criterion"], claims),
+            ]
         ),
-        "</section>",
-        "<section><h2>Parameters</h2>",
-        html.table("", ["parameter", "value", "from", "source, or reason"], parameters),
-        "</section>",
-        f'<section><h2>Notes</h2><ul class="notes">{notes}</ul></section>' if notes else "",
-        "<section><h2>Provenance</h2>",
-        html.facts([*page.facts, *_provenance(facts)]),
-        "</section>",
-        "<footer>Every curve is in <code>curves.csv</code>, every verdict in <code>summary.json</code>, the drawings "
-        "as SVG and PNG in <code>figures/</code>.</footer>",
+        section([Heading(2, "Curves"), table(results.caption, results.header, results.rows, right=columns)]),
+        section([Heading(2, "Parameters"), table("", ["parameter", "value", "from", "source, or reason"], parameters)]),
     ]
-    return html.document(page.title, body)
+    if page.notes:
+        body.append(section([Heading(2, "Notes"), Notes(tuple(page.notes))]))
+    body += [section([Heading(2, "Provenance"), facts([*page.facts, *_provenance(found)])]), FOOTER]
+    return Page(page.title, tuple(body))
 
 
-def index(pages: Sequence[dict[str, Any]], command: str) -> str:
-    """The page that links all figures, as HTML text, from their summaries."""
-    facts = stamp(command)
-    rows = []
+def index(pages: Sequence[dict[str, Any]], command: str) -> Page:
+    """The page that links all figures, from their summaries."""
+    made = stamp(command)
+    rows: list[Sequence[Text]] = []
     for f in pages:
         verdicts = [c["verdict"] for c in f["claims"]]
-        rows.append([_link(f), escape(FIGURES[f["figure"]]), *(str(verdicts.count(v)) for v in VERDICTS)])
+        rows.append([_link(f), FIGURES[f["figure"]], *(str(verdicts.count(v)) for v in VERDICTS)])
     failing = [
-        [_link(f), escape(c["claim"]), escape(c["found"])]
-        for f in pages
-        for c in f["claims"]
-        if c["verdict"] == "does not hold"
+        [_link(f), c["claim"], c["found"]] for f in pages for c in f["claims"] if c["verdict"] == "does not hold"
     ]
-    body = [
-        _header("The papers' figures, made again", "Theory, experiment and verdicts", facts),
-        f'<p class="lead">{escape(_words([c for f in pages for c in f["claims"]]))}</p>',
-        html.table("", ["figure", "what it shows", *VERDICTS], rows, right=(2, 3, 4)),
-        "<section><h2>What does not hold</h2>",
-        html.table("", ["figure", "claim", "found"], failing),
-        "</section><section><h2>Provenance</h2>",
-        html.facts(_provenance(facts)),
-        "</section>",
-    ]
-    return html.document("The papers' figures, made again", body)
-
-
-def _link(facts: dict[str, Any]) -> str:
-    return f'<a href="{facts["figure"]}/index.html">{escape(facts["title"].partition(":")[0])}</a>'
-
-
-def _header(title: str, sub: str, facts: dict[str, Any]) -> str:
-    return (
-        f'<header>\n<h1>{escape(title)}</h1>\n<p class="sub">{escape(sub)} with gonio '
-        f"{escape(facts['versions']['gonio'])}, {escape(facts['created'][:10])}.</p>\n</header>"
+    body = (
+        _header(ALL, "Theory, experiment and verdicts", made),
+        Paragraph(_words([c for f in pages for c in f["claims"]]), "lead"),
+        table("", ["figure", "what it shows", *VERDICTS], rows, right=(2, 3, 4)),
+        section([Heading(2, "What does not hold"), table("", ["figure", "claim", "found"], failing)]),
+        section([Heading(2, "Provenance"), facts(_provenance(made))]),
     )
+    return Page(ALL, body)
+
+
+def _link(found: dict[str, Any]) -> Span:
+    return Span(found["title"].partition(":")[0], href=f"{found['figure']}/index.html")
+
+
+def _header(title: str, sub: str, made: dict[str, Any]) -> Group:
+    words = f"{sub} with gonio {made['versions']['gonio']}, {made['created'][:10]}."
+    return Group("header", (Heading(1, title), Paragraph(words, "sub")))
 
 
 def _words(claims: Sequence[dict[str, Any]]) -> str:
@@ -142,9 +143,9 @@ def _words(claims: Sequence[dict[str, Any]]) -> str:
     return words + "."
 
 
-def _provenance(facts: dict[str, Any]) -> list[tuple[str, str]]:
+def _provenance(made: dict[str, Any]) -> list[tuple[str, str]]:
     return [
-        ("command", facts["command"] or "–"),
-        ("made", facts["created"]),
-        ("versions", ", ".join(f"{k} {v}" for k, v in facts["versions"].items())),
+        ("command", made["command"] or "–"),
+        ("made", made["created"]),
+        ("versions", ", ".join(f"{k} {v}" for k, v in made["versions"].items())),
     ]

@@ -12,7 +12,7 @@ from gonio_analysis.report.text import number
 from gonio_validation.papers import htsg_10, htsg_11, surfaces
 from gonio_validation.papers.experiment import Experiment, measure
 from gonio_validation.papers.experiment import scan as directions
-from gonio_validation.papers.figure import Claim, Page, Parameter, Table
+from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results
 from gonio_validation.papers.surfaces import CONE_SR, PAPER, Scan, agreement, each, energy_limit, scan
 
 ALUMINIUM: dict[str, Any] = {"sigma0_um": 0.28, "tau_um": 1.77, "ior": "Al"}
@@ -27,7 +27,7 @@ TITLES = {
 }
 
 
-def build(figure: int, progress: Callable[[str], None]) -> Page:
+def build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
     """The page of Fig. 7, 8, 9, 10 or 11."""
     return {10: htsg_10.build, 11: htsg_11.build}[figure](progress) if figure > 9 else _build(figure, progress)
 
@@ -52,7 +52,7 @@ def scans(figure: int) -> list[Scan]:
     return [scan(model, i, WAVELENGTH_NM[figure]) for i in INCIDENCES[figure]]
 
 
-def _build(figure: int, progress: Callable[[str], None]) -> Page:
+def _build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
     progress(f"htsg-{figure}: theory")
     found = scans(figure)
     judged = {7: _claims_7, 8: _claims_8, 9: _claims_9}[figure](found)
@@ -76,7 +76,7 @@ def _build(figure: int, progress: Callable[[str], None]) -> Page:
         Parameter("τ", "13.2 µm", "paper", "best fit of the authors"),
         Parameter("a(λ)", "0.9", "paper", "best fit; an albedo, ρ_ud = a/π (eq. 72 as printed would reflect 283 %)"),
     ]
-    return Page(
+    return PaperFigure(
         f"htsg-{figure}",
         TITLES[figure],
         PAPER,
@@ -90,7 +90,7 @@ def _build(figure: int, progress: Callable[[str], None]) -> Page:
         ],
         judged,
         surfaces.panels(found, taken, most=4.0 if figure == 9 else 2.5),
-        Table(surfaces.CAPTION, surfaces.HEADER, text),
+        Results(surfaces.CAPTION, surfaces.HEADER, text),
         numbers,
         _notes(figure, found, taken),
         [("experiment", taken.words)],

@@ -13,7 +13,17 @@ from gonio_analysis.report.text import number
 from gonio.typing import Floats
 from gonio_validation.papers import surfaces
 from gonio_validation.papers.experiment import divided, measure
-from gonio_validation.papers.figure import Claim, Page, Panel, Parameter, Table, agreed, angle_panel, at, polar_panel
+from gonio_validation.papers.figure import (
+    Claim,
+    Panel,
+    PaperFigure,
+    Parameter,
+    Results,
+    agreed,
+    angle_panel,
+    at,
+    polar_panel,
+)
 from gonio_validation.papers.surfaces import CONE_SR, PAPER, agreement, label, scan
 
 SLOPE = 4.4
@@ -71,7 +81,7 @@ def claims() -> list[Claim]:
     ]
 
 
-def build(progress: Callable[[str], None]) -> Page:
+def build(progress: Callable[[str], None]) -> PaperFigure:
     """The page of Fig. 10."""
     from gonio.models import HeTorrance
 
@@ -111,7 +121,7 @@ def build(progress: Callable[[str], None]) -> Page:
         found = float(curve.brdf[k]) / by if there else None
         table.append([f"θr = {a:g}°", number(theory), number(found)])
         numbers.append({"theta_r_deg": a, "normalised": theory, "measured_normalised": found})
-    return Page(
+    return PaperFigure(
         "htsg-10",
         "HTSG Fig. 10: sandpaper at normal incidence",
         PAPER,
@@ -134,7 +144,7 @@ def build(progress: Callable[[str], None]) -> Page:
         ],
         judged,
         shown,
-        Table("Divided by the model's BRDF along the normal.", ("direction", "theory", "measured"), table),
+        Results("Divided by the model's BRDF along the normal.", ("direction", "theory", "measured"), table),
         numbers,
         [
             agreement(taken),

@@ -13,7 +13,7 @@ from gonio_analysis.report.text import number
 from gonio_validation.papers import surfaces
 from gonio_validation.papers.experiment import measure
 from gonio_validation.papers.experiment import scan as directions
-from gonio_validation.papers.figure import Claim, Page, Parameter, Table, angle_panel
+from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results, angle_panel
 from gonio_validation.papers.surfaces import BRDF, CONE_SR, PAPER, Scan, agreement, each, energy_limit, scan
 
 PLASTIC_A, PLASTIC_RHO = 0.15, 0.195
@@ -99,7 +99,7 @@ def _claims(model: Any, scans: list[Scan]) -> list[Claim]:
     ]
 
 
-def build(progress: Callable[[str], None]) -> Page:
+def build(progress: Callable[[str], None]) -> PaperFigure:
     """The page of Fig. 11."""
     from gonio.models import HeTorrance
 
@@ -119,7 +119,7 @@ def build(progress: Callable[[str], None]) -> Page:
     text, numbers = surfaces.rows(scans, taken)
     caption = "Absolute: BRDF, logarithmic as in the paper. Solid: theory; dashed, with error bars: experiment."
     zoomed = [_near(line, 6.0) for line in surfaces.absolute(scans, taken)]
-    return Page(
+    return PaperFigure(
         "htsg-11",
         "HTSG Fig. 11: smooth blue plastic at 0.46 µm",
         PAPER,
@@ -144,7 +144,7 @@ def build(progress: Callable[[str], None]) -> Page:
                 BRDF,
             ),
         ],
-        Table(surfaces.CAPTION, surfaces.HEADER, text),
+        Results(surfaces.CAPTION, surfaces.HEADER, text),
         numbers,
         [agreement(taken)],
         [("experiment", taken.words)],

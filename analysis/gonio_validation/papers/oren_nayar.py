@@ -15,9 +15,9 @@ from gonio.typing import Floats
 from gonio_validation.papers import oren_nayar_samples
 from gonio_validation.papers.figure import (
     Claim,
-    Page,
+    PaperFigure,
     Parameter,
-    Table,
+    Results,
     Trace,
     agreed,
     angle_panel,
@@ -62,7 +62,7 @@ ROUGHNESSES = (CHOICES[1], CHOICES[0], CHOICES[2])
 """Of them those that differ in sigma, by sigma."""
 
 
-def build(figure: int, progress: Callable[[str], None]) -> Page:
+def build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
     """The page of Fig. 5, 6, 8, 9, 10, 11 or 13."""
     progress(f"oren-nayar-{figure}: theory")
     if figure > 6:
@@ -187,7 +187,7 @@ def _claims_5() -> list[Claim]:
     ]  # fmt: skip
 
 
-def _radiance() -> Page:
+def _radiance() -> PaperFigure:
     angle, total = radiance(SHOWN)
     _, direct = radiance(SHOWN, False)
     flat = SHOWN.albedo / math.pi * math.cos(math.radians(SHOWN.theta_i_deg))
@@ -202,7 +202,7 @@ def _radiance() -> Page:
         share = 1.0 - values[1] / values[0]
         text.append([f"θr = {a:g}°".replace("-", "−"), *(number(v) for v in values), f"{100 * share:.0f} %"])
         numbers.append({"theta_r_deg": a, "radiance": values[0], "direct": values[1], "interreflection": share})
-    return Page(
+    return PaperFigure(
         "oren-nayar-5",
         "Oren-Nayar Fig. 5: radiance in the plane of incidence",
         PAPER,
@@ -225,7 +225,7 @@ def _radiance() -> Page:
                 "share of interreflection",
             ),
         ],
-        Table("", ("direction", "radiance", "direct light alone", "interreflection"), text),
+        Results("", ("direction", "radiance", "direct light alone", "interreflection"), text),
         numbers,
     )  # fmt: skip
 
@@ -311,7 +311,7 @@ def _claims_6() -> list[Claim]:
     ]
 
 
-def _brdf() -> Page:
+def _brdf() -> PaperFigure:
     curves = [(i, *plane(SHOWN, i)) for i in INCIDENCES]
     lines = [theory(f"θi = {i:g}°", np.radians(a), v) for i, a, v in curves]
     out = [Trace(f"Δφ = {d:g}°", *beside(SHOWN, d)) for d in AZIMUTHS]
@@ -326,7 +326,7 @@ def _brdf() -> Page:
         }
         numbers.append(row)
         text.append([f"θi = {i:g}°", *(number(row[k]) for k in ("source_side", "normal", "mirror_side", "spread"))])
-    return Page(
+    return PaperFigure(
         "oren-nayar-6",
         "Oren-Nayar Fig. 6: BRDF by incidence, and radiance out of plane",
         PAPER,
@@ -355,7 +355,7 @@ def _brdf() -> Page:
                 "L / E0 [1/sr]",
             ),
         ],
-        Table(
+        Results(
             "BRDF at θr = θi on either side and along the normal [1/sr]; largest over smallest value within 75°.",
             ("incidence", "source's side", "normal", "mirror side", "largest / smallest"),
             text,

@@ -16,9 +16,9 @@ from gonio_analysis.report.text import number
 from gonio.typing import Floats
 from gonio_validation.papers.figure import (
     Claim,
-    Page,
+    PaperFigure,
     Parameter,
-    Table,
+    Results,
     Trace,
     agreed,
     angle_panel,
@@ -60,7 +60,7 @@ def between(values: Iterable[float]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def build(figure: int) -> Page:
+def build(figure: int) -> PaperFigure:
     """The page of Fig. 8, 9, 10, 11 or 13."""
     return _vase() if figure == 13 else _sample(figure)
 
@@ -169,7 +169,7 @@ def _claims_surface() -> list[Claim]:
     ]
 
 
-def _sample(figure: int) -> Page:
+def _sample(figure: int) -> PaperFigure:
     name, letter = SAMPLES[figure]
     sigma, albedo = ROUGHNESS[figure]
     specular = figure >= 10
@@ -201,14 +201,14 @@ def _sample(figure: int) -> Page:
                 "L / E0 [1/sr]",
             )
         )
-    return Page(
+    return PaperFigure(
         f"oren-nayar-{figure}",
         f"Oren-Nayar Fig. {figure}: {name} (sample {letter})",
         PAPER,
         parameters,
         claims(figure),
         panels,
-        Table("Radiance over E0 [1/sr].", ("incidence", "source's side", "normal", "mirror side"), text),
+        Results("Radiance over E0 [1/sr].", ("incidence", "source's side", "normal", "mirror side"), text),
         numbers,
         ["The paper's dots, its measurements, are not in the scan: what is drawn is the model alone."],
     )  # fmt: skip
@@ -290,7 +290,7 @@ def _claims_vase() -> list[Claim]:
     ]
 
 
-def _vase() -> Page:
+def _vase() -> PaperFigure:
     from gonio.models import Lambert
 
     sigma, albedo = VASE
@@ -315,7 +315,7 @@ def _vase() -> Page:
             numbers.append(row)
             values = [number(row[f"at {w:g}"]) for w in wanted]
             text.append([f"({letter}) {t.label}", *values, f"{row['peak']:.2f}".replace("-", "−")])
-    return Page(
+    return PaperFigure(
         "oren-nayar-13",
         "Oren-Nayar Fig. 13: cross-section of a clay vase",
         PAPER,
@@ -327,7 +327,7 @@ def _vase() -> Page:
         ],
         _claims_vase(),
         panels,
-        Table(
+        Results(
             "Brightness at positions across the vase (radius 1), and where it is largest.",
             ("curve", "−0.95", "−0.5", "0", "0.5", "0.95", "peak"),
             text,

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from gonio_analysis.fitting.forward import apparent, averaging
 from gonio_analysis.fitting.observations import LOBE_TOLERANCE, observations
-from gonio_analysis.fitting.search import STEP, _one_sided, derivatives, pose
+from gonio_analysis.fitting.problem import FitRequest, pose
+from gonio_analysis.fitting.search import STEP, _one_sided, derivatives
 
 from gonio.models import build
 from tests.gonio_analysis.synthetic import measure
@@ -27,7 +28,7 @@ AT = {
 @pytest.mark.parametrize("name", AT)
 def test_against_central_differences(name: str) -> None:
     data = observations(measure(METAL, cone_sr=CONE_SR, wavelength_nm=500.0))
-    problem = pose(name, None, {}, (), 1)
+    problem = pose(FitRequest(name))
     vector = problem.vector({**problem.fixed, **AT[name]})
     rules = averaging(problem.model(vector), data)
     full, quick = derivatives(problem, data, vector, rules=rules), derivatives(problem, data, vector, quick=True)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.observations import observations
-from gonio_analysis.fitting.search import derivatives, pose
+from gonio_analysis.fitting.problem import FitRequest, pose
+from gonio_analysis.fitting.search import derivatives
 
 from gonio.errors import ConfigError, DataError
 from gonio.models import build
@@ -89,7 +90,7 @@ def test_he_torrance_through_the_cones() -> None:
 
 def test_jacobian_where_the_model_is_linear_in_the_parameter() -> None:
     data = observations(measure(PAINT))
-    problem = pose("phong", None, {}, (), 1)
+    problem = pose(FitRequest("phong"))
     vector = problem.vector({"k_d": 0.4, "k_s": 0.6, "exponent": 20.0})
     got = derivatives(problem, data, vector)
     one = build("phong", {"k_d": 1.0, "k_s": 0.0, "exponent": 20.0})

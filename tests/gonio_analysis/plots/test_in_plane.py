@@ -8,7 +8,7 @@ import matplotlib
 import numpy as np
 import pytest
 from gonio_analysis.curves.line import Line
-from gonio_analysis.plots import in_plane
+from gonio_analysis.plots import diagnostics, in_plane
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
@@ -33,8 +33,8 @@ def axes() -> Any:
         lambda ax: in_plane.residuals(ax, [line()], whitened=True),
         lambda ax: in_plane.residuals(ax, [line()], whitened=False, others=(np.zeros(2), np.array([50.0, -3.0]))),
         lambda ax: in_plane.residuals(ax, [line()], whitened=False, others=(np.zeros(2), np.array([np.inf, -3.0]))),
-        lambda ax: in_plane.budget(ax, [("combined", 0.01, 0.03), ("reference", 0.002, 0.002)]),
-        lambda ax: in_plane.series(ax, np.arange(3.0), np.ones(3), np.full(3, np.nan), x_label="x", y_label="y"),
+        lambda ax: diagnostics.budget(ax, [("combined", 0.01, 0.03), ("reference", 0.002, 0.002)]),
+        lambda ax: diagnostics.series(ax, np.arange(3.0), np.ones(3), np.full(3, np.nan), x_label="x", y_label="y"),
     ],
 )
 def test_returns_artists_and_touches_no_settings(draw: Any) -> None:

@@ -19,8 +19,10 @@ import pytest
 from gonio_analysis.curves.line import Line
 from gonio_analysis.plots import thinning
 from gonio_analysis.report import change, drawing, html, make, page, viewer
+from gonio_analysis.report.blocks import Figures, section
 from gonio_analysis.report.drawing import draughtsmen
-from gonio_analysis.report.figures import Drawing
+from gonio_analysis.report.figures import Drawing, Figure
+from gonio_analysis.report.text import glued
 
 from gonio import measurement
 from gonio.models import build
@@ -75,7 +77,7 @@ def test_a_page_says_how_many_values_are_drawn(large: Path) -> None:
         assert found, name
         assert 100 < int(found[1]) < int(found[2])
     text = (large / "index.html").read_text(encoding="utf-8")
-    assert all(html.glued(f["caption"]).partition(":")[2][:200] in text for f in summary(large)["figures"][:1])
+    assert all(glued(f["caption"]).partition(":")[2][:200] in text for f in summary(large)["figures"][:1])
 
 
 def test_the_interactive_plot_is_thinned_with_its_extremes(large: Path) -> None:
@@ -126,16 +128,17 @@ def test_many_samples_are_spread_over_pages(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_a_section_that_is_too_large_names_its_largest_drawings() -> None:
-    section = "".join(
-        f'<figure id="f{k}"><svg>{"x" * size}</svg><figcaption>c{k}</figcaption></figure>'
-        for k, size in enumerate((100, 5000, 900))
-    )
-    small = html.within(section, 2000)
+    figures = [
+        Figure(f"f{k}", "heat", "", f"c{k}: c", "", f"<svg>{'x' * length}</svg>", b"")
+        for k, length in enumerate((100, 5000, 900))
+    ]
+    whole = section([Figures(tuple(figures))])
+    small = html.fragment([html.within(whole, 2000)])
     assert len(small) <= 2000
     assert "figures/f1.svg" in small
     assert "figures/f0.svg" not in small
     assert all(f"c{k}" in small for k in range(3))
-    assert html.within(section, 10_000) == section
+    assert html.within(whole, 10_000) == whole
 
 
 def test_hundreds_of_causes_and_reasons_leave_a_page_readable(tmp_path: Path) -> None:

@@ -1,8 +1,9 @@
-"""The printable report: A4, every text and figure of the page, no character lost."""
+"""The blocks of a report as HTML and on A4: every text and figure, no character lost."""
 
 from __future__ import annotations
 
 import io
+import json
 import re
 import zlib
 from pathlib import Path
@@ -10,6 +11,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gonio_analysis.report import html, pdf
+from gonio_analysis.report.blocks import (
+    Contents,
+    Figures,
+    Footer,
+    Group,
+    Heading,
+    Notes,
+    Page,
+    Paragraph,
+    Span,
+    Viewer,
+    facts,
+    section,
+    strong,
+    table,
+)
 from gonio_analysis.report.figures import Figure
 
 
@@ -21,21 +38,26 @@ def png(shape: tuple[int, int]) -> bytes:
     return out.getvalue()
 
 
-def page(rows: int) -> str:
-    figures = [Figure(f"f{k}", "polar", "", f"figure {k}: caption", "", "<svg></svg>", b"") for k in range(3)]
-    body = [
-        "<header><h1>Title</h1><nav><ul><li>not printed</li></ul></nav></header>",
-        html.facts([("source", "θi = 30°, χ² ± 5 × 10⁻⁷ sr⁻¹ ● " + "x" * 300)]),
-        html.table("A table", ["a", "b"], [[f"row {k}", "a longer cell " * 20] for k in range(rows)], right=(1,)),
-        html.grid(figures),
-        '<div class="viewer"></div><script>var hidden;</script>',
+def page(rows: int) -> Page:
+    figures = [
+        Figure(f"f{k}", "polar", "", f"figure {k}: caption", "", "<svg></svg>", png((60, 80 + k))) for k in range(3)
     ]
-    return html.document("t", body)
+    return Page(
+        "t",
+        (
+            Group("header", (Heading(1, "Title"), Contents((("#s", "not printed"),)))),
+            facts([("source", "θi = 30°, χ² ± 5 × 10⁻⁷ sr⁻¹ ● " + "x" * 300)]),
+            table("A table", ["a", "b"], [[f"row {k}", "a longer cell " * 20] for k in range(rows)], right=(1,)),
+            section([Notes(((strong("bold"), " remark"),)), Paragraph("paragraph", "note"), Footer("footing")]),
+            Figures(tuple(figures)),
+            Viewer("plot", {"name": "hidden"}),
+        ),
+    )
 
 
 @pytest.mark.parametrize(("rows", "pages"), [(2, 1), (80, 5)])
 def test_pages_are_a4_and_hold_every_figure(tmp_path: Path, rows: int, pages: int) -> None:
-    pdf.write(tmp_path / "r.pdf", page(rows), {f"f{k}": png((60, 80 + k)) for k in range(3)})
+    pdf.write(tmp_path / "r.pdf", [page(rows)])
     data = (tmp_path / "r.pdf").read_bytes()
     boxes = re.findall(rb"/MediaBox \[\s*([^\]]+)\]", data)
     assert len(boxes) >= pages
@@ -45,9 +67,30 @@ def test_pages_are_a4_and_hold_every_figure(tmp_path: Path, rows: int, pages: in
     streams = re.findall(rb"stream\r?\n(.*?)\r?\nendstream", data, re.DOTALL)
     drawn = b"".join(zlib.decompressobj().decompress(s) for s in streams if s[:1] == b"x")
     text = b"".join(re.findall(rb"\((.*?)\)", drawn))  # kerning splits words into pieces
-    assert b"Title" in text
+    for word in (b"Title", b"source", b"A table", b"longer", b"bold remark", b"paragraph", b"footing", b"gure 2"):
+        assert word in text, word
     assert b"hidden" not in text
     assert b"not printed" not in text
+
+
+def test_words_are_never_markup() -> None:
+    sly = '<script>alert("x")</script> & co'
+    figure = Figure("f", "polar", "", f"{sly}: {sly}", sly, "<svg></svg>", b"")
+    blocks = (
+        Heading(2, sly),
+        Paragraph((sly, Span(sly, href=sly))),
+        Notes((sly,)),
+        facts([(sly, sly)]),
+        table(sly, [sly, sly], [[sly, strong(sly)]]),
+        Figures((figure,)),
+        Viewer("v", {"name": sly}),
+        Contents(((sly, sly),)),
+        Footer(sly),
+    )
+    text = html.document(Page(sly, (section(blocks),)))
+    assert text.count("<script") == 2  # the plot's data and its program
+    assert text.count("</script>") == 2
+    assert "& co" not in text.replace(json.dumps(sly)[1:-1].replace("<", "\\u003c"), "")
 
 
 def test_lines_keep_within_their_width(tmp_path: Path) -> None:

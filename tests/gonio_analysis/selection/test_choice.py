@@ -13,6 +13,7 @@ from gonio_analysis.fitting.observations import observations
 from gonio_analysis.selection.choice import Candidate, Choice, candidates, choose
 from gonio_analysis.selection.misfit_regions import blocks, incidences
 from gonio_analysis.selection.profile_likelihood import profiles
+from gonio_analysis.summaries import as_json
 
 from gonio.errors import ConfigError, DataError
 from gonio.models import Lambert, OrenNayar, Phong, Sum, build
@@ -35,7 +36,7 @@ def test_the_simplest_that_fits_is_named_and_not_the_best() -> None:
     assert any(j.fit.chi_square < choice.named.fit.chi_square for j in others)  # type: ignore[operator]
     assert set(choice.intervals) == {"albedo"}
     assert "lambert is the simplest model" in choice.words
-    json.dumps(choice.to_json(), allow_nan=False)
+    json.dumps(as_json(choice.summary()), allow_nan=False)
 
 
 def test_gloss_rejects_matte_models_where_it_shines() -> None:
@@ -87,7 +88,7 @@ def test_where_everything_fails_nothing_is_named() -> None:
     choice = decide(measure(PAINT, noise=0.003, floor=0.0), ("lambert", "oren-nayar"))
     assert choice.named is None
     assert "reject every model" in choice.words
-    assert choice.to_json()["named"] is None
+    assert choice.summary().named is None
 
 
 def test_without_uncertainties_models_are_only_compared() -> None:
@@ -130,7 +131,7 @@ def test_too_few_values_are_no_choice_and_no_error() -> None:
     assert choice.named is None
     assert not choice.judged
     assert "1 usable value at 550 nm" in choice.words
-    json.dumps(choice.to_json(), allow_nan=False)
+    json.dumps(as_json(choice.summary()), allow_nan=False)
     # enough values, but a broad band has no wavelength for the model that needs one
     broad = measure(MATTE).assign(wavelength_nm=np.nan)
     with pytest.raises(DataError, match="he-torrance could not be fitted"):

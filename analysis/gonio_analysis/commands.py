@@ -76,8 +76,10 @@ def fit(
 
     from gonio import measurement
     from gonio.errors import ConfigError
+    from gonio_analysis import summaries
     from gonio_analysis.fitting import parameters
     from gonio_analysis.fitting.fit import fit as run_fit
+    from gonio_analysis.fitting.problem import FitRequest
 
     index = read_ior(ior)
     kept = dict(read_fixed(text) for text in fix or [])
@@ -87,8 +89,7 @@ def fit(
         listed = "; ".join(samples)
         raise ConfigError(f"{table} holds {len(samples)} samples: name one as {table}:SAMPLE, of: {listed}")
     name, frame = next(iter(samples.items()))
-    result = run_fit(
-        frame,
+    asked = FitRequest(
         model,
         ior=index,
         fix=kept,
@@ -100,8 +101,8 @@ def fit(
         priors=dict(read_prior(text) for text in prior or []),
         loss=loss,
         searches=searches,
-        name=str(table),
     )
+    result = run_fit(frame, asked, name=str(table))
     walked = {}
     if intervals:
         from gonio_analysis.selection.profile_likelihood import profiles
@@ -110,7 +111,7 @@ def fit(
     if as_json:
         out = {**result.to_json(), "sample": name, "table": table}
         if intervals:
-            out["intervals"] = {n: i.to_json() for n, i in walked.items()}
+            out["intervals"] = {n: summaries.as_json(i.summary()) for n, i in walked.items()}
         print(json.dumps(out, indent=1, ensure_ascii=False))
     else:
         _print(result, name, walked)

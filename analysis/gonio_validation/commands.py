@@ -1,4 +1,4 @@
-"""The command `gonio figures`. Nothing heavy is imported before it runs."""
+"""The commands `gonio figures` and `gonio bench ...`. Nothing heavy is imported before one runs."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import Annotated
 import typer
 
 NAME_HELP = 'A figure, as htsg-8; "all"; or "list", which names them.'
+
+bench = typer.Typer(help="Measure the workbench itself.", no_args_is_help=True)
 
 
 def figures(
@@ -31,3 +33,21 @@ def figures(
     if out is None:
         raise ConfigError(f"gonio figures {name}: --out DIR is missing, the folder of the page")
     print(make(name, out, command=command_line(), progress=console.note))
+
+
+@bench.callback()
+def _bench() -> None:
+    """Measure the workbench itself."""
+
+
+@bench.command()
+def models(
+    out: Annotated[Path, typer.Option(help="Folder of the report.", show_default=False)],
+    quick: Annotated[bool, typer.Option("--quick", help="Few pairs: errors are right, times are rough.")] = False,
+) -> None:
+    """Speed against error of every way of evaluating the models. Also the hard cases; prints the report's path last."""
+    from gonio.acquisition.run import command_line
+    from gonio.cli import console
+    from gonio_validation.bench.report import make
+
+    print(make(out, quick=quick, command=command_line(), progress=console.note))

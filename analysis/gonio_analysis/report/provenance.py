@@ -1,0 +1,67 @@
+"""The section "Provenance" of a report: when and how it was made, and where its values come from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from gonio_analysis.report import blocks
+from gonio_analysis.report.blocks import Block, Group, Heading, Paragraph, facts
+from gonio_analysis.report.text import number, percent, with_u
+from gonio_analysis.summaries import RunFacts, Summary
+
+MOST_SOURCES = 50
+"""Samples whose provenance stands on the page."""
+
+
+def section(s: Summary) -> Group:
+    """The section, from a summary."""
+    made = [("report made", s.created), ("command", s.command or "–"), ("versions", _versions(s))]
+    out: list[Block] = [Heading(2, "Provenance"), facts(made)]
+    if len(s.datasets) > MOST_SOURCES:
+        words = f"The first {MOST_SOURCES} of {len(s.datasets)} samples; summary.json has all."
+        out.append(Paragraph(words))
+    for d in s.datasets[:MOST_SOURCES]:
+        rows = [("file", d.source or "–"), ("format", str(d.format or "–"))]
+        if d.run:
+            r = d.run
+            rows += [("measured", r.created), ("command", r.command), ("plan's SHA-256", r.plan_sha256)]
+            rows += [("seed", str(r.seed)), ("steps", str(r.steps)), ("bands", ", ".join(r.bands))]
+            rows.append(("versions", _versions(r)))
+        given = dict(d.provenance)
+        visits = given.pop("reference", []) if d.run else []
+        rows += list(_flat(given))
+        rows += [("white reference", _reference(band)) for band in visits]
+        out += [Heading(3, d.name), facts(rows)]
+    return blocks.section(out, "provenance")
+
+
+def _versions(s: Summary | RunFacts) -> str:
+    return ", ".join(f"{k} {v}" for k, v in s.versions.items())
+
+
+def _flat(values: Any, prefix: str = "") -> Iterable[tuple[str, str]]:
+    """Provenance, one line a leaf."""
+    if isinstance(values, dict):
+        for key, value in values.items():
+            yield from _flat(value, f"{prefix}, {key}" if prefix else str(key))
+    elif isinstance(values, list) and any(isinstance(v, dict) for v in values):
+        for k, value in enumerate(values):
+            yield from _flat(value, f"{prefix} {k + 1}" if len(values) > 1 else prefix)
+    else:
+        shown = ", ".join(map(str, values)) if isinstance(values, list) else values
+        yield prefix.replace("_", " "), number(shown, 5) if isinstance(shown, float) else str(shown)
+
+
+def _reference(band: Mapping[str, Any]) -> str:
+    """What the visits to the white reference said, as `gonio.reduction.brdf.reduce` leaves it."""
+    level, slope, u_slope = band["level_e_per_s_sr"], band["drift_per_hour"], band["u_drift_per_hour"]
+    drift = "unknown" if slope is None else f"({with_u(100 * slope, 100 * u_slope)}) % an hour"
+    steady = "on a straight line" if band["straight"] else "on no straight line"
+    steady = "that tell no drift" if slope is None else steady
+    return (
+        f"{band['band']}: BRDF {number(band['brdf'], 4)} sr⁻¹; {band['visits']} visits {steady} (chi-square "
+        f"{number(band['chi_square'])}); level {number(level, 4)} electrons a second and steradian, known to "
+        f"{percent(band['u_level_rel'])}; drift {drift}; frames of one step scatter as the noise "
+        f"model says, times {number(band['frame_scatter'])} in variance"
+    )

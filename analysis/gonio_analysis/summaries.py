@@ -1,0 +1,415 @@
+"""What `summary.json` and `--json` hold, key by key: the page, the figures and the tables are made from these."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any
+
+WHERE_KNOWN = {"where_known": True}
+"""Of a field that JSON has only where it is not None."""
+
+
+def finite(value: float | None) -> float | None:
+    """A number as JSON has it: None for what is not finite."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def as_json(value: Any) -> Any:
+    """Summaries as dictionaries and lists, their fields in order."""
+    if is_dataclass(value):
+        pairs = ((f, getattr(value, f.name)) for f in fields(value))
+        return {f.name: as_json(v) for f, v in pairs if not (v is None and f.metadata.get("where_known"))}
+    if isinstance(value, Mapping):
+        return {k: as_json(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_json(v) for v in value]
+    return value
+
+
+# --- fits ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Value:
+    """A fitted value and its standard error; None where it is not determined."""
+
+    value: float | None
+    u: float | None
+
+
+@dataclass(frozen=True)
+class ParameterSummary(Value):
+    """One parameter of a fitted model, as `gonio_analysis.fitting.fit.Estimate`."""
+
+    fixed: bool
+    at_bound: str | None = field(default=None, metadata=WHERE_KNOWN)
+    material: str | None = field(default=None, metadata=WHERE_KNOWN)
+
+
+@dataclass(frozen=True)
+class FitSummary:
+    """What `gonio fit --json` prints of a `gonio_analysis.fitting.fit.FitResult`."""
+
+    model: str
+    parameters: dict[str, ParameterSummary]
+    derived: dict[str, ParameterSummary]
+    correlation: dict[str, dict[str, float | None]]
+    chi_square: float | None
+    reduced_chi_square: float | None
+    p_value: float | None
+    verdict: str
+    n_points: int
+    n_free: int
+    wavelength_nm: float | None
+    weighting: str
+    condition: float | None
+    left_out: Mapping[str, int]
+    source_solid_angle_sr: float
+    receiver_solid_angle_sr: float
+    convention: str
+    notes: list[str]
+    wall_s: float
+
+
+@dataclass(frozen=True)
+class CurveSummary:
+    """One in-plane curve with one model's theory."""
+
+    label: str
+    scanned: str
+    parameter_deg: float
+    phi_i_deg: float
+    points: int
+    normalised_by: str
+    normalised_by_words: str
+    normalised_at_deg: float
+    norm_measured: float
+    norm_theory: float
+    theory_peak_deg: float
+    theory_peak: float
+    measured_peak_deg: float
+    measured_peak: float
+
+
+@dataclass(frozen=True)
+class AtWavelength:
+    """The same fit at one of several wavelengths."""
+
+    wavelength_nm: float
+    n_points: int
+    reduced_chi_square: float | None
+    parameters: dict[str, Value]
+
+
+@dataclass(frozen=True)
+class ModelSummary(FitSummary):
+    """A fit with what the page shows of it."""
+
+    metrics: dict[str, float | None]
+    curves: list[CurveSummary]
+    series: list[AtWavelength]
+
+
+# --- which model -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RegionSummary:
+    """Where a model misses, as `gonio_analysis.selection.misfit_regions.Region`."""
+
+    words: str
+    values: int
+    excess: float
+    share: float
+    ratio: float | None
+
+
+@dataclass(frozen=True)
+class CandidateSummary:
+    """A model that was tried, as `gonio_analysis.selection.choice.Judged`."""
+
+    label: str
+    model: str
+    n_free: int
+    free: list[str]
+    parameters: dict[str, Value]
+    chi_square: float | None
+    reduced_chi_square: float | None
+    p_value: float | None
+    aic: float | None
+    bic: float | None
+    held_out: float | None
+    wall_s: float
+    rejected: str
+    fails: RegionSummary | None
+
+
+@dataclass(frozen=True)
+class ProfileSummary:
+    """The rise of chi-square over one parameter."""
+
+    values: list[float]
+    rise: list[float]
+
+
+@dataclass(frozen=True)
+class IntervalSummary:
+    """A profile-likelihood interval, as `gonio_analysis.selection.profile_likelihood.Interval`."""
+
+    low: float
+    high: float
+    open_low: bool
+    open_high: bool
+    level: float
+    profile: ProfileSummary
+
+
+@dataclass(frozen=True)
+class ChoiceSummary:
+    """What was tried, as `gonio_analysis.selection.choice.Choice`."""
+
+    named: str | None
+    model: str | None
+    words: str
+    significance: float
+    decisive_aic: float
+    held_out_by: str
+    candidates: list[CandidateSummary]
+    intervals: dict[str, IntervalSummary]
+    left_out: dict[str, str]
+
+
+# --- what was measured -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class SampleFacts:
+    """The sample of a simulated run."""
+
+    name: str
+    model: str
+    parameters: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class RunFacts:
+    """What a run's own record says of how its table was made."""
+
+    folder: str
+    plan: str
+    plan_sha256: str
+    points: int
+    points_not_reachable: dict[str, int]
+    created: str
+    command: str
+    rig: str
+    driver: str
+    seed: int | None
+    bands: list[str]
+    steps: int
+    versions: dict[str, str]
+    lamp_half_angle_deg: float
+    lens_half_angle_deg: float
+    reference: str
+    sample: SampleFacts | None
+
+
+@dataclass(frozen=True)
+class CauseSummary:
+    """One cause of uncertainty: median and 95th percentile of |u / value|."""
+
+    cause: str
+    median: float
+    p95: float
+
+
+@dataclass(frozen=True)
+class MeasuredValue:
+    """A row of the measurement table."""
+
+    wavelength_nm: float | None
+    theta_i_deg: float
+    phi_i_deg: float
+    theta_r_deg: float
+    phi_r_deg: float
+    brdf: float
+    u_brdf: float | None
+
+
+@dataclass(frozen=True)
+class DatasetSummary:
+    """One measured sample with every model that was fitted to it."""
+
+    name: str
+    slug: str
+    source: str
+    format: str | None
+    quantity: str
+    rows: int
+    rows_here: int
+    used: int
+    left_out: Mapping[str, int]
+    left_out_words: str
+    negative: int
+    wavelength_nm: float | None
+    wavelengths_nm: list[float | None]
+    bands: list[dict[str, Any]]
+    source_solid_angle_sr: float | None
+    receiver_solid_angle_sr: float | None
+    uncertainty_stated: bool
+    causes: list[str]
+    theta_i_deg: list[float]
+    brdf_min: float
+    brdf_max: float
+    median_u_rel: float | None
+    budget: list[CauseSummary]
+    curves_known: int
+    scanned: str | None
+    out_of_plane_deg: float
+    curves_without_mirror: list[float]
+    notes: list[str]
+    data_notes: list[str]
+    provenance: Any
+    """As the table has it, whoever wrote it."""
+    run: RunFacts | None
+    models: dict[str, ModelSummary]
+    skipped: dict[str, str]
+    choice: ChoiceSummary
+    values: list[MeasuredValue]
+    usable_everywhere: int
+    best: str | None
+    conclusion: str
+
+
+# --- pages -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class MetricSummary:
+    """A distance between model and measurement in words."""
+
+    label: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class FigureSummary:
+    """A drawing on the page."""
+
+    name: str
+    caption: str
+    alt: str
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A comparison of models on one or more samples."""
+
+    title: str
+    created: str
+    command: str
+    versions: dict[str, str]
+    normalise: str
+    models: list[str]
+    in_plane_tolerance_deg: float
+    mirror_tolerance_deg: float
+    log_metrics_above_u: float
+    metrics: dict[str, MetricSummary]
+    datasets: list[DatasetSummary]
+    figures: Sequence[FigureSummary] = ()
+    tables: Sequence[str] = ()
+
+
+# --- two things compared ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class SideSummary:
+    """One of two sides."""
+
+    name: str
+    source: str
+    kind: str
+    run: RunFacts | None
+
+
+@dataclass(frozen=True)
+class MeasuredSide(SideSummary):
+    """A measurement."""
+
+    values: int
+    left_out: Mapping[str, int]
+    uncertainty_stated: bool
+
+
+@dataclass(frozen=True)
+class ModelSide(SideSummary):
+    """A model."""
+
+    model: str
+    convention: str
+
+
+@dataclass(frozen=True)
+class VerdictSummary:
+    """Whether the two differ, as `gonio_analysis.change.point_by_point.Verdict`."""
+
+    changed: bool
+    chi_square: float
+    p_value: float
+    n_points: int
+    beyond_2: int
+    expected_beyond_2: float
+    largest: float
+    p_largest: float
+    changed_points: int
+    false_discoveries: float
+    level: float
+    scale: float
+    u_scale: float
+
+
+@dataclass(frozen=True)
+class ChangeMetric:
+    """A distance between the two."""
+
+    label: str
+    value: float | None
+
+
+@dataclass(frozen=True)
+class ChangeAtWavelength:
+    """The values at one wavelength, or in a broad band; counts are known where uncertainties are stated."""
+
+    wavelength_nm: float | None
+    n_points: int
+    beyond: int | None = field(default=None, metadata=WHERE_KNOWN)
+    changed_points: int | None = field(default=None, metadata=WHERE_KNOWN)
+    median_ratio: float | None = None
+
+
+@dataclass(frozen=True)
+class ChangeSummary:
+    """Two things compared point by point."""
+
+    title: str
+    created: str
+    command: str
+    versions: dict[str, str]
+    a: MeasuredSide | ModelSide
+    b: MeasuredSide | ModelSide
+    n_points: int
+    in_directions_of: str
+    interpolated: int
+    median_interpolation_error_rel: float | None
+    without_counterpart: Mapping[str, int]
+    verdict: VerdictSummary | None
+    conclusion: str
+    metrics: dict[str, ChangeMetric]
+    wavelengths: list[ChangeAtWavelength]
+    notes: list[str]
+    shown_wavelength_nm: float | None = None
+    figures: Sequence[FigureSummary] = ()
+    tables: Sequence[str] = ()
