@@ -15,7 +15,7 @@ import pytest
 from gonio_drivers.lab import LAB
 from gonio_sim.rig import SIM, SIM_IDEAL, SimulatedRig
 from gonio_sim.wire import tether
-from gonio_sim.wire.twins import Bench
+from gonio_sim.wire.twins import Twins
 
 from gonio.acquisition.measure import find_rig, load_sample
 from gonio.config import parse
@@ -138,7 +138,7 @@ def twins(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
     described = small()
     devices = described.devices | {"light": described.devices["light"] | {"dialect": name.partition("-")[2]}}
     described = described.model_copy(update={"devices": devices})
-    with Bench(described, SAMPLE, 3, folder=tmp_path / "twin", scale=50.0) as bench:
+    with Twins(described, SAMPLE, 3, folder=tmp_path / "twin", scale=50.0) as bench:
         be_patient(bench.peers["servos"], bench.faults, monkeypatch)
         yield Case(name, LAB, bench.description, None, lambda: bench.world.lamp_on)
 

@@ -369,7 +369,7 @@ def test_an_axis_that_takes_too_long_stops_every_axis(
 ) -> None:
     monkeypatch.setattr("gonio_drivers.motion.GRACE_S", 0.2)
     monkeypatch.setattr(arms._motion, "duration_s", lambda *_: 0.1)  # this servo creeps
-    line.servos[1]._limits = lambda way=0.0: (1.0, 1e6)
+    line.servos[1]._limits = lambda way=0.0: (1.0, 1e6)  # type: ignore[method-assign]
     # 0.4 s, and as long as this machine stood still
     with pytest.raises(DeviceError, match=r"no landing within \d+\.\d s: axis light"):
         arms.move(pose(80, 0, 0))
@@ -433,7 +433,7 @@ def test_a_servo_that_stops_again_and_again_is_an_error_that_says_why(
 ) -> None:
     monkeypatch.setattr(watchdog, "UNITS", 1)
     monkeypatch.setattr("gonio_drivers.motion.POLL_S", 0.03)  # longer than the period of 0.02 s
-    line.servos[1]._limits = lambda way=0.0: (1.0, 1e6)  # it never arrives
+    line.servos[1]._limits = lambda way=0.0: (1.0, 1e6)  # type: ignore[method-assign]  # it never arrives
     with pytest.raises(DeviceError, match=r"has stopped 4 times on one way.*overloaded"):
         arms.move(pose(90, 0, 0))
     assert at_rest(line)

@@ -134,19 +134,19 @@ def test_nothing_waits_for_what_is_no_file(
 def test_a_point_whose_frame_is_no_file_is_flagged(whole: Path, tmp_path: Path, kind: str) -> None:
     shutil.copytree(whole, tmp_path / "w")
     run = tmp_path / "w" / "run"
-    step = next(step for step in Run.open(run).steps() if step["kind"] == "point")
-    for frame in step["frames"]:
-        (run / "frames" / frame["file"]).unlink()
-        KINDS[kind](run / "frames" / frame["file"])
+    step = next(step for step in Run.open(run).steps() if step.kind == "point")
+    for frame in step.frames:
+        (run / "frames" / frame.file).unlink()
+        KINDS[kind](run / "frames" / frame.file)
     told = call(run, "reduce", "check", "resume", "repair")
     flags = told["reduce"].split(",")
-    assert flags[step["point"]] == "damaged"
+    assert flags[step.point or 0] == "damaged"
     assert flags.count("damaged") == 2  # the point, in two bands
     for command in ("check", "resume"):
         assert told[command].startswith("ConfigError")
         assert "is not a file" in told[command]
     assert told["repair"] == "done"
-    assert step["step"] not in Run.open(run).steps().numbers  # it counts no more
+    assert step.step not in Run.open(run).steps().numbers  # it counts no more
 
 
 def test_a_record_that_is_a_pipe_says_nothing(whole: Path, tmp_path: Path) -> None:

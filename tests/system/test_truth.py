@@ -116,9 +116,9 @@ def test_a_hidden_zero_offset_is_a_bias_that_the_budget_does_not_know(gonio: Com
     # the encoder shows 1 degree where the arm is at 0, so the lamp stands one degree below what is read;
     # the cosine of the reference visit, at normal incidence, changes by 1.5e-4
     (read_rad,) = {
-        round(step["pose"]["light"], 6)
+        round(step.pose.light, 6)
         for step in Run.open(tmp_path / "offset-1").steps()
-        if step["kind"] == "point" and abs(abs(math.degrees(step["pose"]["light"])) - 55) < 0.5
+        if step.kind == "point" and abs(abs(math.degrees(step.pose.light)) - 55) < 0.5
     }
     expected = math.cos(read_rad - math.radians(1.0)) / math.cos(read_rad)
     assert abs(expected - 1) > 0.02  # the other sign would be on the other side of 1

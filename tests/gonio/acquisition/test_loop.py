@@ -112,10 +112,13 @@ def test_darks_are_dark_and_the_lamp_is_lit_for_the_rest(measure: Measure) -> No
 
 def test_readbacks_before_and_after_the_frames_are_recorded_with_their_times(measure: Measure) -> None:
     dark, *others = measure("run").steps()
+    assert dark.pose_time_s is not None
     assert dark.pose_time_s >= dark.frames[-1].time_s
     for step in others:
         assert step.pose == step.pose_after == step.goal  # this rig has no errors
         times = [frame.time_s for frame in step.frames]
+        assert step.pose_time_s is not None
+        assert step.pose_after_time_s is not None
         assert step.pose_time_s <= times[0] < times[-1] <= step.pose_after_time_s
 
 

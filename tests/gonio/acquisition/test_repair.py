@@ -252,6 +252,7 @@ def test_reduction_leaves_out_what_is_damaged(measure: Measure, how: str) -> Non
     step = run.steps()[3]
     lose(run.frame_path(step.frames[0].file), how)  # of the first band
     table = brdf.reduce(run)
+    assert step.point is not None
     row = 2 * step.point
     assert table["flag"][row] == "damaged"
     assert np.isnan(table["brdf"][row])

@@ -235,7 +235,7 @@ def test_a_model_without_a_spike_reflects_nothing_in_it(model: Model) -> None:
 
 def test_a_spike_is_known_by_the_method_that_a_model_brings() -> None:
     class Mirror(Lambert):
-        def specular_reflectivity(self, theta_i: Any, *, wavelength_nm: Any = 550.0) -> Any:
+        def specular_reflectivity(self, theta_i: Any, *, wavelength_nm: Any = 550.0, out: Any = None) -> Any:
             return 0.5 + 0.0 * np.asarray(theta_i)
 
     assert Mirror().has_spike

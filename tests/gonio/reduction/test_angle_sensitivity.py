@@ -25,7 +25,7 @@ def at(theta_i: float, theta_r: float, dphi: float = 180.0) -> Directions:
 
 
 def curves(function: Function, goals: list[Directions], half: float = HALF, noise: float = 1e-6) -> Curves:
-    values = np.array([function(d) for d in goals])
+    values = np.array([function(d) for d in goals], dtype=np.float64)
     return Curves(stack(goals), stack(goals), values, noise * abs(values) + 1e-12, (half, half), sharp(goals, half))
 
 
@@ -202,7 +202,7 @@ def test_points_out_of_the_plane_follow_their_neighbours() -> None:
     """Linear in the detector's place seen from above, between points 25 to 45 degrees apart."""
 
     def tilted(d: Directions) -> float:
-        return 1.0 - 0.5 * d.theta_r * math.cos(d.phi_r - d.phi_i)
+        return float(1.0 - 0.5 * d.theta_r * math.cos(d.phi_r - d.phi_i))
 
     goals = [at(30.0, float(r), dphi) for dphi in (30.0, 75.0, 110.0, 150.0) for r in (15, 40, 65)]
     model, u = curves(tilted, goals), math.radians(0.05)

@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 
 from gonio.errors import DataError
+from gonio.geometry import Directions
 from gonio.reduction.reference_table import brdf_of_reference
-from gonio.rig.kinematics import Directions
 
 
 def table(waves: tuple[float, ...] = (500.0, 600.0)) -> pd.DataFrame:

@@ -126,16 +126,16 @@ def test_neighbouring_incidences_tell_a_spike_that_one_point_cannot() -> None:
     goals = [at(i, i + r) for i in (65.0, 75.0) for r in np.arange(-10.0, 10.1, 0.5)] + [at(70.0, 70.0)]
     u = math.radians(0.03)
     seen = shares(goals, u)
-    f = np.array([0.5 + amplitude(d.theta_i) * share.mean for d, share in zip(goals, seen, strict=True)])
+    f = np.array([0.5 + amplitude(float(d.theta_i)) * share.mean for d, share in zip(goals, seen, strict=True)])
     found = Curves(stack(goals), stack(goals), f, 0.005 * f, (HALF, HALF), seen).spikes
     assert found.told[-1]
     # the lobe of 0.5 under the ends, and their noise
-    assert found.amplitude[-1] == pytest.approx(amplitude(goals[-1].theta_i), rel=0.05)
+    assert found.amplitude[-1] == pytest.approx(amplitude(float(goals[-1].theta_i)), rel=0.05)
     alone = Curves(stack(goals[-1:]), stack(goals[-1:]), f[-1:], 0.005 * f[-1:], (HALF, HALF), seen[-1:]).spikes
     assert not alone.told[0]
     assert alone.correction[0] == 0.0
     # the bound is the value itself: all of it spike, with two standard deviations of noise and blur
-    assert alone.u_amplitude[0] > amplitude(goals[-1].theta_i)
+    assert alone.u_amplitude[0] > amplitude(float(goals[-1].theta_i))
 
 
 def test_beside_an_edge_that_nothing_tells_the_bound_is_that_of_physics() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -261,9 +262,14 @@ def test_unused_rows_are_looked_up_once_whatever_the_number_of_wavelengths(monke
     table = pd.concat(parts, ignore_index=True)
     table.attrs = parts[0].attrs
     table.loc[[7, 200], "flag"] = "shadow"
-    read = []
+    read: list[int] = []
     plain = pd.Series.to_numpy
-    monkeypatch.setattr(pd.Series, "to_numpy", lambda self, *a, **k: (read.append(len(self)), plain(self, *a, **k))[1])
+
+    def counted(self: Any, *arguments: Any, **options: Any) -> Any:
+        read.append(len(self))
+        return plain(self, *arguments, **options)
+
+    monkeypatch.setattr(pd.Series, "to_numpy", counted)
     data = observations(table, "a")
     read.clear()
     carried = carry(data, data, table)

@@ -25,7 +25,7 @@ def test_nothing_is_invented_outside_of_the_other_s_directions() -> None:
     a = observations(measure(MODEL, incidences=(30.0,), views=np.array([-80.0, 0.0, 80.0])))
     table = measure(MODEL, incidences=(30.0,), views=np.arange(-40.0, 41.0, 5.0))
     carried = carry(a, observations(table), table)
-    assert list(np.degrees(a.theta_r[carried.rows])) == [0.0]
+    assert list(np.degrees(a.directions.theta_r[carried.rows])) == [0.0]
     assert sum(carried.missing.values()) == 2
 
 

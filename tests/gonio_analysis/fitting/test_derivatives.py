@@ -7,10 +7,11 @@ import math
 import numpy as np
 import pytest
 from gonio_analysis.fitting.forward import apparent, averaging
-from gonio_analysis.fitting.observations import LOBE_TOLERANCE, observations
+from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.problem import FitRequest, pose
 from gonio_analysis.fitting.search import STEP, _one_sided, derivatives
 
+from gonio.instrument import LOBE_TOLERANCE
 from gonio.models import build
 from tests.gonio_analysis.synthetic import measure
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from gonio_analysis.fitting.forward import seen
 
+from gonio.geometry import Directions
 from gonio.instrument import apparent_brdf
 from gonio.models import HeTorrance
 
@@ -15,14 +16,14 @@ THETA_I, PHI_I, THETA_R, PHI_R = np.radians(
 
 
 def test_without_cones_it_is_the_model() -> None:
-    got = seen(MODEL, THETA_I, PHI_I, THETA_R, PHI_R, wavelength_nm=550.0, cones=(0.0, 0.0))
+    got = seen(MODEL, Directions(THETA_I, PHI_I, THETA_R, PHI_R), wavelength_nm=550.0, cones=(0.0, 0.0))
     want = MODEL.brdf(THETA_I, PHI_I, THETA_R, PHI_R, wavelength_nm=550.0)
     np.testing.assert_allclose(got, want, rtol=1e-13)  # alone or in a batch: roundings
 
 
 def test_with_cones_it_is_the_average_over_them_spike_included() -> None:
     cone = 2.4e-4  # half-angles of 0.5 degrees
-    got = seen(MODEL, THETA_I, PHI_I, THETA_R, PHI_R, wavelength_nm=550.0, cones=(cone, cone))
+    got = seen(MODEL, Directions(THETA_I, PHI_I, THETA_R, PHI_R), wavelength_nm=550.0, cones=(cone, cone))
     want = apparent_brdf(
         MODEL, THETA_I, PHI_I, THETA_R, PHI_R, wavelength_nm=550.0,
         source_solid_angle_sr=cone, receiver_solid_angle_sr=cone, spike="exact",

@@ -23,7 +23,7 @@ def test_every_row_that_is_left_out_is_counted_by_its_reason() -> None:
     left_out = {reason: waves.size for reason, waves in used.omitted.items()}
     assert left_out == {"flagged blocked": 1, "polarised": 1, "without a value": 1, "at the horizon": 1}
     np.testing.assert_array_equal(used.brdf, table["brdf"].to_numpy()[4:])
-    np.testing.assert_array_equal(used.theta_r, np.radians(table["theta_r_deg"].to_numpy()[4:]))
+    np.testing.assert_array_equal(used.directions.theta_r, np.radians(table["theta_r_deg"].to_numpy()[4:]))
 
 
 def test_a_table_without_a_usable_row_is_an_error_that_says_why() -> None:

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 import pytest
-from gonio_analysis.fitting.search import pose
+from gonio_analysis.fitting.problem import FitRequest, pose
 
 
 def test_values_to_the_search_scale_and_back() -> None:
-    problem = pose("he-torrance", 1.5 + 0j, {}, [], 1)
+    problem = pose(FitRequest("he-torrance", ior=1.5 + 0j))
     values = {"sigma0_um": 0.2, "tau_um": 1.5, "diffuse_albedo": 0.3}
     vector = problem.vector({**problem.fixed, **values})
     back = problem.values(vector)
@@ -22,14 +22,14 @@ def test_values_to_the_search_scale_and_back() -> None:
 
 
 def test_what_lies_outside_the_bounds_is_brought_inside() -> None:
-    problem = pose("lambert", None, {}, [], 1)
+    problem = pose(FitRequest("lambert"))
     lower, upper = problem.bounds
     assert problem.vector({"albedo": 7.0}) == upper
     assert problem.vector({"albedo": -1.0}) == lower
 
 
 def test_slopes_are_those_of_the_scale() -> None:
-    problem = pose("he-torrance", 1.5 + 0j, {}, [], 1)
+    problem = pose(FitRequest("he-torrance", ior=1.5 + 0j))
     vector = problem.vector({**problem.fixed, "sigma0_um": 0.2, "tau_um": 1.5, "diffuse_albedo": 0.3})
     step = 1e-6
     for k, name in enumerate(problem.free):
