@@ -94,7 +94,8 @@ def _command_line() -> Any:
 def _explain(error: BaseException) -> tuple[str, int]:
     """What to tell a person of an error, and the exit code."""
     if _no_memory(error):
-        return f"there is too little memory: {error or 'a request was refused'}; free some, or give it less data", 1
+        why = f": {error}" if str(error) else ""
+        return f"there is too little memory{why}; free some, or give it less data", 1
     if isinstance(error, RecursionError):
         return "an input file is nested too deeply (brackets in brackets)", 1
     if isinstance(error, OSError):
@@ -112,7 +113,13 @@ def _no_memory(error: BaseException) -> bool:
     """Whether an error says that memory is short, in one of the ways that libraries say it."""
     if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM):
         return True
-    words = ("failed to map segment", "annot allocate memory", "can't start new thread", "ut of memory")
+    words = (
+        "failed to map segment",
+        "find/load shared object",
+        "annot allocate memory",
+        "can't start new thread",
+        "ut of memory",
+    )
     return isinstance(error, ImportError | RuntimeError | OSError) and any(word in str(error) for word in words)
 
 
