@@ -422,6 +422,7 @@ def test_the_reduction_holds_the_frames_of_one_step_at_a_time(measure: Measure) 
     pictures, entries = [], []
 
     def look(done: int, of: int) -> None:
+        gc.collect()
         there = gc.get_objects()
         pictures.append(sum(isinstance(each, Frame) for each in there))
         entries.append(sum(isinstance(each, FrameRecord) for each in there))
