@@ -1,0 +1,200 @@
+"""Rays of a camera: a pinhole, a thin lens, or the camera of a described rig at a pose."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, model_validator
+
+from gonio.config import Strict
+from gonio.rig.description import NonNegative, Positive, RigDescription
+from gonio.rig.kinematics import view
+from gonio.rig.protocols import Pose
+from gonio.typing import Floats
+from gonio_scenes.sampling import on_disc, point
+
+Point = tuple[float, float, float]
+MAX_PIXELS = 1 << 26
+
+
+class PoseTable(Strict):
+    """Angles of a rig's axes."""
+
+    light_deg: float = 0.0
+    camera_deg: float = 0.0
+    tilt_deg: float = 0.0
+    spin_deg: float = 0.0
+    azimuth_deg: float = 0.0
+
+    def pose(self) -> Pose:
+        """The same in radians."""
+        return Pose(*(math.radians(getattr(self, f"{n}_deg")) for n in ("light", "camera", "tilt", "spin", "azimuth")))
+
+
+class CameraTable(Strict):
+    """The table [camera] of a scene file: a pinhole, a thin lens (`lens_radius_mm`), or `rig` and `pose`."""
+
+    position_mm: Point | None = None
+    look_at_mm: Point = (0.0, 0.0, 0.0)
+    up: Point = (0.0, 1.0, 0.0)
+    vertical_field_deg: Annotated[float, Field(gt=0, lt=180)] | None = None
+    width: Annotated[int, Field(ge=1, le=16384)] | None = None
+    height: Annotated[int, Field(ge=1, le=16384)] | None = None
+    samples: Annotated[int, Field(ge=1, le=65536)] = 1
+    """Rays through a pixel: one goes through its centre, several are spread over it."""
+    lens_radius_mm: NonNegative = 0.0
+    focus_mm: Positive | None = None
+    """Distance of the plane in focus from the lens, along the axis; that of `look_at_mm` if it is not given."""
+    polariser_deg: float | None = None
+    """A linear polariser before the lens: the angle of what it passes from the picture's right, toward its top."""
+    rig: str | None = None
+    """A rig's name or file: its camera looks at the origin of the scene, which is the centre of its sample."""
+    pose: PoseTable | None = None
+
+    @model_validator(mode="after")
+    def _sound(self) -> CameraTable:
+        if self.rig is not None:
+            odd = [n for n in ("position_mm", "vertical_field_deg", "focus_mm") if getattr(self, n) is not None]
+            if odd:
+                raise ValueError(f"{odd[0]} and rig exclude each other: the rig file says where its camera is")
+            if self.pose is None:
+                raise ValueError("rig needs pose = { light_deg = ..., camera_deg = ... }")
+            return self
+        if self.pose is not None:
+            raise ValueError('pose belongs to rig = "...", which is missing')
+        for name in ("position_mm", "vertical_field_deg", "width", "height"):
+            if getattr(self, name) is None:
+                raise ValueError(f"the key {name} is missing")
+        assert self.position_mm is not None
+        assert self.width is not None
+        assert self.height is not None
+        if self.width * self.height > MAX_PIXELS:
+            raise ValueError(f"{self.width} x {self.height} pixels are more than {MAX_PIXELS}")
+        look = np.subtract(self.look_at_mm, self.position_mm)
+        if not look.any():
+            raise ValueError("position_mm and look_at_mm are the same point")
+        across = np.cross(look, self.up)
+        if not np.linalg.norm(across) > 1e-9 * np.linalg.norm(look) * np.linalg.norm(self.up):
+            raise ValueError("up points along the line of sight: choose another up")
+        return self
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera in the scene: a lens (or hole) at a point, and a picture on the plane at distance 1 before it."""
+
+    position: Floats
+    right: Floats
+    """Unit vector along which columns grow."""
+    down: Floats
+    """Unit vector along which rows grow."""
+    forward: Floats
+    width: int
+    height: int
+    step: float
+    """Distance of neighbouring pixels on the plane at distance 1."""
+    lens_radius: float
+    focus: float
+    samples: int
+
+    @property
+    def pixels(self) -> int:
+        """How many pixels the picture has."""
+        return self.width * self.height
+
+    @property
+    def noiseless(self) -> bool:
+        """Whether one ray a pixel is all: through its centre, from a pinhole."""
+        return self.samples == 1 and self.lens_radius == 0.0
+
+    def rays(self, pixel: npt.NDArray[np.int64], sample: int, shift: Floats | None) -> tuple[Floats, Floats]:
+        """Origins and unit directions (n, 3) of one ray through each of some pixels, numbered row by row.
+
+        Parameters
+        ----------
+        pixel
+            Their numbers, (n,).
+        sample
+            The number of the ray in its pixel, from 0.
+        shift
+            (n, 4): where each pixel's sequence of points starts, in [0, 1); None for the pixel's centre and the
+            lens's.
+        """
+        row, column = np.divmod(pixel, self.width)
+        wide = self.lens_radius > 0.0
+        at = point(sample, shift[:, : 4 if wide else 2]) if shift is not None else np.full((2, pixel.size), 0.5)
+        x = (column + at[0] - 0.5 * self.width) * self.step
+        y = (row + at[1] - 0.5 * self.height) * self.step
+        direction = self.forward + x[:, None] * self.right + y[:, None] * self.down
+        origin = np.broadcast_to(self.position, direction.shape)
+        if wide and shift is not None:
+            a, b = on_disc(at[2], at[3])
+            lens = self.lens_radius * (a[:, None] * self.right + b[:, None] * self.down)
+            origin, direction = origin + lens, self.focus * direction - lens
+        return origin, direction / np.linalg.norm(direction, axis=1)[:, None]
+
+    def project(self, point: Floats) -> tuple[Floats, Floats]:
+        """Column and row (fractions of pixels, 0 the picture's left and upper edge) of points (n, 3) before the lens.
+
+        NaN for a point behind it.
+        """
+        away = point - self.position
+        depth = away @ self.forward
+        with np.errstate(divide="ignore", invalid="ignore"):
+            scale = np.where(depth > 0.0, 1.0 / (depth * self.step), np.nan)
+        return (
+            np.asarray(away @ self.right * scale + 0.5 * self.width),
+            np.asarray(away @ self.down * scale + 0.5 * self.height),
+        )
+
+
+def from_table(table: CameraTable, rig: RigDescription | None) -> Camera:
+    """The camera that a scene file describes; `rig` is the description that its key `rig` names."""
+    if rig is not None:
+        return _of_rig(table, rig)
+    assert table.position_mm is not None
+    assert table.vertical_field_deg is not None
+    assert table.width is not None
+    assert table.height is not None
+    position = np.array(table.position_mm)
+    look = np.array(table.look_at_mm) - position
+    distance = float(np.linalg.norm(look))
+    forward = look / distance
+    right = np.cross(forward, np.array(table.up))
+    right /= np.linalg.norm(right)
+    return Camera(
+        position=position,
+        right=right,
+        down=np.cross(forward, right),
+        forward=forward,
+        width=table.width,
+        height=table.height,
+        step=2.0 * math.tan(math.radians(table.vertical_field_deg) / 2.0) / table.height,
+        lens_radius=table.lens_radius_mm,
+        focus=table.focus_mm or distance,
+        samples=table.samples,
+    )
+
+
+def _of_rig(table: CameraTable, rig: RigDescription) -> Camera:
+    """The rig's camera as its lens forms the image: in focus at the sample's centre."""
+    assert table.pose is not None
+    seen = view(rig, table.pose.pose())
+    distance = rig.geometry.camera_distance_mm
+    image_mm = 1.0 / (1.0 / rig.camera.focal_length_mm - 1.0 / distance)
+    return Camera(
+        position=seen.camera_mm,
+        right=seen.image_x,
+        down=seen.image_y,
+        forward=-seen.camera_mm / distance,
+        width=table.width or rig.camera.width,
+        height=table.height or rig.camera.height,
+        step=rig.camera.pixel_um * 1e-3 / image_mm * rig.camera.height / (table.height or rig.camera.height),
+        lens_radius=table.lens_radius_mm or distance * math.tan(math.radians(rig.camera.lens_half_angle_deg)),
+        focus=distance,
+        samples=table.samples,
+    )

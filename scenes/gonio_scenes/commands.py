@@ -1,0 +1,33 @@
+"""The command `gonio render`. Nothing heavy is imported before it runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def render(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (TOML).", show_default=False)],
+    out: Annotated[Path, typer.Option(help="Folder of the picture.", show_default=False)],
+    tolerance: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="Relative standard error that every pixel is brought below.", show_default=False),
+    ] = None,
+    exr: Annotated[bool, typer.Option("--exr", help="Write picture.exr too, a float channel a wavelength.")] = False,
+) -> None:
+    """Render a scene file through the models. Prints the picture's path."""
+    from gonio.acquisition.run import command_line
+    from gonio.cli import console
+    from gonio_scenes import picture
+    from gonio_scenes.render import render as rendered
+    from gonio_scenes.scene import read
+
+    described = read(scene, tolerance=tolerance)
+    with console.counter("rendering") as step:
+        result = rendered(described, step=step)
+    picture.write(described, result, out, exr=exr, command=command_line())
+    if result.above_tolerance:
+        console.note(f"{result.above_tolerance} pixels are above the tolerance still; summary.json says how far")
+    print(out / "picture.png")

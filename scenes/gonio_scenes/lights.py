@@ -1,0 +1,249 @@
+"""What shines in a scene: directional light, points, discs of finite size, and uniform ambient light."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, model_validator
+
+from gonio.config import Strict
+from gonio.rig.description import Positive, RigDescription
+from gonio.rig.kinematics import view
+from gonio.rig.protocols import Pose
+from gonio.typing import Floats
+from gonio_scenes.sampling import on_disc, point
+from gonio_scenes.spectra import NonNegativeSpectrum, Spectral, values
+
+Vector = tuple[float, float, float]
+
+
+class _Light(Strict):
+    name: str = ""
+    spectrum: str | NonNegativeSpectrum | None = None
+    """Relative spectral power that multiplies the light's value: "D65", "A", "D50" (1 at 560 nm), or a table."""
+
+
+def _some_direction(name: str, vector: Vector) -> None:
+    if not any(vector):
+        raise ValueError(f"{name} = [0, 0, 0] is no direction")
+
+
+class DirectionalTable(_Light):
+    """Light from one direction, as from far away."""
+
+    kind: Literal["directional"]
+    toward: Vector
+    """From the scene to the light; its length does not matter."""
+    irradiance: Spectral
+    """On a surface that faces the light."""
+
+    @model_validator(mode="after")
+    def _sound(self) -> DirectionalTable:
+        _some_direction("toward", self.toward)
+        return self
+
+
+class PointTable(_Light):
+    """A point that shines alike in all directions."""
+
+    kind: Literal["point"]
+    position_mm: Vector
+    intensity: Spectral
+    """[1/sr]; the irradiance at the distance d, facing the light, is intensity / d^2 with d in mm."""
+
+
+class DiscTable(_Light):
+    """A disc of uniform radiance on the side that `normal` points to; the other side is dark, and in nobody's way."""
+
+    kind: Literal["disc"]
+    center_mm: Vector
+    normal: Vector
+    radius_mm: Positive
+    radiance: Spectral
+    samples: Annotated[int, Field(ge=1, le=65536)] = 16
+    """Points of the disc that a ray's hit looks at."""
+    visible: bool = False
+    """Whether the camera sees the disc itself; mirror rays always do."""
+
+    @model_validator(mode="after")
+    def _sound(self) -> DiscTable:
+        _some_direction("normal", self.normal)
+        return self
+
+
+class RigTable(_Light):
+    """The lamp of the camera's rig, at its pose: a disc that faces the origin."""
+
+    kind: Literal["rig"]
+    irradiance: Spectral
+    """At the origin, on a surface that faces the lamp."""
+    samples: Annotated[int, Field(ge=1, le=65536)] = 16
+    visible: bool = False
+
+
+class AmbientTable(_Light):
+    """Uniform radiance from all around, without shadows."""
+
+    kind: Literal["ambient"]
+    radiance: Spectral
+
+
+LightTable = Annotated[
+    DirectionalTable | PointTable | DiscTable | RigTable | AmbientTable, Field(discriminator="kind")
+]
+
+
+@dataclass(frozen=True)
+class Arriving:
+    """Light that arrives at hits from one direction each."""
+
+    direction: Floats
+    """Unit vectors (n, 3) toward the light."""
+    distance: Floats | float
+    """How far the light is [mm], (n,); inf for directional light."""
+    strength: Floats | float
+    """What multiplies the light's spectral `power` to give the irradiance on a surface that faces the light, (n,)."""
+
+
+@dataclass(frozen=True)
+class Directional:
+    """Light from one direction."""
+
+    power: Floats
+    """Irradiance at each wavelength, (w,)."""
+    toward: Floats
+    samples: int = 1
+
+    def arrive(self, position: Floats, sample: int, shift: Floats | None) -> Arriving:
+        """The light at positions (n, 3)."""
+        return Arriving(np.broadcast_to(self.toward, position.shape), math.inf, 1.0)
+
+
+@dataclass(frozen=True)
+class PointLight:
+    """A point that shines alike in all directions."""
+
+    power: Floats
+    """Intensity at each wavelength, (w,)."""
+    position: Floats
+    samples: int = 1
+
+    def arrive(self, position: Floats, sample: int, shift: Floats | None) -> Arriving:
+        """The light at positions (n, 3)."""
+        away = self.position - position
+        squared = np.einsum("ij,ij->i", away, away)
+        distance = np.sqrt(squared)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return Arriving(away / distance[:, None], distance, 1.0 / squared)
+
+
+@dataclass(frozen=True)
+class Disc:
+    """A disc of uniform radiance on one side."""
+
+    power: Floats
+    """Radiance at each wavelength, (w,)."""
+    center: Floats
+    normal: Floats
+    radius: float
+    samples: int
+    visible: bool
+
+    def arrive(self, position: Floats, sample: int, shift: Floats | None) -> Arriving:
+        """The light of one point of the disc, at positions (n, 3); the mean over all points is the disc's.
+
+        `sample` numbers the point, and `shift` (n, 2) moves each hit's points over the disc; without it they are the
+        centre.
+        """
+        at = self.center
+        if shift is not None:
+            a, b = on_disc(*point(sample, shift))
+            across, along = _axes(self.normal)
+            at = self.center + self.radius * (a[:, None] * across + b[:, None] * along)
+        away = at - position
+        squared = np.einsum("ij,ij->i", away, away)
+        distance = np.sqrt(squared)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            direction = away / distance[:, None]
+        facing = np.maximum(-(direction @ self.normal), 0.0)
+        return Arriving(direction, distance, math.pi * self.radius**2 * facing / squared)
+
+    def seen(self, origin: Floats, direction: Floats) -> Floats:
+        """Distance along rays to the shining side of the disc, inf where they miss it."""
+        toward = direction @ self.normal
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = ((self.center - origin) @ self.normal) / toward
+            at = origin + distance[:, None] * direction - self.center
+        inside = np.einsum("ij,ij->i", at, at) <= self.radius**2
+        return np.where((toward < 0.0) & (distance > 0.0) & inside, distance, math.inf)
+
+
+Light = Directional | PointLight | Disc
+
+
+def _axes(normal: Floats) -> tuple[Floats, Floats]:
+    """Two unit vectors across a normal and each other."""
+    helper = np.eye(3)[np.argmin(np.abs(normal))]
+    across = np.cross(helper, normal)
+    across /= np.linalg.norm(across)
+    return across, np.cross(normal, across)
+
+
+def power(table: _Light, value: float | NonNegativeSpectrum, wavelength_nm: Floats) -> Floats:
+    """A light's value at each wavelength, its spectrum included."""
+    strength = values(value, wavelength_nm)
+    if isinstance(table.spectrum, str):
+        from gonio.colour import illuminant
+
+        return strength * illuminant(table.spectrum, wavelength_nm)
+    return strength if table.spectrum is None else strength * values(table.spectrum, wavelength_nm)
+
+
+def _unit(vector: Vector) -> Floats:
+    array = np.array(vector)
+    array /= np.abs(array).max()
+    return np.asarray(array / np.linalg.norm(array))
+
+
+def from_table(table: LightTable, wavelength_nm: Floats, rig: RigDescription | None, pose: Pose | None) -> Light:
+    """A light of a scene file at its wavelengths; `rig` and `pose` are the camera's, for a light of the kind "rig"."""
+    if isinstance(table, DirectionalTable):
+        return Directional(power(table, table.irradiance, wavelength_nm), _unit(table.toward))
+    if isinstance(table, PointTable):
+        return PointLight(power(table, table.intensity, wavelength_nm), np.array(table.position_mm))
+    if isinstance(table, DiscTable):
+        return Disc(
+            power(table, table.radiance, wavelength_nm),
+            np.array(table.center_mm),
+            _unit(table.normal),
+            table.radius_mm,
+            table.samples,
+            table.visible,
+        )
+    assert isinstance(table, RigTable)
+    assert rig is not None
+    assert pose is not None
+    return _lamp(table, wavelength_nm, rig, pose)
+
+
+def _lamp(table: RigTable, wavelength_nm: Floats, rig: RigDescription, pose: Pose) -> Light:
+    """The rig's lamp: a disc about its centre that faces the sample, a point if the rig file gives it no size."""
+    position = view(rig, pose).source_mm
+    distance = rig.geometry.light_distance_mm
+    irradiance = power(table, table.irradiance, wavelength_nm)
+    half = math.radians(rig.lamp.half_angle_deg)
+    if half == 0.0:
+        return PointLight(irradiance * distance**2, position)
+    # on the axis a disc of radiance L and half-angle a gives the irradiance pi L sin^2 a
+    return Disc(
+        irradiance / (math.pi * math.sin(half) ** 2),
+        position,
+        -position / distance,
+        distance * math.tan(half),
+        table.samples,
+        table.visible,
+    )

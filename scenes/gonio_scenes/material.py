@@ -1,0 +1,246 @@
+"""What a shape is made of: a model, whose parameters may be spectra and may change over the surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+from scipy.interpolate import PchipInterpolator
+
+from gonio import models
+from gonio.config import Strict, parse
+from gonio.errors import ArgumentError, ConfigError
+from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, Sum
+from gonio.typing import Floats
+from gonio_scenes.patterns import Pattern, Texture
+from gonio_scenes.spectra import Spectral, Spectrum, is_table, values
+
+AMBIENT_NODES = 65
+"""Polar angles at which rho_hd is computed; between them it is interpolated."""
+
+
+class MaterialTable(Strict):
+    """A table [material.NAME] of a scene file: as a sample file, and textures by the name of a parameter."""
+
+    model: str
+    parameters: dict[str, Any] = Field(default_factory=dict)
+    """The model's arguments. A number may be a table { wavelength_nm = [...], value = [...] }."""
+    textures: dict[str, Texture] = Field(default_factory=dict)
+    ambient_reflectance: Spectral | Literal["normal"] | None = None
+    """What ambient light is multiplied by, in place of rho_hd: a number, a table, or "normal", the reflectance of a
+    smooth surface at normal incidence (Cook and Torrance's R_a = pi R_d with R_d = F_0/pi)."""
+
+
+@dataclass(frozen=True)
+class _Level:
+    """A material where its textures have one set of values: a model for all wavelengths, or one for each."""
+
+    at: tuple[Model, ...]
+    constant: bool
+    """Whether the BRDF is the same at all wavelengths."""
+
+
+class Material:
+    """A material at the wavelengths of a scene.
+
+    Parameters
+    ----------
+    table
+        What the scene file says.
+    wavelength_nm
+        The scene's wavelengths.
+    folder
+        Where the files of textures lie.
+    where
+        The table's name in the scene file, for messages.
+
+    Raises
+    ------
+    ConfigError, DataError
+        The model does not take the parameters, a spectrum does not reach the wavelengths, or a texture is wrong.
+    """
+
+    def __init__(self, table: MaterialTable, wavelength_nm: Floats, folder: Path, where: str) -> None:
+        self._table = table
+        self._waves = wavelength_nm
+        self._where = where
+        self._levels: dict[tuple[float, ...], _Level] = {}
+        self._ambient: dict[tuple[float, ...], PchipInterpolator] = {}
+        self._textures: dict[str, Pattern] = {
+            name: texture.load(folder, f"{where}.textures.{name}") for name, texture in table.textures.items()
+        }
+        first = self._level((0.0,) * len(self._textures))
+        self.has_spike = any(model.has_spike for model in first.at)
+        """Whether it has a specular spike, so that mirror rays are followed."""
+        self.constant = first.constant
+        """Whether its BRDF is the same at all wavelengths."""
+        self.model = first.at[0]
+        """The model at the first wavelength, where every texture is 0."""
+
+    # --- what a renderer asks ---------------------------------------------------------------------------------------
+
+    def brdf(self, omega_i: Floats, omega_r: Floats, uv: Floats) -> Floats:
+        """BRDF [1/sr] without the spike: (n, wavelengths), or (n, 1) where it does not depend on the wavelength.
+
+        `omega_i` and `omega_r` are unit vectors (n, 3) in the surface's frame: x its tangent, z its normal.
+        """
+        return self._by_level(uv, lambda level, here: self._brdf(level, omega_i[here], omega_r[here]))
+
+    def specular(self, cos_theta: Floats, uv: Floats) -> Floats:
+        """Reflectivity of the spike at cosines of the polar angle (n,): (n, wavelengths), or (n, 1)."""
+        theta = np.arccos(np.clip(cos_theta, 0.0, 1.0))
+        return self._by_level(uv, lambda level, here: self._each(level, lambda m, w: m.specular_reflectivity(theta[here], wavelength_nm=w)))
+
+    def ambient(self, cos_theta: Floats, uv: Floats) -> Floats:
+        """What uniform light is multiplied by toward a polar angle: rho_hd without the spike, (n, wavelengths) or (n, 1).
+        """
+        given = self._table.ambient_reflectance
+        if given is not None:
+            return np.broadcast_to(self._given(given), (cos_theta.size, self._waves.size))
+        theta = np.arccos(np.clip(cos_theta, 0.0, 1.0))
+        return self._by_level(uv, lambda level, here: self._rho_hd(level, theta[here]))
+
+    # --- levels of textures -----------------------------------------------------------------------------------------
+
+    def _by_level(self, uv: Floats, evaluate: Any) -> Floats:
+        """Evaluate at hits, those with the same values of the textures together."""
+        if not self._textures:
+            return np.asarray(evaluate((), slice(None)))
+        values = np.stack([texture(uv) for texture in self._textures.values()], axis=1)
+        levels, place = np.unique(values, axis=0, return_inverse=True)
+        place = place.reshape(-1)
+        order = np.argsort(place, kind="stable")
+        ends = np.cumsum(np.bincount(place, minlength=len(levels)))
+        out: Floats | None = None
+        for k, level in enumerate(levels):
+            here = order[ends[k - 1] if k else 0 : ends[k]]
+            part = evaluate(tuple(level), here)
+            if out is None:
+                out = np.empty((uv.shape[0], part.shape[1]))
+            out[here] = part
+        return out if out is not None else np.empty((0, 1))
+
+    def _level(self, level: tuple[float, ...]) -> _Level:
+        if level not in self._levels:
+            self._levels[level] = self._made(level)
+        return self._levels[level]
+
+    def _made(self, level: tuple[float, ...]) -> _Level:
+        spectral = _has_spectrum(self._table.parameters) or any(
+            isinstance(end, Spectrum) for texture in self._table.textures.values() for end in (texture.low, texture.high)
+        )
+        if spectral:
+            return _Level(tuple(self._built(level, wave) for wave in self._waves), constant=False)
+        model = self._built(level, float(self._waves[0]))
+        return _Level((model,), constant=_is_constant(model))
+
+    def _built(self, level: tuple[float, ...], wavelength_nm: float) -> Model:
+        """The model at a wavelength, where the textures have certain values."""
+        where = f"{self._where} with model = {self._table.model!r}"
+        try:
+            parameters = _at(self._table.parameters, wavelength_nm, f"{self._where}.parameters")
+            for t, (name, texture) in zip(level, self._table.textures.items(), strict=True):
+                low, high = (float(values(end, np.array([wavelength_nm]))[0]) for end in (texture.low, texture.high))
+                parameters[name] = low + (high - low) * t
+            model = models.build(self._table.model, parameters)
+        except ArgumentError as error:
+            raise ConfigError(f"{where}: {error}") from None
+        if isinstance(model, Blinn) and "c" in self._table.textures:
+            # a varying c3 is normalised by its smallest value (Blinn 1977, "Varying surface shininess"):
+            # [c_min c3/(cos^2 (c3^2 - 1) + 1)]^2 = (c_min/c3)^2 D3
+            c_min = min(float(values(end, np.array([wavelength_nm]))[0]) for end in _ends(self._table.textures["c"]))
+            parameters["k_s"] = model.k_s * (c_min / parameters["c"]) ** 2
+            model = models.build(self._table.model, parameters)
+        return model
+
+    # --- evaluation -------------------------------------------------------------------------------------------------
+
+    def _brdf(self, level: tuple[float, ...], omega_i: Floats, omega_r: Floats) -> Floats:
+        made = self._level(level)
+        if made.constant:
+            return np.asarray(made.at[0].brdf_vectors(omega_i, omega_r, wavelength_nm=float(self._waves[0])))[:, None]
+        if len(made.at) == 1 and self._waves.size > 1:
+            waves = made.at[0].brdf_vectors(omega_i[:, None], omega_r[:, None], wavelength_nm=self._waves)
+            return np.asarray(waves)
+        return self._each(level, lambda m, w: m.brdf_vectors(omega_i, omega_r, wavelength_nm=w))
+
+    def _each(self, level: tuple[float, ...], evaluate: Any) -> Floats:
+        """``evaluate(model, wavelength) -> (n,)`` at each wavelength, (n, wavelengths) or (n, 1)."""
+        made = self._level(level)
+        waves = self._waves[:1] if made.constant else self._waves
+        pairs = ((made.at[k if len(made.at) > 1 else 0], float(wave)) for k, wave in enumerate(waves))
+        return np.stack([evaluate(model, wave) for model, wave in pairs], axis=1)
+
+    def _rho_hd(self, level: tuple[float, ...], theta: Floats) -> Floats:
+        """rho_hd from a table over the polar angle, made once, on the first use of a level."""
+        if level not in self._ambient:
+            # nodes close up toward grazing, where reflectances change fastest
+            nodes = np.pi / 2 * np.sin(np.linspace(0.0, np.pi / 2, AMBIENT_NODES))
+            table = self._each(
+                level, lambda m, w: m.hemispherical_directional(nodes, wavelength_nm=w) - m.specular_reflectivity(nodes, wavelength_nm=w)
+            )
+            self._ambient[level] = PchipInterpolator(nodes, table)
+        return np.asarray(self._ambient[level](theta))
+
+    def _given(self, given: Any) -> Floats:
+        if given != "normal":
+            return values(given, self._waves)
+        level = self._level((0.0,) * len(self._textures))
+        out = np.empty(self._waves.size)
+        for k, wave in enumerate(self._waves):
+            index = _normal_index(level.at[k if len(level.at) > 1 else 0], float(wave), self._where)
+            out[k] = abs((index - 1.0) / (index + 1.0)) ** 2
+        return out
+
+
+def load(table: dict[str, Any], wavelength_nm: Floats, folder: Path, where: str) -> Material:
+    """A material from a TOML table that is not checked yet."""
+    return Material(parse(MaterialTable, table, where), wavelength_nm, folder, where)
+
+
+def _ends(texture: Texture) -> tuple[Any, Any]:
+    return texture.low, texture.high
+
+
+def _has_spectrum(value: Any) -> bool:
+    if is_table(value):
+        return True
+    return isinstance(value, dict) and any(_has_spectrum(inner) for inner in value.values())
+
+
+def _at(parameters: dict[str, Any], wavelength_nm: float, where: str) -> dict[str, Any]:
+    """Parameters with every spectrum at one wavelength."""
+    out = {}
+    for name, value in parameters.items():
+        if is_table(value):
+            out[name] = parse(Spectrum, value, f"{where}.{name}").at(wavelength_nm)
+        elif isinstance(value, dict):
+            out[name] = _at(value, wavelength_nm, f"{where}.{name}")
+        else:
+            out[name] = value
+    return out
+
+
+def _is_constant(model: Model) -> bool:
+    """Whether a model is known to be the same at all wavelengths."""
+    if isinstance(model, Sum):
+        return all(_is_constant(term) for term, _ in model.terms)
+    if isinstance(model, (CookTorrance, Blinn)):
+        return not (isinstance(model.ior, str) or callable(model.ior))
+    return isinstance(model, (Lambert, Phong, OrenNayar))
+
+
+def _normal_index(model: Model, wavelength_nm: float, where: str) -> complex:
+    """The index of refraction that a model has at a wavelength."""
+    from gonio.models.model import index_at
+
+    if isinstance(model, (CookTorrance, Blinn, HeTorrance)):
+        return index_at(model.ior, wavelength_nm)
+    raise ConfigError(
+        f'{where}.ambient_reflectance = "normal": the model "{model.name}" has no index of refraction; give a number'
+    )
+
+

@@ -1,0 +1,184 @@
+"""The scene file: checked tables, and the scene that they describe."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from gonio.acquisition.measure import find_rig
+from gonio.config import Strict, load
+from gonio.errors import ConfigError, DataError
+from gonio.rig.description import NonNegative, Positive, RigDescription
+from gonio.typing import Floats
+from gonio_scenes import camera as cameras
+from gonio_scenes import lights
+from gonio_scenes.camera import Camera, CameraTable
+from gonio_scenes.lights import AmbientTable, Disc, Light, LightTable, PointLight, RigTable
+from gonio_scenes.material import Material, MaterialTable
+from gonio_scenes.shapes import ShapeTable
+from gonio_scenes.spectra import MAX_WAVELENGTHS, Range, Wavelength
+from gonio_scenes.world import World
+
+
+class PictureTable(Strict):
+    """The table [picture]: how radiances are shown. It changes no number of `radiance.npz`."""
+
+    white: Positive | None = None
+    """The luminance shown as white: that of a perfect white under irradiance pi is 1. Chosen from the picture if not
+    given."""
+    display: Literal["srgb", "1982"] = "srgb"
+    """Today's practice, or Cook and Torrance's: scaled as a whole, desaturated at constant dominant wavelength."""
+
+
+class SceneFile(Strict):
+    """A scene file, as it is written."""
+
+    name: str
+    wavelength_nm: tuple[Wavelength, ...] | Range
+    camera: CameraTable
+    shape: Annotated[tuple[ShapeTable, ...], Field(min_length=1)]
+    material: dict[str, MaterialTable]
+    light: Annotated[tuple[LightTable, ...], Field(min_length=1)]
+    picture: PictureTable = PictureTable()
+    mirror_depth: Annotated[int, Field(ge=0, le=64)] = 4
+    """How many mirror rays follow each other at most."""
+    tolerance: NonNegative = 0.0
+    """Standard error that every pixel is brought below, of its own value or of the picture's mean, whichever is larger;
+    0 for `camera.samples` rays a pixel, as they are."""
+    seed: Annotated[int, Field(ge=0, lt=1 << 63)] = 0
+
+    @model_validator(mode="after")
+    def _sound(self) -> SceneFile:
+        waves = self.waves()
+        if not waves or len(waves) > MAX_WAVELENGTHS:
+            raise ValueError(f"wavelength_nm holds {len(waves)} wavelengths: 1 to {MAX_WAVELENGTHS} are rendered")
+        if any(b <= a for a, b in zip(waves, waves[1:], strict=False)):
+            raise ValueError("wavelength_nm must grow from entry to entry")
+        for k, shape in enumerate(self.shape):
+            if shape.material not in self.material:
+                near = difflib.get_close_matches(shape.material, self.material, n=1)
+                hint = f'did you mean "{near[0]}"?' if near else f"there are: {', '.join(self.material) or 'none'}"
+                raise ValueError(f'shape[{k + 1}].material = "{shape.material}": no [material] table of that name; {hint}')
+        if sum(isinstance(light, AmbientTable) for light in self.light) > 1:
+            raise ValueError("light: one ambient light is all: add their radiances")
+        if self.camera.rig is None and any(isinstance(light, RigTable) for light in self.light):
+            raise ValueError('light: kind = "rig" is the lamp of camera.rig, which is missing')
+        return self
+
+    def waves(self) -> tuple[float, ...]:
+        """The wavelengths [nm]."""
+        return self.wavelength_nm.all() if isinstance(self.wavelength_nm, Range) else self.wavelength_nm
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A scene that can be rendered."""
+
+    name: str
+    wavelength_nm: Floats
+    camera: Camera
+    polariser_deg: float | None
+    world: World
+    material: tuple[Material, ...]
+    """Of each shape."""
+    lights: tuple[Light, ...]
+    ambient: Floats | None
+    """Radiance of the ambient light at each wavelength."""
+    mirror_depth: int
+    tolerance: float
+    seed: int
+    picture: PictureTable
+    folder: Path
+    tables: SceneFile = field(repr=False)
+
+
+def read(path: str | Path, *, tolerance: float | None = None) -> Scene:
+    """Read a scene file; `tolerance` takes the place of its own.
+
+    Raises
+    ------
+    ConfigError, DataError
+        The file, or one that it names, is missing or wrong; the message names file, key and remedy.
+    """
+    path = Path(path)
+    tables = load(SceneFile, path)
+    return build(tables if tolerance is None else tables.model_copy(update={"tolerance": tolerance}), path)
+
+
+def build(tables: SceneFile, source: Path) -> Scene:
+    """The scene of checked tables; relative files lie beside `source`, which messages name."""
+    try:
+        return _built(tables, source)
+    except (ConfigError, DataError) as error:
+        raise type(error)(f"{source}: {error}") from None
+
+
+def _built(tables: SceneFile, source: Path) -> Scene:
+    folder = source.parent
+    waves = np.array(tables.waves())
+    rig = _rig(tables.camera, folder)
+    pose = tables.camera.pose.pose() if tables.camera.pose is not None else None
+    used = dict.fromkeys(shape.material for shape in tables.shape)
+    materials = {name: Material(tables.material[name], waves, folder, f"material.{name}") for name in used}
+    shapes = []
+    for k, table in enumerate(tables.shape):
+        try:
+            shapes.append(table.build(folder))
+        except (ConfigError, DataError) as error:
+            raise type(error)(f"shape[{k + 1}] ({table.kind}): {error}") from None
+    world = World(shapes)
+    camera = cameras.from_table(tables.camera, rig)
+    shining: list[Light] = []
+    ambient: Floats | None = None
+    for k, light in enumerate(tables.light):
+        try:
+            if isinstance(light, AmbientTable):
+                ambient = lights.power(light, light.radiance, waves)
+                continue
+            made = lights.from_table(light, waves, rig, pose)
+        except ConfigError as error:
+            raise ConfigError(f"light[{k + 1}] ({light.kind}): {error}") from None
+        _check_free(made, f"light[{k + 1}] ({light.kind})", tables, world, camera)
+        shining.append(made)
+    return Scene(
+        name=tables.name,
+        wavelength_nm=waves,
+        camera=camera,
+        polariser_deg=tables.camera.polariser_deg,
+        world=world,
+        material=tuple(materials[shape.material] for shape in tables.shape),
+        lights=tuple(shining),
+        ambient=ambient,
+        mirror_depth=tables.mirror_depth,
+        tolerance=tables.tolerance,
+        seed=tables.seed,
+        picture=tables.picture,
+        folder=folder,
+        tables=tables,
+    )
+
+
+def _rig(table: CameraTable, folder: Path) -> RigDescription | None:
+    """The rig that a camera belongs to; a relative file lies beside the scene file."""
+    if table.rig is None:
+        return None
+    beside = folder / table.rig
+    return find_rig(str(beside) if beside.is_file() else table.rig).description
+
+
+def _check_free(light: Light, where: str, tables: SceneFile, world: World, camera: Camera) -> None:
+    """Refuse a light inside a closed shape, unless the camera is in it too (a room)."""
+    if not isinstance(light, (PointLight, Disc)):
+        return
+    place = light.position if isinstance(light, PointLight) else light.center
+    for k, (shape, table) in enumerate(zip(world.shapes, tables.shape, strict=True)):
+        if shape.closed and shape.contains(place) and not shape.contains(camera.position):
+            raise ConfigError(
+                f"{where} lies inside shape[{k + 1}] ({table.kind}), which it cannot leave: move it outside, or the "
+                "camera inside"
+            )
