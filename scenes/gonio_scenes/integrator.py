@@ -35,6 +35,8 @@ class Integrator:
         self._discs = [light for light in scene.lights if isinstance(light, Disc)]
         to_see = scene.world.casts_shadows or bool(self._discs) or scene.ambient is not None
         self._mirrors = to_see and any(material.has_spike for material in scene.material)
+        self._axis = _polariser(scene)
+        """Of the polariser before the camera, in the scene."""
         self._any_seen = any(disc.visible for disc in self._discs)
 
     def radiance(self, origin: Floats, direction: Floats, random: np.random.Generator | None) -> tuple[Floats, Hits]:
@@ -46,7 +48,8 @@ class Integrator:
         out = np.zeros((direction.shape[0], scene.wavelength_nm.size))
         self.rays["camera"] += direction.shape[0]
         first = hits = scene.world.hit(origin, direction)
-        self._beyond(out, None, None, origin, direction, hits, mirrored=False)
+        past = None if self._axis is None else np.full((direction.shape[0], 1), 0.5)  # unpolarised light
+        self._beyond(out, None, past, origin, direction, hits, mirrored=False)
         where: Indices | None = None  # of the ray in `out`, and None where they are all there
         weight: Floats | None = None
         for depth in range(scene.mirror_depth + 1):
@@ -58,11 +61,12 @@ class Integrator:
             direction = direction if whole else direction[met]
             where = (met if where is None else where[met]) if not whole else where
             weight = weight if weight is None or whole else weight[met]
-            light = self._lit(hits, direction, random)
+            axis = self._axis if depth == 0 else None
+            light = self._lit(hits, direction, random, axis)
             _add(out, where, light if weight is None else weight * light)
             if not self._mirrors:
                 break
-            mirrored = self._mirror(hits, direction, weight)
+            mirrored = self._mirror(hits, direction, weight, axis)
             if mirrored is None:
                 break
             kept, weight, toward = mirrored
@@ -105,7 +109,9 @@ class Integrator:
 
     # --- what surfaces send back ------------------------------------------------------------------------------------
 
-    def _lit(self, hits: Hits, direction: Floats, random: np.random.Generator | None) -> Floats:
+    def _lit(
+        self, hits: Hits, direction: Floats, random: np.random.Generator | None, axis: Floats | None
+    ) -> Floats:
         """Radiances (n, wavelengths) of hits toward where their rays came from, mirror rays left out."""
         scene = self.scene
         out = np.zeros((hits.shape.size, scene.wavelength_nm.size))
@@ -133,23 +139,39 @@ class Integrator:
                 irradiance = cosine[here] * strength / count
                 towards = _local(arriving.direction[here], _picked(hits, here), side[here])
                 for material, part in self._by_material(hits, here):
-                    f = material.brdf(towards[part], view[here[part]], hits.uv[here[part]])
+                    at = here[part]
+                    if light.polarisation is None and axis is None:
+                        f = material.brdf(towards[part], view[at], hits.uv[at])
+                    else:
+                        of_light, of_camera = (
+                            None if a is None else _local(np.broadcast_to(a, (at.size, 3)), _picked(hits, at), side[at])
+                            for a in (light.polarisation, axis)
+                        )
+                        f = material.polarised(towards[part], view[at], hits.uv[at], of_light, of_camera)
                     _add(out, here[part], f * irradiance[part, None] * light.power)
         if scene.ambient is not None:
             everywhere = np.arange(hits.shape.size)
             for material, part in self._by_material(hits, everywhere):
-                out[part] += material.ambient(view[part, 2], hits.uv[part]) * scene.ambient
+                share = 1.0 if axis is None else 0.5  # of light that is taken as unpolarised
+                out[part] += share * material.ambient(view[part, 2], hits.uv[part]) * scene.ambient
         return out
 
     def _mirror(
-        self, hits: Hits, direction: Floats, weight: Floats | None
+        self, hits: Hits, direction: Floats, weight: Floats | None, axis: Floats | None
     ) -> tuple[Indices, Floats, Floats] | None:
         """The mirror rays that carry something: which hits they leave, with what weight, in what direction."""
         cosine = -np.einsum("ij,ij->i", direction, hits.facing)
         carried = np.zeros((hits.shape.size, self.scene.wavelength_nm.size))
         for material, part in self._by_material(hits, np.arange(hits.shape.size)):
-            if material.has_spike:
+            if not material.has_spike:
+                continue
+            if axis is None:
                 carried[part] = material.specular(cosine[part], hits.uv[part])
+            else:
+                at = _picked(hits, part)
+                side = np.cross(at.facing, at.tangent)
+                view, passing = (_local(v, at, side) for v in (-direction[part], np.broadcast_to(axis, (part.size, 3))))
+                carried[part] = material.polarised_specular(view, at.uv, passing)
         if weight is not None:
             carried *= weight
         kept = np.flatnonzero(carried.max(axis=1) > FAINT)
@@ -158,7 +180,7 @@ class Integrator:
         mirrored = direction[kept] + 2.0 * cosine[kept, None] * hits.facing[kept]
         return kept, carried[kept], mirrored / np.linalg.norm(mirrored, axis=1)[:, None]
 
-    def _by_material(self, hits: Hits, here: Indices) -> list[tuple[Material, Indices | slice]]:
+    def _by_material(self, hits: Hits, here: Indices) -> list[tuple[Material, Indices]]:
         """The hits `here` by material: positions in `here`."""
         scene = self.scene
         if len(set(map(id, scene.material))) == 1:
@@ -166,12 +188,20 @@ class Integrator:
         groups: dict[int, tuple[Material, list[int]]] = {}
         for k, material in enumerate(scene.material):
             groups.setdefault(id(material), (material, []))[1].append(k)
-        out: list[tuple[Material, Indices | slice]] = []
+        out: list[tuple[Material, Indices]] = []
         for material, shapes in groups.values():
             part = np.flatnonzero(np.isin(hits.shape[here], shapes))
             if part.size:
                 out.append((material, part))
         return out
+
+
+def _polariser(scene: Scene) -> Floats | None:
+    """The axis of the polariser before the camera, a unit vector of the scene."""
+    if scene.polariser_deg is None:
+        return None
+    angle = np.deg2rad(scene.polariser_deg)
+    return np.asarray(np.cos(angle) * scene.camera.right - np.sin(angle) * scene.camera.down)
 
 
 def _nearest(discs: list[Disc], origin: Floats, direction: Floats, nearest: Floats) -> list[tuple[Disc, Indices]]:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from gonio.config import Strict
+from gonio.errors import ConfigError
 from gonio.rig.description import Positive, RigDescription
 from gonio.rig.kinematics import view
 from gonio.rig.protocols import Pose
@@ -25,6 +26,9 @@ class _Light(Strict):
     name: str = ""
     spectrum: str | NonNegativeSpectrum | None = None
     """Relative spectral power that multiplies the light's value: "D65", "A", "D50" (1 at 560 nm), or a table."""
+
+    polarisation: Vector | None = None
+    """Along the electric field of linearly polarised light; what of it lies along the light does not count."""
 
 
 def _some_direction(name: str, vector: Vector) -> None:
@@ -86,15 +90,14 @@ class RigTable(_Light):
 
 
 class AmbientTable(_Light):
-    """Uniform radiance from all around, without shadows."""
+    """Uniform radiance from all around, without shadows and unpolarised."""
 
     kind: Literal["ambient"]
     radiance: Spectral
 
 
-LightTable = Annotated[
-    DirectionalTable | PointTable | DiscTable | RigTable | AmbientTable, Field(discriminator="kind")
-]
+Shining = DirectionalTable | PointTable | DiscTable | RigTable
+LightTable = Annotated[Shining | AmbientTable, Field(discriminator="kind")]
 
 
 @dataclass(frozen=True)
@@ -116,6 +119,7 @@ class Directional:
     power: Floats
     """Irradiance at each wavelength, (w,)."""
     toward: Floats
+    polarisation: Floats | None = None
     samples: int = 1
 
     def arrive(self, position: Floats, sample: int, shift: Floats | None) -> Arriving:
@@ -130,6 +134,7 @@ class PointLight:
     power: Floats
     """Intensity at each wavelength, (w,)."""
     position: Floats
+    polarisation: Floats | None = None
     samples: int = 1
 
     def arrive(self, position: Floats, sample: int, shift: Floats | None) -> Arriving:
@@ -152,6 +157,7 @@ class Disc:
     radius: float
     samples: int
     visible: bool
+    polarisation: Floats | None = None
 
     def arrive(self, position: Floats, sample: int, shift: Floats | None) -> Arriving:
         """The light of one point of the disc, at positions (n, 3); the mean over all points is the disc's.
@@ -197,10 +203,28 @@ def power(table: _Light, value: float | NonNegativeSpectrum, wavelength_nm: Floa
     """A light's value at each wavelength, its spectrum included."""
     strength = values(value, wavelength_nm)
     if isinstance(table.spectrum, str):
-        from gonio.colour import illuminant
-
-        return strength * illuminant(table.spectrum, wavelength_nm)
+        return strength * relative_power(table.spectrum, wavelength_nm)
     return strength if table.spectrum is None else strength * values(table.spectrum, wavelength_nm)
+
+
+def relative_power(illuminant: str, wavelength_nm: Floats) -> Floats:
+    """Relative spectral power of a CIE illuminant, 1 at 560 nm.
+
+    Raises
+    ------
+    ConfigError
+        There is no such illuminant, or its table does not reach a wavelength.
+    """
+    from gonio import colour
+
+    table = colour.wavelengths()
+    outside = wavelength_nm[(wavelength_nm < table[0]) | (wavelength_nm > table[-1])]
+    if outside.size:
+        raise ConfigError(
+            f'spectrum = "{illuminant}" is a table from {table[0]:g} to {table[-1]:g} nm and has no value at '
+            f"{outside[0]:g} nm: give spectrum = {{ wavelength_nm = [...], value = [...] }}"
+        )
+    return np.interp(wavelength_nm, table, colour.illuminant(illuminant) / 100.0)
 
 
 def _unit(vector: Vector) -> Floats:
@@ -209,12 +233,13 @@ def _unit(vector: Vector) -> Floats:
     return np.asarray(array / np.linalg.norm(array))
 
 
-def from_table(table: LightTable, wavelength_nm: Floats, rig: RigDescription | None, pose: Pose | None) -> Light:
+def from_table(table: Shining, wavelength_nm: Floats, rig: RigDescription | None, pose: Pose | None) -> Light:
     """A light of a scene file at its wavelengths; `rig` and `pose` are the camera's, for a light of the kind "rig"."""
+    field = None if table.polarisation is None else _unit(table.polarisation)
     if isinstance(table, DirectionalTable):
-        return Directional(power(table, table.irradiance, wavelength_nm), _unit(table.toward))
+        return Directional(power(table, table.irradiance, wavelength_nm), _unit(table.toward), field)
     if isinstance(table, PointTable):
-        return PointLight(power(table, table.intensity, wavelength_nm), np.array(table.position_mm))
+        return PointLight(power(table, table.intensity, wavelength_nm), np.array(table.position_mm), field)
     if isinstance(table, DiscTable):
         return Disc(
             power(table, table.radiance, wavelength_nm),
@@ -223,21 +248,24 @@ def from_table(table: LightTable, wavelength_nm: Floats, rig: RigDescription | N
             table.radius_mm,
             table.samples,
             table.visible,
+            field,
         )
     assert isinstance(table, RigTable)
     assert rig is not None
     assert pose is not None
-    return _lamp(table, wavelength_nm, rig, pose)
+    return _lamp(table, wavelength_nm, rig, pose, field)
 
 
-def _lamp(table: RigTable, wavelength_nm: Floats, rig: RigDescription, pose: Pose) -> Light:
+def _lamp(
+    table: RigTable, wavelength_nm: Floats, rig: RigDescription, pose: Pose, field: Floats | None
+) -> Light:
     """The rig's lamp: a disc about its centre that faces the sample, a point if the rig file gives it no size."""
     position = view(rig, pose).source_mm
     distance = rig.geometry.light_distance_mm
     irradiance = power(table, table.irradiance, wavelength_nm)
     half = math.radians(rig.lamp.half_angle_deg)
     if half == 0.0:
-        return PointLight(irradiance * distance**2, position)
+        return PointLight(irradiance * distance**2, position, field)
     # on the axis a disc of radiance L and half-angle a gives the irradiance pi L sin^2 a
     return Disc(
         irradiance / (math.pi * math.sin(half) ** 2),
@@ -246,4 +274,5 @@ def _lamp(table: RigTable, wavelength_nm: Floats, rig: RigDescription, pose: Pos
         distance * math.tan(half),
         table.samples,
         table.visible,
+        field,
     )

@@ -15,6 +15,7 @@ from gonio.config import Strict, parse
 from gonio.errors import ArgumentError, ConfigError
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, Sum
 from gonio.typing import Floats
+from gonio_scenes import polarised
 from gonio_scenes.patterns import Pattern, Texture
 from gonio_scenes.spectra import Spectral, Spectrum, is_table, values
 
@@ -88,6 +89,22 @@ class Material:
         `omega_i` and `omega_r` are unit vectors (n, 3) in the surface's frame: x its tangent, z its normal.
         """
         return self._by_level(uv, lambda level, here: self._brdf(level, omega_i[here], omega_r[here]))
+
+    def polarised(self, omega_i: Floats, omega_r: Floats, uv: Floats, field: Floats | None, axis: Floats | None) -> Floats:
+        """As `brdf`, for light with an electric field along `field` and behind a polariser along `axis` (n, 3)."""
+
+        def evaluate(level: tuple[float, ...], here: Any) -> Floats:
+            ends = [None if vectors is None else vectors[here] for vectors in (field, axis)]
+            return self._each(level, lambda m, w: polarised.brdf(m, omega_i[here], omega_r[here], *ends, w))
+
+        return self._by_level(uv, evaluate)
+
+    def polarised_specular(self, omega_r: Floats, uv: Floats, axis: Floats) -> Floats:
+        """As `specular`, behind a polariser."""
+        return self._by_level(
+            uv,
+            lambda level, here: self._each(level, lambda m, w: polarised.specular(m, omega_r[here], axis[here], w)),
+        )
 
     def specular(self, cos_theta: Floats, uv: Floats) -> Floats:
         """Reflectivity of the spike at cosines of the polar angle (n,): (n, wavelengths), or (n, 1)."""

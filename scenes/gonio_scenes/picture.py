@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
-import os
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +13,15 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio import __version__
-from gonio.disk import write_own
+from gonio.disk import require_own, write_own
 from gonio.errors import ConfigError
 from gonio.typing import Floats
-from gonio_scenes.lights import Disc
+from gonio_scenes.lights import Disc, relative_power
 from gonio_scenes.render import Picture
 from gonio_scenes.scene import Scene
 
 Image = npt.NDArray[np.uint8]
-VISIBLE_NM = (380.0, 780.0)
-WHITE_QUANTILE = 0.99
+WHITE_SHARE = 0.99
 """Where the file gives no white, this share of the picture's lit pixels is at most white."""
 
 
@@ -49,31 +48,58 @@ def write(scene: Scene, picture: Picture, out: Path, *, exr: bool = False, comma
         raise ConfigError(f"{out}: cannot be written: {error.strerror}") from None
 
 
+def require_free(out: Path, *, exr: bool) -> None:
+    """Raise `ConfigError`, before any work, where the files cannot be written: somebody else's are there."""
+    if exr:
+        _openexr()
+    require_own(out, ["radiance.npz", "picture.png", "summary.json", *(["picture.exr"] if exr else [])])
+
+
 def display(scene: Scene, radiance: Floats) -> tuple[Image, float]:
-    """The picture as a screen shows it, and the luminance (or radiance) that is white.
+    """The picture as a screen shows it, (height, width, 3) in RGB, and the luminance or radiance that is white.
 
     In colour from two visible wavelengths on, else in grey: the radiance at the middle wavelength.
     """
     from gonio import colour
 
-    waves = scene.wavelength_nm
-    white = scene.picture.white
-    visible = (waves >= VISIBLE_NM[0]) & (waves <= VISIBLE_NM[1])
+    waves, white = scene.wavelength_nm, scene.picture.white
+    visible = (waves >= colour.wavelengths()[0]) & (waves <= colour.wavelengths()[-1])
     if visible.sum() < 2:
         grey = radiance[..., waves.size // 2]
         white = white or _white(grey)
-        return colour.encoded(np.repeat(np.clip(grey / white, 0.0, 1.0)[..., None], 3, axis=-1)), white
-    xyz = radiance[..., visible] @ colour.weights_of_light(waves[visible])
-    if white is None:
-        white = _white(xyz[..., 1])
-    if scene.picture.display == "1982":
-        return colour.display_1982(xyz / white), white
-    return colour.display_srgb(xyz / white), white
+        shown = colour.SRGB.encode(np.repeat(grey[..., None] / white, 3, axis=-1))
+    else:
+        xyz, illuminant = tristimulus(scene, radiance)
+        white = white or 1.0 / colour.exposure(xyz, WHITE_SHARE)
+        shown = (
+            colour.display_1982(xyz)
+            if scene.picture.display == "1982"
+            else colour.display_srgb(xyz, exposure=1.0 / white, illuminant=illuminant)
+        )
+    return np.rint(255.0 * shown).astype(np.uint8), white
 
 
-def _white(luminance: Floats) -> float:
-    lit = luminance[luminance > 0.0]
-    return float(np.quantile(lit, WHITE_QUANTILE)) if lit.size else 1.0
+def tristimulus(scene: Scene, radiance: Floats) -> tuple[Floats, str | None]:
+    """XYZ of radiances (..., wavelengths), and the illuminant that all lights share, if they do.
+
+    Where they do, what is interpolated between the scene's wavelengths is the reflection alone, which is smooth: the
+    illuminant's own structure stays whole, however few wavelengths there are.
+    """
+    from gonio import colour
+
+    waves = scene.wavelength_nm
+    visible = (waves >= colour.wavelengths()[0]) & (waves <= colour.wavelengths()[-1])
+    shared = {light.spectrum if isinstance(light.spectrum, str) else light.spectrum is None for light in scene.tables.light}
+    seen, nm = radiance[..., visible], waves[visible]
+    if len(shared) == 1 and (name := shared.pop()) is not False:
+        illuminant = "E" if name is True else str(name)
+        return seen / relative_power(illuminant, nm) @ colour.weights(nm, illuminant), illuminant
+    return seen @ colour.light_weights(nm), None
+
+
+def _white(radiance: Floats) -> float:
+    lit = radiance[radiance > 0.0]
+    return float(np.quantile(lit, WHITE_SHARE)) if lit.size else 1.0
 
 
 def _npz(scene: Scene, picture: Picture) -> bytes:
@@ -100,14 +126,17 @@ def _png(image: Image) -> bytes:
     return bytes(data)
 
 
-def _exr(scene: Scene, picture: Picture) -> bytes:
-    """A float EXR with one channel a wavelength, named as spectral renderers name them."""
+def _openexr() -> Any:
     try:
         import OpenEXR
     except ImportError:
         raise ConfigError("--exr needs the package OpenEXR: pip install gonio[exr]") from None
-    import tempfile
+    return OpenEXR
 
+
+def _exr(scene: Scene, picture: Picture) -> bytes:
+    """A float EXR with one channel a wavelength, named as spectral renderers name them."""
+    openexr = _openexr()
     channels = {
         f"S0.{wave:.3f}nm".replace(".", ",").replace("S0,", "S0."): np.ascontiguousarray(
             picture.radiance[..., k].astype(np.float32)
@@ -115,11 +144,11 @@ def _exr(scene: Scene, picture: Picture) -> bytes:
         for k, wave in enumerate(scene.wavelength_nm)
     }
     with tempfile.TemporaryDirectory() as folder:
-        path = os.path.join(folder, "picture.exr")
-        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-        with OpenEXR.File(header, channels) as file:
-            file.write(path)
-        return Path(path).read_bytes()
+        path = Path(folder) / "picture.exr"
+        header = {"compression": openexr.ZIP_COMPRESSION, "type": openexr.scanlineimage}
+        with openexr.File(header, channels) as file:
+            file.write(str(path))
+        return path.read_bytes()
 
 
 def left_out(scene: Scene) -> list[dict[str, str]]:
@@ -144,8 +173,10 @@ def left_out(scene: Scene) -> list[dict[str, str]]:
         add("colour", "one wavelength: the picture is grey")
     elif all(material.constant for material in scene.material):
         add("spectra of materials", "no BRDF depends on the wavelength: each is evaluated once")
-    if scene.polariser_deg is None:
-        add("polarisation", "no polariser before the camera: light and pictures are unpolarised")
+    if scene.polariser_deg is None and all(light.polarisation is None for light in scene.lights):
+        add("polarisation", "neither a polariser nor polarised light")
+    elif scene.ambient is not None:
+        add("polarisation of ambient light", "half of it passes the polariser, whatever the reflection does to it")
     if scene.ambient is None:
         add("ambient light", "the scene names none")
     else:

@@ -16,7 +16,7 @@ from gonio.errors import ConfigError, DataError
 from gonio.rig.description import NonNegative, Positive, RigDescription
 from gonio.typing import Floats
 from gonio_scenes import camera as cameras
-from gonio_scenes import lights
+from gonio_scenes import lights, polarised
 from gonio_scenes.camera import Camera, CameraTable
 from gonio_scenes.lights import AmbientTable, Disc, Light, LightTable, PointLight, RigTable
 from gonio_scenes.material import Material, MaterialTable
@@ -131,6 +131,11 @@ def _built(tables: SceneFile, source: Path) -> Scene:
             shapes.append(table.build(folder))
         except (ConfigError, DataError) as error:
             raise type(error)(f"shape[{k + 1}] ({table.kind}): {error}") from None
+    if tables.camera.polariser_deg is not None or any(
+        not isinstance(light, AmbientTable) and light.polarisation is not None for light in tables.light
+    ):
+        for name, material in materials.items():
+            polarised.require(material.model, f"material.{name}")
     world = World(shapes)
     camera = cameras.from_table(tables.camera, rig)
     shining: list[Light] = []

@@ -1,0 +1,109 @@
+"""A polariser before the camera, and polarised light: what reaches the sensor of a model's Mueller matrix.
+
+Stokes vectors stand on the bases of `HeTorrance.mueller`: s = k x z/|k x z|, p = s x k, with k the direction in which
+the light travels and z the surface's normal. A linear polariser whose axis makes the angle chi with s passes
+(I + Q cos 2 chi + U sin 2 chi)/2.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gonio.errors import ConfigError
+from gonio.geometry import angles
+from gonio.models import HeTorrance, Lambert, Model, OrenNayar, Sum, fresnel
+from gonio.models.model import index_at
+from gonio.typing import Floats
+
+
+def require(model: Model, where: str) -> None:
+    """Raise `ConfigError` for a model that has no polarised form."""
+    if isinstance(model, Sum):
+        for term, _ in model.terms:
+            require(term, where)
+    elif not isinstance(model, (HeTorrance, Lambert, OrenNayar)):
+        raise ConfigError(
+            f'{where}: the model "{model.name}" has no polarised form, and the scene has a polariser or polarised '
+            "light: take he-torrance, lambert or oren-nayar (which depolarise), or leave the polariser out"
+        )
+
+
+def doubled_angle(travel: Floats, axis: Floats) -> tuple[Floats, Floats]:
+    """cos 2 chi and sin 2 chi of an axis (n, 3) against s, for light that travels along `travel` (n, 3).
+
+    The part of the axis along the light does not count. Both are vectors in the surface's frame.
+    """
+    flat = np.hypot(travel[:, 0], travel[:, 1])
+    # along the normal: the limit at the azimuth that `gonio.geometry.angles` gives, that of the direction that leaves
+    # the surface, 0
+    leaving = np.where(travel[:, 2] < 0.0, -1.0, 1.0)
+    x = np.where(flat > 0.0, travel[:, 0], leaving)
+    y = np.where(flat > 0.0, travel[:, 1], 0.0)
+    s = np.stack([y, -x, np.zeros_like(x)], axis=1) / np.hypot(x, y)[:, None]
+    p = np.cross(s, travel)
+    along_s, along_p = np.einsum("ij,ij->i", axis, s), np.einsum("ij,ij->i", axis, p)
+    total = along_s**2 + along_p**2
+    with np.errstate(invalid="ignore"):
+        return (along_s**2 - along_p**2) / total, 2.0 * along_s * along_p / total
+
+
+def brdf(
+    model: Model,
+    omega_i: Floats,
+    omega_r: Floats,
+    field: Floats | None,
+    axis: Floats | None,
+    wavelength_nm: float,
+) -> Floats:
+    """What multiplies the irradiance to give the radiance behind the polariser [1/sr], (n,).
+
+    Parameters
+    ----------
+    model
+        A model that `require` lets pass.
+    omega_i, omega_r
+        Unit vectors (n, 3) in the surface's frame.
+    field
+        Along the electric field of the light (n, 3), in the surface's frame; None for unpolarised light.
+    axis
+        The polariser's axis (n, 3), in the surface's frame; None for no polariser.
+    """
+    if isinstance(model, Sum):
+        return np.asarray(
+            sum(weight * brdf(term, omega_i, omega_r, field, axis, wavelength_nm) for term, weight in model.terms)
+        )
+    if not isinstance(model, HeTorrance):  # it depolarises
+        f = np.asarray(model.brdf_vectors(omega_i, omega_r, wavelength_nm=wavelength_nm))
+        return f if axis is None else 0.5 * f
+    seen = (omega_i[:, 2] >= 0.0) & (omega_r[:, 2] >= 0.0)
+    out = np.zeros(omega_i.shape[0])
+    omega_i, omega_r = omega_i[seen], omega_r[seen]
+    matrix = model.mueller(*angles(omega_i), *angles(omega_r), wavelength_nm=wavelength_nm)
+    light = np.zeros((omega_i.shape[0], 4))
+    light[:, 0] = 1.0
+    if field is not None:
+        light[:, 1], light[:, 2] = doubled_angle(-omega_i, field[seen])
+    stokes = np.einsum("nij,nj->ni", matrix, light)
+    out[seen] = stokes[:, 0] if axis is None else passed(stokes, omega_r, axis[seen])
+    return out
+
+
+def passed(stokes: Floats, omega_r: Floats, axis: Floats) -> Floats:
+    """What a polariser passes of light with Stokes vectors (n, 4) that travels along `omega_r`."""
+    cosine, sine = doubled_angle(omega_r, axis)
+    return np.asarray(0.5 * (stokes[:, 0] + stokes[:, 1] * cosine + stokes[:, 2] * sine))
+
+
+def specular(model: Model, omega_r: Floats, axis: Floats, wavelength_nm: float) -> Floats:
+    """What a polariser passes of the spike of unpolarised light, as a share of the light, (n,)."""
+    if isinstance(model, Sum):
+        return np.asarray(sum(weight * specular(term, omega_r, axis, wavelength_nm) for term, weight in model.terms))
+    cosine = np.clip(omega_r[:, 2], 0.0, 1.0)
+    whole = np.asarray(model.specular_reflectivity(np.arccos(cosine), wavelength_nm=wavelength_nm))
+    if not isinstance(model, HeTorrance):
+        return 0.5 * whole
+    f_s, f_p = (np.abs(f) ** 2 for f in fresnel.amplitudes(cosine, index_at(model.ior, wavelength_nm)))
+    stokes = np.zeros((cosine.size, 4))
+    stokes[:, 0] = whole
+    stokes[:, 1] = whole * (f_s - f_p) / np.maximum(f_s + f_p, 1e-300)
+    return passed(stokes, omega_r, axis)
