@@ -20,7 +20,7 @@ from gonio_scenes import lights, polarised
 from gonio_scenes.camera import Camera, CameraTable
 from gonio_scenes.lights import AmbientTable, Disc, Light, LightTable, PointLight, RigTable
 from gonio_scenes.material import Material, MaterialTable
-from gonio_scenes.shapes import ShapeTable
+from gonio_scenes.shapes import AnyShape
 from gonio_scenes.spectra import MAX_WAVELENGTHS, Range, Wavelength
 from gonio_scenes.world import World
 
@@ -41,7 +41,7 @@ class SceneFile(Strict):
     name: str
     wavelength_nm: tuple[Wavelength, ...] | Range
     camera: CameraTable
-    shape: Annotated[tuple[ShapeTable, ...], Field(min_length=1)]
+    shape: Annotated[tuple[AnyShape, ...], Field(min_length=1)]
     material: dict[str, MaterialTable]
     light: Annotated[tuple[LightTable, ...], Field(min_length=1)]
     picture: PictureTable = PictureTable()
