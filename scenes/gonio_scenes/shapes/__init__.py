@@ -1,0 +1,27 @@
+"""Shapes of a scene: what a scene file says of each, and where rays meet them."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from gonio_scenes.shapes.flat import Disc, Plane
+from gonio_scenes.shapes.revolution import Revolution
+from gonio_scenes.shapes.shape import Ints, Shape, ShapeTable, Surface
+from gonio_scenes.shapes.solid import Box, Cylinder, Sphere
+
+AnyShape = Annotated[Plane | Disc | Sphere | Cylinder | Box | Revolution, Field(discriminator="kind")]
+"""The table of any shape, by its `kind`."""
+
+__all__ = [
+    "AnyShape",
+    "Box",
+    "Cylinder",
+    "Disc",
+    "Ints",
+    "Plane",
+    "Revolution",
+    "Shape",
+    "ShapeTable",
+    "Sphere",
+    "Surface",
+]

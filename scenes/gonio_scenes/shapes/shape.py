@@ -1,0 +1,299 @@
+"""What a shape is: where rays meet it, and what its surface is there; where it stands, and the keys that all share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import AfterValidator, Field, model_validator
+
+from gonio.config import Strict
+from gonio.models.engine import in_parts
+from gonio.typing import Floats
+
+Ints = npt.NDArray[np.int64]
+
+LARGEST_MM = 1e9
+"""No length in a scene file is longer: a thousand kilometres."""
+SPLIT = 16384
+"""Rays a thread must have to be worth waking: some 0.3 ms of work against 20 us."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """The surface where rays meet it. All float64; n rays.
+
+    Attributes
+    ----------
+    position : (n, 3)
+        On the surface itself, to the arithmetic [mm].
+    normal : (n, 3)
+        Unit, geometric, outward.
+    shading : (n, 3)
+        Unit, the normal that a BRDF sees: `normal`, unless the shape is smoothed.
+    tangent : (n, 3)
+        Unit, perpendicular to `shading`, along growing u; v grows along shading x tangent.
+    uv : (n, 2)
+        In [0, 1].
+    """
+
+    position: Floats
+    normal: Floats
+    shading: Floats
+    tangent: Floats
+    uv: Floats
+
+
+class Shape(Protocol):
+    """A kind of geometry. Rays are two arrays (n, 3): origins [mm], and directions of unit length."""
+
+    @property
+    def convex(self) -> bool:
+        """Whether no straight line that leaves its outside comes back to it: no shadow of its own falls there."""
+
+    @property
+    def closed(self) -> bool:
+        """Whether it has an inside."""
+
+    @property
+    def has_uv(self) -> bool:
+        """Whether its uv place a texture; where not (a mesh whose file has none) they are 0."""
+
+    @property
+    def size_mm(self) -> float:
+        """A length to scale tolerances with."""
+
+    def intersect(self, origin: Floats, direction: Floats, nearest: float) -> tuple[Floats, Ints]:
+        """Distance along each ray [mm], inf where none, and the primitive; hits at or below `nearest` do not count."""
+
+    def surface(self, origin: Floats, direction: Floats, distance: Floats, primitive: Ints) -> Surface:
+        """The surface at hits that `intersect` found."""
+
+    def contains(self, point: npt.ArrayLike) -> bool:
+        """Whether a closed shape has a point (3,) [mm] inside; False where it is not closed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placement:
+    """Where a shape stands: its own frame has x, y, z along the rows of `axes` and its origin at `center` [mm]."""
+
+    center: Floats
+    axes: Floats
+
+    def local(self, point: npt.ArrayLike) -> tuple[float, float, float]:
+        """A point in the shape's own frame."""
+        x, y, z = self.axes @ (np.asarray(point, np.float64) - self.center)
+        return float(x), float(y), float(z)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Analytic:
+    """A shape of two compiled loops over rays: one finds hits, the other describes the surface there.
+
+    Attributes
+    ----------
+    place
+        Where it stands.
+    hit, describe
+        Kernels of `_kernels`.
+    constants
+        What both take of the shape's own.
+    inside
+        Whether a point in the shape's own frame is inside; None for a shape that is not closed.
+    """
+
+    place: Placement
+    hit: Callable[..., None]
+    describe: Callable[..., None]
+    constants: tuple[Any, ...]
+    size_mm: float
+    convex: bool
+    inside: Callable[[float, float, float], bool] | None = None
+    has_uv: bool = field(default=True, init=False)
+
+    @property
+    def closed(self) -> bool:
+        """Whether it has an inside."""
+        return self.inside is not None
+
+    def intersect(self, origin: Floats, direction: Floats, nearest: float) -> tuple[Floats, Ints]:
+        """See `Shape`."""
+        origin, direction = rays(origin, direction)
+        distance = np.empty(len(origin))
+        primitive = np.empty(len(origin), np.int64)
+        in_parts(
+            lambda start, stop: self.hit(
+                origin,
+                direction,
+                float(nearest),
+                self.place.center,
+                self.place.axes,
+                *self.constants,
+                distance,
+                primitive,
+                start,
+                stop,
+            ),
+            len(origin),
+            SPLIT,
+        )
+        return distance, primitive
+
+    def surface(self, origin: Floats, direction: Floats, distance: Floats, primitive: Ints) -> Surface:
+        """See `Shape`."""
+        origin, direction = rays(origin, direction)
+        position, normal, shading, tangent = np.empty((4, len(origin), 3))
+        uv = np.empty((len(origin), 2))
+        distance = np.ascontiguousarray(distance, np.float64)
+        primitive = np.ascontiguousarray(primitive, np.int64)
+        in_parts(
+            lambda start, stop: self.describe(
+                origin,
+                direction,
+                distance,
+                primitive,
+                self.place.center,
+                self.place.axes,
+                *self.constants,
+                position,
+                normal,
+                shading,
+                tangent,
+                uv,
+                start,
+                stop,
+            ),
+            len(origin),
+            SPLIT,
+        )
+        return Surface(position, normal, shading, tangent, uv)
+
+    def contains(self, point: npt.ArrayLike) -> bool:
+        """See `Shape`."""
+        return self.inside is not None and self.inside(*self.place.local(point))
+
+
+def rays(origin: Floats, direction: Floats) -> tuple[Floats, Floats]:
+    """Origins and directions as the kernels take them: (n, 3), float64, contiguous."""
+    return np.ascontiguousarray(origin, np.float64), np.ascontiguousarray(direction, np.float64)
+
+
+# --- keys of the scene file ---------------------------------------------------------------------------------------
+
+
+def _not_zero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not any(vector):
+        raise ValueError("is no direction: one component at least must not be 0")
+    return vector
+
+
+Coordinate = Annotated[float, Field(ge=-LARGEST_MM, le=LARGEST_MM)]
+Length = Annotated[float, Field(gt=0.0, le=LARGEST_MM)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+Axis = Annotated[tuple[Coordinate, Coordinate, Coordinate], AfterValidator(_not_zero)]
+"""A direction of any length but 0."""
+
+
+def unit(vector: npt.ArrayLike) -> Floats:
+    """A vector of length 1; of any length but 0 before."""
+    array = np.asarray(vector, np.float64)
+    array = array / np.max(np.abs(array))
+    return np.asarray(array / np.linalg.norm(array))
+
+
+def placement(center: npt.ArrayLike, axis: npt.ArrayLike, x_axis: npt.ArrayLike | None) -> Placement:
+    """A frame whose z is `axis` and whose x is what `x_axis` has perpendicular to it.
+
+    Without `x_axis`, x is (0, 1, 0) x z: a texture stands upright where y is up. Where the axis is y itself, x is
+    (1, 0, 0).
+    """
+    z = unit(axis)
+    if x_axis is not None:
+        x = unit(x_axis)
+        x = x - (x @ z) * z
+    else:
+        x = np.cross((0.0, 1.0, 0.0), z)
+        if np.linalg.norm(x) < PARALLEL:
+            x = np.array([1.0, 0.0, 0.0])
+            x = x - (x @ z) * z
+    x = unit(x)
+    x = unit(x - (x @ z) * z)  # once more: the first time left a rounding error that is large beside a short x
+    return Placement(np.array(center, np.float64), np.array([x, np.cross(z, x), z]))
+
+
+PARALLEL = 1e-6
+"""Sine of the angle below which two axes of a scene file span no plane."""
+
+
+def refuse_parallel(name: str, axis: npt.ArrayLike, x_axis: npt.ArrayLike | None) -> None:
+    """Raise ValueError, for pydantic, where `x_axis` is along the axis called `name`."""
+    if x_axis is not None and np.linalg.norm(np.cross(unit(axis), unit(x_axis))) < PARALLEL:
+        raise ValueError(f"x_axis = {list(np.asarray(x_axis))} is parallel to {name}: give one that is not")
+
+
+class ShapeTable(Strict):
+    """What the table of every shape has.
+
+    Attributes
+    ----------
+    material
+        The name of a `[material.NAME]` of the scene.
+    name
+        What messages call the shape; its kind and number otherwise.
+    center_mm
+        Where the shape's own origin lies.
+    x_axis
+        Where the shape's own x points, from which azimuths and u count: its part perpendicular to the axis.
+    """
+
+    material: str
+    name: str | None = None
+    center_mm: Point = (0.0, 0.0, 0.0)
+
+    def build(self, folder: Path) -> Shape:
+        """The shape; files are looked for in `folder`.
+
+        Raises
+        ------
+        ConfigError
+            A file is missing, or is not what the table says; the message names key, file and remedy.
+        """
+        raise NotImplementedError
+
+
+class AxisTable(ShapeTable):
+    """A shape about an axis."""
+
+    axis: Axis = (0.0, 0.0, 1.0)
+    x_axis: Axis | None = None
+
+    @model_validator(mode="after")
+    def _axes_differ(self) -> AxisTable:
+        refuse_parallel("axis", self.axis, self.x_axis)
+        return self
+
+    @property
+    def place(self) -> Placement:
+        """Where the shape stands."""
+        return placement(self.center_mm, self.axis, self.x_axis)
+
+
+class FlatTable(ShapeTable):
+    """A shape along a plane."""
+
+    normal: Axis = (0.0, 0.0, 1.0)
+    x_axis: Axis | None = None
+
+    @model_validator(mode="after")
+    def _axes_differ(self) -> FlatTable:
+        refuse_parallel("normal", self.normal, self.x_axis)
+        return self
+
+    @property
+    def place(self) -> Placement:
+        """Where the shape stands."""
+        return placement(self.center_mm, self.normal, self.x_axis)
