@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from gonio_analysis.report.text import number
 
+from gonio import colour
 from gonio.typing import Floats
-from gonio_validation.papers import colour, cook_torrance_3
+from gonio_validation.papers import cook_torrance_3
 from gonio_validation.papers.cook_torrance_3 import PAPER, SIMILAR
 from gonio_validation.papers.figure import (
     SIZE,
@@ -25,7 +26,8 @@ from gonio_validation.papers.figure import (
     trace_panel,
 )
 
-D65_SOURCE = "CIE 15, relative power at 380 to 780 nm in steps of 10 nm"
+D65_SOURCE = "CIE 15, relative power at 380 to 780 nm in steps of 5 nm"
+NM = np.arange(380.0, 781.0, 5.0)
 ANGLES_DEG = (0.0, 30.0, 60.0, 75.0, 85.0, 89.0)
 EARLY_DEG = 70.0
 SUFFICIENT = 0.01
@@ -56,32 +58,42 @@ def copper() -> Parameter:
 
 
 def spectrum(theta: Floats, *, absorbing: bool = True) -> Floats:
-    """Reflectance of a copper mirror at `colour.wavelengths()`, (angles, 41).
+    """Reflectance of a copper mirror at `NM`, (angles, wavelengths).
 
     With n + ik; or (`absorbing` False) with the real index that has the same normal reflectance, as the paper does for
     metals whose n and k are not known.
     """
-    from gonio import materials
-    from gonio.models import fresnel
+    if absorbing:
+        return colour.reflectance(theta, NM, "Cu")
+    return colour.reflectance(theta, NM, colour.index_from_f0(colour.reflectance(0.0, NM, "Cu")))
 
-    index = np.asarray(materials.ior("Cu")(colour.wavelengths()))
-    if not absorbing:
-        normal = fresnel.reflectance(1.0, index)
-        index = np.array([fresnel.n_from_f0(float(f)) for f in normal], dtype=complex)
-    return np.asarray(fresnel.reflectance(np.cos(theta)[:, None], index[None, :]))
+
+def light() -> Floats:
+    """Relative spectral power of D65 at `NM`."""
+    return np.asarray(np.interp(NM, colour.wavelengths(), colour.illuminant("D65")))
+
+
+def rgb(xyz: Floats) -> Floats:
+    """Linear RGB of XYZ under D65, 1 in every channel for a perfect white."""
+    return colour.SRGB.rgb(xyz) / colour.SRGB.rgb(colour.white())
+
+
+def shares(linear: Floats) -> Floats:
+    """Shares of the channels, (..., 3): what is left of a colour without its brightness."""
+    return np.asarray(linear / linear.sum(axis=-1, keepdims=True))
 
 
 def _claims_4() -> list[Claim]:
-    nm = colour.wavelengths()
+    nm = NM
     normal = spectrum(np.zeros(1))[0]
     again = spectrum(np.zeros(1), absorbing=False)[0]
     coarse: dict[int, tuple[float, float]] = {}
     for count in (10, 15):
         at = np.linspace(nm[0], nm[-1], count)
         guess = np.interp(nm, at, np.interp(at, nm, normal))
-        shift = float(np.max(np.abs(colour.rgb(guess) - colour.rgb(normal))))
+        shift = float(np.max(np.abs(rgb(colour.xyz(guess - normal, NM)))))
         coarse[count] = float(np.max(np.abs(guess - normal))), shift
-    red, green, blue = (float(c) for c in colour.rgb(normal))
+    red, green, blue = (float(c) for c in rgb(colour.xyz(normal, NM)))
     return [
         Claim(
             "“Most materials are measured at only a few wavelengths (… 10 to 15) …; a simple linear interpolation "
@@ -109,14 +121,14 @@ def _claims_4() -> list[Claim]:
 
 
 def _spectrum() -> PaperFigure:
-    nm = colour.wavelengths()
+    nm = NM
     normal = spectrum(np.zeros(1))[0]
-    light = colour.d65()
+    power = light()
     text, numbers = [], []
     for w in (400.0, 450.0, 500.0, 550.0, 600.0, 650.0, 700.0):
         k = int(np.argmin(np.abs(nm - w)))
-        text.append([f"{w / 1000:g} µm", number(normal[k]), number(light[k], 4), number(light[k] * normal[k], 4)])
-        numbers.append({"wavelength_nm": w, "reflectance": float(normal[k]), "d65": float(light[k])})
+        text.append([f"{w / 1000:g} µm", number(normal[k]), number(power[k], 4), number(power[k] * normal[k], 4)])
+        numbers.append({"wavelength_nm": w, "reflectance": float(normal[k]), "d65": float(power[k])})
     return PaperFigure(
         "cook-torrance-4",
         "Cook-Torrance Fig. 4: reflectance and reflected light of a copper mirror",
@@ -144,7 +156,7 @@ def _spectrum() -> PaperFigure:
             trace_panel(
                 "light",
                 "(b) Spectral energy: of D6500 (top), and of the same light reflected by the mirror (bottom).",
-                [Trace("D6500", nm / 1000, light), Trace("reflected by copper", nm / 1000, light * normal)],
+                [Trace("D6500", nm / 1000, power), Trace("reflected by copper", nm / 1000, power * normal)],
                 "wavelength [µm]",
                 "relative spectral power",
             ),
@@ -159,22 +171,17 @@ def _spectrum() -> PaperFigure:
 
 def colours(theta: Floats) -> dict[str, Floats]:
     """Linear RGB of D65 light reflected by copper at these angles, (angles, 3), by each procedure."""
-    from gonio.models import fresnel
-
-    normal = spectrum(np.zeros(1))
-    mean = float(normal.mean())  # over 380 to 780 nm
-    short = fresnel.colour_shift(np.cos(theta), mean, colour.rgb(normal)[0], np.ones(3))
     return {
-        "complete": colour.rgb(spectrum(theta)),
-        "complete, k = 0": colour.rgb(spectrum(theta, absorbing=False)),
-        "approximate": np.asarray(short),
+        "complete": rgb(colour.reflected_xyz(theta, NM, "Cu")),
+        "complete, k = 0": rgb(colour.xyz(spectrum(theta, absorbing=False), NM)),
+        "approximate": rgb(colour.shifted_xyz(theta, NM, "Cu")),
     }
 
 
-def _shift(rgb: Floats) -> Floats:
+def _shift(linear: Floats) -> Floats:
     """How much of the way of the chromaticity from normal incidence to the light's own has been gone."""
-    way = colour.chromaticity(rgb) - colour.chromaticity(rgb[:1])
-    whole = 1.0 / 3.0 - colour.chromaticity(rgb[:1])
+    way = shares(linear) - shares(linear[:1])
+    whole = 1.0 / 3.0 - shares(linear[:1])
     return np.asarray(np.linalg.norm(way, axis=1) / np.linalg.norm(whole))
 
 
@@ -236,7 +243,7 @@ def _claims_5() -> list[Claim]:
             "the extinction coefficient k”.",
             worst < SIMILAR,
             f"up to {EARLY_DEG:g}° reflectances differ by at most {worst_early:.3f}, beyond by at most {worst:.3f} (at "
-            f"{deg[k[0]]:g}° and {colour.wavelengths()[k[1]]:g} nm, near the Brewster angle of an index so large)",
+            f"{deg[k[0]]:g}° and {NM[k[1]]:g} nm, near the Brewster angle of an index so large)",
             "less than 0.1 apart at every angle and wavelength",
         ),
         Claim(
@@ -250,7 +257,7 @@ def _claims_5() -> list[Claim]:
 
 def _colours() -> PaperFigure:
     theta = np.radians(np.append(np.arange(0.0, 90.0, 0.5), 89.999))
-    deg, nm = np.degrees(theta), colour.wavelengths()
+    deg, nm = np.degrees(theta), NM
     found = colours(theta)
     mirrors = spectrum(np.radians(np.array(ANGLES_DEG)))
     channels = ("red", "green", "blue")
@@ -266,7 +273,7 @@ def _colours() -> PaperFigure:
             (("b", "complete"), ("b'", "complete, k = 0"), ("c", "approximate")),
         ):
             ax = figure.add_axes((0.13, 0.86 - 0.125 * place, 0.85, 0.075))
-            ax.imshow(colour.shown(found[name])[None], aspect="auto", extent=(0, 90, 0, 1))
+            ax.imshow(colour.SRGB.encode(found[name])[None], aspect="auto", extent=(0, 90, 0, 1))
             ax.set_xticks([])
             ax.set_yticks([])
             ax.set_title(f"({letter}) {name}", fontsize=7.5, loc="left", pad=2)

@@ -14,7 +14,6 @@ from gonio_analysis.report.figures import rendered
 from gonio_validation import papers
 from gonio_validation.papers import (
     blinn,
-    colour,
     cook_torrance,
     cook_torrance_3,
     experiment,
@@ -198,14 +197,6 @@ def test_figs_3_to_5_verdicts() -> None:
             "varies only slightly for incidence angles within about 70°": True,
         },
     )
-
-
-def test_colours_of_the_illuminant() -> None:
-    white = colour.xyz(np.ones(41))
-    # CIE 15: x = 0.3127, y = 0.3290; four digits, and a table in steps of 10 nm
-    assert white[:2] / white.sum() == pytest.approx([0.3127, 0.3290], abs=2e-4)
-    assert colour.rgb(np.full(41, 0.5)) == pytest.approx([0.5] * 3, abs=1e-12)  # rounding
-    assert colour.shown(np.array([0.0, 0.214041140482, 1.0])) == pytest.approx([0.0, 0.5, 1.0], abs=1e-6)
 
 
 # --- Blinn --------------------------------------------------------------------------------------------------------

@@ -1,0 +1,161 @@
+"""From values at a list of wavelengths to XYZ: the CIE 1931 observer and the CIE's illuminants, as one matrix."""
+
+from __future__ import annotations
+
+import functools
+from importlib.resources import files
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gonio.errors import ArgumentError, refuse_masked
+from gonio.typing import Floats
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+ILLUMINANTS = ("D65", "A", "D50", "E")
+"""Daylight (the D6500 of 1982), a tungsten lamp, the daylight of print, and equal energy at every wavelength."""
+
+
+@functools.cache
+def _table(name: str) -> Floats:
+    with files("gonio.colour").joinpath(name).open(encoding="utf-8") as stream:
+        table = np.loadtxt(stream, delimiter=",", skiprows=1)
+    table.flags.writeable = False
+    return np.asarray(table)
+
+
+def spectrum_locus() -> tuple[Floats, Floats]:
+    """The observer at 1 nm: wavelengths [nm] from 360 to 830, (471,), and the XYZ of monochromatic light, (471, 3)."""
+    table = _table("observer.csv")
+    return table[:, 0], table[:, 1:]
+
+
+def wavelengths() -> Floats:
+    """The wavelengths of sums [nm]: 360 to 830 in steps of 5, (95,)."""
+    return _table("illuminants.csv")[:, 0]
+
+
+def observer() -> Floats:
+    """The colour-matching functions of the CIE 1931 2-degree observer at `wavelengths`, (95, 3)."""
+    return spectrum_locus()[1][::5]
+
+
+def illuminant(name: str = "D65") -> Floats:
+    """Relative spectral power of an illuminant of `ILLUMINANTS` at `wavelengths`, 100 at 560 nm, (95,).
+
+    Raises
+    ------
+    ArgumentError
+        There is no such illuminant.
+    """
+    if name not in ILLUMINANTS:
+        raise ArgumentError(f"illuminant = {name!r}: must be one of {', '.join(ILLUMINANTS)}")
+    if name == "E":
+        return np.full(wavelengths().size, 100.0)
+    return _table("illuminants.csv")[:, 1 + ILLUMINANTS.index(name)]
+
+
+def weights(wavelength_nm: ArrayLike, illuminant: str = "D65") -> Floats:
+    """The matrix that turns reflectances at a list of wavelengths into XYZ under an illuminant: ``values @ weights``.
+
+    Between the given wavelengths values are taken as linear, beyond the first and the last as constant. The sum is
+    that of CIE 15 in steps of 5 nm from 360 to 830 nm. Y = 1 for a perfect white.
+
+    Parameters
+    ----------
+    wavelength_nm
+        At least two different wavelengths between 360 and 830 nm, in any order, (n,). Others may stand beside them.
+    illuminant
+        A name of `ILLUMINANTS`.
+
+    Returns
+    -------
+    float64 array (n, 3).
+
+    Raises
+    ------
+    ArgumentError
+        A wavelength is no positive number or stands twice, fewer than two are visible, or the illuminant is unknown.
+    """
+    nm = _wavelengths(wavelength_nm)
+    light = _illuminant(illuminant)[:, None] * observer()
+    return np.asarray(_hats(nm).T @ light / light[:, 1].sum())
+
+
+def light_weights(wavelength_nm: ArrayLike) -> Floats:
+    """The matrix that turns radiances at a list of wavelengths into XYZ, for values that hold the light's spectrum.
+
+    As `weights`, without an illuminant: Y = 1 for a radiance of 1 at every wavelength.
+
+    Raises
+    ------
+    ArgumentError
+        As `weights`.
+    """
+    return weights(wavelength_nm, "E")
+
+
+def xyz(values: ArrayLike, wavelength_nm: ArrayLike, illuminant: str = "D65") -> Floats:
+    """XYZ of an illuminant's light after a reflection, Y = 1 for a perfect white; (..., n) to (..., 3).
+
+    Parameters
+    ----------
+    values
+        Reflectances, or pi times a BRDF, at `wavelength_nm`, on the last axis.
+    wavelength_nm, illuminant
+        As `weights`.
+
+    Raises
+    ------
+    ArgumentError
+        As `weights`, or the last axis of `values` has not one value a wavelength.
+    """
+    matrix = weights(wavelength_nm, illuminant)
+    refuse_masked("values", values)
+    spectra = np.asarray(values, dtype=np.float64)
+    if spectra.ndim == 0 or spectra.shape[-1] != len(matrix):
+        raise ArgumentError(f"values has shape {spectra.shape}: its last axis must have {len(matrix)} wavelengths")
+    return np.asarray(spectra @ matrix)
+
+
+def white(illuminant: str = "D65") -> Floats:
+    """XYZ of an illuminant, Y = 1, (3,): the sum of the tables."""
+    light = _illuminant(illuminant) @ observer()
+    return np.asarray(light / light[1])
+
+
+def chromaticity(xyz: ArrayLike) -> Floats:
+    """xy of XYZ, (..., 3) to (..., 2); NaN for black."""
+    values = np.asarray(xyz, dtype=np.float64)
+    total = values.sum(axis=-1, keepdims=True)
+    return np.asarray(values[..., :2] / np.where(total == 0.0, np.nan, total))
+
+
+_illuminant = illuminant  # where an argument has the function's name
+
+
+def _wavelengths(wavelength_nm: ArrayLike) -> Floats:
+    refuse_masked("wavelength_nm", wavelength_nm)
+    nm = np.atleast_1d(np.asarray(wavelength_nm, dtype=np.float64))
+    if nm.ndim != 1 or not bool(np.all(np.isfinite(nm) & (nm > 0.0))):
+        raise ArgumentError("wavelength_nm: must be a list of positive numbers of nm")
+    if np.unique(nm).size != nm.size:
+        raise ArgumentError("wavelength_nm: a wavelength stands in the list twice")
+    first, last = wavelengths()[[0, -1]]
+    if int(np.count_nonzero((nm >= first) & (nm <= last))) < 2:
+        raise ArgumentError(
+            f"wavelength_nm = {', '.join(f'{v:g}' for v in nm[:6])}: a colour needs two wavelengths or more between "
+            f"{first:g} and {last:g} nm; fewer give a grey picture"
+        )
+    return nm
+
+
+def _hats(nm: Floats) -> Floats:
+    """Values at `wavelengths` of the functions that are 1 at one wavelength of a list and 0 at the others, (95, n)."""
+    order = np.argsort(nm)
+    out = np.empty((wavelengths().size, nm.size))
+    for column, one in zip(order, np.eye(nm.size), strict=True):
+        out[:, column] = np.interp(wavelengths(), nm[order], one)
+    return out

@@ -1,0 +1,124 @@
+"""The colour of a mirror reflection over the angle: Cook and Torrance's full procedure and their short one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gonio import materials
+from gonio.colour.cie import weights, white
+from gonio.colour.display import SRGB, Primaries
+from gonio.models import fresnel
+from gonio.typing import Floats
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+Index = str | complex | Callable[[Any], Any] | Any
+"""n + ik: a material's name, a number, a function of the wavelengths in nm, or one number a wavelength."""
+
+
+def index_from_f0(f0: ArrayLike) -> Floats:
+    """The real indices that give a spectrum of normal reflectances, k = 0, as the paper takes them; the same shape.
+
+    Raises
+    ------
+    ArgumentError
+        A reflectance lies outside [0, 0.9999999].
+    """
+    spectrum = np.asarray(f0, dtype=np.float64)
+    return np.array([fresnel.n_from_f0(float(value)) for value in spectrum.ravel()]).reshape(spectrum.shape)
+
+
+def reflectance(theta: ArrayLike, wavelength_nm: ArrayLike, ior: Index) -> Floats:
+    """Fresnel reflectance for unpolarised light at angles and wavelengths.
+
+    Parameters
+    ----------
+    theta
+        Angle of incidence [rad], in [0, pi/2], any shape.
+    wavelength_nm
+        Wavelengths [nm], (n,).
+    ior
+        n + ik, as `Index` says. For a measured normal reflectance: ``index_from_f0(f0)``.
+
+    Returns
+    -------
+    float64 array of the shape of `theta` with the wavelengths as a last axis.
+
+    Raises
+    ------
+    ArgumentError
+        An angle or an index is out of range, or the material is not known at a wavelength.
+    """
+    nm = np.atleast_1d(np.asarray(wavelength_nm, dtype=np.float64))
+    given = materials.ior(ior)(nm) if isinstance(ior, str) else ior(nm) if callable(ior) else ior
+    index = np.broadcast_to(np.asarray(given), nm.shape)
+    cosine = np.cos(np.asarray(theta, dtype=np.float64))
+    return np.asarray(fresnel.reflectance(cosine[..., None], index))
+
+
+def reflected_xyz(theta: ArrayLike, wavelength_nm: ArrayLike, ior: Index, illuminant: str = "D65") -> Floats:
+    """XYZ of an illuminant's light after a mirror reflection, the full procedure: F at every wavelength, then the sum.
+
+    Parameters as `reflectance` and `weights`. Y = 1 where everything is reflected.
+
+    Returns
+    -------
+    float64 array of the shape of `theta` with XYZ as a last axis.
+    """
+    return np.asarray(reflectance(theta, wavelength_nm, ior) @ weights(wavelength_nm, illuminant))
+
+
+def shifted_xyz(theta: ArrayLike, wavelength_nm: ArrayLike, ior: Index, illuminant: str = "D65") -> Floats:
+    """As `reflected_xyz` by the short procedure, `fresnel.colour_shift`: between the colour at normal incidence and the
+    light's, by F for the mean of the normal reflectances at the given wavelengths.
+
+    The paper interpolates RGB; interpolating XYZ is the same, as both are linear.
+    """
+    normal = reflectance(0.0, wavelength_nm, ior)
+    first = normal @ weights(wavelength_nm, illuminant)
+    cosine = np.cos(np.asarray(theta, dtype=np.float64))
+    return np.asarray(fresnel.colour_shift(cosine, float(normal.mean()), first, white(illuminant)))
+
+
+@dataclass(frozen=True)
+class ShiftError:
+    """How far the short procedure's linear RGB lies from the full one's, in units of white."""
+
+    largest: float
+    """The largest difference of a channel."""
+    theta: float
+    """The angle where that is [rad]."""
+    rms: float
+    """The root of the mean square over angles and channels."""
+
+
+def shift_error(
+    wavelength_nm: ArrayLike,
+    ior: Index,
+    illuminant: str = "D65",
+    *,
+    theta: ArrayLike | None = None,
+    primaries: Primaries = SRGB,
+) -> ShiftError:
+    """The error of the short procedure (`shifted_xyz`) against the full one (`reflected_xyz`).
+
+    Parameters
+    ----------
+    wavelength_nm, ior, illuminant
+        As `reflected_xyz`.
+    theta
+        The angles [rad] that are looked at; None: 0 to 90 degrees in steps of a quarter of a degree.
+    primaries
+        The screen whose linear RGB are compared.
+    """
+    angles = np.radians(np.arange(0.0, 90.1, 0.25)) if theta is None else np.asarray(theta, dtype=np.float64).ravel()
+    full = primaries.rgb(reflected_xyz(angles, wavelength_nm, ior, illuminant))
+    off = primaries.rgb(shifted_xyz(angles, wavelength_nm, ior, illuminant)) - full
+    worst = np.abs(off).max(axis=-1)
+    at = int(np.argmax(worst))
+    return ShiftError(float(worst[at]), float(angles[at]), float(np.sqrt(np.mean(off**2))))
