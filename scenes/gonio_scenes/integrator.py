@@ -109,9 +109,7 @@ class Integrator:
 
     # --- what surfaces send back ------------------------------------------------------------------------------------
 
-    def _lit(
-        self, hits: Hits, direction: Floats, random: np.random.Generator | None, axis: Floats | None
-    ) -> Floats:
+    def _lit(self, hits: Hits, direction: Floats, random: np.random.Generator | None, axis: Floats | None) -> Floats:
         """Radiances (n, wavelengths) of hits toward where their rays came from, mirror rays left out."""
         scene = self.scene
         out = np.zeros((hits.shape.size, scene.wavelength_nm.size))

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from gonio.config import Strict
@@ -256,9 +255,7 @@ def from_table(table: Shining, wavelength_nm: Floats, rig: RigDescription | None
     return _lamp(table, wavelength_nm, rig, pose, field)
 
 
-def _lamp(
-    table: RigTable, wavelength_nm: Floats, rig: RigDescription, pose: Pose, field: Floats | None
-) -> Light:
+def _lamp(table: RigTable, wavelength_nm: Floats, rig: RigDescription, pose: Pose, field: Floats | None) -> Light:
     """The rig's lamp: a disc about its centre that faces the sample, a point if the rig file gives it no size."""
     position = view(rig, pose).source_mm
     distance = rig.geometry.light_distance_mm

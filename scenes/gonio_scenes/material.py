@@ -90,12 +90,17 @@ class Material:
         """
         return self._by_level(uv, lambda level, here: self._brdf(level, omega_i[here], omega_r[here]))
 
-    def polarised(self, omega_i: Floats, omega_r: Floats, uv: Floats, field: Floats | None, axis: Floats | None) -> Floats:
+    def polarised(
+        self, omega_i: Floats, omega_r: Floats, uv: Floats, field: Floats | None, axis: Floats | None
+    ) -> Floats:
         """As `brdf`, for light with an electric field along `field` and behind a polariser along `axis` (n, 3)."""
 
         def evaluate(level: tuple[float, ...], here: Any) -> Floats:
-            ends = [None if vectors is None else vectors[here] for vectors in (field, axis)]
-            return self._each(level, lambda m, w: polarised.brdf(m, omega_i[here], omega_r[here], *ends, w))
+            of_light = None if field is None else field[here]
+            of_camera = None if axis is None else axis[here]
+            return self._each(
+                level, lambda m, w: polarised.brdf(m, omega_i[here], omega_r[here], of_light, of_camera, w)
+            )
 
         return self._by_level(uv, evaluate)
 
@@ -109,11 +114,13 @@ class Material:
     def specular(self, cos_theta: Floats, uv: Floats) -> Floats:
         """Reflectivity of the spike at cosines of the polar angle (n,): (n, wavelengths), or (n, 1)."""
         theta = np.arccos(np.clip(cos_theta, 0.0, 1.0))
-        return self._by_level(uv, lambda level, here: self._each(level, lambda m, w: m.specular_reflectivity(theta[here], wavelength_nm=w)))
+        return self._by_level(
+            uv,
+            lambda level, here: self._each(level, lambda m, w: m.specular_reflectivity(theta[here], wavelength_nm=w)),
+        )
 
     def ambient(self, cos_theta: Floats, uv: Floats) -> Floats:
-        """What uniform light is multiplied by toward a polar angle: rho_hd without the spike, (n, wavelengths) or (n, 1).
-        """
+        """What uniform light is multiplied by toward polar angles: rho_hd without the spike, as `specular`."""
         given = self._table.ambient_reflectance
         if given is not None:
             return np.broadcast_to(self._given(given), (cos_theta.size, self._waves.size))
@@ -147,7 +154,9 @@ class Material:
 
     def _made(self, level: tuple[float, ...]) -> _Level:
         spectral = _has_spectrum(self._table.parameters) or any(
-            isinstance(end, Spectrum) for texture in self._table.textures.values() for end in (texture.low, texture.high)
+            isinstance(end, Spectrum)
+            for texture in self._table.textures.values()
+            for end in (texture.low, texture.high)
         )
         if spectral:
             return _Level(tuple(self._built(level, wave) for wave in self._waves), constant=False)
@@ -197,7 +206,11 @@ class Material:
             # nodes close up toward grazing, where reflectances change fastest
             nodes = np.pi / 2 * np.sin(np.linspace(0.0, np.pi / 2, AMBIENT_NODES))
             table = self._each(
-                level, lambda m, w: m.hemispherical_directional(nodes, wavelength_nm=w) - m.specular_reflectivity(nodes, wavelength_nm=w)
+                level,
+                lambda m, w: (
+                    m.hemispherical_directional(nodes, wavelength_nm=w)
+                    - m.specular_reflectivity(nodes, wavelength_nm=w)
+                ),
             )
             self._ambient[level] = PchipInterpolator(nodes, table)
         return np.asarray(self._ambient[level](theta))
@@ -230,7 +243,7 @@ def _has_spectrum(value: Any) -> bool:
 
 def _at(parameters: dict[str, Any], wavelength_nm: float, where: str) -> dict[str, Any]:
     """Parameters with every spectrum at one wavelength."""
-    out = {}
+    out: dict[str, Any] = {}
     for name, value in parameters.items():
         if is_table(value):
             out[name] = parse(Spectrum, value, f"{where}.{name}").at(wavelength_nm)
@@ -259,5 +272,3 @@ def _normal_index(model: Model, wavelength_nm: float, where: str) -> complex:
     raise ConfigError(
         f'{where}.ambient_reflectance = "normal": the model "{model.name}" has no index of refraction; give a number'
     )
-
-

@@ -89,7 +89,7 @@ def _of_npy(data: bytes, path: Path, where: str) -> Floats:
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiub":
         raise DataError(f"{where} = {str(path)!r}: must hold real numbers")
     array = array.astype(np.float64)
-    if not (np.isfinite(array).all() and array.size and 0.0 <= array.min() and array.max() <= 1.0):
+    if not (np.isfinite(array).all() and array.size and array.min() >= 0.0 and array.max() <= 1.0):
         raise DataError(f"{where} = {str(path)!r}: holds values outside [0, 1]; scale them, and use low and high")
     return np.asarray(array)
 

@@ -89,7 +89,9 @@ def tristimulus(scene: Scene, radiance: Floats) -> tuple[Floats, str | None]:
 
     waves = scene.wavelength_nm
     visible = (waves >= colour.wavelengths()[0]) & (waves <= colour.wavelengths()[-1])
-    shared = {light.spectrum if isinstance(light.spectrum, str) else light.spectrum is None for light in scene.tables.light}
+    shared = {
+        light.spectrum if isinstance(light.spectrum, str) else light.spectrum is None for light in scene.tables.light
+    }
     seen, nm = radiance[..., visible], waves[visible]
     if len(shared) == 1 and (name := shared.pop()) is not False:
         illuminant = "E" if name is True else str(name)
@@ -168,7 +170,9 @@ def left_out(scene: Scene) -> list[dict[str, str]]:
     if not spikes:
         add("mirror rays", "no material has a specular spike")
     elif not (world.casts_shadows or discs or scene.ambient is not None):
-        add("mirror rays", "there is nothing to see in the mirror: one convex shape, no disc of light, no ambient light")
+        add(
+            "mirror rays", "there is nothing to see in the mirror: one convex shape, no disc of light, no ambient light"
+        )
     if scene.wavelength_nm.size == 1:
         add("colour", "one wavelength: the picture is grey")
     elif all(material.constant for material in scene.material):

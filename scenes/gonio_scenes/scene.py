@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -57,13 +58,15 @@ class SceneFile(Strict):
         waves = self.waves()
         if not waves or len(waves) > MAX_WAVELENGTHS:
             raise ValueError(f"wavelength_nm holds {len(waves)} wavelengths: 1 to {MAX_WAVELENGTHS} are rendered")
-        if any(b <= a for a, b in zip(waves, waves[1:], strict=False)):
+        if any(b <= a for a, b in itertools.pairwise(waves)):
             raise ValueError("wavelength_nm must grow from entry to entry")
         for k, shape in enumerate(self.shape):
             if shape.material not in self.material:
                 near = difflib.get_close_matches(shape.material, self.material, n=1)
                 hint = f'did you mean "{near[0]}"?' if near else f"there are: {', '.join(self.material) or 'none'}"
-                raise ValueError(f'shape[{k + 1}].material = "{shape.material}": no [material] table of that name; {hint}')
+                raise ValueError(
+                    f'shape[{k + 1}].material = "{shape.material}": no [material] table of that name; {hint}'
+                )
         if sum(isinstance(light, AmbientTable) for light in self.light) > 1:
             raise ValueError("light: one ambient light is all: add their radiances")
         if self.camera.rig is None and any(isinstance(light, RigTable) for light in self.light):

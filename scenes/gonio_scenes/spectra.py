@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Annotated, Any
 
 import numpy as np
@@ -30,7 +31,7 @@ class Spectrum(Strict):
                 f"wavelength_nm has {len(self.wavelength_nm)} entries and value {len(self.value)}: "
                 "they go together, and there must be one at least"
             )
-        if any(b <= a for a, b in zip(self.wavelength_nm, self.wavelength_nm[1:], strict=False)):
+        if any(b <= a for a, b in itertools.pairwise(self.wavelength_nm)):
             raise ValueError("wavelength_nm must grow from entry to entry")
         return self
 

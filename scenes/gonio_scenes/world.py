@@ -69,9 +69,7 @@ class World:
                     out[here[met < far[here]]] = True
         return out
 
-    def _tried(
-        self, k: int, direction: Floats, leaving: Hits | None
-    ) -> Iterator[tuple[Indices | slice, float]]:
+    def _tried(self, k: int, direction: Floats, leaving: Hits | None) -> Iterator[tuple[Indices | slice, float]]:
         """The rays that may meet a shape, in groups, with the distance up to which hits do not count.
 
         A ray that leaves a convex shape on the outside does not come back.

@@ -6,9 +6,10 @@ import copy
 from pathlib import Path
 from typing import Any
 
-from gonio.config import parse
 from gonio_scenes.render import Picture, render
 from gonio_scenes.scene import Scene, SceneFile, build
+
+from gonio.config import parse
 
 SPHERE: dict[str, Any] = {
     "name": "a sphere",
