@@ -111,23 +111,21 @@ def _dotted(location: tuple[Any, ...]) -> str:
 
 def _fields_at(table: type[BaseModel], location: tuple[Any, ...]) -> list[str]:
     """The keys that the table at `location` knows."""
-    here: type[BaseModel] | None = table
+    here: list[type[BaseModel]] = [table]
     for part in location:
-        if here is None:
-            return []
-        if isinstance(part, str) and part in here.model_fields:
-            here = _model_inside(here.model_fields[part].annotation)
-    return list(here.model_fields) if here is not None else []
+        if not isinstance(part, str):
+            continue
+        inside = [model.model_fields[part].annotation for model in here if part in model.model_fields]
+        # where tables are told apart by one of their keys, its value stands in the location
+        tagged = [model for model in here if any(part in get_args(f.annotation) for f in model.model_fields.values())]
+        here = tagged or [model for annotation in inside for model in _models_inside(annotation)]
+    return sorted({name for model in here for name in model.model_fields})
 
 
-def _model_inside(annotation: Any) -> type[BaseModel] | None:
+def _models_inside(annotation: Any) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for inner in get_args(annotation):
-        found = _model_inside(inner)
-        if found is not None:
-            return found
-    return None
+        return [annotation]
+    return [model for inner in get_args(annotation) for model in _models_inside(inner)]
 
 
 def to_toml(tables: dict[str, Any]) -> str:

@@ -12,7 +12,7 @@ from scipy.interpolate import PchipInterpolator
 
 from gonio import models
 from gonio.config import Strict, parse
-from gonio.errors import ArgumentError, ConfigError
+from gonio.errors import ConfigError
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, Sum
 from gonio.typing import Floats
 from gonio_scenes import polarised
@@ -172,7 +172,7 @@ class Material:
                 low, high = (float(values(end, np.array([wavelength_nm]))[0]) for end in (texture.low, texture.high))
                 parameters[name] = low + (high - low) * t
             model = models.build(self._table.model, parameters)
-        except ArgumentError as error:
+        except ConfigError as error:
             raise ConfigError(f"{where}: {error}") from None
         if isinstance(model, Blinn) and "c" in self._table.textures:
             # a varying c3 is normalised by its smallest value (Blinn 1977, "Varying surface shininess"):

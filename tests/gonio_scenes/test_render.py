@@ -1,0 +1,81 @@
+"""Pictures: what noise is left, that a tolerance is kept, and that a seed gives one picture."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gonio.errors import ConfigError
+from tests.gonio_scenes.scenes import SPHERE, rendered
+
+SMALL = SPHERE["camera"] | {"width": 24, "height": 20}
+LAMP = {
+    "kind": "disc",
+    "center_mm": [200.0, 150.0, 400.0],
+    "normal": [-200.0, -150.0, -400.0],
+    "radius_mm": 120.0,
+    "radiance": 5.0,
+    "samples": 4,
+}
+TWO = [
+    {"kind": "sphere", "radius_mm": 30.0, "material": "m"},
+    {"kind": "plane", "center_mm": [0.0, 0.0, -30.0], "material": "m"},
+]
+
+
+def test_a_seed_gives_one_picture_and_another_seed_another() -> None:
+    pictures = [
+        rendered(camera=SMALL | {"samples": 4}, shape=TWO, light=[LAMP], seed=seed).radiance for seed in (1, 1, 2)
+    ]
+    assert (pictures[0] == pictures[1]).all()
+    assert (pictures[0] != pictures[2]).any()
+
+
+def test_stated_errors_are_the_scatter_about_the_converged_picture() -> None:
+    truth = rendered(camera=SMALL | {"samples": 1024}, shape=TWO, light=[LAMP], seed=99)
+    picture = rendered(camera=SMALL | {"samples": 64}, shape=TWO, light=[LAMP], seed=3)
+    assert picture.error is not None
+    known = picture.error > 1e-6 * truth.radiance.mean()
+    pulls = (picture.radiance - truth.radiance)[known] / picture.error[known]
+    # eight batches: Student's t with seven degrees of freedom has the standard deviation 1.18
+    assert 0.9 < pulls.std() < 1.5
+    assert known.mean() > 0.5
+
+
+@pytest.mark.parametrize("tolerance", [0.1, 0.02])
+def test_a_stated_tolerance_is_kept_with_fewer_rays_than_everywhere_alike(tolerance: float) -> None:
+    truth = rendered(camera=SMALL | {"samples": 1024}, shape=TWO, light=[LAMP], seed=99).radiance
+    picture = rendered(camera=SMALL, shape=TWO, light=[LAMP], tolerance=tolerance)
+    level = np.maximum(truth, truth.mean())
+    error = np.abs(picture.radiance - truth) / level
+    # the tolerance is a standard error: two thirds of the pixels lie within it, 95 % within two, few beyond three
+    assert np.sqrt(np.mean(error**2)) < 1.2 * tolerance
+    assert (error > 3 * tolerance).mean() < 0.02
+    assert picture.above_tolerance == 0
+    assert picture.samples.mean() < 0.8 * picture.samples.max()
+
+
+def test_several_rays_a_pixel_give_the_mean_over_the_pixel() -> None:
+    coarse = rendered(camera=SMALL | {"samples": 64})
+    fine = rendered(camera=SMALL | {"width": 24 * 16, "height": 20 * 16}).radiance
+    boxes = fine.reshape(20, 16, 24, 16).mean(axis=(1, 3))
+    # eight batches of eight points: a pixel that the limb halves is known to 1/8 a batch at worst, 0.045 in the mean
+    np.testing.assert_allclose(coarse.radiance[..., 0], boxes, rtol=0, atol=0.09 * fine.max())
+    assert abs(coarse.radiance.mean() / boxes.mean() - 1.0) < 0.005
+
+
+def test_a_lens_blurs_what_is_not_in_focus_and_keeps_what_is() -> None:
+    sharp = rendered(camera=SMALL | {"samples": 64}).radiance[..., 0]
+    in_focus = SMALL | {"samples": 64, "lens_radius_mm": 20.0, "focus_mm": 985.0}
+    blurred = SMALL | {"samples": 64, "lens_radius_mm": 20.0, "focus_mm": 700.0}
+    here = rendered(camera=in_focus).radiance[..., 0]
+    there = rendered(camera=blurred).radiance[..., 0]
+    assert np.abs(here - sharp).max() < 0.1 * sharp.max()  # the limb is 25 mm behind
+    assert np.abs(there - sharp).max() > 0.15 * sharp.max()
+    # blur moves light and loses none: the sphere's image is whole in the frame
+    assert abs(there.sum() / sharp.sum() - 1.0) < 0.02
+
+
+def test_a_camera_that_sees_nothing_is_refused() -> None:
+    with pytest.raises(ConfigError, match="no ray through a pixel's centre meets a shape"):
+        rendered(camera=SMALL | {"look_at_mm": [0.0, 0.0, 2000.0]})
