@@ -6,15 +6,15 @@ import math
 
 import numpy as np
 import pytest
+from gonio_scenes import camera as cameras
+from gonio_scenes.camera import CameraTable
+from gonio_scenes.sampling import on_disc, point
 
 from gonio.acquisition.measure import find_rig
 from gonio.config import parse
 from gonio.rig import Pose
 from gonio.rig.imaging import pixel_map
 from gonio.rig.kinematics import view
-from gonio_scenes import camera as cameras
-from gonio_scenes.camera import CameraTable
-from gonio_scenes.sampling import on_disc, point
 
 PINHOLE = {
     "position_mm": [0.0, 0.0, 100.0],

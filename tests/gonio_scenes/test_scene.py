@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gonio_scenes.scene import read
 
 from gonio.errors import ConfigError, DataError, GonioError
-from gonio_scenes.scene import read
 from tests.gonio_scenes.scenes import SPHERE, scene
 
 DIRECTIONAL = SPHERE["light"][0]
