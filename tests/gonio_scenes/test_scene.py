@@ -14,6 +14,7 @@ from tests.gonio_scenes.scenes import SPHERE, scene
 
 DIRECTIONAL = SPHERE["light"][0]
 BALL = SPHERE["shape"][0]
+FROM_600 = {"wavelength_nm": [600, 700], "value": [0.1, 0.2]}
 
 
 @pytest.mark.parametrize(
@@ -48,7 +49,7 @@ BALL = SPHERE["shape"][0]
         ({"material": {"m": {"model": "lambertian"}}}, r"material\.m.*lambertian.*lambert"),
         ({"material": {"m": {"model": "lambert", "parameters": {"albedo": 1.5}}}}, r"material\.m.*albedo = 1\.5"),
         (
-            {"material": {"m": {"model": "lambert", "parameters": {"albedo": {"wavelength_nm": [600, 700], "value": [0.1, 0.2]}}}}},
+            {"material": {"m": {"model": "lambert", "parameters": {"albedo": FROM_600}}}},
             r"a spectrum from 600 to 700 nm has no value at 550 nm: extend the table",
         ),
         (
