@@ -133,7 +133,7 @@ def patch_surface(
 ) -> None:
     """A rectangle, tiled from its middle; uv = (1/2, 1/2) there."""
     for i in range(start, stop):
-        x, y, z, dx, dy, dz, before = _local(origin, direction, i, center, axes)
+        x, y, _, dx, dy, _, before = _local(origin, direction, i, center, axes)
         t = distance[i] - before
         x, y = x + t * dx, y + t * dy
         _out_point(center, axes, x, y, 0.0, position, i)
@@ -187,7 +187,7 @@ def disc_surface(
 ) -> None:
     """A disc; uv spans the square around it."""
     for i in range(start, stop):
-        x, y, z, dx, dy, dz, before = _local(origin, direction, i, center, axes)
+        x, y, _, dx, dy, _, before = _local(origin, direction, i, center, axes)
         t = distance[i] - before
         x, y = x + t * dx, y + t * dy
         _out_point(center, axes, x, y, 0.0, position, i)
