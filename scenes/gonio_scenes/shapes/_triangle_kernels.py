@@ -87,6 +87,18 @@ def _meet(origin: Any, direction: Any, i: int, vertices: Any, faces: Any, k: int
 
 
 @njit(error_model="numpy", nogil=True, fastmath=FAST)
+def _breadth(vertices: Any, faces: Any, k: int) -> float:
+    """The least height of a triangle."""
+    ax, ay, az = vertices[faces[k, 0], 0], vertices[faces[k, 0], 1], vertices[faces[k, 0], 2]
+    ux, uy, uz = vertices[faces[k, 1], 0] - ax, vertices[faces[k, 1], 1] - ay, vertices[faces[k, 1], 2] - az
+    vx, vy, vz = vertices[faces[k, 2], 0] - ax, vertices[faces[k, 2], 1] - ay, vertices[faces[k, 2], 2] - az
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    wx, wy, wz = ux - vx, uy - vy, uz - vz
+    longest = max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz)
+    return math.sqrt((nx * nx + ny * ny + nz * nz) / longest)
+
+
+@njit(error_model="numpy", nogil=True, fastmath=FAST)
 def refine(
     origin: Any,
     direction: Any,
@@ -125,6 +137,11 @@ def refine(
             state[i] = DONE
             continue
         behind = inside >= -EDGE
+        passed = (depth_32[j] + STEP) * radius
+        if behind and passed < 8.0 * STEP * radius and inside * _breadth(vertices, faces, k) > 2.0 * passed:
+            since[i] += passed  # a ray that leaves the triangle it starts on, away from the neighbours
+            state[i] = AGAIN
+            continue
         best = INF
         for corner in range(3):
             v = faces[k, corner]
@@ -140,7 +157,7 @@ def refine(
             distance[i] = best
             state[i] = DONE
         elif behind:
-            since[i] += depth_32[j] * radius + STEP * radius
+            since[i] += passed
             state[i] = AGAIN
         else:
             state[i] = UNCLEAR

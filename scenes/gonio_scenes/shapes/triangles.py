@@ -76,8 +76,8 @@ class Triangles:
         own = {
             "size_mm": size,
             "_center": center,
-            # a little more than the sphere around the box, for the roundings of float32 at the entry
-            "_radius": 0.5 * size * 1.001,
+            # a little more than the sphere around it, for the roundings of float32 where a ray enters
+            "_radius": 1.001 * float(np.linalg.norm(self.vertices - center, axis=1).max()),
             "_fan_start": np.concatenate([[0], np.cumsum(np.bincount(corners, minlength=len(self.vertices)))]),
             "_fan": (np.argsort(corners, kind="stable") // 3).astype(np.int32),
         }
