@@ -22,6 +22,7 @@ MAX_TRIANGLES = 4_000_000
 """What a gigabyte of memory holds."""
 SLIVER = 1e-14
 """Area, in squares of the longest side, below which a triangle is a line that no ray meets."""
+NO_AREA = "all of its triangles are points or lines: export it again from the program that made it"
 
 Parts = tuple[Floats, npt.NDArray[np.int64], Floats | None, Floats | None]
 """Vertices, faces, and normals and uv of each vertex."""
@@ -75,6 +76,8 @@ class Mesh(ShapeTable):
         vertices, faces = _welded(vertices, faces)
         whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
         faces, corners = faces[whole], corners[whole]
+        if not len(faces):
+            raise DataError(f"{where}: {NO_AREA}")
         closed = _is_closed(vertices, faces, where, self.open, self.normals)
         a, b, c = np.moveaxis(vertices[faces], 1, 0)
         if closed and np.einsum("ij,ij->", a - a.mean(axis=0), np.cross(b - a, c - a)) < 0.0:
@@ -83,7 +86,7 @@ class Mesh(ShapeTable):
         longest = np.maximum.reduce([np.sum(side**2, axis=1) for side in (b - a, c - b, a - c)])
         solid = np.linalg.norm(area, axis=1) > SLIVER * longest
         if not solid.any():
-            raise DataError(f"{where}: all of its triangles are points or lines")
+            raise DataError(f"{where}: {NO_AREA}")
         faces_32, corners_32 = (part[solid].astype(np.int32, order="C") for part in (faces, corners))
         return Triangles(
             vertices,

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from gonio_scenes.shapes import AnyShape, Shape
 from pydantic import TypeAdapter
 
 from gonio.typing import Floats
-from gonio_scenes.shapes import AnyShape, Shape
 
 Inside = Callable[[Floats], npt.NDArray[np.bool_]]
 

@@ -8,9 +8,9 @@ from typing import Any
 import mpmath
 import numpy as np
 import pytest
+from gonio_scenes.shapes import Shape
 
 from gonio.typing import Floats
-from gonio_scenes.shapes import Shape
 from tests.gonio_scenes.shapes.solids import along, check_against_bisection, check_frame, shape, toward, units
 
 CENTER = np.array([12.0, -7.0, 31.0])

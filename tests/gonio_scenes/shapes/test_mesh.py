@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
+from gonio_scenes.shapes import Shape
 
 from gonio.typing import Floats
-from gonio_scenes.shapes import Shape
 from tests.gonio_scenes.shapes.solids import check_frame, shape, toward, units
 
 trimesh = pytest.importorskip("trimesh")

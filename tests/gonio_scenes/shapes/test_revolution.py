@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gonio_scenes.shapes import Revolution
 from matplotlib.path import Path as Outline
 
 from gonio.typing import Floats
-from gonio_scenes.shapes import Revolution
 from tests.gonio_scenes.shapes.solids import along, check_against_bisection, check_frame, shape, toward, units
 
 CENTER = np.array([5.0, 2.0, -9.0])
@@ -50,9 +50,7 @@ def test_a_straight_profile_is_a_cylinder_and_caps_close_it() -> None:
     origin, direction = toward(rng, 5000, CENTER, 50.0, 100.0)
     axis = [3, 1, 2]
     for caps in (True, False):
-        turned = shape(
-            "revolution", center_mm=CENTER.tolist(), profile_mm=[[12, -20], [12, 20]], axis=axis, caps=caps
-        )
+        turned = shape("revolution", center_mm=CENTER.tolist(), profile_mm=[[12, -20], [12, 20]], axis=axis, caps=caps)
         plain = shape("cylinder", center_mm=CENTER.tolist(), radius_mm=12.0, height_mm=40.0, axis=axis, caps=caps)
         assert turned.closed == plain.closed == caps
         assert turned.convex == plain.convex == caps
