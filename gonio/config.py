@@ -6,7 +6,7 @@ import difflib
 import re
 import tomllib
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -88,12 +88,20 @@ def load(table: type[Table], path: str | Path) -> Table:
 
 
 def _explain(table: type[BaseModel], item: Any) -> str:
-    where = _dotted(item["loc"])
+    location, tables = _found(table, item["loc"])
+    where = _dotted(location)
     if item["type"] == "extra_forbidden":
-        known = _fields_at(table, item["loc"][:-1])
+        known = list(_found(table, item["loc"][:-1])[1][0].model_fields)
         near = difflib.get_close_matches(str(item["loc"][-1]), known, n=1)
         hint = f'did you mean "{near[0]}"?' if near else f"known here: {', '.join(sorted(known))}"
         return f"unknown key {where}; {hint}"
+    if item["type"] in ("union_tag_invalid", "union_tag_not_found"):
+        key, known = item["ctx"]["discriminator"].strip("'"), [tag for each in tables for tag in _tags(each)]
+        if item["type"] == "union_tag_not_found":
+            return f"the key {where}.{key} is missing; known here: {', '.join(known)}"
+        near = difflib.get_close_matches(item["ctx"]["tag"], known, n=1)
+        hint = f'did you mean "{near[0]}"?' if near else f"known here: {', '.join(known)}"
+        return f"{where}.{key} = {item['ctx']['tag']!r}: is unknown; {hint}"
     if item["type"] == "missing":
         return f"the key {where} is missing"
     message = item["msg"].removeprefix("Value error, ")
@@ -102,30 +110,37 @@ def _explain(table: type[BaseModel], item: Any) -> str:
     return f"{where or 'the file'}{shown}: {message[:1].lower()}{message[1:]}"
 
 
-def _dotted(location: tuple[Any, ...]) -> str:
+def _dotted(location: list[Any]) -> str:
     out = ""
     for part in location:
         out += f"[{part + 1}]" if isinstance(part, int) else f".{part}" if out else str(part)
     return out
 
 
-def _fields_at(table: type[BaseModel], location: tuple[Any, ...]) -> list[str]:
-    """The keys that the table at `location` knows."""
-    here: list[type[BaseModel]] = [table]
+def _found(table: type[BaseModel], location: tuple[Any, ...]) -> tuple[list[Any], list[type[BaseModel]]]:
+    """Where pydantic's `location` is in the file, which has no tags of tables, and the tables that may stand there."""
+    tables, place = [table], []
     for part in location:
-        if not isinstance(part, str):
+        if len(tables) > 1 and any(part in _tags(each) for each in tables):
+            tables = [each for each in tables if part in _tags(each)]
             continue
-        inside = [model.model_fields[part].annotation for model in here if part in model.model_fields]
-        # where tables are told apart by one of their keys, its value stands in the location
-        tagged = [model for model in here if any(part in get_args(f.annotation) for f in model.model_fields.values())]
-        here = tagged or [model for annotation in inside for model in _models_inside(annotation)]
-    return sorted({name for model in here for name in model.model_fields})
+        place.append(part)
+        fields = [each.model_fields[part] for each in tables if isinstance(part, str) and part in each.model_fields]
+        if fields:
+            tables = _tables_inside(fields[0].annotation) or tables
+    return place, tables
 
 
-def _models_inside(annotation: Any) -> list[type[BaseModel]]:
+def _tags(table: type[BaseModel]) -> list[Any]:
+    """What tells a table from others in its place: keys that can have one value only."""
+    notes = [field.annotation for field in table.model_fields.values()]
+    return [get_args(note)[0] for note in notes if get_origin(note) is Literal and len(get_args(note)) == 1]
+
+
+def _tables_inside(annotation: Any) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
-    return [model for inner in get_args(annotation) for model in _models_inside(inner)]
+    return [found for inner in get_args(annotation) for found in _tables_inside(inner)]
 
 
 def to_toml(tables: dict[str, Any]) -> str:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import pytest
+from pydantic import Field
 
-from gonio.config import load, parse, read_toml
+from gonio.config import Strict, load, parse, read_toml
 from gonio.errors import ConfigError
 from gonio.rig.description import Bands, RigDescription
 
@@ -163,3 +164,36 @@ def test_prose_is_no_long_key(tmp_path: Path) -> None:
     prose = "e.g. a sentence. And i.e. one more, " * 200 + "x" * 100_000
     (tmp_path / "prose.toml").write_text(f'name = "{prose}"\n')
     assert read_toml(tmp_path / "prose.toml") == {"name": prose}
+
+
+class Round(Strict):
+    kind: Literal["round"]
+    radius: float
+    finish: Literal["matte", "gloss"] = "matte"
+
+
+class Square(Strict):
+    kind: Literal["square"]
+    side: float
+
+
+class Shapes(Strict):
+    shape: list[Annotated[Round | Square, Field(discriminator="kind")]]
+
+
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        ({"kind": "round", "radius": "x"}, "shape[1].radius = 'x': "),
+        ({"kind": "square"}, "the key shape[1].side is missing"),
+        ({"kind": "square", "side": 1, "sid": 2}, 'unknown key shape[1].sid; did you mean "side"?'),
+        ({"kind": "square", "side": 1, "radius": 2}, "unknown key shape[1].radius; known here: kind, side"),
+        ({"kind": "sqare", "side": 1}, "shape[1].kind = 'sqare': is unknown; did you mean \"square\"?"),
+        ({"kind": "?"}, "shape[1].kind = '?': is unknown; known here: round, square"),
+        ({"side": 1}, "the key shape[1].kind is missing; known here: round, square"),
+    ],
+)
+def test_a_table_of_several_kinds_is_named_as_the_file_has_it(values: dict[str, Any], says: str) -> None:
+    with pytest.raises(ConfigError) as told:
+        parse(Shapes, {"shape": [values]}, "scene.toml")
+    assert str(told.value).startswith(f"scene.toml: {says}")

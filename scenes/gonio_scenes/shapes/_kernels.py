@@ -133,7 +133,7 @@ def patch_surface(
 ) -> None:
     """A rectangle, tiled from its middle; uv = (1/2, 1/2) there."""
     for i in range(start, stop):
-        x, y, z, dx, dy, dz, before = _local(origin, direction, i, center, axes)
+        x, y, _, dx, dy, _, before = _local(origin, direction, i, center, axes)
         t = distance[i] - before
         x, y = x + t * dx, y + t * dy
         _out_point(center, axes, x, y, 0.0, position, i)
@@ -187,7 +187,7 @@ def disc_surface(
 ) -> None:
     """A disc; uv spans the square around it."""
     for i in range(start, stop):
-        x, y, z, dx, dy, dz, before = _local(origin, direction, i, center, axes)
+        x, y, _, dx, dy, _, before = _local(origin, direction, i, center, axes)
         t = distance[i] - before
         x, y = x + t * dx, y + t * dy
         _out_point(center, axes, x, y, 0.0, position, i)
@@ -472,9 +472,10 @@ def _frustum(
     ez: float,
     length: float,
     tolerance: float,
-    above: float,
+    before: float,
+    nearest: float,
 ) -> float:
-    """The first distance beyond `above` at which a ray meets a frustum; inf for none."""
+    """The first distance that with `before` is beyond `nearest` at which a ray meets a frustum; inf for none."""
     if abs(ez) < FLAT:
         if dz == 0.0:
             return INF
@@ -503,7 +504,7 @@ def _frustum(
                 break
             t -= off / ((ez * (u * dx + v * dy) / rho if rho > 0.0 else 0.0) - er * dz)
         along = er * (rho - r0) + ez * (w - z0)
-        if good and -tolerance <= along <= length + tolerance and above < t < best:
+        if good and -tolerance <= along <= length + tolerance and before + t > nearest and t < best:
             best = t
     return best
 
@@ -581,7 +582,8 @@ def revolution_hit(
                     frusta[k, 1],
                     frusta[k, 2],
                     tolerance,
-                    above,
+                    before,
+                    nearest,
                 )
                 if t < best:
                     best = t
@@ -614,7 +616,8 @@ def revolution_surface(
 ) -> None:
     """A surface of revolution: u is the azimuth, v the share of the profile's length up to the hit.
 
-    `slopes` (m, 2, 3) are the coefficients of dr and dz along each frustum as quadratics of the share of its length.
+    `slopes` (m, 2, 3) are the coefficients of dr and dz along each frustum as quadratics of the share of its length; of
+    a surface that is not smooth there are none.
     """
     last = frusta.shape[0] - 1
     total = frusta[last, 3] + frusta[last, 2]
@@ -632,10 +635,12 @@ def revolution_surface(
         along = min(max(er * (rho - points[k, 0]) + ez * (z - points[k, 1]), 0.0), length)
         rho, z = points[k, 0] + along * er, points[k, 1] + along * ez
         s = along / length
-        dr = (slopes[k, 0, 0] * s + slopes[k, 0, 1]) * s + slopes[k, 0, 2]
-        dh = (slopes[k, 1, 0] * s + slopes[k, 1, 1]) * s + slopes[k, 1, 2]
-        f = 1.0 / math.sqrt(dr * dr + dh * dh)
-        dr, dh = dr * f, dh * f
+        dr, dh = er, ez
+        if slopes.shape[0] > 0:
+            dr = (slopes[k, 0, 0] * s + slopes[k, 0, 1]) * s + slopes[k, 0, 2]
+            dh = (slopes[k, 1, 0] * s + slopes[k, 1, 1]) * s + slopes[k, 1, 2]
+            f = 1.0 / math.sqrt(dr * dr + dh * dh)
+            dr, dh = dr * f, dh * f
         _out_point(center, axes, rho * x, rho * y, z, position, i)
         _out(axes, ez * x, ez * y, -er, normal, i)
         _out(axes, dh * x, dh * y, -dr, shading, i)

@@ -67,8 +67,7 @@ class Revolution(AxisTable):
         if self.smooth:
             points, slopes = _spline(points, loop, size)
         else:
-            slopes = np.zeros((len(points) - 1, 2, 3))
-            slopes[:, :, 2] = np.diff(points, axis=0)
+            slopes = np.zeros((len(points) - 1, 2, 3))  # never looked at
         if self.caps and not loop:
             points, slopes = _capped(points, slopes)
         closed = loop or (points[0, 0] == 0.0 and points[-1, 0] == 0.0)
@@ -86,7 +85,14 @@ class Revolution(AxisTable):
             place=self.place,
             hit=_kernels.revolution_hit,
             describe=_kernels.revolution_surface,
-            constants=(points, frusta, np.ascontiguousarray(slopes), nodes, bounds, MARGIN * size),
+            constants=(
+                points,
+                frusta,
+                np.ascontiguousarray(slopes) if self.smooth else np.empty((0, 2, 3)),
+                nodes,
+                bounds,
+                MARGIN * size,
+            ),
             size_mm=size,
             convex=closed and not loop and _bulges(frusta),
             inside=(lambda x, y, z: _within(points, math.hypot(x, y), z)) if closed else None,
