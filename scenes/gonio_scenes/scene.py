@@ -134,6 +134,12 @@ def _built(tables: SceneFile, source: Path) -> Scene:
             shapes.append(table.build(folder))
         except (ConfigError, DataError) as error:
             raise type(error)(f"shape[{k + 1}] ({table.kind}): {error}") from None
+    for k, (shape, table) in enumerate(zip(shapes, tables.shape, strict=True)):
+        if tables.material[table.material].textures and not shape.has_uv:
+            raise ConfigError(
+                f"shape[{k + 1}] ({table.kind}): its material {table.material} has textures, and its file says nowhere "
+                "where they lie (no uv): export the mesh with texture coordinates, or take textures out"
+            )
     if tables.camera.polariser_deg is not None or any(
         not isinstance(light, AmbientTable) and light.polarisation is not None for light in tables.light
     ):
