@@ -16,6 +16,7 @@ PACKAGES = {
     "gonio": ROOT / "gonio",
     "gonio_drivers": ROOT / "drivers" / "gonio_drivers",
     "gonio_sim": ROOT / "sim" / "gonio_sim",
+    "gonio_scenes": ROOT / "scenes" / "gonio_scenes",
     "gonio_analysis": ROOT / "analysis" / "gonio_analysis",
     "gonio_validation": ROOT / "analysis" / "gonio_validation",
 }

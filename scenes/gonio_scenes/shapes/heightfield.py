@@ -17,8 +17,8 @@ from gonio.typing import Floats
 from gonio_scenes.shapes.shape import Coordinate, FlatTable, Length
 from gonio_scenes.shapes.triangles import PerCorner, Triangles
 
-MAX_NODES = 2_000_000
-"""Four million triangles: what a gigabyte of memory holds."""
+MAX_NODES = 1_200_000
+"""A little more than 1024 x 1024: their triangles take some 0.6 GB of memory."""
 PNG = b"\x89PNG\r\n\x1a\n"
 
 

@@ -17,9 +17,10 @@ from gonio.typing import Floats
 from gonio_scenes.shapes.shape import LARGEST_MM, Axis, Coordinate, Length, ShapeTable, unit
 from gonio_scenes.shapes.triangles import Faces, PerCorner, Triangles
 
-MAX_BYTES = 500_000_000
-MAX_TRIANGLES = 4_000_000
-"""What a gigabyte of memory holds."""
+MAX_BYTES = 250_000_000
+"""Text of as many triangles as are taken."""
+MAX_TRIANGLES = 1_500_000
+"""They take some 0.8 GB of memory while they are read."""
 SLIVER = 1e-14
 """Area, in squares of the longest side, below which a triangle is a line that no ray meets."""
 NO_AREA = "all of its triangles are points or lines: export it again from the program that made it"

@@ -57,6 +57,10 @@ class Revolution(AxisTable):
             raise ValueError(f"profile_mm[{same[0] + 1}] and [{same[0] + 2}] are one point: leave one out")
         if not np.any(points[:, 0] > 0.0):
             raise ValueError("profile_mm lies on the axis: some point must have r > 0")
+        crossing = _crossing(points)
+        if crossing:
+            one, other = crossing
+            raise ValueError(f"profile_mm crosses itself between [{one}], [{one + 1}] and [{other}], [{other + 1}]")
         return self
 
     def build(self, folder: Path) -> Analytic:
@@ -97,6 +101,22 @@ class Revolution(AxisTable):
             convex=closed and not loop and _bulges(frusta),
             inside=(lambda x, y, z: _within(points, math.hypot(x, y), z)) if closed else None,
         )
+
+
+def _crossing(points: Floats) -> tuple[int, int] | None:
+    """The numbers, from 1, of two pieces of a profile that cross, not only touch."""
+
+    def side(a: Floats, b: Floats, c: Floats) -> Floats:
+        (x, y), (u, v) = (b - a).T, (c - a).T
+        return np.asarray(x * v - y * u)
+
+    start, end = points[:-1], points[1:]
+    for k in range(len(start) - 2):
+        a, b, c, d = start[k], end[k], start[k + 2 :], end[k + 2 :]
+        cut = (side(a, b, c) * side(a, b, d) < 0.0) & (side(c, d, a) * side(c, d, b) < 0.0)
+        if cut.any():
+            return k + 1, k + 3 + int(cut.argmax())
+    return None
 
 
 def _spline(points: Floats, loop: bool, size: float) -> tuple[Floats, Floats]:

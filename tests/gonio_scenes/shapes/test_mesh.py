@@ -74,7 +74,7 @@ def test_rays_meet_a_mesh_where_they_meet_its_facets(tmp_path: Path, size: float
     # the normal is the facet's, and outward: the shape's centre is behind it as it is star-shaped
     assert np.all(np.einsum("ij,ij->i", surface.normal, surface.position - center) > 0.0)
     assert built.contains(center)
-    assert not built.contains(center + [0, 0, 1.01 * size])
+    assert not built.contains(center + np.array([0.0, 0.0, 1.01 * size]))
 
 
 def test_a_far_camera_sees_a_mesh_as_a_near_one_does(tmp_path: Path) -> None:

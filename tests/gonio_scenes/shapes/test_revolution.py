@@ -13,8 +13,8 @@ from gonio.typing import Floats
 from tests.gonio_scenes.shapes.solids import along, check_against_bisection, check_frame, shape, toward, units
 
 CENTER = np.array([5.0, 2.0, -9.0])
-VASE = [[0, 0], [20, 0], [28, 15], [10, 40], [14, 50], [12, 50], [8, 40], [25, 15], [18, 2], [0, 2]]
-PROFILES = {
+VASE: list[list[float]] = [[0, 0], [20, 0], [28, 15], [10, 40], [14, 50], [12, 50], [8, 40], [25, 15], [18, 2], [0, 2]]
+PROFILES: dict[str, list[list[float]]] = {
     "cone": [[0, -10], [20, -10], [0, 30]],
     "vase with an inside": VASE,
     "turned over": VASE[::-1],

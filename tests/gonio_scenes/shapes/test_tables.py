@@ -45,6 +45,10 @@ def refusal(**keys: Any) -> str:
         ({"kind": "revolution", "profile_mm": [[1, 2], [-0.5, 3]]}, "profile_mm[2] has r = -0.5"),
         ({"kind": "revolution", "profile_mm": [[1, 2], [1, 2]]}, "[1] and [2] are one point"),
         ({"kind": "revolution", "profile_mm": [[0, 2], [0, 3]]}, "lies on the axis"),
+        (
+            {"kind": "revolution", "profile_mm": [[0, 0], [10, 0], [10, 10], [5, 5], [12, 5], [0, 20]]},
+            "profile_mm crosses itself between [2], [3] and [4], [5]",
+        ),
         ({"kind": "mesh"}, "file is missing"),
         ({"kind": "mesh", "file": "a.obj", "normals": "flat"}, "normals = 'flat'"),
         ({"kind": "mesh", "file": "a.obj", "scale": 0}, "scale = 0"),
@@ -131,7 +135,7 @@ def test_a_missing_mesh_and_a_folder_are_named(tmp_path: Path) -> None:
 def test_an_absurdly_large_mesh_is_not_read(tmp_path: Path) -> None:
     with open(tmp_path / "large.stl", "wb") as file:
         file.truncate(10**12)  # no room on the disk is taken
-    with pytest.raises(DataError, match="has 1000000 MB, and at most 500 MB are read"):
+    with pytest.raises(DataError, match="has 1000000 MB, and at most 250 MB are read"):
         shape("mesh", tmp_path, file="large.stl")
 
 
