@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from gonio.errors import ArgumentError
-from gonio.models import engine
+from gonio.models import engine, hemispherical
 from gonio.models._compile import device, of_columns, with_others
 from gonio.models._facets import (
     SINGLE_RANGE,
@@ -45,6 +45,8 @@ from gonio.models.model import (
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
+
+    from gonio.typing import Floats
 
 DISTRIBUTIONS = ("trowbridge-reitz", "gaussian", "phong")
 
@@ -205,6 +207,13 @@ class Phong(Model):
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
         return phong, (self.k_d / pi, self.k_s / pi, self.exponent)
 
+    def _hemispherical(self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool) -> Floats:
+        if self.k_s == 0.0:
+            return np.full(theta.size, self.k_d)
+        constants = (0.0, self.k_s / pi, self.exponent)
+        *scales, reach = _scales("phong", self.exponent)
+        return hemispherical.over_facets(phong, constants, theta, viewer, scales=scales, reach=reach) + self.k_d
+
     def highlight(
         self, theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: ArrayLike, *, out: Any = None
     ) -> Any:
@@ -321,6 +330,22 @@ class Blinn(Model):
         real = index_at(self.ior, wavelength_nm).imag == 0.0
         return (_REAL if real else _BRDFS)[self.distribution], constants
 
+    def _hemispherical(self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool) -> Floats:
+        """The same for both sides, as the model is reciprocal."""
+        if self.k_s == 0.0:
+            return np.full(theta.size, self.k_d)
+        kernel, (_, *constants) = self._evaluation(wavelength_nm)
+        *scales, reach = _scales(self.distribution, self.c)
+        lobe = hemispherical.over_facets(
+            kernel,
+            (0.0, *constants),
+            theta,
+            scales=scales,
+            reach=reach,
+            index=(constants[3], constants[4]),
+        )
+        return lobe + self.k_d
+
     def highlight(
         self,
         theta_i: ArrayLike,
@@ -363,6 +388,18 @@ class Blinn(Model):
         engine.common_shape(("cos_alpha", "t"), [cosine.shape, texture.shape])
         c3 = least + (1.0 - least) * texture
         return (least * c3 / ((1.0 - cosine) * (1.0 + cosine) + (c3 * cosine) ** 2)) ** 2
+
+
+def _scales(distribution: str, c: float) -> list[float]:
+    """Angles from the normal [rad] where a distribution changes, and beyond the last of which nothing is left of it."""
+    if distribution == "trowbridge-reitz":  # falls like the fourth power
+        return [*(math.atan(c * 3.0**k) for k in range(math.ceil(math.log(10.0 / c, 3.0)))), pi / 2]
+    if c == 0.0:
+        return [pi / 2]
+    if distribution == "gaussian":
+        return [q / c for q in hemispherical.WIDTHS]
+    # cos^c = exp(-q^2), by 1 - cos without cancellation
+    return [2.0 * math.asin(math.sqrt(-0.5 * math.expm1(-q * q / c))) for q in hemispherical.WIDTHS]
 
 
 def coefficient(distribution: str, beta: float) -> float:

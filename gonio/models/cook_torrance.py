@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from gonio.errors import ArgumentError
-from gonio.models import engine
+from gonio.models import engine, hemispherical
 from gonio.models._compile import device, of_columns, with_others
 from gonio.models._facets import SINGLE_RANGE, by_angle, by_tan2, fresnel, fresnel_constants, fresnel_real
 from gonio.models._math import _LOG2_E, exp2
@@ -31,6 +31,8 @@ from gonio.models.model import (
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
+
+    from gonio.typing import Floats
 
 DEFAULT_INDEX = 0.64 + 2.6j
 
@@ -274,6 +276,24 @@ class CookTorrance(Model):
 
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
         return self._weighted(wavelength_nm, self.d * self.diffuse_albedo / pi, self.s)
+
+    def _hemispherical(self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool) -> Floats:
+        """The same for both sides, as the model is reciprocal."""
+        if self.s == 0.0:
+            return np.full(theta.size, self.d * self.diffuse_albedo)
+        beckmann_facets = self.distribution == "beckmann"
+        widths = [[q * m for q in hemispherical.WIDTHS] for m, _ in self.slopes]
+        angles = [[math.atan(q) for q in row] if beckmann_facets else row for row in widths]
+        kernel, constants = self._weighted(wavelength_nm, 0.0, self.s)
+        lobe = hemispherical.over_facets(
+            kernel,
+            constants,
+            theta,
+            scales=[angle for row in angles for angle in row],
+            reach=max(row[-1] for row in angles),
+            index=None if self.fresnel == "schlick" else (constants[2], constants[3]),
+        )
+        return lobe + self.d * self.diffuse_albedo
 
     def specular(
         self,

@@ -225,30 +225,16 @@ class HeTorrance(Model):
 
     # --- energy -------------------------------------------------------------------------------------------------
 
-    def directional_hemispherical(
-        self, theta_i: ArrayLike, *, wavelength_nm: ArrayLike = 550.0, out: Any = None
-    ) -> Any:
-        """Directional-hemispherical reflectance: spike + lobe + diffuse_albedo.
+    def _hemispherical(
+        self, theta: NDArray[np.float64], phi: NDArray[np.float64], wavelength_nm: float, viewer: bool
+    ) -> NDArray[np.float64]:
+        """Lobe and diffuse part; the model is reciprocal, so that the side does not count."""
+        return self._lobe(theta, wavelength_nm) + self.diffuse_albedo
 
-        Parameters
-        ----------
-        theta_i
-            Polar angle of the source [rad], in [0, pi/2].
-        wavelength_nm
-            Wavelength [nm].
-
-        Returns
-        -------
-        float64 array of the shape that the arguments broadcast to. Nothing forces it below 1: the paper's own Figs. 9,
-        11 and 14 exceed it.
-        """
-        return engine.delivered(out, over_thetas(self._hemispherical, theta_i, wavelength_nm))
-
-    def _hemispherical(self, theta: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
-        constants = self._constants(wavelength_nm)
-        lobe = np.array([self._lobe_hemispherical(t, (0.0, *constants[1:])) for t in theta])
-        total: NDArray[np.float64] = self._spike(theta, wavelength_nm) + lobe + self.diffuse_albedo
-        return total
+    def _lobe(self, theta: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
+        constants = (0.0, *self._constants(wavelength_nm)[1:])
+        each, place = np.unique(theta, return_inverse=True)
+        return np.array([self._lobe_hemispherical(t, constants) for t in each])[place]
 
     def _lobe_hemispherical(self, theta: float, constants: Constants) -> float:
         """The integral of lobe * cos(theta_r), to 1e-9 of itself."""
@@ -289,8 +275,9 @@ class HeTorrance(Model):
         wave = checked_wavelength(wavelength_nm)
         top = math.radians(number("theta_max_deg", theta_max_deg, 0.0, 90.0, unit="deg"))
         grid = np.linspace(0.0, top, 46)
-        first = self._hemispherical(grid, wave) - self.diffuse_albedo
+        first = self._lobe(grid, wave) + self._spike(grid, wave)
         best = int(np.argmax(first))
         low, high = grid[max(best - 1, 0)], grid[min(best + 1, grid.size - 1)]
-        finer = self._hemispherical(np.linspace(low, high, 33), wave) - self.diffuse_albedo
+        grid = np.linspace(low, high, 33)
+        finer = self._lobe(grid, wave) + self._spike(grid, wave)
         return max(0.0, 1.0 - float(max(first.max(), finer.max())))

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import pi
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
 
 from gonio.models._compile import device
 from gonio.models.engine import Constants, Kernel
 from gonio.models.model import Model, number, store
+
+if TYPE_CHECKING:
+    from gonio.typing import Floats
 
 
 @device
@@ -40,3 +45,6 @@ class Lambert(Model):
 
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
         return lambert, (self.albedo / pi,)
+
+    def _hemispherical(self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool) -> Floats:
+        return np.full(theta.size, self.albedo)

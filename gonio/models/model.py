@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast, overload
 import numpy as np
 
 from gonio.errors import ArgumentError, refuse_masked
-from gonio.models import engine
+from gonio.models import engine, hemispherical
 from gonio.models.engine import SPLIT, Constants, Geometry, Kernel
 
 if TYPE_CHECKING:
@@ -252,6 +252,66 @@ class Model(ABC):
             An angle is NaN or out of range; it names the argument.
         """
         return engine.delivered(out, over_thetas(lambda theta, _: np.zeros(theta.size), theta_i, wavelength_nm))
+
+    def directional_hemispherical(
+        self,
+        theta_i: ArrayLike,
+        *,
+        phi_i: ArrayLike = 0.0,
+        wavelength_nm: ArrayLike = 550.0,
+        spike: bool = True,
+        out: Any = None,
+    ) -> Any:
+        """rho_dh, the share of light from one direction that is reflected: spike + integral of brdf cos(theta_r).
+
+        Parameters
+        ----------
+        theta_i
+            Polar angle of the source [rad], in [0, pi/2].
+        phi_i
+            Its azimuth [rad], which counts where the surface has a direction of its own (parallel grooves).
+        wavelength_nm
+            Wavelength [nm].
+        spike
+            False leaves out the specular spike: what is left where a mirror ray is followed.
+        out
+            Where the result goes, as in `brdf`.
+
+        Returns
+        -------
+        float64 array of the shape that the arguments broadcast to, right to 1e-8 of itself unless the model's class
+        says otherwise. Nothing forces it below 1: some of the papers' forms reflect more than they receive.
+
+        Raises
+        ------
+        ArgumentError
+            An angle is NaN or out of range; it names the argument.
+        DataError
+            The integral does not converge.
+        """
+        value = hemispherical.reflectance(self, theta_i, phi_i, wavelength_nm, viewer=False, spike=spike)
+        return engine.delivered(out, value)
+
+    def hemispherical_directional(
+        self,
+        theta_r: ArrayLike,
+        *,
+        phi_r: ArrayLike = 0.0,
+        wavelength_nm: ArrayLike = 550.0,
+        spike: bool = True,
+        out: Any = None,
+    ) -> Any:
+        """rho_hd, the radiance under light that is the same from everywhere: spike + integral of brdf cos(theta_i).
+
+        Equal to `directional_hemispherical` for a reciprocal model. Parameters, result and errors as there, for the
+        viewer's direction.
+        """
+        value = hemispherical.reflectance(self, theta_r, phi_r, wavelength_nm, viewer=True, spike=spike)
+        return engine.delivered(out, value)
+
+    def _hemispherical(self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool) -> Floats:
+        """The integral of the BRDF times the cosine of the other direction, for sources or (`viewer`) viewers."""
+        return hemispherical.over_directions(self, theta, phi, wavelength_nm, viewer)
 
 
 def over_thetas(evaluate: Callable[[Floats, float], Floats], theta_i: ArrayLike, wavelength_nm: ArrayLike) -> Any:

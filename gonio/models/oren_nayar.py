@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from gonio.errors import ArgumentError
+from gonio.models import hemispherical
 from gonio.models._compile import device, of_columns
 from gonio.models._groove_integral import gaussian_grooves, isotropic_grooves, parallel_grooves
 from gonio.models._math import atan_over_near
@@ -19,6 +20,8 @@ from gonio.models.model import Model, choice, number, store
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from gonio.typing import Floats
 
 FORMS = ("functional", "exact", "qualitative", "single-slope")
 TWO_OVER_PI = 2.0 / pi
@@ -245,6 +248,12 @@ class OrenNayar(Model):
             once * 0.125 * narrow,
             0.17 * self.albedo * twice * s2 / (s2 + 0.13),
         )
+
+    def _hemispherical(self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool) -> Floats:
+        """The same for both sides, as the model is reciprocal; to 1e-6 for the exact form, which costs seconds."""
+        tolerance = 1e-6 if self.form == "exact" else hemispherical.TOLERANCE
+        even = self.groove_azimuth_deg is None
+        return hemispherical.over_directions(self, theta, phi, wavelength_nm, viewer, even=even, tolerance=tolerance)
 
 
 @functools.lru_cache(maxsize=64)

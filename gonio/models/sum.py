@@ -14,6 +14,8 @@ from gonio.models.model import Model, number
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from gonio.typing import Floats
+
 
 class Sum(Model):
     """A weighted sum of models: brdf = sum of weight times brdf [1/sr].
@@ -91,6 +93,10 @@ class Sum(Model):
 
     def specular_reflectivity(self, theta_i: ArrayLike, *, wavelength_nm: ArrayLike = 550.0, out: Any = None) -> Any:
         return self._total(lambda m: m.specular_reflectivity(theta_i, wavelength_nm=wavelength_nm), out)
+
+    def _hemispherical(self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool) -> Floats:
+        total: Floats = self._total(lambda m: m._hemispherical(theta, phi, wavelength_nm, viewer), None)
+        return total
 
     def _total(self, evaluate: Callable[[Model], Any], out: Any) -> Any:
         total = sum(_weighted(w, evaluate(m)) for m, w in self.terms)
