@@ -205,13 +205,7 @@ class Material:
         if level not in self._ambient:
             # nodes close up toward grazing, where reflectances change fastest
             nodes = np.pi / 2 * np.sin(np.linspace(0.0, np.pi / 2, AMBIENT_NODES))
-            table = self._each(
-                level,
-                lambda m, w: (
-                    m.hemispherical_directional(nodes, wavelength_nm=w)
-                    - m.specular_reflectivity(nodes, wavelength_nm=w)
-                ),
-            )
+            table = self._each(level, lambda m, w: m.hemispherical_directional(nodes, wavelength_nm=w, spike=False))
             self._ambient[level] = PchipInterpolator(nodes, table)
         return np.asarray(self._ambient[level](theta))
 
