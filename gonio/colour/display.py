@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 D6500 = (0.3127, 0.3290)
 C = (0.31006, 0.31616)
 BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
-"""XYZ to the sharpened cone responses of Lam's (1985) chromatic adaptation, as ICC profiles take them."""
+"""XYZ to the sharpened cone responses of Bradford's chromatic adaptation (Lam 1985), as ICC profiles take them."""
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,10 +14,11 @@ from gonio.models import fresnel
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import ArrayLike
 
-Index = str | complex | Callable[[Any], Any] | Any
-"""n + ik: a material's name, a number, a function of the wavelengths in nm, or one number a wavelength."""
+    Index = str | ArrayLike | Callable[[Floats], ArrayLike]
 
 
 def index_from_f0(f0: ArrayLike) -> Floats:
@@ -43,7 +43,8 @@ def reflectance(theta: ArrayLike, wavelength_nm: ArrayLike, ior: Index) -> Float
     wavelength_nm
         Wavelengths [nm], (n,).
     ior
-        n + ik, as `Index` says. For a measured normal reflectance: ``index_from_f0(f0)``.
+        n + ik: a material's name, a number, one number a wavelength, or a function of the wavelengths. For a measured
+        normal reflectance: ``index_from_f0(f0)``.
 
     Returns
     -------

@@ -316,35 +316,12 @@ class CookTorrance(Model):
         ----------
         theta_r
             None: what the paper's figures use, R_a = pi R_d = diffuse_albedo. A polar angle of the viewer [rad]: the
-            hemispherical-directional reflectance, the integral of brdf cos(theta_i) over the hemisphere, by
-            quadrature over the facets' slopes (to 1e-3 of its value for m >= 0.01).
+            hemispherical-directional reflectance.
         """
         if theta_r is None:
             return self.diffuse_albedo
         theta = number("theta_r", theta_r, 0.0, pi / 2, "rad")
-        # over the facets' normals h, which lie within a few m of N: dw_i = 4 V.h dw_h
-        total = self.d * self.diffuse_albedo
-        node, weight = np.polynomial.legendre.leggauss(96)
-        phi = (np.arange(256) + 0.5) * (2.0 * pi / 256)
-        v = np.array([np.sin(theta), 0.0, np.cos(theta)])
-        for m, w in self.slopes:
-            one = CookTorrance(1.0, 0.0, m, self.ior, self.distribution, 0.0, self.normalisation, fresnel=self.fresnel)
-            reach = np.arctan(7.0 * m)  # exp(-49) is left out
-            alpha = 0.5 * reach * (node + 1.0)
-            h = np.stack(
-                np.broadcast_arrays(
-                    np.sin(alpha)[:, None] * np.cos(phi), np.sin(alpha)[:, None] * np.sin(phi), np.cos(alpha)[:, None]
-                ),
-                axis=-1,
-            )
-            vh = h @ v
-            light = 2.0 * vh[..., None] * h - v
-            seen = (vh > 0.0) & (light[..., 2] > 0.0)
-            f = np.zeros(vh.shape)
-            f[seen] = one.brdf_vectors(light[seen], v, wavelength_nm=wavelength_nm) * light[seen][:, 2] * 4.0 * vh[seen]
-            inner = f.mean(axis=1) * 2.0 * pi * np.sin(alpha)
-            total += self.s * w * float(inner @ weight) * 0.5 * reach
-        return float(total)
+        return float(self.hemispherical_directional(theta, wavelength_nm=wavelength_nm))
 
 
 def unblocked_fraction(horizon: ArrayLike) -> float:

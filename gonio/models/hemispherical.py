@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 TOLERANCE = 1e-8
 """Relative error of the integrals, by the difference between two rules of which the better one counts."""
+NOTHING = 1e-22
+"""Reflectances below this are right to `TOLERANCE` of it alone."""
 WIDTHS = (1.0, 2.5, 6.4)
 """Where a distribution exp(-x^2) changes; beyond the last 1e-17 of it is left."""
 ORDERS = ((8, 6), (12, 9), (18, 14), (27, 21), (40, 32), (60, 48), (90, 72))
@@ -49,9 +51,10 @@ def reflectance(
     out = np.empty(polar.size)
     for wave in np.unique(waves):
         here = waves == wave
+        mirror = model.specular_reflectivity(polar[here], wavelength_nm=float(wave))  # which checks the wavelength too
         out[here] = model._hemispherical(polar[here], azimuth[here], float(wave), viewer)
-        if spike and model.has_spike:
-            out[here] += model.specular_reflectivity(polar[here], wavelength_nm=float(wave))
+        if spike:
+            out[here] += mirror
     return out.reshape(shape)[()]
 
 
@@ -156,7 +159,8 @@ def over_facets(
         )
         out[open_] = value
         with np.errstate(invalid="ignore"):
-            held = (np.abs(value - before[open_]) <= TOLERANCE * np.abs(value)) | (value == before[open_])  # inf too
+            held = np.abs(value - before[open_]) <= TOLERANCE * np.maximum(np.abs(value), NOTHING)
+        held |= value == before[open_]  # inf
         before[open_] = value
         open_ = open_[~held]
         if open_.size == 0:
@@ -176,7 +180,8 @@ def _own_column(take: Callable[..., Any], alpha: Floats, sin_a: Floats, cos_a: F
         return alpha * alpha
     if take is by_sxy2:
         return sin_a * sin_a
-    return np.where(sin_a < 0.7, np.log1p(-sin_a * sin_a), 2.0 * np.log(cos_a))  # ln cos^2
+    gentle = np.log1p(-np.minimum(sin_a * sin_a, 0.5))
+    return np.asarray(np.where(sin_a < 0.7, gentle, 2.0 * np.log(cos_a)))  # ln cos^2
 
 
 def _fresnel_levels(index: tuple[float, float]) -> tuple[list[float], bool]:
@@ -239,7 +244,7 @@ def _facet_rule(
     kinks += [np.full(alpha.size, level) for level in levels]
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         cosines = (np.stack(kinks) - level) / swing
-    angles = np.arccos(np.clip(np.nan_to_num(cosines, nan=1.0), -1.0, 1.0))
+    angles = np.arccos(np.fmin(np.fmax(cosines, -1.0), 1.0))  # 0/0 counts as -1: no kink
     last = angles[0]  # the horizon: larger beta have L below it
     ends = np.sort(np.concatenate([np.zeros((1, alpha.size)), np.minimum(angles, last)]), axis=0)
     piece, row = np.nonzero(np.diff(ends, axis=0) > 1e-300)
@@ -253,7 +258,8 @@ def _facet_rule(
     columns = [array[row] for array in (vx, vz, sin_a, cos_a, own)] + [ends[piece, row], ends[piece + 1, row]]
     engine.in_parts(lambda i, j: run(*columns, node, weight, choice, constants, inner, i, j), row.size, 4096)
     # beta from 0 to pi: the other half is the same
-    return np.bincount(owner[row], 2.0 * inner * (w_alpha * sin_a)[row], minlength=theta.size)
+    total = np.bincount(owner[row], 2.0 * inner * (w_alpha * sin_a)[row], minlength=theta.size)
+    return total.astype(np.float64)  # of no rows it would be of integers
 
 
 def _unit_rule(order: int, rooted: bool) -> tuple[Floats, Floats]:

@@ -250,8 +250,8 @@ class OrenNayar(Model):
         )
 
     def _hemispherical(self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool) -> Floats:
-        """The same for both sides, as the model is reciprocal; to 1e-6 for the exact form, which costs seconds."""
-        tolerance = 1e-6 if self.form == "exact" else hemispherical.TOLERANCE
+        """The same for both sides, as the model is reciprocal; to 1e-6 for the forms whose kinks lie anywhere."""
+        tolerance = 1e-6 if self.form in ("exact", "single-slope") else hemispherical.TOLERANCE
         even = self.groove_azimuth_deg is None
         return hemispherical.over_directions(self, theta, phi, wavelength_nm, viewer, even=even, tolerance=tolerance)
 
