@@ -14,7 +14,7 @@ from pydantic import Field
 from gonio.disk import read_file
 from gonio.errors import ConfigError, DataError
 from gonio.typing import Floats
-from gonio_scenes.shapes.shape import Coordinate, FlatTable, Length
+from gonio_scenes.shapes.shape import LARGEST_MM, Coordinate, FlatTable, Length
 from gonio_scenes.shapes.triangles import PerCorner, Triangles
 
 MAX_NODES = 1_200_000
@@ -56,6 +56,8 @@ class HeightField(FlatTable):
         """
         path = folder / self.file
         heights = self.height_mm * read_heights(path, f'file = "{self.file}" ({path})')
+        if np.abs(heights).max() > LARGEST_MM:
+            raise DataError(f'file = "{self.file}" ({path}): makes heights beyond {LARGEST_MM:g} mm: lower height_mm')
         rows, columns = heights.shape
         u, v = np.linspace(0.0, 1.0, columns), np.linspace(1.0, 0.0, rows)
         uv = np.stack(np.meshgrid(u, v), axis=-1)

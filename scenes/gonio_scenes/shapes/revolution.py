@@ -17,8 +17,8 @@ from gonio_scenes.shapes.shape import Analytic, AxisTable, Coordinate
 
 MAX_POINTS = 10_000
 """Points of a profile in a scene file."""
-CHORD_ERROR = 5e-5
-"""Of the shape's size: what the frusta of a smooth surface of revolution are off it; half of what is promised."""
+CHORD_ERROR = 5e-7
+"""Of the shape's size: what the frusta of a smooth surface are off it; half of what is promised."""
 MARGIN = 1e-12
 """Of the shape's size: neighbouring frusta overlap by it, so that rounding opens no gap between them."""
 
@@ -37,7 +37,7 @@ class Revolution(AxisTable):
         Whether ends that are not on the axis are closed by discs.
     smooth
         A C2 cubic spline through the points, level where it meets the axis, instead of straight lines. It is cut into
-        frusta that are off it by less than 1e-4 of the size, and shaded with its own normals.
+        frusta that are off it by less than 1e-6 of the size, and shaded with its own normals.
     """
 
     kind: Literal["revolution"]

@@ -79,6 +79,24 @@ def test_sphere_from_a_kilometre_keeps_nine_digits_of_its_size() -> None:
                 assert abs(float(oc[k] + exact * v[k] + (3, 4, 5)[k] - mpmath.mpf(float(p[k])))) < 80e-9
 
 
+@pytest.mark.parametrize(("kind", "keys"), EVERY)
+def test_hits_from_a_kilometre_lie_on_the_ray(kind: str, keys: dict[str, Any]) -> None:
+    """The position, which is on the shape, is off the ray by less than 1e-9 of the size, in 40 digits."""
+    built = shape(kind, center_mm=CENTER.tolist(), **keys)
+    origin, direction = toward(np.random.default_rng(12), 150, CENTER, 60.0, 1e6)
+    distance, primitive = built.intersect(origin, direction, 0.0)
+    hit = np.isfinite(distance)
+    assert hit.sum() > 30
+    position = built.surface(origin[hit], direction[hit], distance[hit], primitive[hit]).position
+    with mpmath.workdps(40):
+        for o, d, t, p in zip(origin[hit], direction[hit], distance[hit], position, strict=True):
+            v = mpmath.matrix(d.tolist())
+            to = mpmath.matrix(p.tolist()) - mpmath.matrix(o.tolist())
+            along_ray = (to.T * v)[0] / (v.T * v)[0]
+            assert float(mpmath.norm(to - along_ray * v)) < 1e-9 * built.size_mm
+            assert abs(float(along_ray - t)) < 1e-9 * 60.0
+
+
 @pytest.mark.parametrize("off", [1e-3, 1e-6, 1e-9, 1e-12])
 def test_grazing_rays_meet_a_sphere_just_inside_its_limb_and_miss_just_outside(off: float) -> None:
     """At r (1 - off) from the centre the ray is inside for r sqrt(2 off - off^2) on either side."""

@@ -119,6 +119,7 @@ GREY = np.full((5, 5), 7, np.uint8)
         ("heights.npy", np.zeros((3, 3, 3)), r"an array \(3, 3, 3\) of float64"),
         ("heights.npy", np.array([["a", "b"], ["c", "d"]]), "heights are numbers"),
         ("heights.npy", np.array([[1.0, np.nan], [0.0, 1.0]]), "not finite"),
+        ("heights.npy", np.array([[1e300, 1.0], [0.0, 1.0]]), "beyond 1e.09 mm: lower height_mm"),
         ("heights.npy", np.array([[None, 1], [1, 1]], dtype=object), "heights are numbers"),
     ],
 )
