@@ -207,12 +207,17 @@ class Phong(Model):
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
         return phong, (self.k_d / pi, self.k_s / pi, self.exponent)
 
-    def _hemispherical(self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool) -> Floats:
+    def _hemispherical(
+        self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool, tolerance: float
+    ) -> Floats:
         if self.k_s == 0.0:
             return np.full(theta.size, self.k_d)
         constants = (0.0, self.k_s / pi, self.exponent)
         *scales, reach = _scales("phong", self.exponent)
-        return hemispherical.over_facets(phong, constants, theta, viewer, scales=scales, reach=reach) + self.k_d
+        return (
+            hemispherical.over_facets(phong, constants, theta, viewer, scales=scales, reach=reach, tolerance=tolerance)
+            + self.k_d
+        )
 
     def highlight(
         self, theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: ArrayLike, *, out: Any = None
@@ -330,7 +335,9 @@ class Blinn(Model):
         real = index_at(self.ior, wavelength_nm).imag == 0.0
         return (_REAL if real else _BRDFS)[self.distribution], constants
 
-    def _hemispherical(self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool) -> Floats:
+    def _hemispherical(
+        self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool, tolerance: float
+    ) -> Floats:
         """The same for both sides, as the model is reciprocal."""
         if self.k_s == 0.0:
             return np.full(theta.size, self.k_d)
@@ -343,6 +350,7 @@ class Blinn(Model):
             scales=scales,
             reach=reach,
             index=(constants[3], constants[4]),
+            tolerance=tolerance,
         )
         return lobe + self.k_d
 

@@ -277,7 +277,9 @@ class CookTorrance(Model):
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
         return self._weighted(wavelength_nm, self.d * self.diffuse_albedo / pi, self.s)
 
-    def _hemispherical(self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool) -> Floats:
+    def _hemispherical(
+        self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool, tolerance: float
+    ) -> Floats:
         """The same for both sides, as the model is reciprocal."""
         if self.s == 0.0:
             return np.full(theta.size, self.d * self.diffuse_albedo)
@@ -292,6 +294,7 @@ class CookTorrance(Model):
             scales=[angle for row in angles for angle in row],
             reach=max(row[-1] for row in angles),
             index=None if self.fresnel == "schlick" else (constants[2], constants[3]),
+            tolerance=tolerance,
         )
         return lobe + self.d * self.diffuse_albedo
 

@@ -226,18 +226,20 @@ class HeTorrance(Model):
     # --- energy -------------------------------------------------------------------------------------------------
 
     def _hemispherical(
-        self, theta: NDArray[np.float64], phi: NDArray[np.float64], wavelength_nm: float, viewer: bool
+        self, theta: NDArray[np.float64], phi: NDArray[np.float64], wavelength_nm: float, viewer: bool, tolerance: float
     ) -> NDArray[np.float64]:
         """Lobe and diffuse part; the model is reciprocal, so that the side does not count."""
-        return self._lobe(theta, wavelength_nm) + self.diffuse_albedo
+        return self._lobe(theta, wavelength_nm, tolerance) + self.diffuse_albedo
 
-    def _lobe(self, theta: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
+    def _lobe(
+        self, theta: NDArray[np.float64], wavelength_nm: float, tolerance: float = hemispherical.TOLERANCE
+    ) -> NDArray[np.float64]:
         constants = (0.0, *self._constants(wavelength_nm)[1:])
         each, place = np.unique(theta, return_inverse=True)
-        return np.array([self._lobe_hemispherical(t, constants) for t in each])[place]
+        return np.array([self._lobe_hemispherical(t, constants, tolerance) for t in each])[place]
 
-    def _lobe_hemispherical(self, theta: float, constants: Constants) -> float:
-        """The integral of lobe * cos(theta_r), to 1e-9 of itself."""
+    def _lobe_hemispherical(self, theta: float, constants: Constants, tolerance: float) -> float:
+        """The integral of lobe * cos(theta_r): two rules agree to a tenth of the tolerance, and the better one counts."""
         _, scale, _, width, slope, _, _, rise, *_ = constants
         if theta >= engine.HALF_PI or scale == 0.0:
             return 0.0
@@ -245,7 +247,7 @@ class HeTorrance(Model):
         critical = math.asin(math.sqrt(1.0 + rise)) if -1.0 < rise < 0.0 else None  # 0 < Re n^2 < 1
         omega_i = np.array([math.sin(theta), 0.0, math.cos(theta)])
         before = math.inf
-        for order in (8, 12, 18, 27, 40):
+        for order in (4, 6, 8, 12, 18, 27, 40):
             omega_r, weight = (
                 about_mirror(theta, narrow, slope, order)
                 if critical is None
@@ -253,7 +255,7 @@ class HeTorrance(Model):
             )
             lobe = engine.over_vectors(kernels.lobe_state, constants, omega_i, omega_r, split=self.grain)
             total = float(np.vdot(lobe, weight))
-            if abs(total - before) <= 1e-9 * abs(total):
+            if abs(total - before) <= 0.1 * tolerance * abs(total):
                 break
             before = total
         return total

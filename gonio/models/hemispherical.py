@@ -33,12 +33,19 @@ NOTHING = 1e-22
 """Reflectances below this are right to `TOLERANCE` of it alone."""
 WIDTHS = (1.0, 2.5, 6.4)
 """Where a distribution exp(-x^2) changes; beyond the last 1e-17 of it is left."""
-ORDERS = ((8, 6), (12, 9), (18, 14), (27, 21), (40, 32), (60, 48), (90, 72))
+ORDERS = ((4, 3), (6, 4), (8, 6), (12, 9), (18, 14), (27, 21), (40, 32), (60, 48), (90, 72))
 """Nodes in a panel of alpha and in one of beta, from rule to rule."""
 
 
 def reflectance(
-    model: Model, theta: ArrayLike, phi: ArrayLike, wavelength_nm: ArrayLike, *, viewer: bool, spike: bool
+    model: Model,
+    theta: ArrayLike,
+    phi: ArrayLike,
+    wavelength_nm: ArrayLike,
+    *,
+    viewer: bool,
+    spike: bool,
+    tolerance: float = TOLERANCE,
 ) -> Any:
     """rho_dh for a source, or (`viewer`) rho_hd for a viewer, at arguments that are checked here and broadcast."""
     names = ("theta_r", "phi_r") if viewer else ("theta_i", "phi_i")
@@ -52,7 +59,7 @@ def reflectance(
     for wave in np.unique(waves):
         here = waves == wave
         mirror = model.specular_reflectivity(polar[here], wavelength_nm=float(wave))  # which checks the wavelength too
-        out[here] = model._hemispherical(polar[here], azimuth[here], float(wave), viewer)
+        out[here] = model._hemispherical(polar[here], azimuth[here], float(wave), viewer, tolerance)
         if spike:
             out[here] += mirror
     return out.reshape(shape)[()]
@@ -113,8 +120,9 @@ def over_facets(
     scales: Sequence[float],
     reach: float = HALF_PI,
     index: tuple[float, float] | None = None,
+    tolerance: float = TOLERANCE,
 ) -> Floats:
-    """The integral of a facet model's lobe times the cosine of the moving direction, to `TOLERANCE`.
+    """The integral of a facet model's lobe times the cosine of the moving direction, to a relative `tolerance`.
 
     H = (alpha, beta) about the normal, beta = 0 toward the fixed direction V; L = 2 (V.H) H - V and dw_L = 4 (V.H)
     dw_H. V.H is linear in cos(beta), so that at one alpha the horizon, the kinks of Blinn's G and total reflection lie
@@ -168,7 +176,7 @@ def over_facets(
     worst = open_[0]
     raise DataError(
         f"the hemispherical reflectance at {math.degrees(theta[worst]):.6g} deg: rules of "
-        f"{ORDERS[-2][0]} and {ORDERS[-1][0]} nodes a panel differ by more than {TOLERANCE:g} of it"
+        f"{ORDERS[-2][0]} and {ORDERS[-1][0]} nodes a panel differ by more than {tolerance:g} of it"
     )
 
 

@@ -46,5 +46,7 @@ class Lambert(Model):
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
         return lambert, (self.albedo / pi,)
 
-    def _hemispherical(self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool) -> Floats:
+    def _hemispherical(
+        self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool, tolerance: float
+    ) -> Floats:
         return np.full(theta.size, self.albedo)

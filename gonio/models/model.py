@@ -260,6 +260,7 @@ class Model(ABC):
         phi_i: ArrayLike = 0.0,
         wavelength_nm: ArrayLike = 550.0,
         spike: bool = True,
+        tolerance: float = hemispherical.TOLERANCE,
         out: Any = None,
     ) -> Any:
         """rho_dh, the share of light from one direction that is reflected: spike + integral of brdf cos(theta_r).
@@ -274,13 +275,15 @@ class Model(ABC):
             Wavelength [nm].
         spike
             False leaves out the specular spike: what is left where a mirror ray is followed.
+        tolerance
+            Relative error of the integral: a coarser one takes less time.
         out
             Where the result goes, as in `brdf`.
 
         Returns
         -------
-        float64 array of the shape that the arguments broadcast to, right to 1e-8 of itself unless the model's class
-        says otherwise. Nothing forces it below 1: some of the papers' forms reflect more than they receive.
+        float64 array of the shape that the arguments broadcast to, right to `tolerance` of itself unless the model's
+        class says otherwise. Nothing forces it below 1: some of the papers' forms reflect more than they receive.
 
         Raises
         ------
@@ -289,7 +292,9 @@ class Model(ABC):
         DataError
             The integral does not converge.
         """
-        value = hemispherical.reflectance(self, theta_i, phi_i, wavelength_nm, viewer=False, spike=spike)
+        value = hemispherical.reflectance(
+            self, theta_i, phi_i, wavelength_nm, viewer=False, spike=spike, tolerance=tolerance
+        )
         return engine.delivered(out, value)
 
     def hemispherical_directional(
@@ -299,6 +304,7 @@ class Model(ABC):
         phi_r: ArrayLike = 0.0,
         wavelength_nm: ArrayLike = 550.0,
         spike: bool = True,
+        tolerance: float = hemispherical.TOLERANCE,
         out: Any = None,
     ) -> Any:
         """rho_hd, the radiance under light that is the same from everywhere: spike + integral of brdf cos(theta_i).
@@ -306,12 +312,16 @@ class Model(ABC):
         Equal to `directional_hemispherical` for a reciprocal model. Parameters, result and errors as there, for the
         viewer's direction.
         """
-        value = hemispherical.reflectance(self, theta_r, phi_r, wavelength_nm, viewer=True, spike=spike)
+        value = hemispherical.reflectance(
+            self, theta_r, phi_r, wavelength_nm, viewer=True, spike=spike, tolerance=tolerance
+        )
         return engine.delivered(out, value)
 
-    def _hemispherical(self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool) -> Floats:
+    def _hemispherical(
+        self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool, tolerance: float
+    ) -> Floats:
         """The integral of the BRDF times the cosine of the other direction, for sources or (`viewer`) viewers."""
-        return hemispherical.over_directions(self, theta, phi, wavelength_nm, viewer)
+        return hemispherical.over_directions(self, theta, phi, wavelength_nm, viewer, tolerance=tolerance)
 
 
 def over_thetas(evaluate: Callable[[Floats, float], Floats], theta_i: ArrayLike, wavelength_nm: ArrayLike) -> Any:

@@ -249,9 +249,11 @@ class OrenNayar(Model):
             0.17 * self.albedo * twice * s2 / (s2 + 0.13),
         )
 
-    def _hemispherical(self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool) -> Floats:
+    def _hemispherical(
+        self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool, tolerance: float
+    ) -> Floats:
         """The same for both sides, as the model is reciprocal; to 1e-6 for the forms whose kinks lie anywhere."""
-        tolerance = 1e-6 if self.form in ("exact", "single-slope") else hemispherical.TOLERANCE
+        tolerance = max(tolerance, 1e-6) if self.form in ("exact", "single-slope") else tolerance
         even = self.groove_azimuth_deg is None
         return hemispherical.over_directions(self, theta, phi, wavelength_nm, viewer, even=even, tolerance=tolerance)
 

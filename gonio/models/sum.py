@@ -94,8 +94,10 @@ class Sum(Model):
     def specular_reflectivity(self, theta_i: ArrayLike, *, wavelength_nm: ArrayLike = 550.0, out: Any = None) -> Any:
         return self._total(lambda m: m.specular_reflectivity(theta_i, wavelength_nm=wavelength_nm), out)
 
-    def _hemispherical(self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool) -> Floats:
-        total: Floats = self._total(lambda m: m._hemispherical(theta, phi, wavelength_nm, viewer), None)
+    def _hemispherical(
+        self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool, tolerance: float
+    ) -> Floats:
+        total: Floats = self._total(lambda m: m._hemispherical(theta, phi, wavelength_nm, viewer, tolerance), None)
         return total
 
     def _total(self, evaluate: Callable[[Model], Any], out: Any) -> Any:
