@@ -31,11 +31,11 @@ FAR = 4.0
 STEEPEST = 20.0
 """Prior of d ln(amplitude) / d theta [1/rad]; (4 pi sigma0/lambda)^2 sin(2 theta) for sigma0/lambda = 0.4."""
 TELLS = 9.0
-"""Points tell an amplitude whose errors of the angles leave it a third of itself: sum of mean^2 / variance."""
+"""Points tell an amplitude above this sum of mean^2 / variance: errors of the angles then move it by under a third."""
 SURELY = 25.0
-"""Below this sum they tell it within a factor: its uncertainty is the largest amplitude that goes with the values."""
+"""Below this sum they tell it roughly: its uncertainty is the largest amplitude that the values allow."""
 SEEN = 2.5
-"""At an edge rare errors are large: a departure from lobe and spike that they explain is at most so many sigma."""
+"""At an edge rare errors are large. A departure from lobe and spike that they explain is made at most so many sigma."""
 SHAPE = 0.03
 """Relative error of the lobe's shape under a spike, point by point."""
 WITHIN = 0.03
@@ -258,13 +258,13 @@ def find(scene: Scene, groups: Sequence[Places]) -> Spikes:
         if not fit.told:
             out.u_amplitude[k] = fit.most
             inside = abs(scene.brdf[k])
-            if fit.u_lobe < 1.0:  # whatever stands on the lobe, neighbours' slopes are not its flanks
+            if fit.u_lobe < 1.0:  # the lobe is known; slopes to the neighbours are not the flanks of what stands on it
                 out.lobe[k] = np.minimum(out.lobe[k], fit.lobe)
                 u_above = np.hypot(scene.u[k], max(fit.u_lobe, SHAPE) * fit.lobe)
                 above = np.maximum(scene.brdf[k] - fit.lobe, 0.0) + 2.0 * u_above
                 inside = np.minimum(inside, above)
             spread = fit.most * np.sqrt(variance[k] + (at_read[k] - mean[k]) ** 2)
-            # what is above the lobe is all a value holds of the spike; it lacks at most what the directions read see
+            # a value holds no more of the spike than stands above the lobe, and lacks no more than is seen as read
             out.variance[k] = np.minimum(spread, np.maximum(inside, fit.most * at_read[k])) ** 2
             continue
         t = np.stack([np.ones(group.size), scene.middle[group] - fit.theta])
@@ -321,7 +321,7 @@ def _fit(scene: Scene, group: Places, near: npt.NDArray[np.bool_], own: Places |
     with np.errstate(divide="ignore"):
         tells = float(np.sum(share**2 / np.maximum(variance, 1e-300)))
     if tells < SURELY:
-        # errors that took most of a spike leave a small amplitude, and a small error of it
+        # errors of the angles that hid most of a spike make its fitted amplitude small, and its fitted error, too
         highest = _largest(share, variance, values - scaled + 2.0 * np.hypot(scene.u[k], SHAPE * scaled))
         u = max(u, min(highest, most))
     common = 0.6 * amplitude * float(np.sum(weight * share * np.sqrt(variance))) / strength if strength > 0 else 0.0
