@@ -236,7 +236,7 @@ class Curves:
     def _apart_from(
         self, shape: Floats, k: int, near: npt.NDArray[np.intp], weight: Floats
     ) -> tuple[Floats, float, Floats]:
-        """Slopes of point k, their standard uncertainty, and its curvatures: of a lobe's shape and of what departs from it.
+        """Slopes of point k, their standard uncertainty, and curvatures: of a lobe's shape and of what departs from it.
 
         The values over the shape are interpolated by a parabola in x and in y, even in y, through the nearest points
         of the same incidence. The slope of that counts as uncertain by itself: where it is steep, points are too far
