@@ -100,6 +100,7 @@ def tool() -> ModuleType:
 
 def test_reference_values_are_those_of_the_tool() -> None:
     made = tool()
+    assert made.OUT.samefile(Path(evaluators.__file__).with_name("reference.json"))
     with mp.workdps(60):
         groups = [g for g in reference().he_torrance if g.parameters["sigma0_um"] < 0.2]  # few terms
         assert len(groups) == 5
