@@ -1,203 +1,55 @@
-"""Scans of a He-Torrance surface in the plane of incidence, as HTSG's figures show them, and their drawings."""
+"""The surfaces of HTSG's figures, the cones that they are seen through, and what both say on a page."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
-from gonio_analysis.curves.line import Line
-from gonio_analysis.report.text import number
 
-from gonio.typing import Floats
-from gonio_validation.papers.experiment import Experiment, beside, divided
-from gonio_validation.papers.figure import NOTHING, Panel, Parameter, angle_panel, polar_panel, signed
+from gonio_validation.papers.figure import Parameter
 
-BRDF = "BRDF [1/sr]"
+if TYPE_CHECKING:
+    from gonio.models import HeTorrance
+
 PAPER = "He, Torrance, Sillion and Greenberg, A Comprehensive Physical Model for Light Reflection, SIGGRAPH 1991"
 CONE_SR = math.pi / 1024
 """HTSG sec. 4: the solid angles of incident and received light in the experiments of Figs. 7 and 8."""
 
 
+class Cones(TypedDict):
+    """What lamp and lens subtend [sr], as `gonio.instrument` takes it."""
+
+    source_solid_angle_sr: float
+    receiver_solid_angle_sr: float
+
+
+CONES: Cones = {"source_solid_angle_sr": CONE_SR, "receiver_solid_angle_sr": CONE_SR}
+
+
 @dataclass(frozen=True)
-class Scan:
-    """One incidence: what an instrument with two cones of `CONE_SR` sees, lobe and spike apart."""
+class Surface:
+    """A surface of He and Torrance's model."""
 
-    theta_i_deg: float
-    angle_deg: Floats
-    """Signed angle of reflection."""
-    lobe: Floats
-    """Directional and uniform diffuse, averaged over the cones [1/sr]."""
-    spike: Floats
-    """HTSG eq. 6 through the cones [1/sr]."""
-    peak_deg: float | None
-    """Where the BRDF without its spike is largest in one direction, to 0.01 degrees; None where it is even."""
-    rho_s: float
-    rho_dh: float
-    """Directional-hemispherical reflectance: spike, lobe and uniform diffuse."""
+    sigma0_um: float
+    tau_um: float
+    ior: str | float
+    """A material, or n."""
+    diffuse_albedo: float = 0.0
 
     @property
-    def total(self) -> Floats:
-        """What is seen [1/sr]."""
-        return self.lobe + self.spike
+    def model(self) -> HeTorrance:
+        """Its BRDF."""
+        from gonio.models import HeTorrance
+
+        return HeTorrance(self.sigma0_um, self.tau_um, self.ior, self.diffuse_albedo)
 
     @property
-    def mirror(self) -> int:
-        """Index of the mirror direction."""
-        return int(np.argmin(np.abs(self.angle_deg - self.theta_i_deg)))
-
-    @property
-    def seen_peak_deg(self) -> float:
-        """Where what is seen is largest."""
-        return float(self.angle_deg[int(np.argmax(self.total))])
-
-    @property
-    def spike_over_lobe(self) -> float:
-        """In the mirror direction."""
-        return float(self.spike[self.mirror] / self.lobe[self.mirror])
-
-    @property
-    def normalised(self) -> Floats:
-        """Divided by the value in the mirror direction, eq. 11."""
-        return np.asarray(self.total / self.total[self.mirror])
-
-    @property
-    def spike_width_deg(self) -> float:
-        """Full width of the spike at half its height."""
-        high = self.angle_deg[self.spike >= 0.5 * self.spike.max()]
-        return float(high[-1] - high[0])
-
-
-def scan(model: Any, theta_i_deg: float, wavelength_nm: float) -> Scan:
-    """A surface at one incidence."""
-    from gonio.instrument import apparent_lobe, apparent_spike
-
-    even = np.arange(-88.0, 88.01, 0.5)  # beyond, the horizon cuts the cones
-    near = theta_i_deg + np.arange(-4.0, 4.01, 0.1)
-    angle = np.unique(np.round(np.concatenate([even, near[np.abs(near) <= 88.0]]), 6))
-    theta_r, phi_r = signed(angle)
-    theta_i = math.radians(theta_i_deg)
-    where = (theta_i, 0.0, theta_r, phi_r)
-    cones: dict[str, Any] = {"source_solid_angle_sr": CONE_SR, "receiver_solid_angle_sr": CONE_SR}
-    fine = np.arange(-89.99, 90.0, 0.01)
-    theta, phi = signed(fine)
-    one_direction = model.brdf(theta_i, 0.0, theta, phi, wavelength_nm=wavelength_nm)
-    return Scan(
-        theta_i_deg,
-        angle,
-        np.asarray(apparent_lobe(model, *where, wavelength_nm=wavelength_nm, **cones)),
-        np.asarray(apparent_spike(model, *where, wavelength_nm=wavelength_nm, **cones)),
-        float(fine[int(np.argmax(one_direction))]) if np.ptp(one_direction) > 0.0 else None,
-        float(model.specular_reflectivity(theta_i, wavelength_nm=wavelength_nm)),
-        float(model.directional_hemispherical(theta_i, wavelength_nm=wavelength_nm)),
-    )
-
-
-def label(theta_i_deg: float) -> str:
-    """As in "θi = 30°"."""
-    return f"θi = {theta_i_deg:g}°"
-
-
-def each(values: Mapping[float, Any], text: str = "{}") -> str:
-    """A value an incidence, as in "13.3° at 10°, 41.9° at 30°"."""
-    return ", ".join(f"{text.format(v)} at {i:g}°" for i, v in values.items())
-
-
-def normalised(scans: Sequence[Scan], experiment: Experiment) -> list[Line]:
-    """Theory and experiment, each divided by its own value in the mirror direction (eq. 11)."""
-    lines = []
-    for s in scans:
-        curve = experiment.curve(s.theta_i_deg)
-        k = curve.mirror
-        measured = divided(curve, float(curve.brdf[k])) if k is not None else (NOTHING, NOTHING, NOTHING)
-        mirror = math.radians(s.theta_i_deg)
-        lines.append(Line(label(s.theta_i_deg), np.radians(s.angle_deg), s.normalised, *measured, mirror))
-    return lines
-
-
-def absolute(scans: Sequence[Scan], experiment: Experiment) -> list[Line]:
-    """Theory and experiment in 1/sr; without the values that are lost in the noise, for a logarithmic axis."""
-    lines = []
-    for s in scans:
-        curve = experiment.curve(s.theta_i_deg)
-        clear = curve.brdf > 3.0 * curve.u
-        angle, value, u = (v[clear] for v in divided(curve, 1.0))
-        mirror = math.radians(s.theta_i_deg)
-        lines.append(Line(label(s.theta_i_deg), np.radians(s.angle_deg), s.total, angle, value, u, mirror))
-    return lines
-
-
-def panels(scans: Sequence[Scan], experiment: Experiment, *, most: float = 2.5) -> list[Panel]:
-    """The polar drawing of Figs. 7 to 9, and the same curves in absolute units."""
-    solid = "Solid: theory, averaged over the cones; dashed, with error bars: experiment."
-    missing = " Values within three standard uncertainties of zero are left out."
-    caption = f"Normalised: each curve divided by its own value in the mirror direction (eq. 11). {solid}"
-    words = "BRDF / BRDF in the mirror direction"
-    return [
-        polar_panel("polar", caption, normalised(scans, experiment), words, most=most),
-        angle_panel(
-            "semilog", f"Absolute: BRDF. {solid}{missing}", absolute(scans, experiment), "BRDF [1/sr]", logarithmic=True
-        ),
-    ]
-
-
-HEADER = (
-    "incidence",
-    "lobe's peak",
-    "peak through the cones",
-    "spike / lobe",
-    "measured",
-    "ρ_s",
-    "ρ_dh",
-    "measured peak",
-)
-CAPTION = (
-    "Lobe's peak: where the BRDF without its spike is largest in one direction. Spike / lobe: in the mirror direction, "
-    "through the cones (eq. 6); measured: against the lobe of the directions around, which the spike misses. ρ_dh: all "
-    "that is reflected."
-)
-
-
-def rows(scans: Sequence[Scan], experiment: Experiment) -> tuple[list[list[str]], list[dict[str, Any]]]:
-    """The table of results, as text and at full precision."""
-    from gonio import geometry
-
-    width = 2.0 * float(geometry.half_angle_of_cone(CONE_SR))
-    text, numbers = [], []
-    for s in scans:
-        curve = experiment.curve(s.theta_i_deg)
-        measured = beside(curve, s.theta_i_deg, width)
-        if s.spike_over_lobe < 1e-3:
-            measured = None  # a spike below what can be seen of the lobe's curvature
-        top = float(np.degrees(curve.angle[int(np.argmax(curve.brdf))]))
-        text.append(
-            [
-                label(s.theta_i_deg),
-                f"{s.peak_deg:.1f}°" if s.peak_deg is not None else "–",
-                f"{s.seen_peak_deg:.1f}°",
-                number(s.spike_over_lobe),
-                number(measured),
-                number(s.rho_s),
-                f"{s.rho_dh:.3f}",
-                f"{top:.1f}°",
-            ]
-        )
-        numbers.append(
-            {
-                "theta_i_deg": s.theta_i_deg,
-                "lobe_peak_deg": s.peak_deg,
-                "seen_peak_deg": s.seen_peak_deg,
-                "peak_over_mirror": float(s.normalised.max()),
-                "spike_over_lobe": s.spike_over_lobe,
-                "measured_spike_over_lobe": measured,
-                "measured_peak_deg": top,
-                "rho_s": s.rho_s,
-                "rho_dh": s.rho_dh,
-            }
-        )
-    return text, numbers
+    def parameters(self) -> Mapping[str, str | float]:
+        """As a sample file has them; without a diffuse part where there is none."""
+        return {name: value for name, value in vars(self).items() if name != "diffuse_albedo" or value}
 
 
 def index_parameter(material: str, wavelength_nm: float) -> Parameter:
@@ -218,14 +70,6 @@ def cones_parameter(reason: str = "") -> Parameter:
     if reason:
         return Parameter("solid angles dω_i, dω_r", value, "assumed", reason)
     return Parameter("solid angles dω_i, dω_r", value, "paper", "sec. 4, with Fig. 7")
-
-
-def agreement(taken: Experiment) -> str:
-    """How far the experiment agrees with theory, as a sentence."""
-    return (
-        f"The experiment against the model seen through the rig's own cones: reduced chi-square "
-        f"{number(taken.chi_square)} over {len(taken.data)} values, nothing fitted."
-    )
 
 
 def energy_limit(model: Any, wavelength_nm: float) -> tuple[float | None, float]:
