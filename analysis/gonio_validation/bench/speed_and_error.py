@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
 from pathlib import Path
 
-from gonio_analysis.report import files, html
+from gonio_analysis.report import files
 from gonio_analysis.report.tables import write_csv
 from gonio_analysis.summaries import as_json
 
@@ -125,8 +125,7 @@ def _measured(quantity: Quantity, others: Sequence[peers.Peer], effort: timing.E
 def write(summary: SpeedAndError, folder: Path) -> None:
     """Write page, numbers, tables and figures into a folder that exists."""
     drawn = {q.name: pareto.draw(q) for q in summary.families if len(q.ways) > 2}
-    files.write(folder, as_json(summary), drawn.values())
-    (folder / "index.html").write_text(html.document(results_page.render(summary, drawn)), encoding="utf-8")
+    files.write_page(folder, results_page.render(summary, drawn), as_json(summary), drawn.values())
     (folder / "tables").mkdir()
     write_csv(folder / "tables" / "points.csv", POINT_COLUMNS, _points(summary))
     write_csv(

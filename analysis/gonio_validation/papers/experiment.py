@@ -14,7 +14,7 @@ from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import Observations, observations
 
 from gonio.typing import Floats
-from gonio_validation.papers.surfaces import Surface
+from gonio_validation.papers.htsg_surfaces import HtsgSurface
 
 SEED = 1
 BAND_NM = 10.0
@@ -51,7 +51,7 @@ def scan(theta_i_deg: float, step_deg: float = 5.0) -> list[float]:
 
 
 def measure(
-    surface: Surface,
+    surface: HtsgSurface,
     *,
     name: str,
     wavelength_nm: float,

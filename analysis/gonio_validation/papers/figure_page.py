@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from gonio_analysis.report import files, html
+from gonio_analysis.report import files
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
@@ -53,15 +53,13 @@ def write(page: PaperFigure, folder: Path, command: str) -> FigureSummary:
         (folder / name).write_bytes(content)
     write_csv(folder / "curves.csv", COLUMNS, [(p.name, *row) for p in page.panels for row in p.rows])
     found = summarise(page, command)
-    files.write(folder, as_json(found), drawn)
-    (folder / "index.html").write_text(html.document(render(page, found, drawn)), encoding="utf-8")
+    files.write_page(folder, render(page, found, drawn), as_json(found), drawn)
     return found
 
 
 def write_index(pages: Sequence[FigureSummary], folder: Path, command: str) -> None:
     """Write the page that links all figures into the folder that holds theirs."""
-    files.write(folder, as_json(index_of(pages)))
-    (folder / "index.html").write_text(html.document(index(pages, command)), encoding="utf-8")
+    files.write_page(folder, index(pages, command), as_json(index_of(pages)))
 
 
 def render(page: PaperFigure, found: FigureSummary, drawn: list[Figure]) -> Page:

@@ -9,15 +9,23 @@ from typing import Any
 import numpy as np
 from gonio_analysis.report.text import number
 
-from gonio_validation.papers import htsg_10, htsg_11, htsg_scans, surfaces
+from gonio_validation.papers import htsg_10, htsg_11, htsg_scans
 from gonio_validation.papers.experiment import Experiment, measure
 from gonio_validation.papers.experiment import scan as directions
 from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results
 from gonio_validation.papers.htsg_scans import Scan, agreement, each, scan
-from gonio_validation.papers.surfaces import CONE_SR, CONES, PAPER, Surface, energy_limit
+from gonio_validation.papers.htsg_surfaces import (
+    CONE_SR,
+    CONES,
+    PAPER,
+    HtsgSurface,
+    cones_parameter,
+    energy_limit,
+    index_parameter,
+)
 
-ALUMINIUM = Surface(sigma0_um=0.28, tau_um=1.77, ior="Al")
-CERAMIC = Surface(sigma0_um=1.45, tau_um=13.2, ior="MgO", diffuse_albedo=0.9)
+ALUMINIUM = HtsgSurface(sigma0_um=0.28, tau_um=1.77, ior="Al")
+CERAMIC = HtsgSurface(sigma0_um=1.45, tau_um=13.2, ior="MgO", diffuse_albedo=0.9)
 SURFACES = {7: ALUMINIUM, 8: ALUMINIUM, 9: CERAMIC}
 INCIDENCES = {7: (10.0, 45.0, 75.0), 8: (10.0, 30.0, 45.0, 60.0, 75.0), 9: (10.0, 45.0, 60.0, 75.0)}
 WAVELENGTH_NM = {7: 2000.0, 8: 500.0, 9: 500.0}
@@ -75,10 +83,10 @@ def _build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
         PAPER,
         [
             *(ceramic if figure == 9 else metal),
-            surfaces.index_parameter("MgO" if figure == 9 else "Al", WAVELENGTH_NM[figure]),
+            index_parameter("MgO" if figure == 9 else "Al", WAVELENGTH_NM[figure]),
             Parameter("θi", ", ".join(f"{i:g}°" for i in INCIDENCES[figure]), "paper"),
             Parameter("λ", f"{WAVELENGTH_NM[figure] / 1000:g} µm", "paper"),
-            surfaces.cones_parameter(),
+            cones_parameter(),
             Parameter("shadowing", "Smith, with the factor exp(−h²)", "derived", "eq. 25 as printed lacks the factor"),
         ],
         judged,

@@ -11,16 +11,15 @@ from gonio_analysis.curves.line import Line
 from gonio_analysis.report.text import number
 
 from gonio.typing import Floats
-from gonio_validation.papers import surfaces
 from gonio_validation.papers.experiment import divided, measure
 from gonio_validation.papers.figure import Claim, Panel, PaperFigure, Parameter, Results, Row, agreed
 from gonio_validation.papers.htsg_scans import agreement, label, scan
+from gonio_validation.papers.htsg_surfaces import CONE_SR, PAPER, HtsgSurface, cones_parameter, index_parameter
 from gonio_validation.papers.panels import angle_panel, at, polar_panel
-from gonio_validation.papers.surfaces import CONE_SR, PAPER, Surface
 
 SLOPE = 4.4
 """sigma0 / tau"""
-SANDPAPER = Surface(sigma0_um=440.0, tau_um=100.0, ior="Al2O3")
+SANDPAPER = HtsgSurface(sigma0_um=440.0, tau_um=100.0, ior="Al2O3")
 WAVELENGTH_NM = 550.0
 
 
@@ -36,7 +35,7 @@ class SandpaperRow(Row):
 def sandpaper(wavelength_nm: float, ior: str | float, tau_um: float) -> tuple[Floats, Floats]:
     """Angles [deg] and BRDF over the BRDF along the normal, at normal incidence."""
     angle = np.arange(0.0, 88.01, 0.5)
-    model = Surface(SLOPE * tau_um, tau_um, ior).model
+    model = HtsgSurface(SLOPE * tau_um, tau_um, ior).model
     value = np.asarray(model.brdf(0.0, 0.0, np.radians(angle), np.pi, wavelength_nm=wavelength_nm))
     return angle, value / value[0]
 
@@ -128,14 +127,14 @@ def build(progress: Callable[[str], None]) -> PaperFigure:
                 "λ", "0.55 µm", "assumed", "the text says 0.55 µm, the caption 0.5 µm; the claims are tried with both"
             ),
             Parameter("θi", "0°", "paper"),
-            surfaces.index_parameter("Al2O3", WAVELENGTH_NM),
+            index_parameter("Al2O3", WAVELENGTH_NM),
             Parameter(
                 "grit",
                 "aluminium oxide",
                 "assumed",
                 "the paper says 220 grit, not of what; the claims are tried with n = 1.5 and silicon carbide too",
             ),
-            surfaces.cones_parameter("given for Figs. 7 and 8 alone; the curve is broad, so that they hardly matter"),
+            cones_parameter("given for Figs. 7 and 8 alone; the curve is broad, so that they hardly matter"),
         ],
         judged,
         shown,

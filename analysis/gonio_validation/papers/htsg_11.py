@@ -10,25 +10,31 @@ import numpy as np
 from gonio_analysis.curves.line import Line
 from gonio_analysis.report.text import number
 
-from gonio_validation.papers import htsg_scans, surfaces
+from gonio_validation.papers import htsg_scans
 from gonio_validation.papers.experiment import measure
 from gonio_validation.papers.experiment import scan as directions
 from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results
 from gonio_validation.papers.htsg_scans import BRDF, Scan, agreement, each, scan
+from gonio_validation.papers.htsg_surfaces import (
+    CONE_SR,
+    PAPER,
+    HtsgSurface,
+    cones_parameter,
+    energy_limit,
+)
 from gonio_validation.papers.panels import angle_panel
-from gonio_validation.papers.surfaces import CONE_SR, PAPER, Surface, energy_limit
 
 PLASTIC_A, PLASTIC_RHO = 0.15, 0.195
 INCIDENCES = (15.0, 30.0, 45.0, 60.0)
 WAVELENGTH_NM = 460.0
 
 
-def plastic() -> Surface:
+def plastic() -> HtsgSurface:
     """sigma0 = 0, a = 0.15, and the index that the measured rho_dh = 0.195 leaves for the surface."""
     from gonio.models import fresnel
 
     n = float(fresnel.n_from_f0(PLASTIC_RHO - PLASTIC_A))
-    return Surface(sigma0_um=0.0, tau_um=1.0, ior=n, diffuse_albedo=PLASTIC_A)
+    return HtsgSurface(sigma0_um=0.0, tau_um=1.0, ior=n, diffuse_albedo=PLASTIC_A)
 
 
 def claims() -> list[Claim]:
@@ -123,7 +129,7 @@ def build(progress: Callable[[str], None]) -> PaperFigure:
             Parameter("n", f"{surface.ior:.4f} (k = 0)", "derived", "|F(0°)|² = ρ_dh − a = 0.195 − 0.15"),
             Parameter("θi", ", ".join(f"{i:g}°" for i in INCIDENCES), "paper"),
             Parameter("λ", "0.46 µm", "paper"),
-            surfaces.cones_parameter(
+            cones_parameter(
                 "not given for this instrument; taken from Fig. 7. The height of the spikes goes as 1/dω_i, and no "
                 "verdict uses it"
             ),

@@ -14,8 +14,8 @@ from gonio_analysis.report.text import number
 from gonio.typing import Floats
 from gonio_validation.papers.experiment import Experiment, beside, divided
 from gonio_validation.papers.figure import Panel, Row
+from gonio_validation.papers.htsg_surfaces import CONE_SR, CONES
 from gonio_validation.papers.panels import NOTHING, angle_panel, polar_panel, signed
-from gonio_validation.papers.surfaces import CONE_SR, CONES
 
 BRDF = "BRDF [1/sr]"
 

@@ -30,7 +30,7 @@ from gonio_validation.bench import (
 )
 from gonio_validation.bench.quantity import Quantity, Sample, Way
 from gonio_validation.bench.reference import reference
-from gonio_validation.bench.results import ErrorSummary, StartUpSummary, TimeSummary, WaySummary
+from gonio_validation.bench.results import ErrorSummary, PeerTime, StartUpSummary, TimeSummary, WaySummary
 from typer.testing import CliRunner
 
 from gonio.errors import DataError
@@ -148,6 +148,9 @@ def test_report(tmp_path: Path) -> None:
             assert w["way"] in page
             assert w["time"]["best_ns"] > 0
             assert all(e["median"] <= e["p99"] <= e["max"] for e in w["errors"].values())
+    timed, ratio = summary["targets"][0], summary["targets"][-1]
+    assert list(ratio) == ["what", "target", "achieved", "unit", "time_met"]
+    assert list(timed) == [*ratio, "processor_ns", "target_error", "achieved_error", "error_met"]
     assert summary["peers"] == [{"peer": "nobody", "state": "not installed"}]
     steps = summary["families"][1]["ways"][2:]
     errors = [w["errors"]["grid"]["max"] for w in steps]
@@ -193,6 +196,12 @@ def test_a_peer_is_measured_in_its_own_process(
     assert len(started) == 1
     assert "WITH" in started[0]
     assert "pairs=1000" in started[0]
+
+
+def test_a_peers_threads_are_in_its_row() -> None:
+    time = PeerTime(best_ns=1.0, median_ns=1.0, processor_ns=1.0, pairs=3, repeats=1, threads=None)
+    row = as_json(WaySummary("w", False, True, "", None, {}, time, False, False))
+    assert row["time"] == {**as_json(TimeSummary(1.0, 1.0, 1.0, 3, 1)), "threads": None}
 
 
 def test_a_peer_whose_process_fails_is_named() -> None:

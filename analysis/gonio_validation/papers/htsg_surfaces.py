@@ -30,7 +30,7 @@ CONES: Cones = {"source_solid_angle_sr": CONE_SR, "receiver_solid_angle_sr": CON
 
 
 @dataclass(frozen=True)
-class Surface:
+class HtsgSurface:
     """A surface of He and Torrance's model."""
 
     sigma0_um: float
