@@ -20,19 +20,8 @@ import numpy as np
 
 from gonio.disk import read_file, require_name
 from gonio.errors import ConfigError, DataError
-from gonio.formats.reader import (
-    COLUMNS,
-    POLARISATIONS,
-    Format,
-    attributes,
-    cell_of,
-    column_names,
-    decode,
-    flag_holes,
-    number,
-    plain_word,
-    write_bytes,
-)
+from gonio.formats.reader import COLUMNS, POLARISATIONS, Format, attributes, flag_holes, write_bytes
+from gonio.formats.text import cell_of, column_names, decode, number, plain_word
 from gonio.typing import Floats
 
 if TYPE_CHECKING:

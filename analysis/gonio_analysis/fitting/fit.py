@@ -31,7 +31,7 @@ from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observati
 from gonio_analysis.fitting.parameters import Family
 from gonio_analysis.fitting.problem import STARTS, FitRequest, Problem, pose, together
 from gonio_analysis.fitting.search import STEP, covariance, refine, search, search_from, settle
-from gonio_analysis.summaries import FitSummary, ParameterSummary, as_json, finite
+from gonio_analysis.result_records import FitSummary, ParameterSummary, as_json, finite
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.parameters import Ior
 from gonio_analysis.report import detail, figures, files, html, page, pdf, tables, viewer
+from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.drawing import Draughtsmen, draughtsmen
-from gonio_analysis.report.summary import summarise
+from gonio_analysis.result_records import FigureSummary, Summary, as_json
 from gonio_analysis.selection import parallel
 from gonio_analysis.selection.compare import Dataset, examine
 from gonio_analysis.selection.run_record import run_facts
-from gonio_analysis.summaries import FigureSummary, Summary, as_json
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -12,6 +12,8 @@ from typing import Any, ClassVar, Literal
 from gonio_analysis.report.figures import Figure
 from gonio_analysis.report.text import cut, glued
 
+MOST_ROWS = 300
+"""Of a table on a page; the files in `tables/` have all of them."""
 MOST_FACTS, MOST_WORDS = 200, 2000
 """Entries of a list, and characters of one."""
 

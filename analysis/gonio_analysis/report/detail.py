@@ -16,9 +16,9 @@ from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.plots import diagnostics, in_plane, maps, thinning
 from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, Drawing, budget_height, largest
 from gonio_analysis.report.text import cause, unit
+from gonio_analysis.result_records import DatasetSummary
 from gonio_analysis.selection.compare import Dataset
 from gonio_analysis.selection.profile_likelihood import Interval
-from gonio_analysis.summaries import DatasetSummary
 
 MOST = 3
 """Incidences that are drawn, at most."""

@@ -15,8 +15,8 @@ import numpy as np
 from gonio_analysis.curves.line import Line
 from gonio_analysis.plots import diagnostics, in_plane, thinning
 from gonio_analysis.report.text import cause, number, slug
+from gonio_analysis.result_records import DatasetSummary
 from gonio_analysis.selection.compare import Dataset, Fitted
-from gonio_analysis.summaries import DatasetSummary
 
 SVG = {
     "svg.fonttype": "none",

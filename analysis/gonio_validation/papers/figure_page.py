@@ -24,8 +24,8 @@ from gonio_analysis.report.blocks import (
     strong,
     table,
 )
+from gonio_analysis.report.comparison import stamp
 from gonio_analysis.report.figures import Figure, rendered
-from gonio_analysis.report.summary import stamp
 from gonio_analysis.report.tables import write_csv
 
 from gonio_validation.papers import FIGURES

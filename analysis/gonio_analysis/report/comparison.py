@@ -18,8 +18,7 @@ from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.metrics import BELOW, DESCRIPTIONS
 from gonio_analysis.fitting.observations import describe_left_out
 from gonio_analysis.report.text import difference, slug
-from gonio_analysis.selection.compare import Dataset, Drawn, Fitted
-from gonio_analysis.summaries import (
+from gonio_analysis.result_records import (
     AtWavelength,
     CurveSummary,
     DatasetSummary,
@@ -30,6 +29,7 @@ from gonio_analysis.summaries import (
     Value,
     finite,
 )
+from gonio_analysis.selection.compare import Dataset, Drawn, Fitted
 
 if TYPE_CHECKING:
     import pandas as pd
