@@ -5,7 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pydantic import JsonValue
+
+    from gonio.formats.reader import TableBand
 
 WHERE_KNOWN = {"where_known": True}
 """Of a field that JSON has only where it is not None."""
@@ -190,7 +195,7 @@ class SampleFacts:
 
     name: str
     model: str
-    parameters: dict[str, Any]
+    parameters: dict[str, JsonValue]
 
 
 @dataclass(frozen=True)
@@ -255,7 +260,7 @@ class DatasetSummary:
     negative: int
     wavelength_nm: float | None
     wavelengths_nm: list[float | None]
-    bands: list[dict[str, Any]]
+    bands: list[TableBand]
     source_solid_angle_sr: float | None
     receiver_solid_angle_sr: float | None
     uncertainty_stated: bool

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NotRequired, TypedDict, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,7 @@ from gonio.typing import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
+    from pydantic import JsonValue
 
     from gonio.models import Model
 
@@ -154,9 +155,35 @@ def _words(words: str | Sequence[str] | npt.NDArray[Any], count: int) -> npt.NDA
     return same
 
 
-def attributes(**known: Any) -> dict[str, Any]:
+class TableBand(TypedDict):
+    """A spectral band of a table, as far as it is known."""
+
+    name: NotRequired[str]
+    centre_nm: NotRequired[float]
+    fwhm_nm: NotRequired[float]
+    channel: NotRequired[str]
+    lower_nm: NotRequired[float]
+    upper_nm: NotRequired[float]
+
+
+class Attributes(TypedDict):
+    """What a table says of itself besides its columns: `attrs` of the frame, and `<name>.meta.json`."""
+
+    quantity: str
+    source_solid_angle_sr: float | None
+    receiver_solid_angle_sr: float | None
+    bands: list[TableBand]
+    polarisation: str
+    source_file: str | None
+    sample: str | None
+    provenance: Mapping[str, JsonValue]
+    notes: list[str]
+    samples: NotRequired[list[str]]
+
+
+def attributes(**known: Any) -> Attributes:
     """The attributes that every table has, with what is known of them filled in."""
-    return {
+    defaults: Attributes = {
         "quantity": "brdf",
         "source_solid_angle_sr": None,
         "receiver_solid_angle_sr": None,
@@ -166,7 +193,8 @@ def attributes(**known: Any) -> dict[str, Any]:
         "sample": None,
         "provenance": {},
         "notes": [],
-    } | known
+    }
+    return cast(Attributes, {**defaults, **known})
 
 
 def wide(frame: pd.DataFrame, path: Path, format_name: str) -> tuple[Floats, Floats, Floats]:

@@ -162,8 +162,7 @@ class FitResult:
 
     def to_json(self) -> dict[str, Any]:
         """What `gonio fit --json` prints: plain numbers, strings and None."""
-        found: dict[str, Any] = as_json(self.summary())
-        return found
+        return dict(as_json(self.summary()))
 
 
 def fit(

@@ -256,7 +256,7 @@ def _view(c: Change, at: Observations, listed: list[Curve], drawn: list[Curve], 
     keep = {int(k.rows[0]) for k in drawn}
     first = [n for k, n in zip(listed, names, strict=True) if int(k.rows[0]) in keep]
     sides = {f"A: {c.a.name}": (c.a, c.value_a, c.u_a), f"B: {c.b.name}": (c.b, c.value_b, c.u_b)}
-    entries = []
+    entries: list[viewer.CurveView] = []
     most = max(viewer.BYTES // (2 * viewer.MEASURED_BYTES * max(len(listed), 1)), viewer.FEWEST)
     shorter = [thinning.of_curve(curve, most) for curve in listed]
     for curve, name in zip(shorter, names, strict=True):

@@ -7,7 +7,7 @@ import math
 import platform
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
@@ -62,7 +62,15 @@ def summarise(datasets: Sequence[Dataset], *, title: str, normalise: str, comman
     )
 
 
-def stamp(command: str) -> dict[str, Any]:
+class Stamp(TypedDict):
+    """When, by which command and with which versions a page was made."""
+
+    created: str
+    command: str
+    versions: dict[str, str]
+
+
+def stamp(command: str) -> Stamp:
     """When, by which command and with which versions a page was made."""
     return {
         "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),

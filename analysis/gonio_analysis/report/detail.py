@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -203,7 +204,7 @@ def _budget(d: Dataset, facts: DatasetSummary, most: int) -> Drawing:
     return Drawing(f"{facts.slug}-budget-angle", "budget-angle", "", caption, caption, size, on)
 
 
-def _on_budget(figure: Any, *, panels: list[Any], entries: list[tuple[str, dict[str, Any]]]) -> None:
+def _on_budget(figure: Any, *, panels: list[Any], entries: list[tuple[str, diagnostics.Look]]) -> None:
     high = budget_height(len(entries))
     below = 0.5 + LEGEND_ROW_IN * -(-len(entries) // 4)
     axes = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
@@ -227,7 +228,7 @@ def _parts(d: Dataset, curve: Curve, common: list[int]) -> tuple[Any, list[tuple
     return curve.angle, parts
 
 
-def _legend(figure: Any, entries: list[tuple[str, dict[str, Any]]]) -> None:
+def _legend(figure: Any, entries: Sequence[tuple[str, diagnostics.Look | in_plane.Style]]) -> None:
     from matplotlib.lines import Line2D
 
     handles = [Line2D([], [], lw=1.4, ms=3.5, label=text, **look) for text, look in entries]

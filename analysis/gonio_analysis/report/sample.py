@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from gonio import geometry
+from gonio.formats.reader import TableBand
 from gonio_analysis.report import blocks, model_choice
 from gonio_analysis.report.blocks import (
     MOST_ROWS,
@@ -258,7 +258,7 @@ def _unreachable(run: RunFacts) -> str:
     return f" ({', '.join(parts)})" if parts else ""
 
 
-def _band(b: Mapping[str, Any]) -> str:
+def _band(b: TableBand) -> str:
     if "lower_nm" in b:
         return f"{b.get('name', '')}, {b['lower_nm']:g} to {b['upper_nm']:g} nm, broad"
     if "centre_nm" not in b:

@@ -24,7 +24,7 @@ from gonio_analysis.report.blocks import (
     strong,
     table,
 )
-from gonio_analysis.report.comparison import stamp
+from gonio_analysis.report.comparison import Stamp, stamp
 from gonio_analysis.report.figures import Figure, rendered
 from gonio_analysis.report.tables import write_csv
 
@@ -78,6 +78,7 @@ def summary(page: PaperFigure, command: str) -> dict[str, Any]:
 
 def render(page: PaperFigure, found: dict[str, Any], drawn: list[Figure]) -> Page:
     """The page of a figure."""
+    made = Stamp(created=found["created"], command=found["command"], versions=found["versions"])
     claims = [[c.verdict, c.text, c.found, c.criterion] for c in page.claims]
     parameters = [
         [p.name, p.value, strong(ORIGINS[p.origin]) if p.origin == "assumed" else ORIGINS[p.origin], p.why]
@@ -85,7 +86,7 @@ def render(page: PaperFigure, found: dict[str, Any], drawn: list[Figure]) -> Pag
     ]
     results, columns = page.results, tuple(range(1, len(page.results.header)))
     body: list[Block] = [
-        _header(page.title, f"{page.paper}. Made again", found),
+        _header(page.title, f"{page.paper}. Made again", made),
         Paragraph(_words(found["claims"]), "lead"),
         Figures(tuple(drawn)),
         section(
@@ -99,7 +100,7 @@ def render(page: PaperFigure, found: dict[str, Any], drawn: list[Figure]) -> Pag
     ]
     if page.notes:
         body.append(section([Heading(2, "Notes"), Notes(tuple(page.notes))]))
-    body += [section([Heading(2, "Provenance"), facts([*page.facts, *_provenance(found)])]), FOOTER]
+    body += [section([Heading(2, "Provenance"), facts([*page.facts, *_provenance(made)])]), FOOTER]
     return Page(page.title, tuple(body))
 
 
@@ -127,7 +128,7 @@ def _link(found: dict[str, Any]) -> Span:
     return Span(found["title"].partition(":")[0], href=f"{found['figure']}/index.html")
 
 
-def _header(title: str, sub: str, made: dict[str, Any]) -> Group:
+def _header(title: str, sub: str, made: Stamp) -> Group:
     words = f"{sub} with gonio {made['versions']['gonio']}, {made['created'][:10]}."
     return Group("header", (Heading(1, title), Paragraph(words, "sub")))
 
@@ -143,7 +144,7 @@ def _words(claims: Sequence[dict[str, Any]]) -> str:
     return words + "."
 
 
-def _provenance(made: dict[str, Any]) -> list[tuple[str, str]]:
+def _provenance(made: Stamp) -> list[tuple[str, str]]:
     return [
         ("command", made["command"] or "–"),
         ("made", made["created"]),
