@@ -67,7 +67,7 @@ def rig(entered: Rig, case: Case) -> Rig:
 @pytest.fixture(scope="module")
 def eye(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Eye]:
     """A camera that is open: a rig's, with its arms at home, or one by itself."""
-    if request.param in cameras.NAMES:
+    if request.param in cameras.NAMES and not request.config.getoption("--rig"):
         with pytest.MonkeyPatch.context() as monkeypatch:
             yield from cameras.opened(request.param, tmp_path_factory.mktemp(request.param), monkeypatch)
         return
