@@ -76,7 +76,7 @@ def fit(
 
     from gonio import measurement
     from gonio.errors import ConfigError
-    from gonio_analysis import summaries
+    from gonio_analysis import result_records
     from gonio_analysis.fitting import parameters
     from gonio_analysis.fitting.fit import fit as run_fit
     from gonio_analysis.fitting.problem import FitRequest
@@ -111,7 +111,7 @@ def fit(
     if as_json:
         out = {**result.to_json(), "sample": name, "table": table}
         if intervals:
-            out["intervals"] = {n: summaries.as_json(i.summary()) for n, i in walked.items()}
+            out["intervals"] = {n: result_records.as_json(i.summary()) for n, i in walked.items()}
         print(json.dumps(out, indent=1, ensure_ascii=False))
     else:
         _print(result, name, walked)

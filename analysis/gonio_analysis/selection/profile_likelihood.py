@@ -18,8 +18,8 @@ import numpy as np
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import ROUNDING, FitResult
+from gonio_analysis.result_records import IntervalSummary, ProfileSummary
 from gonio_analysis.selection.surrogate import Near
-from gonio_analysis.summaries import IntervalSummary, ProfileSummary
 
 LEVEL = 0.95
 TRIES = 14

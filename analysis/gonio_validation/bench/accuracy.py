@@ -6,7 +6,7 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from gonio_analysis.summaries import finite
+from gonio_analysis.result_records import finite
 
 from gonio.typing import Floats
 from gonio_validation.bench.quantity import Quantity, Sample, Way

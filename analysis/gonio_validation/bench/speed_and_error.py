@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gonio_analysis.report import files
 from gonio_analysis.report.tables import write_csv
-from gonio_analysis.summaries import as_json
+from gonio_analysis.result_records import as_json
 
 from gonio_validation.bench import accuracy, evaluators, hard_cases, pareto, peers, results_page, targets, timing
 from gonio_validation.bench.quantity import Quantity

@@ -23,10 +23,10 @@ from gonio_analysis.report.blocks import (
     strong,
     table,
 )
+from gonio_analysis.report.comparison import stamp
 from gonio_analysis.report.figures import Figure, rendered
-from gonio_analysis.report.summary import stamp
 from gonio_analysis.report.tables import write_csv
-from gonio_analysis.summaries import as_json
+from gonio_analysis.result_records import as_json
 
 from gonio_validation.papers import FIGURES
 from gonio_validation.papers.figure import COLUMNS, ORIGINS, PaperFigure

@@ -17,7 +17,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from gonio_analysis.report.blocks import plain
-from gonio_analysis.summaries import as_json
+from gonio_analysis.result_records import as_json
 from gonio_validation.bench import (
     accuracy,
     evaluators,
