@@ -87,7 +87,9 @@ def test_the_guide_s_rig_measures(tmp_path: Path, stranger: str) -> None:
     """With an encoder whose zero is five degrees off, so that the example's zeros count."""
     rig = tmp_path / "bench.toml"
     rig.write_text(rig.read_text().replace("[arms.light]", "[arms.light]\nzero_offset_deg = 5.0"))
-    done = process(tmp_path, "measure", "plan.toml", "--rig", "bench.toml", "--out", "run", "--yes", PYTHONPATH=stranger)
+    done = process(
+        tmp_path, "measure", "plan.toml", "--rig", "bench.toml", "--out", "run", "--yes", PYTHONPATH=stranger
+    )
     assert done.returncode == 0, done.stderr
     assert process(tmp_path, "reduce", "run").returncode == 0  # without the driver
     table = read(tmp_path / "run" / "brdf.csv")
@@ -128,7 +130,9 @@ def test_the_guide_s_rig_names_wrong_settings(
 def test_a_rig_that_does_not_stamp_its_frames_is_told_how_to(tmp_path: Path, stranger: str) -> None:
     module = Path(stranger) / "stranger.py"
     module.write_text(module.read_text().replace("time_s=begun", "time_s=0.0"))
-    done = process(tmp_path, "measure", "plan.toml", "--rig", "bench.toml", "--out", "run", "--yes", PYTHONPATH=stranger)
+    done = process(
+        tmp_path, "measure", "plan.toml", "--rig", "bench.toml", "--out", "run", "--yes", PYTHONPATH=stranger
+    )
     assert done.returncode == 3
     assert 'the camera of the rig "bench in room 3" stamps a frame with time_s = 0.0' in done.stderr
     assert "time_s() at the start of its exposure" in done.stderr
