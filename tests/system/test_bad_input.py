@@ -3,27 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from subprocess import CompletedProcess
 
 import pytest
 
-from tests import command_line
 from tests.system.conftest import LAMBERT, PLAN, Command
 
 USAGE, DATA = 2, 1
-
-
-@pytest.fixture
-def here(tmp_path: Path) -> Command:
-    """As `gonio`, in this process: what is told of bad input, and what is left behind, is the same."""
-
-    def run(*arguments: str | Path, expect: int) -> CompletedProcess[str]:
-        done = command_line.gonio(tmp_path, *arguments)
-        assert "Traceback" not in done.stdout + done.stderr, done.stderr
-        assert done.returncode == expect, f"exit code {done.returncode}, expected {expect}:\n{done.stderr}"
-        return done
-
-    return run
 
 
 def said(done: object) -> str:
@@ -130,7 +115,7 @@ def test_a_terminal_that_knows_no_plus_minus_shows_something_else(
 
 def test_a_reference_outside_the_frame_is_found_by_every_command(here: Command, files: Path) -> None:
     """The frame of the shipped rig is 29 mm wide and 22 mm high."""
-    shipped = here("rig", "show", "sim", expect=0).stdout
+    shipped = here("rig", "show", "sim").stdout
     beside = shipped.replace('how = "swap"', 'how = "beside"\noffset_mm = [0.0, 15.0]', 1)
     (files / "my.toml").write_text(beside)
     measure = ("measure", "plan.toml", "--rig", "my.toml", "--sample", "sample.toml", "--out", "run")
