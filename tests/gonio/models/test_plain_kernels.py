@@ -18,9 +18,9 @@ import pytest
 
 from gonio import models
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, geometry
+from gonio.models import _groove_integral as groove_kernels
 from gonio.models import _htsg_kernels as htsg_kernels
 from gonio.models import blinn as blinn_kernels
-from gonio.models import oren_nayar as oren_nayar_kernels
 from gonio.models.plain import blinn, cook_torrance, he_torrance, oren_nayar
 from gonio.models.plain import fresnel as plain_fresnel
 from gonio.models.plain.vectors import direction, dot
@@ -167,8 +167,8 @@ IN_EVERY_LOOP = ("cook-torrance beckmann", "phong", "oren-nayar functional", "or
 ELSEWHERE = {
     **dict.fromkeys(blinn_kernels._HIGHLIGHTS.values(), test_plain_blinn.test_blinn),
     blinn_kernels.phong_highlight: test_plain_blinn.test_phong,
-    oren_nayar_kernels.gaussian_grooves: test_plain_oren_nayar.test_oren_nayar_grooves_in_every_direction,
-    oren_nayar_kernels.isotropic_grooves: test_plain_oren_nayar.test_oren_nayar_grooves_in_every_direction,
+    groove_kernels.gaussian_grooves: test_plain_oren_nayar.test_oren_nayar_grooves_in_every_direction,
+    groove_kernels.isotropic_grooves: test_plain_oren_nayar.test_oren_nayar_grooves_in_every_direction,
     htsg_kernels.spike_reflectivity: test_plain_he_torrance.test_he_torrance_lobe_and_spike,
     models.htsg._shadowing: test_plain_he_torrance.test_he_torrance_parts,
     models.htsg._effective_roughness: test_plain_he_torrance.test_he_torrance_parts,
