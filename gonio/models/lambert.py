@@ -8,7 +8,8 @@ from typing import ClassVar
 
 from gonio.models._compile import device
 from gonio.models.engine import Constants, Kernel
-from gonio.models.model import Model, number, store
+from gonio.models.model import Model, store
+from gonio.models.parameters import number
 
 
 @device

@@ -24,7 +24,8 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from gonio.geometry import AT_NORMAL, SAME_NOMINAL, Directions
-from gonio.reduction.spikes import Scene, Share, find, lagrange, overlap
+from gonio.reduction.spike_overlap import Share, overlap
+from gonio.reduction.spikes import Scene, find, lagrange
 from gonio.typing import Floats
 
 NARROWEST = math.radians(0.2)
@@ -70,7 +71,7 @@ class Curves:
     half_angles
         Of the lamp and of the lens [rad].
     shares
-        What each point sees of a spike (`gonio.reduction.spikes.blurred_overlap`).
+        What each point sees of a spike (`gonio.reduction.spike_overlap.blurred_overlap`).
     """
 
     def __init__(
