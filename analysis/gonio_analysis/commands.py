@@ -14,7 +14,7 @@ import typer
 if TYPE_CHECKING:
     from gonio_analysis.fitting.fit import FitResult
     from gonio_analysis.fitting.parameters import Ior
-    from gonio_analysis.selection.profile_likelihood import Interval
+    from gonio_analysis.fitting.profile_likelihood import Interval
 
 MODELS = "lambert,oren-nayar,cook-torrance,he-torrance"
 MODELS_HELP = "Models to fit, with commas between (sums as oren-nayar+phong), or all."
@@ -105,7 +105,7 @@ def fit(
     result = run_fit(frame, asked, name=str(table))
     walked = {}
     if intervals:
-        from gonio_analysis.selection.profile_likelihood import profiles
+        from gonio_analysis.fitting.profile_likelihood import profiles
 
         walked = profiles(result).intervals
     if as_json:

@@ -161,7 +161,7 @@ class ProfileSummary:
 
 @dataclass(frozen=True)
 class IntervalSummary:
-    """A profile-likelihood interval, as `gonio_analysis.selection.profile_likelihood.Interval`."""
+    """A profile-likelihood interval, as `gonio_analysis.fitting.profile_likelihood.Interval`."""
 
     low: float
     high: float

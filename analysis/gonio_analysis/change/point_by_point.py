@@ -26,11 +26,11 @@ from gonio.errors import ConfigError, DataError
 from gonio.geometry import SAME_ANGLE, Directions
 from gonio.typing import Floats
 from gonio_analysis.change.resampling import Carried, carry
-from gonio_analysis.fitting.covariance import Covariance
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.objective import scaled_to
 from gonio_analysis.fitting.observations import Observations, describe_left_out, observations
+from gonio_analysis.fitting.value_covariance import Covariance
 
 if TYPE_CHECKING:
     import pandas as pd

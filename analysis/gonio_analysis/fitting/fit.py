@@ -1,7 +1,7 @@
 """Fitting a reflectance model to a measurement table.
 
 Weighted least squares with the table's whole covariance: residuals are whitened
-(`gonio_analysis.fitting.covariance`), the model is evaluated through the cones of the instrument
+(`gonio_analysis.fitting.value_covariance`), the model is evaluated through the cones of the instrument
 (`gonio_analysis.fitting.forward`), and the search starts from the best points of a coarse grid
 (`gonio_analysis.fitting.search`).
 

@@ -8,8 +8,8 @@ from typing import Any, TypedDict
 import numpy as np
 
 from gonio.typing import Floats
+from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.plots.in_plane import COLOURS, FAINT, INK, angle_axis, clean
-from gonio_analysis.selection.profile_likelihood import Interval
 
 Dashes = str | tuple[int, tuple[float, ...]]
 DASHES: tuple[Dashes, ...] = (
