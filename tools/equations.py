@@ -19,13 +19,15 @@ HEAD = """# The papers' equations
 
 Where each equation stands. Every formula is written once, slowly and obviously, in
 `gonio/models/plain/`: one module a paper, in the paper's order and symbols. The models evaluate the
-same formulas by compiled kernels, which `tests/gonio/models/test_plain.py` holds against the plain ones.
+same formulas by compiled kernels, which `tests/gonio/models/test_plain_*.py` hold against the plain
+ones.
 
 To find an equation, search the paper's module for its number, as "eq. 25", or this page. Equations
 without a number go by the letter on their left, as "Cook1982 R_s". Names such as He1991 are keys of
 [references.bib](references.bib). A dagger marks formulas whose print is wrong or must be read with
 care: the docstring says how. Names under "plain" begin with `gonio.models.plain.`, names under
-"compiled" with `gonio.models.` unless they begin with `gonio.`
+"compiled" with `gonio.models.` unless they begin with `gonio.` Where there is no compiled form the
+page says why.
 
 `python tools/equations.py` writes this page from the docstrings, and a test compares the two.
 """
@@ -54,6 +56,8 @@ class Formula(NamedTuple):
     where: str
     what: str
     compiled: list[str]
+    instead: str
+    """Why there is no compiled form, where there is none."""
     doubt: bool
 
     @property
@@ -80,18 +84,21 @@ def formulas(module: ModuleType) -> list[Formula]:
             raise ValueError(f"{module.__name__}.{name}: the docstring does not begin with a paper and an equation")
         paper, where, rest = match.groups()
         what = re.split(r"(?<!eq)(?<!eqs)(?<!\.\.)\. ", rest)[0].rstrip(".")
-        names = re.findall(r"gonio\.[\w.]*\w", compiled)
+        instead = compiled.removeprefix("none, ") if compiled.startswith("none, ") else ""
+        names = [] if instead else re.findall(r"gonio\.[\w.]*\w", compiled)
+        if not (names or instead):
+            raise ValueError(f"{module.__name__}.{name}: the docstring must say what is compiled, or why nothing is")
         # what the print has wrong, lacks, or leaves to be guessed
         doubt = re.search(
             r"\b(print|printed|two separate|standard deviation|hidden shares|0\.57)\b", rest, re.IGNORECASE
         )
-        found.append(Formula(module.__name__, name, paper, where, what, names, doubt is not None))
+        found.append(Formula(module.__name__, name, paper, where, what, names, instead, doubt is not None))
     return found
 
 
 def _row(first: str, f: Formula) -> str:
     module = f.module.removeprefix("gonio.models.plain.")
-    compiled = ", ".join(f"`{name.removeprefix('gonio.models.')}`" for name in f.compiled) or "-"
+    compiled = ", ".join(f"`{name.removeprefix('gonio.models.')}`" for name in f.compiled) or f"none: {f.instead}"
     what = f.what.replace("|", "\\|")
     return f"| {first}{' †' if f.doubt else ''} | `{module}.{f.name}` | {what} | {compiled} |"
 
@@ -104,7 +111,7 @@ def page() -> str:
     lines = [HEAD, "## He1991: He, Torrance, Sillion and Greenberg", head.format("eq.")]
     for number in range(1, 87):
         here = [_row(str(number), f) for f in he if number in f.numbers]
-        lines += here or [f"| {number} | no function | {STEPS[number]} | - |"]
+        lines += here or [f"| {number} | no function | {STEPS[number]} | none: a step |"]
     lines += [_row(f.where, f) for f in he if not f.numbers]
     lines += ["\n## Cook1982: Cook and Torrance", head.format("equation")]
     lines += [_row(f.where, f) for f in formulas(plain.cook_torrance)]

@@ -14,7 +14,7 @@ import typer
 if TYPE_CHECKING:
     from gonio_analysis.fitting.fit import FitResult
     from gonio_analysis.fitting.parameters import Ior
-    from gonio_analysis.selection.profile_likelihood import Interval
+    from gonio_analysis.fitting.profile_likelihood import Interval
 
 MODELS = "lambert,oren-nayar,cook-torrance,he-torrance"
 MODELS_HELP = "Models to fit, with commas between (sums as oren-nayar+phong), or all."
@@ -76,7 +76,7 @@ def fit(
 
     from gonio import measurement
     from gonio.errors import ConfigError
-    from gonio_analysis import summaries
+    from gonio_analysis import result_records
     from gonio_analysis.fitting import parameters
     from gonio_analysis.fitting.fit import fit as run_fit
     from gonio_analysis.fitting.problem import FitRequest
@@ -105,13 +105,13 @@ def fit(
     result = run_fit(frame, asked, name=str(table))
     walked = {}
     if intervals:
-        from gonio_analysis.selection.profile_likelihood import profiles
+        from gonio_analysis.fitting.profile_likelihood import profiles
 
         walked = profiles(result).intervals
     if as_json:
         out = {**result.to_json(), "sample": name, "table": table}
         if intervals:
-            out["intervals"] = {n: summaries.as_json(i.summary()) for n, i in walked.items()}
+            out["intervals"] = {n: result_records.as_json(i.summary()) for n, i in walked.items()}
         print(json.dumps(out, indent=1, ensure_ascii=False))
     else:
         _print(result, name, walked)

@@ -8,17 +8,16 @@ An entry point names a callable `(description, settings) -> camera`: the rig's d
 from __future__ import annotations
 
 from types import TracebackType
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, Protocol, Self
 
 from gonio import plugins
-from gonio.config import Strict, parse
+from gonio.config import parse
 from gonio.errors import ConfigError
 from gonio.rig import Frame
 from gonio.rig.description import RigDescription
 from gonio_drivers import settings
 
 SOURCE = "[devices.camera]"
-Table = TypeVar("Table", bound=Strict)
 
 
 class OpenableCamera(Protocol):
@@ -53,22 +52,18 @@ def folder(description: RigDescription, table: dict[str, Any]) -> OpenableCamera
     """RAW files from a watched folder."""
     from gonio_drivers.folder_camera import FolderCamera
 
-    return FolderCamera(description, _parsed(settings.FolderCamera, table))
+    return FolderCamera(description, parse(settings.FolderCamera, table, SOURCE))
 
 
 def uvc(description: RigDescription, table: dict[str, Any]) -> OpenableCamera:
     """A USB video camera."""
     from gonio_drivers.uvc import UvcCamera
 
-    return UvcCamera(description, _parsed(settings.UvcCamera, table))
+    return UvcCamera(description, parse(settings.UvcCamera, table, SOURCE))
 
 
 def sequence(description: RigDescription, table: dict[str, Any]) -> OpenableCamera:
     """Images from a folder."""
     from gonio_drivers.sequence_camera import SequenceCamera
 
-    return SequenceCamera(description, _parsed(settings.SequenceCamera, table))
-
-
-def _parsed(model: type[Table], values: dict[str, Any]) -> Table:
-    return parse(model, values, SOURCE)
+    return SequenceCamera(description, parse(settings.SequenceCamera, table, SOURCE))

@@ -54,15 +54,24 @@ class SequenceCamera:
 
         Raises
         ------
+        ConfigError
+            The exposure is outside the limits of the rig file.
         DeviceError
-            The sequence has ended, or the next frame was exposed otherwise.
+            The sequence has ended, or the next frame has another size or was exposed otherwise.
         DataError
             The next file is damaged.
         """
+        camera = self._description
+        camera.require_exposure(exposure_s)
         path = next(self._left, None)
         if path is None:
             raise DeviceError(f"{self._folder}: the image sequence has ended")
         frame = read_raw(path) if path.suffix.lower() in RAW else self._image(path, exposure_s)
+        if frame.mosaic.shape != (camera.height, camera.width):
+            raise DeviceError(
+                f"{path}: the frame has {frame.mosaic.shape[1]} x {frame.mosaic.shape[0]} pixels; the rig file says "
+                f"camera.width = {camera.width}, camera.height = {camera.height}"
+            )
         if abs(frame.exposure_s / exposure_s - 1) > EXPOSURE_TOLERANCE:
             raise DeviceError(f"{path}: was exposed {frame.exposure_s:g} s, and {exposure_s:g} s were asked")
         return frame

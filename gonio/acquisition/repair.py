@@ -28,9 +28,9 @@ from gonio.disk import half_written, only_file, read_file, set_aside, write_whol
 from gonio.errors import ConfigError, DataError
 
 LOOKED_INTO = 2_500
-"""At most so many frames, the last ones, are read from end to end when a run is resumed, ..."""
+"""When a run is resumed, at most so many of its last frames are read from end to end."""
 LOOKED_INTO_BYTES = 2 * 10**9
-"""... and at most so many bytes: a second or two. Of the others the sizes are compared."""
+"""Those frames have at most so many bytes: a second or two. Of the others the sizes are compared."""
 ASIDE = "set-aside"
 
 Progress = Callable[[int, int], None]
@@ -133,9 +133,7 @@ _FRAME = re.compile(rb'"file":"([^"]*)"(?:[^}]*"bytes":(\d+))?')
 
 
 def _named(steps: Steps) -> tuple[Integers, Integers, Integers]:
-    """Of every frame that the journal names the hash of its name and its size, -1 where it is not known; and how many
-    each step has.
-    """
+    """Hash of the name and size (-1 where unknown) of every frame that the journal names, and frames of each step."""
     names, sizes, counts = array("q"), array("q"), array("q")
     for line in steps.raw():
         frames = _FRAME.findall(line)

@@ -352,9 +352,9 @@ class Run:
 
 
 def own_files(path: Path) -> Manifest:
-    """What the program wrote into the folder of a run: beside what the manifest names the journal, the frames that it
-    names, and those that say themselves that they are of this run.
+    """What the program wrote into the folder of a run.
 
+    That is what the manifest names, the journal, the frames that it names, and frames whose own label names this run.
     Nothing where there is no run, or a damaged one.
     """
     out = read_manifest(path)

@@ -95,18 +95,18 @@ def differences(was: Settings, now: Settings) -> list[str]:
         out.append(f'plan: the points or wavelengths of "{now.run.plan}" are not those of "{was.run.plan}"')
     if was.run.seed != now.run.seed:
         out.append(f"seed: {was.run.seed} in the run, {now.run.seed} now")
-    out += _differing_keys("rig", _comparable(was.rig), _comparable(now.rig))
+    out += _differing_keys("rig", *(_comparable(one.rig).model_dump(mode="json") for one in (was, now)))
     samples = [s.model_dump(mode="json") if s is not None else {} for s in (was.sample, now.sample)]
     return out + _differing_keys("sample", *samples)
 
 
-def _comparable(description: RigDescription) -> dict[str, Any]:
-    """A rig's values; of its reference table the content counts, not where it lies."""
-    values = description.model_dump(mode="json")
-    if description.reference.table is not None:
+def _comparable(description: RigDescription) -> RigDescription:
+    """Of the rig's reference table the content counts, not where it lies."""
+    table = description.reference.table
+    if table is not None:
         with contextlib.suppress(OSError):
-            values["reference"]["table"] = hashlib.sha256(read_file(description.reference.table)).hexdigest()[:12]
-    return values
+            table = hashlib.sha256(read_file(table)).hexdigest()[:12]
+    return description.model_copy(update={"reference": description.reference.model_copy(update={"table": table})})
 
 
 def _differing_keys(name: str, was: Any, now: Any) -> list[str]:

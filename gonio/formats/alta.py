@@ -21,20 +21,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.reader import (
-    Format,
-    Text,
-    estimate,
-    fold,
-    integer,
-    number,
-    numbers,
-    plain_degrees,
-    single,
-    table,
-    wide,
-    write_bytes,
-)
+from gonio.formats.reader import Format, fold, plain_degrees, single, table, wide, write_bytes
+from gonio.formats.text import Text, estimate, integer, number, numbers
 from gonio.typing import Floats
 
 if TYPE_CHECKING:

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.reader import Format, Text, estimate, fold, integer, numbers, plain_degrees, table, wide, write_bytes
+from gonio.formats.reader import Format, fold, plain_degrees, table, wide, write_bytes
+from gonio.formats.text import Text, estimate, integer, numbers
 
 if TYPE_CHECKING:
     import pandas as pd

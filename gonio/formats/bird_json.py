@@ -16,7 +16,7 @@ import re
 import uuid
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 import numpy as np
 
@@ -99,6 +99,16 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
     return frame
 
 
+class _Variable(TypedDict, total=False):
+    """One variable of a file; what is read is of any type until it is looked at."""
+
+    description: object
+    unit: object
+    type: object
+    notation: object
+    values: object
+
+
 class _Section:
     """The object `data` of a file, whose messages name the variable and the index."""
 
@@ -141,19 +151,19 @@ class _Section:
             out.append(_STATES[incident + reflected])
         return out
 
-    def adhoc(self, count: int) -> tuple[dict[str, Any], list[str]]:
+    def adhoc(self, count: int) -> tuple[dict[str, Floats | list[Any]], list[str]]:
         """The columns that we have written there ourselves, and the names of all other ad-hoc variables."""
         variables = self.section.get("adhoc_variables", {})
         if not isinstance(variables, dict):
             raise DataError(f"{self.path}: data.adhoc_variables is {_short(variables)}; an object is needed")
-        ours: dict[str, Any] = {}
+        ours: dict[str, Floats | list[Any]] = {}
         others = []
         for name, variable in variables.items():
             if not _OURS.fullmatch(name) or not isinstance(variable, dict):
                 others.append(name[:40])
                 continue
             where = f"adhoc_variables.{name}"
-            values = self._values(where, variable, count)
+            values = self._values(where, cast(_Variable, variable), count)
             if name in ("flag", "sample"):
                 ours[name] = values
             else:
@@ -174,13 +184,13 @@ class _Section:
                 return _STOKES[stokes]
         raise DataError(f"{self.path}: data.{where} is {_short(value)}; the table knows s, p and unpolarised light")
 
-    def _variable(self, name: str) -> dict[str, Any]:
+    def _variable(self, name: str) -> _Variable:
         variable = self.section.get(name)
         if not isinstance(variable, dict):
             raise DataError(f'{self.path}: data has no variable "{name}"')
-        return variable
+        return cast(_Variable, variable)
 
-    def _values(self, name: str, variable: dict[str, Any], count: int | None) -> list[Any]:
+    def _values(self, name: str, variable: _Variable, count: int | None) -> list[Any]:
         values = variable.get("values")
         if not isinstance(values, list) or not values:
             raise DataError(f"{self.path}: data.{name}.values is {_short(values)}; an array of values is needed")
@@ -254,7 +264,7 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     for column in ("theta_i_deg", "theta_r_deg"):
         if (frame[column] >= 90).any():
             raise DataError(f"{path}: {column} = 90; BiRD's schema takes polar angles below 90 degrees")
-    data: dict[str, Any] = {
+    data: dict[str, _Variable | dict[str, _Variable]] = {
         name.removesuffix("_deg"): {"unit": "deg", "values": frame[name].tolist()} for name in ANGLES
     }
     wavelength = frame["wavelength_nm"]
@@ -267,7 +277,7 @@ def write(frame: pd.DataFrame, path: Path) -> None:
         for side, name in enumerate(("polarization_i", "polarization_r")):
             values = [pairs[state][side] for state in frame["polarisation"]]
             data[name] = {"notation": "sp", "values": values}
-    adhoc: dict[str, Any] = {}
+    adhoc: dict[str, _Variable] = {}
 
     def keep(name: str, description: str, kind: str = "number", unit: str = "1/sr") -> None:
         values = [None if isinstance(v, float) and not math.isfinite(v) else v for v in frame[name].tolist()]

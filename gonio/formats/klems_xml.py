@@ -24,7 +24,8 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.reader import ANGLES, Format, integer, number, table, wrap_deg, write_bytes
+from gonio.formats.reader import ANGLES, Format, table, wrap_deg, write_bytes
+from gonio.formats.text import integer, number
 from gonio.typing import Floats
 
 if TYPE_CHECKING:

@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.reader import Format, column_names, csv_table, fold, table
+from gonio.formats.reader import Format, fold, table
+from gonio.formats.text import column_names, csv_table
 
 if TYPE_CHECKING:
     import pandas as pd

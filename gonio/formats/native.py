@@ -20,26 +20,15 @@ import numpy as np
 
 from gonio.disk import read_file, require_name
 from gonio.errors import ConfigError, DataError
-from gonio.formats.reader import (
-    COLUMNS,
-    POLARISATIONS,
-    Format,
-    attributes,
-    cell_of,
-    column_names,
-    decode,
-    flag_holes,
-    number,
-    plain_word,
-    write_bytes,
-)
+from gonio.formats.reader import COLUMNS, POLARISATIONS, Attributes, Format, attributes, flag_holes, write_bytes
+from gonio.formats.text import cell_of, column_names, decode, number, plain_word
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
 
 _WORDS = ("polarisation", "sample", "flag")
-_DEFAULTS: dict[str, Any] = {
+_DEFAULTS: dict[str, float | str] = {
     "wavelength_nm": math.nan,
     "polarisation": "unpolarised",
     "u_brdf": math.nan,
@@ -94,7 +83,7 @@ def _read_at_once(text: str) -> pd.DataFrame | None:
     try:
         check_columns(header, "", needed=NEEDED)
         words = [name for name in _WORDS if name in header]
-        kinds: dict[str, Any] = {name: str if name in words else np.float64 for name in header}
+        kinds: dict[str, type[str | np.float64]] = {name: str if name in words else np.float64 for name in header}
         empty: Any = {name: ["", "nan", "NaN"] for name in header if name not in words}
         # exact by default since pandas 3.1, which asks not to say so
         exact: Any = {"float_precision": "round_trip"} if pd.__version__ < "3.1" else {}
@@ -257,7 +246,7 @@ def _floats(cells: tuple[str, ...], name: str, path: Path, line: int) -> Floats:
     return out
 
 
-def _read_attrs(path: Path) -> dict[str, Any]:
+def _read_attrs(path: Path) -> Attributes:
     meta = meta_path(path)
     try:
         stored = json.loads(read_file(meta))
@@ -271,7 +260,7 @@ def _read_attrs(path: Path) -> dict[str, Any]:
     return checked_attributes(stored, str(meta))
 
 
-def checked_attributes(stored: Any, where: str) -> dict[str, Any]:
+def checked_attributes(stored: Any, where: str) -> Attributes:
     """Attributes from a file, with defaults for what is not there; `DataError` where one is of the wrong kind."""
     if not isinstance(stored, dict):
         raise DataError(f"{where}: an object of attributes is needed")

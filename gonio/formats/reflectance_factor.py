@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.reader import Format, column_names, csv_table, fold, table, wide, write_bytes
+from gonio.formats.reader import Format, fold, table, wide, write_bytes
+from gonio.formats.text import column_names, csv_table
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -19,7 +19,8 @@ import numpy as np
 
 from gonio import geometry
 from gonio.errors import DataError
-from gonio.formats.reader import ANGLES, Format, Text, integer, number, numbers, single, table, wrap_deg, write_bytes
+from gonio.formats.reader import ANGLES, Format, single, table, wrap_deg, write_bytes
+from gonio.formats.text import Text, integer, number, numbers
 from gonio.typing import Floats
 
 if TYPE_CHECKING:

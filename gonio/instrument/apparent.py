@@ -24,7 +24,7 @@ from gonio.geometry import half_angle_of_cone
 from gonio.instrument.lobe import TOLERANCE, Rules, by_rules, choose
 from gonio.instrument.spike import Overlaps
 from gonio.models import Model, geometry
-from gonio.models.model import choice, number
+from gonio.models.parameters import choice, number
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -55,9 +55,9 @@ class Cones:
         phi_i: ArrayLike,
         theta_r: ArrayLike,
         phi_r: ArrayLike,
-        *,
         source_solid_angle_sr: float,
         receiver_solid_angle_sr: float,
+        *,
         spike: Spike = "nominal",
         tolerance: float = TOLERANCE,
     ) -> None:
@@ -133,15 +133,7 @@ def apparent_brdf(
     -----
     The lobe is averaged to 1e-7 (see `apparent_lobe`); the spike to 1e-8 of itself.
     """
-    cones = Cones(
-        theta_i,
-        phi_i,
-        theta_r,
-        phi_r,
-        source_solid_angle_sr=source_solid_angle_sr,
-        receiver_solid_angle_sr=receiver_solid_angle_sr,
-        spike=spike,
-    )
+    cones = Cones(theta_i, phi_i, theta_r, phi_r, source_solid_angle_sr, receiver_solid_angle_sr, spike=spike)
     lobe = cones.lobe(_checked(model), wavelength_nm=wavelength_nm)
     if not model.has_spike:
         return lobe
@@ -171,15 +163,7 @@ def apparent_lobe(
     direction or narrower than the lobe, to about 2e-3 where the lobe is narrower than both. Where the horizon cuts a
     cone the average is good to about 1e-5, and the spike's overlap to 1e-3.
     """
-    cones = Cones(
-        theta_i,
-        phi_i,
-        theta_r,
-        phi_r,
-        source_solid_angle_sr=source_solid_angle_sr,
-        receiver_solid_angle_sr=receiver_solid_angle_sr,
-        tolerance=tolerance,
-    )
+    cones = Cones(theta_i, phi_i, theta_r, phi_r, source_solid_angle_sr, receiver_solid_angle_sr, tolerance=tolerance)
     return cones.lobe(_checked(model), wavelength_nm=wavelength_nm)
 
 
@@ -196,15 +180,7 @@ def apparent_spike(
     spike: Spike = "nominal",
 ) -> Any:
     """The spike's part of `apparent_brdf`; arguments and errors as there. 0 for a model without a spike."""
-    cones = Cones(
-        theta_i,
-        phi_i,
-        theta_r,
-        phi_r,
-        source_solid_angle_sr=source_solid_angle_sr,
-        receiver_solid_angle_sr=receiver_solid_angle_sr,
-        spike=spike,
-    )
+    cones = Cones(theta_i, phi_i, theta_r, phi_r, source_solid_angle_sr, receiver_solid_angle_sr, spike=spike)
     return cones.spike(_checked(model), wavelength_nm=wavelength_nm)
 
 

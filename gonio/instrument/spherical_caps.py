@@ -14,6 +14,7 @@ import math
 import numpy as np
 
 from gonio.models._compile import device, template
+from gonio.models._math import cubic
 from gonio.typing import Floats
 
 RINGS = (1, 2, 3, 5, 8, 12)
@@ -165,14 +166,7 @@ def tabulated(z, table, low, per_step):
     """A function of cos theta from equally spaced values, by cubics through four of them."""
     t = (z - low) * per_step
     k = min(max(int(t) - 1, 0), table.size - 4)
-    u = t - k
-    u1, u2, u3 = u - 1.0, u - 2.0, u - 3.0
-    return (
-        -u1 * u2 * u3 * table[k] / 6.0
-        + u * u2 * u3 * table[k + 1] / 2.0
-        - u * u1 * u3 * table[k + 2] / 2.0
-        + u * u1 * u2 * table[k + 3] / 6.0
-    )
+    return cubic(t - k, table[k], table[k + 1], table[k + 2], table[k + 3])
 
 
 @device

@@ -87,7 +87,9 @@ def _copy(function: FunctionType, names: Mapping[str, Any]) -> Any:
     return clone
 
 
-def _clone(function: Callable[..., Any], names: dict[str, Any], others: Others = (), in_single: bool = False) -> Any:
+def _clone(
+    function: Callable[..., Any], names: Mapping[str, object], others: Others = (), in_single: bool = False
+) -> Any:
     """The same code with the marked functions that it calls, or `others` in their place, replaced by compiled ones."""
     assert isinstance(function, FunctionType)
     called = {}
@@ -126,9 +128,9 @@ def whole_vectors() -> bool:
     return True
 
 
-def _options(side_by_side: int | None = None, in_single: bool = False) -> dict[str, Any]:
+def _options(side_by_side: int | None = None, in_single: bool = False) -> dict[str, object]:
     """How numba compiles a function: our flags, and the pipeline of `_vector_width` where there is one."""
-    options: dict[str, Any] = {"fastmath": set(FASTMATH), "error_model": "numpy"}
+    options: dict[str, object] = {"fastmath": set(FASTMATH), "error_model": "numpy"}
     if whole_vectors():
         from gonio.models._vector_width import SIDE_BY_SIDE, wide
 
@@ -184,7 +186,7 @@ def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int, i
     function = kernel.__dict__.get(function.__name__, function)  # a kernel of several passes brings its own loops
     signature = tuple(kind(code) for code in function.__dict__["__layout__"])
     options = _options(function.__dict__["__side_by_side__"], in_single)
-    names: dict[str, Any] = {"kernel": kernel}
+    names: dict[str, object] = {"kernel": kernel}
     if "columns" in kernel.__dict__ and not function.__dict__["__columns__"]:
         parts = {"shade": kernel, "take": kernel.__dict__["columns"]}
         whole = _clone(_of_directions, parts, kernel.__dict__.get("others", ()), in_single)

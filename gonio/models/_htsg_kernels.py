@@ -15,8 +15,8 @@ from gonio.models._compile import device, template
 from gonio.models._facets import fresnel
 from gonio.models._htsg_expansion import TERMS, scaled_erfcx
 from gonio.models._htsg_series import BLOCK, EXPANDED, LANES, exp2_over, lambert_w, narrow, series
+from gonio.models._loops import part, unit_vectors, vector_part, vectors_of_angles
 from gonio.models._math import _LOG2_E, exp, sincos, sincos_polar
-from gonio.models.engine import HALF_PI, NORM_TOLERANCE, PHI_LIMIT
 
 _SQRT_PI = math.sqrt(math.pi)
 _ROWS = max(TERMS) + 1
@@ -81,33 +81,32 @@ def vector_states(count, l, v, constants, factor, k, c, g):  # noqa: E741
     """`lobe_state` of a block of pairs of vectors, one column each; 1 where a vector is not of unit length."""
     wrong = 0
     for j in range(count):
-        lx, ly, lz = l[3 * j], l[3 * j + 1], l[3 * j + 2]
-        vx, vy, vz = v[3 * j], v[3 * j + 1], v[3 * j + 2]
-        el = lx * lx + ly * ly + (lz * lz - 1.0)
-        ev = vx * vx + vy * vy + (vz * vz - 1.0)
-        wrong |= 0 if abs(el) <= 2.0 * NORM_TOLERANCE and abs(ev) <= 2.0 * NORM_TOLERANCE else 1
-        fl = 1.0 - el * (0.5 - 0.375 * el)
-        fv = 1.0 - ev * (0.5 - 0.375 * ev)
-        factor[j], k[j], c[j], g[j] = lobe_state(
-            lx * fl, ly * fl, max(lz * fl, 0.0), vx * fv, vy * fv, max(vz * fv, 0.0), constants
+        lx, ly, lz, vx, vy, vz, off = unit_vectors(
+            l[3 * j], l[3 * j + 1], l[3 * j + 2], v[3 * j], v[3 * j + 1], v[3 * j + 2]
         )
+        wrong |= off
+        factor[j], k[j], c[j], g[j] = lobe_state(lx, ly, max(lz, 0.0), vx, vy, max(vz, 0.0), constants)
     return wrong
 
 
-# --- the loops of engine.py, with a second pass ------------------------------------------------------------------
+# --- the loops of _loops.py, with a second pass -------------------------------------------------------------------
+
+
+@device
+def scratch():
+    """Room for a block's pairs: their state, their order by class and their classes, and what `series` works in."""
+    state, work, powers = np.empty((6, BLOCK)), np.empty((8, EXPANDED)), np.empty((_ROWS, LANES))
+    return state, np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64), work, powers
 
 
 @template("r1 i r1 i p w1 i i")
-def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop):
+def over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop):
     diffuse, tier = constants[DIFFUSE], int(constants[TIER])
     wrong = 0
-    state, work = np.empty((6, BLOCK)), np.empty((8, EXPANDED))
-    order, kind_of = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
-    powers = np.empty((_ROWS, LANES))
+    state, order, kind_of, work, powers = scratch()
     for first in range(start, stop, BLOCK):
         count = min(BLOCK, stop - first)
-        l = omega_i[3 * first * step_i : 3 * (first * step_i + count)]  # noqa: E741
-        v = omega_r[3 * first * step_r : 3 * (first * step_r + count)]
+        l, v = vector_part(omega_i, first, count, step_i), vector_part(omega_r, first, count, step_r)  # noqa: E741
         o = out[first : first + count]
         wrong |= vector_states(count, l, v, constants, state[0], state[1], state[2], state[3])
         narrow(count, state)
@@ -118,31 +117,20 @@ def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop)
 
 
 @template("r1 i r1 i r1 i r1 i p w1 i i")
-def _over_angles(theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, constants, out, start, stop):
+def over_angles(theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, constants, out, start, stop):
     diffuse, tier = constants[DIFFUSE], int(constants[TIER])
     wrong = 0
-    state, work = np.empty((6, BLOCK)), np.empty((8, EXPANDED))
-    order, kind_of = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
-    powers = np.empty((_ROWS, LANES))
+    state, order, kind_of, work, powers = scratch()
     factor, k, c, g = state[0], state[1], state[2], state[3]
     for first in range(start, stop, BLOCK):
         count = min(BLOCK, stop - first)
-        ti = theta_i[first * step_ti : first * step_ti + count]
-        pi_ = phi_i[first * step_pi : first * step_pi + count]
-        tr = theta_r[first * step_tr : first * step_tr + count]
-        pr = phi_r[first * step_pr : first * step_pr + count]
+        ti, pi_ = part(theta_i, first, count, step_ti), part(phi_i, first, count, step_pi)
+        tr, pr = part(theta_r, first, count, step_tr), part(phi_r, first, count, step_pr)
         o = out[first : first + count]
         for j in range(count):
-            a, b, p, q = ti[j], tr[j], pi_[j], pr[j]
-            wrong |= (
-                0 if 0.0 <= a <= HALF_PI and 0.0 <= b <= HALF_PI and abs(p) <= PHI_LIMIT and abs(q) <= PHI_LIMIT else 1
-            )
-            sin_i, cos_i = sincos_polar(a)
-            sin_r, cos_r = sincos_polar(b)
-            sin_d, cos_d = sincos(q - p)  # in the frame of the source's azimuth
-            factor[j], k[j], c[j], g[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
-                sin_i, 0.0, cos_i, sin_r * cos_d, sin_r * sin_d, cos_r, constants
-            )
+            lx, ly, lz, vx, vy, vz, off = vectors_of_angles(ti[j], pi_[j], tr[j], pr[j])
+            wrong |= off
+            factor[j], k[j], c[j], g[j] = kernel(lx, ly, lz, vx, vy, vz, constants)  # type: ignore[name-defined]  # noqa: F821
         narrow(count, state)
         series(count, tier, state, o, order, kind_of, work, powers)
         for j in range(count):
@@ -193,26 +181,20 @@ def spectrum(count, first, pairs, tier, waves, state, shared, out, order, kind_o
 def spectrum_over_vectors(omega_i, step_i, omega_r, step_r, pairs, constants, waves, out, start, stop):
     diffuse, slope, printed, tier = constants[0], constants[1], constants[2], int(constants[3])
     wrong = 0
-    state, shared, work = np.empty((6, BLOCK)), np.empty((5, BLOCK)), np.empty((8, EXPANDED))
-    order, kind_of = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
-    powers = np.empty((_ROWS, LANES))
+    shared = np.empty((5, BLOCK))
+    state, order, kind_of, work, powers = scratch()
     factor, k, g, c2, sxy2, base = state[0], state[1], state[3], shared[1], shared[2], shared[4]
     for first in range(start, stop, BLOCK):
         count = min(BLOCK, stop - first)
-        l = omega_i[3 * first * step_i : 3 * (first * step_i + count)]  # noqa: E741
-        v = omega_r[3 * first * step_r : 3 * (first * step_r + count)]
+        l, v = vector_part(omega_i, first, count, step_i), vector_part(omega_r, first, count, step_r)  # noqa: E741
         for j in range(count):
-            lx, ly, lz = l[3 * j], l[3 * j + 1], l[3 * j + 2]
-            vx, vy, vz = v[3 * j], v[3 * j + 1], v[3 * j + 2]
-            el = lx * lx + ly * ly + (lz * lz - 1.0)
-            ev = vx * vx + vy * vy + (vz * vz - 1.0)
-            wrong |= 0 if abs(el) <= 2.0 * NORM_TOLERANCE and abs(ev) <= 2.0 * NORM_TOLERANCE else 1
-            fl = 1.0 - el * (0.5 - 0.375 * el)
-            fv = 1.0 - ev * (0.5 - 0.375 * ev)
+            up_i, up_r = l[3 * j + 2], v[3 * j + 2]
+            lx, ly, lz, vx, vy, vz, off = unit_vectors(l[3 * j], l[3 * j + 1], up_i, v[3 * j], v[3 * j + 1], up_r)
+            wrong |= off
             factor[j], k[j], c2[j], sxy2[j], g[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
-                lx * fl, ly * fl, max(lz * fl, 0.0), vx * fv, vy * fv, max(vz * fv, 0.0), slope, printed
+                lx, ly, max(lz, 0.0), vx, vy, max(vz, 0.0), slope, printed
             )
-            base[j] = diffuse if lz >= 0.0 and vz >= 0.0 else 0.0
+            base[j] = diffuse if up_i >= 0.0 and up_r >= 0.0 else 0.0
         spectrum(count, first, pairs, tier, waves, state, shared, out, order, kind_of, work, powers)
     return wrong
 
@@ -223,33 +205,25 @@ def spectrum_over_angles(
 ):
     diffuse, slope, printed, tier = constants[0], constants[1], constants[2], int(constants[3])
     wrong = 0
-    state, shared, work = np.empty((6, BLOCK)), np.empty((5, BLOCK)), np.empty((8, EXPANDED))
-    order, kind_of = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
-    powers = np.empty((_ROWS, LANES))
+    shared = np.empty((5, BLOCK))
+    state, order, kind_of, work, powers = scratch()
     factor, k, g, c2, sxy2, base = state[0], state[1], state[3], shared[1], shared[2], shared[4]
     for first in range(start, stop, BLOCK):
         count = min(BLOCK, stop - first)
-        ti = theta_i[first * step_ti : first * step_ti + count]
-        pi_ = phi_i[first * step_pi : first * step_pi + count]
-        tr = theta_r[first * step_tr : first * step_tr + count]
-        pr = phi_r[first * step_pr : first * step_pr + count]
+        ti, pi_ = part(theta_i, first, count, step_ti), part(phi_i, first, count, step_pi)
+        tr, pr = part(theta_r, first, count, step_tr), part(phi_r, first, count, step_pr)
         for j in range(count):
-            a, b, p, q = ti[j], tr[j], pi_[j], pr[j]
-            wrong |= (
-                0 if 0.0 <= a <= HALF_PI and 0.0 <= b <= HALF_PI and abs(p) <= PHI_LIMIT and abs(q) <= PHI_LIMIT else 1
-            )
-            sin_i, cos_i = sincos_polar(a)
-            sin_r, cos_r = sincos_polar(b)
-            sin_d, cos_d = sincos(q - p)
+            lx, ly, lz, vx, vy, vz, off = vectors_of_angles(ti[j], pi_[j], tr[j], pr[j])
+            wrong |= off
             factor[j], k[j], c2[j], sxy2[j], g[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
-                sin_i, 0.0, cos_i, sin_r * cos_d, sin_r * sin_d, cos_r, slope, printed
+                lx, ly, lz, vx, vy, vz, slope, printed
             )
             base[j] = diffuse
         spectrum(count, first, pairs, tier, waves, state, shared, out, order, kind_of, work, powers)
     return wrong
 
 
-lobe_state.__dict__.update(_over_vectors=_over_vectors, _over_angles=_over_angles)
+lobe_state.__dict__.update(over_vectors=over_vectors, over_angles=over_angles)
 
 
 # --- the specular spike and the Jones matrix ---------------------------------------------------------------------
@@ -353,9 +327,8 @@ def mueller_over_angles(
     m12, m13, m14, m15 = columns[12], columns[13], columns[14], columns[15]
     for first in range(start, stop, MATRICES):
         count = min(MATRICES, stop - first)
-        # a constant argument is a block of engine.BLOCK times its value
-        ti, pi_ = theta_i[first * step_ti : first * step_ti + count], phi_i[first * step_pi : first * step_pi + count]
-        tr, pr = theta_r[first * step_tr : first * step_tr + count], phi_r[first * step_pr : first * step_pr + count]
+        ti, pi_ = part(theta_i, first, count, step_ti), part(phi_i, first, count, step_pi)
+        tr, pr = part(theta_r, first, count, step_tr), part(phi_r, first, count, step_pr)
         factor = lobe[first : first + count]
         for j in range(count):
             sin_i, cos_i = sincos_polar(ti[j])

@@ -163,6 +163,14 @@ def atan_over_near(z):  # type: ignore[no-untyped-def]
     return low + z4 * (mid + z4 * top)
 
 
+@device
+def cubic(t, a, b, c, d):  # type: ignore[no-untyped-def]
+    """Lagrange's cubic through the values a, b, c and d at 0, 1, 2 and 3."""
+    # each value is multiplied before the division: weights made first move the last digits of fitted spikes
+    t1, t2, t3 = t - 1.0, t - 2.0, t - 3.0
+    return -t1 * t2 * t3 * a / 6.0 + t * t2 * t3 * b / 2.0 - t * t1 * t3 * c / 2.0 + t * t1 * t2 * d / 6.0
+
+
 # --- where a kernel's arithmetic is float32 ---
 
 _ROUND_SINGLE = 12582912.0  # 1.5 * 2**23: adding it leaves the nearest integer in the low bits

@@ -80,7 +80,7 @@ class _Lower(Lower):
         if abs(source.value) in PLAIN or real not in BITS:
             return value
         bits = BITS[real]
-        with self.builder.goto_entry_block():  # an assembly of no instructions, which nothing keeps from moving
+        with self.builder.goto_entry_block():  # empty inline assembly: LLVM cannot see the value, but may move it
             kind = llvm.FunctionType(bits, [bits])
             held = self.builder.asm(kind, "", "=r,0", [self.builder.bitcast(value, bits)], False)
             held.attributes.add("readnone")

@@ -31,16 +31,16 @@ from gonio.models._facets import (
 )
 from gonio.models._math import _LOG2_E, exp2
 from gonio.models.engine import Constants, Kernel
-from gonio.models.model import (
+from gonio.models.model import Model, store
+from gonio.models.parameters import (
     Index,
-    Model,
+    Parameters,
     checked_index,
     checked_wavelength,
     choice,
     index_at,
     number,
     positive,
-    store,
 )
 
 if TYPE_CHECKING:
@@ -226,7 +226,7 @@ class Phong(Model):
         return engine.over_angles(phong_highlight, (0.0, 1.0, self.exponent), theta_i, phi_i, theta_r, phi_r, out=out)
 
 
-PRESETS: dict[str, dict[str, Any]] = {
+PRESETS: dict[str, Parameters] = {
     "aluminium": {"k_s": 0.4, "k_d": 0.6, "ior": 200.0, "distribution": "trowbridge-reitz", "c": 0.5},
     "magnesium oxide": {"k_s": 0.667, "k_d": 0.333, "ior": 1.8, "distribution": "trowbridge-reitz", "c": 0.35},
 }

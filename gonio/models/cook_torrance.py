@@ -17,16 +17,16 @@ from gonio.models._facets import SINGLE_RANGE, by_angle, by_tan2, fresnel, fresn
 from gonio.models._math import _LOG2_E, exp2
 from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import n_from_f0, reflectance
-from gonio.models.model import (
+from gonio.models.model import Model, store
+from gonio.models.parameters import (
     Index,
-    Model,
+    Parameters,
     checked_index,
     checked_wavelength,
     choice,
     index_at,
     number,
     positive,
-    store,
 )
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ _KERNELS: dict[tuple[str, str], Kernel] = {
 }
 
 
-PRESETS: dict[str, dict[str, Any]] = {
+PRESETS: dict[str, Parameters] = {
     # Table I: s, d, m. The paper does not print the materials' reflectances: give `ior` or `f0`.
     "carbon": {"s": 0.3, "d": 0.7, "slopes": ((0.40, 1.0),)},
     "rubber": {"s": 0.4, "d": 0.6, "slopes": ((0.30, 1.0),)},
@@ -235,7 +235,7 @@ class CookTorrance(Model):
         return cls(**values)
 
     @property
-    def parameters(self) -> dict[str, Any]:
+    def parameters(self) -> Parameters:
         values = super().parameters
         values["convention"] = values.pop("normalisation")
         return values

@@ -1,8 +1,7 @@
-"""Evaluating one compiled kernel over arrays: checks, broadcasting, blocks and threads.
+"""Evaluating one compiled kernel over arrays: arguments, broadcasting, threads and results; the loops are `_loops`.
 
-A kernel maps the components of two unit vectors and a tuple of constants to a BRDF. The loops below are the only
-ones: over vectors, over angles (turned into vectors inside), and over an already checked `Geometry`. Arguments are
-checked in the same pass that evaluates them, into a private array that is thrown away when a check fails.
+Arguments are checked in the same pass that evaluates them, into a private array that is thrown away when a check
+fails.
 """
 
 from __future__ import annotations
@@ -13,14 +12,15 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from math import pi, prod
+from math import prod
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from gonio.errors import ArgumentError, refuse_masked
-from gonio.models._compile import device, loop, template, whole_vectors
-from gonio.models._math import sincos, sincos_polar
+from gonio.models import _loops
+from gonio.models._compile import loop, whole_vectors
+from gonio.models._loops import BLOCK, HALF_PI, NORM_TOLERANCE, PHI_LIMIT
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -28,139 +28,7 @@ if TYPE_CHECKING:
 Kernel = Callable[..., Any]
 Constants = tuple[float, ...]
 
-NORM_TOLERANCE: Final = 1e-6  # how far from 1 the length of a direction may be: what float32 vectors need, and no more
-BLOCK: Final = 8192  # pairs handled at a time: one constant argument is repeated that often, and stays in the cache
 SPLIT: Final = 65536  # pairs a thread must have to be worth waking: a wake costs some 20 us
-PHI_LIMIT: Final = 1e6  # rad; beyond it an azimuth has fewer than ten digits left
-HALF_PI: Final = pi / 2
-
-
-# --- the loops: `kernel` is put in by _compile.loop -------------------------------------------------------------
-
-
-@template("r1 i r1 i p w1 i i", side_by_side=2)
-def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop):  # type: ignore[no-untyped-def]
-    wrong = 0
-    for first in range(start, stop, BLOCK):
-        count = min(BLOCK, stop - first)
-        l = omega_i[3 * first * step_i : 3 * (first * step_i + count)]  # noqa: E741
-        v = omega_r[3 * first * step_r : 3 * (first * step_r + count)]
-        o = out[first : first + count]
-        for j in range(count):
-            # flat arrays: with two axes the row length would be unknown when compiling, and the loop stay scalar
-            ax, ay, az = l[3 * j], l[3 * j + 1], l[3 * j + 2]
-            bx, by, bz = v[3 * j], v[3 * j + 1], v[3 * j + 2]
-            ea = ax * ax + ay * ay + (az * az - 1.0)
-            eb = bx * bx + by * by + (bz * bz - 1.0)
-            wrong |= 0 if abs(ea) <= 2.0 * NORM_TOLERANCE and abs(eb) <= 2.0 * NORM_TOLERANCE else 1
-            fa = 1.0 - ea * (0.5 - 0.375 * ea)  # 1/sqrt(1 + e): the next term is below 3e-18
-            fb = 1.0 - eb * (0.5 - 0.375 * eb)
-            value = kernel(ax * fa, ay * fa, az * fa, bx * fb, by * fb, bz * fb, constants)  # type: ignore[name-defined]  # noqa: F821
-            o[j] = value if (az if az < bz else bz) >= 0.0 else 0.0
-    return wrong
-
-
-@template("r1 i r1 i r1 i r1 i p w1 i i")
-def _over_angles(theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, constants, out, start, stop):  # type: ignore[no-untyped-def]
-    wrong = 0
-    for first in range(start, stop, BLOCK):
-        count = min(BLOCK, stop - first)
-        ti = theta_i[first * step_ti : first * step_ti + count]
-        pi_ = phi_i[first * step_pi : first * step_pi + count]
-        tr = theta_r[first * step_tr : first * step_tr + count]
-        pr = phi_r[first * step_pr : first * step_pr + count]
-        o = out[first : first + count]
-        for j in range(count):
-            a, b, p, q = ti[j], tr[j], pi_[j], pr[j]
-            wrong |= (
-                0 if 0.0 <= a <= HALF_PI and 0.0 <= b <= HALF_PI and abs(p) <= PHI_LIMIT and abs(q) <= PHI_LIMIT else 1
-            )
-            sin_i, cos_i = sincos_polar(a)
-            sin_r, cos_r = sincos_polar(b)
-            sin_d, cos_d = sincos(q - p)  # in the frame of the source's azimuth
-            o[j] = kernel(sin_i, 0.0, cos_i, sin_r * cos_d, sin_r * sin_d, cos_r, constants)  # type: ignore[name-defined]  # noqa: F821
-    return wrong
-
-
-@template("r1 i r1 i r1 i r1 i p w1 i i")
-def _over_absolute_angles(  # type: ignore[no-untyped-def]
-    theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, constants, out, start, stop
-):
-    wrong = 0
-    for j in range(start, stop):
-        a, b, p, q = theta_i[j * step_ti], theta_r[j * step_tr], phi_i[j * step_pi], phi_r[j * step_pr]
-        if not (0.0 <= a <= HALF_PI and 0.0 <= b <= HALF_PI and abs(p) <= PHI_LIMIT and abs(q) <= PHI_LIMIT):
-            wrong = 1
-            continue
-        sin_i, cos_i = sincos_polar(a)
-        sin_r, cos_r = sincos_polar(b)
-        sin_p, cos_p = sincos(p)
-        sin_q, cos_q = sincos(q)
-        out[j] = kernel(sin_i * cos_p, sin_i * sin_p, cos_i, sin_r * cos_q, sin_r * sin_q, cos_r, constants)  # type: ignore[name-defined]  # noqa: F821
-    return wrong
-
-
-@device
-def off_unit(x, y, z):  # type: ignore[no-untyped-def]
-    """1 where a vector's length is not 1, else 0."""
-    return 0 if abs(x * x + y * y + (z * z - 1.0)) <= 2.0 * NORM_TOLERANCE else 1
-
-
-@template("r1 i i")
-def _off_unit(vectors, start, stop):  # type: ignore[no-untyped-def]
-    wrong = 0
-    part = vectors[3 * start : 3 * stop]
-    for j in range(stop - start):
-        wrong |= kernel(part[3 * j], part[3 * j + 1], part[3 * j + 2])  # type: ignore[name-defined]  # noqa: F821
-    return wrong
-
-
-@template("r1 r1 i w1")
-def _columns(omega_i, omega_r, count, out):  # type: ignore[no-untyped-def]
-    """What the kernel needs of each pair of directions, column after column."""
-    pairs = omega_i.size // 3
-    for j in range(pairs):
-        i = 3 * j
-        numbers = kernel(omega_i[i], omega_i[i + 1], omega_i[i + 2], omega_r[i], omega_r[i + 1], omega_r[i + 2])  # type: ignore[name-defined]  # noqa: F821
-        for k in range(count):
-            out[k * pairs + j] = numbers[k]
-    return 0
-
-
-@template("r1 p w1 i i", columns=True)
-def _at_2(columns, constants, out, start, stop):  # type: ignore[no-untyped-def]
-    n = out.size
-    a, b, o = columns[start:stop], columns[n + start : n + stop], out[start:stop]
-    for j in range(stop - start):
-        o[j] = kernel(a[j], b[j], constants)  # type: ignore[name-defined]  # noqa: F821
-    return 0
-
-
-@template("r1 p w1 i i", columns=True)
-def _at_3(columns, constants, out, start, stop):  # type: ignore[no-untyped-def]
-    n = out.size
-    a, b, c, o = (
-        columns[start:stop],
-        columns[n + start : n + stop],
-        columns[2 * n + start : 2 * n + stop],
-        out[start:stop],
-    )
-    for j in range(stop - start):
-        o[j] = kernel(a[j], b[j], c[j], constants)  # type: ignore[name-defined]  # noqa: F821
-    return 0
-
-
-@template("r1 p w1 i i", columns=True)
-def _at_4(columns, constants, out, start, stop):  # type: ignore[no-untyped-def]
-    n = out.size
-    a, b, c = columns[start:stop], columns[n + start : n + stop], columns[2 * n + start : 2 * n + stop]
-    d, o = columns[3 * n + start : 3 * n + stop], out[start:stop]
-    for j in range(stop - start):
-        o[j] = kernel(a[j], b[j], c[j], d[j], constants)  # type: ignore[name-defined]  # noqa: F821
-    return 0
-
-
-_AT: Final = {2: _at_2, 3: _at_3, 4: _at_4}
 
 
 # --- threads: our own, over serial compiled code, so that no numba threading layer is involved -------------------
@@ -371,7 +239,7 @@ def over_angles(
     if count == 0 or values is out:
         check_angles(arrays)
     if count:
-        run = loop(_over_absolute_angles if absolute else _over_angles, kernel, len(constants))
+        run = loop(_loops.over_absolute_angles if absolute else _loops.over_angles, kernel, len(constants))
         (a, sa), (b, sb), (c, sc), (d, sd) = (_flat(array, shape, count) for array in arrays)
         flat = values.reshape(-1)
         if in_parts(lambda i, j: run(a, sa, b, sb, c, sc, d, sd, constants, flat, i, j), count, split):
@@ -399,7 +267,7 @@ def over_vectors(
     if count == 0 or values is out:
         _check_vectors(arrays)
     if count:
-        run = loop(_over_vectors, kernel, len(constants), in_single=single)
+        run = loop(_loops.over_vectors, kernel, len(constants), in_single=single)
         (l, sl), (v, sv) = (_flat_vectors(array, shape, count) for array in arrays)  # noqa: E741
         flat, numbers = values.reshape(-1), tuple(real(constant) for constant in constants) if single else constants
         if in_parts(lambda i, j: run(l, sl, v, sv, numbers, flat, i, j), count, split):
@@ -412,7 +280,7 @@ def over_vectors(
 
 def _check_vectors(arrays: list[NDArray[Any]]) -> None:
     for array in arrays:
-        run = loop(_off_unit, off_unit, 0)
+        run = loop(_loops.over_lengths, _loops.off_unit, 0)
         flat = np.ascontiguousarray(array, np.float64).reshape(-1)
         if flat.size and in_parts(lambda i, j, run=run, flat=flat: run(flat, i, j), flat.size // 3):  # type: ignore[misc]
             raise _explain_vectors(arrays)
@@ -461,7 +329,7 @@ class Geometry:
         found = self._kept.get(take)
         if found is None:
             found = np.empty(count * (self.omega_i.size // 3))
-            loop(_columns, take, 0)(self.omega_i, self.omega_r, count, found)
+            loop(_loops.over_columns, take, 0)(self.omega_i, self.omega_r, count, found)
             self._kept[take] = found
         return found
 
@@ -485,9 +353,9 @@ def at_geometry(kernel: Kernel, constants: Constants, where: Geometry, *, split:
     flat = values.reshape(-1)
     if flat.size and "columns" in kernel.__dict__:
         columns = where.columns(kernel)
-        shade = loop(_AT[kernel.__dict__["count"]], kernel, len(constants))
+        shade = loop(_loops.AT[kernel.__dict__["count"]], kernel, len(constants))
         in_parts(lambda i, j: shade(columns, constants, flat, i, j), flat.size, split)
     elif flat.size:
-        run = loop(_over_vectors, kernel, len(constants))
+        run = loop(_loops.over_vectors, kernel, len(constants))
         in_parts(lambda i, j: run(where.omega_i, 1, where.omega_r, 1, constants, flat, i, j), flat.size, split)
     return delivered(out, values)

@@ -9,7 +9,7 @@ import numpy as np
 
 from gonio.errors import ArgumentError
 from gonio.models.engine import common_shape, real_array
-from gonio.models.model import number
+from gonio.models.parameters import number
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

@@ -15,8 +15,11 @@ from gonio.models._compile import loop
 from gonio.models._facets import fresnel_constants
 from gonio.models._hemisphere import about_mirror, about_source
 from gonio.models._htsg_series import TIERS
+from gonio.models._loops import HALF_PI
 from gonio.models.engine import Constants, Kernel
-from gonio.models.model import Index, Model, checked_index, checked_wavelength, choice, index_at, number, over_thetas
+from gonio.models.hemispherical import TOLERANCE
+from gonio.models.model import Model, over_thetas
+from gonio.models.parameters import Index, checked_index, checked_wavelength, choice, index_at, number
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -232,16 +235,16 @@ class HeTorrance(Model):
         return self._lobe(theta, wavelength_nm, tolerance) + self.diffuse_albedo
 
     def _lobe(
-        self, theta: NDArray[np.float64], wavelength_nm: float, tolerance: float = hemispherical.TOLERANCE
+        self, theta: NDArray[np.float64], wavelength_nm: float, tolerance: float = TOLERANCE
     ) -> NDArray[np.float64]:
         constants = (0.0, *self._constants(wavelength_nm)[1:])
         each, place = np.unique(theta, return_inverse=True)
         return np.array([self._lobe_hemispherical(t, constants, tolerance) for t in each])[place]
 
     def _lobe_hemispherical(self, theta: float, constants: Constants, tolerance: float) -> float:
-        """The integral of lobe * cos(theta_r): two rules agree to a tenth of the tolerance, and the better one counts."""
+        """The integral of lobe * cos(theta_r): two rules agree to a tenth of `tolerance`, and the better one counts."""
         _, scale, _, width, slope, _, _, rise, *_ = constants
-        if theta >= engine.HALF_PI or scale == 0.0:
+        if theta >= HALF_PI or scale == 0.0:
             return 0.0
         narrow = min(0.25, 1.0 / math.sqrt(1.0 + 4.0 * width))  # 1/(k0 tau)
         critical = math.asin(math.sqrt(1.0 + rise)) if -1.0 < rise < 0.0 else None  # 0 < Re n^2 < 1

@@ -18,8 +18,10 @@ from gonio.errors import DataError
 from gonio.models import engine
 from gonio.models._compile import loop, template
 from gonio.models._facets import above, by_angle, by_sxy2, by_tan2
+from gonio.models._loops import HALF_PI
 from gonio.models._math import sincos
-from gonio.models.engine import HALF_PI, Constants, Kernel
+from gonio.models.engine import Constants, Kernel
+from gonio.models.parameters import number
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -48,6 +50,7 @@ def reflectance(
     tolerance: float = TOLERANCE,
 ) -> Any:
     """rho_dh for a source, or (`viewer`) rho_hd for a viewer, at arguments that are checked here and broadcast."""
+    tolerance = number("tolerance", tolerance, 1e-12, 0.1)
     names = ("theta_r", "phi_r") if viewer else ("theta_i", "phi_i")
     polar, azimuth = (engine.real_array(name, value) for name, value in zip(names, (theta, phi), strict=True))
     nothing = [np.zeros(1)] * 2

@@ -17,8 +17,9 @@ from gonio.models import engine
 from gonio.models._compile import device, loop, template
 from gonio.models._htsg_kernels import shadowing as pair_shadowing
 from gonio.models._htsg_series import expand, expm1, lambert_w
+from gonio.models._loops import HALF_PI
 from gonio.models._math import log, sincos_polar
-from gonio.models.model import choice
+from gonio.models.parameters import choice
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -76,7 +77,7 @@ def shadowing(theta: ArrayLike, sigma0: ArrayLike, tau: ArrayLike, form: str = "
         engine.real_array(name, value) for name, value in (("theta", theta), ("sigma0", sigma0), ("tau", tau))
     )
     for name, array, good, allowed in (
-        ("theta", angle, (angle >= 0.0) & (angle <= engine.HALF_PI), "in [0, pi/2] rad"),
+        ("theta", angle, (angle >= 0.0) & (angle <= HALF_PI), "in [0, pi/2] rad"),
         ("sigma0", rough, (rough >= 0.0) & np.isfinite(rough), "finite and at least 0"),
         ("tau", length, (length > 0.0) & np.isfinite(length), "finite and above 0"),
     ):

@@ -10,7 +10,8 @@ import numpy as np
 
 from gonio.models._compile import device
 from gonio.models.engine import Constants, Kernel
-from gonio.models.model import Model, number, store
+from gonio.models.model import Model, store
+from gonio.models.parameters import number
 
 if TYPE_CHECKING:
     from gonio.typing import Floats

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import cmath
 import dataclasses
 import difflib
 import functools
 import inspect
-import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, cast, overload
 
 import numpy as np
 
-from gonio.errors import ArgumentError, refuse_masked
+from gonio.errors import ArgumentError
 from gonio.models import engine, hemispherical
 from gonio.models.engine import SPLIT, Constants, Geometry, Kernel
+from gonio.models.parameters import Parameters, checked_wavelength
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -24,9 +23,6 @@ if TYPE_CHECKING:
     from gonio.typing import Floats
 
     Vector = tuple[float, float, float]
-
-Index = complex | str | Sequence[float] | Callable[[float], complex]
-"""A complex refractive index n + ik, [n, k], a material's name, or a function of the wavelength in nm."""
 
 
 class Model(ABC):
@@ -42,7 +38,7 @@ class Model(ABC):
     """How many evaluations are worth a thread of their own."""
 
     @property
-    def parameters(self) -> dict[str, Any]:
+    def parameters(self) -> Parameters:
         """The constructor's arguments by name, as reports print them and `gonio.models.build` takes them."""
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(cast(Any, self)) if f.init}
 
@@ -376,103 +372,6 @@ def store(model: Model, **values: Any) -> None:
     """Set a frozen model's fields to their checked values while it is being made."""
     for key, value in values.items():
         object.__setattr__(model, key, value)
-
-
-# --- parameters ---------------------------------------------------------------------------------------------------
-
-
-def number(name: str, value: Any, low: float = -math.inf, high: float = math.inf, unit: str = "") -> float:
-    """A real parameter in [low, high]; raises `ArgumentError` naming it otherwise."""
-    refuse_masked(name, value)
-    if type(value) is not float and (
-        isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating))
-    ):
-        try:
-            value = np.asarray(value).item() if isinstance(value, np.ndarray) and value.dtype.kind in "fiu" else None
-        except ValueError:
-            value = None
-        if value is None:
-            raise ArgumentError(f"{name} must be one real number{unit and f' [{unit}]'}")
-    result = float(value)
-    if not low <= result <= high or math.isinf(result):
-        allowed = f"at least {low:g}" if math.isinf(high) else f"in [{low:g}, {high:g}]"
-        raise ArgumentError(
-            f"{name} = {result:g}{unit and ' ' + unit}: must be "
-            f"{'finite' if math.isinf(low) and math.isinf(high) else 'finite and ' + allowed}"
-        )
-    return result
-
-
-def checked_wavelength(value: Any) -> float:
-    """A wavelength [nm] in [1e-6, 1e12]: from gamma rays to radio; raises `ArgumentError` otherwise."""
-    return number("wavelength_nm", value, 1e-6, 1e12, unit="nm")
-
-
-def positive(name: str, value: Any, unit: str = "") -> float:
-    """A real parameter above zero; raises `ArgumentError` naming it otherwise."""
-    result = number(name, value, unit=unit)
-    if result <= 0.0:
-        raise ArgumentError(f"{name} = {result:g}{unit and ' ' + unit}: must be above 0")
-    return result
-
-
-def choice(name: str, value: Any, allowed: Sequence[str]) -> str:
-    """One of a few names; raises `ArgumentError` with the nearest of them otherwise."""
-    if isinstance(value, str) and value in allowed:
-        return str(value)
-    near = difflib.get_close_matches(str(value), allowed, n=1)
-    listed = ", ".join(f'"{option}"' for option in allowed)
-    raise ArgumentError(
-        f"{name} = {value!r}: must be one of {listed}" + (f'; did you mean "{near[0]}"?' if near else "")
-    )
-
-
-@functools.lru_cache(maxsize=64)
-def _material(name: str) -> Callable[[float], complex]:
-    from gonio import materials
-
-    return cast(Callable[[float], complex], materials.ior(name))
-
-
-@functools.lru_cache(maxsize=1024)
-def _material_at(name: str, wavelength_nm: float) -> complex:
-    return complex(_material(name)(wavelength_nm))
-
-
-def checked_index(ior: Any, name: str = "ior") -> Any:
-    """An `Index` argument in its stored form: a complex number, a material's name, or a function."""
-    if isinstance(ior, str):
-        _material(ior)
-        return ior
-    if callable(ior):
-        return ior
-    if isinstance(ior, (list, tuple)) or (isinstance(ior, np.ndarray) and ior.ndim > 0):
-        if len(ior) != 2:
-            raise ArgumentError(f"{name} = {ior!r}: a list must be [n, k]")
-        return _valid_index(complex(number(f"{name}[0]", ior[0]), number(f"{name}[1]", ior[1])), name)
-    return _valid_index(ior, name)
-
-
-def _valid_index(ior: Any, name: str) -> complex:
-    try:
-        if isinstance(ior, (bool, str)):  # complex() would take them
-            raise TypeError
-        value = complex(ior)
-    except (TypeError, ValueError):
-        raise ArgumentError(
-            f"{name} = {ior!r}: must be a number n + ik, [n, k], a material's name, or a function of wavelength_nm"
-        ) from None
-    if not (cmath.isfinite(value) and 0.0 < value.real <= 1e8 and 0.0 <= value.imag <= 1e8):
-        raise ArgumentError(f"{name} = {value}: n must be above 0 and k at least 0, both at most 1e8")
-    return value
-
-
-def index_at(ior: Any, wavelength_nm: float, name: str = "ior") -> complex:
-    """The complex index n + ik of a checked `Index` at a wavelength [nm]."""
-    if isinstance(ior, complex):
-        return ior
-    value = _material_at(ior, wavelength_nm) if isinstance(ior, str) else ior(wavelength_nm)
-    return _valid_index(value, f"{name} at {wavelength_nm:g} nm")
 
 
 @functools.cache

@@ -16,7 +16,8 @@ from gonio.models._compile import device, of_columns
 from gonio.models._groove_integral import gaussian_grooves, isotropic_grooves, parallel_grooves
 from gonio.models._math import atan_over_near
 from gonio.models.engine import SPLIT, Constants, Kernel
-from gonio.models.model import Model, choice, number, store
+from gonio.models.model import Model, store
+from gonio.models.parameters import choice, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,7 +9,8 @@ import numpy as np
 
 from gonio.errors import ArgumentError
 from gonio.models.engine import Geometry, delivered
-from gonio.models.model import Model, number
+from gonio.models.model import Model
+from gonio.models.parameters import Parameters, number
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -56,7 +57,7 @@ class Sum(Model):
         return f"Sum({', '.join(f'({model!r}, {weight!r})' for model, weight in self.terms)})"
 
     @property
-    def parameters(self) -> dict[str, Any]:
+    def parameters(self) -> Parameters:
         return {
             f"{model.name} {j + 1}": {"weight": weight, **model.parameters}
             for j, (model, weight) in enumerate(self.terms)

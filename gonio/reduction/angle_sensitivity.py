@@ -3,10 +3,10 @@
 A value at the pose that was read is f(true directions) cos(true theta_i) / cos(read theta_i). How f changes is
 taken from the run's own curves, which the instrument's cones have smoothed already. A curve is split into
 
-- a lobe, smooth over the spacing of the points: its slope in theta_r is the curve's own; its change with theta_i at a
-  fixed distance from the mirror direction comes from the curves of the neighbouring angles of incidence at that
-  distance (zero without neighbours), because lobes move with the mirror direction; out of the plane of incidence it has
-  the shape over the half vector's angle that the curves in the plane have, times what changes smoothly between points;
+- a lobe, smooth over the spacing of the points. Its slope in theta_r is the curve's own. Lobes move with the mirror
+  direction, so its change with theta_i is taken at a fixed distance from it, from the curves of the neighbouring angles
+  of incidence (zero without neighbours). Out of the plane of incidence the lobe has the shape over the half vector's
+  angle that the curves in the plane have, times what changes smoothly between points;
 - a specular spike, which `gonio.reduction.spikes` finds: its shape is the overlap of the lamp's mirror image with the
   lens.
 
@@ -24,7 +24,8 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from gonio.geometry import AT_NORMAL, SAME_NOMINAL, Directions
-from gonio.reduction.spikes import Scene, Share, find, lagrange, overlap
+from gonio.reduction.spike_overlap import Share, overlap
+from gonio.reduction.spikes import Scene, find, lagrange
 from gonio.typing import Floats
 
 NARROWEST = math.radians(0.2)
@@ -36,7 +37,7 @@ PROBE = math.radians(0.5)
 AT_ONCE = 256
 """Points out of plane whose shapes are computed together: a few megabytes with hundreds of curves."""
 AMONG = 24
-"""So many points nearest to one are looked at for the seven nearest: enough where some are equally far away."""
+"""How many of the points nearest to one are ranked to find its seven nearest: some may be equally far away."""
 ALIKE = math.radians(10.0)
 """Curves whose angles of difference differ by this much are alike."""
 
@@ -44,12 +45,12 @@ ALIKE = math.radians(10.0)
 def _from_above(d: Directions, azimuth: float) -> Floats:
     """(x, y, theta_i) [rad] of one pair of directions, which stay smooth where an angle passes through the normal.
 
-    The detector is seen from above the sample: x along the goal's plane of incidence, whose azimuth is given, positive
-    on the mirror side, and y across it; theta_i has the sign of its side.
+    The detector is seen from above the sample. x runs along the goal's plane of incidence, whose azimuth is given, and
+    is positive on the mirror side; y runs across it. theta_i has the sign of its side.
     """
     theta_i, phi_i, theta_r, phi_r = d.floats
     along, across = theta_i * math.cos(phi_i - azimuth), theta_i * math.sin(phi_i - azimuth)
-    # across a plane that the normal alone would define, theta_i does not change
+    # near the normal the source has no plane of incidence of its own: what lies across the goal's changes nothing
     signed = math.copysign(theta_i, along) if theta_i >= AT_NORMAL else along
     turn = math.atan2(across, along) if signed >= AT_NORMAL else 0.0  # rotate with the plane of incidence
     phi = phi_r - azimuth - turn
@@ -70,7 +71,7 @@ class Curves:
     half_angles
         Of the lamp and of the lens [rad].
     shares
-        What each point sees of a spike (`gonio.reduction.spikes.blurred_overlap`).
+        What each point sees of a spike (`gonio.reduction.spike_overlap.blurred_overlap`).
     """
 
     def __init__(
@@ -236,10 +237,11 @@ class Curves:
     def _apart_from(
         self, shape: Floats, k: int, near: npt.NDArray[np.intp], weight: Floats
     ) -> tuple[Floats, float, Floats]:
-        """Slopes of point k, their standard uncertainty and bends: those of a shape, and of what is left of the values.
+        """Slopes of point k, their standard uncertainty, and curvatures: of a lobe's shape and of what departs from it.
 
-        That is interpolated by a parabola in x and in y, even in y, through the nearest points of the same incidence.
-        It is uncertain by itself: where it is steep, points are too far apart.
+        The values over the shape are interpolated by a parabola in x and in y, even in y, through the nearest points
+        of the same incidence. The slope of that counts as uncertain by itself: where it is steep, points are too far
+        apart.
         """
         slopes: Floats = (shape[:3] - shape[3:6]) / (2 * PROBE)
         bends = (shape[:2] + shape[3:5] - 2.0 * shape[6]) / PROBE**2
@@ -257,7 +259,7 @@ class Curves:
         return slopes * size, doubt * size, abs(bends * size + slopes[:2] ** 2 * float(self.lobe[k]))
 
     def _profile(self, half: Floats, difference: Floats) -> Floats:
-        """Logarithm of the lobe in the plane of incidence, over angles of the half vector, near those of difference."""
+        """Logarithm of the in-plane lobe at angles of the half vector, from curves at about the angle of difference."""
         values, far = [], []
         for line, theta_i, curve in zip(self._lines, self._middles, self._curves, strict=True):
             if line.size < 2:
@@ -307,7 +309,7 @@ class Curves:
     def _values(self, k: int, near: list[Directions]) -> list[float]:
         steps = [_from_above(d, self._azimuth[k]) - self._places[k] for d in near]
         out = [float(self.lobe[k] + self.slope[k] @ step) for step in steps]
-        if self.spike[k]:  # all in one call, which costs more than what it computes
+        if self.spike[k]:  # one call for all of them: calling costs more than computing
             spikes = self.spike[k] * overlap(Directions.stack(near).mirror_offset, *self._half_angles)
             out = [lobe + spike for lobe, spike in zip(out, spikes.tolist(), strict=True)]
         return out
@@ -348,7 +350,7 @@ def _weighted(secants: list[tuple[float, float]]) -> float:
 
 
 def _distinct(at: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Points of a curve; those that are read closer together than a slope can be told from count once."""
+    """Points of a curve; those too close together to give a slope count once."""
     apart = np.concatenate([[True], np.diff(at) > 0.1 * NARROWEST])[: at.size]
     return at[apart], values[apart]
 

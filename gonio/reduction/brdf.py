@@ -1,7 +1,7 @@
 """Raw frames to BRDF with uncertainty: what `gonio reduce` does. The formulas are explained in docs/radiometry.md.
 
-Every pixel of the region of interest is freed of its own bias and dark charge and divided by the geometry that it
-is known to see (docs/architecture.md, "The measurement equation"); the mean over the region is a rate in electrons
+Every pixel of the region of interest is freed of its own bias and dark charge, and divided by the geometry that it
+is known to see (docs/architecture.md, "The measurement equation"). The mean over the region is a rate in electrons
 a second. Frames of one point are merged with the inverse of the variance that EMVA 1288 predicts for the *pooled*
 signal. A rate over the signal per unit BRDF, which visits to the white reference tell, is the BRDF.
 """
@@ -19,7 +19,7 @@ import numpy as np
 from gonio.acquisition.plan import ANGLES
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import Directions, mirrored
-from gonio.reduction import angle_sensitivity, spikes, white_reference
+from gonio.reduction import angle_sensitivity, spike_overlap, white_reference
 from gonio.reduction.count_rates import Reduced, Rejected, RunFrames, in_threads
 from gonio.reduction.dark_signal import PATTERNS, strongest
 from gonio.reduction.reference_table import brdf_of_reference
@@ -250,7 +250,7 @@ def _shares(
     errors: list[tuple[str, float]],
     cones: tuple[float, float],
     band: Band,
-) -> list[spikes.Share]:
+) -> list[spike_overlap.Share]:
     """What each point sees of a specular spike."""
     g, radius = description.geometry, description.acquisition.roi_radius_mm
     # beyond six standard deviations of the errors nothing of the mirror image is seen
@@ -259,11 +259,11 @@ def _shares(
     for point in points:
         d = point.directions
         if float(d.mirror_offset) >= sum(cones) + blur:
-            out.append(spikes.Share())
+            out.append(spike_overlap.Share())
             continue
         moved = Directions.stack([_moved(description, point.pose, axis, u) for axis, u in errors])
-        patch = spikes.over_patch(d, radius, g.light_distance_mm, g.camera_distance_mm)
-        out.append(spikes.blurred_overlap(d, moved, cones, patch, _over_pixels(description, point, band)))
+        patch = spike_overlap.over_patch(d, radius, g.light_distance_mm, g.camera_distance_mm)
+        out.append(spike_overlap.blurred_overlap(d, moved, cones, patch, _over_pixels(description, point, band)))
     return out
 
 

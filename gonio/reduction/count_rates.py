@@ -73,7 +73,7 @@ class Reduced:
     """Of everything that is independent from step to step, the pixels' responsivities left out."""
     dark: Floats
     """Change of the rate for one standard deviation of the noise of the shorter and of the longer dark frames in each
-    of the patterns that points share (`darks.Patterns`), shape (2, n); zero for a visit to the reference."""
+    of the patterns that points share (`dark_signal.Patterns`), shape (2, n); zero for a visit to the reference."""
     time_s: float
     chi_square: float
     """Of the frames around their mean."""
@@ -243,7 +243,7 @@ class RunFrames:
             return Rejected(step.point, "below_horizon")
         region, taken = found
         named = [frame.file for frame in _lit(step, band)]
-        # a point is taken again; a visit to the reference is worth what is left of it
+        # a point can be taken again; of a visit to the reference the frames that are left count
         if not self.damaged.keys().isdisjoint(named) and (step.kind == "point" or not taken):
             return Rejected(step.point, "damaged")
         shots = [shot for shot in taken if shot.peak < USABLE]
@@ -278,9 +278,10 @@ def _lit(step: StepRecord, band: Band) -> list[FrameRecord]:
 def pool(
     description: RigDescription, region: Region, shots: list[Shot], dark_exposures_s: Floats
 ) -> tuple[float, float, float, float, Floats]:
-    """Rate [e-/s], its variance, the time of the merged frames, the chi-square of the frames around their mean, and
-    the change of the rate for one standard deviation of the mean dark signal of the shorter and of the longer darks.
+    """The merged rate of a point's frames [e-/s], and what goes with it.
 
+    That is its variance, the time of the merged frames, and the chi-square of the frames around their mean. Last comes
+    the change of the rate for one standard deviation of the mean dark signal of the shorter and of the longer darks.
     Weights come from the pooled rate, not from each frame's own: a frame that is dark by chance gets no larger weight.
     """
     camera, lamp = description.camera, description.lamp

@@ -14,12 +14,12 @@ from gonio.rig.imaging import Roi
 from gonio.typing import Floats
 
 FEW = 300
-"""Regions of as many points tell the patterns of all: any patterns describe noise, these leave little of it."""
+"""Patterns are made from the regions of about so many points. They leave out little of the noise of the others."""
 HELD = 2**24
 """Pixels of all these regions together that are held at once: 128 MB."""
 PATTERNS = 6
 COLUMNS = 3
-"""Of a table, for what its values share of the noise of the dark frames."""
+"""How many columns of a table hold what its values share of the noise of the dark frames."""
 
 
 class Darks:
@@ -67,8 +67,8 @@ class Darks:
 class Patterns:
     """Orthonormal patterns of pixels that make up most of the regions of all points.
 
-    The noise of a dark frame is independent from pixel to pixel, so what it does to the mean over a region is a sum
-    over patterns, each with a normal number of its own that all points share.
+    The noise of a dark frame is independent from pixel to pixel. So what it does to the mean over a region is a sum
+    over patterns: each has a normal number of its own, which all points share.
     """
 
     def __init__(self, regions: list[Roi], box: tuple[slice, slice]) -> None:

@@ -13,10 +13,10 @@ from gonio.typing import Floats
 REJECTED = 0.01
 """A straight line whose chi-square is rarer than this does not describe the visits."""
 SAME_TIME_S = 1e-3
-"""Visits closer than this are at one time: a drift between them is none."""
+"""Visits closer than this count as one time: no drift is told from them."""
 EXTRAPOLATED = 0.1
-"""Farther outside of the visits than these are apart, a line that changes the level by more than this part of it says
-nothing: a rate over such a level is not linear in the level's error any more, and the level may turn negative."""
+"""Largest relative change of the level that a line may make farther outside of the visits than these are apart. Beyond
+it a rate over the level is not linear in the level's error any more, and the level may turn negative."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,7 @@ class Level:
 
     Where the visits lie on a straight line within their noise, K(t) = level + slope (t - centre), whose two
     parameters are uncorrelated; `departure` and `extra` are zero. Otherwise K is interpolated linearly between the
-    visits (and constant beyond the first and the last): `departure` is half of the difference between that and the
+    visits, and constant beyond the first and the last. `departure` is then half of the difference between that and the
     line, `extra` what the noise of the nearest visits adds to the noise of the mean level. Where the visits do not
     tell the lamp's drift, K is their mean, `slope` and `u_slope` are zero, and `unknown` says why; `extra` is then what
     they scatter beyond their noise.

@@ -259,7 +259,7 @@ def _is_constant(model: Model) -> bool:
 
 def _normal_index(model: Model, wavelength_nm: float, where: str) -> complex:
     """The index of refraction that a model has at a wavelength."""
-    from gonio.models.model import index_at
+    from gonio.models.parameters import index_at
 
     if isinstance(model, (CookTorrance, Blinn, HeTorrance)):
         return index_at(model.ior, wavelength_nm)

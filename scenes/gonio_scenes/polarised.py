@@ -12,7 +12,7 @@ import numpy as np
 from gonio.errors import ConfigError
 from gonio.geometry import angles
 from gonio.models import HeTorrance, Lambert, Model, OrenNayar, Sum, fresnel
-from gonio.models.model import index_at
+from gonio.models.parameters import index_at
 from gonio.typing import Floats
 
 

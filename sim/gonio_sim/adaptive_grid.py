@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 
 from gonio.compiled import njit
+from gonio.models._compile import jit
+from gonio.models._math import cubic
 from gonio.typing import Floats
 
 TOLERANCE = 1e-4
@@ -113,6 +115,9 @@ def _evaluate(
     return NodeGrid(values, left, bottom, side)
 
 
+_cubic = jit(cubic)
+
+
 @njit(nogil=True, error_model="numpy")
 def _paint(
     values: Any,
@@ -137,20 +142,15 @@ def _paint(
             t = (y[i, j] - bottom) * per_h
             col = min(max(int(s) - 1, 0), last)
             row = min(max(int(t) - 1, 0), last)
-            a0, a1, a2, a3 = _weights(s - col)
-            b0, b1, b2, b3 = _weights(t - row)
-            total = 0.0
-            for k, b in ((0, b0), (1, b1), (2, b2), (3, b3)):
-                line = values[row + k]
-                total += b * (a0 * line[col] + a1 * line[col + 1] + a2 * line[col + 2] + a3 * line[col + 3])
-            out[i, j] = total
-
-
-@njit(nogil=True, error_model="numpy")
-def _weights(t: float) -> tuple[float, float, float, float]:
-    """Weights of nodes 0, 1, 2, 3 at the position t in units of their spacing."""
-    u, v, w = t - 1.0, t - 2.0, t - 3.0
-    return -u * v * w / 6.0, t * v * w / 2.0, -t * u * w / 2.0, t * u * v / 6.0
+            s, t = s - col, t - row
+            l0, l1, l2, l3 = values[row], values[row + 1], values[row + 2], values[row + 3]
+            out[i, j] = _cubic(
+                t,
+                _cubic(s, l0[col], l0[col + 1], l0[col + 2], l0[col + 3]),
+                _cubic(s, l1[col], l1[col + 1], l1[col + 2], l1[col + 3]),
+                _cubic(s, l2[col], l2[col + 1], l2[col + 2], l2[col + 3]),
+                _cubic(s, l3[col], l3[col + 1], l3[col + 2], l3[col + 3]),
+            )
 
 
 @njit(nogil=True, error_model="numpy")

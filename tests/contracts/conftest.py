@@ -1,167 +1,113 @@
-"""The rigs that the contracts are tried on: ours, the twins of a laboratory, a stranger's, or that of --rig."""
+"""What the contracts are tried on: every rig, arm set, light and camera that there is, or what is in the rig of --rig.
+
+`case` and `rig` serve all tests of a file: a rig is entered once and used by one test after the other, as in a run. A
+test of how a rig is entered and left builds its own from `case`, in a file where no test uses `rig`.
+"""
 
 from __future__ import annotations
 
-import importlib.util
-import re
-import sys
-import tomllib
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from pathlib import Path
-from types import ModuleType
+import math
+from collections.abc import Iterator
 
 import pytest
-from gonio_drivers.lab import LAB
-from gonio_sim.rig import SIM, SIM_IDEAL, SimulatedRig
-from gonio_sim.wire import tether
-from gonio_sim.wire.twins import Twins
 
-from gonio.acquisition.measure import find_rig, load_sample
-from gonio.config import parse
-from gonio.rig import Rig, RigPlugin
-from gonio.rig.description import RigDescription, SampleDescription
-from tests.gonio_drivers.conftest import be_patient
-from tests.gonio_drivers.test_lab import small
-from tests.places import ROOT
+from gonio.rig import Pose, Rig, Step
+from tests.contracts import cameras, rigs
+from tests.contracts.cameras import Eye
+from tests.contracts.rigs import Case
 
-SAMPLE = SampleDescription(name="matt", model="lambert", parameters={"albedo": 0.5})
-RIGS = ("sim", "sim-ideal", "lab-scpi", "lab-mightex", "lab-arduino", "stranger")
-SMALL = {"width": 64, "height": 48}
-SDK = '''
-import math
-
-import numpy as np
-
-
-class Bench:
-    """A matt surface behind the controller that the guide's rig speaks to."""
-
-    def __init__(self):
-        self.angles, self.lit, self.rng = {"light": 0.0, "camera": 0.0}, True, np.random.default_rng(1)
-
-    def go(self, angles):
-        self.angles.update(angles)
-
-    def where(self):
-        return dict(self.angles)
-
-    def halt(self):
-        pass
-
-    def filter(self, name):
-        assert name == "green"
-
-    def lamp(self, on):
-        self.lit = on
-
-    def expose(self, seconds):
-        light = math.radians(self.angles["light"])
-        charge = self.rng.poisson(40_000 * 0.5 * math.cos(light) * seconds if self.lit else 0.0, (120, 160))
-        return np.clip(np.rint(charge / 3 + 64), 0, 4095).astype(np.uint16)
-
-    def close(self):
-        pass
-
-
-BENCH = Bench()
-
-
-def open(port, timeout):
-    return BENCH
-'''
-
-
-@dataclass(frozen=True)
-class Case:
-    """A rig to try: how to build it anew, and where a lamp can be looked at from outside, whether it shines."""
-
-    name: str
-    plugin: RigPlugin
-    description: RigDescription
-    sample: SampleDescription | None
-    shines: Callable[[], bool] | None = None
-
-    def build(self) -> Rig:
-        """The rig, with no device touched."""
-        return self.plugin.open(self.description, sample=self.sample, seed=5, confirm=False)
+RIGS = ("sim", "sim-ideal", "lab-scpi", "stranger")
+LIGHTS = ("sim", "lab-scpi", "lab-mightex", "lab-arduino", "stranger")
+TRIED = {
+    "test_rig": RIGS,
+    "test_arms": RIGS,
+    "test_dark": LIGHTS,
+    "test_light": LIGHTS,
+    "test_camera": (*dict.fromkeys(RIGS + LIGHTS), *cameras.NAMES),
+}
+"""By file. What two rigs share they are not asked twice: the lamps' languages are three, with one set of arms."""
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    if "case" in metafunc.fixturenames:
-        named = metafunc.config.getoption("--rig")
-        metafunc.parametrize("case", [named] if named else RIGS, indirect=True)
+    asked = metafunc.config.getoption("--rig")
+    tried = [asked] if asked else TRIED[metafunc.module.__name__.rpartition(".")[2]]
+    name = "eye" if "eye" in metafunc.fixturenames else "case"
+    metafunc.parametrize(name, tried, indirect=True, scope="module")
+
+
+@pytest.fixture(scope="module")
+def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Case]:
+    yield from cases(request, tmp_path_factory)
+
+
+def cases(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Case]:
+    if request.config.getoption("--rig"):
+        yield rigs.named(request.param, request.config.getoption("--sample"))
+        return
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        yield from rigs.opened(request.param, tmp_path_factory.mktemp(request.param), monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def entered(case: Case) -> Iterator[Rig]:
+    with case.build() as rig:
+        start(rig, case)
+        yield rig
 
 
 @pytest.fixture
-def case(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Case]:
-    name = request.param
-    if request.config.getoption("--rig"):
-        choice = find_rig(name)
-        file = request.config.getoption("--sample")
-        yield Case(name, choice.plugin, choice.description, load_sample(file) if file else SAMPLE)
-    elif name == "stranger":
-        yield stranger(tmp_path, monkeypatch)
-    elif name.startswith("lab-"):
-        yield from twins(name, tmp_path, monkeypatch)
-    else:
-        yield simulated(name)
+def rig(entered: Rig, case: Case) -> Rig:
+    """A rig that is open, with its arms at home, the sample in the beam, and the lamp dark."""
+    entered.light.off()
+    if off_deg(entered.arms.read(), home(case), case) > LANDED_DEG:
+        start(entered, case)
+    return entered
 
 
-def simulated(name: str) -> Case:
-    plugin = {"sim": SIM, "sim-ideal": SIM_IDEAL}[name]
-    tables = tomllib.loads(plugin.toml)
-    tables["camera"] |= SMALL
-
-    @dataclass(frozen=True)
-    class Watched:
-        """Keeps the rig that was built last, so that its lamp can be looked at."""
-
-        toml: str
-        built: list[SimulatedRig]
-
-        def open(
-            self, description: RigDescription, *, sample: SampleDescription | None, seed: int, confirm: bool
-        ) -> Rig:
-            self.built.append(plugin.open(description, sample=sample, seed=seed, confirm=confirm))
-            return self.built[-1]
-
-    watched = Watched(plugin.toml, [])
-    description = parse(RigDescription, tables, name)
-    return Case(name, watched, description, SAMPLE, lambda: watched.built[-1].world.lamp_on)
+@pytest.fixture(scope="module")
+def eye(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Eye]:
+    """A camera that is open: a rig's, with its arms at home, or one by itself."""
+    if request.param in cameras.NAMES and not request.config.getoption("--rig"):
+        with pytest.MonkeyPatch.context() as monkeypatch:
+            yield from cameras.opened(request.param, tmp_path_factory.mktemp(request.param), monkeypatch)
+        return
+    for case in cases(request, tmp_path_factory):
+        with case.build() as rig:
+            start(rig, case)
+            yield Eye(rig.camera, rig.description, rig.time_s, cameras.switch(rig.light))
 
 
-def twins(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Case]:
-    """The laboratory's drivers on the wire; lamps in the three languages."""
-    monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)
-    monkeypatch.setattr(tether, "FILE_LATE_S", 0.5)
-    described = small()
-    devices = described.devices | {"light": described.devices["light"] | {"dialect": name.partition("-")[2]}}
-    described = described.model_copy(update={"devices": devices})
-    with Twins(described, SAMPLE, 3, folder=tmp_path / "twin", scale=50.0) as bench:
-        be_patient(bench.peers["servos"], bench.faults, monkeypatch)
-        yield Case(name, LAB, bench.description, None, lambda: bench.world.lamp_on)
+LANDED_DEG = 0.5
+"""A landing as far off as this is another direction; drivers state tighter tolerances of their own."""
+STANDS_DEG = 0.2
+"""Between two readings at rest: two encoder steps of the coarsest common encoder (4096 a turn)."""
 
 
-def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Case:
-    """The rig of docs/writing_a_driver.md, as it stands there."""
-    guide = (ROOT / "docs" / "writing_a_driver.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"^```\w+\n(.*?)^```", guide, re.DOTALL | re.MULTILINE)
-    (code,) = (block for block in blocks if "class BenchPlugin" in block)
-    (toml,) = (block for block in blocks if 'rig = "bench"' in block)
-    sdk = imported("bench_sdk", SDK, tmp_path)
-    monkeypatch.setitem(sys.modules, "bench_sdk", sdk)
-    driver = imported("stranger_rig", code, tmp_path)
-    description = parse(RigDescription, tomllib.loads(toml), "bench.toml")
-    return Case("stranger", driver.BENCH, description, None, lambda: bool(sdk.BENCH.lit))
+def home(case: Case) -> Pose:
+    """A pose inside all limits, from which every axis can go a little both ways."""
+    middle = {name: (low + high) / 2 for name, (low, high) in case.description.limits_deg().items()}
+    apart = {"light": -20.0, "camera": 25.0}
+    return Pose(**{name: math.radians(apart.get(name, deg)) for name, deg in middle.items()})
 
 
-def imported(name: str, code: str, folder: Path) -> ModuleType:
-    path = folder / f"{name}.py"
-    path.write_text(code)
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def exposure_s(case: Case) -> float:
+    """Short, but inside the limits."""
+    return cameras.short_s(case.description)
+
+
+def begin(rig: Rig, case: Case, index: int = 0) -> None:
+    """Begin a step at home; nothing turns yet."""
+    rig.begin(Step(index=index, kind="point", point=0, pose=home(case)))
+
+
+def start(rig: Rig, case: Case, index: int = 0) -> Pose:
+    """Begin a step at home, with the sample in the beam; where the arms landed."""
+    begin(rig, case, index)
+    rig.present("sample")
+    rig.light.select(case.description.bands.all()[0])
+    return rig.arms.move(home(case))
+
+
+def off_deg(a: Pose, b: Pose, case: Case) -> float:
+    """The largest difference of two poses over the axes that the rig has [deg]."""
+    return max(abs(math.degrees(getattr(a, name) - getattr(b, name))) for name in case.description.axes())

@@ -160,12 +160,12 @@ def test_where_numba_s_names_have_gone_its_plain_cache_serves(cache: Path, monke
 
 
 def test_kernels_of_models_are_kept_so(cache: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    from gonio.models import Lambert, _compile, engine
+    from gonio.models import Lambert, _compile, _loops
 
     kernel, constants = Lambert(0.5)._evaluation(550.0)
 
     def fresh() -> Any:
-        return _compile._loop(engine._over_angles, kernel, len(constants))
+        return _compile._loop(_loops.over_angles, kernel, len(constants))
 
     fresh()
     assert loaded(fresh())

@@ -318,9 +318,9 @@ def test_a_table_longer_than_a_chunk_of_the_reader() -> None:
 
 
 def test_sizes_are_bounded_before_anything_is_built(monkeypatch: pytest.MonkeyPatch) -> None:
-    from gonio.formats import reader
+    from gonio.formats import text
 
-    monkeypatch.setattr(reader, "MAX_LINES", 100)
+    monkeypatch.setattr(text, "MAX_LINES", 100)
     with pytest.raises(DataError, match=r"x\.csv: has more than 100 lines"):
         measurement.parse(b"theta_i_deg,u_brdf\n" + b"\n" * 300, Path("x.csv"))
     with pytest.raises(DataError, match="larger than 16 MiB, the largest Klems XML"):

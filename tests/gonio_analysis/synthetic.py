@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from gonio_analysis.fitting.covariance import Covariance
 from gonio_analysis.fitting.forward import seen
+from gonio_analysis.fitting.value_covariance import Covariance
 
 from gonio.formats.reader import table
 from gonio.geometry import Directions

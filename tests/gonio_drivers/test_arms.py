@@ -21,7 +21,8 @@ from gonio_drivers.joints import COUNTS
 from gonio_sim.wire import protocol2 as p2
 from gonio_sim.wire.bus import ServoBus
 from gonio_sim.wire.peer import SerialPeer, scaled_clock
-from gonio_sim.wire.servo import Mechanics, Refused, Servo
+from gonio_sim.wire.registers import Refused
+from gonio_sim.wire.servo import Mechanics, Servo
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose
@@ -128,8 +129,8 @@ def test_a_servo_that_obeys_a_second_id_is_put_right(line: Line) -> None:
 
 
 def test_a_servo_that_keeps_no_profile_is_not_moved(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
-    put = line.servos[2]._put
-    monkeypatch.setattr(line.servos[2], "_put", lambda n, v: put(n, 0 if n == "Profile Velocity" else v))
+    put = line.servos[2].registers.put
+    monkeypatch.setattr(line.servos[2].registers, "put", lambda n, v: put(n, 0 if n == "Profile Velocity" else v))
     fast = ServoArms(describe(), servos(line.port))
     with (
         pytest.raises(DeviceError, match=r"axis camera: servo id 2 does not keep its profile.*'Profile Velocity': 0"),
@@ -140,8 +141,8 @@ def test_a_servo_that_keeps_no_profile_is_not_moved(line: Line, monkeypatch: pyt
 
 
 def test_a_servo_that_measures_no_voltage_is_not_taken_for_one_without_a_supply(line: Line) -> None:
-    put = line.servos[2]._put
-    line.servos[2]._put = lambda name, value: put(name, 0 if name == "Present Input Voltage" else value)  # type: ignore[method-assign]
+    put = line.servos[2].registers.put
+    line.servos[2].registers.put = lambda name, value: put(name, 0 if name == "Present Input Voltage" else value)  # type: ignore[method-assign]
     with ServoArms(describe(), servos(line.port)) as arms:
         assert arms.joints["camera"].health.voltage_v == 0  # type: ignore[union-attr]
 
@@ -387,7 +388,7 @@ def test_a_servo_with_a_low_velocity_limit_gets_the_time_that_it_needs(line: Lin
 
 
 def test_a_bus_watchdog_that_has_run_out_is_cleared_and_told(line: Line, caplog: pytest.LogCaptureFixture) -> None:
-    line.servos[2]._put("Bus Watchdog", -1)
+    line.servos[2].registers.put("Bus Watchdog", -1)
     with ServoArms(describe(), servos(line.port)) as arms:
         assert "axis camera: servo id 2 had stopped by itself" in caplog.text
         assert degrees(arms.move(pose(0, 10, 0)))[1] == pytest.approx(10, abs=TOLERANCE_DEG)
@@ -418,7 +419,7 @@ def test_a_program_that_is_held_up_in_mid_move_sends_the_servos_on(
                     servo._heard_s -= 1.0  # as if it had heard nothing for a second: it stopped before it set out
                     servo.shaft()
                     if forgets:  # where a stop clears the profile
-                        servo._put("Profile Velocity", 0)
+                        servo.registers.put("Profile Velocity", 0)
         return real(*arguments)
 
     monkeypatch.setattr(arms.bus, "read_all", held_up)
@@ -444,11 +445,11 @@ def test_old_firmware_without_a_watchdog_moves_and_says_so(
     line: Line, caplog: pytest.LogCaptureFixture, answer: str
 ) -> None:
     for servo in line.servos.values():
-        read, put = servo.read, servo._put
+        read, put = servo.read, servo.registers.put
         if answer == "a refusal":
             servo.read = functools.partial(lambda read, a, n: refuse() if a == 98 else read(a, n), read)  # type: ignore[method-assign]
         else:
-            servo._put = functools.partial(lambda put, n, v: put(n, 0 if n == "Bus Watchdog" else v), put)  # type: ignore[method-assign]
+            servo.registers.put = functools.partial(lambda put, n, v: put(n, 0 if n == "Bus Watchdog" else v), put)  # type: ignore[method-assign]
     if answer == "none":
         deaf_to(line, bytes([p2.READ, 98, 0]))
 
@@ -549,9 +550,9 @@ def test_an_axis_that_moves_by_itself_is_noticed(arms: ServoArms, line: Line) ->
 def test_a_flicker_of_the_encoder_is_no_motion(arms: ServoArms, line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two counts to one side while it landed, and two to the other side: four apart, and nothing has moved."""
     flicker: Iterator[int] = itertools.repeat(2)
-    put = line.servos[1]._put
+    put = line.servos[1].registers.put
     flickers = lambda name, value: put(name, value + (next(flicker) if name == "Present Position" else 0))  # noqa: E731
-    monkeypatch.setattr(line.servos[1], "_put", flickers)
+    monkeypatch.setattr(line.servos[1].registers, "put", flickers)
     arms.move(pose(10, 0, 0))
     flicker = itertools.cycle([-2, 2])
     for _ in range(4):
@@ -588,7 +589,7 @@ def test_the_hardware_error_byte_is_read_after_every_move_alert_or_not(
 ) -> None:
     arms.move(pose(0, 0, 0))
     monkeypatch.setattr(type(line.servos[1]), "error", 0)  # a firmware that forgets the alert bit
-    line.servos[1]._put("Hardware Error Status", 0x08)
+    line.servos[1].registers.put("Hardware Error Status", 0x08)
     with pytest.raises(DeviceError, match=r"axis light: servo id 1 reports: encoder or motor fault"):
         arms.move(pose(5, 0, 0))
 

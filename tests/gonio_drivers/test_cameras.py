@@ -434,6 +434,13 @@ def test_a_sequence_of_raw_files_insists_on_the_exposure(tmp_path: Path) -> None
         camera.capture(0.01)
 
 
+def test_a_sequence_of_frames_of_another_size(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), np.full((SIZE[0], 2 * SIZE[1]), 40_000, np.uint16))
+    camera = cameras.build(DESCRIPTION, {"driver": "sequence", "folder": str(tmp_path)})
+    with camera, pytest.raises(DeviceError, match=r"a\.png: the frame has 128 x 48 pixels; the rig file says"):
+        camera.capture(0.01)
+
+
 def test_a_damaged_or_empty_sequence(tmp_path: Path) -> None:
     camera = cameras.build(DESCRIPTION, {"driver": "sequence", "folder": str(tmp_path)})
     with pytest.raises(ConfigError, match="holds no frames"), camera:

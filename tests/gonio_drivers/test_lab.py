@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
 from collections.abc import Callable, Iterator
 from importlib.resources import files
 from pathlib import Path
@@ -22,7 +23,7 @@ from gonio_drivers.arms import ServoArms
 from gonio_drivers.lab import LAB, LabRig
 from gonio_sim.wire import faults, motion, tether
 from gonio_sim.wire.servo import Servo
-from gonio_sim.wire.twins import Twins, plug
+from gonio_sim.wire.twins import Twins, rig_file
 
 from gonio.acquisition.measure import RigChoice, carry_out, find_rig
 from gonio.acquisition.plan import load_plan
@@ -59,8 +60,6 @@ SHORT_S = 3.0
 
 def small(**changes: dict[str, Any]) -> RigDescription:
     """The shipped rig with a small sensor and few frames: it measures the same patch in a tenth of the time."""
-    import tomllib
-
     tables = tomllib.loads(LAB.toml)
     tables["camera"] |= {"width": 64, "height": 48}
     tables["reference"] |= {"frames": 3}
@@ -275,7 +274,7 @@ def patient_dialect(folder: Path) -> Path:
 @pytest.mark.parametrize("presses", [2, 5])
 def test_rapid_ctrl_c_ends_with_130_and_one_message(twins: Twins, tmp_path: Path, presses: int) -> None:
     (tmp_path / "plan.toml").write_text(PLAN)
-    rig = plug(twins.description)
+    rig = tomllib.loads(rig_file(twins.description))
     rig["devices"]["light"]["dialect"] = str(patient_dialect(tmp_path))
     (tmp_path / "rig.toml").write_text(to_toml(rig))
     program = "from gonio_drivers import arms, sdk; arms.GRACE_S, sdk.PATIENCE_MS = 600, 60_000\n"  # on a busy machine

@@ -1,4 +1,4 @@
-"""The bench as a user runs it: the `gonio` command in a process of its own."""
+"""The bench as a user runs it: the `gonio` command, in a process of its own where that is what counts."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from tests.command_line import gonio as in_this_process
 
 HANGS_S = 600.0
 """A command that takes longer than this hangs; an idle machine takes seconds, and a busy one a minute or two."""
@@ -48,13 +50,22 @@ def gonio(tmp_path: Path) -> Command:
             stdin=subprocess.DEVNULL,
             check=False,
         )
-        assert "Traceback" not in done.stdout + done.stderr, done.stderr
-        assert done.returncode == expect, (
-            f"exit code {done.returncode}, expected {expect}:\n{done.stdout}\n{done.stderr}"
-        )
-        return done
+        return checked(done, expect)
 
     return run
+
+
+@pytest.fixture
+def here(tmp_path: Path) -> Command:
+    """As `gonio`, in this process: without a second or two for each command to start."""
+    return lambda *arguments, expect=0: checked(in_this_process(tmp_path, *arguments), expect)
+
+
+def checked(done: subprocess.CompletedProcess[str], expect: int) -> subprocess.CompletedProcess[str]:
+    """What a command did, if it ended with this exit code and without a traceback."""
+    assert "Traceback" not in done.stdout + done.stderr, done.stderr
+    assert done.returncode == expect, f"exit code {done.returncode}, expected {expect}:\n{done.stdout}\n{done.stderr}"
+    return done
 
 
 @pytest.fixture

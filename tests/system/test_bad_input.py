@@ -35,9 +35,9 @@ def said(done: object) -> str:
     ],
     ids=["angle", "key", "band", "no wavelength", "no angle", "step 0", "nothing reachable", "not toml", "points file"],
 )
-def test_bad_plan(gonio: Command, files: Path, plan: str, words: list[str]) -> None:
+def test_bad_plan(here: Command, files: Path, plan: str, words: list[str]) -> None:
     (files / "plan.toml").write_text(plan)
-    text = said(gonio("measure", "plan.toml", "--rig", "sim", "--sample", "sample.toml", "--out", "run", expect=USAGE))
+    text = said(here("measure", "plan.toml", "--rig", "sim", "--sample", "sample.toml", "--out", "run", expect=USAGE))
     for word in words:
         assert word in text
     assert not (files / "run").exists()
@@ -53,9 +53,9 @@ def test_bad_plan(gonio: Command, files: Path, plan: str, words: list[str]) -> N
     ],
     ids=["parameter", "value", "model", "key"],
 )
-def test_bad_sample(gonio: Command, files: Path, sample: str, words: list[str]) -> None:
+def test_bad_sample(here: Command, files: Path, sample: str, words: list[str]) -> None:
     (files / "sample.toml").write_text(sample)
-    text = said(gonio("measure", "plan.toml", "--rig", "sim", "--sample", "sample.toml", "--out", "run", expect=USAGE))
+    text = said(here("measure", "plan.toml", "--rig", "sim", "--sample", "sample.toml", "--out", "run", expect=USAGE))
     for word in words:
         assert word in text
     assert not (files / "run").exists()
@@ -86,7 +86,7 @@ def test_bad_sample(gonio: Command, files: Path, sample: str, words: list[str]) 
     ],
     ids=lambda value: " ".join(value[:2]) if isinstance(value, tuple) else None,
 )
-def test_bad_argument(gonio: Command, files: Path, arguments: tuple[str, ...], code: int, words: list[str]) -> None:
+def test_bad_argument(here: Command, files: Path, arguments: tuple[str, ...], code: int, words: list[str]) -> None:
     (files / "columns.csv").write_text("a,b,c\n1,2,3\n")
     (files / "empty.csv").write_text("")
     (files / "junk.astm").write_bytes(bytes(range(256)) * 12)
@@ -94,7 +94,7 @@ def test_bad_argument(gonio: Command, files: Path, arguments: tuple[str, ...], c
         "theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,wavelength_nm,polarisation,brdf,u_brdf,u_random,flag\n"
         "30,0,10,180,550,unpolarised,0.15,0.001,0.001,\n30,0,20,180,550,unpolarised,0.15,0.001,0.001,\n"
     )
-    text = said(gonio(*arguments, expect=code))
+    text = said(here(*arguments, expect=code))
     for word in words:
         assert word in text
     assert not (files / "x").exists()
@@ -113,14 +113,14 @@ def test_a_terminal_that_knows_no_plus_minus_shows_something_else(
     assert "albedo" in gonio("fit", "good.csv", "--model", "lambert").stdout
 
 
-def test_a_reference_outside_the_frame_is_found_by_every_command(gonio: Command, files: Path) -> None:
+def test_a_reference_outside_the_frame_is_found_by_every_command(here: Command, files: Path) -> None:
     """The frame of the shipped rig is 29 mm wide and 22 mm high."""
-    shipped = gonio("rig", "show", "sim").stdout
+    shipped = here("rig", "show", "sim").stdout
     beside = shipped.replace('how = "swap"', 'how = "beside"\noffset_mm = [0.0, 15.0]', 1)
     (files / "my.toml").write_text(beside)
     measure = ("measure", "plan.toml", "--rig", "my.toml", "--sample", "sample.toml", "--out", "run")
     for command in (("plan", "show", "plan.toml", "--rig", "my.toml"), (*measure, "--dry-run"), measure):
-        text = said(gonio(*command, expect=USAGE))
+        text = said(here(*command, expect=USAGE))
         for word in ("my.toml", "[reference] offset_mm = [0, 15]", "480 rows", "nearer"):
             assert word in " ".join(text.split())
         assert not (files / "run").exists()

@@ -66,7 +66,7 @@ def steps_in(files: Path, out: str) -> list[int]:
     return [event["step"] for event in map(json.loads, whole.splitlines()) if event["event"] == "step"]
 
 
-def test_killed_run_resumes_to_the_same_table(gonio: Command, files: Path) -> None:
+def test_killed_run_resumes_to_the_same_table(gonio: Command, here: Command, files: Path) -> None:
     gonio(*MEASURE, "--out", "whole")
     for steps in (2, 5, 9):
         more = ["--resume"] if (files / "cut" / "journal.jsonl").exists() else []
@@ -76,7 +76,7 @@ def test_killed_run_resumes_to_the_same_table(gonio: Command, files: Path) -> No
     gonio(*MEASURE, "--out", "cut", "--resume")
     assert steps_in(files, "cut") == steps_in(files, "whole")
     for out in ("whole", "cut"):
-        gonio("reduce", out)
+        here("reduce", out)
     whole, cut = read(files / "whole" / "brdf.csv"), read(files / "cut" / "brdf.csv")
     assert len(whole) == 12
     numbers = whole.select_dtypes("number").columns
@@ -93,10 +93,10 @@ def test_interrupt_finishes_the_step_and_exits_130(gonio: Command, files: Path) 
     assert len(set(steps_in(files, "run"))) == len(steps_in(files, "run"))
 
 
-def test_a_run_with_events_needs_resume(gonio: Command, files: Path) -> None:
-    gonio(*MEASURE, "--out", "run")
+def test_a_run_with_events_needs_resume(here: Command, files: Path) -> None:
+    here(*MEASURE, "--out", "run")
     before = (files / "run" / "journal.jsonl").read_bytes()
-    assert "--resume" in gonio(*MEASURE, "--out", "run", expect=2).stderr
+    assert "--resume" in here(*MEASURE, "--out", "run", expect=2).stderr
     assert (files / "run" / "journal.jsonl").read_bytes() == before
 
 
@@ -106,31 +106,31 @@ def test_a_run_with_events_needs_resume(gonio: Command, files: Path) -> None:
     ids=["another plan", "another sample"],
 )
 def test_resuming_something_else_is_refused(
-    gonio: Command, files: Path, name: str, old: str, new: str, word: str
+    here: Command, files: Path, name: str, old: str, new: str, word: str
 ) -> None:
-    gonio(*MEASURE, "--out", "run")
+    here(*MEASURE, "--out", "run")
     (files / name).write_text((files / name).read_text().replace(old, new))
-    assert word in gonio(*MEASURE, "--out", "run", "--resume", expect=2).stderr
+    assert word in here(*MEASURE, "--out", "run", "--resume", expect=2).stderr
 
 
-def test_a_lost_journal_is_made_again_and_a_damaged_frame_is_taken_again(gonio: Command, files: Path) -> None:
-    gonio(*MEASURE, "--out", "run")
-    gonio("reduce", "run")
+def test_a_lost_journal_is_made_again_and_a_damaged_frame_is_taken_again(here: Command, files: Path) -> None:
+    here(*MEASURE, "--out", "run")
+    here("reduce", "run")
     run = files / "run"
     table = (run / "brdf.csv").read_bytes()
     frames = {path.name: path.read_bytes() for path in (run / "frames").iterdir()}
     (run / "journal.jsonl").unlink()
-    assert "gonio run repair run" in gonio(*MEASURE, "--out", "run", "--resume", expect=1).stderr
+    assert "gonio run repair run" in here(*MEASURE, "--out", "run", "--resume", expect=1).stderr
     assert {path.name: path.read_bytes() for path in (run / "frames").iterdir()} == frames
-    assert "15 steps" in gonio("run", "repair", "run").stdout
-    gonio("run", "check", "run")
+    assert "15 steps" in here("run", "repair", "run").stdout
+    here("run", "check", "run")
     damaged = run / "frames" / "000004-550nm-02.dng"
     damaged.write_bytes(frames[damaged.name][:-1000])
-    assert damaged.name in gonio("run", "check", "run", expect=1).stderr
-    assert damaged.name in gonio("reduce", "run").stderr
+    assert damaged.name in here("run", "check", "run", expect=1).stderr
+    assert damaged.name in here("reduce", "run").stderr
     assert read(run / "brdf.csv")["flag"].tolist().count("damaged") == 1
-    assert damaged.name in gonio(*MEASURE, "--out", "run", "--resume").stderr
-    gonio("reduce", "run")
+    assert damaged.name in here(*MEASURE, "--out", "run", "--resume").stderr
+    here("reduce", "run")
     assert (run / "brdf.csv").read_bytes() == table
     (run / "brdf.csv").write_bytes(table.replace(b"unpolarised", b"UNPOLARISED"))
-    assert "brdf.csv" in gonio("reduce", "run", expect=2).stderr
+    assert "brdf.csv" in here("reduce", "run", expect=2).stderr

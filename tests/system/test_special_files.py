@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import socket
 import subprocess
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -39,7 +41,8 @@ def _device(path: Path) -> None:
 
 KINDS: dict[str, Callable[[Path], None]] = {"pipe": _pipe, "socket": _socket, "device": _device, "folder": Path.mkdir}
 
-CALL = """
+CALLED = """
+import json
 import sys
 from pathlib import Path
 from gonio.acquisition import repair
@@ -51,22 +54,53 @@ from gonio import measurement
 from gonio.reduction import brdf
 from tests.gonio.numpy_rig import SAMPLE, Plugin, describe
 
-run = Path(sys.argv[1])
-rig = RigChoice(Plugin(), describe(), "numpy")
+def resume(run):
+    rig = RigChoice(Plugin(), describe(), "numpy")
+    carry_out(load_plan(run.parent / "plan.toml"), rig, run, sample=SAMPLE, seed=1, resume=True)
+
 todo = {
-    "check": lambda: repair.check(run),
-    "repair": lambda: repair.repair(run),
-    "resume": lambda: carry_out(load_plan(run.parent / "plan.toml"), rig, run, sample=SAMPLE, seed=1, resume=True),
-    "reduce": lambda: brdf.reduce(Run.open(run)),
-    "read": lambda: measurement.read(run),
+    "check": repair.check,
+    "repair": repair.repair,
+    "resume": resume,
+    "reduce": lambda run: brdf.reduce(Run.open(run)),
+    "read": measurement.read,
 }
-for name in sys.argv[2:]:
+
+def told(run, name):
     try:
-        out = todo[name]()
-        print(name, ",".join(out["flag"]) if name == "reduce" else "done")
+        out = todo[name](Path(run))
+        return ",".join(out["flag"]) if name == "reduce" else "done"
     except (GonioError, OSError) as error:
-        print(name, type(error).__name__, str(error).replace("\\n", " "))
+        return f"{type(error).__name__} {error}"
+
+for line in sys.stdin:
+    run, *names = json.loads(line)
+    print(json.dumps({name: told(run, name) for name in names}), flush=True)
 """
+
+Call = Callable[..., dict[str, str]]
+
+
+@pytest.fixture(scope="module")
+def call() -> Iterator[Call]:
+    """Do things with a run in a process of its own, which is killed where it waits; what each of them said."""
+    with subprocess.Popen([sys.executable, "-c", CALLED], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+
+        def ask(run: Path, *names: str) -> dict[str, str]:
+            assert process.stdin is not None
+            assert process.stdout is not None
+            guard = threading.Timer(LIMIT_S, process.kill)
+            guard.start()
+            try:
+                process.stdin.write(json.dumps([str(run), *names]).encode() + b"\n")
+                process.stdin.flush()
+                answer = process.stdout.readline()
+            finally:
+                guard.cancel()
+            assert answer, f"of {names} one waits for something, or died"
+            return dict(json.loads(answer))
+
+        yield ask
 
 
 @pytest.fixture(scope="module")
@@ -77,14 +111,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = carry_out(load_plan(folder / "plan.toml"), rig, folder / "run", sample=SAMPLE, seed=1, command="")
     run.write_table(brdf.reduce(run))
     return folder
-
-
-def call(run: Path, *names: str) -> dict[str, str]:
-    out = subprocess.run(
-        [sys.executable, "-c", CALL, str(run), *names], capture_output=True, text=True, timeout=LIMIT_S, check=False
-    )
-    assert out.returncode == 0, out.stderr
-    return dict(line.split(" ", 1) for line in out.stdout.splitlines())
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -112,7 +138,7 @@ def test_a_file_that_is_made_has_the_usual_permissions(tmp_path: Path) -> None:
     + [("run.toml", "folder"), ("journal.jsonl", "socket"), ("plan.csv", "device"), ("brdf.csv", "device")],
 )
 def test_nothing_waits_for_what_is_no_file(
-    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, kind: str
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: Call, name: str, kind: str
 ) -> None:
     shutil.copytree(whole, tmp_path / "w")
     run = tmp_path / "w" / "run"
@@ -131,7 +157,7 @@ def test_nothing_waits_for_what_is_no_file(
 
 
 @pytest.mark.parametrize("kind", ["pipe", "device"])
-def test_a_point_whose_frame_is_no_file_is_flagged(whole: Path, tmp_path: Path, kind: str) -> None:
+def test_a_point_whose_frame_is_no_file_is_flagged(whole: Path, tmp_path: Path, call: Call, kind: str) -> None:
     shutil.copytree(whole, tmp_path / "w")
     run = tmp_path / "w" / "run"
     step = next(step for step in Run.open(run).steps() if step.kind == "point")
@@ -149,7 +175,7 @@ def test_a_point_whose_frame_is_no_file_is_flagged(whole: Path, tmp_path: Path, 
     assert step.step not in Run.open(run).steps().numbers  # it counts no more
 
 
-def test_a_record_that_is_a_pipe_says_nothing(whole: Path, tmp_path: Path) -> None:
+def test_a_record_that_is_a_pipe_says_nothing(whole: Path, tmp_path: Path, call: Call) -> None:
     shutil.copytree(whole, tmp_path / "w")
     run = tmp_path / "w" / "run"
     frame = run / "frames" / "000900-550nm-01.dng"

@@ -40,17 +40,17 @@ theta_r_deg = { start = -80, stop = 80, step = 5 }
 """
 
 
-def run(gonio: Command, folder: Path, rig: str, sample: str, plan: str, seed: int) -> pd.DataFrame:
+def run(here: Command, folder: Path, rig: str, sample: str, plan: str, seed: int) -> pd.DataFrame:
     (folder / "sample.toml").write_text(sample)
     (folder / "plan.toml").write_text(plan)
     out = f"{Path(rig).stem}-{seed}"
-    gonio("measure", "plan.toml", "--rig", rig, "--sample", "sample.toml", "--seed", seed, "--out", out)
-    gonio("reduce", out)
+    here("measure", "plan.toml", "--rig", rig, "--sample", "sample.toml", "--seed", seed, "--out", out)
+    here("reduce", out)
     return read(folder / out / "brdf.csv")
 
 
-def test_lambertian_sample_on_the_noisy_rig(gonio: Command, tmp_path: Path) -> None:
-    table = run(gonio, tmp_path, "sim", LAMBERT, LAMBERT_PLAN, 11)
+def test_lambertian_sample_on_the_noisy_rig(here: Command, tmp_path: Path) -> None:
+    table = run(here, tmp_path, "sim", LAMBERT, LAMBERT_PLAN, 11)
     assert len(table) == 3 * 31 + 12
     used = table[table["flag"] == ""]
     assert len(used) >= 90  # three incidences lose the points next to retro, no others
@@ -67,17 +67,17 @@ def test_lambertian_sample_on_the_noisy_rig(gonio: Command, tmp_path: Path) -> N
     np.testing.assert_allclose(used["u_brdf"], total, rtol=1e-12)  # an identity, up to rounding
 
 
-def test_lambertian_sample_on_the_ideal_rig(gonio: Command, tmp_path: Path) -> None:
-    table = run(gonio, tmp_path, "sim-ideal", LAMBERT, LAMBERT_PLAN, 1)
+def test_lambertian_sample_on_the_ideal_rig(here: Command, tmp_path: Path) -> None:
+    table = run(here, tmp_path, "sim-ideal", LAMBERT, LAMBERT_PLAN, 1)
     used = table[table["flag"] == ""]
     # nothing random is left; what remains is the finite patch and the renderer's interpolation
     assert (used["brdf"] / (0.5 / math.pi) - 1).abs().max() < 5e-4
 
 
 @pytest.mark.slow
-def test_rough_aluminium_is_recovered_through_the_instrument(gonio: Command, tmp_path: Path) -> None:
-    table = run(gonio, tmp_path, "sim", ALUMINIUM, ALUMINIUM_PLAN, 3)
-    done = gonio("fit", "sim-3/brdf.csv", "--model", "he-torrance", "--ior", "0.77+6.08j", "--json")
+def test_rough_aluminium_is_recovered_through_the_instrument(here: Command, tmp_path: Path) -> None:
+    table = run(here, tmp_path, "sim", ALUMINIUM, ALUMINIUM_PLAN, 3)
+    done = here("fit", "sim-3/brdf.csv", "--model", "he-torrance", "--ior", "0.77+6.08j", "--json")
     fit = json.loads(done.stdout)
     for name, truth in (("sigma0_um", 0.28), ("tau_um", 1.77)):
         value, u = fit["parameters"][name]["value"], fit["parameters"][name]["u"]
@@ -96,8 +96,8 @@ def test_rough_aluminium_is_recovered_through_the_instrument(gonio: Command, tmp
     assert mirror > 10 * beside  # the spike stands out of the lobe, He1991 Fig. 8
 
 
-def test_a_hidden_zero_offset_is_a_bias_that_the_budget_does_not_know(gonio: Command, tmp_path: Path) -> None:
-    shipped = gonio("rig", "show", "sim-ideal").stdout
+def test_a_hidden_zero_offset_is_a_bias_that_the_budget_does_not_know(here: Command, tmp_path: Path) -> None:
+    shipped = here("rig", "show", "sim-ideal").stdout
     marked = shipped.replace("[arms.light]", "[arms.light]\nzero_offset_deg = 1.0\nzero_offset_known = false", 1)
     lines: list[str] = []
     seen: set[str] = set()
@@ -110,7 +110,7 @@ def test_a_hidden_zero_offset_is_a_bias_that_the_budget_does_not_know(gonio: Com
         seen.add(key)
         lines.append(line)
     (tmp_path / "offset.toml").write_text("\n".join(lines))
-    table = run(gonio, tmp_path, "offset.toml", LAMBERT, LAMBERT_PLAN, 1)
+    table = run(here, tmp_path, "offset.toml", LAMBERT, LAMBERT_PLAN, 1)
     at_55 = table[(table["flag"] == "") & np.isclose(table["theta_i_deg"], 55, atol=0.5)]
     ratio = at_55["brdf"] / (0.5 / math.pi)
     # the encoder shows 1 degree where the arm is at 0, so the lamp stands one degree below what is read;

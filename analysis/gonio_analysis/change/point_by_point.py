@@ -4,11 +4,11 @@ Either side is a measurement or a model. Two measurements are aligned by `gonio_
 is evaluated in the directions and through the cones of the measurement. The difference is B - A.
 
 Significance. The difference has the covariance of both measurements (of two runs, independent of each other) and the
-interpolation's error. Each value is judged against what all the others predict of it (`Covariance.alone`): a common
+interpolation's error. Each value is judged against what all the others predict of it (`Covariance.alone`). So a common
 change of scale, which a new reference could make, does not count as a change of every value. Of n values 4.6 % lie
-beyond 2 standard deviations by chance, so that a value counts as changed only by the false-discovery procedure of
-Benjamini and Hochberg (1995), and the verdict on the whole rests on two tests that share `LEVEL`: chi-square of all
-values, and the largest single one of n.
+beyond 2 standard deviations by chance. A value therefore counts as changed only by the false-discovery procedure of
+Benjamini and Hochberg (1995). The verdict on the whole rests on two tests that share `LEVEL`: chi-square of all values,
+and the largest single one of n.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from gonio.errors import ConfigError, DataError
 from gonio.geometry import SAME_ANGLE, Directions
 from gonio.typing import Floats
 from gonio_analysis.change.resampling import Carried, carry
-from gonio_analysis.fitting.covariance import Covariance
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.objective import scaled_to
 from gonio_analysis.fitting.observations import Observations, describe_left_out, observations
+from gonio_analysis.fitting.value_covariance import Covariance
 
 if TYPE_CHECKING:
     import pandas as pd

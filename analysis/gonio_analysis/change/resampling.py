@@ -8,10 +8,12 @@ where neighbours are more than `FARTHEST` apart there is none.
 Lobes follow the mirror direction, so that positions are counted from it: r = sin(theta_r) (cos dphi, sin dphi) +
 (sin(theta_i), 0). A difference of a few hundredths of a degree between two incidences then moves the lobe along.
 
-The error of an interpolation between x_k with weights w_k is stated as the larger of two: sum_k w_k |g_k - g| |x_k -
-x| / 2, g_k being the gradient that the values around x_k have, and g that of the interpolant, which is exact for a
-parabola in one dimension; and the difference from the interpolation of the logarithms, which rules at the edge of a
-lobe that rises by a large factor from one neighbour to the next, where the gradients say too little.
+The error of an interpolation between x_k with weights w_k is stated as the larger of two:
+
+- sum_k w_k |g_k - g| |x_k - x| / 2, with g_k the gradient that the values around x_k have, and g that of the
+  interpolant. It is exact for a parabola in one dimension.
+- The difference from the interpolation of the logarithms. It is the larger one at the edge of a lobe that rises by a
+  large factor from one neighbour to the next, where the gradients say too little.
 """
 
 from __future__ import annotations
@@ -132,7 +134,7 @@ def _at(waves: Floats, wave: float) -> Rows:
 
 
 def _places(d: Directions, normal: float | None) -> _Places:
-    """At normal incidence azimuths count from `normal`: that of the source means nothing."""
+    """Where directions lie; at normal incidence azimuths count from `normal`, as that of the source means nothing."""
     if normal is not None:
         d = d.seen_from(normal)
     points = d.from_incidence

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.summaries import CauseSummary
+from gonio_analysis.result_records import CauseSummary
 
 
 def budget(data: Observations) -> list[CauseSummary]:

@@ -1,7 +1,7 @@
 """Fitting a reflectance model to a measurement table.
 
 Weighted least squares with the table's whole covariance: residuals are whitened
-(`gonio_analysis.fitting.covariance`), the model is evaluated through the cones of the instrument
+(`gonio_analysis.fitting.value_covariance`), the model is evaluated through the cones of the instrument
 (`gonio_analysis.fitting.forward`), and the search starts from the best points of a coarse grid
 (`gonio_analysis.fitting.search`).
 
@@ -31,7 +31,7 @@ from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observati
 from gonio_analysis.fitting.parameters import Family
 from gonio_analysis.fitting.problem import STARTS, FitRequest, Problem, pose, together
 from gonio_analysis.fitting.search import STEP, covariance, refine, search, search_from, settle
-from gonio_analysis.summaries import FitSummary, ParameterSummary, as_json, finite
+from gonio_analysis.result_records import FitSummary, ParameterSummary, as_json, finite
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -162,8 +162,7 @@ class FitResult:
 
     def to_json(self) -> dict[str, Any]:
         """What `gonio fit --json` prints: plain numbers, strings and None."""
-        found: dict[str, Any] = as_json(self.summary())
-        return found
+        return dict(as_json(self.summary()))
 
 
 def fit(

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gonio.typing import Floats
-from gonio_analysis.fitting.covariance import Covariance, independent
 from gonio_analysis.fitting.observations import Observations
+from gonio_analysis.fitting.value_covariance import Covariance, independent
 
 LOSSES: dict[str, tuple[Callable[[Floats], Floats], Callable[[Floats], Floats]]] = {
     "linear": (lambda z2: z2, np.ones_like),

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from gonio.errors import DataError
 from gonio.geometry import AT_HORIZON, Directions
 from gonio.typing import Floats
-from gonio_analysis.fitting.covariance import Covariance
+from gonio_analysis.fitting.value_covariance import Covariance
 
 if TYPE_CHECKING:
     import pandas as pd

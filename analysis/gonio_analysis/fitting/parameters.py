@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from gonio.errors import ConfigError
 from gonio_analysis.fitting.observations import Observations
 
 Values = dict[str, float]
+Arguments: TypeAlias = "dict[str, float | complex | str | tuple[tuple[float, float], ...] | Arguments]"
+"""Of a model's constructor; of a sum, those of its parts by their names."""
 Ior = complex | str | None
 """A constant n + ik, the name of a material, or None: not given."""
 
@@ -49,7 +51,7 @@ class Family:
     """Those that are fitted unless the user says otherwise."""
     fixed: Values
     """Values of those that are not fitted unless the user frees them."""
-    arguments: Callable[[Values], dict[str, Any]]
+    arguments: Callable[[Values], Arguments]
     """Parameter values -> arguments of the model's constructor."""
     starts: Callable[[Observations], list[Values]]
     """Coarse grid over the parameters that the model depends on strongly (values for those only)."""
@@ -221,7 +223,7 @@ def _cook_torrance(slopes: int, ior: Ior) -> Family:
     names = ("m",) if slopes == 1 else ("m_1", "m_2", "w_1")
     fixed, free, needs = _ior_defaults(ior, ("s", *names, "diffuse_albedo", "ior"))
 
-    def arguments(v: Values) -> dict[str, Any]:
+    def arguments(v: Values) -> Arguments:
         slope = ((v["m"], 1.0),) if slopes == 1 else ((v["m_1"], v["w_1"]), (v["m_2"], 1.0 - v["w_1"]))
         # s + d = 1 to the last bit: the constructor refuses more
         return {
@@ -314,7 +316,7 @@ def _sum(name: str, ior: Ior) -> Family:
     own = {"k_d", "diffuse_albedo"} & {p.name for p in gloss.parameters}
     level = (Parameter("weight", 0.0, 1.0),) if terms[1] == "he-torrance" else ()
 
-    def arguments(v: Values) -> dict[str, Any]:
+    def arguments(v: Values) -> Arguments:
         shine = gloss.arguments({**v, **dict.fromkeys(own, 0.0)})
         return {
             terms[0]: {"weight": 1.0, **base.arguments(v)},
@@ -352,7 +354,7 @@ def _ior_defaults(ior: Ior, free: tuple[str, ...]) -> tuple[Values, tuple[str, .
     return {"ior": ior.real, "k": ior.imag}, rest, False
 
 
-def _ior_argument(values: Values, ior: Ior) -> Any:
+def _ior_argument(values: Values, ior: Ior) -> float | complex | str:
     if isinstance(ior, str):
         return ior
     return complex(values["ior"], values["k"]) if values["k"] else values["ior"]

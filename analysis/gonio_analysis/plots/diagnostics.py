@@ -3,18 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
 from gonio.typing import Floats
+from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.plots.in_plane import COLOURS, FAINT, INK, angle_axis, clean
-from gonio_analysis.selection.profile_likelihood import Interval
 
-DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1.5, 1, 1.5)), (0, (3, 1)), (0, (8, 2)))
+Dashes = str | tuple[int, tuple[float, ...]]
+DASHES: tuple[Dashes, ...] = (
+    "-",
+    (0, (5, 1.5)),
+    (0, (1, 1)),
+    (0, (5, 1.5, 1, 1.5)),
+    (0, (3, 1)),
+    (0, (8, 2)),
+)
 
 
-def look(k: int) -> dict[str, Any]:
+class Look(TypedDict):
+    """Colour and dashes of a line, as matplotlib's `plot` takes them."""
+
+    color: str
+    ls: Dashes
+
+
+def look(k: int) -> Look:
     """Colour and dashes of part k of a budget (0: the combined uncertainty); 36 of them differ."""
     n = len(COLOURS)
     return {"color": INK if k == 0 else COLOURS[(k - 1) % n], "ls": DASHES[(k + max(k - 1, 0) // n) % len(DASHES)]}

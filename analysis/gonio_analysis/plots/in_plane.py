@@ -8,7 +8,7 @@ own.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -20,12 +20,27 @@ MARKERS = ("o", "s", "^", "D", "v", "P")
 INK, FAINT = "#222222", "#c9ced6"
 
 
-def style(k: int) -> dict[str, Any]:
+class Style(TypedDict):
+    """Colour and marker, as matplotlib's `plot` takes them."""
+
+    color: str
+    marker: str
+
+
+class Markers(TypedDict, total=False):
+    """Markers along a line, as matplotlib's `plot` takes them."""
+
+    marker: str
+    ms: float
+    markevery: tuple[float, float]
+
+
+def style(k: int) -> Style:
     """Colour and marker of curve number `k`."""
     return {"color": COLOURS[k % len(COLOURS)], "marker": MARKERS[k % len(MARKERS)]}
 
 
-def sparse(k: int) -> dict[str, Any]:
+def sparse(k: int) -> Markers:
     """A few markers along curve number `k`, of which no values are drawn: colours alone do not tell lines in print."""
     return {"marker": style(k)["marker"], "ms": 3.2, "markevery": (0.03 + 0.025 * (k % 6), 0.17)}
 
@@ -67,7 +82,7 @@ def polar(ax: Any, lines: Sequence[Line], *, radius: float | None = None, radius
         look = style(k)
         notes: list[str] = []
         if line.theory.size:
-            marks = {} if line.measured.size else sparse(k)
+            marks = Markers() if line.measured.size else sparse(k)
             path = xy(line.theory_angle, line.theory)
             artists += ax.plot(*path, color=look["color"], lw=1.5, label=line.label, zorder=3, **marks)
             artists[-1].set_clip_path(clip)
@@ -117,7 +132,7 @@ def semilog(ax: Any, lines: Sequence[Line], *, unit: str = "BRDF [1/sr]") -> lis
         look = style(k)
         if line.theory.size:
             value = np.where(line.theory > 0, line.theory, np.nan)
-            marks = {} if line.measured.size else sparse(k)
+            marks = Markers() if line.measured.size else sparse(k)
             x = np.degrees(line.theory_angle)
             artists += ax.plot(x, value, color=look["color"], lw=1.4, label=line.label, zorder=3, **marks)
         shown = line.measured > 0
@@ -175,7 +190,7 @@ def linear(ax: Any, lines: Sequence[Line], *, y_label: str) -> list[Any]:
     for k, line in enumerate(lines):
         look = style(k)
         if line.theory.size:
-            marks = {} if line.measured.size else sparse(k)
+            marks = Markers() if line.measured.size else sparse(k)
             x = np.degrees(line.theory_angle)
             artists += ax.plot(x, line.theory, color=look["color"], lw=1.4, label=line.label, zorder=3, **marks)
         if line.measured.size:

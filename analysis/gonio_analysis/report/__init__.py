@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.parameters import Ior
 from gonio_analysis.report import detail, figures, files, html, page, pdf, tables, viewer
+from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.drawing import Draughtsmen, draughtsmen
-from gonio_analysis.report.summary import summarise
+from gonio_analysis.result_records import FigureSummary, Summary, as_json
 from gonio_analysis.selection import parallel
 from gonio_analysis.selection.compare import Dataset, examine
 from gonio_analysis.selection.run_record import run_facts
-from gonio_analysis.summaries import FigureSummary, Summary, as_json
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 MARKERS = 40_000
 """On one page; each takes about 60 bytes."""
@@ -73,28 +70,28 @@ def make(
             for sample, table in many.items():
                 found.append((sample, spec if len(many) == 1 else f"{spec}:{sample}", table, run))
         names = _distinct([sample for sample, *_ in found], [source for _, source, *_ in found])
-        options: dict[str, Any] = {"normalise": normalise, "ior": ior, "wavelength_nm": wavelength_nm}
+        examined = partial(examine, models=models, normalise=normalise, ior=ior, wavelength_nm=wavelength_nm)
         jobs = [
-            (table, models, options | {"name": name, "source": source, "run": run})
+            partial(examined, table, name=name, source=source, run=run)
             for name, (_, source, table, run) in zip(names, found, strict=True)
         ]
         with draughtsmen(2 * len(jobs) * len(models)) as hands:  # they get ready while the models are fitted
             if len(jobs) < parallel.FEW and dask is None:
-                datasets = [examine(table, models, **own, progress=progress) for table, _, own in jobs]
+                datasets = [job(progress=progress) for job in jobs]
             else:
                 datasets = []
                 for dataset in parallel.each(_examined, jobs, dask=dask):
                     datasets.append(dataset)
                     progress(f"{dataset.name}: fitted ({len(datasets)} of {len(jobs)})")
             title = names[0] if len(names) == 1 else " and ".join(names) if len(names) == 2 else f"{len(names)} samples"
-            options = {"title": title, "normalise": normalise, "command": command}
-            write(datasets, stage.work, **options, hands=hands, progress=progress)
+            write(
+                datasets, stage.work, title=title, normalise=normalise, command=command, hands=hands, progress=progress
+            )
     return Path(out) / "index.html"
 
 
-def _examined(job: tuple[pd.DataFrame, Sequence[str], dict[str, Any]]) -> Dataset:
-    table, models, options = job
-    return examine(table, models, **options)
+def _examined(job: Callable[[], Dataset]) -> Dataset:
+    return job()
 
 
 def write(

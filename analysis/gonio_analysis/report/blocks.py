@@ -7,11 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from gonio_analysis.report.figures import Figure
 from gonio_analysis.report.text import cut, glued
+from gonio_analysis.report.viewer import View
 
+MOST_ROWS = 300
+"""Of a table on a page; the files in `tables/` have all of them."""
 MOST_FACTS, MOST_WORDS = 200, 2000
 """Entries of a list, and characters of one."""
 
@@ -119,8 +122,7 @@ class Viewer:
 
     kind: ClassVar[str] = "viewer"
     slug: str
-    view: dict[str, Any] = field(repr=False)
-    """As `gonio_analysis.report.viewer.viewer` has it."""
+    view: View = field(repr=False)
 
 
 @dataclass(frozen=True)

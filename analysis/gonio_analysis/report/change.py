@@ -17,6 +17,7 @@ from gonio_analysis.fitting.observations import Observations, describe_left_out
 from gonio_analysis.plots import thinning
 from gonio_analysis.report import change_figures, files, html, pdf, viewer
 from gonio_analysis.report.blocks import (
+    MOST_ROWS,
     Block,
     Figures,
     Footer,
@@ -32,25 +33,22 @@ from gonio_analysis.report.blocks import (
     notes,
     table,
 )
-from gonio_analysis.report.drawing import Draughtsmen, draughtsmen
-from gonio_analysis.report.figures import Figure
-from gonio_analysis.report.page import MOST_BYTES, MOST_ROWS
-from gonio_analysis.report.summary import stamp
-from gonio_analysis.report.tables import write_columns, write_csv
-from gonio_analysis.report.text import difference, number, percent
-from gonio_analysis.selection.run_record import run_facts
-from gonio_analysis.summaries import (
+from gonio_analysis.report.change_records import (
     ChangeAtWavelength,
     ChangeMetric,
     ChangeSummary,
-    FigureSummary,
     MeasuredSide,
     ModelSide,
-    RunFacts,
     VerdictSummary,
-    as_json,
-    finite,
 )
+from gonio_analysis.report.comparison import stamp
+from gonio_analysis.report.drawing import Draughtsmen, draughtsmen
+from gonio_analysis.report.figures import Figure
+from gonio_analysis.report.page import MOST_BYTES
+from gonio_analysis.report.tables import write_columns, write_csv
+from gonio_analysis.report.text import difference, number, percent
+from gonio_analysis.result_records import FigureSummary, RunFacts, as_json, finite
+from gonio_analysis.selection.run_record import run_facts
 
 FIGURES = 6
 """That a comparison has, about."""
@@ -135,8 +133,7 @@ def _write(
     )
     view = _view(c, at, listed, drawn, shown) if drawn else None
     page = _page(found, figures, view)
-    files.write(folder, as_json(found), figures)
-    (folder / "index.html").write_text(html.document(page), encoding="utf-8")
+    files.write_page(folder, page, as_json(found), figures)
     pdf.write(folder / "report.pdf", [page])
 
 
@@ -258,7 +255,7 @@ def _view(c: Change, at: Observations, listed: list[Curve], drawn: list[Curve], 
     keep = {int(k.rows[0]) for k in drawn}
     first = [n for k, n in zip(listed, names, strict=True) if int(k.rows[0]) in keep]
     sides = {f"A: {c.a.name}": (c.a, c.value_a, c.u_a), f"B: {c.b.name}": (c.b, c.value_b, c.u_b)}
-    entries = []
+    entries: list[viewer.CurveView] = []
     most = max(viewer.BYTES // (2 * viewer.MEASURED_BYTES * max(len(listed), 1)), viewer.FEWEST)
     shorter = [thinning.of_curve(curve, most) for curve in listed]
     for curve, name in zip(shorter, names, strict=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -13,12 +14,12 @@ from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import Curve, Rows, groups, labels
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
+from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.plots import diagnostics, in_plane, maps, thinning
 from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, Drawing, budget_height, largest
 from gonio_analysis.report.text import cause, unit
+from gonio_analysis.result_records import DatasetSummary
 from gonio_analysis.selection.compare import Dataset
-from gonio_analysis.selection.profile_likelihood import Interval
-from gonio_analysis.summaries import DatasetSummary
 
 MOST = 3
 """Incidences that are drawn, at most."""
@@ -147,7 +148,7 @@ def _on_space(figure: Any, *, mesh: maps.Mesh, measured: tuple[Floats, Floats, F
 
 
 def _profiles(d: Dataset, facts: DatasetSummary) -> Drawing:
-    from gonio_analysis.selection.profile_likelihood import rise
+    from gonio_analysis.fitting.profile_likelihood import rise
 
     named = d.choice.named
     assert named is not None
@@ -203,7 +204,7 @@ def _budget(d: Dataset, facts: DatasetSummary, most: int) -> Drawing:
     return Drawing(f"{facts.slug}-budget-angle", "budget-angle", "", caption, caption, size, on)
 
 
-def _on_budget(figure: Any, *, panels: list[Any], entries: list[tuple[str, dict[str, Any]]]) -> None:
+def _on_budget(figure: Any, *, panels: list[Any], entries: list[tuple[str, diagnostics.Look]]) -> None:
     high = budget_height(len(entries))
     below = 0.5 + LEGEND_ROW_IN * -(-len(entries) // 4)
     axes = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
@@ -227,7 +228,7 @@ def _parts(d: Dataset, curve: Curve, common: list[int]) -> tuple[Any, list[tuple
     return curve.angle, parts
 
 
-def _legend(figure: Any, entries: list[tuple[str, dict[str, Any]]]) -> None:
+def _legend(figure: Any, entries: Sequence[tuple[str, diagnostics.Look | in_plane.Style]]) -> None:
     from matplotlib.lines import Line2D
 
     handles = [Line2D([], [], lw=1.4, ms=3.5, label=text, **look) for text, look in entries]

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from gonio.typing import Floats
 from gonio_analysis.curves.line import Line
 from gonio_analysis.plots import diagnostics, in_plane, thinning
 from gonio_analysis.report.text import cause, number, slug
+from gonio_analysis.result_records import DatasetSummary
 from gonio_analysis.selection.compare import Dataset, Fitted
-from gonio_analysis.summaries import DatasetSummary
 
 SVG = {
     "svg.fonttype": "none",
@@ -265,7 +266,7 @@ def _series(facts: DatasetSummary, model: str, f: Fitted) -> Drawing:
     return Drawing(f"{facts.slug}-series-{slug(model)}", "series", model, caption, caption, (5.6, 1.9), on)
 
 
-def _on_series(figure: Any, *, x: Any, values: dict[str, Any]) -> None:
+def _on_series(figure: Any, *, x: Any, values: dict[str, Floats]) -> None:
     axes = figure.subplots(1, len(values), squeeze=False)[0]
     figure.subplots_adjust(0.1, 0.26, 0.985, 0.87, wspace=0.42)
     for k, (ax, (name, found)) in enumerate(zip(axes, values.items(), strict=True)):

@@ -8,10 +8,11 @@ from dataclasses import replace
 from functools import cache
 from html import escape
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from gonio_analysis.report.blocks import Block, Figures, Group, Page, Viewer, figures_of, spans
 from gonio_analysis.report.text import glued
+from gonio_analysis.report.viewer import View
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -98,6 +99,6 @@ def _labelled(svg: str, alt: str) -> str:
     return Markup(svg.replace("<svg", f'<svg role="img" aria-label="{escape(alt)}"', 1))
 
 
-def _embedded(view: dict[str, Any]) -> str:
+def _embedded(view: View) -> str:
     """Data inside of a script element."""
     return json.dumps(view, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from gonio_analysis.report.blocks import Block, Heading, Notes, Paragraph, Table, Text, code, table
 from gonio_analysis.report.text import glued, number, with_u
-from gonio_analysis.summaries import CandidateSummary, ChoiceSummary
+from gonio_analysis.result_records import CandidateSummary, ChoiceSummary
 
 
 def section(choice: ChoiceSummary) -> list[Block]:

@@ -8,7 +8,7 @@ from typing import Any
 from gonio_analysis.report import blocks
 from gonio_analysis.report.blocks import Block, Group, Heading, Paragraph, facts
 from gonio_analysis.report.text import number, percent, with_u
-from gonio_analysis.summaries import RunFacts, Summary
+from gonio_analysis.result_records import RunFacts, Summary
 
 MOST_SOURCES = 50
 """Samples whose provenance stands on the page."""

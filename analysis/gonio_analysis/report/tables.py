@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from gonio.formats.reader import cell_of
+from gonio.formats.text import cell_of
 from gonio.typing import Floats
 from gonio_analysis.report import viewer
-from gonio_analysis.report.summary import VALUES, usable
+from gonio_analysis.report.comparison import VALUES, usable
+from gonio_analysis.result_records import Summary
 from gonio_analysis.selection.compare import Dataset, Drawn
-from gonio_analysis.summaries import Summary
 
 ROWS_AT_ONCE = 100_000
 

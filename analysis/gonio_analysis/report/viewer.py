@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 
@@ -11,8 +11,8 @@ from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import MOST_CURVES, Curve, curves, labels, selection
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.plots import thinning
+from gonio_analysis.result_records import DatasetSummary, finite
 from gonio_analysis.selection.compare import Dataset, theory_angles
-from gonio_analysis.summaries import DatasetSummary, finite
 
 MOST_LISTED = 16
 """Curves of one wavelength that can be chosen, at most."""
@@ -23,9 +23,54 @@ LEVELS = ((MOST_LISTED, 40), (MOST_CURVES, 40), (MOST_CURVES, 12), (3, 8), (2, 4
 FEWEST = 60
 MEASURED_BYTES, THEORY_BYTES = 28, 17
 """Of one value."""
-View = dict[str, Any]
-"""What the page's program reads: JSON, whose keys `viewer` names."""
 COLUMNS = ("wavelength_nm", "curve", "series", "signed_angle_deg", "brdf", "u_brdf")
+
+
+class Series(TypedDict):
+    """Points or a line along a curve."""
+
+    name: str
+    angle: list[float]
+    """Degrees."""
+    brdf: list[float | None]
+    """1/sr."""
+    u: list[float | None] | None
+    by: dict[str, float | None]
+    """What it is divided by, in each normalisation."""
+
+
+class CurveView(TypedDict):
+    """One in-plane curve."""
+
+    label: str
+    mirror: float
+    """Where the mirror direction is [deg]."""
+    series: list[Series]
+
+
+class WaveView(TypedDict):
+    """The curves at one wavelength, or (None) in a broad band."""
+
+    nm: float | None
+    curves: list[CurveView]
+
+
+class View(TypedDict):
+    """What the page's program reads, as JSON."""
+
+    name: str
+    plot: NotRequired[str]
+    moving: str
+    at: int
+    """Which of `waves` is shown at first."""
+    labels: list[str]
+    shown: list[str]
+    points: list[str]
+    models: list[str]
+    chosen: list[str]
+    normalise: str
+    note: str
+    waves: list[WaveView]
 
 
 def viewer(d: Dataset, facts: DatasetSummary, normalise: str, room: int = BYTES) -> View:
@@ -45,9 +90,8 @@ def viewer(d: Dataset, facts: DatasetSummary, normalise: str, room: int = BYTES)
 
     Returns
     -------
-    dict
-        `waves`: for each wavelength its `curves`, each with its `series`: points or a line, angles in degrees, values
-        in 1/sr (seven digits; theory five), and `by`, what it is divided by in each normalisation.
+    View
+        Values have seven digits, theory five.
     """
     waves: dict[float | None, dict[str, FitResult]] = {}  # None: a broad band
     for model, f in d.fitted.items():
@@ -64,12 +108,12 @@ def viewer(d: Dataset, facts: DatasetSummary, normalise: str, room: int = BYTES)
     chosen, most = _level(every, here, drawn, len(d.fitted), room)
     ready = {m: {int(c.curve.rows[0]): (c.theory_angle, c.theory) for c in f.drawn} for m, f in d.fitted.items()}
     first: list[str] = []
-    out: list[View] = []
+    out: list[WaveView] = []
     values = {"of": 0, "drawn": 0}
     for nm, listed in chosen.items():
         at_report, data = nm == here, known[nm]
         names = labels(listed)
-        entries = []
+        entries: list[CurveView] = []
         for whole, name in zip(listed, names, strict=True):
             curve = thinning.of_curve(whole, most)
             values["of"] += whole.angle.size
@@ -138,7 +182,7 @@ def note(drawn: int, of: int, waves: int, known: int) -> str:
     return "; ".join(parts) + "; all values are in tables/." if parts else ""
 
 
-def _curve(c: Curve, name: str, theory: dict[str, tuple[Floats, Floats]]) -> View:
+def _curve(c: Curve, name: str, theory: dict[str, tuple[Floats, Floats]]) -> CurveView:
     top = int(np.argmax(c.brdf))
     mirror = c.mirror
     series = [points("measured", c, c.brdf, c.u)]
@@ -156,7 +200,7 @@ def _curve(c: Curve, name: str, theory: dict[str, tuple[Floats, Floats]]) -> Vie
     return {"label": name, "mirror": round(float(np.degrees(c.parameter)), 4), "series": series}
 
 
-def points(name: str, c: Curve, brdf: Floats, u: Floats) -> View:
+def points(name: str, c: Curve, brdf: Floats, u: Floats) -> Series:
     """Values [1/sr] along a curve as a series; it is divided by its own value in the mirror direction, or largest."""
     mirror = None if c.mirror is None else _positive(brdf[c.mirror])
     return {

@@ -22,10 +22,10 @@ from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.parameters import Ior, Values
 from gonio_analysis.fitting.problem import FitRequest, pose
+from gonio_analysis.fitting.profile_likelihood import Interval, profiles
+from gonio_analysis.fitting.surrogate import Near, Rows
+from gonio_analysis.result_records import CandidateSummary, ChoiceSummary, Value, finite
 from gonio_analysis.selection.misfit_regions import Region, blocks, worst
-from gonio_analysis.selection.profile_likelihood import Interval, profiles
-from gonio_analysis.selection.surrogate import Near, Rows
-from gonio_analysis.summaries import CandidateSummary, ChoiceSummary, Value, finite
 
 SIGNIFICANCE = 0.01
 DECISIVE = 10.0

@@ -21,8 +21,8 @@ from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.parameters import Ior
+from gonio_analysis.result_records import RunFacts
 from gonio_analysis.selection.choice import Choice, Judged, candidates, choose
-from gonio_analysis.summaries import RunFacts
 
 if TYPE_CHECKING:
     import pandas as pd

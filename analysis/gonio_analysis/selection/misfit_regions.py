@@ -11,8 +11,8 @@ import numpy as np
 from gonio.geometry import AROUND_MIRROR, SAME_INCIDENCE
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.selection.surrogate import Rows
-from gonio_analysis.summaries import RegionSummary
+from gonio_analysis.fitting.surrogate import Rows
+from gonio_analysis.result_records import RegionSummary
 
 FOLDS = 5
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gonio_analysis.summaries import RunFacts, SampleFacts
+from gonio_analysis.result_records import RunFacts, SampleFacts
 
 REFERENCE = {"beside": "beside the sample", "axis": "brought by an axis", "swap": "swapped with the sample by hand"}
 

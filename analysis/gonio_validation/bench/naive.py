@@ -15,6 +15,7 @@ from gonio.models._compile import device, template
 from gonio.models._facets import fresnel
 from gonio.models._htsg_kernels import lobe_state, vector_states
 from gonio.models._htsg_series import lambert_w
+from gonio.models._loops import vector_part
 from gonio.models._math import exp
 from gonio.models.htsg import sum_around
 
@@ -44,15 +45,14 @@ def from_one_vectorised(lx, ly, lz, vx, vy, vz, p):
 
 
 @template("r1 i r1 i p w1 i i")
-def _over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop):
+def over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop):
     wrong = 0
     state, below = np.empty((4, BLOCK)), np.empty((4, BLOCK))
     place = np.empty(BLOCK, np.int64)
     factor, spread, c, g = state[0], state[1], state[2], state[3]
     for first in range(start, stop, BLOCK):
         count = min(BLOCK, stop - first)
-        l = omega_i[3 * first * step_i : 3 * (first * step_i + count)]  # noqa: E741
-        v = omega_r[3 * first * step_r : 3 * (first * step_r + count)]
+        l, v = vector_part(omega_i, first, count, step_i), vector_part(omega_r, first, count, step_r)  # noqa: E741
         wrong |= vector_states(count, l, v, constants, factor, spread, c, g)
         total = out[first : first + count]
         for j in range(count):
@@ -88,7 +88,7 @@ def sum_from_one(count, terms, g, c, weight, total):
             total[j] += weight[j] * r * exp(-c[j] * r)
 
 
-from_one_vectorised.__dict__["_over_vectors"] = _over_vectors
+from_one_vectorised.__dict__["over_vectors"] = over_vectors
 
 
 @device

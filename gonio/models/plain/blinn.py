@@ -18,7 +18,10 @@ PI = np.pi
 
 
 def d(L: Vectors) -> Numbers:
-    """Blinn1977 d = max(0, N.L): the amount of diffuse reflection."""
+    """Blinn1977 d = max(0, N.L): the amount of diffuse reflection.
+
+    Compiled: gonio.models.blinn.torrance_sparrow, whose diffuse term is k_d/pi: i over pi (N.L)
+    """
     return np.maximum(0, dot(N, L))
 
 
@@ -39,7 +42,10 @@ def s_phong(L: Vectors, E: Vectors, c1: float) -> Numbers:
 
 
 def i(p_a: float, d: Numbers, p_d: float, s: Numbers, p_s: float) -> Numbers:
-    """Blinn1977 i = p_a + d p_d + s p_s: the perceived intensity (without s: the simple diffuse model)."""
+    """Blinn1977 i = p_a + d p_d + s p_s: the perceived intensity (without s: the simple diffuse model).
+
+    Compiled: gonio.models.Blinn.brdf and gonio.models.Phong.brdf, over pi (N.L)
+    """
     return p_a + d * p_d + s * p_s
 
 
@@ -59,6 +65,8 @@ def triangle(e: Numbers, a: Numbers) -> Numbers:
 
     sin(b) = cos(e), c = 2 d, and d = pi/2 - a. The angles of the triangle sum to pi, not 2 pi as printed; sin(f) =
     sin(b + c) follows from that. In vectors, cos(a) = N.H, cos(e) = H.E and cos(e + a) = N.E.
+
+    Compiled: gonio.models._facets.groove_over_viewer, as eq. G_b
     """
     b, c = PI / 2 - e, 2 * (PI / 2 - a)
     return 1 - np.sin(b + c) / np.sin(b)
@@ -172,12 +180,18 @@ def c_3(beta: Numbers) -> Numbers:
 
 
 def k_1(c3: Numbers) -> Numbers:
-    """Blinn1977 k_1 = 1/(c3^2 - 1): infinite for c3 = 1, where D_3 = 1."""
+    """Blinn1977 k_1 = 1/(c3^2 - 1): infinite for c3 = 1, where D_3 = 1.
+
+    Compiled: none, gonio.models.blinn.d3 has another form of D_3
+    """
     return 1 / (c3**2 - 1)
 
 
 def k_2(c3: Numbers) -> Numbers:
-    """Blinn1977 k_2 = k_1 + 1: for `D_3_fast`."""
+    """Blinn1977 k_2 = k_1 + 1: for `D_3_fast`.
+
+    Compiled: none, gonio.models.blinn.d3 has another form of D_3
+    """
     return k_1(c3) + 1
 
 

@@ -28,17 +28,26 @@ def H(L: Vectors, V: Vectors) -> Vectors:
 
 
 def E_i(I_i: Numbers, L: Vectors, domega_i: Numbers) -> Numbers:
-    """Cook1982 E_i: the energy in an incoming beam of intensity I_i."""
+    """Cook1982 E_i: the energy in an incoming beam of intensity I_i.
+
+    Compiled: none, a definition
+    """
     return I_i * dot(N, L) * domega_i
 
 
 def R_of_intensities(I_r: Numbers, E_i: Numbers) -> Numbers:
-    """Cook1982 R = I_r/E_i: the bidirectional reflectance, by its definition [1/sr]."""
+    """Cook1982 R = I_r/E_i: the bidirectional reflectance, by its definition [1/sr].
+
+    Compiled: none, a definition
+    """
     return I_r / E_i
 
 
 def I_r_of_one_light(R: Numbers, I_i: Numbers, L: Vectors, domega_i: Numbers) -> Numbers:
-    """Cook1982 I_r = R E_i: the intensity that one light causes."""
+    """Cook1982 I_r = R E_i: the intensity that one light causes.
+
+    Compiled: none, for a renderer
+    """
     return R * I_i * dot(N, L) * domega_i
 
 
@@ -51,7 +60,10 @@ def R(s: float, R_s: Numbers, d: float, R_d: Numbers) -> Numbers:
 
 
 def I_ra(R_a: Numbers, I_ia: Numbers, f: float = 1) -> Numbers:
-    """Cook1982 I_ra = R_a I_ia f: the intensity that ambient light causes."""
+    """Cook1982 I_ra = R_a I_ia f: the intensity that ambient light causes.
+
+    Compiled: none, for a renderer
+    """
     return R_a * I_ia * f
 
 
@@ -84,7 +96,10 @@ def f(unblocked: Callable[[Numbers, Numbers], Numbers], nodes: int = 1000) -> Nu
 
 
 def I_r(I_ia: Numbers, R_a: Numbers, lights: Sequence[tuple[Numbers, Vectors, Numbers, Numbers]]) -> Numbers:
-    """Cook1982 I_r: the intensity of ambient light and all sources, (I_i, L, domega_i, R) each, with f = 1."""
+    """Cook1982 I_r: the intensity of ambient light and all sources, (I_i, L, domega_i, R) each, with f = 1.
+
+    Compiled: none, for a renderer
+    """
     return I_ia * R_a + sum(I_r_of_one_light(R, I_i, L, domega_i) for I_i, L, domega_i, R in lights)
 
 
@@ -149,6 +164,8 @@ def spectral_energy(illuminant: Numbers, reflectance: Numbers) -> Numbers:
     """Cook1982 Fig. 4b: the reflected light's spectrum is that of the light times the reflectance's.
 
     A mirror's measured reflectance is to be multiplied by 1/pi to be the bidirectional reflectance of a rough surface.
+
+    Compiled: none, for a renderer
     """
     return illuminant * reflectance
 
@@ -197,12 +214,18 @@ def colour(colour_0: Numbers, colour_90: Numbers, F_theta: Numbers, F_0: Numbers
 
 
 def XYZ(spectrum: Numbers, matching: Numbers, step_nm: float) -> Numbers:
-    """Cook1982, determining the RGB values: tristimulus values, of a spectrum and the functions x, y, z (..., 3)."""
+    """Cook1982, determining the RGB values: tristimulus values, of a spectrum and the functions x, y, z (..., 3).
+
+    Compiled: none, for a renderer
+    """
     return np.sum(np.asarray(spectrum)[..., np.newaxis] * matching, axis=-2) * step_nm
 
 
 def RGB(XYZ: Numbers, matrix: Numbers) -> Numbers:
-    """Cook1982, determining the RGB values: linear luminances, by a matrix for the monitor's phosphors and white."""
+    """Cook1982, determining the RGB values: linear luminances, by a matrix for the monitor's phosphors and white.
+
+    Compiled: none, for a renderer
+    """
     return np.einsum("ij,...j->...i", matrix, XYZ)
 
 

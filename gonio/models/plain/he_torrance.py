@@ -35,12 +35,18 @@ PI = np.pi
 
 
 def directions(theta_i: Numbers, phi_i: Numbers, theta_r: Numbers, phi_r: Numbers) -> tuple[Vectors, Vectors]:
-    """He1991 Fig. 5: k_i and k_r from the workbench's angles, whose phi_i is the azimuth toward the source."""
+    """He1991 Fig. 5: k_i and k_r from the workbench's angles, whose phi_i is the azimuth toward the source.
+
+    Compiled: gonio.models._loops.vectors_of_angles, for L = -k_i and V = k_r
+    """
     return -direction(theta_i, phi_i), direction(theta_r, phi_r)
 
 
 def angles(k_i: Vectors, k_r: Vectors) -> tuple[Numbers, Numbers]:
-    """He1991 Fig. 5: theta_i and theta_r of two directions."""
+    """He1991 Fig. 5: theta_i and theta_r of two directions.
+
+    Compiled: none, models take angles or vectors as they come
+    """
     return polar(-np.asarray(k_i)), polar(k_r)
 
 
@@ -48,13 +54,19 @@ def angles(k_i: Vectors, k_r: Vectors) -> tuple[Numbers, Numbers]:
 
 
 def G_prime(R: Vectors, r: Vectors, k: float) -> Numbers:
-    """He1991 eq. 2: the free-space Green's function of the Kirchhoff integral (eq. 1)."""
+    """He1991 eq. 2: the free-space Green's function of the Kirchhoff integral (eq. 1).
+
+    Compiled: none, a step of the derivation
+    """
     distance = length(R - r)
     return np.exp(1j * k * distance) / distance
 
 
 def p(z: Numbers, sigma0: float) -> Numbers:
-    """He1991 eq. 3: the distribution of heights z."""
+    """He1991 eq. 3: the distribution of heights z.
+
+    Compiled: none, a step of the derivation
+    """
     return 1 / (np.sqrt(2 * PI) * sigma0) * np.exp(-(z**2) / (2 * sigma0**2))
 
 
@@ -62,7 +74,10 @@ def p(z: Numbers, sigma0: float) -> Numbers:
 
 
 def rho_bd(dI_r: Numbers, I_i: Numbers, theta_i: Numbers, domega_i: Numbers) -> Numbers:
-    """He1991 eq. 4: the BRDF, reflected intensity over the energy incident per time and area [1/sr]."""
+    """He1991 eq. 4: the BRDF, reflected intensity over the energy incident per time and area [1/sr].
+
+    Compiled: none, a definition
+    """
     return dI_r / (I_i * np.cos(theta_i) * domega_i)
 
 
@@ -136,7 +151,10 @@ def rho_sp_smooth(theta_i: Numbers, domega_i: float, n: complex, Delta: Numbers 
 
 
 def normalised(rho: Callable[[Numbers], Numbers], theta_r: Numbers, theta_i: float) -> Numbers:
-    """He1991 eq. 11: a BRDF in the plane of incidence over its value in the mirror direction; rho is of theta_r."""
+    """He1991 eq. 11: a BRDF in the plane of incidence over its value in the mirror direction; rho is of theta_r.
+
+    Compiled: none, what the paper's figures show
+    """
     return rho(theta_r) / rho(theta_i)
 
 
@@ -150,6 +168,8 @@ def I_r(
     """He1991 eq. 12: the intensity of a traced ray, from its mirror ray, point lights and even ambient light.
 
     `lights`: (rho_dd, rho_ud, theta_i, domega_i, I_i) of each source.
+
+    Compiled: none, for a renderer
     """
     direct = sum((dd + ud) * np.cos(theta_i) * domega_i * I_i for dd, ud, theta_i, domega_i, I_i in lights)
     return rho_s * I_mirror + direct + rho_hd * I_a

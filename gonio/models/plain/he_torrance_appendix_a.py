@@ -40,6 +40,8 @@ def brackets(E: Vectors, curl_E: Vectors, n: Vectors, k_r: Vectors, k: float) ->
     """He1991 eq. 17, eq. 30, eq. 31: the terms in braces, of a field E on the surface, its curl and the local normal n.
 
     The first is that of the s component of what is reflected along k_r, the second that of the p component.
+
+    Compiled: none, a step of the derivation
     """
     s_r, p_r = s_hat(k_r), p_hat(k_r)
     s = 1j * k * dot(p_r, np.cross(E, n)) + dot(s_r, np.cross(curl_E, n))
@@ -48,7 +50,10 @@ def brackets(E: Vectors, curl_E: Vectors, n: Vectors, k_r: Vectors, k: float) ->
 
 
 def dGamma(dA: Numbers, n: Vectors) -> Numbers:
-    """He1991 eq. 18: an element of the surface over its projection dA."""
+    """He1991 eq. 18: an element of the surface over its projection dA.
+
+    Compiled: none, a step of the derivation
+    """
     return dA / dot(n, Z)
 
 
@@ -56,6 +61,8 @@ def v(k_i: Vectors, k_r: Vectors, lam: float) -> Vectors:
     """He1991 eq. 20, eq. 84: the change of the wave vector [1/length].
 
     Eq. 78 needs this one. Eq. 76 needs unit vectors, k_r - k_i: the print has one v for both.
+
+    Compiled: gonio.models._htsg_kernels.lobe_state, s = L + V times the wave number of its constants
     """
     return 2 * PI / lam * (k_r - k_i)
 
@@ -105,30 +112,45 @@ def Lambda(theta: Numbers, sigma0: float, tau: float, printed: bool = False) -> 
 
 
 def p_state(k_i: Vectors, c_s: Numbers, c_p: Numbers) -> Vectors:
-    """He1991 eq. 33, eq. 34, eq. 36: the incident field at phase 0, for coefficients |c_s|^2 + |c_p|^2 = 1."""
+    """He1991 eq. 33, eq. 34, eq. 36: the incident field at phase 0, for coefficients |c_s|^2 + |c_p|^2 = 1.
+
+    Compiled: none, gonio.models.HeTorrance.mueller has it for every polarisation
+    """
     return np.asarray(c_s)[..., np.newaxis] * s_hat(k_i) + np.asarray(c_p)[..., np.newaxis] * p_hat(k_i)
 
 
 def local_incident(k_i: Vectors, n: Vectors) -> tuple[Vectors, Vectors]:
-    """He1991 eq. 37: the polarisation vectors (s, p) of the incident light for the local normal n; 0/0 along it."""
+    """He1991 eq. 37: the polarisation vectors (s, p) of the incident light for the local normal n; 0/0 along it.
+
+    Compiled: none, a step of the derivation
+    """
     s = unit(np.cross(k_i, n))
     return s, np.cross(s, k_i)
 
 
 def T(k_i: Vectors, n: Vectors) -> Numbers:
-    """He1991 eq. 38, eq. 39: from (s_i, p_i) to the local (s, p), an array (..., 2, 2)."""
+    """He1991 eq. 38, eq. 39: from (s_i, p_i) to the local (s, p), an array (..., 2, 2).
+
+    Compiled: none, a step of the derivation
+    """
     s, p = local_incident(k_i, n)
     s_i, p_i = s_hat(k_i), p_hat(k_i)
     return np.stack([np.stack([dot(s, s_i), dot(s, p_i)], -1), np.stack([dot(p, s_i), dot(p, p_i)], -1)], -2)
 
 
 def k_rn(k_i: Vectors, n: Vectors) -> Vectors:
-    """He1991 eq. 43: the mirror direction of the local tangent plane."""
+    """He1991 eq. 43: the mirror direction of the local tangent plane.
+
+    Compiled: none, a step of the derivation
+    """
     return k_i - 2 * dot(k_i, n)[..., np.newaxis] * n
 
 
 def local_reflected(k_i: Vectors, n: Vectors) -> tuple[Vectors, Vectors]:
-    """He1991 eq. 42: the polarisation vectors (s, p) of what the tangent plane reflects."""
+    """He1991 eq. 42: the polarisation vectors (s, p) of what the tangent plane reflects.
+
+    Compiled: none, a step of the derivation
+    """
     s, _ = local_incident(k_i, n)
     return s, np.cross(s, k_rn(k_i, n))
 
@@ -144,7 +166,10 @@ def F_matrix(theta: Numbers, n: complex) -> Numbers:
 
 
 def E_s(k_i: Vectors, normal: Vectors, c_s: complex, c_p: complex, n: complex) -> Vectors:
-    """He1991 eq. 40, eq. 45, eq. 46: the field that the tangent plane with a local normal reflects, at phase 0."""
+    """He1991 eq. 40, eq. 45, eq. 46: the field that the tangent plane with a local normal reflects, at phase 0.
+
+    Compiled: none, a step of the derivation
+    """
     theta = np.arctan2(length(np.cross(k_i, normal)), -dot(k_i, normal))
     local = F_matrix(theta, n) @ T(k_i, normal) @ np.array([c_s, c_p])
     s, p = local_reflected(k_i, normal)
@@ -155,14 +180,20 @@ def E_s(k_i: Vectors, normal: Vectors, c_s: complex, c_p: complex, n: complex) -
 
 
 def p_joint(z1: Numbers, z2: Numbers, r: Numbers, sigma: float, tau: float) -> Numbers:
-    """He1991 eq. 47: the joint distribution of the heights of two points at a distance r."""
+    """He1991 eq. 47: the joint distribution of the heights of two points at a distance r.
+
+    Compiled: none, a step of the derivation
+    """
     c = C(r, tau)
     exponent = -(z1**2 + z2**2 - 2 * c * z1 * z2) / (2 * sigma**2 * (1 - c**2))
     return np.exp(exponent) / (2 * PI * sigma**2 * np.sqrt(1 - c**2))
 
 
 def C(r: Numbers, tau: float) -> Numbers:
-    """He1991 eq. 48: the correlation of heights at a distance r; the rms slope is 2 sigma0/tau."""
+    """He1991 eq. 48: the correlation of heights at a distance r; the rms slope is 2 sigma0/tau.
+
+    Compiled: none, a step of the derivation
+    """
     return np.exp(-(r**2) / tau**2)
 
 
@@ -170,7 +201,10 @@ def C(r: Numbers, tau: float) -> Numbers:
 
 
 def n_b(k_i: Vectors, k_r: Vectors) -> Vectors:
-    """He1991 eq. 51: the unit vector that bisects the directions toward source and receiver, where F is evaluated."""
+    """He1991 eq. 51: the unit vector that bisects the directions toward source and receiver, where F is evaluated.
+
+    Compiled: gonio.models._htsg_kernels.jones, whose (hx, hy, hz) is k_r - k_i
+    """
     return unit(k_r - k_i)
 
 
@@ -178,12 +212,17 @@ def bisecting_angle(k_i: Vectors, k_r: Vectors) -> Numbers:
     """He1991, after eqs. 65 and 86: acos(|k_r - k_i|/2), the angle of incidence on n_b.
 
     By the arc tangent of |k_r + k_i|/|k_r - k_i|, which is the same: an arc cosine loses half the digits near 0.
+
+    Compiled: gonio.models._htsg_kernels.lobe_state and gonio.models._htsg_kernels.jones, by its cosine squared
     """
     return np.arctan2(length(k_r + k_i), length(k_r - k_i))
 
 
 def characteristic(r: Numbers, g: Numbers, tau: float) -> Numbers:
-    """He1991 eq. 52: the average of exp(-i v_z (z1 - z2)) at the distance r, with v_z^2 sigma^2 = g."""
+    """He1991 eq. 52: the average of exp(-i v_z (z1 - z2)) at the distance r, with v_z^2 sigma^2 = g.
+
+    Compiled: none, eq. 56 is its integral
+    """
     return np.exp(-g * (1 - C(r, tau)))
 
 
@@ -220,7 +259,10 @@ def K(theta: Numbers, sigma0: float, tau: float) -> Numbers:
 
 
 def script_N(vx: Numbers, vy: Numbers, g: Numbers, tau: float, Lx: float, Ly: float) -> Numbers:
-    """He1991 eq. 56: the double integral over a patch of Lx by Ly, of area A = Lx Ly [length^2]."""
+    """He1991 eq. 56: the double integral over a patch of Lx by Ly, of area A = Lx Ly [length^2].
+
+    Compiled: none, eq. 58 is what the models evaluate
+    """
     A = Lx * Ly
     coherent = A * np.sinc(vx * Lx / PI) * np.sinc(vy * Ly / PI)  # numpy's sinc(x) is sin(pi x)/(pi x)
     return np.exp(-g) * coherent + PI * tau**2 * np.exp(log_series(g, (vx**2 + vy**2) * tau**2 / 4))
@@ -230,6 +272,8 @@ def coherent(theta_i: Numbers, domega_i: float, lam: float, Delta: Numbers = 1) 
     """He1991 eq. 57: the first term of eq. 56 for a cone of light: lambda^2 Delta/(domega_i cos theta_i) [length^2].
 
     The constant, hard to read in print, is lambda^2 = (2 pi/k)^2: only so eq. 66 leads to eq. 6.
+
+    Compiled: gonio.instrument.apparent_spike
     """
     return lam**2 * Delta / (domega_i * np.cos(theta_i))
 
@@ -237,20 +281,29 @@ def coherent(theta_i: Numbers, domega_i: float, lam: float, Delta: Numbers = 1) 
 def script_N_cone(
     theta_i: Numbers, domega_i: float, Delta: Numbers, v_xy: Numbers, g: Numbers, tau: float, lam: float
 ) -> Numbers:
-    """He1991 eq. 58: what eq. 56 becomes for a cone of light on a large patch [length^2]."""
+    """He1991 eq. 58: what eq. 56 becomes for a cone of light on a large patch [length^2].
+
+    Compiled: gonio.models._htsg_kernels.spike_reflectivity and gonio.models._htsg_kernels.lobe_state, its two terms
+    """
     return np.exp(-g) * coherent(theta_i, domega_i, lam, Delta) + PI * tau**2 * np.exp(
         log_series(g, v_xy**2 * tau**2 / 4)
     )
 
 
 def F_s(k_i: Vectors, k_r: Vectors, c_s: complex, c_p: complex, n: complex, lam: float) -> Numbers:
-    """He1991 eq. 59: the s component's part of eq. 68 [1/length^2]."""
+    """He1991 eq. 59: the s component's part of eq. 68 [1/length^2].
+
+    Compiled: gonio.models._htsg_kernels.mueller_matrix, |J c|^2 for every (c_s, c_p)
+    """
     m = M(k_i, k_r, n)
     return delta(k_i, k_r, lam) * np.abs(c_s * m[..., 0, 0] + c_p * m[..., 0, 1]) ** 2
 
 
 def F_p(k_i: Vectors, k_r: Vectors, c_s: complex, c_p: complex, n: complex, lam: float) -> Numbers:
-    """He1991 eq. 60: the p component's part of eq. 68 [1/length^2]."""
+    """He1991 eq. 60: the p component's part of eq. 68 [1/length^2].
+
+    Compiled: gonio.models._htsg_kernels.mueller_matrix, |J c|^2 for every (c_s, c_p)
+    """
     m = M(k_i, k_r, n)
     return delta(k_i, k_r, lam) * np.abs(c_s * m[..., 1, 0] + c_p * m[..., 1, 1]) ** 2
 
@@ -275,23 +328,35 @@ def M(k_i: Vectors, k_r: Vectors, n: complex) -> Numbers:
 
 
 def delta(k_i: Vectors, k_r: Vectors, lam: float) -> Numbers:
-    """He1991 eq. 65: delta [1/length^2], infinite where |k_r x k_i| = 0, and M is 0."""
+    """He1991 eq. 65: delta [1/length^2], infinite where |k_r x k_i| = 0, and M is 0.
+
+    Compiled: gonio.models._htsg_kernels.lobe_state, where its v.v/v_z is in G
+    """
     vector = v(k_i, k_r, lam)
     return (dot(vector, vector) / vector[..., 2]) ** 2 / length(np.cross(k_r, k_i)) ** 4
 
 
 def dI(theta_r: Numbers, E0_squared: Numbers, F: Numbers, S: Numbers, script_N: Numbers) -> Numbers:
-    """He1991 eq. 26, eq. 27, eq. 50, eq. 66: the reflected intensity, of the s or p component by `F_s` or `F_p`."""
+    """He1991 eq. 26, eq. 27, eq. 50, eq. 66: the reflected intensity, of the s or p component by `F_s` or `F_p`.
+
+    Compiled: none, eqs. 6 and 7 are what it leads to
+    """
     return E0_squared / np.cos(theta_r) * S / (4 * PI) ** 2 * F * script_N
 
 
 def E0_squared(I_i: Numbers, domega_i: Numbers) -> Numbers:
-    """He1991 eq. 67: |E_0|^2 = I_i domega_i."""
+    """He1991 eq. 67: |E_0|^2 = I_i domega_i.
+
+    Compiled: none, a definition
+    """
     return I_i * domega_i
 
 
 def F_total(k_i: Vectors, k_r: Vectors, c_s: complex, c_p: complex, n: complex, lam: float) -> Numbers:
-    """He1991 eq. 32, eq. 68: F_s + F_p [1/length^2]."""
+    """He1991 eq. 32, eq. 68: F_s + F_p [1/length^2].
+
+    Compiled: gonio.models._htsg_kernels.mueller_matrix, whose first row is the total
+    """
     return F_s(k_i, k_r, c_s, c_p, n, lam) + F_p(k_i, k_r, c_s, c_p, n, lam)
 
 

@@ -21,7 +21,10 @@ PI = np.pi
 
 
 def P_of_numbers(facets: Numbers, da: float, theta_a: Numbers) -> Numbers:
-    """Oren1994 eq. 1: the slope-area distribution P, of the number of facets per area of surface, each of area da."""
+    """Oren1994 eq. 1: the slope-area distribution P, of the number of facets per area of surface, each of area da.
+
+    Compiled: none, a definition
+    """
     return facets * da * np.cos(theta_a)
 
 
@@ -29,7 +32,10 @@ def P_of_numbers(facets: Numbers, da: float, theta_a: Numbers) -> Numbers:
 
 
 def L_rp_of_flux(dPhi: Numbers, da: float, theta_a: Numbers, theta_r: Numbers, domega_r: float) -> Numbers:
-    """Oren1994 eq. 2: the projected radiance of a facet that sends the flux dPhi into domega_r."""
+    """Oren1994 eq. 2: the projected radiance of a facet that sends the flux dPhi into domega_r.
+
+    Compiled: none, a definition
+    """
     return dPhi / (da * np.cos(theta_a) * np.cos(theta_r) * domega_r)
 
 
@@ -40,6 +46,8 @@ def L_r(
 
     P and L_rp are functions of (theta_a, phi_a). Gauss's rule in theta_a and the midpoint rule in phi_a, `nodes` by 4
     `nodes`; L_rp has kinks, which leave errors of the order of 1/nodes^2.
+
+    Compiled: none, eq. 13 is what becomes of it where P knows no azimuth
     """
     x, w = np.polynomial.legendre.leggauss(nodes)
     theta_a = PI / 4 * (1 + x)[:, np.newaxis]
@@ -52,7 +60,10 @@ def L_r(
 
 
 def L_rp(s: Vectors, v: Vectors, a: Vectors, rho: float, E0: float = 1) -> Numbers:
-    """Oren1994 eq. 4: the projected radiance of a facet that is wholly lit and seen."""
+    """Oren1994 eq. 4: the projected radiance of a facet that is wholly lit and seen.
+
+    Compiled: gonio.models._groove_integral.groove_point, with eq. 5
+    """
     return rho / PI * E0 * dot(s, a) * dot(v, a) / (dot(a, n) * dot(v, n))
 
 
@@ -85,6 +96,8 @@ def L2_at(
     """Oren1994 eq. 7: the radiance at x by light from the opposite facet, of width w and radiance L1(y).
 
     y runs from where the facet's shadow ends, at `dark`, to w.
+
+    Compiled: gonio.models._groove_integral.mean_exchange, integrated as eq. 11
     """
     t, weight = np.polynomial.legendre.leggauss(nodes)
     y = dark + (w - dark) * (1 + t) / 2
@@ -102,7 +115,10 @@ def K_prime(x: Numbers, y: Numbers, theta_a: Numbers) -> Numbers:
 def L2_rp_of_width(
     v: Vectors, a: Vectors, L2: Callable[[Numbers], Numbers], hidden: float, w: float, nodes: int = 60
 ) -> Numbers:
-    """Oren1994 eq. 9: the projected radiance by interreflection of a facet of width w, masked at x < hidden."""
+    """Oren1994 eq. 9: the projected radiance by interreflection of a facet of width w, masked at x < hidden.
+
+    Compiled: gonio.models._groove_integral.mean_exchange, integrated as eq. 11
+    """
     t, weight = np.polynomial.legendre.leggauss(nodes)
     x = hidden + (w - hidden) * (1 + t) / 2
     radiance = np.sum(np.array([L2(at) for at in x]) * weight) * (w - hidden) / 2
@@ -265,7 +281,10 @@ def L2(theta_i: Numbers, theta_r: Numbers, dphi: Numbers, sigma: float, rho: flo
 
 
 def L(L1: Numbers, L2: Numbers) -> Numbers:
-    """Oren1994 eq. 16: L^1 + L^2."""
+    """Oren1994 eq. 16: L^1 + L^2.
+
+    Compiled: gonio.models.oren_nayar.functional
+    """
     return L1 + L2
 
 

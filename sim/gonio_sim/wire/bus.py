@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterable
 
 from gonio_sim.wire import protocol2 as p2
 from gonio_sim.wire.faults import Faults
-from gonio_sim.wire.servo import Refused, Servo
+from gonio_sim.wire.registers import Refused
+from gonio_sim.wire.servo import Servo
 
 Send = Callable[[bytes], None]
 

@@ -35,11 +35,10 @@ def serve(
     import threading
 
     from gonio.acquisition.measure import find_rig, load_sample
-    from gonio.config import to_toml
     from gonio.disk import require_own, write_own
     from gonio.errors import ConfigError
     from gonio_sim.wire import faults
-    from gonio_sim.wire.twins import Twins, plug
+    from gonio_sim.wire.twins import Twins, rig_file
 
     wanted = fault or []
     if "list" in wanted:
@@ -56,7 +55,7 @@ def serve(
         signal.signal(number, lambda *_: stop.set())
     with Twins(choice.description, described, seed, folder=out.absolute(), scale=time_scale) as twins:
         path = out / "rig.toml"
-        write_own(out, {path.name: to_toml(plug(twins.description)).encode()})
+        write_own(out, {path.name: rig_file(twins.description).encode()})
         print(f"twins of {rig} are running, {time_scale:g} times as fast; Ctrl-C ends them")
         if twins.replays:
             print(

@@ -1,4 +1,4 @@
-"""A Dynamixel servo of the X series: its control table, its rules, its shaft, its health.
+"""A Dynamixel servo of the X series: its rules, its shaft, its health.
 
 Written from the e-Manual, from the device's side. Motion and health run on the twin's clock; the return delay and
 the bus watchdog, which belong to the wire, run on wall time.
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from gonio_sim.wire import motion, tables
 from gonio_sim.wire import protocol2 as p2
 from gonio_sim.wire.peer import Clock
+from gonio_sim.wire.registers import Refused, Registers
 
 NO_LOAD = 1.0e6
 """Acceleration where no profile limits it [counts/s^2]."""
@@ -38,14 +39,6 @@ class Mechanics:
     """Where in a count it stops, -1/2 to 1/2."""
     noise_counts: float = 0.0
     """Amplitude of the readback's flicker at rest [counts]."""
-
-
-class Refused(Exception):
-    """An instruction ends with an error number in its status packet."""
-
-    def __init__(self, error: int) -> None:
-        super().__init__(error)
-        self.error = error
 
 
 class Servo:
@@ -74,11 +67,9 @@ class Servo:
         self.table = tables.table(model)
         self.mechanics = mechanics or Mechanics()
         self._clock = clock
-        self._memory = bytearray(self.table.size)
-        for name, value in self.table.factory.items():
-            self._put(name, value)
-        self._put("ID", identity)
-        self._put("Baud Rate", {rate: code for code, rate in tables.BAUD_CODES.items()}[baud])
+        self.registers = Registers(self.table)
+        self.registers.put("ID", identity)
+        self.registers.put("Baud Rate", {rate: code for code, rate in tables.BAUD_CODES.items()}[baud])
         self._path = motion.rest(clock(), position)
         self._aim = position
         self._registered: tuple[int, bytes] | None = None
@@ -149,14 +140,13 @@ class Servo:
 
     def get(self, name: str) -> int:
         """The value of an item, as its owner means it (signed where it is)."""
-        item = self.table.items[name]
-        return int.from_bytes(self._memory[item.address : item.address + item.size], "little", signed=item.signed)
+        return self.registers.get(name)
 
     # ---- instructions ----
 
     def ping(self) -> bytes:
         """Model number and firmware version, as a ping returns them."""
-        return bytes(self._memory[0:2] + self._memory[6:7])
+        return self.registers.identity()
 
     @property
     def error(self) -> int:
@@ -166,19 +156,12 @@ class Servo:
 
     def read(self, address: int, length: int) -> bytes:
         """Bytes of the control table."""
-        if length < 1 or address not in self.table.defined or address + length > self.table.size:
-            raise Refused(p2.ACCESS_ERROR)
         self._refresh()
-        data = bytearray(self._memory[address : address + length])
-        for k in range(length):
-            target = self._indirect(address + k)
-            if target != address + k:
-                data[k] = self._memory[target]
-        return bytes(data)
+        return self.registers.read(address, length)
 
     def write(self, address: int, data: bytes) -> None:
         """Change the control table, all of it or (with `Refused`) nothing."""
-        pairs = self._items(self._follow(address, data), data)
+        pairs = self.registers.items(self.registers.follow(address, data), data)
         for item, value in pairs:
             self._check(item, value)
         for item, value in pairs:
@@ -186,10 +169,10 @@ class Servo:
 
     def register(self, address: int, data: bytes) -> None:
         """Keep a write for `action`."""
-        for item, value in self._items(address, data):
+        for item, value in self.registers.items(address, data):
             self._check(item, value)
         self._registered = (address, data)
-        self._put("Registered Instruction", 1)
+        self.registers.put("Registered Instruction", 1)
 
     def action(self) -> None:
         """Carry out what was registered."""
@@ -197,7 +180,7 @@ class Servo:
             raise Refused(p2.INSTRUCTION_ERROR)
         address, data = self._registered
         self._registered = None
-        self._put("Registered Instruction", 0)
+        self.registers.put("Registered Instruction", 0)
         self.write(address, data)
 
     def reset(self, option: int) -> None:
@@ -210,7 +193,7 @@ class Servo:
         kept = {name: self.get(name) for name in keep}
         for name, item in self.table.items.items():
             if item.writable:
-                self._put(name, kept.get(name, self.table.factory.get(name, 0)))
+                self.registers.put(name, kept.get(name, self.table.factory.get(name, 0)))
         self.restart()
 
     def clear_turns(self) -> None:
@@ -230,35 +213,30 @@ class Servo:
         """The bus watchdog: after a silence, in wall time, the shaft has stopped at once, and its goal is there."""
         timeout_s = self.get("Bus Watchdog") * WATCHDOG_UNIT_S
         if timeout_s > 0 and self.torque and wall_s - self._heard_s > timeout_s:
-            self._put("Bus Watchdog", -1)
+            self.registers.put("Bus Watchdog", -1)
             now = self._clock.at(self._heard_s + timeout_s)
             position = self._path.at(now)[0] if self._blocked_at is None else self._blocked_at
             self._path = motion.rest(now, position)
             self._aim = position
-            self._put("Goal Position", round(self._shown(position)) + self._offset)
+            self.registers.put("Goal Position", round(self._shown(position)) + self._offset)
 
     # ---- memory ----
-
-    def _put(self, name: str, value: int) -> None:
-        item = self.table.items[name]
-        raw = (value % (1 << 8 * item.size)).to_bytes(item.size, "little")
-        self._memory[item.address : item.address + item.size] = raw
 
     def _power_up(self) -> None:
         for name, item in self.table.items.items():
             if item.address >= tables.EEPROM_END and item.writable:
-                self._put(name, self.table.factory.get(name, 0))
+                self.registers.put(name, self.table.factory.get(name, 0))
         for goal, limit in LIMITED:
             if goal in self.table.items and limit in self.table.items:
-                self._put(goal, self.get(limit))
-        self._put("Hardware Error Status", 0)
-        self._put("Registered Instruction", 0)
+                self.registers.put(goal, self.get(limit))
+        self.registers.put("Hardware Error Status", 0)
+        self.registers.put("Registered Instruction", 0)
         self._registered = None
         self._stalled_since = None
         position = self.shaft()[0] % tables.COUNTS  # whole turns are forgotten
         self._path = motion.rest(self._clock(), position)
         self._aim = position
-        self._put("Goal Position", round(self._shown(position)) + self._offset)
+        self.registers.put("Goal Position", round(self._shown(position)) + self._offset)
 
     @property
     def _offset(self) -> int:
@@ -271,36 +249,6 @@ class Servo:
 
     def _turned(self, velocity: float) -> float:
         return -velocity if self.get("Drive Mode") & 1 else velocity
-
-    def _indirect(self, address: int) -> int:
-        """Where an indirect data byte points to; any other address is itself."""
-        for first, table, data in ((1, 168, 224), (29, 578, 634)):
-            if data <= address < data + 28 and f"Indirect Data {first}" in self.table.items:
-                return int.from_bytes(self._memory[table + 2 * (address - data) :][:2], "little")
-        return address
-
-    def _follow(self, address: int, data: bytes) -> int:
-        """The address that a write to indirect data means: the run of bytes must be contiguous behind it."""
-        target = self._indirect(address)
-        if any(self._indirect(address + k) != target + k for k in range(len(data))):
-            raise Refused(p2.ACCESS_ERROR)
-        return target
-
-    def _items(self, address: int, data: bytes) -> list[tuple[tables.Item, int]]:
-        at = {item.address: item for item in self.table.items.values()}
-        out, position = [], 0
-        if not data:
-            raise Refused(p2.LENGTH_ERROR)
-        while position < len(data):
-            item = at.get(address + position)
-            if item is None or not item.writable:
-                raise Refused(p2.ACCESS_ERROR)
-            if position + item.size > len(data):
-                raise Refused(p2.LENGTH_ERROR)
-            raw = data[position : position + item.size]
-            out.append((item, int.from_bytes(raw, "little", signed=item.signed)))
-            position += item.size
-        return out
 
     def _check(self, item: tables.Item, value: int) -> None:
         name = item.name
@@ -330,7 +278,7 @@ class Servo:
         before = self.torque
         if name == "Bus Watchdog" and value != 0 and self.get(name) == -1:
             return  # only 0 clears its error
-        self._put(name, value)
+        self.registers.put(name, value)
         if name == "Torque Enable" and bool(value) != before:
             if value:
                 self._drive()
@@ -339,7 +287,7 @@ class Servo:
         elif name in ("Goal Position", "Goal Velocity") and self.torque:
             self._drive()
         elif name in ("Operating Mode", "Drive Mode"):
-            self._put("Goal Position", round(self._shown(self.shaft()[0])) + self._offset)
+            self.registers.put("Goal Position", round(self._shown(self.shaft()[0])) + self._offset)
 
     # ---- shaft ----
 
@@ -381,7 +329,7 @@ class Servo:
 
     def _release(self) -> None:
         self._halt()
-        self._put("Torque Enable", 0)
+        self.registers.put("Torque Enable", 0)
 
     # ---- health ----
 
@@ -402,7 +350,7 @@ class Servo:
                 error |= OVERLOAD
         else:
             self._stalled_since = None
-        self._put("Hardware Error Status", error)
+        self.registers.put("Hardware Error Status", error)
         if self.torque and self._shut_down():
             self._release()
 
@@ -420,17 +368,17 @@ class Servo:
         planned, planned_velocity = self._path.at(now)
         flicker = self.mechanics.noise_counts * math.sin(1e3 * now) if velocity == 0 else 0.0
         units = round(self._turned(velocity) / tables.RPM)
-        self._put("Present Position", round(self._shown(position + flicker)) + self._offset)
-        self._put("Present Velocity", units)
-        self._put("Moving", int(abs(units) > self.get("Moving Threshold")))
+        self.registers.put("Present Position", round(self._shown(position + flicker)) + self._offset)
+        self.registers.put("Present Velocity", units)
+        self.registers.put("Moving", int(abs(units) > self.get("Moving Threshold")))
         underway = now < self._path.end_s
         arrived = not underway and abs(position - self._aim) < 20
-        self._put("Moving Status", int(arrived) | int(underway) << 1 | 0x30)
-        self._put("Velocity Trajectory", round(self._turned(planned_velocity) / tables.RPM))
-        self._put("Position Trajectory", round(self._shown(planned)) + self._offset)
-        self._put("Present Input Voltage", self.supply_dv)
-        self._put("Present Temperature", self.temperature_c)
-        self._put("Realtime Tick", int(now * 1000) % 32768)
+        self.registers.put("Moving Status", int(arrived) | int(underway) << 1 | 0x30)
+        self.registers.put("Velocity Trajectory", round(self._turned(planned_velocity) / tables.RPM))
+        self.registers.put("Position Trajectory", round(self._shown(planned)) + self._offset)
+        self.registers.put("Present Input Voltage", self.supply_dv)
+        self.registers.put("Present Temperature", self.temperature_c)
+        self.registers.put("Realtime Tick", int(now * 1000) % 32768)
         load = "Present Current" if "Present Current" in self.table.items else "Present Load"
         effort = 0
         if self.torque:
@@ -438,5 +386,5 @@ class Servo:
             error = self._turned(self._aim - position)
             light = round(20 * math.tanh(error / 20)) + units // 8
             effort = int(math.copysign(full, error)) if self._pushes() else light
-        self._put(load, effort)
-        self._put("Present PWM", round(effort / 2))
+        self.registers.put(load, effort)
+        self.registers.put("Present PWM", round(effort / 2))

@@ -13,11 +13,12 @@ import threading
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from gonio.config import to_toml
 from gonio.errors import ConfigError
 from gonio.rig import Frame, Pose, Target
 from gonio.rig.description import RigDescription, SampleDescription
@@ -329,6 +330,6 @@ def _parsed(description: RigDescription) -> _Devices:
     return devices
 
 
-def plug(description: RigDescription) -> dict[str, Any]:
-    """The tables of a rig file, as they are written to disk."""
-    return description.model_dump(mode="json", exclude_none=True)
+def rig_file(description: RigDescription) -> str:
+    """A rig file, as it is written to disk."""
+    return to_toml(description.model_dump(mode="json", exclude_none=True))

@@ -54,7 +54,7 @@ class VideoStandIn:
             cv2.CAP_PROP_AUTO_WB: 1.0,
         }
         self._queue: deque[tuple[float, Image]] = deque()
-        self._refill()
+        self.fall_behind()
         self._stamp = 0.0
         self.opened_with: tuple[Any, ...] = ()
 
@@ -95,8 +95,8 @@ class VideoStandIn:
         time.sleep(self._exposure_s())
         return time.monotonic(), self._image(self._exposure_s())
 
-    def _refill(self) -> None:
-        """Frames that were exposed a while ago wait in the queue."""
+    def fall_behind(self) -> None:
+        """Let dark frames wait in the queue that were exposed a while ago."""
         for k in range(QUEUE):
             self._queue.append((time.monotonic() - 0.1 * (QUEUE - k), np.zeros_like(self._image(1e-3))))
 

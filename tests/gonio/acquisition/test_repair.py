@@ -6,7 +6,7 @@ import gc
 import json
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from gonio.acquisition.progress import Silent
 from gonio.acquisition.records import FrameRecord, StepRecord
 from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, DataError
-from gonio.reduction import brdf
+from gonio.reduction import brdf, count_rates
 from gonio.rig import Frame
 from gonio.rig.description import Reference
 from gonio.rig.dng import read_raw, read_record
@@ -414,8 +414,15 @@ def test_a_step_that_is_taken_again_changes_nothing_in_the_table(measure: Measur
         assert one.tobytes() == two.tobytes() if one.dtype.kind == "f" else (one == two).all(), name
 
 
-def test_the_reduction_holds_the_frames_of_one_step_at_a_time(measure: Measure) -> None:
-    """Neither pictures nor what the journal says of frames pile up: a long run has a hundred thousand."""
+def test_the_reduction_holds_the_frames_of_one_step_at_a_time(
+    measure: Measure, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither pictures nor what the journal says of frames pile up: a long run has a hundred thousand.
+
+    Without threads, which may be late, and hold a few steps more: `test_threads_take_a_few_items_ahead`.
+    """
+    for module in (brdf, count_rates):
+        monkeypatch.setattr(module, "in_threads", map)
     run = measure()
     total = sum(len(step.frames) for step in run.steps())
     most = max(len(step.frames) for step in run.steps())
@@ -428,7 +435,24 @@ def test_the_reduction_holds_the_frames_of_one_step_at_a_time(measure: Measure) 
         entries.append(sum(isinstance(each, FrameRecord) for each in there))
 
     gc.collect()
-    brdf.reduce(run, progress=look)
+    gc.freeze()  # what other tests have left is not looked at
+    try:
+        brdf.reduce(run, progress=look)
+    finally:
+        gc.unfreeze()
     assert len(pictures) > 3
     assert max(pictures) <= most
     assert max(entries) - min(entries) <= most < total / 3
+
+
+def test_threads_take_a_few_items_ahead() -> None:
+    asked: list[int] = []
+
+    def ask() -> Iterator[int]:
+        for k in range(100):
+            asked.append(k)
+            yield k
+
+    for k, done in enumerate(count_rates.in_threads(abs, ask())):
+        assert done == k
+        assert len(asked) - k <= 2 * count_rates.THREADS + 1

@@ -1,4 +1,4 @@
-"""The command line as a process: help, messages, exit codes, commands of other packages."""
+"""The command line: help, messages, exit codes, commands of other packages."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ import pytest
 
 from gonio import plugins
 from gonio.cli import application
+from tests.command_line import gonio
 from tests.gonio.numpy_rig import PLAN
 
 
-def gonio(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def process(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-c", "from gonio.cli import main; main()", *arguments],
         cwd=folder,
@@ -171,33 +172,33 @@ def test_a_stranger_s_command_appears_and_a_broken_one_is_listed_with_its_error(
         "hello = stranger:hello\nwrong = stranger:absent\n",
         'def hello(name: str) -> None:\n    """Greet."""\n    print("hello", name)\n',
     )
-    shown = gonio(tmp_path, "--help", PYTHONPATH=site)
+    shown = process(tmp_path, "--help", PYTHONPATH=site)
     assert shown.returncode == 0
     assert "Greet." in shown.stdout
     assert "AttributeError" in shown.stdout
-    assert gonio(tmp_path, "hello", "you", PYTHONPATH=site).stdout == "hello you\n"
-    broken = gonio(tmp_path, "wrong", PYTHONPATH=site)
+    assert process(tmp_path, "hello", "you", PYTHONPATH=site).stdout == "hello you\n"
+    broken = process(tmp_path, "wrong", PYTHONPATH=site)
     assert broken.returncode == 2
     assert "stranger" in broken.stderr
 
 
 def test_a_broken_rig_is_listed_with_its_error(tmp_path: Path) -> None:
     site = installed(tmp_path, "gonio.rigs", "wreck = stranger:RIG\n", "import no_such_module\n")
-    done = gonio(tmp_path, "rig", "list", PYTHONPATH=site)
+    done = process(tmp_path, "rig", "list", PYTHONPATH=site)
     assert done.returncode == 0
     assert "no_such_module" in done.stdout
     assert "sim-ideal" in done.stdout
-    assert gonio(tmp_path, "rig", "show", "wreck", PYTHONPATH=site).returncode == 2
+    assert process(tmp_path, "rig", "show", "wreck", PYTHONPATH=site).returncode == 2
 
 
 def test_what_should_not_happen_says_where_the_traceback_is(tmp_path: Path) -> None:
     site = installed(tmp_path, "gonio.commands", "crash = stranger:crash\n", "def crash() -> None:\n    1 / 0\n")
-    done = gonio(tmp_path, "crash", PYTHONPATH=site)
+    done = process(tmp_path, "crash", PYTHONPATH=site)
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
     assert "GONIO_TRACEBACK" in done.stderr
     assert "ZeroDivisionError" in done.stderr
-    assert "Traceback" in gonio(tmp_path, "crash", PYTHONPATH=site, GONIO_TRACEBACK="1").stderr
+    assert "Traceback" in process(tmp_path, "crash", PYTHONPATH=site, GONIO_TRACEBACK="1").stderr
 
 
 @pytest.mark.parametrize(
@@ -216,13 +217,13 @@ def test_whatever_a_stranger_s_module_does_on_import_only_its_own_command_suffer
     tmp_path: Path, line: str, said: str
 ) -> None:
     site = installed(tmp_path, "gonio.commands", "wreck = stranger:cmd\n", line + "\n")
-    shown = gonio(tmp_path, "--help", PYTHONPATH=site)
+    shown = process(tmp_path, "--help", PYTHONPATH=site)
     assert shown.returncode == 0, shown.stderr
     assert "wreck" in shown.stdout
     assert "cannot be loaded" in shown.stdout
     assert "report" in shown.stdout
     assert "loud" not in shown.stdout
-    called = gonio(tmp_path, "wreck", "sub", "--out", "b", "-x", PYTHONPATH=site)
+    called = process(tmp_path, "wreck", "sub", "--out", "b", "-x", PYTHONPATH=site)
     assert called.returncode == 2
     message = called.stderr.splitlines()[-1]
     assert message.startswith('gonio: the command "wreck" (stranger:cmd) cannot be loaded: ')
@@ -231,17 +232,17 @@ def test_whatever_a_stranger_s_module_does_on_import_only_its_own_command_suffer
 
 def test_a_stranger_s_module_is_imported_by_its_own_command_and_the_help_alone(tmp_path: Path) -> None:
     site = installed(tmp_path, "gonio.commands", "wreck = stranger:cmd\n", "import os; os._exit(9)\n")
-    assert gonio(tmp_path, "plan", "show", "absent.toml", PYTHONPATH=site).returncode == 2
-    assert gonio(tmp_path, "wreck", PYTHONPATH=site).returncode == 9
+    assert process(tmp_path, "plan", "show", "absent.toml", PYTHONPATH=site).returncode == 2
+    assert process(tmp_path, "wreck", PYTHONPATH=site).returncode == 9
 
 
 def test_a_rig_whose_module_ends_the_program_is_broken(tmp_path: Path) -> None:
     site = installed(tmp_path, "gonio.rigs", "wreck = stranger:RIG\n", "print('loud')\nraise SystemExit(0)\n")
-    done = gonio(tmp_path, "rig", "list", PYTHONPATH=site)
+    done = process(tmp_path, "rig", "list", PYTHONPATH=site)
     assert done.returncode == 0
     assert "ends the program on import" in done.stdout
     assert "loud" not in done.stdout
-    called = gonio(tmp_path, "rig", "show", "wreck", PYTHONPATH=site)
+    called = process(tmp_path, "rig", "show", "wreck", PYTHONPATH=site)
     assert called.returncode == 2
     assert 'gonio: the rig "wreck" (stranger:RIG) cannot be loaded: ' in called.stderr
 
@@ -353,7 +354,7 @@ def test_errors_of_the_system_are_named(raised: BaseException, code: int, words:
 
 def test_the_end_of_the_input_is_no_silent_abort(tmp_path: Path) -> None:
     site = installed(tmp_path, "gonio.commands", "ask = stranger:ask\n", "def ask() -> None:\n    input()\n")
-    done = gonio(tmp_path, "ask", PYTHONPATH=site)
+    done = process(tmp_path, "ask", PYTHONPATH=site)
     assert done.returncode == 1
     assert "EOFError" in done.stderr
     assert "Aborted" not in done.stderr
@@ -378,7 +379,13 @@ def test_a_signal_ends_any_command_with_one_line(tmp_path: Path, number: signal.
         "twice": f"import os\ndef slow() -> None:\n    try:\n        {raised}\n    finally:\n        {raised}\n",
     }
     site = installed(tmp_path, "gonio.commands", "slow = stranger:slow\n", lines[where])
-    done = gonio(tmp_path, "slow", PYTHONPATH=site)
+    inherited = signal.getsignal(number)
+    if inherited is signal.SIG_IGN:  # of SIGHUP where the tests run under nohup: the command would be deaf to it too
+        signal.signal(number, signal.SIG_DFL)
+    try:
+        done = process(tmp_path, "slow", PYTHONPATH=site)
+    finally:
+        signal.signal(number, inherited)
     assert done.returncode == 130
     assert done.stderr == "gonio: interrupted\n"
 

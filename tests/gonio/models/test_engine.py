@@ -15,7 +15,19 @@ import numpy as np
 import pytest
 
 from gonio.errors import ArgumentError
-from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, OrenNayar, Phong, build, engine, fresnel, geometry
+from gonio.models import (
+    Blinn,
+    CookTorrance,
+    HeTorrance,
+    Lambert,
+    OrenNayar,
+    Phong,
+    _loops,
+    build,
+    engine,
+    fresnel,
+    geometry,
+)
 from gonio.models._compile import _loop
 from gonio.models.model import Model
 from tests.places import ROOT
@@ -206,7 +218,7 @@ def test_loops_over_kernels_are_vectors(model: Model, tmp_path: Path, monkeypatc
 
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))  # code that comes from the disk cannot be looked at
     kernel, constants = model._evaluation(550.0)
-    compiled = _loop(engine._over_vectors, kernel, len(constants))
+    compiled = _loop(_loops.over_vectors, kernel, len(constants))
     (code,) = compiled.inspect_llvm().values()
     assert re.search(r"fdiv [a-z ]*<\d+ x double>", code)
 
@@ -216,9 +228,9 @@ def test_loops_over_columns_and_in_float32_are_vectors(tmp_path: Path, monkeypat
 
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     kernel, constants = MODEL._evaluation(550.0)
-    (code,) = _loop(engine._at_4, kernel, len(constants)).inspect_llvm().values()
+    (code,) = _loop(_loops.at_4, kernel, len(constants)).inspect_llvm().values()
     assert re.search(r"fdiv [a-z ]*<\d+ x double>", code)
-    (code,) = _loop(engine._over_vectors, kernel, len(constants), in_single=True).inspect_llvm().values()
+    (code,) = _loop(_loops.over_vectors, kernel, len(constants), in_single=True).inspect_llvm().values()
     assert re.search(r"fdiv [a-z ]*<16 x float>", code)
     assert "double" not in code.split("define", 1)[1].split("}", 1)[0]  # nothing is widened on the way
 

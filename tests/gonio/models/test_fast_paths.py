@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from gonio.errors import ArgumentError
-from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, Sum, engine, geometry
+from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, Sum, geometry
+from gonio.models._loops import BLOCK
 
 RNG = np.random.default_rng(16)
 CLOSED = [
@@ -175,7 +176,7 @@ def test_out_may_overlap_the_arguments() -> None:
 
 
 def test_nothing_is_written_into_out_when_an_argument_is_refused() -> None:
-    light, view = pairs(3 * engine.BLOCK)
+    light, view = pairs(3 * BLOCK)
     bad = view.copy()
     bad[-1] = np.nan
     theta = np.full(len(light), 0.3)

@@ -11,7 +11,7 @@ import pytest
 from gonio.geometry import Directions, angles, direction
 from gonio.reduction import angle_sensitivity
 from gonio.reduction.angle_sensitivity import Curves
-from gonio.reduction.spikes import Share, blurred_overlap, over_patch, overlap
+from gonio.reduction.spike_overlap import Share, blurred_overlap, over_patch, overlap
 
 HALF = math.radians(0.5)
 stack = Directions.stack

@@ -15,7 +15,7 @@ from gonio.acquisition.run import Run
 from gonio.geometry import Directions
 from gonio.reduction import brdf
 from gonio.reduction.angle_sensitivity import Curves
-from gonio.reduction.spikes import Share, blurred_overlap, overlap
+from gonio.reduction.spike_overlap import Share, blurred_overlap, overlap
 from gonio.rig.description import SampleDescription
 from tools.spike_campaign import measured, pulls, rig
 

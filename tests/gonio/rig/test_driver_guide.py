@@ -12,7 +12,7 @@ import pytest
 
 from gonio.acquisition.run import Run
 from gonio.measurement import read
-from tests.gonio.cli.test_cli import gonio, installed
+from tests.gonio.cli.test_cli import installed, process
 from tests.places import ROOT
 
 GUIDE = ROOT / "docs" / "writing_a_driver.md"
@@ -87,9 +87,11 @@ def test_the_guide_s_rig_measures(tmp_path: Path, stranger: str) -> None:
     """With an encoder whose zero is five degrees off, so that the example's zeros count."""
     rig = tmp_path / "bench.toml"
     rig.write_text(rig.read_text().replace("[arms.light]", "[arms.light]\nzero_offset_deg = 5.0"))
-    done = gonio(tmp_path, "measure", "plan.toml", "--rig", "bench.toml", "--out", "run", "--yes", PYTHONPATH=stranger)
+    done = process(
+        tmp_path, "measure", "plan.toml", "--rig", "bench.toml", "--out", "run", "--yes", PYTHONPATH=stranger
+    )
     assert done.returncode == 0, done.stderr
-    assert gonio(tmp_path, "reduce", "run").returncode == 0  # without the driver
+    assert process(tmp_path, "reduce", "run").returncode == 0  # without the driver
     table = read(tmp_path / "run" / "brdf.csv")
     # a surface like the reference; the scene is even, so what a pixel's place changes (1e-4 at 1 m) stays
     assert list(table["flag"]) == ["", "", ""]
@@ -119,7 +121,7 @@ def test_the_guide_s_rig_names_wrong_settings(
     rig.write_text(rig.read_text().replace(was, becomes))
     more = ["--dry-run"] if dry else []
     measure = ["measure", "plan.toml", "--rig", "bench.toml", "--out", "run", "--yes", *more]
-    done = gonio(tmp_path, *measure, PYTHONPATH=stranger)
+    done = process(tmp_path, *measure, PYTHONPATH=stranger)
     assert done.returncode == code
     assert re.search(message, done.stderr), done.stderr
     assert not (tmp_path / "run").exists()
@@ -128,7 +130,9 @@ def test_the_guide_s_rig_names_wrong_settings(
 def test_a_rig_that_does_not_stamp_its_frames_is_told_how_to(tmp_path: Path, stranger: str) -> None:
     module = Path(stranger) / "stranger.py"
     module.write_text(module.read_text().replace("time_s=begun", "time_s=0.0"))
-    done = gonio(tmp_path, "measure", "plan.toml", "--rig", "bench.toml", "--out", "run", "--yes", PYTHONPATH=stranger)
+    done = process(
+        tmp_path, "measure", "plan.toml", "--rig", "bench.toml", "--out", "run", "--yes", PYTHONPATH=stranger
+    )
     assert done.returncode == 3
     assert 'the camera of the rig "bench in room 3" stamps a frame with time_s = 0.0' in done.stderr
     assert "time_s() at the start of its exposure" in done.stderr

@@ -13,8 +13,8 @@ import pytest
 from gonio_analysis import commands
 from gonio_analysis.change.point_by_point import Change, Side, change, judge
 from gonio_analysis.change.resampling import carry
-from gonio_analysis.fitting.covariance import Covariance
 from gonio_analysis.fitting.observations import observations
+from gonio_analysis.fitting.value_covariance import Covariance
 from scipy.special import ndtri
 
 from gonio import measurement

@@ -7,7 +7,7 @@ import math
 import pandas as pd
 import pytest
 from gonio_analysis.fitting.fit import fit
-from gonio_analysis.selection.profile_likelihood import profiles
+from gonio_analysis.fitting.profile_likelihood import profiles
 
 from gonio.errors import ConfigError
 from gonio.models import build

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.observations import observations
+from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.plots import diagnostics, maps
-from gonio_analysis.selection.profile_likelihood import Interval
 from matplotlib.figure import Figure
 
 from gonio.models import build

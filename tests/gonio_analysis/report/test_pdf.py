@@ -7,6 +7,7 @@ import json
 import re
 import zlib
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -28,6 +29,7 @@ from gonio_analysis.report.blocks import (
     table,
 )
 from gonio_analysis.report.figures import Figure
+from gonio_analysis.report.viewer import View
 
 
 def png(shape: tuple[int, int]) -> bytes:
@@ -50,7 +52,7 @@ def page(rows: int) -> Page:
             table("A table", ["a", "b"], [[f"row {k}", "a longer cell " * 20] for k in range(rows)], right=(1,)),
             section([Notes(((strong("bold"), " remark"),)), Paragraph("paragraph", "note"), Footer("footing")]),
             Figures(tuple(figures)),
-            Viewer("plot", {"name": "hidden"}),
+            Viewer("plot", cast(View, {"name": "hidden"})),
         ),
     )
 
@@ -83,7 +85,7 @@ def test_words_are_never_markup() -> None:
         facts([(sly, sly)]),
         table(sly, [sly, sly], [[sly, strong(sly)]]),
         Figures((figure,)),
-        Viewer("v", {"name": sly}),
+        Viewer("v", cast(View, {"name": sly})),
         Contents(((sly, sly),)),
         Footer(sly),
     )

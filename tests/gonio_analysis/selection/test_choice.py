@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from gonio_analysis.fitting.observations import observations
+from gonio_analysis.fitting.profile_likelihood import profiles
+from gonio_analysis.result_records import as_json
 from gonio_analysis.selection.choice import Candidate, Choice, candidates, choose
 from gonio_analysis.selection.misfit_regions import blocks, incidences
-from gonio_analysis.selection.profile_likelihood import profiles
-from gonio_analysis.summaries import as_json
 
 from gonio.errors import ConfigError, DataError
 from gonio.models import Lambert, OrenNayar, Phong, Sum, build

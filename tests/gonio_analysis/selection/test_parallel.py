@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gonio_analysis.fitting.fit import fit
-from gonio_analysis.report.summary import summarise
+from gonio_analysis.report.comparison import summarise
 from gonio_analysis.selection import parallel
 from gonio_analysis.selection.compare import examine
 

@@ -5,7 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pydantic import JsonValue
+
+    from gonio.formats.reader import TableBand
 
 WHERE_KNOWN = {"where_known": True}
 """Of a field that JSON has only where it is not None."""
@@ -156,7 +161,7 @@ class ProfileSummary:
 
 @dataclass(frozen=True)
 class IntervalSummary:
-    """A profile-likelihood interval, as `gonio_analysis.selection.profile_likelihood.Interval`."""
+    """A profile-likelihood interval, as `gonio_analysis.fitting.profile_likelihood.Interval`."""
 
     low: float
     high: float
@@ -190,7 +195,7 @@ class SampleFacts:
 
     name: str
     model: str
-    parameters: dict[str, Any]
+    parameters: dict[str, JsonValue]
 
 
 @dataclass(frozen=True)
@@ -255,7 +260,7 @@ class DatasetSummary:
     negative: int
     wavelength_nm: float | None
     wavelengths_nm: list[float | None]
-    bands: list[dict[str, Any]]
+    bands: list[TableBand]
     source_solid_angle_sr: float | None
     receiver_solid_angle_sr: float | None
     uncertainty_stated: bool
@@ -318,98 +323,5 @@ class Summary:
     log_metrics_above_u: float
     metrics: dict[str, MetricSummary]
     datasets: list[DatasetSummary]
-    figures: Sequence[FigureSummary] = ()
-    tables: Sequence[str] = ()
-
-
-# --- two things compared ---------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class SideSummary:
-    """One of two sides."""
-
-    name: str
-    source: str
-    kind: str
-    run: RunFacts | None
-
-
-@dataclass(frozen=True)
-class MeasuredSide(SideSummary):
-    """A measurement."""
-
-    values: int
-    left_out: Mapping[str, int]
-    uncertainty_stated: bool
-
-
-@dataclass(frozen=True)
-class ModelSide(SideSummary):
-    """A model."""
-
-    model: str
-    convention: str
-
-
-@dataclass(frozen=True)
-class VerdictSummary:
-    """Whether the two differ, as `gonio_analysis.change.point_by_point.Verdict`."""
-
-    changed: bool
-    chi_square: float
-    p_value: float
-    n_points: int
-    beyond_2: int
-    expected_beyond_2: float
-    largest: float
-    p_largest: float
-    changed_points: int
-    false_discoveries: float
-    level: float
-    scale: float
-    u_scale: float
-
-
-@dataclass(frozen=True)
-class ChangeMetric:
-    """A distance between the two."""
-
-    label: str
-    value: float | None
-
-
-@dataclass(frozen=True)
-class ChangeAtWavelength:
-    """The values at one wavelength, or in a broad band; counts are known where uncertainties are stated."""
-
-    wavelength_nm: float | None
-    n_points: int
-    beyond: int | None = field(default=None, metadata=WHERE_KNOWN)
-    changed_points: int | None = field(default=None, metadata=WHERE_KNOWN)
-    median_ratio: float | None = None
-
-
-@dataclass(frozen=True)
-class ChangeSummary:
-    """Two things compared point by point."""
-
-    title: str
-    created: str
-    command: str
-    versions: dict[str, str]
-    a: MeasuredSide | ModelSide
-    b: MeasuredSide | ModelSide
-    n_points: int
-    in_directions_of: str
-    interpolated: int
-    median_interpolation_error_rel: float | None
-    without_counterpart: Mapping[str, int]
-    verdict: VerdictSummary | None
-    conclusion: str
-    metrics: dict[str, ChangeMetric]
-    wavelengths: list[ChangeAtWavelength]
-    notes: list[str]
-    shown_wavelength_nm: float | None = None
     figures: Sequence[FigureSummary] = ()
     tables: Sequence[str] = ()

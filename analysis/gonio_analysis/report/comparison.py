@@ -7,7 +7,7 @@ import math
 import platform
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
@@ -18,8 +18,7 @@ from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.metrics import BELOW, DESCRIPTIONS
 from gonio_analysis.fitting.observations import describe_left_out
 from gonio_analysis.report.text import difference, slug
-from gonio_analysis.selection.compare import Dataset, Drawn, Fitted
-from gonio_analysis.summaries import (
+from gonio_analysis.result_records import (
     AtWavelength,
     CurveSummary,
     DatasetSummary,
@@ -30,6 +29,7 @@ from gonio_analysis.summaries import (
     Value,
     finite,
 )
+from gonio_analysis.selection.compare import Dataset, Drawn, Fitted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -62,7 +62,15 @@ def summarise(datasets: Sequence[Dataset], *, title: str, normalise: str, comman
     )
 
 
-def stamp(command: str) -> dict[str, Any]:
+class Stamp(TypedDict):
+    """When, by which command and with which versions a page was made."""
+
+    created: str
+    command: str
+    versions: dict[str, str]
+
+
+def stamp(command: str) -> Stamp:
     """When, by which command and with which versions a page was made."""
     return {
         "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),

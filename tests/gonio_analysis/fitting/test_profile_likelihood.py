@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from gonio_analysis.fitting.fit import fit
-from gonio_analysis.selection.profile_likelihood import profiles
+from gonio_analysis.fitting.profile_likelihood import profiles
 
 from gonio.models import build
 from tests.gonio_analysis.synthetic import known, measure

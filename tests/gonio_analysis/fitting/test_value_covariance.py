@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from gonio_analysis.fitting.covariance import Covariance, independent
+from gonio_analysis.fitting.value_covariance import Covariance, independent
 
 from gonio.errors import ArgumentError
 from tests.gonio_analysis.synthetic import dense

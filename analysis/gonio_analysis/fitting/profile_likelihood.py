@@ -4,7 +4,7 @@ A standard error looks at the curvature in one point. Where chi-square is no par
 noise, an index of refraction near a bound, two parameters that replace each other) an interval has to be walked out:
 the parameter is held, the others are fitted again, and the ends lie where chi-square has risen by 3.84 (95 %).
 
-The small fits use the neighbourhood of the solution (`gonio_analysis.selection.surrogate`), so that hundreds of them
+The small fits use the neighbourhood of the solution (`gonio_analysis.fitting.surrogate`), so that hundreds of them
 cost little.
 """
 
@@ -18,8 +18,8 @@ import numpy as np
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import ROUNDING, FitResult
-from gonio_analysis.selection.surrogate import Near
-from gonio_analysis.summaries import IntervalSummary, ProfileSummary
+from gonio_analysis.fitting.surrogate import Near
+from gonio_analysis.result_records import IntervalSummary, ProfileSummary
 
 LEVEL = 0.95
 TRIES = 14

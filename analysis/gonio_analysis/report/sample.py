@@ -1,0 +1,282 @@
+"""One sample's section of the page: what was measured, which models were fitted, how far they are off."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from gonio import geometry
+from gonio.formats.reader import TableBand
+from gonio_analysis.report import blocks, model_choice
+from gonio_analysis.report.blocks import (
+    MOST_ROWS,
+    Block,
+    Facts,
+    Figures,
+    Group,
+    Heading,
+    Notes,
+    Paragraph,
+    Table,
+    Text,
+    Viewer,
+    code,
+    facts,
+    lead,
+    notes,
+    strong,
+    table,
+)
+from gonio_analysis.report.figures import Figure
+from gonio_analysis.report.text import CAUSES, cause, difference, number, percent, with_u
+from gonio_analysis.report.viewer import View
+from gonio_analysis.result_records import DatasetSummary, ModelSummary, RunFacts, Summary
+
+
+def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View | None) -> Group:
+    """One sample's section of the page.
+
+    Parameters
+    ----------
+    s, d
+        What `summary.json` holds, of all samples and of this one.
+    figures, view
+        Its figures, and what its interactive plot shows; None where it has no curves.
+    """
+    by: dict[str, tuple[Figure, ...]] = {}
+    for f in figures:
+        by[f.kind] = (*by.get(f.kind, ()), f)
+    out: list[Block] = [Heading(2, d.name)] if len(s.datasets) > 1 else []
+    out += [lead(d.conclusion), Heading(3, "What was measured, and how"), _facts(d)]
+    if d.notes:
+        out.append(notes(d.notes))
+    out += model_choice.section(d.choice)
+    out += [Heading(3, "Models"), _models(d)] if d.models else [Heading(3, "Measured values"), _values(d)]
+    if d.skipped:
+        out.append(Notes(tuple((strong(m), f" was not fitted: {why}") for m, why in d.skipped.items())))
+    if "polar" in by:
+        out += [Heading(3, "In the plane of incidence, normalised"), _polar_words(s, d)]
+        out += [Viewer(d.slug, view)] if view else []
+        out.append(Figures(by["polar"]))
+    if "absolute" in by:
+        out += [Heading(3, "In the plane of incidence, absolute, with residuals"), Figures(by["absolute"])]
+    beyond = [f for kind in ("heat", "slices", "lobe") for f in by.get(kind, ())]
+    if beyond:
+        out += [Heading(3, "Out of the plane of incidence"), Figures(tuple(beyond))]
+    if d.models:
+        out += [Heading(3, "Parameters"), *_parameters(d)]
+        out += [Figures(by["profile"])] if "profile" in by else []
+        out += [Heading(3, "Metrics"), *_metrics(s, d)]
+    out.append(Heading(3, "Uncertainty"))
+    if "budget" in by:
+        out += [Figures((*by["budget"], *by.get("budget-angle", ()))), _budget(d)]
+    else:
+        out.append(
+            Paragraph(
+                "The table states no uncertainties: there are no error bars and no chi-square, and "
+                "fits compare logarithms, every value alike."
+            )
+        )
+    if "series" in by:
+        out += [Heading(3, "Parameters over wavelength"), Figures(by["series"])]
+    return blocks.section(out, d.slug)
+
+
+def _values(d: DatasetSummary) -> Table:
+    rows = [
+        [
+            number(v.wavelength_nm, 6),
+            *(number(angle, 4) for angle in (v.theta_i_deg, v.phi_i_deg, v.theta_r_deg, v.phi_r_deg)),
+            number(v.brdf, 4) if v.u_brdf is None else with_u(v.brdf, v.u_brdf),
+            number(math.pi * v.brdf, 4),
+        ]
+        for v in d.values
+    ]
+    return table(
+        "π f is the albedo of a Lambertian surface with this BRDF, and the reflectance factor.",
+        ["wavelength/nm", "θi/°", "φi/°", "θr/°", "φr/°", "BRDF f/sr⁻¹", "π f"],
+        rows,
+        right=tuple(range(7)),
+        of=(d.usable_everywhere, f"{d.slug}-all-values.csv"),
+    )
+
+
+def _facts(d: DatasetSummary) -> Facts:
+    run = d.run
+    wavelengths = [w for w in d.wavelengths_nm if w is not None]
+    rows: list[tuple[str, str]] = [("source", d.source or "–")]
+    if run:
+        rows.append(("rig", f"{run.rig} ({run.driver}), seed {run.seed}"))
+        rows.append(("plan", f"{run.plan}: {run.points} points" + _unreachable(run)))
+        if run.sample:
+            given = ", ".join(f"{k} = {v}" for k, v in run.sample.parameters.items())
+            rows.append(("simulated sample", f"{run.sample.name}: {run.sample.model} with {given}"))
+        rows.append(("white reference", run.reference))
+    if wavelengths:
+        others = (
+            f", one of {len(wavelengths)} from {wavelengths[0]:g} to {wavelengths[-1]:g} nm"
+            if len(wavelengths) > 1
+            else ""
+        )
+        rows.append(("wavelength", f"{d.wavelength_nm:g} nm{others}{_width(d)}"))
+    else:
+        rows.append(("band", ", ".join(_band(b) for b in d.bands) or "broad; no wavelength stated"))
+    rows.append(("incidences", _angles(d.theta_i_deg)))
+    used = f"{d.used} of {d.rows_here}" + (" at this wavelength" if len(wavelengths) > 1 else "")
+    rows.append(("values used", used + (f"; left out: {d.left_out_words}" if d.left_out_words else "")))
+    rows.append(
+        (
+            "BRDF",
+            f"{number(d.brdf_min)} to {number(d.brdf_max)} sr⁻¹"
+            + (f"; {d.negative} values are negative within the noise" if d.negative else ""),
+        )
+    )
+    cones = [("source", d.source_solid_angle_sr), ("receiver", d.receiver_solid_angle_sr)]
+    rows.append(("solid angles", ", ".join(f"{n} {_cone(w)}" for n, w in cones)))
+    if d.uncertainty_stated:
+        causes = ", ".join(cause(c) for c in d.causes) or "none"
+        rows.append(("uncertainty", f"median {percent(d.median_u_rel)}; causes common to all values: {causes}"))
+    else:
+        rows.append(("uncertainty", "none stated"))
+    return facts(rows)
+
+
+def _models(d: DatasetSummary) -> Table:
+    rows, marks = [], []
+    for name, f in d.models.items():
+        marks.append("best" if name == d.best and len(d.models) > 1 else "")
+        rows.append(
+            [
+                name,
+                fitted_words(f),
+                number(f.reduced_chi_square),
+                difference(f.metrics["log_ratio"]),
+                f.verdict,
+            ]
+        )
+    note = "● marks the model that fits best. Typical difference: rms of ln(model / measured)." if any(marks) else ""
+    return table(
+        note,
+        ["model", "fitted parameters", "reduced χ²", "typical difference", "verdict"],
+        rows,
+        right=(2, 3),
+        marks=marks,
+    )
+
+
+def _polar_words(s: Summary, d: DatasetSummary) -> Paragraph:
+    kinds = {c.normalised_by for f in d.models.values() for c in f.curves}
+    first = (
+        "The radius is the BRDF divided by its value in the direction of mirror reflection, as in eq. 11 of He, "
+        f"Torrance, Sillion and Greenberg (1991): the measured value nearest the mirror, within "
+        f"{s.mirror_tolerance_deg:g}°; "
+        "theory is divided by its own value in that direction. "
+        if "mirror" in kinds
+        else ""
+    )
+    if "max" in kinds:
+        first += (
+            "Where that direction was not measured, or the largest value was asked for, the divisor is the largest "
+            "in-plane value, and theory is divided by its own value in that direction. "
+        )
+    if "model" in kinds:
+        first += "Measurement and theory are both divided by the fitted model's value in the mirror direction. "
+    moving = "detector" if d.scanned == "theta_r" else "source"
+    return Paragraph(
+        f"{first}The {moving} moves from −90° (retro side, left) to 90° (mirror side, right); the short "
+        "strokes on the rim mark the mirror directions. In plane means within "
+        f"{s.in_plane_tolerance_deg:g}° of the plane of incidence; the values shown are within "
+        f"{number(d.out_of_plane_deg, 2) if d.out_of_plane_deg > 1e-6 else '0'}°."
+    )
+
+
+def _parameters(d: DatasetSummary) -> list[Block]:
+    rows: list[Sequence[Text]] = []
+    for name, f in d.models.items():
+        label = name
+        for p, e in [*f.parameters.items(), *f.derived.items()]:
+            kind = "derived" if p in f.derived else "fixed" if e.fixed else "fitted"
+            kind += f", at its {e.at_bound} bound" if e.at_bound else ""
+            value = with_u(e.value, 0.0 if e.fixed else e.u)
+            value += f" ({e.material})" if e.material else ""
+            rows.append((label, code(p), value, kind, _strongest(f, p)))
+            label = ""
+    remarks = [(m, n) for m, f in d.models.items() for n in f.notes if n not in d.notes + d.data_notes]
+    caption = (
+        "Standard errors are those of least squares with the stated covariance; they are not scaled by χ²."
+        if d.uncertainty_stated
+        else "The table states no uncertainties: standard errors come from the scatter of the residuals."
+    )
+    out: list[Block] = [table(caption, ["model", "parameter", "value", "", "strongest correlation"], rows)]
+    return [*out, Notes(tuple((strong(m), f": {n}") for m, n in remarks))] if remarks else out
+
+
+def _strongest(f: ModelSummary, parameter: str) -> Text:
+    row = {k: v for k, v in f.correlation.get(parameter, {}).items() if k != parameter and v is not None}
+    if not row:
+        return ""
+    other = max(row, key=lambda k: abs(row[k]))
+    return f"{number(row[other], 2)} with ", code(other)
+
+
+def _metrics(s: Summary, d: DatasetSummary) -> list[Block]:
+    names = [n for n in s.metrics if any(f.metrics[n] is not None for f in d.models.values())]
+    rows = [[m, *(number(f.metrics[n]) for n in names)] for m, f in d.models.items()]
+    header = ["model", *(s.metrics[n].label for n in names)]
+    return [
+        table("", header, rows, right=tuple(range(1, len(names) + 1))),
+        facts((v.label, v.meaning) for v in (s.metrics[n] for n in names)),
+    ]
+
+
+def _budget(d: DatasetSummary) -> Table:
+    rows = [[cause(p.cause), percent(p.median), percent(p.p95), CAUSES.get(p.cause, "")] for p in d.budget]
+    return table(
+        "Standard uncertainties relative to the value.",
+        ["cause", "median", "95th percentile", "what it is"],
+        rows,
+        right=(1, 2),
+        most=(MOST_ROWS, f"{d.slug}-budget.csv"),
+    )
+
+
+def fitted_words(f: ModelSummary) -> str:
+    """The fitted parameters of a model, with their uncertainties."""
+    parts = [f"{n} = {with_u(p.value, p.u)}" for n, p in f.parameters.items() if not p.fixed]
+    return ", ".join(parts)
+
+
+def _cone(solid_angle_sr: float | None) -> str:
+    if solid_angle_sr is None:
+        return "unknown"
+    half = math.degrees(float(geometry.half_angle_of_cone(solid_angle_sr)))
+    return f"{number(solid_angle_sr)} sr (half-angle {half:.3g}°)"
+
+
+def _unreachable(run: RunFacts) -> str:
+    parts = [f"{count} {flag}" for flag, count in run.points_not_reachable.items()]
+    return f" ({', '.join(parts)})" if parts else ""
+
+
+def _band(b: TableBand) -> str:
+    if "lower_nm" in b:
+        return f"{b.get('name', '')}, {b['lower_nm']:g} to {b['upper_nm']:g} nm, broad"
+    if "centre_nm" not in b:
+        return f"{b.get('name', 'unnamed')}, without stated limits"
+    return f"{b.get('name', '')}, {b.get('centre_nm')} nm, {b.get('fwhm_nm')} nm wide"
+
+
+def _width(d: DatasetSummary) -> str:
+    here = [b for b in d.bands if b.get("centre_nm") == d.wavelength_nm and b.get("fwhm_nm")]
+    return f", {here[0]['fwhm_nm']:g} nm wide" if here else ""
+
+
+def _angles(angles: Sequence[float]) -> str:
+    """A list of angles, or its range where it is long (readbacks scatter by a few hundredths of a degree)."""
+    distinct: list[float] = []
+    for a in angles:
+        if not distinct or a - distinct[-1] > 0.4:
+            distinct.append(a)
+    if len(distinct) > 12:
+        return f"{len(distinct)} from {distinct[0]:g}° to {distinct[-1]:g}°"
+    return ", ".join(f"{a:g}°" for a in distinct)

@@ -1,0 +1,199 @@
+"""Text files: lines, cells and numbers, every error naming the file and the line.
+
+Everything that is no number where one belongs is a `DataError`.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gonio.errors import DataError
+from gonio.typing import Floats
+
+MAX_LINES = 5_000_000
+
+
+class Text:
+    """The lines of a text file, for readers whose messages name the line."""
+
+    def __init__(self, data: bytes, path: Path) -> None:
+        self.path = path
+        self.lines = decode(data, path).splitlines()
+
+    def where(self, line: int) -> str:
+        """`file, line N`, for the line with index `line`."""
+        return f"{self.path}, line {line + 1}"
+
+
+def decode(data: bytes, path: Path) -> str:
+    """Text as UTF-8, or as Latin-1 where it is not UTF-8 (old instruments' comments).
+
+    Raises
+    ------
+    DataError
+        The bytes hold control characters, so they are no text at all; or far too many lines.
+    """
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise DataError(f"{path}, byte 0: is text in UTF-16; save it as UTF-8")
+    bad = re.search(rb"[\x00-\x08\x0e-\x1f\x7f]", data)
+    if bad:
+        raise DataError(f"{path}: byte {bad.start()} is {bad.group()[0]:#04x}: not a text file, or a damaged one")
+    if sum(data.count(end) for end in (b"\n", b"\r", b"\v", b"\f", b"\x85", b"\xe2\x80")) > 2 * MAX_LINES:
+        raise DataError(f"{path}: has more than {MAX_LINES} lines, the most that are read")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def separator(header: str) -> str:
+    """What separates the cells of a CSV with this header line: a comma, or a semicolon, or a tab."""
+    return next((mark for mark in ",;\t" if mark in header), ",")
+
+
+def column_names(head: bytes) -> set[str]:
+    """The names in the first line of a CSV, to tell its format by, in whatever order they stand."""
+    line = re.split(rb"[\r\n]", head.removeprefix(b"\xef\xbb\xbf").lstrip(), maxsplit=1)[0].decode("latin-1")
+    return {name.strip().strip('"').strip() for name in line.split(separator(line))}
+
+
+@dataclass(frozen=True)
+class CsvTable:
+    """A CSV of numbers under a header: the cells as text, and where each row stands."""
+
+    path: Path
+    header: list[str]
+    rows: list[list[str]]
+    line_numbers: list[int]
+    decimal_comma: bool
+    """Whether a comma in a number is its decimal point: where cells are separated by something else."""
+
+    def column(self, name: str, *, estimates: bool = False) -> Floats:
+        """The numbers of a column; `DataError` naming the line of the first cell that is none.
+
+        Among measured values (`estimates`) an empty cell is NaN.
+        """
+        k, read = self.header.index(name), estimate if estimates else number
+        cells = (row[k].replace(",", ".") if self.decimal_comma else row[k] for row in self.rows)
+        return np.array([read(cell, self.where(j), name) for j, cell in enumerate(cells)])
+
+    def words(self, name: str) -> list[str]:
+        """The cells of a column as text."""
+        k = self.header.index(name)
+        return [row[k].strip() for row in self.rows]
+
+    def where(self, row: int) -> str:
+        """`file, line N`, for the row with index `row`."""
+        return f"{self.path}, line {self.line_numbers[row]}"
+
+
+def csv_table(data: bytes, path: Path, needed: Sequence[str]) -> CsvTable:
+    """A CSV with a header line that has at least the `needed` columns; every row as long as the header.
+
+    Cells are separated by commas, or else by semicolons or tabs, and then a number may have a decimal comma.
+
+    Raises
+    ------
+    DataError
+        A column is missing or there twice, a row is too long or too short (with its line), or there are no rows.
+    """
+    text = decode(data, path)
+    mark = separator(re.split(r"[\r\n]", text.lstrip(), maxsplit=1)[0])
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=mark, strict=True)
+    header: list[str] = []
+    rows: list[list[str]] = []
+    line_numbers: list[int] = []
+    try:
+        for cells in reader:
+            if not any(cell.strip() for cell in cells):
+                continue
+            if not header:
+                header = [cell.strip() for cell in cells]
+                continue
+            if len(cells) != len(header):
+                where = f"{path}, line {reader.line_num}"
+                raise DataError(f"{where}: {len(cells)} cells, and the header names {len(header)} columns")
+            rows.append(cells)
+            line_numbers.append(reader.line_num)
+    except csv.Error as error:
+        raise DataError(f"{path}, line {reader.line_num}: {error}") from None
+    missing = [name for name in needed if header.count(name) != 1]
+    if missing:
+        raise DataError(f"{path}, line 1: columns missing, or there twice: {', '.join(missing)}")
+    if not rows:
+        raise DataError(f"{path}: has a header and no rows")
+    return CsvTable(path, header, rows, line_numbers, decimal_comma=mark != ",")
+
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+
+
+def number(text: str, where: str, what: str) -> float:
+    """One finite decimal number.
+
+    Raises
+    ------
+    DataError
+        The text is not a number, or beyond the range of a float; names `where` and `what`.
+    """
+    text = text.strip()
+    if not text.isascii() or not _NUMBER.fullmatch(text):
+        raise DataError(f"{where}: {what} is {_shown(text)}, not a number")
+    value = float(text)
+    if not math.isfinite(value):
+        raise DataError(f"{where}: {what} = {_shown(text)} is beyond the range of a float")
+    return value
+
+
+def integer(text: str, where: str, what: str, lower: int, upper: int) -> int:
+    """One integer from `lower` to `upper`; else `DataError`."""
+    value = number(text, where, what)
+    if value != int(value) or not lower <= value <= upper:
+        raise DataError(f"{where}: {what} = {_shown(text.strip())}; an integer from {lower} to {upper} is needed")
+    return int(value)
+
+
+def estimate(text: str, where: str, what: str) -> float:
+    """A measured value: a number, or NaN for an empty cell or the word nan, where nothing was measured."""
+    return math.nan if text.strip().lower() in ("", "nan") else number(text, where, what)
+
+
+def numbers(
+    cells: Sequence[str], where: str, names: Sequence[str], read: Callable[[str, str, str], float] = number
+) -> list[float]:
+    """The numbers (or by `read` the estimates) of one line; `names[k]` names cell k in messages."""
+    joined = "".join(cells)
+    if joined.isascii() and "_" not in joined:
+        try:
+            values = [float(cell) for cell in cells]
+        except ValueError:
+            values = [math.nan]  # named below
+        if all(map(math.isfinite, values)):
+            return values
+    return [read(cell, where, name) for cell, name in zip(cells, names, strict=True)]
+
+
+def _shown(text: str) -> str:
+    return json.dumps(text if len(text) <= 40 else text[:37] + "...", ensure_ascii=False)
+
+
+_FORMULA = re.compile(r"'*[=+\-@\t\r\n＝＋－＠]")
+
+
+def cell_of(word: str) -> str:
+    """A text as a cell of a CSV, with an apostrophe before what a spreadsheet would run as a formula."""
+    return f"'{word}" if _FORMULA.match(word) else word
+
+
+def plain_word(cell: str) -> str:
+    """The text that `cell_of` made a cell of."""
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell

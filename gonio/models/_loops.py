@@ -1,0 +1,176 @@
+"""The loops over a compiled kernel, each written once: `_compile.loop` puts a model's kernel in at the name `kernel`.
+
+A kernel maps the components of two unit vectors and a tuple of constants to a BRDF. The loops run over vectors, over
+angles, and over columns of numbers made of the directions before. They check arguments in the pass that evaluates
+them, and return 1 where one is wrong, else 0. Every loop that turns arguments into vectors does it by `unit_vectors`
+or `vectors_of_angles`; a kernel that needs several passes over a block (`_htsg_kernels`) brings loops of its own.
+"""
+
+from __future__ import annotations
+
+from math import pi
+from typing import Final
+
+from gonio.models._compile import device, template
+from gonio.models._math import sincos, sincos_polar
+
+NORM_TOLERANCE: Final = 1e-6  # how far from 1 the length of a direction may be: what float32 vectors need, and no more
+BLOCK: Final = 8192  # pairs handled at a time: one constant argument is repeated that often, and stays in the cache
+PHI_LIMIT: Final = 1e6  # rad; beyond it an azimuth has fewer than ten digits left
+HALF_PI: Final = pi / 2
+
+
+# --- from arguments to vectors ------------------------------------------------------------------------------------
+
+
+@device
+def off_unit(x, y, z):  # type: ignore[no-untyped-def]
+    """1 where a vector's length is beyond `NORM_TOLERANCE` from 1, and for NaN; else 0."""
+    return 0 if abs(x * x + y * y + (z * z - 1.0)) <= 2.0 * NORM_TOLERANCE else 1
+
+
+@device
+def unit_vectors(ax, ay, az, bx, by, bz):  # type: ignore[no-untyped-def]
+    """Two vectors brought to unit length, and 1 where one is `off_unit`, else 0."""
+    ea = ax * ax + ay * ay + (az * az - 1.0)
+    eb = bx * bx + by * by + (bz * bz - 1.0)
+    wrong = off_unit(ax, ay, az) | off_unit(bx, by, bz)
+    fa = 1.0 - ea * (0.5 - 0.375 * ea)  # 1/sqrt(1 + e): the next term is below 3e-18
+    fb = 1.0 - eb * (0.5 - 0.375 * eb)
+    return ax * fa, ay * fa, az * fa, bx * fb, by * fb, bz * fb, wrong
+
+
+@device
+def off_range(theta_i, phi_i, theta_r, phi_r):  # type: ignore[no-untyped-def]
+    """1 where a polar angle is outside [0, pi/2] or an azimuth beyond `PHI_LIMIT`, and for NaN; else 0."""
+    polar = 0.0 <= theta_i <= HALF_PI and 0.0 <= theta_r <= HALF_PI
+    return 0 if polar and abs(phi_i) <= PHI_LIMIT and abs(phi_r) <= PHI_LIMIT else 1
+
+
+@device
+def vectors_of_angles(theta_i, phi_i, theta_r, phi_r):  # type: ignore[no-untyped-def]
+    """Two unit vectors in the frame of the source's azimuth, and what `off_range` says."""
+    sin_i, cos_i = sincos_polar(theta_i)
+    sin_r, cos_r = sincos_polar(theta_r)
+    sin_d, cos_d = sincos(phi_r - phi_i)
+    wrong = off_range(theta_i, phi_i, theta_r, phi_r)
+    return sin_i, 0.0, cos_i, sin_r * cos_d, sin_r * sin_d, cos_r, wrong
+
+
+@device
+def part(flat, first, count, step):  # type: ignore[no-untyped-def]
+    """The numbers of a block of pairs: of an argument with a number a pair (`step` 1), or of a constant one (0)."""
+    return flat[first * step : first * step + count]
+
+
+@device
+def vector_part(flat, first, count, step):  # type: ignore[no-untyped-def]
+    """The same of vectors, three numbers after three."""
+    return flat[3 * first * step : 3 * (first * step + count)]
+
+
+# --- the loops ----------------------------------------------------------------------------------------------------
+
+
+@template("r1 i r1 i p w1 i i", side_by_side=2)
+def over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop):  # type: ignore[no-untyped-def]
+    wrong = 0
+    for first in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - first)
+        l, v = vector_part(omega_i, first, count, step_i), vector_part(omega_r, first, count, step_r)  # noqa: E741
+        o = out[first : first + count]
+        for j in range(count):
+            # flat arrays: with two axes the row length would be unknown when compiling, and the loop stay scalar
+            az, bz = l[3 * j + 2], v[3 * j + 2]
+            lx, ly, lz, vx, vy, vz, off = unit_vectors(l[3 * j], l[3 * j + 1], az, v[3 * j], v[3 * j + 1], bz)
+            wrong |= off
+            value = kernel(lx, ly, lz, vx, vy, vz, constants)  # type: ignore[name-defined]  # noqa: F821
+            o[j] = value if (az if az < bz else bz) >= 0.0 else 0.0
+    return wrong
+
+
+@template("r1 i r1 i r1 i r1 i p w1 i i")
+def over_angles(theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, constants, out, start, stop):  # type: ignore[no-untyped-def]
+    wrong = 0
+    for first in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - first)
+        ti, pi_ = part(theta_i, first, count, step_ti), part(phi_i, first, count, step_pi)
+        tr, pr = part(theta_r, first, count, step_tr), part(phi_r, first, count, step_pr)
+        o = out[first : first + count]
+        for j in range(count):
+            lx, ly, lz, vx, vy, vz, off = vectors_of_angles(ti[j], pi_[j], tr[j], pr[j])
+            wrong |= off
+            o[j] = kernel(lx, ly, lz, vx, vy, vz, constants)  # type: ignore[name-defined]  # noqa: F821
+    return wrong
+
+
+@template("r1 i r1 i r1 i r1 i p w1 i i")
+def over_absolute_angles(  # type: ignore[no-untyped-def]
+    theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, constants, out, start, stop
+):
+    wrong = 0
+    for j in range(start, stop):
+        a, b, p, q = theta_i[j * step_ti], theta_r[j * step_tr], phi_i[j * step_pi], phi_r[j * step_pr]
+        if off_range(a, p, b, q):
+            wrong = 1
+            continue
+        sin_i, cos_i = sincos_polar(a)
+        sin_r, cos_r = sincos_polar(b)
+        sin_p, cos_p = sincos(p)
+        sin_q, cos_q = sincos(q)
+        out[j] = kernel(sin_i * cos_p, sin_i * sin_p, cos_i, sin_r * cos_q, sin_r * sin_q, cos_r, constants)  # type: ignore[name-defined]  # noqa: F821
+    return wrong
+
+
+@template("r1 i i")
+def over_lengths(vectors, start, stop):  # type: ignore[no-untyped-def]
+    wrong = 0
+    v = vector_part(vectors, start, stop - start, 1)
+    for j in range(stop - start):
+        wrong |= kernel(v[3 * j], v[3 * j + 1], v[3 * j + 2])  # type: ignore[name-defined]  # noqa: F821
+    return wrong
+
+
+@template("r1 r1 i w1")
+def over_columns(omega_i, omega_r, count, out):  # type: ignore[no-untyped-def]
+    """What the kernel needs of each pair of directions, column after column."""
+    pairs = omega_i.size // 3
+    for j in range(pairs):
+        i = 3 * j
+        numbers = kernel(omega_i[i], omega_i[i + 1], omega_i[i + 2], omega_r[i], omega_r[i + 1], omega_r[i + 2])  # type: ignore[name-defined]  # noqa: F821
+        for k in range(count):
+            out[k * pairs + j] = numbers[k]
+    return 0
+
+
+@template("r1 p w1 i i", columns=True)
+def at_2(columns, constants, out, start, stop):  # type: ignore[no-untyped-def]
+    n = out.size
+    a, b, o = columns[start:stop], columns[n + start : n + stop], out[start:stop]
+    for j in range(stop - start):
+        o[j] = kernel(a[j], b[j], constants)  # type: ignore[name-defined]  # noqa: F821
+    return 0
+
+
+@template("r1 p w1 i i", columns=True)
+def at_3(columns, constants, out, start, stop):  # type: ignore[no-untyped-def]
+    n = out.size
+    a, b = columns[start:stop], columns[n + start : n + stop]
+    c, o = columns[2 * n + start : 2 * n + stop], out[start:stop]
+    for j in range(stop - start):
+        o[j] = kernel(a[j], b[j], c[j], constants)  # type: ignore[name-defined]  # noqa: F821
+    return 0
+
+
+@template("r1 p w1 i i", columns=True)
+def at_4(columns, constants, out, start, stop):  # type: ignore[no-untyped-def]
+    n = out.size
+    a, b, c = columns[start:stop], columns[n + start : n + stop], columns[2 * n + start : 2 * n + stop]
+    d, o = columns[3 * n + start : 3 * n + stop], out[start:stop]
+    for j in range(stop - start):
+        o[j] = kernel(a[j], b[j], c[j], d[j], constants)  # type: ignore[name-defined]  # noqa: F821
+    return 0
+
+
+AT: Final = {2: at_2, 3: at_3, 4: at_4}
+"""The loop for a kernel of so many columns."""

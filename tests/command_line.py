@@ -1,0 +1,33 @@
+"""The command `gonio` in this process: `gonio.cli.main` without the second that a process takes to start.
+
+For what a command says and does. Signals, closed streams, imports and strangers' packages need a process of its own.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gonio.cli import Ending, application
+
+
+def gonio(folder: Path, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    """Run a command in a folder: its exit code, and what it printed."""
+    words = [str(argument) for argument in arguments]
+    printed = io.BytesIO(), io.BytesIO()
+    out, err = (io.TextIOWrapper(stream, encoding="utf-8", write_through=True) for stream in printed)
+    with pytest.MonkeyPatch.context() as patch, open(os.devnull, encoding="utf-8") as nothing:
+        patch.chdir(folder)
+        for name, value in (("COLUMNS", "100"), ("NO_COLOR", "1"), ("TERM", "dumb")):
+            patch.setenv(name, value)
+        for name, stream in (("stdin", nothing), ("stdout", out), ("stderr", err)):
+            patch.setattr(sys, name, stream)
+        patch.setattr(sys, "argv", ["gonio", *words])
+        patch.setattr(application, "deafen", lambda: None)  # this process goes on, and has to hear its signals
+        code = application.run(Ending())
+    return subprocess.CompletedProcess(words, code or 0, *(stream.getvalue().decode() for stream in printed))

@@ -1,0 +1,58 @@
+"""What every camera has to do, in a rig and by itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gonio.errors import ConfigError
+from gonio.rig import Frame
+from tests.contracts.cameras import Eye
+
+AS_ASKED = 0.05
+"""What an exposure may differ from what was asked; the reduction uses what the frame says."""
+
+
+def level(frame: Frame) -> float:
+    return float(np.mean(frame.mosaic)) - frame.black_level_dn
+
+
+def test_the_camera_sees_the_lamp_go_on_and_off(eye: Eye) -> None:
+    """So a frame is newer than the call: those that waited in a queue show the lamp as it was."""
+    if eye.lamp is None:
+        pytest.skip("it sees no lamp")
+    dark = level(eye.camera.capture(eye.exposure_s))
+    eye.lamp(True)
+    lit = level(eye.camera.capture(eye.exposure_s))
+    eye.lamp(False)
+    again = level(eye.camera.capture(eye.exposure_s))
+    assert lit > dark + 5, "the lamp adds less than 5 DN: longer exposures, or no light"
+    assert abs(again - dark) < 0.1 * (lit - dark)
+
+
+def test_a_frame_is_what_the_rig_file_describes(eye: Eye) -> None:
+    camera = eye.description.camera
+    frame = eye.camera.capture(eye.exposure_s)
+    assert frame.mosaic.shape == (camera.height, camera.width)
+    assert frame.mosaic.dtype == np.uint16
+    assert frame.pattern == camera.pattern
+    assert 0 <= frame.black_level_dn < frame.white_level_dn
+    assert frame.mosaic.max() <= frame.white_level_dn
+    assert frame.exposure_s == pytest.approx(eye.exposure_s, rel=AS_ASKED)
+
+
+def test_frames_begin_after_the_call_and_their_times_grow(eye: Eye) -> None:
+    assert eye.time_s() >= 0
+    times = []
+    for _ in range(3):
+        asked = eye.time_s()
+        times.append(eye.camera.capture(eye.exposure_s).time_s)
+        assert times[-1] >= asked
+    assert times[0] < times[1] < times[2] <= eye.time_s()
+
+
+@pytest.mark.parametrize("end", [0, 1])
+def test_an_exposure_outside_the_limits_is_refused(eye: Eye, end: int) -> None:
+    beyond = eye.description.camera.exposure_limits_s[end] * (0.5, 2.0)[end]
+    with pytest.raises(ConfigError, match="exposure"):
+        eye.camera.capture(beyond)

@@ -1,0 +1,44 @@
+"""A rig is dark before and after its use, whatever ends it."""
+
+from __future__ import annotations
+
+import pytest
+
+from gonio.errors import DeviceError
+from gonio.rig import Rig
+from tests.contracts.conftest import begin
+from tests.contracts.rigs import Case
+
+
+class Stopped(Exception):
+    """Something goes wrong while the rig is open."""
+
+
+def light_up(rig: Rig, case: Case) -> None:
+    begin(rig, case)
+    rig.light.select(case.description.bands.all()[0])
+    rig.light.on()
+    if case.shines:
+        assert case.shines()
+
+
+def test_a_rig_is_dark_when_it_is_entered_and_when_it_is_left(case: Case) -> None:
+    with case.build() as rig:
+        if case.shines:
+            assert not case.shines()
+        light_up(rig, case)
+    if case.shines:
+        assert not case.shines()
+
+
+@pytest.mark.parametrize("error", [Stopped, KeyboardInterrupt, DeviceError])
+def test_a_rig_is_left_dark_whatever_ends_it(case: Case, error: type[BaseException]) -> None:
+    def fail() -> None:
+        with case.build() as rig:
+            light_up(rig, case)
+            raise error("of the test")
+
+    with pytest.raises(error, match="of the test"):
+        fail()
+    if case.shines:
+        assert not case.shines()

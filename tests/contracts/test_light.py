@@ -1,0 +1,18 @@
+"""What every lamp has to do."""
+
+from __future__ import annotations
+
+from gonio.rig import Rig
+from tests.contracts.rigs import Case
+
+
+def test_every_band_can_be_selected_in_the_dark_and_lit(case: Case, rig: Rig) -> None:
+    bands = case.description.bands.all()
+    for band in {bands[0], bands[len(bands) // 2], bands[-1]}:
+        rig.light.off()
+        rig.light.select(band)
+        if case.shines:
+            assert not case.shines()
+        rig.light.on()
+        if case.shines:
+            assert case.shines()
