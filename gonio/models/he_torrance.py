@@ -17,7 +17,7 @@ from gonio.models._hemisphere import about_mirror, about_source
 from gonio.models._htsg_series import TIERS
 from gonio.models._loops import HALF_PI
 from gonio.models.engine import Constants, Kernel
-from gonio.models.hemispherical import TOLERANCE
+from gonio.models.hemispherical import COARSE_RULES, COARSE_TOLERANCE, TOLERANCE
 from gonio.models.model import Model, over_thetas
 from gonio.models.parameters import Index, checked_index, checked_wavelength, choice, index_at, number
 
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 LARGEST_UM = 1e12
+ORDERS = (4, 6, 8, 12, 18, 27, 40)
+"""Of the rules that integrate the lobe over the hemisphere, one after the other."""
 """Largest roughness and correlation length [um]; the inverse is the smallest correlation length. Beyond these the
 constants of the series leave the range of floating-point numbers."""
 
@@ -250,7 +252,7 @@ class HeTorrance(Model):
         critical = math.asin(math.sqrt(1.0 + rise)) if -1.0 < rise < 0.0 else None  # 0 < Re n^2 < 1
         omega_i = np.array([math.sin(theta), 0.0, math.cos(theta)])
         before = math.inf
-        for order in (4, 6, 8, 12, 18, 27, 40):
+        for order in ORDERS[0 if tolerance > COARSE_TOLERANCE else COARSE_RULES :]:
             omega_r, weight = (
                 about_mirror(theta, narrow, slope, order)
                 if critical is None

@@ -37,6 +37,8 @@ WIDTHS = (1.0, 2.5, 6.4)
 """Where a distribution exp(-x^2) changes; beyond the last 1e-17 of it is left."""
 ORDERS = ((4, 3), (6, 4), (8, 6), (12, 9), (18, 14), (27, 21), (40, 32), (60, 48), (90, 72))
 """Nodes in a panel of alpha and in one of beta, from rule to rule."""
+COARSE_TOLERANCE, COARSE_RULES = 1e-6, 2
+"""Only for a tolerance above this are the first rules tried, whose agreement says little more."""
 
 
 def reflectance(
@@ -157,7 +159,7 @@ def over_facets(
     before = np.full(theta.size, np.nan)
     levels, rooted = _fresnel_levels(index) if index else ([], False)
     edges = _alpha_edges(theta, scales, reach, levels)
-    for n_alpha, n_beta in ORDERS:
+    for n_alpha, n_beta in ORDERS[0 if tolerance > COARSE_TOLERANCE else COARSE_RULES :]:
         value = _facet_rule(
             kernel,
             constants,

@@ -58,7 +58,7 @@ class Model(ABC):
         raise NotImplementedError
 
     @property
-    def _absolute(self) -> bool:
+    def depends_on_azimuth(self) -> bool:
         """Whether the BRDF depends on both azimuths and not on their difference alone."""
         return False
 
@@ -126,7 +126,15 @@ class Model(ABC):
         if isinstance(wavelength_nm, (int, float)) or engine.real_array("wavelength_nm", wavelength_nm).ndim == 0:
             kernel, constants = self._evaluation(checked_wavelength(wavelength_nm))
             return engine.over_angles(
-                kernel, constants, theta_i, phi_i, theta_r, phi_r, absolute=self._absolute, split=self.grain, out=out
+                kernel,
+                constants,
+                theta_i,
+                phi_i,
+                theta_r,
+                phi_r,
+                absolute=self.depends_on_azimuth,
+                split=self.grain,
+                out=out,
             )
         arrays, shape = engine.angle_arrays(theta_i, phi_i, theta_r, phi_r)
         engine.check_angles(arrays)

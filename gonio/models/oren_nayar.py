@@ -215,7 +215,7 @@ class OrenNayar(Model):
         return SPLIT if self.form in ("functional", "qualitative") else 64
 
     @property
-    def _absolute(self) -> bool:
+    def depends_on_azimuth(self) -> bool:
         return self.groove_azimuth_deg is not None
 
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:

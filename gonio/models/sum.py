@@ -88,6 +88,10 @@ class Sum(Model):
         return self._total(lambda m: m.at(geometry, wavelength_nm=wavelength_nm), out)
 
     @property
+    def depends_on_azimuth(self) -> bool:
+        return any(model.depends_on_azimuth for model, _ in self.terms)
+
+    @property
     def has_spike(self) -> bool:
         """Whether one of the terms has a specular spike."""
         return any(model.has_spike for model, _ in self.terms)

@@ -151,7 +151,7 @@ class Integrator:
             everywhere = np.arange(hits.shape.size)
             for material, part in self._by_material(hits, everywhere):
                 share = 1.0 if axis is None else 0.5  # of light that is taken as unpolarised
-                out[part] += share * material.ambient(view[part, 2], hits.uv[part]) * scene.ambient
+                out[part] += share * material.ambient(view[part], hits.uv[part]) * scene.ambient
         return out
 
     def _mirror(

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
 
 from gonio import models
 from gonio.config import Strict, parse
@@ -20,7 +20,12 @@ from gonio_scenes.patterns import Pattern, Texture
 from gonio_scenes.spectra import Spectral, Spectrum, is_table, values
 
 AMBIENT_NODES = 65
-"""Polar angles at which rho_hd is computed; between them it is interpolated."""
+"""Polar angles at which rho_hd is computed; between them it is interpolated, to 1e-3 of its largest value for gentle
+and to 1e-5 for rough surfaces (docs/scenes.md)."""
+AMBIENT_AZIMUTHS = 25
+"""Azimuths of surfaces that have a direction of their own."""
+AMBIENT_TOLERANCE = 1e-5
+"""Of each value of the table: well below the error of the interpolation."""
 
 
 class MaterialTable(Strict):
@@ -69,7 +74,7 @@ class Material:
         self._waves = wavelength_nm
         self._where = where
         self._levels: dict[tuple[float, ...], _Level] = {}
-        self._ambient: dict[tuple[float, ...], PchipInterpolator] = {}
+        self._ambient: dict[tuple[float, ...], Any] = {}
         self._textures: dict[str, Pattern] = {
             name: texture.load(folder, f"{where}.textures.{name}") for name, texture in table.textures.items()
         }
@@ -119,13 +124,12 @@ class Material:
             lambda level, here: self._each(level, lambda m, w: m.specular_reflectivity(theta[here], wavelength_nm=w)),
         )
 
-    def ambient(self, cos_theta: Floats, uv: Floats) -> Floats:
-        """What uniform light is multiplied by toward polar angles: rho_hd without the spike, as `specular`."""
+    def ambient(self, omega_r: Floats, uv: Floats) -> Floats:
+        """What uniform light is multiplied by: rho_hd without the spike, toward unit vectors (n, 3); shape as `brdf`."""
         given = self._table.ambient_reflectance
         if given is not None:
-            return np.broadcast_to(self._given(given), (cos_theta.size, self._waves.size))
-        theta = np.arccos(np.clip(cos_theta, 0.0, 1.0))
-        return self._by_level(uv, lambda level, here: self._rho_hd(level, theta[here]))
+            return np.broadcast_to(self._given(given), (omega_r.shape[0], self._waves.size))
+        return self._by_level(uv, lambda level, here: self._rho_hd(level, omega_r[here]))
 
     # --- levels of textures -----------------------------------------------------------------------------------------
 
@@ -200,14 +204,28 @@ class Material:
         pairs = ((made.at[k if len(made.at) > 1 else 0], float(wave)) for k, wave in enumerate(waves))
         return np.stack([evaluate(model, wave) for model, wave in pairs], axis=1)
 
-    def _rho_hd(self, level: tuple[float, ...], theta: Floats) -> Floats:
-        """rho_hd from a table over the polar angle, made once, on the first use of a level."""
+    def _rho_hd(self, level: tuple[float, ...], omega: Floats) -> Floats:
+        """rho_hd from a table over the viewer's direction, made once, on the first use of a level."""
+        oriented = any(model.depends_on_azimuth for model in self._level(level).at)
         if level not in self._ambient:
             # nodes close up toward grazing, where reflectances change fastest
-            nodes = np.pi / 2 * np.sin(np.linspace(0.0, np.pi / 2, AMBIENT_NODES))
-            table = self._each(level, lambda m, w: m.hemispherical_directional(nodes, wavelength_nm=w, spike=False))
-            self._ambient[level] = PchipInterpolator(nodes, table)
-        return np.asarray(self._ambient[level](theta))
+            theta = np.pi / 2 * np.sin(np.linspace(0.0, np.pi / 2, AMBIENT_NODES))
+            phi = np.linspace(-np.pi, np.pi, AMBIENT_AZIMUTHS) if oriented else np.zeros(1)
+            table = self._each(
+                level,
+                lambda m, w: m.hemispherical_directional(
+                    theta[:, None], phi_r=phi, wavelength_nm=w, spike=False, tolerance=AMBIENT_TOLERANCE
+                ),
+            )  # (theta, wavelength, phi)
+            table = np.moveaxis(table, 1, 2)
+            self._ambient[level] = (
+                RegularGridInterpolator((theta, phi), table, method="pchip")
+                if oriented
+                else PchipInterpolator(theta, table[:, 0])
+            )
+        theta = np.arccos(np.clip(omega[:, 2], 0.0, 1.0))
+        where = np.stack([theta, np.arctan2(omega[:, 1], omega[:, 0])], axis=1) if oriented else theta
+        return np.asarray(self._ambient[level](where))
 
     def _given(self, given: Any) -> Floats:
         if given != "normal":
