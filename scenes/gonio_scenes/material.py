@@ -125,7 +125,7 @@ class Material:
         )
 
     def ambient(self, omega_r: Floats, uv: Floats) -> Floats:
-        """What uniform light is multiplied by: rho_hd without the spike, toward unit vectors (n, 3); shape as `brdf`."""
+        """What uniform light is multiplied by: rho_hd without the spike, toward unit vectors (n, 3), as `brdf`."""
         given = self._table.ambient_reflectance
         if given is not None:
             return np.broadcast_to(self._given(given), (omega_r.shape[0], self._waves.size))
