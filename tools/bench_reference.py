@@ -25,7 +25,7 @@ sys.path.insert(0, str(ROOT))
 
 from tests.gonio.models import oracles  # noqa: E402
 
-OUT = ROOT / "analysis" / "gonio_analysis" / "bench" / "reference.json"
+OUT = ROOT / "analysis" / "gonio_validation" / "bench" / "reference.json"
 PI = math.pi
 POLAR_I = (0.0, 10.0, 30.0, 45.0, 60.0, 75.0, 85.0)
 POLAR_R = (0.0, 20.0, 45.0, 60.0, 80.0)

@@ -48,6 +48,6 @@ def models(
     """Speed against error of every way of evaluating the models. Also the hard cases; prints the report's path last."""
     from gonio.acquisition.run import command_line
     from gonio.cli import console
-    from gonio_validation.bench.report import make
+    from gonio_validation.bench.speed_and_error import make
 
     print(make(out, quick=quick, command=command_line(), progress=console.note))

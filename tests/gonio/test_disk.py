@@ -15,7 +15,7 @@ from gonio_analysis.demo import _clear
 from gonio_analysis.report import make
 from gonio_analysis.report.files import staged
 from gonio_validation import papers
-from gonio_validation.bench import report as bench
+from gonio_validation.bench import speed_and_error
 
 from gonio import disk, measurement
 from gonio.acquisition.measure import RigChoice, carry_out
@@ -298,7 +298,7 @@ WRITERS: dict[str, tuple[Callable[[Path], object], str]] = {
     "compare": (_compare, "page"),
     "demo": (_clear, "demo"),
     "figures": (lambda out: papers.make("htsg-8", out), "page"),
-    "bench": (lambda out: bench.make(out, quick=True), "page"),
+    "bench": (lambda out: speed_and_error.make(out, quick=True), "page"),
 }
 
 

@@ -135,8 +135,7 @@ def _write(
     )
     view = _view(c, at, listed, drawn, shown) if drawn else None
     page = _page(found, figures, view)
-    files.write(folder, as_json(found), figures)
-    (folder / "index.html").write_text(html.document(page), encoding="utf-8")
+    files.write_page(folder, page, as_json(found), figures)
     pdf.write(folder / "report.pdf", [page])
 
 

@@ -16,8 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 from gonio.disk import MANIFEST, NOT_OWN, manifest_of, remove_own, require_name, strangers, write_manifest
 from gonio.errors import ConfigError
+from gonio_analysis.report import html
 
 if TYPE_CHECKING:
+    from gonio_analysis.report.blocks import Page
     from gonio_analysis.report.figures import Figure
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -85,6 +87,12 @@ def write(folder: Path, summary: Mapping[str, Any], figures: Iterable[Figure] = 
         (drawn / f"{figure.name}.png").write_bytes(figure.png)
     text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+
+
+def write_page(folder: Path, page: Page, summary: Mapping[str, Any], figures: Iterable[Figure] = ()) -> None:
+    """Write `index.html`, and with it what `write` writes."""
+    write(folder, summary, figures)
+    (folder / "index.html").write_text(html.document(page), encoding="utf-8")
 
 
 def _check(final: Path, shown: Path) -> None:

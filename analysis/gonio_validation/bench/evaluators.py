@@ -1,13 +1,10 @@
-"""What is compared: families of reference samples, and for each the ways of evaluating them."""
+"""Every way of evaluating every quantity: ours, and what they are compared with in this process."""
 
 from __future__ import annotations
 
 import functools
-import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -17,106 +14,44 @@ from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, OrenNayar, Ph
 from gonio.models._compile import loop
 from gonio.models._facets import fresnel_constants
 from gonio.typing import Floats
-from gonio_validation.bench import naive, plain
-from gonio_validation.bench.plain import Parameters
-
-Evaluate = Callable[..., Any]
-
+from gonio_validation.bench import naive, specification
+from gonio_validation.bench.quantity import Evaluate, Inputs, Parameters, Quantity, Sample, Way, directions, to_angles
+from gonio_validation.bench.reference import FresnelValues, ModelValues, reference, samples
+from gonio_validation.bench.results import Set
 
 EVEN = "directions even over the hemisphere"
 
 
-@dataclass(frozen=True)
-class Sample:
-    """Reference values of one set of parameters: what a way is given, and what it should say."""
-
-    kind: str
-    """"grid" or "hard"."""
-    parameters: Parameters
-    arrays: tuple[Floats, ...]
-    value: Floats
-    condition: Floats
-    cases: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Way:
-    """One way of evaluating a family."""
-
-    name: str
-    prepare: Callable[[Parameters], Evaluate]
-    """From parameters to a function of the arrays; what it costs is not timed."""
-    ours: bool = False
-    note: str = ""
-    convert: Callable[..., tuple[Any, ...]] | None = None
-    """From the family's arrays to what the function takes; not timed."""
-    accurate: bool = True
-    """Whether its results are comparable (a peer may compute another formula)."""
-    stated: float | None = None
-    """The relative error (times 1 + conditioning) that the way promises."""
-    peer: bool = False
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A quantity, its reference samples, inputs to time it with, and ways of evaluating it."""
-
-    name: str
-    title: str
-    about: str
-    samples: tuple[Sample, ...]
-    timed: Callable[[int], list[tuple[Parameters, tuple[Floats, ...]]]]
-    """Parameters and arrays for about so many evaluations."""
-    inputs: str
-    """The timed inputs in words."""
-    ways: tuple[Way, ...]
-
-
-@functools.cache
-def reference() -> dict[str, Any]:
-    """The reference values that tools/bench_reference.py wrote."""
-    text = files("gonio_validation.bench").joinpath("reference.json").read_text(encoding="utf-8")
-    found: dict[str, Any] = json.loads(text)
-    return found
-
-
-def directions(count: int, seed: int = 1) -> tuple[Floats, Floats]:
-    """Pairs of unit vectors, each even over the hemisphere."""
-    rng = np.random.default_rng(seed)
-
-    def one() -> Floats:
-        z, phi = rng.random(count), rng.random(count) * 2.0 * math.pi
-        s = np.sqrt((1.0 - z) * (1.0 + z))
-        return np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=-1)
-
-    return one(), one()
-
-
-def to_angles(omega_i: Floats, omega_r: Floats) -> tuple[Floats, ...]:
-    """theta_i, phi_i, theta_r, phi_r [rad] of vectors."""
-    out: list[Floats] = []
-    for v in (omega_i, omega_r):
-        theta = np.arctan2(np.hypot(v[..., 0], v[..., 1]), v[..., 2])
-        out += [theta, np.arctan2(v[..., 1], v[..., 0])]
-    return tuple(out)
-
-
-def families() -> list[Quantity]:
-    """Every family, with every way that runs in this process (for others see `gonio_validation.bench.peers`)."""
+def quantities() -> list[Quantity]:
+    """Every quantity, with every way that runs in this process (for others see `gonio_validation.bench.peers`)."""
+    r = reference()
     return [
         *_he_torrance(),
         _closed(
-            "cook-torrance", "Cook-Torrance", "Beckmann facets, two slopes, complex index.", _cook, plain.cook_torrance
+            "cook-torrance",
+            r.cook_torrance,
+            "Cook-Torrance",
+            "Beckmann facets, two slopes, complex index.",
+            _cook,
+            specification.cook_torrance,
         ),
-        _closed("blinn", "Blinn", "D3 facets over a diffuse base.", lambda p: Blinn(**p), plain.blinn),
-        _closed("phong", "Phong", "Blinn's form of it, over a diffuse base.", lambda p: Phong(**p), plain.phong),
+        _closed("blinn", r.blinn, "Blinn", "D3 facets over a diffuse base.", lambda p: Blinn(**p), specification.blinn),
+        _closed(
+            "phong",
+            r.phong,
+            "Phong",
+            "Blinn's form of it, over a diffuse base.",
+            lambda p: Phong(**p),
+            specification.phong,
+        ),
         _lambert(),
         _closed(
             "oren-nayar",
+            r.oren_nayar,
             "Oren-Nayar, functional form",
             "Eqs. 14 to 16: how well the formula itself is evaluated.",
             lambda p: OrenNayar(**p),
-            plain.oren_nayar,
+            specification.oren_nayar,
         ),
         _oren_nayar(),
         _fresnel(),
@@ -124,27 +59,8 @@ def families() -> list[Quantity]:
     ]
 
 
-def _samples(name: str, wanted: dict[str, str]) -> tuple[Sample, ...]:
-    """Samples over vectors from the reference file; `wanted` renames its sets."""
-    out = []
-    for g in reference()[name]:
-        if g["set"] in wanted:
-            arrays = (np.array(g["omega_i"]), np.array(g["omega_r"]))
-            out.append(
-                Sample(
-                    wanted[g["set"]],
-                    g["parameters"],
-                    arrays,
-                    np.array(g["value"]),
-                    np.array(g["condition"]),
-                    tuple(g["cases"]),
-                )
-            )
-    return tuple(out)
-
-
-def _split(parameters: list[Parameters]) -> Callable[[int], list[tuple[Parameters, tuple[Floats, ...]]]]:
-    def timed(count: int) -> list[tuple[Parameters, tuple[Floats, ...]]]:
+def _split(parameters: list[Parameters]) -> Callable[[int], Inputs]:
+    def timed(count: int) -> Inputs:
         each = max(1, count // len(parameters))
         return [(p, directions(each, seed)) for seed, p in enumerate(parameters, 1)]
 
@@ -199,8 +115,8 @@ def _he_torrance() -> list[Quantity]:
         Way("ours, angles", _ours(1e-12, "brdf"), True, "brdf, tolerance 1e-12", to_angles, stated=1e-12),
         Way("ours, Mueller matrix", _mueller, True, "from angles; errors of I → I", to_angles, stated=1e-11),
     )
-    common = _samples("he-torrance", {"common": "grid"})
-    whole = _samples("he-torrance", {"whole": "grid", "hard": "hard"})
+    common = samples(reference().he_torrance, {"common": "grid"})
+    whole = samples(reference().he_torrance, {"whole": "grid", "hard": "hard"})
     about = "The unpolarised lobe with Smith's shadowing; the ways differ in how they sum the series S(g, c). "
     return [
         Quantity(
@@ -251,18 +167,20 @@ def _vectors_and_angles(build: Callable[[Parameters], Any]) -> tuple[Way, ...]:
     )
 
 
-def _closed(name: str, title: str, about: str, build: Callable[[Parameters], Any], form: Any) -> Quantity:
-    samples = _samples(name, {"grid": "grid", "hard": "hard"})
-    first = next(s for s in samples if s.kind == "grid")
+def _closed(
+    name: str, values: list[ModelValues], title: str, about: str, build: Callable[[Parameters], Any], form: Any
+) -> Quantity:
+    found = samples(values, {"grid": "grid", "hard": "hard"})
+    first = next(s for s in found if s.kind == "grid")
     ways = (
         *_vectors_and_angles(build),
         Way("plain numpy", _over_plain(form), note="the specification, written to be read"),
     )
-    return Quantity(name, title, about, samples, _split([first.parameters]), EVEN, ways)
+    return Quantity(name, title, about, found, _split([first.parameters]), EVEN, ways)
 
 
 def _lambert() -> Quantity:
-    grid = next(s for s in _samples("cook-torrance", {"grid": "grid"}))
+    grid = samples(reference().cook_torrance, {"grid": "grid"})[0]
     p = {"albedo": 0.5}
     value = np.full(grid.value.shape, 0.5 / math.pi)
     return Quantity(
@@ -277,16 +195,17 @@ def _lambert() -> Quantity:
 
 
 def _oren_nayar() -> Quantity:
-    r = reference()["oren-nayar exact"]
-    columns = {key: np.array(r[key]) for key in ("theta_i", "theta_r", "phi", "sigma", "rho", "value")}
-    samples = []
-    for sigma, rho in sorted(set(zip(r["sigma"], r["rho"], strict=True))):
-        here = (columns["sigma"] == sigma) & (columns["rho"] == rho)
-        ti, tr, phi = (columns[key][here] for key in ("theta_i", "theta_r", "phi"))
-        source, viewer = geometry.Directions(ti, 0.0, tr, phi).vectors
-        p = {"albedo": rho, "sigma_deg": math.degrees(sigma)}
-        value = columns["value"][here]
-        samples.append(Sample("grid", p, (source, viewer), value, 0.0 * value, ("",) * len(value)))
+    r = reference().oren_nayar_exact
+    theta_i, theta_r, dphi, sigma, rho, value = (
+        np.array(x) for x in (r.theta_i, r.theta_r, r.phi, r.sigma, r.rho, r.value)
+    )
+    found = []
+    for slope, albedo in sorted(set(zip(r.sigma, r.rho, strict=True))):
+        here = (sigma == slope) & (rho == albedo)
+        source, viewer = geometry.Directions(theta_i[here], 0.0, theta_r[here], dphi[here]).vectors
+        p = {"albedo": albedo, "sigma_deg": math.degrees(slope)}
+        none, cases = np.zeros(np.count_nonzero(here)), ("",) * int(np.count_nonzero(here))
+        found.append(Sample("grid", p, (source, viewer), value[here], none, cases))
 
     def way(form: str, note: str, stated: float | None = None) -> Way:
         return Way(form, lambda p: OrenNayar(**p, form=form).brdf_vectors, True, note, stated=stated)
@@ -296,7 +215,7 @@ def _oren_nayar() -> Quantity:
         "Oren-Nayar, against the exact integral",
         "Reference: the V-groove integral with two bounces by quadruple-precision quadrature. For the functional and "
         "the qualitative form the error is that of the approximation, for the exact form that of its quadrature.",
-        tuple(samples),
+        tuple(found),
         _split([{"albedo": 0.9, "sigma_deg": 30.0}]),
         "albedo 0.9, sigma = 30 degrees, directions even over the hemisphere",
         (
@@ -317,18 +236,18 @@ def _over_pairs(kernel: Any, constants: tuple[float, ...], first: Floats) -> Flo
 def _fresnel() -> Quantity:
     r = reference()
 
-    def samples(key: str, kind: str) -> list[Sample]:
-        return [
+    def over_cosines(values: list[FresnelValues], kind: Set) -> tuple[Sample, ...]:
+        return tuple(
             Sample(
                 kind,
-                {"n": f["n"], "k": f["k"]},
-                (np.array(f["cos"]),),
-                np.array(f["value"]),
-                np.zeros(len(f["cos"])),
-                tuple(f"{f['name']}, cos = {c:g}" for c in f["cos"]),
+                {"n": f.n, "k": f.k},
+                (np.array(f.cos),),
+                np.array(f.value),
+                np.zeros(len(f.cos)),
+                tuple(f"{f.name}, cos = {c:g}" for c in f.cos),
             )
-            for f in r[key]
-        ]
+            for f in values
+        )
 
     average = complex(1.02, 2.58)
 
@@ -348,7 +267,7 @@ def _fresnel() -> Quantity:
         "Fresnel reflectance",
         "Unpolarised, for copper-like (three wavelengths), aluminium-like and glass-like indices, every 5 degrees. "
         "Schlick and the real n know only the normal reflectance; colours go by the copper-like average at 550 nm.",
-        tuple(samples("fresnel", "grid") + samples("fresnel_hard", "hard")),
+        over_cosines(r.fresnel, "grid") + over_cosines(r.fresnel_hard, "hard"),
         lambda count: [({"n": 1.02, "k": 2.58}, (np.random.default_rng(1).random(count),))],
         "cosines even in [0, 1], n = 1.02 + 2.58i",
         (
@@ -368,14 +287,13 @@ def _fresnel() -> Quantity:
 
 
 def _roughness() -> Quantity:
-    r = reference()["roughness"]
-    k = np.array(r["K"])
-    value = np.array(r["value"])
+    r = reference().roughness
+    k, value = np.array(r.K), np.array(r.value)
     grid = (k >= 1e-4) & (k <= 1e10)
-    samples = tuple(
-        Sample(kind, {}, (k[here],), value[here], np.zeros(here.sum()), tuple(f"K = {x:.3g}" for x in k[here]))
-        for kind, here in (("grid", grid), ("hard", ~grid & (k < 1e139)))
-    )
+
+    def over_k(kind: Set, here: Any) -> Sample:
+        cases = tuple(f"K = {x:.3g}" for x in k[here])
+        return Sample(kind, {}, (k[here],), value[here], np.zeros(len(cases)), cases)
 
     def kernel(function: Any, *constants: float) -> Callable[[Parameters], Evaluate]:
         return lambda p: lambda k: _over_pairs(function, (*constants, 0.0), k)
@@ -384,7 +302,7 @@ def _roughness() -> Quantity:
         "roughness",
         "Effective roughness",
         "sigma/sigma0 as a function of K = K_i + K_r (eqs. 80 to 82).",
-        samples,
+        (over_k("grid", grid), over_k("hard", ~grid & (k < 1e139))),
         lambda count: [({}, (10.0 ** (np.random.default_rng(1).random(count) * 14.0 - 4.0),))],
         "K from 1e-4 to 1e10, even in its logarithm",
         (

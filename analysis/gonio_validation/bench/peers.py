@@ -8,7 +8,6 @@ find an LLVM that they cannot use. So each first evaluates a few pairs there.
 from __future__ import annotations
 
 import importlib.util
-import json
 import math
 import os
 import subprocess
@@ -19,11 +18,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from gonio.errors import DataError
 from gonio.typing import Floats
-from gonio_validation.bench.evaluators import Evaluate, Way, directions, families, to_angles
-from gonio_validation.bench.plain import Parameters
+from gonio_validation.bench import accuracy, timing
+from gonio_validation.bench.evaluators import quantities
+from gonio_validation.bench.quantity import Evaluate, Parameters, Way, directions, to_angles
+from gonio_validation.bench.results import ErrorSummary, PeerState, PeerTime, Set
 
 PACKAGES = {"Dr.Jit": "drjit", "Mitsuba": "mitsuba", "pySCATMECH": "pySCATMECH"}
 LLVM = "DRJIT_LIBLLVM_PATH"
@@ -39,11 +41,20 @@ class Peer:
     """What its process needs besides ours."""
 
 
-FAMILY = "cook-torrance"
+@dataclass(frozen=True)
+class Measured:
+    """Errors by set, and times, of a peer: what its process prints as JSON."""
+
+    errors: dict[Set, ErrorSummary]
+    time: PeerTime
+
+
+MEASURED = TypeAdapter(Measured)
+QUANTITY = "cook-torrance"
 """What the peers evaluate."""
 
 
-def find() -> tuple[list[dict[str, str]], list[Peer]]:
+def find() -> tuple[list[PeerState], list[Peer]]:
     """What was found of each peer, in words, and those that work."""
     words, found = [], []
     for peer, package in PACKAGES.items():
@@ -53,36 +64,36 @@ def find() -> tuple[list[dict[str, str]], list[Peer]]:
             state, environment = _usable(peer)
             if environment is not None:
                 found.append(Peer(peer, _ways()[peer], environment))
-        words.append({"peer": f"{peer} {_version(package)}".strip(), "state": state})
+        words.append(PeerState(f"{peer} {_version(package)}".strip(), state))
     return words, found
 
 
-def measured(peer: Peer, **settings: float) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Errors by set, and times, of a peer in a process of its own; `settings` as `measure.times` takes them.
+def measured(peer: Peer, effort: timing.Effort) -> Measured:
+    """Measure a peer in a process of its own.
 
     Raises
     ------
     DataError
         The process failed.
     """
-    code = f"from gonio_validation.bench import peers; peers.report({peer.name!r}, {settings!r})"
+    code = (
+        "from gonio_validation.bench import peers; from gonio_validation.bench.timing import Effort; "
+        f"peers.report({peer.name!r}, {effort!r})"
+    )
     made = _process(code, peer.environment, timeout=600)
     if made is None or made.returncode:
         why = "took longer than 600 s" if made is None else (made.stderr.strip().splitlines() or ["no message"])[-1]
         raise DataError(f"{peer.name}: its process failed while it was measured: {why}")
-    found = json.loads(made.stdout.splitlines()[-1])
-    return found["errors"], found["time"]
+    return MEASURED.validate_json(made.stdout.splitlines()[-1])
 
 
-def report(peer: str, settings: dict[str, Any]) -> None:
+def report(peer: str, effort: timing.Effort) -> None:
     """In the peer's own process: measure it, and print errors and times as JSON."""
-    from gonio_validation.bench import timing
-
     way = _ways()[peer]
-    family = next(f for f in families() if f.name == FAMILY)
-    errors = timing.by_set(family, way)
-    taken = timing.times(replace(family, ways=(way,)), **settings)[way.name]
-    print(json.dumps({"errors": errors, "time": {**taken, "threads": _threads()}}))
+    quantity = next(q for q in quantities() if q.name == QUANTITY)
+    errors = accuracy.by_set(quantity, way)
+    taken = timing.times(replace(quantity, ways=(way,)), effort)[way.name]
+    print(MEASURED.dump_json(Measured(errors, PeerTime(**vars(taken), threads=_threads()))).decode())
 
 
 def _threads() -> int | None:

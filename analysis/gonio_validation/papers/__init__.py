@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from gonio.errors import ConfigError
 
@@ -94,7 +94,7 @@ def make(name: str, out: str | Path, *, command: str = "", progress: Callable[[s
     ConfigError
         There is no such figure, or the folder cannot be written or holds something else.
     """
-    from gonio_analysis.report import files, html
+    from gonio_analysis.report import files
 
     from gonio_validation.papers import figure_page
 
@@ -102,15 +102,12 @@ def make(name: str, out: str | Path, *, command: str = "", progress: Callable[[s
         check(name)
     with files.staged(out) as stage:
         if name == "all":
-            facts: list[dict[str, Any]] = []
+            made = []
             for each in FIGURES:
                 folder = stage.work / each
                 folder.mkdir()
-                facts.append(figure_page.write(build(each, progress), folder, command))
-            summary = {"figures": [{k: f[k] for k in ("figure", "title", "claims")} for f in facts]}
-            files.write(stage.work, summary)
-            index = html.document(figure_page.index(facts, command))
-            (stage.work / "index.html").write_text(index, encoding="utf-8")
+                made.append(figure_page.write(build(each, progress), folder, command))
+            figure_page.write_index(made, stage.work, command)
         else:
             figure_page.write(build(name, progress), stage.work, command)
     return Path(out) / "index.html"

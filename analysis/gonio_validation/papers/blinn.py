@@ -10,7 +10,8 @@ import numpy as np
 from gonio_analysis.report.text import number
 
 from gonio.typing import Floats
-from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results, agreed, polar_panel, signed, theory
+from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results, Row, agreed
+from gonio_validation.papers.panels import polar_panel, signed, theory
 
 PAPER = "Blinn, Models of Light Reflection for Computer Synthesized Pictures, SIGGRAPH 1977"
 INCIDENCE_DEG = {5: 30.0, 6: 70.0}
@@ -27,6 +28,18 @@ class Surface:
     p_s: float
     ior: float
     beta_deg: float
+
+
+@dataclass(frozen=True)
+class HighlightRow(Row):
+    """Peaks of Phong's and of Torrance and Sparrow's s."""
+
+    surface: str
+    phong_peak_deg: float
+    torrance_sparrow_peak_deg: float
+    phong_peak: float
+    torrance_sparrow_peak: float
+    intensity_peak_ratio: float
 
 
 def surfaces() -> tuple[Surface, ...]:
@@ -78,23 +91,23 @@ def build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
         if k != 1:  # the aluminium of Fig. 7 is a wider copy of the first
             caption = f"{s.name[:1].upper()}{s.name[1:]}: intensity i = p_d (N·L) + p_s s in the plane of incidence."
             panels.append(polar_panel(f"surface-{k + 1}", caption, lines, "intensity", most=math.inf))
-        row = {
-            "surface": s.name,
-            "phong_peak_deg": _peak(angle, phong),
-            "torrance_sparrow_peak_deg": _peak(angle, facets),
-            "phong_peak": float(phong.max()),
-            "torrance_sparrow_peak": float(facets.max()),
-            "intensity_peak_ratio": _peaks(s, theta_i)[0],
-        }
+        row = HighlightRow(
+            surface=s.name,
+            phong_peak_deg=_peak(angle, phong),
+            torrance_sparrow_peak_deg=_peak(angle, facets),
+            phong_peak=float(phong.max()),
+            torrance_sparrow_peak=float(facets.max()),
+            intensity_peak_ratio=_peaks(s, theta_i)[0],
+        )
         numbers.append(row)
         text.append(
             [
                 s.name,
-                f"{row['phong_peak_deg']:.1f}°",
-                _degrees(_peak(angle, facets)),
-                number(float(phong.max())),
-                number(float(facets.max())),
-                number(_peaks(s, theta_i)[0]),
+                f"{row.phong_peak_deg:.1f}°",
+                _degrees(row.torrance_sparrow_peak_deg),
+                number(row.phong_peak),
+                number(row.torrance_sparrow_peak),
+                number(row.intensity_peak_ratio),
             ]
         )
     first = surfaces()[0]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,18 +14,8 @@ from gonio import colour
 from gonio.typing import Floats
 from gonio_validation.papers import cook_torrance_3
 from gonio_validation.papers.cook_torrance_3 import PAPER, SIMILAR
-from gonio_validation.papers.figure import (
-    SIZE,
-    Claim,
-    Panel,
-    PaperFigure,
-    Parameter,
-    Results,
-    Trace,
-    agreed,
-    plain_axes,
-    trace_panel,
-)
+from gonio_validation.papers.figure import Cell, Claim, CurveRow, Panel, PaperFigure, Parameter, Results, Row, agreed
+from gonio_validation.papers.panels import SIZE, Trace, plain_axes, trace_panel
 
 D65_SOURCE = "CIE 15, relative power at 380 to 780 nm in steps of 5 nm"
 NM = np.arange(380.0, 781.0, 5.0)
@@ -83,6 +74,15 @@ def shares(linear: Floats) -> Floats:
     return np.asarray(linear / linear.sum(axis=-1, keepdims=True))
 
 
+@dataclass(frozen=True)
+class SpectrumRow(Row):
+    """Copper and its light at one wavelength."""
+
+    wavelength_nm: float
+    reflectance: float
+    d65: float
+
+
 def _claims_4() -> list[Claim]:
     nm = NM
     normal = spectrum(np.zeros(1))[0]
@@ -127,8 +127,13 @@ def _spectrum() -> PaperFigure:
     text, numbers = [], []
     for w in (400.0, 450.0, 500.0, 550.0, 600.0, 650.0, 700.0):
         k = int(np.argmin(np.abs(nm - w)))
+<<<<<<< HEAD
         text.append([f"{w / 1000:g} µm", number(normal[k]), number(power[k], 4), number(power[k] * normal[k], 4)])
         numbers.append({"wavelength_nm": w, "reflectance": float(normal[k]), "d65": float(power[k])})
+=======
+        text.append([f"{w / 1000:g} µm", number(normal[k]), number(light[k], 4), number(light[k] * normal[k], 4)])
+        numbers.append(SpectrumRow(w, float(normal[k]), float(light[k])))
+>>>>>>> w-val
     return PaperFigure(
         "cook-torrance-4",
         "Cook-Torrance Fig. 4: reflectance and reflected light of a copper mirror",
@@ -178,7 +183,24 @@ def colours(theta: Floats) -> dict[str, Floats]:
     }
 
 
+<<<<<<< HEAD
 def _shift(linear: Floats) -> Floats:
+=======
+@dataclass(frozen=True)
+class ColourRow(Row):
+    """Linear RGB of copper at one angle, by each procedure of `colours`."""
+
+    theta_deg: float
+    rgb: Mapping[str, list[float]]
+
+    @property
+    def cells(self) -> Mapping[str, Cell]:
+        """A column a procedure."""
+        return {"theta_deg": self.theta_deg, **self.rgb}
+
+
+def _shift(rgb: Floats) -> Floats:
+>>>>>>> w-val
     """How much of the way of the chromaticity from normal incidence to the light's own has been gone."""
     way = shares(linear) - shares(linear[:1])
     whole = 1.0 / 3.0 - shares(linear[:1])
@@ -261,7 +283,7 @@ def _colours() -> PaperFigure:
     found = colours(theta)
     mirrors = spectrum(np.radians(np.array(ANGLES_DEG)))
     channels = ("red", "green", "blue")
-    rows = [
+    rows: list[CurveRow] = [
         (f"{name}: {channel}", "theory", float(x), float(y), None)
         for name, values in found.items()
         for c, channel in enumerate(channels)
@@ -290,7 +312,7 @@ def _colours() -> PaperFigure:
     for d in wanted:
         k = int(np.argmin(np.abs(deg - d)))
         text.append([f"{d:g}°", *(", ".join(f"{v:.3f}" for v in found[name][k]) for name in found)])
-        numbers.append({"theta_deg": d, **{name: [float(v) for v in found[name][k]] for name in found}})
+        numbers.append(ColourRow(d, {name: [float(v) for v in found[name][k]] for name in found}))
     return PaperFigure(
         "cook-torrance-5",
         "Cook-Torrance Fig. 5: copper over the angle of incidence",

@@ -3,28 +3,32 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from gonio_analysis.report.text import number
 
 from gonio.typing import Floats
-from gonio_validation.papers.figure import (
-    Claim,
-    PaperFigure,
-    Parameter,
-    Results,
-    Trace,
-    polar_panel,
-    theory,
-    trace_panel,
-)
+from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results, Row
+from gonio_validation.papers.panels import Trace, polar_panel, theory, trace_panel
 
 PAPER = "Cook and Torrance, A Reflectance Model for Computer Graphics, ACM Transactions on Graphics 1 (1982) 7-24"
 SLOPES = (0.2, 0.6)
 FORMS = ("beckmann", "gaussian")
 SHOWN_DEG = 30.0
 SIMILAR = 0.1
+
+
+@dataclass(frozen=True)
+class DistributionRow(Row):
+    """A facet distribution D; its integrals where it has an absolute magnitude."""
+
+    distribution: str
+    m: float
+    d_0: float
+    half_angle_deg: float
+    projected_over_pi: float | None
+    reflected_as_printed: float | None
 
 
 def distribution(slope: float, form: str, alpha: Floats) -> Floats:
@@ -131,17 +135,17 @@ def build() -> PaperFigure:
         lines.append(theory(name, theta_r, distribution(m, form, off) / d[0], math.radians(SHOWN_DEG)))
         traces.append(Trace(name, np.degrees(alpha), d / d[0], dashed=form == "gaussian"))
         beckmann = form == "beckmann"
-        row: dict[str, Any] = {
-            "distribution": form,
-            "m": m,
-            "d_0": float(d[0]),
-            "half_angle_deg": _half_angle(m, form),
-            "projected_over_pi": _projected(m) if beckmann else None,
-            "reflected_as_printed": _reflected(m) if beckmann else None,
-        }
+        row = DistributionRow(
+            distribution=form,
+            m=m,
+            d_0=float(d[0]),
+            half_angle_deg=_half_angle(m, form),
+            projected_over_pi=_projected(m) if beckmann else None,
+            reflected_as_printed=_reflected(m) if beckmann else None,
+        )
         numbers.append(row)
-        values = (number(row["d_0"]), f"{row['half_angle_deg']:.1f}°")
-        text.append([name, *values, number(row["projected_over_pi"], 5), number(row["reflected_as_printed"])])
+        values = (number(row.d_0), f"{row.half_angle_deg:.1f}°")
+        text.append([name, *values, number(row.projected_over_pi, 5), number(row.reflected_as_printed)])
     return PaperFigure(
         "cook-torrance-3",
         "Cook-Torrance Fig. 3: facet distributions",

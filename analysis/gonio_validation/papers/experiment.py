@@ -14,6 +14,7 @@ from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import Observations, observations
 
 from gonio.typing import Floats
+from gonio_validation.papers.htsg_surfaces import HtsgSurface
 
 SEED = 1
 BAND_NM = 10.0
@@ -50,8 +51,7 @@ def scan(theta_i_deg: float, step_deg: float = 5.0) -> list[float]:
 
 
 def measure(
-    model: Any,
-    parameters: Mapping[str, Any],
+    surface: HtsgSurface,
     *,
     name: str,
     wavelength_nm: float,
@@ -63,8 +63,8 @@ def measure(
 
     Parameters
     ----------
-    model, parameters
-        The surface, and what its sample file says of it.
+    surface
+        What is measured.
     name
         Of the surface.
     wavelength_nm
@@ -91,7 +91,7 @@ def measure(
             "wavelength_nm": [wavelength_nm],
             "sweep": [{"theta_i_deg": [i], "theta_r_deg": list(r)} for i, r in scans.items()],
         }
-        sample = {"name": name, "model": model.name, "parameters": dict(parameters)}
+        sample = {"name": name, "model": surface.model.name, "parameters": dict(surface.parameters)}
         tables = {"rig": _rig(name, wavelength_nm, solid_angle_sr), "plan": plan, "sample": sample}
         for kind, table in tables.items():
             (folder / f"{kind}.toml").write_text(to_toml(table), encoding="utf-8")
@@ -110,7 +110,7 @@ def measure(
         files = {f"experiment/{file}": (folder / file).read_bytes() for file in kept}
     data = observations(frame, name)
     assert data.covariance is not None  # the rig "sim" states its uncertainties
-    seen = apparent(model, data)
+    seen = apparent(surface.model, data)
     chi = data.covariance.scaled(seen / data.brdf).chi_square(data.brdf - seen) / len(data)
     words = (
         f"{len(data)} of {points} directions on the rig sim, seed {SEED}, lamp and lens of {solid_angle_sr:.5f} sr "

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
-from gonio_analysis.report import files, html
+from gonio_analysis.report import files
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
@@ -27,9 +26,11 @@ from gonio_analysis.report.blocks import (
 from gonio_analysis.report.figures import Figure, rendered
 from gonio_analysis.report.summary import stamp
 from gonio_analysis.report.tables import write_csv
+from gonio_analysis.summaries import as_json
 
 from gonio_validation.papers import FIGURES
 from gonio_validation.papers.figure import COLUMNS, ORIGINS, PaperFigure
+from gonio_validation.papers.figure_summary import ClaimSummary, FigureSummary, index_of, summarise
 
 VERDICTS = ("holds", "does not hold", "no verdict")
 ALL = "The papers' figures, made again"
@@ -41,7 +42,7 @@ FOOTER = Footer(
 )
 
 
-def write(page: PaperFigure, folder: Path, command: str) -> dict[str, Any]:
+def write(page: PaperFigure, folder: Path, command: str) -> FigureSummary:
     """Write a page into a folder that exists; returns what its summary holds."""
     drawn = [
         rendered(f"{page.name}-{p.name}", p.name, "", p.caption, f"{page.title}. {p.caption}", p.inches, p.draw)
@@ -51,32 +52,17 @@ def write(page: PaperFigure, folder: Path, command: str) -> dict[str, Any]:
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(content)
     write_csv(folder / "curves.csv", COLUMNS, [(p.name, *row) for p in page.panels for row in p.rows])
-    found = summary(page, command)
-    files.write(folder, found, drawn)
-    (folder / "index.html").write_text(html.document(render(page, found, drawn)), encoding="utf-8")
+    found = summarise(page, command)
+    files.write_page(folder, render(page, found, drawn), as_json(found), drawn)
     return found
 
 
-def summary(page: PaperFigure, command: str) -> dict[str, Any]:
-    """What `summary.json` holds."""
-    return {
-        "figure": page.name,
-        "title": page.title,
-        "paper": page.paper,
-        **stamp(command),
-        "parameters": [
-            {"name": p.name, "value": p.value, "origin": p.origin, "source": p.why} for p in page.parameters
-        ],
-        "claims": [
-            {"claim": c.text, "verdict": c.verdict, "found": c.found, "criterion": c.criterion} for c in page.claims
-        ],
-        "panels": [{"name": p.name, "caption": p.caption, "x": p.axes[0], "y": p.axes[1]} for p in page.panels],
-        "curves": [dict(row) for row in page.numbers],
-        "notes": list(page.notes),
-    }
+def write_index(pages: Sequence[FigureSummary], folder: Path, command: str) -> None:
+    """Write the page that links all figures into the folder that holds theirs."""
+    files.write_page(folder, index(pages, command), as_json(index_of(pages)))
 
 
-def render(page: PaperFigure, found: dict[str, Any], drawn: list[Figure]) -> Page:
+def render(page: PaperFigure, found: FigureSummary, drawn: list[Figure]) -> Page:
     """The page of a figure."""
     claims = [[c.verdict, c.text, c.found, c.criterion] for c in page.claims]
     parameters = [
@@ -85,8 +71,8 @@ def render(page: PaperFigure, found: dict[str, Any], drawn: list[Figure]) -> Pag
     ]
     results, columns = page.results, tuple(range(1, len(page.results.header)))
     body: list[Block] = [
-        _header(page.title, f"{page.paper}. Made again", found),
-        Paragraph(_words(found["claims"]), "lead"),
+        _header(page.title, f"{page.paper}. Made again", found.created, found.versions),
+        Paragraph(_words(found.claims), "lead"),
         Figures(tuple(drawn)),
         section(
             [
@@ -99,41 +85,43 @@ def render(page: PaperFigure, found: dict[str, Any], drawn: list[Figure]) -> Pag
     ]
     if page.notes:
         body.append(section([Heading(2, "Notes"), Notes(tuple(page.notes))]))
-    body += [section([Heading(2, "Provenance"), facts([*page.facts, *_provenance(found)])]), FOOTER]
+    made = _provenance(found.command, found.created, found.versions)
+    body += [section([Heading(2, "Provenance"), facts([*page.facts, *made])]), FOOTER]
     return Page(page.title, tuple(body))
 
 
-def index(pages: Sequence[dict[str, Any]], command: str) -> Page:
+def index(pages: Sequence[FigureSummary], command: str) -> Page:
     """The page that links all figures, from their summaries."""
     made = stamp(command)
+    created, versions = made["created"], made["versions"]
     rows: list[Sequence[Text]] = []
     for f in pages:
-        verdicts = [c["verdict"] for c in f["claims"]]
-        rows.append([_link(f), FIGURES[f["figure"]], *(str(verdicts.count(v)) for v in VERDICTS)])
-    failing = [
-        [_link(f), c["claim"], c["found"]] for f in pages for c in f["claims"] if c["verdict"] == "does not hold"
+        verdicts = [c.verdict for c in f.claims]
+        rows.append([_link(f), FIGURES[f.figure], *(str(verdicts.count(v)) for v in VERDICTS)])
+    failing: list[Sequence[Text]] = [
+        [_link(f), c.claim, c.found] for f in pages for c in f.claims if c.verdict == "does not hold"
     ]
     body = (
-        _header(ALL, "Theory, experiment and verdicts", made),
-        Paragraph(_words([c for f in pages for c in f["claims"]]), "lead"),
+        _header(ALL, "Theory, experiment and verdicts", created, versions),
+        Paragraph(_words([c for f in pages for c in f.claims]), "lead"),
         table("", ["figure", "what it shows", *VERDICTS], rows, right=(2, 3, 4)),
         section([Heading(2, "What does not hold"), table("", ["figure", "claim", "found"], failing)]),
-        section([Heading(2, "Provenance"), facts(_provenance(made))]),
+        section([Heading(2, "Provenance"), facts(_provenance(command, created, versions))]),
     )
     return Page(ALL, body)
 
 
-def _link(found: dict[str, Any]) -> Span:
-    return Span(found["title"].partition(":")[0], href=f"{found['figure']}/index.html")
+def _link(found: FigureSummary) -> Span:
+    return Span(found.title.partition(":")[0], href=f"{found.figure}/index.html")
 
 
-def _header(title: str, sub: str, made: dict[str, Any]) -> Group:
-    words = f"{sub} with gonio {made['versions']['gonio']}, {made['created'][:10]}."
+def _header(title: str, sub: str, created: str, versions: Mapping[str, str]) -> Group:
+    words = f"{sub} with gonio {versions['gonio']}, {created[:10]}."
     return Group("header", (Heading(1, title), Paragraph(words, "sub")))
 
 
-def _words(claims: Sequence[dict[str, Any]]) -> str:
-    verdicts = [c["verdict"] for c in claims]
+def _words(claims: Sequence[ClaimSummary]) -> str:
+    verdicts = [c.verdict for c in claims]
     holds, fails, open_ = (verdicts.count(v) for v in VERDICTS)
     words = f"{holds} of {len(verdicts)} claims that the text makes hold in the paper's own model"
     if fails:
@@ -143,9 +131,9 @@ def _words(claims: Sequence[dict[str, Any]]) -> str:
     return words + "."
 
 
-def _provenance(made: dict[str, Any]) -> list[tuple[str, str]]:
+def _provenance(command: str, created: str, versions: Mapping[str, str]) -> list[tuple[str, str]]:
     return [
-        ("command", made["command"] or "–"),
-        ("made", made["created"]),
-        ("versions", ", ".join(f"{k} {v}" for k, v in made["versions"].items())),
+        ("command", command or "–"),
+        ("made", created),
+        ("versions", ", ".join(f"{k} {v}" for k, v in versions.items())),
     ]

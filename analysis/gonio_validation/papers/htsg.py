@@ -9,14 +9,23 @@ from typing import Any
 import numpy as np
 from gonio_analysis.report.text import number
 
-from gonio_validation.papers import htsg_10, htsg_11, surfaces
+from gonio_validation.papers import htsg_10, htsg_11, htsg_scans
 from gonio_validation.papers.experiment import Experiment, measure
 from gonio_validation.papers.experiment import scan as directions
 from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results
-from gonio_validation.papers.surfaces import CONE_SR, PAPER, Scan, agreement, each, energy_limit, scan
+from gonio_validation.papers.htsg_scans import Scan, agreement, each, scan
+from gonio_validation.papers.htsg_surfaces import (
+    CONE_SR,
+    CONES,
+    PAPER,
+    HtsgSurface,
+    cones_parameter,
+    energy_limit,
+    index_parameter,
+)
 
-ALUMINIUM: dict[str, Any] = {"sigma0_um": 0.28, "tau_um": 1.77, "ior": "Al"}
-CERAMIC: dict[str, Any] = {"sigma0_um": 1.45, "tau_um": 13.2, "ior": "MgO", "diffuse_albedo": 0.9}
+ALUMINIUM = HtsgSurface(sigma0_um=0.28, tau_um=1.77, ior="Al")
+CERAMIC = HtsgSurface(sigma0_um=1.45, tau_um=13.2, ior="MgO", diffuse_albedo=0.9)
 SURFACES = {7: ALUMINIUM, 8: ALUMINIUM, 9: CERAMIC}
 INCIDENCES = {7: (10.0, 45.0, 75.0), 8: (10.0, 30.0, 45.0, 60.0, 75.0), 9: (10.0, 45.0, 60.0, 75.0)}
 WAVELENGTH_NM = {7: 2000.0, 8: 500.0, 9: 500.0}
@@ -39,16 +48,9 @@ def claims(figure: int) -> list[Claim]:
     return {7: _claims_7, 8: _claims_8, 9: _claims_9}[figure](scans(figure))
 
 
-def surface(figure: int) -> Any:
-    """The model of a figure's surface."""
-    from gonio.models import HeTorrance
-
-    return HeTorrance(**SURFACES[figure])
-
-
 def scans(figure: int) -> list[Scan]:
     """Every incidence of a figure."""
-    model = surface(figure)
+    model = SURFACES[figure].model
     return [scan(model, i, WAVELENGTH_NM[figure]) for i in INCIDENCES[figure]]
 
 
@@ -57,7 +59,6 @@ def _build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
     found = scans(figure)
     judged = {7: _claims_7, 8: _claims_8, 9: _claims_9}[figure](found)
     taken = measure(
-        surface(figure),
         SURFACES[figure],
         name="magnesium oxide ceramic" if figure == 9 else "rough aluminium",
         wavelength_nm=WAVELENGTH_NM[figure],
@@ -65,7 +66,7 @@ def _build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
         solid_angle_sr=CONE_SR,
         progress=lambda text: progress(f"htsg-{figure}: {text}"),
     )
-    text, numbers = surfaces.rows(found, taken)
+    text, numbers = htsg_scans.rows(found, taken)
     metal = [
         Parameter("σ0", "0.28 µm", "paper", "measured roughness"),
         Parameter("τ", "1.77 µm", "paper", "best fit of the authors, at both wavelengths"),
@@ -82,15 +83,15 @@ def _build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
         PAPER,
         [
             *(ceramic if figure == 9 else metal),
-            surfaces.index_parameter("MgO" if figure == 9 else "Al", WAVELENGTH_NM[figure]),
+            index_parameter("MgO" if figure == 9 else "Al", WAVELENGTH_NM[figure]),
             Parameter("θi", ", ".join(f"{i:g}°" for i in INCIDENCES[figure]), "paper"),
             Parameter("λ", f"{WAVELENGTH_NM[figure] / 1000:g} µm", "paper"),
-            surfaces.cones_parameter(),
+            cones_parameter(),
             Parameter("shadowing", "Smith, with the factor exp(−h²)", "derived", "eq. 25 as printed lacks the factor"),
         ],
         judged,
-        surfaces.panels(found, taken, most=4.0 if figure == 9 else 2.5),
-        Results(surfaces.CAPTION, surfaces.HEADER, text),
+        htsg_scans.panels(found, taken, most=4.0 if figure == 9 else 2.5),
+        Results(htsg_scans.CAPTION, htsg_scans.HEADER, text),
         numbers,
         _notes(figure, found, taken),
         [("experiment", taken.words)],
@@ -107,7 +108,8 @@ def _notes(figure: int, scans: Sequence[Scan], taken: Experiment) -> list[str]:
             f"{number(float(last.lobe[last.mirror]))} sr⁻¹: what rises there is the directional diffuse."
         )
     else:
-        more = exact_spike(surface(figure), last.theta_i_deg, WAVELENGTH_NM[figure]) / float(last.spike.max()) - 1.0
+        exact = exact_spike(SURFACES[figure].model, last.theta_i_deg, WAVELENGTH_NM[figure])
+        more = exact / float(last.spike.max()) - 1.0
         out.append(
             "Theory averages the spike as eq. 6 has it, with ρ_s of the cone's axis. What an instrument sees carries "
             f"ρ_s and cos θ through the cone: {100 * more:.1f} % more at {last.theta_i_deg:g}°. The experiment has "
@@ -126,8 +128,7 @@ def exact_spike(model: Any, theta_i_deg: float, wavelength_nm: float) -> float:
     from gonio.instrument import apparent_spike
 
     theta = math.radians(theta_i_deg)
-    cones: dict[str, Any] = {"source_solid_angle_sr": CONE_SR, "receiver_solid_angle_sr": CONE_SR}
-    return float(apparent_spike(model, theta, 0.0, theta, math.pi, wavelength_nm=wavelength_nm, spike="exact", **cones))
+    return float(apparent_spike(model, theta, 0.0, theta, math.pi, wavelength_nm=wavelength_nm, spike="exact", **CONES))
 
 
 def _claims_7(scans: Sequence[Scan]) -> list[Claim]:
@@ -140,7 +141,7 @@ def _claims_7(scans: Sequence[Scan]) -> list[Claim]:
     reach = 2.0 * math.degrees(float(geometry.half_angle_of_cone(CONE_SR)))
     widths = {s.theta_i_deg: s.spike_width_deg for s in scans}
     outside = max(float(s.spike[np.abs(s.angle_deg - s.theta_i_deg) > reach].max()) for s in scans)
-    short = {i: scan(surface(8), i, WAVELENGTH_NM[8]).spike_over_lobe for i in INCIDENCES[7]}
+    short = {i: scan(SURFACES[8].model, i, WAVELENGTH_NM[8]).spike_over_lobe for i in INCIDENCES[7]}
     return [
         Claim(
             "“When σ0 is small compared to λ, as in Figure 7, strong specular reflection occurs.”",
@@ -211,13 +212,13 @@ def _claims_8(scans: Sequence[Scan]) -> list[Claim]:
 
 
 def _claims_9(scans: Sequence[Scan]) -> list[Claim]:
-    a = float(CERAMIC["diffuse_albedo"])
+    a = CERAMIC.diffuse_albedo
     flat = a / math.pi
     first = scans[0]
     over = {s.theta_i_deg: float(s.total.max() / flat) for s in scans}
     shares = {s.theta_i_deg: a / s.rho_dh for s in scans}
     spikes = {s.theta_i_deg: s.spike_over_lobe for s in scans}
-    limit, allowed = energy_limit(surface(9), WAVELENGTH_NM[9])
+    limit, allowed = energy_limit(SURFACES[9].model, WAVELENGTH_NM[9])
     return [
         Claim(
             "“This surface shows nearly uniform diffuse behavior at θi = 10° …”",

@@ -4,40 +4,38 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from gonio_analysis.curves.line import Line
 from gonio_analysis.report.text import number
 
 from gonio.typing import Floats
-from gonio_validation.papers import surfaces
 from gonio_validation.papers.experiment import divided, measure
-from gonio_validation.papers.figure import (
-    Claim,
-    Panel,
-    PaperFigure,
-    Parameter,
-    Results,
-    agreed,
-    angle_panel,
-    at,
-    polar_panel,
-)
-from gonio_validation.papers.surfaces import CONE_SR, PAPER, agreement, label, scan
+from gonio_validation.papers.figure import Claim, Panel, PaperFigure, Parameter, Results, Row, agreed
+from gonio_validation.papers.htsg_scans import agreement, label, scan
+from gonio_validation.papers.htsg_surfaces import CONE_SR, PAPER, HtsgSurface, cones_parameter, index_parameter
+from gonio_validation.papers.panels import angle_panel, at, polar_panel
 
 SLOPE = 4.4
 """sigma0 / tau"""
-SANDPAPER: dict[str, Any] = {"sigma0_um": 440.0, "tau_um": 100.0, "ior": "Al2O3"}
+SANDPAPER = HtsgSurface(sigma0_um=440.0, tau_um=100.0, ior="Al2O3")
 WAVELENGTH_NM = 550.0
 
 
-def sandpaper(wavelength_nm: float, ior: Any, tau_um: float) -> tuple[Floats, Floats]:
-    """Angles [deg] and BRDF over the BRDF along the normal, at normal incidence."""
-    from gonio.models import HeTorrance
+@dataclass(frozen=True)
+class SandpaperRow(Row):
+    """Values in one direction over that along the normal."""
 
+    theta_r_deg: float
+    normalised: float
+    measured_normalised: float | None
+
+
+def sandpaper(wavelength_nm: float, ior: str | float, tau_um: float) -> tuple[Floats, Floats]:
+    """Angles [deg] and BRDF over the BRDF along the normal, at normal incidence."""
     angle = np.arange(0.0, 88.01, 0.5)
-    model = HeTorrance(SLOPE * tau_um, tau_um, ior)
+    model = HtsgSurface(SLOPE * tau_um, tau_um, ior).model
     value = np.asarray(model.brdf(0.0, 0.0, np.radians(angle), np.pi, wavelength_nm=wavelength_nm))
     return angle, value / value[0]
 
@@ -56,7 +54,7 @@ def claims() -> list[Claim]:
     keys = [key for key in choices if key.endswith("τ = 10 µm")]
     pairs = [(choices[key][1], choices[key.replace("τ = 10 µm", "τ = 100 µm")][1]) for key in keys]
     apart = max(float(np.max(np.abs(x / y - 1.0))) for x, y in pairs)
-    angle, shown = sandpaper(WAVELENGTH_NM, SANDPAPER["ior"], 100.0)
+    angle, shown = sandpaper(WAVELENGTH_NM, SANDPAPER.ior, 100.0)
     return [
         Claim(
             "“The surface shows a large reflectance at grazing reflection angles.”",
@@ -83,15 +81,11 @@ def claims() -> list[Claim]:
 
 def build(progress: Callable[[str], None]) -> PaperFigure:
     """The page of Fig. 10."""
-    from gonio.models import HeTorrance
-
     progress("htsg-10: theory")
-    model = HeTorrance(**SANDPAPER)
-    one = scan(model, 0.0, WAVELENGTH_NM)
+    one = scan(SANDPAPER.model, 0.0, WAVELENGTH_NM)
     # the source stands before the normal: there is no measured mirror direction
     views = [float(a) for a in np.arange(-85.0, 85.1, 5.0)]
     taken = measure(
-        model,
         SANDPAPER,
         name="sandpaper",
         wavelength_nm=WAVELENGTH_NM,
@@ -120,7 +114,7 @@ def build(progress: Callable[[str], None]) -> PaperFigure:
         there = abs(float(np.degrees(curve.angle[k])) - a) < 0.5
         found = float(curve.brdf[k]) / by if there else None
         table.append([f"θr = {a:g}°", number(theory), number(found)])
-        numbers.append({"theta_r_deg": a, "normalised": theory, "measured_normalised": found})
+        numbers.append(SandpaperRow(a, theory, found))
     return PaperFigure(
         "htsg-10",
         "HTSG Fig. 10: sandpaper at normal incidence",
@@ -133,14 +127,14 @@ def build(progress: Callable[[str], None]) -> PaperFigure:
                 "λ", "0.55 µm", "assumed", "the text says 0.55 µm, the caption 0.5 µm; the claims are tried with both"
             ),
             Parameter("θi", "0°", "paper"),
-            surfaces.index_parameter("Al2O3", WAVELENGTH_NM),
+            index_parameter("Al2O3", WAVELENGTH_NM),
             Parameter(
                 "grit",
                 "aluminium oxide",
                 "assumed",
                 "the paper says 220 grit, not of what; the claims are tried with n = 1.5 and silicon carbide too",
             ),
-            surfaces.cones_parameter("given for Figs. 7 and 8 alone; the curve is broad, so that they hardly matter"),
+            cones_parameter("given for Figs. 7 and 8 alone; the curve is broad, so that they hardly matter"),
         ],
         judged,
         shown,

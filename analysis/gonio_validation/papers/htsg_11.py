@@ -10,36 +10,40 @@ import numpy as np
 from gonio_analysis.curves.line import Line
 from gonio_analysis.report.text import number
 
-from gonio_validation.papers import surfaces
+from gonio_validation.papers import htsg_scans
 from gonio_validation.papers.experiment import measure
 from gonio_validation.papers.experiment import scan as directions
-from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results, angle_panel
-from gonio_validation.papers.surfaces import BRDF, CONE_SR, PAPER, Scan, agreement, each, energy_limit, scan
+from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results
+from gonio_validation.papers.htsg_scans import BRDF, Scan, agreement, each, scan
+from gonio_validation.papers.htsg_surfaces import (
+    CONE_SR,
+    PAPER,
+    HtsgSurface,
+    cones_parameter,
+    energy_limit,
+)
+from gonio_validation.papers.panels import angle_panel
 
 PLASTIC_A, PLASTIC_RHO = 0.15, 0.195
 INCIDENCES = (15.0, 30.0, 45.0, 60.0)
 WAVELENGTH_NM = 460.0
 
 
-def plastic() -> dict[str, Any]:
+def plastic() -> HtsgSurface:
     """sigma0 = 0, a = 0.15, and the index that the measured rho_dh = 0.195 leaves for the surface."""
     from gonio.models import fresnel
 
     n = float(fresnel.n_from_f0(PLASTIC_RHO - PLASTIC_A))
-    return {"sigma0_um": 0.0, "tau_um": 1.0, "ior": n, "diffuse_albedo": PLASTIC_A}
+    return HtsgSurface(sigma0_um=0.0, tau_um=1.0, ior=n, diffuse_albedo=PLASTIC_A)
 
 
 def claims() -> list[Claim]:
     """What the text says, judged by theory."""
-    from gonio.models import HeTorrance
-
-    return _claims(HeTorrance(**plastic()), _scans())
+    return _claims(plastic().model, _scans())
 
 
 def _scans() -> list[Scan]:
-    from gonio.models import HeTorrance
-
-    return [scan(HeTorrance(**plastic()), i, WAVELENGTH_NM) for i in INCIDENCES]
+    return [scan(plastic().model, i, WAVELENGTH_NM) for i in INCIDENCES]
 
 
 def _claims(model: Any, scans: list[Scan]) -> list[Claim]:
@@ -101,24 +105,20 @@ def _claims(model: Any, scans: list[Scan]) -> list[Claim]:
 
 def build(progress: Callable[[str], None]) -> PaperFigure:
     """The page of Fig. 11."""
-    from gonio.models import HeTorrance
-
     progress("htsg-11: theory")
-    given = plastic()
-    model = HeTorrance(**given)
+    surface = plastic()
     scans = _scans()
     taken = measure(
-        model,
-        given,
+        surface,
         name="blue plastic",
         wavelength_nm=WAVELENGTH_NM,
         scans={i: directions(i, 10.0) for i in INCIDENCES},
         solid_angle_sr=CONE_SR,
         progress=lambda text: progress(f"htsg-11: {text}"),
     )
-    text, numbers = surfaces.rows(scans, taken)
+    text, numbers = htsg_scans.rows(scans, taken)
     caption = "Absolute: BRDF, logarithmic as in the paper. Solid: theory; dashed, with error bars: experiment."
-    zoomed = [_near(line, 6.0) for line in surfaces.absolute(scans, taken)]
+    zoomed = [_near(line, 6.0) for line in htsg_scans.absolute(scans, taken)]
     return PaperFigure(
         "htsg-11",
         "HTSG Fig. 11: smooth blue plastic at 0.46 µm",
@@ -126,17 +126,17 @@ def build(progress: Callable[[str], None]) -> PaperFigure:
         [
             Parameter("σ0", "0", "paper", "a smooth surface; τ has no effect"),
             Parameter("a(λ)", f"{PLASTIC_A:g}", "paper", "an albedo: ρ_ud = a/π"),
-            Parameter("n", f"{given['ior']:.4f} (k = 0)", "derived", "|F(0°)|² = ρ_dh − a = 0.195 − 0.15"),
+            Parameter("n", f"{surface.ior:.4f} (k = 0)", "derived", "|F(0°)|² = ρ_dh − a = 0.195 − 0.15"),
             Parameter("θi", ", ".join(f"{i:g}°" for i in INCIDENCES), "paper"),
             Parameter("λ", "0.46 µm", "paper"),
-            surfaces.cones_parameter(
+            cones_parameter(
                 "not given for this instrument; taken from Fig. 7. The height of the spikes goes as 1/dω_i, and no "
                 "verdict uses it"
             ),
         ],
-        _claims(model, scans),
+        _claims(surface.model, scans),
         [
-            angle_panel("semilog", caption, surfaces.absolute(scans, taken), BRDF, logarithmic=True),
+            angle_panel("semilog", caption, htsg_scans.absolute(scans, taken), BRDF, logarithmic=True),
             angle_panel(
                 "spikes",
                 "Spikes: the same within 6° of the mirror directions, linear.",
@@ -144,7 +144,7 @@ def build(progress: Callable[[str], None]) -> PaperFigure:
                 BRDF,
             ),
         ],
-        Results(surfaces.CAPTION, surfaces.HEADER, text),
+        Results(htsg_scans.CAPTION, htsg_scans.HEADER, text),
         numbers,
         [agreement(taken)],
         [("experiment", taken.words)],

@@ -6,27 +6,15 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from gonio_analysis.report.text import number
 
 from gonio.typing import Floats
 from gonio_validation.papers import oren_nayar_samples
-from gonio_validation.papers.figure import (
-    Claim,
-    PaperFigure,
-    Parameter,
-    Results,
-    Trace,
-    agreed,
-    angle_panel,
-    at,
-    signed,
-    theory,
-    trace_panel,
-)
-from gonio_validation.papers.oren_nayar_samples import PAPER, assumed, between
+from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results, Row, agreed
+from gonio_validation.papers.oren_nayar_samples import PAPER, SidesRow, assumed, between
+from gonio_validation.papers.panels import Trace, angle_panel, at, signed, theory, trace_panel
 
 INCIDENCES = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 AZIMUTHS = (0.0, 45.0, 90.0, 135.0, 180.0)
@@ -78,6 +66,16 @@ def claims(figure: int) -> list[Claim]:
 
 
 # --- Fig. 5 -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RadianceRow(Row):
+    """Radiance over E0 [1/sr] in one direction, with and without interreflection, and the share of that."""
+
+    theta_r_deg: float
+    radiance: float
+    direct: float
+    interreflection: float
 
 
 @functools.cache
@@ -201,7 +199,7 @@ def _radiance() -> PaperFigure:
         values = at(angle, total, a), at(angle, direct, a)
         share = 1.0 - values[1] / values[0]
         text.append([f"θr = {a:g}°".replace("-", "−"), *(number(v) for v in values), f"{100 * share:.0f} %"])
-        numbers.append({"theta_r_deg": a, "radiance": values[0], "direct": values[1], "interreflection": share})
+        numbers.append(RadianceRow(a, values[0], values[1], share))
     return PaperFigure(
         "oren-nayar-5",
         "Oren-Nayar Fig. 5: radiance in the plane of incidence",
@@ -235,6 +233,13 @@ def _judged() -> Parameter:
 
 
 # --- Fig. 6 -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class PlaneRow(SidesRow):
+    """A curve in the plane of incidence, and its largest over its smallest value."""
+
+    spread: float
 
 
 def plane(choice: Choice, theta_i_deg: float) -> tuple[Floats, Floats]:
@@ -317,15 +322,10 @@ def _brdf() -> PaperFigure:
     out = [Trace(f"Δφ = {d:g}°", *beside(SHOWN, d)) for d in AZIMUTHS]
     text, numbers = [], []
     for i, a, v in curves:
-        row: dict[str, Any] = {
-            "theta_i_deg": i,
-            "source_side": at(a, v, -i),
-            "normal": at(a, v, 0.0),
-            "mirror_side": at(a, v, i),
-            "spread": _spread(a, v),
-        }
+        row = PlaneRow(i, at(a, v, -i), at(a, v, 0.0), at(a, v, i), _spread(a, v))
         numbers.append(row)
-        text.append([f"θi = {i:g}°", *(number(row[k]) for k in ("source_side", "normal", "mirror_side", "spread"))])
+        values = (row.source_side, row.normal, row.mirror_side, row.spread)
+        text.append([f"θi = {i:g}°", *(number(value) for value in values)])
     return PaperFigure(
         "oren-nayar-6",
         "Oren-Nayar Fig. 6: BRDF by incidence, and radiance out of plane",

@@ -7,26 +7,16 @@ assumed values, and a claim gets a verdict where it holds, or fails, for all of 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from gonio_analysis.report.text import number
 
 from gonio.typing import Floats
-from gonio_validation.papers.figure import (
-    Claim,
-    PaperFigure,
-    Parameter,
-    Results,
-    Trace,
-    agreed,
-    angle_panel,
-    at,
-    signed,
-    theory,
-    trace_panel,
-)
+from gonio_validation.papers.figure import Cell, Claim, PaperFigure, Parameter, Results, Row, agreed
+from gonio_validation.papers.panels import Trace, angle_panel, at, signed, theory, trace_panel
 
 PAPER = "Oren and Nayar, Generalization of Lambert's Reflectance Model, SIGGRAPH 1994"
 LOST = "lost in the scan"
@@ -42,6 +32,33 @@ VASE_SIGMA = (20.0, 30.0, 40.0, 50.0)
 VASE = (40.0, 0.7)
 VASE_LIGHT_DEG = (0.0, 20.0)
 NEAR_CONSTANT, MOST = 0.8, 0.75
+
+
+@dataclass(frozen=True)
+class SidesRow(Row):
+    """A curve at theta_r = theta_i on the source's and on the mirror side, and along the normal [1/sr]."""
+
+    theta_i_deg: float
+    source_side: float
+    normal: float
+    mirror_side: float
+
+
+@dataclass(frozen=True)
+class VaseRow(Row):
+    """Brightness across the vase, its largest value 1, by the position over the radius."""
+
+    light_deg: float
+    model: str
+    peak: float
+    """Where it is largest."""
+    brightness: Mapping[float, float]
+
+    @property
+    def cells(self) -> Mapping[str, Cell]:
+        """A column a position."""
+        positions = {f"at {x:g}": value for x, value in self.brightness.items()}
+        return {"light_deg": self.light_deg, "model": self.model, "peak": self.peak, **positions}
 
 
 def assumed(sigma: str, rho: str, theta_i: str, why: str) -> list[Parameter]:
@@ -178,9 +195,9 @@ def _sample(figure: int) -> PaperFigure:
     lines = [theory(f"θi = {i:g}°", np.radians(a), v, math.radians(i)) for i, a, v in curves]
     text, numbers = [], []
     for i, a, v in curves:
-        row = {"theta_i_deg": i, "source_side": at(a, v, -i), "normal": at(a, v, 0.0), "mirror_side": at(a, v, i)}
+        row = SidesRow(i, source_side=at(a, v, -i), normal=at(a, v, 0.0), mirror_side=at(a, v, i))
         numbers.append(row)
-        text.append([f"θi = {i:g}°", *(number(row[k]) for k in ("source_side", "normal", "mirror_side"))])
+        text.append([f"θi = {i:g}°", *(number(value) for value in (row.source_side, row.normal, row.mirror_side))])
     words = "eq. 18: k_b times the functional form, k_s times Torrance-Sparrow" if specular else "the integral (eq. 13)"
     parameters = assumed(f"{sigma:g}°", f"{albedo:g}", ", ".join(f"{i:g}°" for i in INCIDENCES), MATCHED)
     if specular:
@@ -309,12 +326,11 @@ def _vase() -> PaperFigure:
             )
         )
         for t in traces:
-            wanted = (-0.95, -0.5, 0.0, 0.5, 0.95)
-            row: dict[str, Any] = {"light_deg": light, "model": t.label, "peak": float(t.x[int(np.argmax(t.y))])}
-            row |= {f"at {w:g}": at(t.x, t.y, w) for w in wanted}
+            across = {x: at(t.x, t.y, x) for x in (-0.95, -0.5, 0.0, 0.5, 0.95)}
+            row = VaseRow(light, t.label, float(t.x[int(np.argmax(t.y))]), across)
             numbers.append(row)
-            values = [number(row[f"at {w:g}"]) for w in wanted]
-            text.append([f"({letter}) {t.label}", *values, f"{row['peak']:.2f}".replace("-", "−")])
+            values = [number(value) for value in across.values()]
+            text.append([f"({letter}) {t.label}", *values, f"{row.peak:.2f}".replace("-", "−")])
     return PaperFigure(
         "oren-nayar-13",
         "Oren-Nayar Fig. 13: cross-section of a clay vase",

@@ -9,6 +9,7 @@ import math
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -16,8 +17,20 @@ import mpmath as mp
 import numpy as np
 import pytest
 from gonio_analysis.report.blocks import plain
-from gonio_validation.bench import bench_page, evaluators, hard, peers, report, timing
-from gonio_validation.bench.evaluators import Quantity, Sample, Way
+from gonio_analysis.summaries import as_json
+from gonio_validation.bench import (
+    accuracy,
+    evaluators,
+    hard_cases,
+    pareto,
+    peers,
+    results_page,
+    targets,
+    timing,
+)
+from gonio_validation.bench.quantity import Quantity, Sample, Way
+from gonio_validation.bench.reference import reference
+from gonio_validation.bench.results import ErrorSummary, PeerTime, StartUpSummary, TimeSummary, WaySummary
 from typer.testing import CliRunner
 
 from gonio.errors import DataError
@@ -36,44 +49,44 @@ def way(*results: float) -> Way:
 
 
 def test_errors_by_hand() -> None:
-    found = timing.summary(timing.errors(way(1.0, 2.0, 3.3, 4.0), samples([1.0, 2.0, 3.0, 4.0], condition=9.0)))
-    assert found["max"] == pytest.approx(0.1, rel=1e-12)  # 3.3 against 3, to some roundings
-    assert found["max_scaled"] == pytest.approx(0.01, rel=1e-12)
-    assert found["median"] == 0.0
-    assert not found["warning"]
+    found = accuracy.summarise(accuracy.errors(way(1.0, 2.0, 3.3, 4.0), samples([1.0, 2.0, 3.0, 4.0], condition=9.0)))
+    assert found.max == pytest.approx(0.1, rel=1e-12)  # 3.3 against 3, to some roundings
+    assert found.max_scaled == pytest.approx(0.01, rel=1e-12)
+    assert found.median == 0.0
+    assert not found.warning
 
 
 def test_what_is_not_a_number_is_no_small_error() -> None:
-    found = timing.summary(timing.errors(way(1.0, math.nan, math.inf, 4.0), samples([1.0, 2.0, 3.0, 4.0])))
-    assert found["max"] is None
-    assert found["not_finite"] == 2
+    found = accuracy.summarise(accuracy.errors(way(1.0, math.nan, math.inf, 4.0), samples([1.0, 2.0, 3.0, 4.0])))
+    assert found.max is None
+    assert found.not_finite == 2
 
 
 def test_values_that_vanish_have_no_relative_error() -> None:
-    found = timing.errors(way(0.0, 1e-300, 1e-3, 1.0), samples([0.0, 0.0, 0.0, 1.0]))
+    found = accuracy.errors(way(0.0, 1e-300, 1e-3, 1.0), samples([0.0, 0.0, 0.0, 1.0]))
     assert found.plain.tolist() == [0.0, 0.0, 1.0, 0.0]
 
 
 def test_pareto_front() -> None:
     points = [(3.0, 1e-3), (1.0, 1e-1), (2.0, 1e-3), (4.0, 1e-9), (0.5, None)]
-    assert report.pareto(points) == [1, 2, 3]
+    assert pareto.front(points) == [1, 2, 3]
 
 
 def test_a_wrong_result_breaks_its_case() -> None:
-    case = hard._Case()
+    case = hard_cases._Case()
     case.add("m", [1.0, math.nan, -1.0, math.inf], [1.0 + 1e-9, 2.0, 3.0, 4.0], 0.0, 13.0)
-    row = case.row("x")
-    assert not row["holds"]
-    assert (row["nan"], row["infinite"], row["negative"]) == (1, 1, 1)
-    right = hard._Case()
+    found = case.summary("x")
+    assert not found.holds
+    assert (found.nan, found.infinite, found.negative) == (1, 1, 1)
+    right = hard_cases._Case()
     right.add("m", [1.0, math.inf], [1.0, math.inf], 0.0, 16.0)
-    assert right.row("x")["holds"]
+    assert right.summary("x").holds
 
 
 def test_every_hard_case_holds() -> None:
-    rows = hard.table(evaluators.families(), huge=200_000)  # two threads begin at 131 072
-    assert [r for r in rows if not r["holds"]] == []
-    assert len({r["case"] for r in rows}) == len(rows) > 50
+    found = hard_cases.judged(evaluators.quantities(), huge=200_000)  # two threads begin at 131 072
+    assert [c for c in found if not c.holds] == []
+    assert len({c.case for c in found}) == len(found) > 50
 
 
 def tool() -> ModuleType:
@@ -87,31 +100,32 @@ def tool() -> ModuleType:
 
 def test_reference_values_are_those_of_the_tool() -> None:
     made = tool()
+    assert made.OUT.samefile(Path(evaluators.__file__).with_name("reference.json"))
     with mp.workdps(60):
-        groups = [g for g in evaluators.reference()["he-torrance"] if g["parameters"]["sigma0_um"] < 0.2]  # few terms
+        groups = [g for g in reference().he_torrance if g.parameters["sigma0_um"] < 0.2]  # few terms
         assert len(groups) == 5
         for g in groups:
-            p, k = g["parameters"], len(g["value"]) // 2
+            p, k = g.parameters, len(g.value) // 2
             index = complex(p["n"], p["k"])
-            pair = (g["omega_i"][k], g["omega_r"][k])
+            pair = ([*g.omega_i[k]], [*g.omega_r[k]])
             value, _ = made.he_torrance(pair, p["sigma0_um"], p["tau_um"], index, p["wavelength_nm"] / 1000.0)
-            assert value == g["value"][k]
+            assert value == g.value[k]
 
 
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two families, and no processes to time the start-up of."""
-    everything = evaluators.families
+    """Two quantities, and no processes to time the start-up of."""
+    everything = evaluators.quantities
 
     def chosen() -> list[Quantity]:
-        return [f for f in everything() if f.name in ("cook-torrance", "roughness")]
+        return [q for q in everything() if q.name in ("cook-torrance", "roughness")]
 
-    monkeypatch.setattr(evaluators, "families", chosen)
-    case = hard._Case()
+    monkeypatch.setattr(evaluators, "quantities", chosen)
+    case = hard_cases._Case()
     case.add("cook-torrance", 1.0, 1.0, 0.0, 13.0)
-    monkeypatch.setattr(hard, "table", lambda found, huge: [case.row("normal incidence")])
-    monkeypatch.setattr(report, "TARGETS", [t for t in report.TARGETS if t[0] == "cook-torrance"])
-    start = {"model": "CookTorrance", "import_s": 0.1, "first_evaluation_s": 0.5, "together_s": 0.6}
+    monkeypatch.setattr(hard_cases, "judged", lambda found, huge: [case.summary("normal incidence")])
+    monkeypatch.setattr(targets, "TARGETS", [t for t in targets.TARGETS if t[0] == "cook-torrance"])
+    start = StartUpSummary("CookTorrance", import_s=0.1, first_evaluation_s=0.5, together_s=0.6)
     monkeypatch.setattr(timing, "start_up", lambda repeats: [start])
     monkeypatch.setattr(peers, "PACKAGES", {"nobody": "gonio_nobody"})
 
@@ -134,6 +148,9 @@ def test_report(tmp_path: Path) -> None:
             assert w["way"] in page
             assert w["time"]["best_ns"] > 0
             assert all(e["median"] <= e["p99"] <= e["max"] for e in w["errors"].values())
+    timed, ratio = summary["targets"][0], summary["targets"][-1]
+    assert list(ratio) == ["what", "target", "achieved", "unit", "time_met"]
+    assert list(timed) == [*ratio, "processor_ns", "target_error", "achieved_error", "error_met"]
     assert summary["peers"] == [{"peer": "nobody", "state": "not installed"}]
     steps = summary["families"][1]["ways"][2:]
     errors = [w["errors"]["grid"]["max"] for w in steps]
@@ -145,40 +162,52 @@ def test_report(tmp_path: Path) -> None:
 
 
 def test_a_tolerance_that_is_missed_is_said() -> None:
-    missed = {"way": "w", "stated": 1e-12, "errors": {"grid": {"max_scaled": 1e-11, "points": 3}}}
-    assert not report._tolerance({"title": "f"}, missed)["holds"]
+    error = ErrorSummary(3, max=1e-11, p99=1e-12, median=1e-13, max_scaled=1e-11, not_finite=0, warning=False)
+    time = TimeSummary(best_ns=1.0, median_ns=1.0, processor_ns=1.0, pairs=3, repeats=1)
+    missed = WaySummary("w", True, False, "", 1e-12, {"grid": error}, time, True, False)
+    assert not targets.tolerance("t", missed, 1e-12).holds
+    assert targets.tolerance("t", missed, 1e-11).holds
+    lost = replace(missed, errors={"grid": replace(error, max_scaled=None)})
+    assert not targets.tolerance("t", lost, 1e-11).holds
 
 
 def test_a_peer_is_measured_in_its_own_process(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What the peer's process prints is what is measured here; a peer's program never runs in this process."""
-    family = next(f for f in evaluators.families() if f.name == peers.FAMILY)
-    one = family.ways[0]
+    quantity = next(q for q in evaluators.quantities() if q.name == peers.QUANTITY)
+    one, effort = quantity.ways[0], timing.Effort(pairs=1000, repeats=2, budget_s=0.01)
     monkeypatch.setattr(peers, "_ways", lambda: {"somebody": one})
-    peers.report("somebody", {"pairs": 1000, "repeats": 2, "budget_s": 0.01})
-    found = json.loads(capsys.readouterr().out)
-    assert found["errors"] == json.loads(json.dumps(timing.by_set(family, one)))
+    peers.report("somebody", effort)
+    printed = capsys.readouterr().out
+    found = json.loads(printed)
+    assert found["errors"] == json.loads(json.dumps(as_json(accuracy.by_set(quantity, one))))
     assert found["time"]["pairs"] == 1000
     assert found["time"]["best_ns"] > 0
     started: list[str] = []
 
     def process(code: str, environment: dict[str, str], timeout: float) -> subprocess.CompletedProcess[str]:
         started.append(f"{environment} {code}")
-        return subprocess.CompletedProcess([], 0, stdout=f"a library speaks\n{json.dumps(found)}\n", stderr="")
+        return subprocess.CompletedProcess([], 0, stdout=f"a library speaks\n{printed}", stderr="")
 
     monkeypatch.setattr(peers, "_process", process)
     peer = peers.Peer("somebody", one, {"WITH": "this"})
-    assert peers.measured(peer, pairs=1000, repeats=2, budget_s=0.01) == (found["errors"], found["time"])
+    assert as_json(peers.measured(peer, effort)) == found
     assert len(started) == 1
     assert "WITH" in started[0]
-    assert "'pairs': 1000" in started[0]
+    assert "pairs=1000" in started[0]
+
+
+def test_a_peers_threads_are_in_its_row() -> None:
+    time = PeerTime(best_ns=1.0, median_ns=1.0, processor_ns=1.0, pairs=3, repeats=1, threads=None)
+    row = as_json(WaySummary("w", False, True, "", None, {}, time, False, False))
+    assert row["time"] == {**as_json(TimeSummary(1.0, 1.0, 1.0, 3, 1)), "threads": None}
 
 
 def test_a_peer_whose_process_fails_is_named() -> None:
-    peer = peers.Peer("nobody", evaluators.families()[0].ways[0], {})
+    peer = peers.Peer("nobody", evaluators.quantities()[0].ways[0], {})
     with pytest.raises(DataError, match="nobody: its process failed while it was measured: KeyError"):
-        peers.measured(peer, pairs=1000, repeats=1, budget_s=0.01)
+        peers.measured(peer, timing.Effort(pairs=1000, repeats=1, budget_s=0.01))
 
 
 def test_looking_for_peers_brings_none_into_this_process() -> None:
@@ -194,8 +223,8 @@ def test_looking_for_peers_brings_none_into_this_process() -> None:
 def test_the_hand_over_is_what_half_a_call_does_not_explain() -> None:
     found = timing.hand_over(20)
     assert found is not None
-    assert found["pairs"] == 2 * engine.SPLIT
-    assert found["hand_over_us"] == max(found["shared_us"] - found["half_alone_us"], 0.0)
-    assert 0.0 <= found["share"] < 1.0
-    assert f"{found['pairs']} pairs" in plain(bench_page._hand_over(found).text)
-    assert "one processor" in plain(bench_page._hand_over(None).text)
+    assert found.pairs == 2 * engine.SPLIT
+    assert found.hand_over_us == max(found.shared_us - found.half_alone_us, 0.0)
+    assert 0.0 <= found.share < 1.0
+    assert f"{found.pairs} pairs" in plain(results_page._hand_over(found).text)
+    assert "one processor" in plain(results_page._hand_over(None).text)

@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, fresnel, htsg
-from gonio_validation.bench.evaluators import Quantity, Sample, directions, reference
-from gonio_validation.bench.timing import NOTHING
+from gonio_validation.bench.accuracy import NOTHING
+from gonio_validation.bench.quantity import Quantity, Sample, directions
+from gonio_validation.bench.reference import reference
+from gonio_validation.bench.results import HardCaseSummary
 
 EXACT = 16.0
 """Digits where results are identical."""
@@ -64,54 +66,54 @@ class _Case:
         if not achieved - digits >= self.spare:
             self.spare, self.expected, self.achieved = achieved - digits, digits, achieved
 
-    def row(self, name: str) -> dict[str, Any]:
+    def summary(self, name: str) -> HardCaseSummary:
         good = self.spare >= 0.0 and not (self.nan or self.infinite or self.negative or self.warned)
-        return {
-            "case": name,
-            "models": sorted(self.models),
-            "points": self.points,
-            "expected_digits": self.expected,
-            "achieved_digits": round(self.achieved, 1),
-            "nan": self.nan,
-            "infinite": self.infinite,
-            "negative": self.negative,
-            "warning": self.warned,
-            "holds": good,
-            "note": self.note,
-        }
+        return HardCaseSummary(
+            case=name,
+            models=sorted(self.models),
+            points=self.points,
+            expected_digits=self.expected,
+            achieved_digits=round(self.achieved, 1),
+            nan=self.nan,
+            infinite=self.infinite,
+            negative=self.negative,
+            warning=self.warned,
+            holds=good,
+            note=self.note,
+        )
 
 
-def table(found: list[Quantity], huge: int) -> list[dict[str, Any]]:
-    """Every hard case as a row.
+def judged(found: list[Quantity], huge: int) -> list[HardCaseSummary]:
+    """Every hard case.
 
     Parameters
     ----------
     found
-        The families, whose hard samples are run through our way of evaluating them.
+        The quantities, whose hard samples are run through our way of evaluating them.
     huge
         How many pairs a huge array has.
     """
     cases: dict[str, _Case] = {}
-    for family in found:
-        if family.name not in DIGITS:
+    for quantity in found:
+        if quantity.name not in DIGITS:
             continue
-        way = family.ways[0]
-        for s in family.samples:
+        way = quantity.ways[0]
+        for s in quantity.samples:
             if s.kind == "hard":
                 got, warned = _quietly(partial(way.prepare(s.parameters), *s.arrays))
-                model, digits = family.name.split()[0], DIGITS[family.name]
-                for name, here in _named(family.name, s):
+                model, digits = quantity.name.split()[0], DIGITS[quantity.name]
+                for name, here in _named(quantity.name, s):
                     case = cases.setdefault(name, _Case())
                     case.add(model, got[here], s.value[here], s.condition[here], digits, warned)
     _series(cases)
     _limits(cases)
     _arrays(cases, huge)
-    return [case.row(name) for name, case in cases.items()]
+    return [case.summary(name) for name, case in cases.items()]
 
 
-def _named(family: str, s: Sample) -> Iterable[tuple[str, Any]]:
+def _named(quantity: str, s: Sample) -> Iterable[tuple[str, Any]]:
     """Names of cases, and which points of the sample belong to them."""
-    if family == "fresnel":
+    if quantity == "fresnel":
         n, k = s.parameters["n"], s.parameters["k"]
         yield f"Fresnel at n = {n:.10g}" + (f", k = {k:g}" if k else ", k = 0"), slice(None)
         return
@@ -137,10 +139,10 @@ def _quietly(work: Callable[[], Any]) -> tuple[Any, bool]:
 
 
 def _series(cases: dict[str, _Case]) -> None:
-    r = reference()["series"]
-    g, c, ln_s, condition = (np.array(r[key]) for key in ("g", "c", "ln_S", "condition"))
+    r = reference().series
+    g, c, ln_s, condition = (np.array(x) for x in (r.g, r.c, r.ln_S, r.condition))
     got, warned = _quietly(lambda: htsg.log_series(g, c))
-    for value in sorted(set(r["g"])):
+    for value in sorted(set(r.g)):
         here = g == value
         # an error of ln S is a relative one of S
         case = cases.setdefault(f"series, g = {value:g}, c from 0 to 1e10", _Case())
@@ -158,10 +160,10 @@ def _limits(cases: dict[str, _Case]) -> None:
         case.note = note or case.note
 
     smooth = HeTorrance(sigma0_um=0.0)
-    metal = next(f for f in reference()["fresnel"] if f["name"] == "aluminium-like")
+    metal = next(f for f in reference().fresnel if f.name == "aluminium-like")
     spike = "lobe 0, spike that of the smooth surface"
     add("sigma0 = 0", "he-torrance", partial(smooth.brdf, theta, 0.0, theta, math.pi), 0.0, EXACT)
-    add("sigma0 = 0", "he-torrance", partial(smooth.specular_reflectivity, theta), metal["value"][3:-1], 12.0, spike)
+    add("sigma0 = 0", "he-torrance", partial(smooth.specular_reflectivity, theta), metal.value[3:-1], 12.0, spike)
 
     off, at = "exactly 90 degrees, off the mirror", "exactly 90 degrees, at the mirror"
     model: Model

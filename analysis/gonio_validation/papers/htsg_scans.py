@@ -1,4 +1,4 @@
-"""Scans of a He-Torrance surface in the plane of incidence, as HTSG's figures show them, and their drawings."""
+"""Scans of a He-Torrance surface in the plane of incidence, as HTSG's figures show them: numbers and drawings."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from gonio_analysis.report.text import number
 
 from gonio.typing import Floats
 from gonio_validation.papers.experiment import Experiment, beside, divided
-from gonio_validation.papers.figure import NOTHING, Panel, Parameter, angle_panel, polar_panel, signed
+from gonio_validation.papers.figure import Panel, Row
+from gonio_validation.papers.htsg_surfaces import CONE_SR, CONES
+from gonio_validation.papers.panels import NOTHING, angle_panel, polar_panel, signed
 
 BRDF = "BRDF [1/sr]"
-PAPER = "He, Torrance, Sillion and Greenberg, A Comprehensive Physical Model for Light Reflection, SIGGRAPH 1991"
-CONE_SR = math.pi / 1024
-"""HTSG sec. 4: the solid angles of incident and received light in the experiments of Figs. 7 and 8."""
 
 
 @dataclass(frozen=True)
@@ -80,15 +79,14 @@ def scan(model: Any, theta_i_deg: float, wavelength_nm: float) -> Scan:
     theta_r, phi_r = signed(angle)
     theta_i = math.radians(theta_i_deg)
     where = (theta_i, 0.0, theta_r, phi_r)
-    cones: dict[str, Any] = {"source_solid_angle_sr": CONE_SR, "receiver_solid_angle_sr": CONE_SR}
     fine = np.arange(-89.99, 90.0, 0.01)
     theta, phi = signed(fine)
     one_direction = model.brdf(theta_i, 0.0, theta, phi, wavelength_nm=wavelength_nm)
     return Scan(
         theta_i_deg,
         angle,
-        np.asarray(apparent_lobe(model, *where, wavelength_nm=wavelength_nm, **cones)),
-        np.asarray(apparent_spike(model, *where, wavelength_nm=wavelength_nm, **cones)),
+        np.asarray(apparent_lobe(model, *where, wavelength_nm=wavelength_nm, **CONES)),
+        np.asarray(apparent_spike(model, *where, wavelength_nm=wavelength_nm, **CONES)),
         float(fine[int(np.argmax(one_direction))]) if np.ptp(one_direction) > 0.0 else None,
         float(model.specular_reflectivity(theta_i, wavelength_nm=wavelength_nm)),
         float(model.directional_hemispherical(theta_i, wavelength_nm=wavelength_nm)),
@@ -160,7 +158,22 @@ CAPTION = (
 )
 
 
-def rows(scans: Sequence[Scan], experiment: Experiment) -> tuple[list[list[str]], list[dict[str, Any]]]:
+@dataclass(frozen=True)
+class ScanRow(Row):
+    """Results of one incidence; "lobe" and "spike" as in `Scan`."""
+
+    theta_i_deg: float
+    lobe_peak_deg: float | None
+    seen_peak_deg: float
+    peak_over_mirror: float
+    spike_over_lobe: float
+    measured_spike_over_lobe: float | None
+    measured_peak_deg: float
+    rho_s: float
+    rho_dh: float
+
+
+def rows(scans: Sequence[Scan], experiment: Experiment) -> tuple[list[list[str]], list[ScanRow]]:
     """The table of results, as text and at full precision."""
     from gonio import geometry
 
@@ -185,39 +198,19 @@ def rows(scans: Sequence[Scan], experiment: Experiment) -> tuple[list[list[str]]
             ]
         )
         numbers.append(
-            {
-                "theta_i_deg": s.theta_i_deg,
-                "lobe_peak_deg": s.peak_deg,
-                "seen_peak_deg": s.seen_peak_deg,
-                "peak_over_mirror": float(s.normalised.max()),
-                "spike_over_lobe": s.spike_over_lobe,
-                "measured_spike_over_lobe": measured,
-                "measured_peak_deg": top,
-                "rho_s": s.rho_s,
-                "rho_dh": s.rho_dh,
-            }
+            ScanRow(
+                theta_i_deg=s.theta_i_deg,
+                lobe_peak_deg=s.peak_deg,
+                seen_peak_deg=s.seen_peak_deg,
+                peak_over_mirror=float(s.normalised.max()),
+                spike_over_lobe=s.spike_over_lobe,
+                measured_spike_over_lobe=measured,
+                measured_peak_deg=top,
+                rho_s=s.rho_s,
+                rho_dh=s.rho_dh,
+            )
         )
     return text, numbers
-
-
-def index_parameter(material: str, wavelength_nm: float) -> Parameter:
-    """The optical constants that a figure is made with."""
-    from gonio import materials
-
-    found = materials.ior(material)
-    n = complex(found(wavelength_nm))
-    text = f"{n.real:.4g} + {n.imag:.4g}i" if n.imag else f"{n.real:.5g} (k = 0)"
-    return Parameter(
-        f"n + ik at {wavelength_nm:g} nm", text, "database", f"{material}: {found.source}; the paper gives none"
-    )
-
-
-def cones_parameter(reason: str = "") -> Parameter:
-    """The solid angles of light and detector."""
-    value = f"π/1024 sr = {CONE_SR:.5f} sr each"
-    if reason:
-        return Parameter("solid angles dω_i, dω_r", value, "assumed", reason)
-    return Parameter("solid angles dω_i, dω_r", value, "paper", "sec. 4, with Fig. 7")
 
 
 def agreement(taken: Experiment) -> str:
@@ -226,18 +219,3 @@ def agreement(taken: Experiment) -> str:
         f"The experiment against the model seen through the rig's own cones: reduced chi-square "
         f"{number(taken.chi_square)} over {len(taken.data)} values, nothing fitted."
     )
-
-
-def energy_limit(model: Any, wavelength_nm: float) -> tuple[float | None, float]:
-    """The incidence [deg] beyond which more is reflected than falls in (None: nowhere), and the largest possible a."""
-    from scipy.optimize import brentq
-
-    def excess(theta_deg: float) -> float:
-        return float(model.directional_hemispherical(math.radians(theta_deg), wavelength_nm=wavelength_nm)) - 1.0
-
-    allowed = float(model.max_diffuse_albedo(wavelength_nm=wavelength_nm))
-    tried = np.append(np.arange(0.0, 90.0, 5.0), 89.99)
-    above = np.flatnonzero([excess(float(t)) > 0 for t in tried])
-    if not above.size or above[0] == 0:
-        return (0.0 if above.size else None), allowed
-    return float(brentq(excess, tried[above[0] - 1], tried[above[0]], xtol=1e-3)), allowed

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from gonio import geometry
@@ -13,9 +11,7 @@ from gonio.models.plain import fresnel
 from gonio.models.plain import oren_nayar as oren_nayar_1994
 from gonio.models.plain.vectors import polar
 from gonio.typing import Floats
-
-Parameters = dict[str, Any]
-"""What a model is evaluated with, as the reference values name it."""
+from gonio_validation.bench.quantity import Parameters
 
 _DISTRIBUTIONS = {"phong": blinn_1977.D_1, "gaussian": blinn_1977.D_2, "trowbridge-reitz": blinn_1977.D_3}
 

@@ -1,0 +1,144 @@
+"""Measure speed against error of every way of evaluating the models, judge it, and write the report."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields
+from pathlib import Path
+
+from gonio_analysis.report import files
+from gonio_analysis.report.tables import write_csv
+from gonio_analysis.summaries import as_json
+
+from gonio_validation.bench import accuracy, evaluators, hard_cases, pareto, peers, results_page, targets, timing
+from gonio_validation.bench.quantity import Quantity
+from gonio_validation.bench.reference import reference
+from gonio_validation.bench.results import (
+    HardCaseSummary,
+    QuantitySummary,
+    Set,
+    SpeedAndError,
+    WaySummary,
+)
+
+POINT_COLUMNS = (
+    *("family", "way", "ours", "set", "points", "max", "p99", "median", "max_scaled", "not_finite", "warning"),
+    *("best_ns", "median_ns", "processor_ns", "pairs", "note"),
+)
+HARD_COLUMNS = tuple(f.name for f in fields(HardCaseSummary))
+
+
+def make(
+    out: str | Path,
+    *,
+    quick: bool = False,
+    command: str = "",
+    progress: Callable[[str], None] = lambda text: None,
+) -> Path:
+    """Measure every way of evaluating every model, and write the report: all of it or nothing.
+
+    Parameters
+    ----------
+    out
+        Folder of the report; an earlier report there is replaced.
+    quick
+        Fewer pairs and repeats: errors are the same, times are rough.
+    command
+        The command line, for the record.
+    progress
+        Called with a line before each step.
+
+    Returns
+    -------
+    Path
+        Of `index.html`.
+
+    Raises
+    ------
+    ConfigError
+        The folder cannot be written, or holds something that is not a report.
+    """
+    with files.staged(out) as stage:
+        summary = collect(quick=quick, command=command, progress=progress)
+        write(summary, stage.work)
+    return Path(out) / "index.html"
+
+
+def collect(
+    *, quick: bool = False, command: str = "", progress: Callable[[str], None] = lambda text: None
+) -> SpeedAndError:
+    """Every number of the report, as `summary.json` holds it; parameters as `make`."""
+    effort = timing.Effort(20_000, 3, 0.02) if quick else timing.Effort(1_000_000, 9, 0.4)
+    started = timing.machine()
+    states, others = peers.find()
+    found = evaluators.quantities()
+    rows = []
+    for quantity in found:
+        here = others if quantity.name == peers.QUANTITY else []
+        progress(f"{quantity.title}: {len(quantity.ways) + len(here)} ways")
+        rows.append(_measured(quantity, here, effort))
+    progress("hard cases")
+    cases = hard_cases.judged(found, 200_000 if quick else 4_000_000)
+    progress("single calls and start-up")
+    single = timing.single_calls(200 if quick else 3000)
+    handed = timing.hand_over(50 if quick else 1000)
+    start = timing.start_up(1 if quick else 4)
+    return SpeedAndError(
+        title="Models: speed against error",
+        created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        command=command,
+        quick=quick,
+        machine=started,
+        reference=reference().made,
+        families=rows,
+        targets=targets.judged(rows, single, start),
+        tolerances=targets.tolerances(rows),
+        hard_cases=cases,
+        single_calls=single,
+        hand_over=handed,
+        start_up=start,
+        peers=states,
+    )
+
+
+def _measured(quantity: Quantity, others: Sequence[peers.Peer], effort: timing.Effort) -> QuantitySummary:
+    """Errors and times of all ways, those of peers included."""
+    taken = timing.times(quantity, effort)
+    ways = [*quantity.ways, *(peer.way for peer in others)]
+    apart = [peers.measured(peer, effort) for peer in others]
+    errors = [*(accuracy.by_set(quantity, way) for way in quantity.ways), *(m.errors for m in apart)]
+    times = [*(taken[way.name] for way in quantity.ways), *(m.time for m in apart)]
+
+    def front(kind: Set) -> list[int]:
+        found = (e.get(kind) for e in errors)
+        return pareto.front([(t.best_ns, e.max if e else None) for t, e in zip(times, found, strict=True)])
+
+    grid, hard = front("grid"), front("hard")
+    summaries = [
+        WaySummary(way.name, way.ours, way.peer, way.note, way.stated, e, time, k in grid, k in hard)
+        for k, (way, e, time) in enumerate(zip(ways, errors, times, strict=True))
+    ]
+    return QuantitySummary(quantity.name, quantity.title, quantity.about, quantity.inputs, summaries)
+
+
+def write(summary: SpeedAndError, folder: Path) -> None:
+    """Write page, numbers, tables and figures into a folder that exists."""
+    drawn = {q.name: pareto.draw(q) for q in summary.families if len(q.ways) > 2}
+    files.write_page(folder, results_page.render(summary, drawn), as_json(summary), drawn.values())
+    (folder / "tables").mkdir()
+    write_csv(folder / "tables" / "points.csv", POINT_COLUMNS, _points(summary))
+    write_csv(
+        folder / "tables" / "hard_cases.csv",
+        HARD_COLUMNS,
+        (list({**vars(c), "models": " ".join(c.models)}.values()) for c in summary.hard_cases),
+    )
+
+
+def _points(summary: SpeedAndError) -> Iterator[list[object]]:
+    """The rows of `points.csv`: a way on a set, or a way without comparable results."""
+    for quantity in summary.families:
+        for way in quantity.ways:
+            facts = {"family": quantity.name, **vars(way), **vars(way.time)}
+            rows = [facts | {"set": kind} | vars(errors) for kind, errors in way.errors.items()] or [facts]
+            yield from ([row.get(column) for column in POINT_COLUMNS] for row in rows)
