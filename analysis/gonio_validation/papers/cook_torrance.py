@@ -127,13 +127,8 @@ def _spectrum() -> PaperFigure:
     text, numbers = [], []
     for w in (400.0, 450.0, 500.0, 550.0, 600.0, 650.0, 700.0):
         k = int(np.argmin(np.abs(nm - w)))
-<<<<<<< HEAD
         text.append([f"{w / 1000:g} µm", number(normal[k]), number(power[k], 4), number(power[k] * normal[k], 4)])
-        numbers.append({"wavelength_nm": w, "reflectance": float(normal[k]), "d65": float(power[k])})
-=======
-        text.append([f"{w / 1000:g} µm", number(normal[k]), number(light[k], 4), number(light[k] * normal[k], 4)])
-        numbers.append(SpectrumRow(w, float(normal[k]), float(light[k])))
->>>>>>> w-val
+        numbers.append(SpectrumRow(w, float(normal[k]), float(power[k])))
     return PaperFigure(
         "cook-torrance-4",
         "Cook-Torrance Fig. 4: reflectance and reflected light of a copper mirror",
@@ -183,9 +178,6 @@ def colours(theta: Floats) -> dict[str, Floats]:
     }
 
 
-<<<<<<< HEAD
-def _shift(linear: Floats) -> Floats:
-=======
 @dataclass(frozen=True)
 class ColourRow(Row):
     """Linear RGB of copper at one angle, by each procedure of `colours`."""
@@ -199,8 +191,7 @@ class ColourRow(Row):
         return {"theta_deg": self.theta_deg, **self.rgb}
 
 
-def _shift(rgb: Floats) -> Floats:
->>>>>>> w-val
+def _shift(linear: Floats) -> Floats:
     """How much of the way of the chromaticity from normal incidence to the light's own has been gone."""
     way = shares(linear) - shares(linear[:1])
     whole = 1.0 / 3.0 - shares(linear[:1])
