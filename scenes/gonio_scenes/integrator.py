@@ -60,7 +60,7 @@ class Integrator:
                 break
             whole = met.size == hits.shape.size
             hits = hits if whole else hits.picked(met)
-            direction = direction if whole else direction[met]
+            direction = direction if whole else direction.take(met, axis=0)
             where = (met if where is None else where[met]) if not whole else where
             weight = weight if weight is None or whole else weight[met]
             axis = self._axis if depth == 0 else None
@@ -131,14 +131,15 @@ class Integrator:
                     here = here[~scene.world.blocked(arriving.direction, arriving.distance, hits, here)]
                 irradiance = towards[:, 2] * arriving.strength / count
                 for material, at in self._by_material(hits, here):
+                    ends = (a.take(at, axis=0) for a in (towards, view, hits.uv))
                     if light.polarisation is None and axis is None:
-                        f = material.brdf(towards[at], view[at], hits.uv[at])
+                        f = material.brdf(*ends)
                     else:
                         of_light, of_camera = (
                             None if a is None else local(a, hits.facing[at], hits.tangent[at])
                             for a in (light.polarisation, axis)
                         )
-                        f = material.polarised(towards[at], view[at], hits.uv[at], of_light, of_camera)
+                        f = material.polarised(*ends, of_light, of_camera)
                     _add(out, at, f * irradiance[at, None] * light.power)
         if scene.ambient is not None:
             share = 1.0 if axis is None else 0.5  # of light that is taken as unpolarised

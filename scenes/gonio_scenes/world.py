@@ -35,7 +35,7 @@ class Hits:
 
     def picked(self, here: Indices) -> Hits:
         """Some of the hits."""
-        return Hits(*(getattr(self, each.name)[here] for each in fields(self)))
+        return Hits(*(getattr(self, each.name).take(here, axis=0) for each in fields(self)))
 
 
 class World:
@@ -77,13 +77,13 @@ class World:
         """
         toward = np.broadcast_to(direction, leaving.position.shape)[here]
         far = np.broadcast_to(distance, leaving.shape.shape)[here]
-        position, shape, normal = leaving.position[here], leaving.shape[here], leaving.normal[here]
+        position, shape, normal = (a.take(here, axis=0) for a in (leaving.position, leaving.shape, leaving.normal))
         out = np.zeros(here.size, dtype=bool)
         for k in range(len(self.shapes)):
             for part, start in self._tried(k, toward, shape, normal):
                 left = np.flatnonzero(~out) if isinstance(part, slice) else part[~out[part]]
                 if left.size:
-                    met, _ = self.shapes[k].intersect(position[left], toward[left], start)
+                    met, _ = self.shapes[k].intersect(position.take(left, axis=0), toward.take(left, axis=0), start)
                     out[left[met < far[left]]] = True
         return out
 
@@ -120,6 +120,6 @@ class World:
             here = np.flatnonzero(which == k)
             if here.size == 0:
                 continue
-            met = shape.surface(origin[here], direction[here], distance[here], primitive[here])
+            met = shape.surface(*(a.take(here, axis=0) for a in (origin, direction, distance, primitive)))
             settle(here, direction, met, position, normal, facing, tangent, uv)
         return Hits(which, np.where(which >= 0, distance, 0.0), position, normal, facing, tangent, uv)
