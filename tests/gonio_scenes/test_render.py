@@ -1,0 +1,57 @@
+"""How many rays a picture takes, and what it says of its error."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from gonio_scenes import render as rendering
+
+from tests.gonio_scenes.scenes import rendered
+
+EDGES: dict[str, Any] = {
+    "camera": {
+        "position_mm": [150.0, -600.0, 420.0],
+        "look_at_mm": [5.0, 0.0, 10.0],
+        "up": [0.0, 0.0, 1.0],
+        "vertical_field_deg": 14.0,
+        "width": 32,
+        "height": 32,
+    },
+    "shape": [
+        {"kind": "plane", "material": "m"},
+        {"kind": "sphere", "center_mm": [0.0, 0.0, 40.0], "radius_mm": 40.0, "material": "m"},
+    ],
+    "light": [{"kind": "directional", "toward": [-1.0, -0.5, 1.2], "irradiance": 3.0}],
+}
+"""A sphere and its shadow: all error is at edges, which a few rays miss."""
+
+
+def test_a_tolerance_is_kept_and_the_error_that_is_stated_is_the_error() -> None:
+    tolerance = 0.005
+    truth = rendered(**EDGES | {"camera": EDGES["camera"] | {"samples": 2048}, "seed": 99})
+    picture = rendered(**EDGES, tolerance=tolerance, seed=3)
+    level = np.maximum(truth.radiance, truth.radiance.mean())[..., 0]
+    error = np.abs(picture.radiance - truth.radiance)[..., 0] / level
+    assert picture.error is not None
+    stated = picture.error[..., 0] / level
+    assert picture.above_tolerance == (stated > tolerance * (1 + 1e-9)).sum()
+    # stopping on purpose where the error looks small makes it look smaller than it is: by less than a half
+    assert np.sqrt(np.mean(error**2)) < 1.5 * np.sqrt(np.mean(stated**2))
+    assert np.sqrt(np.mean(error**2)) < tolerance
+    # normal errors: 0.3 % beyond three; the truth's own error is a third of the tolerance
+    assert (error > 3.5 * tolerance).mean() < 0.005
+
+
+def test_a_tolerance_costs_less_than_rays_for_all() -> None:
+    picture = rendered(**EDGES, tolerance=0.02, seed=3)
+    assert picture.samples.min() == rendering.FIRST_BATCHES * rendering.BATCH
+    assert picture.samples.mean() < 0.2 * picture.samples.max()
+    assert picture.rays["camera"] == pytest.approx(picture.samples.sum() + picture.shape.size, rel=0.02)
+
+
+def test_a_tolerance_gives_the_same_picture_again() -> None:
+    a, b = (rendered(**EDGES, tolerance=0.05, seed=5) for _ in range(2))
+    np.testing.assert_array_equal(a.radiance, b.radiance)
+    np.testing.assert_array_equal(a.samples, b.samples)
