@@ -317,7 +317,7 @@ class _Writer:
             self._disk(root, place.center, place.axes, constants[0], material)
         elif table.kind == "sphere":
             made = _add(root, "shape", "sphere")
-            ElementTree.SubElement(made, "point", name="center", **_xyz(place.center))
+            _point(made, "point", "center", place.center)
             _put(made, "float", "radius", constants[0])
             _refer(made, material)
         elif table.kind == "cylinder":
@@ -352,11 +352,11 @@ class _Writer:
             power = _text(light.power[list(channels)])
             if isinstance(light, Directional):
                 made = _add(root, "emitter", "directional")
-                ElementTree.SubElement(made, "vector", name="direction", **_xyz(-light.toward))
+                _point(made, "vector", "direction", -light.toward)
                 _put(made, "rgb", "irradiance", power)
             elif isinstance(light, PointLight):
                 made = _add(root, "emitter", "point")
-                ElementTree.SubElement(made, "point", name="position", **_xyz(light.position))
+                _point(made, "point", "position", light.position)
                 _put(made, "rgb", "intensity", power)
             else:
                 made = _add(root, "shape", "disk")
@@ -472,8 +472,9 @@ def _text(values: Floats) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def _xyz(values: Floats) -> dict[str, str]:
-    return {name: repr(float(value)) for name, value in zip("xyz", values, strict=True)}
+def _point(parent: ElementTree.Element, tag: str, name: str, values: Floats) -> None:
+    at = {axis: repr(float(value)) for axis, value in zip("xyz", values, strict=True)}
+    ElementTree.SubElement(parent, tag, {"name": name, **at})
 
 
 def _place(parent: ElementTree.Element, place: Placement, scale: Sequence[float] | Floats) -> None:
