@@ -75,7 +75,14 @@ def _settle(
 
 
 def settle(
-    here: Ints, direction: Floats, met: Surface, position: Floats, normal: Floats, facing: Floats, tangent: Floats, uv: Floats
+    here: Ints,
+    direction: Floats,
+    met: Surface,
+    position: Floats,
+    normal: Floats,
+    facing: Floats,
+    tangent: Floats,
+    uv: Floats,
 ) -> None:
     """Write the surfaces that the rays `here` met into arrays of all rays, turned toward where the rays came from."""
     in_parts(
@@ -101,9 +108,7 @@ def settle(
 
 
 @njit(error_model="numpy", nogil=True, fastmath=FAST)
-def _local(
-    direction: Any, step: int, sign: float, facing: Any, tangent: Any, out: Any, start: int, stop: int
-) -> None:
+def _local(direction: Any, step: int, sign: float, facing: Any, tangent: Any, out: Any, start: int, stop: int) -> None:
     for i in range(start, stop):
         dx, dy, dz = sign * direction[i * step, 0], sign * direction[i * step, 1], sign * direction[i * step, 2]
         x, y, z = facing[i, 0], facing[i, 1], facing[i, 2]

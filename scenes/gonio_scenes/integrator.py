@@ -111,15 +111,13 @@ class Integrator:
 
     # --- what surfaces send back ------------------------------------------------------------------------------------
 
-    def _lit(
-        self, hits: Hits, direction: Floats, random: np.random.Generator | None, axis: Floats | None
-    ) -> Floats:
+    def _lit(self, hits: Hits, direction: Floats, random: np.random.Generator | None, axis: Floats | None) -> Floats:
         """Radiances (n, wavelengths) of hits toward where their rays came from, mirror rays left out."""
         scene = self.scene
         out = np.zeros((hits.shape.size, scene.wavelength_nm.size))
         view = local(direction, hits.facing, hits.tangent, -1.0)
         for light in scene.lights:
-            shift = random.random((hits.shape.size, 2)) if random is not None and light.samples > 1 else None
+            shift = random.random((hits.shape.size, 2)) if random is not None and isinstance(light, Disc) else None
             count = light.samples if shift is not None else 1
             for sample in range(count):
                 arriving = light.arrive(hits.position, sample, shift)
@@ -131,15 +129,15 @@ class Integrator:
                     here = here[~scene.world.blocked(arriving.direction, arriving.distance, hits, here)]
                 irradiance = towards[:, 2] * arriving.strength / count
                 for material, at in self._by_material(hits, here):
-                    ends = (a.take(at, axis=0) for a in (towards, view, hits.uv))
+                    omega_i, omega_r, uv = (a.take(at, axis=0) for a in (towards, view, hits.uv))
                     if light.polarisation is None and axis is None:
-                        f = material.brdf(*ends)
+                        f = material.brdf(omega_i, omega_r, uv)
                     else:
                         of_light, of_camera = (
                             None if a is None else local(a, hits.facing[at], hits.tangent[at])
                             for a in (light.polarisation, axis)
                         )
-                        f = material.polarised(*ends, of_light, of_camera)
+                        f = material.polarised(omega_i, omega_r, uv, of_light, of_camera)
                     _add(out, at, f * irradiance[at, None] * light.power)
         if scene.ambient is not None:
             share = 1.0 if axis is None else 0.5  # of light that is taken as unpolarised

@@ -457,7 +457,7 @@ def _axes_of(normal: Floats) -> Floats:
 
 
 def _add(parent: ElementTree.Element, tag: str, kind: str, **attributes: str) -> ElementTree.Element:
-    return ElementTree.SubElement(parent, tag, type=kind, **attributes)
+    return ElementTree.SubElement(parent, tag, {"type": kind, **attributes})
 
 
 def _put(parent: ElementTree.Element, tag: str, name: str, value: object) -> None:

@@ -53,7 +53,9 @@ class World:
         which = np.full(count, -1, dtype=np.int64)
         primitive = np.zeros(count, dtype=np.int64)
         for k, shape in enumerate(self.shapes):
-            tried = [(slice(None), 0.0)] if leaving is None else self._tried(k, direction, leaving.shape, leaving.normal)
+            tried = (
+                [(slice(None), 0.0)] if leaving is None else self._tried(k, direction, leaving.shape, leaving.normal)
+            )
             for here, start in tried:
                 distance, part = shape.intersect(origin[here], direction[here], start)
                 nearer = np.flatnonzero(distance < nearest[here])
@@ -76,11 +78,11 @@ class World:
             The hits, and the numbers of those that are asked for.
         """
         toward = np.broadcast_to(direction, leaving.position.shape)[here]
-        far = np.broadcast_to(distance, leaving.shape.shape)[here]
-        position, shape, normal = (a.take(here, axis=0) for a in (leaving.position, leaving.shape, leaving.normal))
+        far, leaves = np.broadcast_to(distance, leaving.shape.shape)[here], leaving.shape[here]
+        position, normal = (a.take(here, axis=0) for a in (leaving.position, leaving.normal))
         out = np.zeros(here.size, dtype=bool)
         for k in range(len(self.shapes)):
-            for part, start in self._tried(k, toward, shape, normal):
+            for part, start in self._tried(k, toward, leaves, normal):
                 left = np.flatnonzero(~out) if isinstance(part, slice) else part[~out[part]]
                 if left.size:
                     met, _ = self.shapes[k].intersect(position.take(left, axis=0), toward.take(left, axis=0), start)
@@ -120,6 +122,7 @@ class World:
             here = np.flatnonzero(which == k)
             if here.size == 0:
                 continue
-            met = shape.surface(*(a.take(here, axis=0) for a in (origin, direction, distance, primitive)))
+            starts, toward = origin.take(here, axis=0), direction.take(here, axis=0)
+            met = shape.surface(starts, toward, distance.take(here), primitive.take(here))
             settle(here, direction, met, position, normal, facing, tangent, uv)
         return Hits(which, np.where(which >= 0, distance, 0.0), position, normal, facing, tangent, uv)

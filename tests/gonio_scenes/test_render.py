@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 from gonio_scenes import render as rendering
+from gonio_scenes.picture import left_out
 
-from tests.gonio_scenes.scenes import rendered
+from tests.gonio_scenes.scenes import rendered, scene
 
 EDGES: dict[str, Any] = {
     "camera": {
@@ -58,3 +59,32 @@ def test_a_tolerance_gives_the_same_picture_again() -> None:
     a, b = (rendered(**EDGES, tolerance=0.05, seed=5) for _ in range(2))
     np.testing.assert_array_equal(a.radiance, b.radiance)
     np.testing.assert_array_equal(a.samples, b.samples)
+
+
+def test_a_disc_that_is_looked_at_once_a_ray_is_not_its_centre() -> None:
+    """Of many rays each looks at another point of the disc, so that their mean is the whole disc's."""
+    lamp = {
+        "kind": "disc", "center_mm": [0.0, 0.0, 100.0], "normal": [0.0, 0.0, -1.0], "radius_mm": 60.0, "radiance": 2.0,
+    }  # fmt: skip
+    camera = EDGES["camera"] | {"position_mm": [0.0, -100.0, 50.0], "vertical_field_deg": 0.01, "samples": 64}
+    plane = [{"kind": "plane", "material": "m"}]
+    once = rendered(camera=camera | {"look_at_mm": [0.0, 0.0, 0.0]}, shape=plane, light=[lamp | {"samples": 1}])
+    # pi L R^2/(R^2 + d^2), where the disc's centre alone would give pi L R^2/d^2: the mean of 24 x 24 x 64 rays
+    expected = 0.7 * 2.0 * 60.0**2 / (60.0**2 + 100.0**2)
+    assert once.error is not None
+    own = np.sqrt((once.error**2).sum()) / once.error.size
+    assert 0.0 < own < 0.003 * expected
+    assert once.radiance.mean() == pytest.approx(expected, abs=4.0 * own)
+
+
+def test_a_disc_that_is_looked_at_once_is_said_to_be_its_centre() -> None:
+    lamp = {
+        "kind": "disc",
+        "center_mm": [0.0, 0.0, 300.0],
+        "normal": [0.0, 0.0, -1.0],
+        "radius_mm": 60.0,
+        "radiance": 2.0,
+    }
+    told = [[said["what"] for said in left_out(scene(light=[lamp | {"samples": k}]))] for k in (1, 4)]
+    assert "the size of discs of light" in told[0]
+    assert "the size of discs of light" not in told[1]
