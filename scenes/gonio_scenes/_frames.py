@@ -119,7 +119,7 @@ def _local(direction: Any, step: int, sign: float, facing: Any, tangent: Any, ou
 
 
 def local(direction: Floats, facing: Floats, tangent: Floats, sign: float = 1.0) -> Floats:
-    """Directions (n, 3), or one (3,), times `sign`, in the frame of the surface: x its tangent, z its normal `facing`."""
+    """Directions (n, 3), or one (3,), times `sign`, in the surface's frame: x its tangent, z its normal `facing`."""
     step = 0 if direction.ndim == 1 else 1
     rows = np.ascontiguousarray(direction).reshape(-1, 3)
     out = np.empty(facing.shape)
