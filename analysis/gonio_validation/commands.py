@@ -51,3 +51,18 @@ def models(
     from gonio_validation.bench.speed_and_error import make
 
     print(make(out, quick=quick, command=command_line(), progress=console.note))
+
+
+@bench.command()
+def scenes(
+    out: Annotated[Path, typer.Option(help="Folder of the report.", show_default=False)],
+    quick: Annotated[bool, typer.Option("--quick", help="Small pictures: all is run, nothing is precise.")] = False,
+) -> None:
+    """Speed against error of pictures: rays, tolerances, wavelengths, approximations. Prints the report's path."""
+    from gonio.acquisition.run import command_line
+    from gonio.cli import console
+    from gonio_validation.bench.scenes import make
+
+    with console.counter("pictures") as step:
+        made = make(out, quick=quick, command=command_line(), step=step)
+    print(made)

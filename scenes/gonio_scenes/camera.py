@@ -15,6 +15,7 @@ from gonio.rig.description import NonNegative, Positive, RigDescription
 from gonio.rig.kinematics import view
 from gonio.rig.protocols import Pose
 from gonio.typing import Floats
+from gonio_scenes._frames import toward_plane
 from gonio_scenes.sampling import on_disc, point
 
 Point = tuple[float, float, float]
@@ -129,13 +130,15 @@ class Camera:
         at = point(sample, shift[:, : 4 if wide else 2]) if shift is not None else np.full((2, pixel.size), 0.5)
         x = (column + at[0] - 0.5 * self.width) * self.step
         y = (row + at[1] - 0.5 * self.height) * self.step
-        direction = self.forward + x[:, None] * self.right + y[:, None] * self.down
+        direction = toward_plane(x, y, self.right, self.down, self.forward)
         origin = np.broadcast_to(self.position, direction.shape)
         if wide and shift is not None:
             a, b = on_disc(at[2], at[3])
             lens = self.lens_radius * (a[:, None] * self.right + b[:, None] * self.down)
-            origin, direction = origin + lens, self.focus * direction - lens
-        return origin, direction / np.linalg.norm(direction, axis=1)[:, None]
+            origin = origin + lens
+            direction = self.focus / (direction @ self.forward)[:, None] * direction - lens
+            direction /= np.linalg.norm(direction, axis=1)[:, None]
+        return origin, direction
 
     def project(self, point: Floats) -> tuple[Floats, Floats]:
         """Column and row (fractions of pixels, 0 the picture's left and upper edge) of points (n, 3) before the lens.

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from gonio_scenes.scene import Scene
 
 
 def render(
@@ -16,6 +19,10 @@ def render(
         typer.Option(min=0.0, help="Relative standard error that every pixel is brought below.", show_default=False),
     ] = None,
     exr: Annotated[bool, typer.Option("--exr", help="Write picture.exr too, a float channel a wavelength.")] = False,
+    to: Annotated[
+        str | None,
+        typer.Option(help='Write the scene for another renderer instead: "mitsuba".', show_default=False),
+    ] = None,
 ) -> None:
     """Render a scene file through the models. Prints the picture's path."""
     from gonio.acquisition.run import command_line
@@ -25,6 +32,9 @@ def render(
     from gonio_scenes.scene import read
 
     described = read(scene, tolerance=tolerance)
+    if to is not None:
+        _write(described, out, to, exr)
+        return
     picture.require_free(out, exr=exr)
     with console.counter("rendering") as step:
         result = rendered(described, step=step)
@@ -32,3 +42,20 @@ def render(
     if result.above_tolerance:
         console.note(f"{result.above_tolerance} pixels are above the tolerance still; summary.json says how far")
     print(out / "picture.png")
+
+
+def _write(scene: Scene, out: Path, to: str, exr: bool) -> None:
+    from gonio.acquisition.run import command_line
+    from gonio.cli import console
+    from gonio.errors import ConfigError
+    from gonio_scenes import mitsuba
+
+    if to != "mitsuba":
+        raise ConfigError(f'--to {to}: there is no such renderer; "mitsuba" is what scenes are written for')
+    if exr:
+        raise ConfigError("--exr and --to exclude each other: nothing is rendered")
+    made = mitsuba.write(scene, out, command_line())
+    for left in made.left_out:
+        console.note(f"{left['what']}: {left['why']}")
+    for name in made.scenes:
+        print(out / name)

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.typing import Floats
+from gonio_scenes._frames import local
 from gonio_scenes.lights import Disc
 from gonio_scenes.material import Material
 from gonio_scenes.scene import Scene
@@ -37,6 +38,7 @@ class Integrator:
         self._mirrors = to_see and any(material.has_spike for material in scene.material)
         self._axis = _polariser(scene)
         """Of the polariser before the camera, in the scene."""
+        self._one_material = len(set(map(id, scene.material))) == 1
         self._any_seen = any(disc.visible for disc in self._discs)
 
     def radiance(self, origin: Floats, direction: Floats, random: np.random.Generator | None) -> tuple[Floats, Hits]:
@@ -57,8 +59,8 @@ class Integrator:
             if met.size == 0:
                 break
             whole = met.size == hits.shape.size
-            hits = hits if whole else _picked(hits, met)
-            direction = direction if whole else direction[met]
+            hits = hits if whole else hits.picked(met)
+            direction = direction if whole else direction.take(met, axis=0)
             where = (met if where is None else where[met]) if not whole else where
             weight = weight if weight is None or whole else weight[met]
             axis = self._axis if depth == 0 else None
@@ -76,7 +78,7 @@ class Integrator:
                     _add(out, where, weight * scene.ambient)
                 self.rays["cut"] += kept.size
                 break
-            origin, direction, leaving = hits.position[kept], toward, _picked(hits, kept)
+            origin, direction, leaving = hits.position[kept], toward, hits.picked(kept)
             self.rays["mirror"] += kept.size
             hits = scene.world.hit(origin, direction, leaving)
             self._beyond(out, where, weight, origin, direction, hits, mirrored=True)
@@ -113,45 +115,34 @@ class Integrator:
         """Radiances (n, wavelengths) of hits toward where their rays came from, mirror rays left out."""
         scene = self.scene
         out = np.zeros((hits.shape.size, scene.wavelength_nm.size))
-        side = np.cross(hits.facing, hits.tangent)
-        view = _local(-direction, hits, side)
+        view = local(direction, hits.facing, hits.tangent, -1.0)
         for light in scene.lights:
-            shift = random.random((hits.shape.size, 2)) if random is not None and light.samples > 1 else None
+            shift = random.random((hits.shape.size, 2)) if random is not None and isinstance(light, Disc) else None
             count = light.samples if shift is not None else 1
             for sample in range(count):
                 arriving = light.arrive(hits.position, sample, shift)
-                cosine = np.einsum("ij,ij->i", arriving.direction, hits.facing)
+                towards = local(arriving.direction, hits.facing, hits.tangent)
                 # the facet itself must be lit too: a smoothed normal alone would let light through
-                lit = (cosine > 0.0) & (view[:, 2] > 0.0) & (np.asarray(arriving.strength) > 0.0)
-                if not lit.any():
-                    continue
-                here = np.flatnonzero(lit)
-                if scene.world.casts_shadows:
-                    far = arriving.distance[here] if isinstance(arriving.distance, np.ndarray) else arriving.distance
+                here = np.flatnonzero((towards[:, 2] > 0.0) & (view[:, 2] > 0.0) & (arriving.strength > 0.0))
+                if scene.world.casts_shadows and here.size:
                     self.rays["shadow"] += here.size
-                    free = ~scene.world.blocked(arriving.direction[here], far, _picked(hits, here))
-                    here = here[free]
-                    if here.size == 0:
-                        continue
-                strength = arriving.strength[here] if isinstance(arriving.strength, np.ndarray) else arriving.strength
-                irradiance = cosine[here] * strength / count
-                towards = _local(arriving.direction[here], _picked(hits, here), side[here])
-                for material, part in self._by_material(hits, here):
-                    at = here[part]
+                    here = here[~scene.world.blocked(arriving.direction, arriving.distance, hits, here)]
+                irradiance = towards[:, 2] * arriving.strength / count
+                for material, at in self._by_material(hits, here):
+                    omega_i, omega_r, uv = (a.take(at, axis=0) for a in (towards, view, hits.uv))
                     if light.polarisation is None and axis is None:
-                        f = material.brdf(towards[part], view[at], hits.uv[at])
+                        f = material.brdf(omega_i, omega_r, uv)
                     else:
                         of_light, of_camera = (
-                            None if a is None else _local(np.broadcast_to(a, (at.size, 3)), _picked(hits, at), side[at])
+                            None if a is None else local(a, hits.facing[at], hits.tangent[at])
                             for a in (light.polarisation, axis)
                         )
-                        f = material.polarised(towards[part], view[at], hits.uv[at], of_light, of_camera)
-                    _add(out, here[part], f * irradiance[part, None] * light.power)
+                        f = material.polarised(omega_i, omega_r, uv, of_light, of_camera)
+                    _add(out, at, f * irradiance[at, None] * light.power)
         if scene.ambient is not None:
-            everywhere = np.arange(hits.shape.size)
-            for material, part in self._by_material(hits, everywhere):
-                share = 1.0 if axis is None else 0.5  # of light that is taken as unpolarised
-                out[part] += share * material.ambient(view[part], hits.uv[part]) * scene.ambient
+            share = 1.0 if axis is None else 0.5  # of light that is taken as unpolarised
+            for material, at in self._by_material(hits, np.arange(hits.shape.size)):
+                _add(out, at, share * material.ambient(view[at], hits.uv[at]) * scene.ambient)
         return out
 
     def _mirror(
@@ -166,10 +157,9 @@ class Integrator:
             if axis is None:
                 carried[part] = material.specular(cosine[part], hits.uv[part])
             else:
-                at = _picked(hits, part)
-                side = np.cross(at.facing, at.tangent)
-                view, passing = (_local(v, at, side) for v in (-direction[part], np.broadcast_to(axis, (part.size, 3))))
-                carried[part] = material.polarised_specular(view, at.uv, passing)
+                facing, tangent = hits.facing[part], hits.tangent[part]
+                view, passing = local(direction[part], facing, tangent, -1.0), local(axis, facing, tangent)
+                carried[part] = material.polarised_specular(view, hits.uv[part], passing)
         if weight is not None:
             carried *= weight
         kept = np.flatnonzero(carried.max(axis=1) > FAINT)
@@ -179,19 +169,14 @@ class Integrator:
         return kept, carried[kept], mirrored / np.linalg.norm(mirrored, axis=1)[:, None]
 
     def _by_material(self, hits: Hits, here: Indices) -> list[tuple[Material, Indices]]:
-        """The hits `here` by material: positions in `here`."""
-        scene = self.scene
-        if len(set(map(id, scene.material))) == 1:
-            return [(scene.material[0], np.arange(here.size))]
+        """The hits `here`, those of each material together."""
+        if self._one_material:
+            return [(self.scene.material[0], here)] if here.size else []
         groups: dict[int, tuple[Material, list[int]]] = {}
-        for k, material in enumerate(scene.material):
+        for k, material in enumerate(self.scene.material):
             groups.setdefault(id(material), (material, []))[1].append(k)
-        out: list[tuple[Material, Indices]] = []
-        for material, shapes in groups.values():
-            part = np.flatnonzero(np.isin(hits.shape[here], shapes))
-            if part.size:
-                out.append((material, part))
-        return out
+        parts = [(material, here[np.isin(hits.shape[here], shapes)]) for material, shapes in groups.values()]
+        return [(material, part) for material, part in parts if part.size]
 
 
 def _polariser(scene: Scene) -> Floats | None:
@@ -218,22 +203,3 @@ def _add(out: Floats, where: Indices | None, values: Floats) -> None:
         out += values
     else:
         out[where] += values
-
-
-def _picked(hits: Hits, here: Indices) -> Hits:
-    return Hits(
-        hits.shape[here],
-        hits.distance[here],
-        hits.position[here],
-        hits.normal[here],
-        hits.facing[here],
-        hits.tangent[here],
-        hits.uv[here],
-    )
-
-
-def _local(direction: Floats, hits: Hits, side: Floats) -> Floats:
-    """Unit vectors in the frame of the surface: x its tangent, z its normal."""
-    out = np.stack([np.einsum("ij,ij->i", direction, axis) for axis in (hits.tangent, side, hits.facing)], axis=1)
-    # a vector within rounding of the surface stays of unit length
-    return np.asarray(out)

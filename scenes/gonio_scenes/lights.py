@@ -104,7 +104,7 @@ class Arriving:
     """Light that arrives at hits from one direction each."""
 
     direction: Floats
-    """Unit vectors (n, 3) toward the light."""
+    """Unit vectors (n, 3) toward the light; one (3,) where it is the same for all."""
     distance: Floats | float
     """How far the light is [mm], (n,); inf for directional light."""
     strength: Floats | float
@@ -123,7 +123,7 @@ class Directional:
 
     def arrive(self, position: Floats, sample: int, shift: Floats | None) -> Arriving:
         """The light at positions (n, 3)."""
-        return Arriving(np.broadcast_to(self.toward, position.shape), math.inf, 1.0)
+        return Arriving(self.toward, math.inf, 1.0)
 
 
 @dataclass(frozen=True)

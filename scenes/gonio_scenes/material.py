@@ -88,6 +88,20 @@ class Material:
 
     # --- what a renderer asks ---------------------------------------------------------------------------------------
 
+    @property
+    def textured(self) -> bool:
+        """Whether a parameter changes over the surface."""
+        return bool(self._textures)
+
+    def at(self, wave: int) -> Model:
+        """The model at a wavelength of the scene, by its number, where every texture is 0."""
+        models = self._level((0.0,) * len(self._textures)).at
+        return models[wave if len(models) > 1 else 0]
+
+    def untextured(self, omega_i: Floats, omega_r: Floats) -> Floats:
+        """As `brdf`, where every texture is 0."""
+        return self._brdf((0.0,) * len(self._textures), omega_i, omega_r)
+
     def brdf(self, omega_i: Floats, omega_r: Floats, uv: Floats) -> Floats:
         """BRDF [1/sr] without the spike: (n, wavelengths), or (n, 1) where it does not depend on the wavelength.
 

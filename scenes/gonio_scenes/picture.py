@@ -187,6 +187,8 @@ def left_out(scene: Scene) -> list[dict[str, str]]:
         add("shadows of ambient light", "ambient light is taken as uniform at every point (He et al. 1991, eq. 12)")
     if not discs:
         add("sampling of lights", "every light has one direction at a point")
+    elif scene.camera.noiseless and scene.tolerance == 0.0 and all(disc.samples == 1 for disc in discs):
+        add("the size of discs of light", "samples = 1 and one ray a pixel: they light from their centre")
     if scene.camera.lens_radius == 0.0:
         add("depth of field", "the camera is a pinhole")
     if scene.camera.samples == 1 and scene.tolerance == 0.0:

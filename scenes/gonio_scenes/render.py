@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import uniform_filter
 
 from gonio.errors import ConfigError
 from gonio.typing import Floats
@@ -18,7 +20,10 @@ BLOCK = 1 << 16
 """Rays that are followed together: enough to keep two cores busy, few enough to stay in the cache."""
 BATCH = 4
 """Rays of a pixel between two looks at its error."""
-FIRST_BATCHES = 2
+FIRST_BATCHES = 3
+PRIOR = 16
+"""Batches that the scatter around a pixel counts for. It asks a pixel beside an edge for some contrast/tolerance rays:
+as many as an edge in its own corner needs not to be missed."""
 MAX_RAYS = 4096
 """Of a pixel that is brought to a tolerance; one that stays above it is counted."""
 
@@ -113,36 +118,80 @@ def _averaged(scene: Scene, integrator: Integrator, told: Step) -> tuple[Floats,
     """Means over batches of rays, their standard errors, and how many rays each pixel took.
 
     Each batch starts its even sequence of points anew at random, so batches are independent: their scatter is the
-    error. Where there is a tolerance, a pixel goes on until its error is below it; the neighbours of a pixel that is
-    not done go on too, since a few rays can miss an edge.
+    error. Where there is a tolerance, each pixel takes as many more batches as its error asks for, but by half as many
+    as it had at most before it is looked at again.
     """
     camera, count = scene.camera, scene.camera.pixels
-    size, batches = (BATCH, MAX_RAYS // BATCH) if scene.tolerance > 0 else _batches(camera.samples)
-    total, squares = (np.zeros((count, scene.wavelength_nm.size)) for _ in range(2))
-    done = np.zeros(count, dtype=np.int64)
-    active = np.arange(count)
+    size, batches = (BATCH, FIRST_BATCHES) if scene.tolerance > 0 else _batches(camera.samples)
+    sums = _Sums(
+        np.zeros((count, scene.wavelength_nm.size)),
+        np.zeros((count, scene.wavelength_nm.size)),
+        np.zeros(count, np.int64),
+    )
     for batch in range(batches):
-        for first in range(0, active.size, BLOCK):
-            pixel = active[first : first + BLOCK]
-            random = _random(scene, batch + 1, int(pixel[0]))
-            shift = random.random((pixel.size, 4))
-            mean = np.zeros((pixel.size, scene.wavelength_nm.size))
-            for sample in range(size):
-                mean += integrator.radiance(*camera.rays(pixel, sample, shift), random)[0]
-            mean /= size
-            total[pixel] += mean
-            squares[pixel] += mean * mean
-            done[pixel] += 1
+        for first in range(0, count, BLOCK):
+            pixel = np.arange(first, min(first + BLOCK, count))
+            sums.add(scene, integrator, pixel, size, _random(scene, batch + 1, first))
             if scene.tolerance == 0:
-                told(batch * count + min(first + BLOCK, count), batches * count)
-        if scene.tolerance > 0 and batch + 1 >= FIRST_BATCHES:
-            active = _unfinished(scene, total, squares, done)
-            told(count - active.size, count)
-            if active.size == 0:
-                break
-    error = _standard_error(total, squares, done)
-    above = int(_bad(scene, total / done[:, None], error).sum()) if scene.tolerance > 0 else 0
-    return total / done[:, None], error, done * size, above
+                told(batch * count + int(pixel[-1]) + 1, batches * count)
+    if scene.tolerance == 0:
+        return sums.mean, sums.error(), sums.batches * size, 0
+    for turn in itertools.count(batches + 1):
+        error = sums.error(camera.height, camera.width)
+        wanted = sums.batches * _excess(scene, sums.mean, error)
+        active = np.flatnonzero((wanted > sums.batches) & (sums.batches * size < MAX_RAYS))
+        told(count - active.size, count)
+        if active.size == 0:
+            break
+        now = sums.batches[active]
+        most = np.minimum(now + (now + 1) // 2, MAX_RAYS // size)
+        rows = np.repeat(active, np.ceil(np.minimum(wanted[active], most)).astype(np.int64) - now)
+        for first in range(0, rows.size, BLOCK):
+            sums.add(scene, integrator, rows[first : first + BLOCK], size, _random(scene, turn, first))
+    above = int((_excess(scene, sums.mean, error) > 1.0).sum())
+    return sums.mean, error, sums.batches * size, above
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """What batches of rays gave so far, pixel by pixel."""
+
+    total: Floats
+    """Of the batches' means, (pixels, wavelengths)."""
+    squares: Floats
+    batches: Indices
+
+    @property
+    def mean(self) -> Floats:
+        return np.asarray(self.total / self.batches[:, None])
+
+    def add(self, scene: Scene, integrator: Integrator, pixel: Indices, size: int, random: np.random.Generator) -> None:
+        """Follow a batch of rays for each entry of `pixel`, which grows and may name a pixel several times."""
+        shift = random.random((pixel.size, 4))
+        mean = np.zeros((pixel.size, scene.wavelength_nm.size))
+        for sample in range(size):
+            mean += integrator.radiance(*scene.camera.rays(pixel, sample, shift), random)[0]
+        mean /= size
+        starts = np.flatnonzero(np.diff(pixel, prepend=-1))
+        at = pixel[starts]
+        self.total[at] += np.add.reduceat(mean, starts)
+        self.squares[at] += np.add.reduceat(mean * mean, starts)
+        self.batches[at] += np.diff(starts, append=pixel.size)
+
+    def error(self, height: int = 0, width: int = 0) -> Floats:
+        """Standard errors of the means from the scatter of batches, (pixels, wavelengths); NaN after one batch.
+
+        With the picture's size, the mean scatter of a pixel and its eight neighbours counts as `PRIOR` more batches
+        would. A few batches scatter too little by chance, and miss an edge in a corner of their pixel.
+        """
+        n = self.batches[:, None].astype(np.float64)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            variance = np.maximum(self.squares - self.total**2 / n, 0.0) / (n - 1.0)
+        if height:
+            grid = variance.reshape(height, width, -1)
+            around = uniform_filter(grid, size=(3, 3, 1), mode="nearest").reshape(variance.shape)
+            variance = ((n - 1.0) * variance + PRIOR * np.maximum(around, 0.0)) / (n - 1.0 + PRIOR)
+        return np.asarray(np.sqrt(variance / n))
 
 
 def _batches(samples: int) -> tuple[int, int]:
@@ -151,27 +200,9 @@ def _batches(samples: int) -> tuple[int, int]:
     return samples // batches, batches
 
 
-def _standard_error(total: Floats, squares: Floats, done: Indices) -> Floats:
-    """Of the mean over batches; NaN after one batch."""
-    n = done[:, None].astype(np.float64)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        variance = np.maximum(squares / n - (total / n) ** 2, 0.0) / (n - 1.0)
-    return np.asarray(np.sqrt(variance))
-
-
-def _unfinished(scene: Scene, total: Floats, squares: Floats, done: Indices) -> Indices:
-    """The pixels that are not below the tolerance yet, and those next to them until they have been looked at twice."""
-    bad = _bad(scene, total / done[:, None], _standard_error(total, squares, done))
-    grid = bad.reshape(scene.camera.height, scene.camera.width)
-    near = grid.copy()
-    near[1:] |= grid[:-1]
-    near[:-1] |= grid[1:]
-    near[:, 1:] |= grid[:, :-1]
-    near[:, :-1] |= grid[:, 1:]
-    return np.flatnonzero((bad | (near.ravel() & (done < 2 * FIRST_BATCHES))) & (done * BATCH < MAX_RAYS))
-
-
-def _bad(scene: Scene, mean: Floats, error: Floats) -> npt.NDArray[np.bool_]:
-    """Which pixels are above the tolerance."""
+def _excess(scene: Scene, mean: Floats, error: Floats) -> Floats:
+    """How many times as many batches each pixel needs, (pixels,): 1 or less where it is not above the tolerance."""
     level = np.maximum(np.abs(mean), np.abs(mean).mean(axis=0))
-    return np.asarray((error > scene.tolerance * level).any(axis=1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(error > 0.0, error / (scene.tolerance * level), 0.0)
+    return np.asarray((ratio**2).max(axis=1))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
 
 from gonio.typing import Floats
+from gonio_scenes._frames import settle
 from gonio_scenes.shapes import Shape
 
 CLOSE = 1e-9
@@ -32,6 +33,10 @@ class Hits:
     """Unit vectors (n, 3) along growing u, across `facing`: the x axis of the material."""
     uv: Floats
 
+    def picked(self, here: Indices) -> Hits:
+        """Some of the hits."""
+        return Hits(*(getattr(self, each.name).take(here, axis=0) for each in fields(self)))
+
 
 class World:
     """The shapes of a scene, in the order of its file."""
@@ -48,7 +53,10 @@ class World:
         which = np.full(count, -1, dtype=np.int64)
         primitive = np.zeros(count, dtype=np.int64)
         for k, shape in enumerate(self.shapes):
-            for here, start in self._tried(k, direction, leaving):
+            tried = (
+                [(slice(None), 0.0)] if leaving is None else self._tried(k, direction, leaving.shape, leaving.normal)
+            )
+            for here, start in tried:
                 distance, part = shape.intersect(origin[here], direction[here], start)
                 nearer = np.flatnonzero(distance < nearest[here])
                 place = nearer if isinstance(here, slice) else here[nearer]
@@ -57,27 +65,39 @@ class World:
                 primitive[place] = part[nearer]
         return self._surfaces(origin, direction, nearest, which, primitive)
 
-    def blocked(self, direction: Floats, distance: Floats | float, leaving: Hits) -> npt.NDArray[np.bool_]:
-        """Whether a shape stands between each hit and a light in a direction, so far away."""
-        out = np.zeros(direction.shape[0], dtype=bool)
-        far = np.broadcast_to(distance, out.shape)
-        for k, shape in enumerate(self.shapes):
-            for part, start in self._tried(k, direction, leaving):
-                here = np.flatnonzero(~out) if isinstance(part, slice) else part[~out[part]]
-                if here.size:
-                    met, _ = shape.intersect(leaving.position[here], direction[here], start)
-                    out[here[met < far[here]]] = True
+    def blocked(
+        self, direction: Floats, distance: Floats | float, leaving: Hits, here: Indices
+    ) -> npt.NDArray[np.bool_]:
+        """Whether a shape stands between each of the hits `here` and a light.
+
+        Parameters
+        ----------
+        direction, distance
+            Unit vectors toward the light, and how far it is, of all hits `leaving`: (n, 3) and (n,), or one for all.
+        leaving, here
+            The hits, and the numbers of those that are asked for.
+        """
+        toward = np.broadcast_to(direction, leaving.position.shape)[here]
+        far, leaves = np.broadcast_to(distance, leaving.shape.shape)[here], leaving.shape[here]
+        position, normal = (a.take(here, axis=0) for a in (leaving.position, leaving.normal))
+        out = np.zeros(here.size, dtype=bool)
+        for k in range(len(self.shapes)):
+            for part, start in self._tried(k, toward, leaves, normal):
+                left = np.flatnonzero(~out) if isinstance(part, slice) else part[~out[part]]
+                if left.size:
+                    met, _ = self.shapes[k].intersect(position.take(left, axis=0), toward.take(left, axis=0), start)
+                    out[left[met < far[left]]] = True
         return out
 
-    def _tried(self, k: int, direction: Floats, leaving: Hits | None) -> Iterator[tuple[Indices | slice, float]]:
+    def _tried(
+        self, k: int, direction: Floats, leaves: Indices, normal: Floats
+    ) -> Iterator[tuple[Indices | slice, float]]:
         """The rays that may meet a shape, in groups, with the distance up to which hits do not count.
 
-        A ray that leaves a convex shape on the outside does not come back.
+        `leaves` and `normal` are the shapes that the rays leave, -1 for none, and their normals there. A ray that
+        leaves a convex shape on the outside does not come back.
         """
-        if leaving is None:
-            yield slice(None), 0.0
-            return
-        shape, own = self.shapes[k], leaving.shape == k
+        shape, own = self.shapes[k], leaves == k
         if not own.any():
             yield slice(None), 0.0
             return
@@ -87,7 +107,7 @@ class World:
         if shape.convex:
             if not shape.closed:
                 return
-            own &= np.einsum("ij,ij->i", direction, leaving.normal) < 0.0
+            own &= np.einsum("ij,ij->i", direction, normal) < 0.0
         again = np.flatnonzero(own)
         if again.size:
             yield again, CLOSE * shape.size_mm
@@ -102,14 +122,7 @@ class World:
             here = np.flatnonzero(which == k)
             if here.size == 0:
                 continue
-            met = shape.surface(origin[here], direction[here], distance[here], primitive[here])
-            position[here], normal[here], uv[here] = met.position, met.normal, met.uv
-            behind = np.einsum("ij,ij->i", met.normal, direction[here]) > 0.0
-            shading = met.shading
-            # where a smoothed normal looks away from the viewer, the facet's own is taken
-            away = (np.einsum("ij,ij->i", shading, direction[here]) > 0.0) != behind
-            shading = np.where(away[:, None], met.normal, shading)
-            facing[here] = np.where(behind[:, None], -shading, shading)
-            across = met.tangent - np.einsum("ij,ij->i", met.tangent, facing[here])[:, None] * facing[here]
-            tangent[here] = across / np.linalg.norm(across, axis=1)[:, None]
+            starts, toward = origin.take(here, axis=0), direction.take(here, axis=0)
+            met = shape.surface(starts, toward, distance.take(here), primitive.take(here))
+            settle(here, direction, met, position, normal, facing, tangent, uv)
         return Hits(which, np.where(which >= 0, distance, 0.0), position, normal, facing, tangent, uv)

@@ -12,6 +12,7 @@ import math
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -80,7 +81,7 @@ def measured(peer: Peer, effort: timing.Effort) -> Measured:
         "from gonio_validation.bench import peers; from gonio_validation.bench.timing import Effort; "
         f"peers.report({peer.name!r}, {effort!r})"
     )
-    made = _process(code, peer.environment, timeout=600)
+    made = process(code, peer.environment, timeout=600)
     if made is None or made.returncode:
         why = "took longer than 600 s" if made is None else (made.stderr.strip().splitlines() or ["no message"])[-1]
         raise DataError(f"{peer.name}: its process failed while it was measured: {why}")
@@ -145,25 +146,32 @@ def probe(peer: str) -> None:
 
 def _usable(peer: str) -> tuple[str, dict[str, str] | None]:
     """In words: measured, with the LLVM library where one had to be named, or why not; and its environment."""
-    if _works(peer, {}):
-        return "measured, in a process of its own", {}
+    for environment in llvm_libraries() if peer != "pySCATMECH" else [{}]:
+        if _works(peer, environment):
+            with_library = f" with {Path(environment[LLVM]).name}" if environment else ""
+            return f"measured, in a process of its own{with_library}", environment
     if peer != "pySCATMECH" and LLVM not in os.environ:
-        patterns = ("*/libLLVM*.so*", "llvm-*/lib/libLLVM*.so*")
-        found = {path.resolve() for pattern in patterns for path in Path("/usr/lib").glob(pattern)}
-        for path in sorted(found, key=lambda p: p.name, reverse=True):
-            if _works(peer, {LLVM: str(path)}):
-                return f"measured, in a process of its own with {path.name}", {LLVM: str(path)}
         return f"installed; no LLVM library that it can use was found ({LLVM} can name one)", None
     return "installed, but fails on eight pairs", None
 
 
+def llvm_libraries() -> Iterator[dict[str, str]]:
+    """Environments that may give Dr.Jit an LLVM: what it finds itself, then each library here, the newest first."""
+    yield {}
+    if LLVM not in os.environ:
+        patterns = ("*/libLLVM*.so*", "llvm-*/lib/libLLVM*.so*")
+        found = {path.resolve() for pattern in patterns for path in Path("/usr/lib").glob(pattern)}
+        for path in sorted(found, key=lambda p: p.name, reverse=True):
+            yield {LLVM: str(path)}
+
+
 def _works(peer: str, environment: dict[str, str]) -> bool:
     code = f"from gonio_validation.bench import peers; peers.probe({peer!r})"
-    made = _process(code, environment, timeout=120)
+    made = process(code, environment, timeout=120)
     return made is not None and made.returncode == 0
 
 
-def _process(code: str, environment: dict[str, str], timeout: float) -> subprocess.CompletedProcess[str] | None:
+def process(code: str, environment: dict[str, str], timeout: float) -> subprocess.CompletedProcess[str] | None:
     """What became of Python code in a process of its own; None where it took too long."""
     try:
         return subprocess.run(

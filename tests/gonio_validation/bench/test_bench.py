@@ -190,7 +190,7 @@ def test_a_peer_is_measured_in_its_own_process(
         started.append(f"{environment} {code}")
         return subprocess.CompletedProcess([], 0, stdout=f"a library speaks\n{printed}", stderr="")
 
-    monkeypatch.setattr(peers, "_process", process)
+    monkeypatch.setattr(peers, "process", process)
     peer = peers.Peer("somebody", one, {"WITH": "this"})
     assert as_json(peers.measured(peer, effort)) == found
     assert len(started) == 1

@@ -1,0 +1,164 @@
+"""Scenes as files for Mitsuba 3: what is in them, and what is said of what is not. Nothing here needs Mitsuba."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from gonio_scenes import mitsuba
+from gonio_scenes.commands import render as command
+
+from gonio.errors import ConfigError
+from gonio.formats.rgl import Measured
+from gonio.models import Phong
+from tests.gonio_scenes.scenes import SPHERE, scene
+
+SMALL = {"nodes": 24, "incidences": 12}
+GLOSS = {"model": "phong", "parameters": {"k_d": 0.3, "k_s": 0.4, "exponent": 8}}
+
+
+def xml(made: mitsuba.Export, name: str = "scene.xml") -> ElementTree.Element:
+    return ElementTree.fromstring(made.files[name])
+
+
+def told(made: mitsuba.Export) -> str:
+    return "\n".join(f"{said['what']}: {said['why']}" for said in made.left_out)
+
+
+def numbers(element: ElementTree.Element | None) -> list[float]:
+    assert element is not None
+    return [float(word) for word in element.attrib["value"].split()]
+
+
+def test_a_single_wavelength_fills_all_channels_and_needs_no_file_of_slices() -> None:
+    made = mitsuba.export(scene())
+    assert list(made.files) == ["scene.xml"]
+    assert made.scenes == {"scene.xml": (550.0,)}
+    root = xml(made)
+    assert numbers(root.find("bsdf/bsdf[@type='diffuse']/rgb")) == pytest.approx([0.7] * 3, rel=1e-15)
+    assert numbers(root.find("emitter[@type='directional']/rgb")) == [3.0] * 3
+    field = root.find("sensor/float[@name='fov']")
+    assert numbers(field) == pytest.approx([6.0], rel=1e-14)
+
+
+def test_wavelengths_are_the_channels_of_several_files() -> None:
+    albedo = {"wavelength_nm": [400.0, 700.0], "value": [0.1, 0.7]}
+    made = mitsuba.export(
+        scene(
+            wavelength_nm=[400.0, 500.0, 600.0, 700.0],
+            material={"m": {"model": "lambert", "parameters": {"albedo": albedo}}},
+        )
+    )
+    assert made.scenes == {"scene-400-500-600nm.xml": (400.0, 500.0, 600.0), "scene-700nm.xml": (700.0,)}
+    for name, expected in zip(made.scenes, ([0.1, 0.3, 0.5], [0.7] * 3), strict=True):
+        found = numbers(xml(made, name).find("bsdf/bsdf[@type='diffuse']/rgb"))
+        assert found == pytest.approx(expected, rel=1e-14)
+
+
+def test_slices_hold_the_light_where_mitsuba_looks_for_it() -> None:
+    """Mitsuba's incident side is the viewer's: a model that is not reciprocal has both sides where they belong."""
+    made = mitsuba.export(scene(material={"m": GLOSS}), **SMALL)
+    assert xml(made).find("bsdf/bsdf[@type='measured']/string") is not None
+    read = Measured(made.files["m.bsdf"], Path("m.bsdf"))
+    # at nodes of the grid: at theta = 89 degrees 3/11, with the normal as half vector
+    theta = math.radians(89.0 * 3 / 11)
+    viewer, light = np.array([theta]), np.array([theta])
+    value, _ = read.brdf(viewer, np.zeros(1), light, np.full(1, math.pi))
+    expected = Phong(k_d=0.3, k_s=0.4, exponent=8).brdf(theta, 0.0, theta, math.pi)
+    np.testing.assert_allclose(value[0], expected, rtol=1e-6)  # float32
+    # and where both sides differ
+    value, _ = read.brdf(np.zeros(1), np.zeros(1), np.array([0.8]), np.zeros(1))
+    right = Phong(k_d=0.3, k_s=0.4, exponent=8).brdf(0.8, 0.0, 0.0, 0.0)
+    wrong = Phong(k_d=0.3, k_s=0.4, exponent=8).brdf(0.0, 0.0, 0.8, 0.0)
+    assert abs(wrong / right - 1.0) > 0.15
+    np.testing.assert_allclose(value[0], right, rtol=0.02)  # straight between 24 half vectors
+
+
+def test_a_smooth_metal_is_a_conductor() -> None:
+    mirror = {"model": "he-torrance", "parameters": {"sigma0_um": 0.0, "tau_um": 2.0, "ior": [0.2, 3.5]}}
+    made = mitsuba.export(scene(material={"m": mirror}))
+    plugin = xml(made).find("bsdf/bsdf[@type='conductor']")
+    assert plugin is not None
+    assert numbers(plugin.find("rgb[@name='eta']")) == [0.2] * 3
+    assert numbers(plugin.find("rgb[@name='k']")) == [3.5] * 3
+    assert "other shapes in its mirror" in told(made)
+
+
+def test_what_is_left_out_is_said() -> None:
+    rough = {"model": "he-torrance", "parameters": {"sigma0_um": 0.1, "tau_um": 2.0, "ior": "Al"}}
+    checks = {"model": "lambert", "textures": {"albedo": {"pattern": "checker", "low": 0.2, "high": 0.6}}}
+    made = mitsuba.export(
+        scene(
+            shape=[*SPHERE["shape"], {"kind": "plane", "material": "checks"}],
+            material={"m": rough, "checks": checks},
+            camera=SPHERE["camera"] | {"polariser_deg": 0.0},
+            light=[*SPHERE["light"], {"kind": "ambient", "radiance": 1.0}],
+        ),
+        **SMALL,
+    )
+    said = told(made)
+    for what in (
+        "material.m: its specular spike",
+        "material.m: its formula",
+        "material.checks.textures",
+        "polarisation",
+        "ambient light without shadows",
+        "shape[2] (plane): its endlessness",
+        "middle of pixels",
+    ):
+        assert what in said
+    grey = xml(made).find("bsdf[@id='material-checks']/bsdf/rgb")
+    assert numbers(grey) == pytest.approx([0.2] * 3, rel=1e-15)
+
+
+def test_a_surface_of_revolution_becomes_triangles_on_it() -> None:
+    shape = {"kind": "revolution", "profile_mm": [[0.0, 0.0], [30.0, 0.0], [20.0, 40.0]], "material": "m"}
+    made = mitsuba.export(scene(shape=[shape], camera=SPHERE["camera"] | {"position_mm": [0.0, -1000.0, 20.0]}))
+    head, _, body = made.files["shape-1.ply"].partition(b"end_header\n")
+    count = int(head.split(b"element vertex ")[1].split()[0])
+    rows = np.frombuffer(body, "<f4", 6 * count).reshape(count, 6)
+    radius, z = np.hypot(rows[:, 0], rows[:, 1]), rows[:, 2]
+    cone = z > 0.1
+    np.testing.assert_allclose(radius[cone], 30.0 - z[cone] / 4.0, rtol=1e-6)  # float32
+    outward = np.einsum("ij,ij->i", rows[cone, :2], rows[cone, 3:5]) / radius[cone]
+    np.testing.assert_allclose(outward, 4.0 / math.sqrt(17.0), rtol=1e-6)
+    np.testing.assert_allclose(rows[z == 0.0][:10, 5], -1.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("material", "match"),
+    [
+        (
+            {
+                "model": "oren-nayar",
+                "parameters": {"form": "single-slope", "slope_deg": 30, "groove_azimuth_deg": 0},
+            },
+            "material.m: depends on the azimuth",
+        ),
+    ],
+)
+def test_what_cannot_be_written_is_refused(material: dict[str, Any], match: str) -> None:
+    with pytest.raises(ConfigError, match=match):
+        mitsuba.export(scene(material={"m": material}), **SMALL)
+
+
+def test_the_command_writes_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, out = tmp_path / "s.toml", tmp_path / "out"
+    file.write_text(
+        'name = "s"\nwavelength_nm = [550]\n[camera]\nposition_mm = [0, 0, 900]\nvertical_field_deg = 6\nwidth = 8\n'
+        'height = 8\n[[shape]]\nkind = "sphere"\nradius_mm = 40\nmaterial = "m"\n[material.m]\nmodel = "lambert"\n'
+        '[[light]]\nkind = "directional"\ntoward = [1, 0, 1]\nirradiance = 1.0\n'
+    )
+    command(file, out, to="mitsuba")
+    assert capsys.readouterr().out.strip() == str(out / "scene.xml")
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["scenes"] == {"scene.xml": [550.0]}
+    assert summary["materials"] == {"m": "diffuse"}
+    with pytest.raises(ConfigError, match="no such renderer"):
+        command(file, tmp_path / "more", to="povray")
+    assert not (tmp_path / "more").exists()
