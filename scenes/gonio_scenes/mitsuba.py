@@ -25,7 +25,7 @@ from gonio.disk import require_own, write_own
 from gonio.errors import ConfigError
 from gonio.formats import rgl
 from gonio.models import HeTorrance, Lambert
-from gonio.models.model import index_at
+from gonio.models.parameters import index_at
 from gonio.typing import Floats
 from gonio_scenes.lights import AmbientTable, Directional, Disc, PointLight
 from gonio_scenes.material import Material
