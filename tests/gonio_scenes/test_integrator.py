@@ -185,7 +185,7 @@ def test_ambient_light_is_multiplied_by_the_hemispherical_directional_reflectanc
 def test_grooves_send_ambient_light_back_by_the_azimuth_they_are_seen_from(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gonio_scenes.material, "AMBIENT_NODES", 9)  # of the table: each is a quadrature of its own
     monkeypatch.setattr(gonio_scenes.material, "AMBIENT_AZIMUTHS", 9)
-    parameters = {"albedo": 0.9, "form": "single-slope", "slope_deg": 40.0, "groove_azimuth_deg": 20.0}
+    parameters: dict[str, Any] = {"albedo": 0.9, "form": "single-slope", "slope_deg": 40.0, "groove_azimuth_deg": 20.0}
     model = OrenNayar(**parameters)
     camera = SPHERE["camera"] | {
         "width": 2,
