@@ -16,14 +16,16 @@ from gonio.rig.kinematics import view
 from gonio.rig.protocols import Pose
 from gonio.typing import Floats
 from gonio_scenes.sampling import on_disc, point
-from gonio_scenes.spectra import NonNegativeSpectrum, Spectral, values
+from gonio_scenes.spectra import NonNegativeSpectrum, Spectral, table_or, values
 
 Vector = tuple[float, float, float]
 
 
 class _Light(Strict):
     name: str = ""
-    spectrum: str | NonNegativeSpectrum | None = None
+    spectrum: Annotated[
+        str | NonNegativeSpectrum | None, table_or(NonNegativeSpectrum, 'the name of an illuminant as "D65"')
+    ] = None
     """Relative spectral power that multiplies the light's value: "D65", "A", "D50" (1 at 560 nm), or a table."""
 
     polarisation: Vector | None = None

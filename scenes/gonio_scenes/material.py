@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -17,7 +17,7 @@ from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNa
 from gonio.typing import Floats
 from gonio_scenes import polarised
 from gonio_scenes.patterns import Pattern, Texture
-from gonio_scenes.spectra import Spectral, Spectrum, is_table, values
+from gonio_scenes.spectra import NonNegativeSpectrum, Spectrum, is_table, table_or, values
 
 AMBIENT_NODES = 65
 """Polar angles at which rho_hd is computed; between them it is interpolated, to 1e-3 of its largest value for gentle
@@ -35,7 +35,10 @@ class MaterialTable(Strict):
     parameters: dict[str, Any] = Field(default_factory=dict)
     """The model's arguments. A number may be a table { wavelength_nm = [...], value = [...] }."""
     textures: dict[str, Texture] = Field(default_factory=dict)
-    ambient_reflectance: Spectral | Literal["normal"] | None = None
+    ambient_reflectance: Annotated[
+        Annotated[float, Field(ge=0)] | NonNegativeSpectrum | Literal["normal"] | None,
+        table_or(NonNegativeSpectrum, 'a number of at least 0, "normal"'),
+    ] = None
     """What ambient light is multiplied by, in place of rho_hd: a number, a table, or "normal", the reflectance of a
     smooth surface at normal incidence (Cook and Torrance's R_a = pi R_d with R_d = F_0/pi)."""
 

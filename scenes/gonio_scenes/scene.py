@@ -22,7 +22,7 @@ from gonio_scenes.camera import Camera, CameraTable
 from gonio_scenes.lights import AmbientTable, Disc, Light, LightTable, PointLight, RigTable
 from gonio_scenes.material import Material, MaterialTable
 from gonio_scenes.shapes import AnyShape
-from gonio_scenes.spectra import MAX_WAVELENGTHS, Range, Wavelength
+from gonio_scenes.spectra import MAX_WAVELENGTHS, Range, Wavelength, table_or
 from gonio_scenes.world import World
 
 
@@ -40,11 +40,11 @@ class SceneFile(Strict):
     """A scene file, as it is written."""
 
     name: str
-    wavelength_nm: tuple[Wavelength, ...] | Range
+    wavelength_nm: Annotated[tuple[Wavelength, ...] | Range, table_or(Range, "a list of wavelengths in nm")]
     camera: CameraTable
-    shape: Annotated[tuple[AnyShape, ...], Field(min_length=1)]
+    shape: tuple[AnyShape, ...]
     material: dict[str, MaterialTable]
-    light: Annotated[tuple[LightTable, ...], Field(min_length=1)]
+    light: tuple[LightTable, ...]
     picture: PictureTable = PictureTable()
     mirror_depth: Annotated[int, Field(ge=0, le=64)] = 4
     """How many mirror rays follow each other at most."""
@@ -60,6 +60,9 @@ class SceneFile(Strict):
             raise ValueError(f"wavelength_nm holds {len(waves)} wavelengths: 1 to {MAX_WAVELENGTHS} are rendered")
         if any(b <= a for a, b in itertools.pairwise(waves)):
             raise ValueError("wavelength_nm must grow from entry to entry")
+        for key in ("shape", "light"):
+            if not getattr(self, key):
+                raise ValueError(f"{key} = []: a scene needs one [[{key}]] at least")
         for k, shape in enumerate(self.shape):
             if shape.material not in self.material:
                 near = difflib.get_close_matches(shape.material, self.material, n=1)

@@ -6,7 +6,7 @@ import itertools
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator, model_validator
 
 from gonio.config import Strict
 from gonio.errors import ConfigError
@@ -62,7 +62,29 @@ class NonNegativeSpectrum(Spectrum):
         return self
 
 
-Spectral = Annotated[float, Field(ge=0)] | NonNegativeSpectrum
+def table_or(table: type[Strict], otherwise: str) -> WrapValidator:
+    """For a key that holds a table or something else (`otherwise`, in words): errors name the key that is wrong."""
+
+    def check(value: Any, handler: ValidatorFunctionWrapHandler) -> Any:
+        if not isinstance(value, dict):
+            try:
+                return handler(value)
+            except ValidationError:
+                raise ValueError(f"must be {otherwise}, or a table with {' and '.join(table.model_fields)}") from None
+        try:
+            return table.model_validate(value)
+        except ValidationError as error:
+            first = error.errors()[0]
+            key = ".".join(str(part) for part in first["loc"])
+            message = first["msg"].removeprefix("Value error, ")
+            raise ValueError(f"{key + ': ' if key else ''}{message[:1].lower()}{message[1:]}") from None
+
+    return WrapValidator(check)
+
+
+Spectral = Annotated[
+    Annotated[float, Field(ge=0)] | NonNegativeSpectrum, table_or(NonNegativeSpectrum, "a number of at least 0")
+]
 """A number at least 0, the same at every wavelength, or a table."""
 
 
