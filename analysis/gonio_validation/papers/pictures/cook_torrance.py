@@ -53,8 +53,13 @@ def _body(c: Centre, where: Mask) -> Mask:
 
 
 def _edge_lit(tables: dict[str, Any]) -> None:
-    """One light behind the vase, so that facets mirror it at grazing incidence."""
-    tables["light"] = [tables["light"][0] | {"toward": [0.5, 0.05, -1.0]}]
+    """One light nearly behind the vase: 172 degrees from the line of sight, so that facets mirror it at 86."""
+    camera = tables["camera"]
+    view = np.subtract(camera["position_mm"], camera["look_at_mm"])
+    view = view / np.linalg.norm(view)
+    angle = np.radians(172.0)
+    toward = np.cos(angle) * view + np.sin(angle) * np.array([1.0, 0.0, 0.0])
+    tables["light"] = [tables["light"][0] | {"toward": toward.tolist()}]
 
 
 def ambient_as_printed(height: int | None = None) -> float:
