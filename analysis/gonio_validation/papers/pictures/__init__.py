@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from gonio_validation.papers.pictures.catalogue import SHOWN, Shown, names, scene_file
 
 if TYPE_CHECKING:
-    from gonio_analysis.report.blocks import Block
+    from gonio_analysis.report.blocks import Block, Page
     from gonio_analysis.report.figures import Figure
     from gonio_scenes.picture import Image
 
@@ -163,9 +163,7 @@ def _cross_sections() -> Figure:
 # --- the page -------------------------------------------------------------------------------------------------------
 
 
-def _page(
-    found: dict[str, Any], images: dict[str, Image], judged: dict[str, list[Claim]], plot: Figure
-) -> Any:
+def _page(found: dict[str, Any], images: dict[str, Image], judged: dict[str, list[Claim]], plot: Figure) -> Page:
     from gonio_analysis.report.blocks import (
         Contents,
         Figures,
@@ -190,8 +188,8 @@ def _page(
         Group("header", (Heading(1, TITLE), Paragraph(made, "sub"))),
         Paragraph(f"{len(images)} pictures of {len(SHOWN)} figures. {verdicts(every)}.", "lead"),
         Paragraph(
-            "Each verdict is measured from the radiances of one ray a pixel, by the criterion beside it. Where the paper "
-            "leaves open what a claim hangs on, several choices are tried; without agreement there is no verdict."
+            "Each verdict is measured from the radiances of one ray a pixel, by the criterion beside it. Where the "
+            "paper leaves open what a claim hangs on, several choices are tried; without agreement there is no verdict."
         ),
         Contents(tuple((shown.name, shown.title.partition(":")[0]) for shown in SHOWN)),
     ]
@@ -204,7 +202,7 @@ def _page(
             section(
                 [
                     Heading(2, shown.title),
-                    Figures(figures),
+                    Figures(figures, small=True),
                     table("", ["verdict", "what the text says", "found", "criterion"], rows),
                     Paragraph(shown.remark, "note"),
                 ],
@@ -259,7 +257,7 @@ def _raster(name: str, label: str, image: Image) -> Figure:
     assert done
     svg = (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {wide} {high}" style="max-width: {wide}px">'
-        f'<image width="{wide}" height="{high}" href="data:image/jpeg;base64,{base64.b64encode(data).decode()}"/></svg>'
+        f'<image width="{wide}" height="{high}" href="data:image/jpeg;base64,{base64.b64encode(bytes(data)).decode()}"/></svg>'
     )
     return Figure(name, name, "", label, f"{label}, rendered", svg, b"")
 

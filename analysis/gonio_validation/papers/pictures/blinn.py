@@ -109,14 +109,15 @@ def figure_7b(height: int | None = None) -> list[Claim]:
         Claim(
             "“The ceramic looks quite diffuse for light hitting it almost perpendicularly.”",
             normal < 0.25 < metal_normal,
-            f"front lit, the highlight has {number(normal, 2)} of the diffuse brightness (aluminium {number(metal_normal, 2)})",
+            f"front lit, the highlight has {number(normal, 2)} of the diffuse brightness "
+            f"(aluminium {number(metal_normal, 2)})",
             "less than a quarter, which aluminium's exceeds",
         ),
         Claim(
             "“… and very specular (even more so than the aluminum) for light hitting it almost tangentially.”",
             shallow > shallow_metal,
-            f"strongest highlight over the diffuse brightness at normal incidence, light from 170° to the line of sight: "
-            f"ceramic {number(shallow)}, aluminium {number(shallow_metal)}; in the pictures above, with the light less "
+            "strongest highlight over the diffuse brightness at normal incidence, light from 170° to the line of "
+            f"sight: ceramic {number(shallow)}, aluminium {number(shallow_metal)}; in the pictures above, with the light less "
             f"far behind: {number(edge['ceramic'])} and {number(edge['aluminium'])}",
             "the ceramic's is the stronger, beside its diffuse part; light within 5° of tangential",
         ),
@@ -162,8 +163,9 @@ def figure_8(height: int | None = None) -> list[Claim]:
             "“Surface shininess varying as a function of two different texture patterns.”",
             all(0.05 < share < 0.95 and contrast > 1.2 and 0.0 < lit < 1.0 for share, contrast, lit in found.values()),
             "; ".join(
-                f"{words}: the shiny parts are the brighter ones over {100 * lit:.0f} % of the sphere, where they cover "
-                f"{100 * share:.0f} %; outside the dull parts are brighter" for words, (share, _, lit) in found.items()
+                f"{words}: the shiny parts are the brighter ones over {100 * lit:.0f} % of the sphere, where they "
+                f"cover {100 * share:.0f} %; outside the dull parts are brighter"
+                for words, (share, _, lit) in found.items()
             ),
             "both kinds of surface lie in the highlight, and outside of it the order turns round: a dull surface "
             "spreads its highlight",

@@ -19,6 +19,7 @@ class Shown:
     """What was chosen here, and is not the paper's."""
 
 
+_SIGMA_UM = ("0.18", "0.28", "0.38", "0.48", "0.58", "2.50")
 _BLINN_7A = tuple(
     (f"blinn-7a-{model}-{lit}", f"{words}, {lit} lit")
     for lit in ("edge", "front")
@@ -31,7 +32,7 @@ SHOWN = (
         "HTSG Fig. 12: aluminium cylinders of growing roughness",
         tuple(
             (f"htsg-12{letter}", f"({letter}) σ0 {s} µm, τ {t} µm")
-            for letter, s, t in zip("abcdef", ("0.18", "0.28", "0.38", "0.48", "0.58", "2.50"), [3] * 5 + [16], strict=True)
+            for letter, s, t in zip("abcdef", _SIGMA_UM, [3] * 5 + [16], strict=True)
         ),
         "Chosen here: sizes, lamps, camera, the spectra of bricks and floor.",
     ),
@@ -51,7 +52,7 @@ SHOWN = (
         "cook-torrance-6",
         "Cook-Torrance Fig. 6: plastic and copper",
         (("cook-torrance-6a", "(a) copper-coloured plastic"), ("cook-torrance-6b", "(b) copper")),
-        "Chosen here: the vase's profile, where lights and camera are, and the unit of the ambient light (see the notes).",
+        "Chosen here: the vase's profile, where lights and camera are, and the ambient light's unit (see the notes).",
     ),
     Shown(
         "cook-torrance-7",
@@ -92,7 +93,7 @@ SHOWN = (
         "oren-nayar-12",
         "Oren-Nayar Figs. 1 and 12: a clay vase",
         (("oren-nayar-12b", "Lambert"), ("oren-nayar-12c", "proposed model")),
-        "Chosen here: the vase's shape, σ 40°, ρ 0.7. The paper's photograph, its Fig. 1 (a) and 12 (a), is not at hand.",
+        "Chosen here: the vase's shape, σ 40°, ρ 0.7. The photograph, Figs. 1 (a) and 12 (a), is not at hand.",
     ),
     Shown(
         "oren-nayar-13",

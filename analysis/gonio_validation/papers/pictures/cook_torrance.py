@@ -42,14 +42,14 @@ def _luminance(c: Centre) -> Floats:
 def _brightest(c: Centre, where: Mask) -> Mask:
     """The brightest hundredth of some pixels."""
     y = _luminance(c)
-    return where & (y >= np.quantile(y[where], 0.99))
+    return np.asarray(where & (y >= np.quantile(y[where], 0.99)))
 
 
 def _body(c: Centre, where: Mask) -> Mask:
     """Pixels about the median brightness."""
     y = _luminance(c)
     low, high = np.quantile(y[where], (0.4, 0.6))
-    return where & (y >= low) & (y <= high)
+    return np.asarray(where & (y >= low) & (y <= high))
 
 
 def _edge_lit(tables: dict[str, Any]) -> None:

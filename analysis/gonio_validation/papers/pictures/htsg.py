@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,9 @@ def _width_deg(c: Centre) -> float:
     bright = c.grey()[belt]
     steps = np.arange(-85.0, 86.0, 2.5)
     number_of = np.digitize(azimuth, steps)
-    profile = np.array([bright[number_of == k].mean() if (number_of == k).any() else np.nan for k in range(1, steps.size)])
+    count = np.bincount(number_of, minlength=steps.size)[1 : steps.size]
+    total = np.bincount(number_of, weights=bright, minlength=steps.size)[1 : steps.size]
+    profile = np.where(count > 0, total / np.maximum(count, 1), np.nan)
     at = 0.5 * (steps[1:] + steps[:-1])
     known = np.isfinite(profile)
     fine = np.arange(at[known][0], at[known][-1], 0.1)
@@ -58,7 +61,7 @@ def _width_deg(c: Centre) -> float:
 
 
 def _blue(name: str, light: dict[str, Any], height: int | None) -> float:
-    """Radiance of a lamp's highlight at the shortest over that at the longest wavelength, lamp and metal divided out."""
+    """A lamp's highlight at the shortest over that at the longest wavelength, the metal divided out."""
 
     def alone(tables: dict[str, Any]) -> None:
         tables["light"] = [light]
@@ -107,21 +110,22 @@ def figure_12(height: int | None = None) -> list[Claim]:
     in_blue = edges(rough.radiance[..., blue], top, mirror.radiance[..., blue])[0]
     return [
         Claim(
-            "“The sharp specular image in the top faces of the cylinders diminishes … with increasing surface roughness.”",
-            all(b < 0.5 * a for a, b in zip(strengths, strengths[1:], strict=False)),
+            "“The sharp specular image in the top faces of the cylinders diminishes … with increasing surface "
+            "roughness.”",
+            all(b < 0.5 * a for a, b in pairwise(strengths)),
             f"strength of the bricks' image at 700 nm, a perfect mirror's 1: {_each(strengths)} for (a) to (e)",
             "each cylinder shows less than half of the one before: clearly less to the eye",
         ),
         Claim(
             "The image “is not blurred”.",
             all(r > SHARP > of_blurred for _, r in seen) if seen else None,
-            f"correlation of its edges with a perfect mirror's: {_each([r for _, r in seen], 4)} where the image has "
+            f"correlation of its edges with a perfect mirror's: {', '.join(f'{r:.4f}' for _, r in seen)} where the image has "
             f"more than {FAINT:g} of a mirror's strength; blurred over three pixels: {of_blurred:.2f}",
             f"more than {SHARP}, which an image blurred over three pixels has not",
         ),
         Claim(
             "“The image of the light source on the front vertical face spreads out.”",
-            all(b > a for a, b in zip(widths, widths[1:], strict=False)),
+            all(b > a for a, b in pairwise(widths)),
             f"full width at half height, as azimuth on the cylinder: {_each(widths, 3, '°')} for (a) to (e)",
             "each is wider than the one before",
         ),
@@ -137,7 +141,7 @@ def figure_12(height: int | None = None) -> list[Claim]:
             "“A slight color shift … is most apparent in the blue shift on the front faces.”",
             agreed(all(b > 1.0 for b in ratios) for ratios in blues.values()),
             "highlight at 400 over 700 nm, the metal divided out, for (a) to (e): "
-            + "; ".join(f"lamp {words}: {_each(ratios)}" for words, ratios in blues.items()),
+            + "; ".join(f"lamp {words}: " + ", ".join(f"{r:.3f}" for r in ratios) for words, ratios in blues.items()),
             "more than 1 for every cylinder; hangs on where the lamp is, which the paper does not say",
         ),
         Claim(
@@ -175,7 +179,7 @@ def figure_13(height: int | None = None) -> list[Claim]:
             "(b): “Specular images are apparent on the top and lateral edges.”",
             all(image > 3.0 * matte for image, matte in steps.values()),
             "largest step between neighbours in a row, over the mean: "
-            + ", ".join(f"{words} {number(a)}, on the matte cylinder (c) {number(b)}" for words, (a, b) in steps.items()),
+            + ", ".join(f"{words} {number(a)}, on the matte (c) {number(b)}" for words, (a, b) in steps.items()),
             "more than three times that of the matte cylinder",
         ),
         Claim(
@@ -203,8 +207,8 @@ def figure_14(height: int | None = None) -> list[Claim]:
         metal[name] = float(bright.max() / np.median(bright))
     return [
         Claim(
-            "“On the faces of the cube, the specular image varies with reflection angle, an effect caused solely by the "
-            "Fresnel reflectivity.”",
+            "“On the faces of the cube, the specular image varies with reflection angle, an effect caused solely by "
+            "the Fresnel reflectivity.”",
             # mirror rays start 1e-6 mm off the surface here, and differences of radiances are taken
             off < 1e-3,
             f"mirror images over what they show, against |F|²: equal to {number(max(off, 1e-16), 1)} over angles from "
@@ -216,8 +220,8 @@ def figure_14(height: int | None = None) -> list[Claim]:
             "“The specular images on the table top also vary with reflection angle (and disappear), but this is caused "
             "mainly by roughness effects.”",
             by_roughness > by_fresnel > 1.0,
-            f"from {np.degrees(theta[first]):.0f} to {np.degrees(theta[last]):.0f}° roughness lets {number(by_roughness)} "
-            f"times as much through, |F|² reflects {number(by_fresnel)} times as much (550 nm)",
+            f"from {np.degrees(theta[first]):.0f} to {np.degrees(theta[last]):.0f}° roughness lets "
+            f"{number(by_roughness)} times as much through, |F|² reflects {number(by_fresnel)} times as much (550 nm)",
             "the roughness factor changes more than |F|² does, over the same angles",
         ),
         Claim(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -63,8 +64,8 @@ def figure_12(height: int | None = None) -> list[Claim]:
     lambert, model = found["viewer, Lambert"], found["viewer, model"]
     return [
         Claim(
-            "The brightness of the real vase “remains nearly constant over most of the cross-section”, and the proposed "
-            "model “does very well in predicting this behavior”.",
+            "The brightness of the real vase “remains nearly constant over most of the cross-section”, and the "
+            "proposed model “does very well in predicting this behavior”.",
             _share(model) > 0.75,
             f"share of the width with at least 80 % of the largest brightness: {100 * _share(model):.0f} % (model), "
             f"{100 * _share(lambert):.0f} % (Lambert)",
@@ -101,8 +102,8 @@ def figure_13(height: int | None = None) -> list[Claim]:
             "more than 1.2",
         ),
         Claim(
-            "“The Lambertian model forces the brightness close to the right limb … to drop much faster than in the real "
-            "image.”",
+            "“The Lambertian model forces the brightness close to the right limb … to drop much faster than in the "
+            "real image.”",
             _at(model, 0.95) > 1.2 * _at(lambert, 0.95),
             f"at 0.95 of the radius: model {number(_at(model, 0.95), 2)}, Lambert {number(_at(lambert, 0.95), 2)}",
             "the model is more than 1.2 times as bright there",
@@ -146,7 +147,7 @@ def figure_14(height: int | None = None) -> list[Claim]:
         ),
         Claim(
             "“As the roughness increases, the sphere begins to appear flatter.”",
-            all(b < a for a, b in zip(values, values[1:], strict=False)),
+            all(b < a for a, b in pairwise(values)),
             "scatter of the brightness over the disc, over its mean: "
             + ", ".join(f"{100 * u:.0f} % ({s}°)" for s, u in uneven.items()),
             "each sphere is flatter than the one before",
@@ -167,9 +168,7 @@ def figure_15(height: int | None = None) -> list[Claim]:
     matte, rough = many(names, height).values()
     faces = {"a": _faces(matte), "b": _faces(rough)}
     spread = {k: max(f) / min(f) for k, f in faces.items()}
-    shade = {
-        name: tuple(_shading(c, name) for c in (matte, rough)) for name in ("vase", "cylinder")
-    }
+    shade = {name: tuple(_shading(c, name) for c in (matte, rough)) for name in ("vase", "cylinder")}
     edge = {k: _flat_over_curved(c) for k, c in (("a", matte), ("b", rough))}
     return [
         Claim(
@@ -182,7 +181,7 @@ def figure_15(height: int | None = None) -> list[Claim]:
         ),
         Claim(
             "(a) “The three visible faces of the cube have distinctly different brightness values.”",
-            min(b / a for a, b in zip(sorted(faces["a"]), sorted(faces["a"])[1:], strict=False)) > 1.05,
+            min(b / a for a, b in pairwise(sorted(faces["a"]))) > 1.05,
             f"faces of the cube, the brightest 1: {_scaled(faces['a'])}",
             "each more than 5 % brighter than the next: steps of that size are seen",
         ),
