@@ -255,9 +255,10 @@ def _raster(name: str, label: str, image: Image) -> Figure:
     high, wide = image.shape[:2]
     done, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     assert done
+    text = base64.b64encode(bytes(data)).decode()
     svg = (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {wide} {high}" style="max-width: {wide}px">'
-        f'<image width="{wide}" height="{high}" href="data:image/jpeg;base64,{base64.b64encode(bytes(data)).decode()}"/></svg>'
+        f'<image width="{wide}" height="{high}" href="data:image/jpeg;base64,{text}"/></svg>'
     )
     return Figure(name, name, "", label, f"{label}, rendered", svg, b"")
 

@@ -117,8 +117,8 @@ def figure_7b(height: int | None = None) -> list[Claim]:
             "“… and very specular (even more so than the aluminum) for light hitting it almost tangentially.”",
             shallow > shallow_metal,
             "strongest highlight over the diffuse brightness at normal incidence, light from 170° to the line of "
-            f"sight: ceramic {number(shallow)}, aluminium {number(shallow_metal)}; in the pictures above, with the light less "
-            f"far behind: {number(edge['ceramic'])} and {number(edge['aluminium'])}",
+            f"sight: ceramic {number(shallow)}, aluminium {number(shallow_metal)}; in the pictures above, with the "
+            f"light less far behind: {number(edge['ceramic'])} and {number(edge['aluminium'])}",
             "the ceramic's is the stronger, beside its diffuse part; light within 5° of tangential",
         ),
         Claim(

@@ -119,8 +119,8 @@ def figure_12(height: int | None = None) -> list[Claim]:
         Claim(
             "The image “is not blurred”.",
             all(r > SHARP > of_blurred for _, r in seen) if seen else None,
-            f"correlation of its edges with a perfect mirror's: {', '.join(f'{r:.4f}' for _, r in seen)} where the image has "
-            f"more than {FAINT:g} of a mirror's strength; blurred over three pixels: {of_blurred:.2f}",
+            f"correlation of its edges with a perfect mirror's: {', '.join(f'{r:.4f}' for _, r in seen)} where the "
+            f"image has more than {FAINT:g} of a mirror's strength; blurred over three pixels: {of_blurred:.2f}",
             f"more than {SHARP}, which an image blurred over three pixels has not",
         ),
         Claim(

@@ -155,8 +155,8 @@ def figure_14(height: int | None = None) -> list[Claim]:
         Claim(
             "In the extreme case “the sphere appears like a flat disc with near constant brightness” (the full moon).",
             uneven[40] < FLAT,
-            f"scatter over the mean at σ = 40°: {100 * uneven[40]:.1f} %, Lambert {100 * uneven[0]:.0f} %; with the light "
-            f"between facets (eq. 15), which the shader leaves out, {100 * whole:.1f} %",
+            f"scatter over the mean at σ = 40°: {100 * uneven[40]:.1f} %, Lambert {100 * uneven[0]:.0f} %; with the "
+            f"light between facets (eq. 15), which the shader leaves out, {100 * whole:.1f} %",
             f"less than {100 * FLAT:.0f} %",
         ),
     ]
