@@ -23,7 +23,7 @@ _SIGMA_UM = ("0.18", "0.28", "0.38", "0.48", "0.58", "2.50")
 _BLINN_7A = tuple(
     (f"blinn-7a-{model}-{lit}", f"{words}, {lit} lit")
     for lit in ("edge", "front")
-    for model, words in (("phong", "Phong"), ("facets", "Torrance-Sparrow"))
+    for model, words in (("phong", "Phong"), ("facets", "facets"))
 )
 
 SHOWN = (
@@ -39,8 +39,8 @@ SHOWN = (
     Shown(
         "htsg-13",
         "HTSG Fig. 13: directional diffuse, ideal specular, uniform diffuse",
-        (("htsg-12f", "(a) σ0 2.5 µm"), ("htsg-13b", "(b) σ0 0, no ambient light"), ("htsg-13c", "(c) diffuse")),
-        "Chosen here: as in Fig. 12, and the albedo 0.9 of (c).",
+        (("htsg-12f", "(a) σ0 2.5 µm"), ("htsg-13b", "(b) σ0 0"), ("htsg-13c", "(c) diffuse")),
+        "(b) has no ambient light. Chosen here: as in Fig. 12, and the albedo 0.9 of (c).",
     ),
     Shown(
         "htsg-14",
@@ -51,7 +51,7 @@ SHOWN = (
     Shown(
         "cook-torrance-6",
         "Cook-Torrance Fig. 6: plastic and copper",
-        (("cook-torrance-6a", "(a) copper-coloured plastic"), ("cook-torrance-6b", "(b) copper")),
+        (("cook-torrance-6a", "(a) plastic"), ("cook-torrance-6b", "(b) copper")),
         "Chosen here: the vase's profile, where lights and camera are, and the ambient light's unit (see the notes).",
     ),
     Shown(
@@ -68,14 +68,15 @@ SHOWN = (
     Shown(
         "cook-torrance-8",
         "Cook-Torrance Fig. 8: a watch",
-        (("cook-torrance-8", "gold and stainless steel, red diodes"),),
+        (("cook-torrance-8", "gold, steel, diodes"),),
         "Chosen here: the watch's shape and the slopes. The diodes are matte: a surface does not shine here.",
     ),
     Shown(
         "blinn-7a",
         "Blinn Fig. 7a: aluminium",
         _BLINN_7A,
-        "Chosen here: the object, light and camera, and Phong's weight and exponent, which the text does not give.",
+        "“Facets” is Torrance and Sparrow's model. Chosen here: the object, light and camera, and Phong's weight and "
+        "exponent, which the text does not give.",
     ),
     Shown(
         "blinn-7b",
@@ -97,8 +98,8 @@ SHOWN = (
     ),
     Shown(
         "oren-nayar-13",
-        "Oren-Nayar Fig. 13: its cross-sections",
-        (("oren-nayar-13b-lambert", "20° to the right, Lambert"), ("oren-nayar-13b-model", "20° to the right, model")),
+        "Oren-Nayar Fig. 13: lit from 20° to the right",
+        (("oren-nayar-13b-lambert", "(b) Lambert"), ("oren-nayar-13b-model", "(b) model")),
         "The plot takes its brightness from these pictures and from those of Fig. 12, at half of the vase's height.",
     ),
     Shown(
