@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-NAME_HELP = 'A figure, as htsg-8; "all"; or "list", which names them.'
+NAME_HELP = 'A figure, as htsg-8; "all" of them; "pictures", the rendered ones; or "list", which names them.'
 
 bench = typer.Typer(help="Measure the workbench itself.", no_args_is_help=True)
 
@@ -20,18 +20,23 @@ def figures(
     from gonio.acquisition.run import command_line
     from gonio.cli import console
     from gonio.errors import ConfigError
-    from gonio_validation.papers import FIGURES, check, make
+    from gonio_validation.papers import FIGURES, PICTURES, check, make, pictures
 
     if name == "list":
         rows = console.table("name", "what it shows")
         for key, what in FIGURES.items():
             rows.add_row(key, what)
+        rows.add_row(PICTURES, pictures.TITLE)
         console.show(rows)
         return
-    if name != "all":
+    if name not in ("all", PICTURES):
         check(name)
     if out is None:
         raise ConfigError(f"gonio figures {name}: --out DIR is missing, the folder of the page")
+    if name == PICTURES:
+        with console.counter("rendering") as step:
+            print(pictures.make(out, command=command_line(), step=step))
+        return
     print(make(name, out, command=command_line(), progress=console.note))
 
 

@@ -106,6 +106,8 @@ class Figures:
 
     kind: ClassVar[str] = "figures"
     figures: tuple[Figure, ...]
+    small: bool = False
+    """Whether more than two fit into a row: pictures rather than drawings."""
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,7 @@ def within(block: Block, room: int) -> Block:
 
 def _without_drawings(block: Block, named: set[str]) -> Block:
     if isinstance(block, Figures):
-        return Figures(tuple(replace(f, svg="") if f.name in named else f for f in block.figures))
+        return replace(block, figures=tuple(replace(f, svg="") if f.name in named else f for f in block.figures))
     if isinstance(block, Group):
         return replace(block, blocks=tuple(_without_drawings(b, named) for b in block.blocks))
     return block

@@ -33,6 +33,8 @@ FIGURES = {
     "oren-nayar-13": "brightness across a clay vase",
 }
 """Name and subject of every figure that can be made, in the order of the index."""
+PICTURES = "pictures"
+"""Names the rendered figures: `gonio_validation.papers.pictures`."""
 PAPERS = {"htsg": "htsg", "cook-torrance": "cook_torrance", "blinn": "blinn", "oren-nayar": "oren_nayar"}
 """Prefix of a figure's name -> module that builds it."""
 
@@ -65,7 +67,7 @@ def build(name: str, progress: Callable[[str], None] = silent) -> PaperFigure:
 def check(name: str) -> None:
     """Raise `ConfigError` where there is no such figure."""
     if name not in FIGURES:
-        near = difflib.get_close_matches(name.lower(), [*FIGURES, "all", "list"], n=1, cutoff=0.5)
+        near = difflib.get_close_matches(name.lower(), [*FIGURES, "all", PICTURES, "list"], n=1, cutoff=0.5)
         hint = f'did you mean "{near[0]}"?' if near else '"gonio figures list" names them'
         raise ConfigError(f'there is no figure named "{name}"; {hint}')
 
