@@ -25,7 +25,7 @@ def render(
     from gonio_scenes.scene import read
 
     described = read(scene, tolerance=tolerance)
-    picture.require_free(out, exr=exr)
+    picture.require_free(described, out, exr=exr)
     with console.counter("rendering") as step:
         result = rendered(described, step=step)
     picture.write(described, result, out, exr=exr, command=command_line())
