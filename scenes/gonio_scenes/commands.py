@@ -1,4 +1,4 @@
-"""The command `gonio render`. Nothing heavy is imported before it runs."""
+"""The commands `gonio render` and `gonio photograph`. Nothing heavy is imported before one runs."""
 
 from __future__ import annotations
 
@@ -32,3 +32,32 @@ def render(
     if result.above_tolerance:
         console.note(f"{result.above_tolerance} pixels are above the tolerance still; summary.json says how far")
     print(out / "picture.png")
+
+
+def photograph(
+    scene: Annotated[
+        Path, typer.Argument(metavar="SCENE", help="Scene file: camera, shape and light as known.", show_default=False)
+    ],
+    image: Annotated[
+        Path,
+        typer.Argument(
+            metavar="IMAGE", help="A raw frame, or linear radiances: .npz, .exr, .npy, .tif.", show_default=False
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="The measurement table to write (.csv).", show_default=False)],
+) -> None:
+    """Measure from a photograph of a curved sample. Every square of pixels becomes a row of a measurement table."""
+    from gonio import measurement
+    from gonio.cli import console
+    from gonio_scenes.photograph import reduce
+    from gonio_scenes.scene import read
+
+    table = reduce(read(scene), image)
+    for note in table.attrs["notes"]:
+        console.note(note)
+    for remark in measurement.write(table, out):
+        console.note(remark)
+    counts = table["flag"].value_counts()
+    used = int(counts.pop("")) if "" in counts else 0
+    aside = "".join(f", {count} {word}" for word, count in counts.items())
+    console.show(f"{out}: {used} values{aside}")

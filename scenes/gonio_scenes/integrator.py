@@ -57,7 +57,7 @@ class Integrator:
             if met.size == 0:
                 break
             whole = met.size == hits.shape.size
-            hits = hits if whole else _picked(hits, met)
+            hits = hits if whole else hits.at(met)
             direction = direction if whole else direction[met]
             where = (met if where is None else where[met]) if not whole else where
             weight = weight if weight is None or whole else weight[met]
@@ -76,7 +76,7 @@ class Integrator:
                     _add(out, where, weight * scene.ambient)
                 self.rays["cut"] += kept.size
                 break
-            origin, direction, leaving = hits.position[kept], toward, _picked(hits, kept)
+            origin, direction, leaving = hits.position[kept], toward, hits.at(kept)
             self.rays["mirror"] += kept.size
             hits = scene.world.hit(origin, direction, leaving)
             self._beyond(out, where, weight, origin, direction, hits, mirrored=True)
@@ -131,20 +131,20 @@ class Integrator:
                 if scene.world.casts_shadows:
                     far = arriving.distance[here] if isinstance(arriving.distance, np.ndarray) else arriving.distance
                     self.rays["shadow"] += here.size
-                    free = ~scene.world.blocked(arriving.direction[here], far, _picked(hits, here))
+                    free = ~scene.world.blocked(arriving.direction[here], far, hits.at(here))
                     here = here[free]
                     if here.size == 0:
                         continue
                 strength = arriving.strength[here] if isinstance(arriving.strength, np.ndarray) else arriving.strength
                 irradiance = cosine[here] * strength / count
-                towards = _local(arriving.direction[here], _picked(hits, here), side[here])
+                towards = _local(arriving.direction[here], hits.at(here), side[here])
                 for material, part in self._by_material(hits, here):
                     at = here[part]
                     if light.polarisation is None and axis is None:
                         f = material.brdf(towards[part], view[at], hits.uv[at])
                     else:
                         of_light, of_camera = (
-                            None if a is None else _local(np.broadcast_to(a, (at.size, 3)), _picked(hits, at), side[at])
+                            None if a is None else _local(np.broadcast_to(a, (at.size, 3)), hits.at(at), side[at])
                             for a in (light.polarisation, axis)
                         )
                         f = material.polarised(towards[part], view[at], hits.uv[at], of_light, of_camera)
@@ -168,7 +168,7 @@ class Integrator:
             if axis is None:
                 carried[part] = material.specular(cosine[part], hits.uv[part])
             else:
-                at = _picked(hits, part)
+                at = hits.at(part)
                 side = np.cross(at.facing, at.tangent)
                 view, passing = (_local(v, at, side) for v in (-direction[part], np.broadcast_to(axis, (part.size, 3))))
                 carried[part] = material.polarised_specular(view, at.uv, passing)
@@ -220,18 +220,6 @@ def _add(out: Floats, where: Indices | None, values: Floats) -> None:
         out += values
     else:
         out[where] += values
-
-
-def _picked(hits: Hits, here: Indices) -> Hits:
-    return Hits(
-        hits.shape[here],
-        hits.distance[here],
-        hits.position[here],
-        hits.normal[here],
-        hits.facing[here],
-        hits.tangent[here],
-        hits.uv[here],
-    )
 
 
 def _local(direction: Floats, hits: Hits, side: Floats) -> Floats:

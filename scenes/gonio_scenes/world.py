@@ -32,6 +32,10 @@ class Hits:
     """Unit vectors (n, 3) along growing u, across `facing`: the x axis of the material."""
     uv: Floats
 
+    def at(self, here: Indices) -> Hits:
+        """Some of the hits."""
+        return Hits(*(getattr(self, name)[here] for name in Hits.__dataclass_fields__))
+
 
 class World:
     """The shapes of a scene, in the order of its file."""
