@@ -91,7 +91,8 @@ def _raw(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> Expos
                 'photograph.channel = "G"'
             )
         cell = np.array([letter == table.channel for letter in frame.pattern]).reshape(2, 2)
-        used = np.tile(cell, [-(-n // 2) for n in used.shape])[: used.shape[0], : used.shape[1]]
+        rows, columns = frame.mosaic.shape
+        used = np.tile(cell, (-(-rows // 2), -(-columns // 2)))[:rows, :columns]
     elif table.channel is not None:
         raise ConfigError(f'photograph.channel = "{table.channel}": {path} has no colours; leave the key out')
     black = frame.black_level_dn if sensor.black_level_dn is None else sensor.black_level_dn
@@ -99,7 +100,7 @@ def _raw(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> Expos
     full = min(frame.white_level_dn, black + sensor.full_well_e / gain)
     dark = sensor.dark_current_e_per_s * frame.exposure_s
     return Exposure(
-        value=(frame.mosaic - black) * gain - dark,
+        value=np.asarray((frame.mosaic - black) * gain - dark, np.float64),
         per_radiance=sensor.responsivity_e_per_s * frame.exposure_s * falloff(sensor, scene.camera),
         used=used,
         saturated=frame.mosaic > black + SATURATED * (full - black),

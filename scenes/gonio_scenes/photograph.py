@@ -304,10 +304,10 @@ def _slopes(squares: _Squares, used: Mask) -> _Slopes:
     small = max(3.0 * float(np.median(squares.noise[used])), 1e-6 * float(np.abs(value[used]).max()), 1e-300)
     log = np.arcsinh(value / (2.0 * small))
     at = {(r, c): _shifted(log, r, c) for r in (-1, 0, 1) for c in (-1, 0, 1)}
-    x = sum(at[r, 1] - at[r, -1] for r in (-1, 0, 1)) / (6.0 * size)
-    y = sum(at[1, c] - at[-1, c] for c in (-1, 0, 1)) / (6.0 * size)
-    xx = sum(at[r, 1] + at[r, -1] - 2.0 * at[r, 0] for r in (-1, 0, 1)) / (3.0 * size**2)
-    yy = sum(at[1, c] + at[-1, c] - 2.0 * at[0, c] for c in (-1, 0, 1)) / (3.0 * size**2)
+    rows = [(at[r, -1], at[r, 0], at[r, 1]) for r in (-1, 0, 1)]
+    columns = [(at[-1, c], at[0, c], at[1, c]) for c in (-1, 0, 1)]
+    x, y = (np.mean([b - a for a, _, b in lines], axis=0) / (2.0 * size) for lines in (rows, columns))
+    xx, yy = (np.mean([a + b - 2.0 * m for a, m, b in lines], axis=0) / size**2 for lines in (rows, columns))
     xy = (at[1, 1] + at[-1, -1] - at[1, -1] - at[-1, 1]) / (4.0 * size**2)
     return _Slopes(
         small,

@@ -52,10 +52,8 @@ class SensorTable(Strict):
 
     def model(self, width: int, height: int) -> SensorModel:
         """The same as a rig's camera of a size."""
-        own = ("bits", "electrons_per_dn", "full_well_e", "photon_noise", "read_noise_e")
-        more = ("dark_current_e_per_s", "prnu", "dsnu_e")
-        black = {} if self.black_level_dn is None else {"black_level_dn": self.black_level_dn}
-        return SensorModel(width=width, height=height, **{n: getattr(self, n) for n in (*own, *more)}, **black)
+        own = self.model_dump(exclude={"responsivity_e_per_s", "cos4", "vignetting"}, exclude_none=True)
+        return SensorModel.model_validate({"width": width, "height": height, **own})
 
 
 def falloff(sensor: SensorTable, camera: Camera) -> Floats:
