@@ -33,6 +33,13 @@ EDGE_DEG = 10.0
 """Normals of neighbouring pixels that differ by more lie on either side of an edge."""
 FLAT = 0.05
 """Directions in which the normal changes this much less than in the steepest one do not count as a gradient."""
+LOW = 0.05
+"""Quantile of the values that counts as their level far from the lobe."""
+LEVEL_SLOPE, LOBE_SLOPE = 0.3, 0.5
+"""How f may change with half the angle between light and viewer [1/rad], the lobe by 2 tan of it more: what microfacet
+models do through 1 / (cos theta_i cos theta_r). docs/photograph.md has the slopes of random samples."""
+STILL = 1e-5
+"""Turns of the normal [rad] that are left out: what a sphere's picture has by its perspective."""
 UNSURE = 0.1
 """Share of a square's correction for its curvature that is taken as uncertain: what the next order may be."""
 FLAGS = ("limb", "below_horizon", "blocked", "saturated", "clamped")
@@ -212,8 +219,7 @@ class _Squares:
             gain = np.where(used & (per_value > 0.0), 1.0 / per_value, 0.0)  # 0 off the shape too
             value = np.where(used, cut(exposure.value), 0.0)
             self.mean = np.where(good, (gain * value).sum(axis=2) / self.count, np.nan)
-        self.per_value = gain.sum(axis=2) / self.count
-        """BRDF [1/sr] of a picture whose pixels all have the value 1."""
+        per_value = np.where(good, gain.sum(axis=2) / self.count, np.nan)
         row, column = (n.reshape(1, 1, -1) for n in np.divmod(np.arange(size * size), size))
 
         def over(place: npt.NDArray[Any]) -> Floats:
@@ -227,12 +233,16 @@ class _Squares:
         xx, yy, xy = over(column**2) - x**2 + area, over(row**2) - y**2 + area, over(row * column) - x * y
         self.above = _curved(self.mean, (xx, yy, xy), size)
         """By how much the mean lies above the value in the middle, from second differences."""
+        self.per_value = per_value - _curved(per_value, (xx, yy, xy), size)
+        """BRDF [1/sr] of a picture whose pixels all have the value 1."""
         doubt = _curved(self.mean, (np.full_like(xx, 1 / 12), np.full_like(yy, 1 / 12), np.zeros_like(xy)), size)
-        expected = _around(self.mean)
-        self.noise = self._noise(exposure, gain, used, cut, expected)
+        self.around = _around(self.mean)
+        """Mean of the eight neighbours: what is expected of a square, free of its own noise."""
+        self.noise = self._noise(exposure, gain, used, cut, self.around)
         """Standard uncertainty of the mean."""
-        stretch = 1.0 + (xx + yy) / size**2  # the middle square's weight in mean - above
-        self.random = np.sqrt((stretch * self.noise) ** 2 + (UNSURE * self.above) ** 2 + doubt**2)
+        k, m = xx / size**2, yy / size**2  # mean - above gives the square itself 1 + k + m, and its neighbours -k/2, -m/2
+        weights = (1.0 + k + m) ** 2 + 0.5 * (k**2 + m**2)
+        self.random = np.sqrt(weights * self.noise**2 + (UNSURE * self.above) ** 2 + doubt**2)
         """The same of `value`."""
         self.value = self.mean - self.above
         """The BRDF in the middle [1/sr]; NaN too where a neighbour has none."""
@@ -355,7 +365,8 @@ def _table(
 
     grid = np.zeros(squares.of_shape.shape, bool)
     grid.flat[there[good]] = True
-    columns, left = _common(squares, grid, exposure, given.uncertainty.model_dump(), moved, _picked(seen, good), jacobian[good])
+    stated = given.uncertainty.model_dump()
+    columns, unseen_deg = _common(squares, grid, exposure, stated, moved, _picked(seen, good), jacobian[good])
     if columns:  # the limb may come past a square before a cause has moved by one standard deviation
         whole = np.isfinite(np.stack(list(columns.values()))).all(axis=0)
         flag[np.flatnonzero(good)[~whole]] = "limb"
@@ -381,11 +392,11 @@ def _table(
     aside = {str(word): int(np.count_nonzero(flag[~shown] == word)) for word in sorted(set(flag[~shown]))}
     notes = [f"Each row is the mean over {squares.size} x {squares.size} pixels, brought to its middle."]
     notes += [f"{count} more squares have no directions above the horizon: {word}." for word, count in aside.items()]
-    notes += [
-        f"s_{name}: the picture does not show what directions changed by {degrees:.2g} degrees do; that is neglected."
-        for name, degrees in left.items()
-        if degrees > 1e-3
-    ]
+    if any(name.startswith("unseen") for name in columns):
+        notes.append(
+            f"The stated uncertainties turn directions by up to {unseen_deg:.2g} degrees to where this picture does not look; "
+            "what that may do is in the columns s_unseen."
+        )
     if len(scene.world.shapes) > 1:
         notes.append("Light that the scene's other shapes reflect onto the sample is not subtracted.")
     source = float(np.median(cones[0][good]))
@@ -402,7 +413,7 @@ def _table(
             "scene": scene.name,
             "pixels_a_square": squares.size,
             **dict(exposure.described),
-            "standard_uncertainties": {n: u for n, u in given.uncertainty.model_dump().items() if u},
+            "standard_uncertainties": {n: u for n, u in stated.items() if u},
         },
         notes=notes,
     )
@@ -436,28 +447,57 @@ def _common(
     moved: dict[str, tuple[Vantage, Vantage]],
     seen: Seen,
     jacobian: Floats,
-) -> tuple[dict[str, Floats], dict[str, float]]:
-    """Cause -> what one standard deviation of it does to each value [1/sr]; and the turns [deg] that are left out."""
+) -> tuple[dict[str, Floats], float]:
+    """Cause -> what one standard deviation of it does to each value [1/sr]; and the angle [deg] of `_unseen`."""
     f = squares.value[used]
     out: dict[str, Floats] = {}
-    left: dict[str, float] = {}
     if given["irradiance_rel"]:
         out["irradiance"] = f * given["irradiance_rel"]
     if given["black_level_dn"] and exposure.step:
         out["black_level"] = given["black_level_dn"] * exposure.step * squares.per_value[used]
-    if moved:
-        slopes = _slopes(squares, used)
-        inverse = np.linalg.pinv(jacobian, rcond=FLAT)
-        column, row = squares.column[used], squares.row[used]
+    if not moved:
+        return out, 0.0
+    slopes = _slopes(squares, used)
+    inverse = np.linalg.pinv(jacobian, rcond=FLAT)
+    column, row = squares.column[used], squares.row[used]
+    turned, opened = np.zeros(f.size), np.zeros(f.size)
     for name, both in moved.items():
-        ends, turns = [], []
+        ends, turns, angles = [], [], []
         for end in both:
             other = end.at(column, row)
             change = other.normal - seen.normal
             step = np.einsum("nij,nj->ni", inverse, change)
             beyond = change - np.einsum("nij,nj->ni", jacobian, step)
-            turns.append(np.hypot(np.linalg.norm(beyond, axis=1), other.difference - seen.difference))
+            beyond -= np.einsum("ni,ni->n", beyond, seen.normal)[:, None] * seen.normal  # unit vectors stay so
+            turns.append(np.linalg.norm(beyond, axis=1))
+            angles.append(other.difference)
             ends.append(slopes.moved(step) * other.received / seen.received)
         out[name] = 0.5 * (ends[0] - ends[1])
-        left[name] = math.degrees(float(np.nanmax(turns)))
-    return out, left
+        turned += (0.5 * (turns[0] + turns[1])) ** 2
+        opened += (0.5 * (angles[0] - angles[1])) ** 2
+    return out | _unseen(squares, used, slopes, inverse, seen, np.sqrt(turned), np.sqrt(opened)), math.degrees(
+        float(np.sqrt(np.nanmax(opened + turned)))
+    )
+
+
+def _unseen(
+    squares: _Squares, used: Mask, slopes: _Slopes, inverse: Floats, seen: Seen, turned: Floats, opened: Floats
+) -> dict[str, Floats]:
+    """What all causes together may do in directions that the picture does not hold [1/sr].
+
+    `opened` [rad] is the change of half the angle between light and viewer, which is nearly the same in the whole
+    picture. What it does to f is, for all models here, close to a f + b (f - f_low) with f_low the level far from the
+    lobe; a and b are unknown. `turned` [rad] is a turn of the normal that no place of the picture has, as along a
+    cylinder; f may change with it as fast as along the picture.
+    """
+    f = squares.value[used]
+    low = float(np.quantile(squares.around[used], LOW))
+    tangent = np.tan(seen.difference)
+    out = {
+        "unseen_level": LEVEL_SLOPE * opened * f,
+        "unseen_lobe": (LOBE_SLOPE + 2.0 * tangent) * opened * f * (1.0 - low / squares.around[used]),
+    }
+    if float(turned.max()) > STILL:
+        steep = np.einsum("ni,nij->nj", slopes.gradient, inverse)
+        out["unseen_turn"] = math.sqrt(float(np.mean(steep**2))) * turned * f
+    return {name: column for name, column in out.items() if np.any(np.abs(column) > 0.0)}

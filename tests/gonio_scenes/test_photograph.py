@@ -30,10 +30,8 @@ CAMERA: dict[str, Any] = {
     "width": 120,
     "height": 112,
 }
-GLOSSY = {
-    "model": "cook-torrance",
-    "parameters": {"s": 0.4, "d": 0.6, "slopes": [[0.35, 1.0]], "diffuse_albedo": 0.5, "ior": 1.6},
-}
+GLOSSY = {"model": "he-torrance", "parameters": {"sigma0_um": 0.3, "tau_um": 1.6, "ior": [1.5, 0.0], "diffuse_albedo": 0.3}}
+"""Smooth in all directions: V-groove models have kinks."""
 SUN = {"kind": "directional", "toward": [0.8, 0.3, 1.0], "irradiance": 2.0}
 BULB = {"kind": "point", "position_mm": [700.0, 200.0, 600.0], "intensity": 1.5e6}
 LAMP = {
@@ -85,12 +83,9 @@ def test_without_noise_every_row_is_the_model_at_its_directions(
     found = good(reduce(of, linear(tmp_path, of)))
     assert len(found) > 100
     error = found["brdf"].to_numpy() / truth(found, GLOSSY) - 1.0
-    # a pixel is the model itself; a square's mean is brought to its middle but for fourth derivatives, of which the
-    # table states a share as uncertain
+    # a pixel is the model itself; a square's mean is brought to its middle but for fourth derivatives, which grow with
+    # the fourth power of its side
     assert np.abs(error).max() < (1e-9 if size == 1 else 4e-4 * (size / 5) ** 4 + 4e-5)
-    if size > 1:
-        within = np.abs(found["brdf"] - truth(found, GLOSSY)) / found["u_random"]
-        assert np.mean(within < 2.0) > 0.95
 
 
 def test_a_lambertian_sphere_has_one_value(tmp_path: Path) -> None:
@@ -126,7 +121,7 @@ CAUSES: list[tuple[str, float, str, dict[str, Any], dict[str, Any]]] = [
     ("camera_mm", 0.5, "s_camera_z", SUN, {"position_mm": [0.0, 0.0, 800.5]}),
     ("pointing_deg", 0.01, "s_camera_pan", SUN, {"look_at_mm": [800.0 * math.tan(math.radians(0.01)), 0.0, 0.0]}),
     ("pointing_deg", 0.01, "s_camera_tilt", SUN, {"look_at_mm": [0.0, -800.0 * math.tan(math.radians(0.01)), 0.0]}),
-    ("roll_deg", 0.3, "s_camera_roll", SUN, {"up": [-math.sin(math.radians(0.3)), math.cos(math.radians(0.3)), 0.0]}),
+    ("roll_deg", 0.3, "s_camera_roll", SUN, {"up": [math.sin(math.radians(0.3)), math.cos(math.radians(0.3)), 0.0]}),
     (
         "field_rel", 0.002, "s_field", SUN,
         {"vertical_field_deg": 2 * math.degrees(math.atan(1.002 * math.tan(math.radians(3.25))))},
@@ -172,7 +167,7 @@ def test_the_black_level_is_a_column_of_its_own(tmp_path: Path) -> None:
 def test_rows_beside_an_edge_in_shadow_and_saturated_are_flagged(tmp_path: Path) -> None:
     ball = {"kind": "sphere", "radius_mm": 40.0, "material": "m", "name": "ball"}
     other = {"kind": "sphere", "radius_mm": 12.0, "center_mm": [60.0, 12.0, 60.0], "material": "m"}
-    ask = {"sensor": SENSOR, "exposure_s": 0.4, "bin": 2, "shape": "ball"}
+    ask = {"sensor": SENSOR, "exposure_s": 0.6, "bin": 2, "shape": "ball"}
     of = described(shape=[ball, other], light=[LAMP], photograph=ask)
     shown = render(of)
     table = reduce(of, raw(tmp_path, of))
