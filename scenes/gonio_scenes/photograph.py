@@ -475,9 +475,9 @@ def _common(
         out[name] = 0.5 * (ends[0] - ends[1])
         turned += (0.5 * (turns[0] + turns[1])) ** 2
         opened += (0.5 * (angles[0] - angles[1])) ** 2
-    return out | _unseen(squares, used, slopes, inverse, seen, np.sqrt(turned), np.sqrt(opened)), math.degrees(
-        float(np.sqrt(np.nanmax(opened + turned)))
-    )
+    widest = math.degrees(math.sqrt(float(np.nanmax(opened + turned))))
+    turned, opened = np.asarray(np.sqrt(turned)), np.asarray(np.sqrt(opened))
+    return out | _unseen(squares, used, slopes, inverse, seen, turned, opened), widest
 
 
 def _unseen(
