@@ -21,6 +21,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gonio_analysis.fitting.fit import FitResult, fit
+from gonio_analysis.fitting.observations import observations, together
+from gonio_scenes import picture, scene
+from gonio_scenes.photograph import reduce
+from gonio_scenes.render import render
 
 from gonio import measurement
 from gonio.acquisition.measure import RigChoice, carry_out
@@ -30,11 +35,6 @@ from gonio.config import parse
 from gonio.reduction import brdf
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.dng import write_dng
-from gonio_analysis.fitting.fit import FitResult, fit
-from gonio_analysis.fitting.observations import observations, together
-from gonio_scenes import picture, scene
-from gonio_scenes.photograph import reduce
-from gonio_scenes.render import render
 
 KINDS = ("he-torrance", "oren-nayar", "cook-torrance")
 METALS = (0.96 + 6.69j, 0.26 + 2.55j, 0.42 + 2.35j, 2.9 + 3.05j, 1.5 + 0j)  # about Al, Cu, Au, Fe, and glass
@@ -55,7 +55,7 @@ def sample(rng: np.random.Generator, kind: str) -> tuple[SampleDescription, dict
     if kind == "cook-torrance":
         m, s = even(0.15, 0.4), even(0.2, 0.7)
         truth = {"s": s, "m": m, "diffuse_albedo": even(0.1, 0.8), "ior": even(1.35, 2.2)}
-        given = {"s": s, "d": 1.0 - s, "slopes": [[m, 1.0]], "ior": truth["ior"], "diffuse_albedo": truth["diffuse_albedo"]}
+        given = {"d": 1.0 - s, "slopes": [[m, 1.0]]} | {n: v for n, v in truth.items() if n != "m"}
         return SampleDescription(name=kind, model=kind, parameters=given), truth, None
     index = METALS[int(rng.integers(len(METALS)))]
     sigma0 = even(0.12, 0.5)
@@ -239,7 +239,8 @@ def main() -> None:
         )
     for parameter in dict.fromkeys(p for p, _ in every["both"]):
         z = np.array([v for p, v in every["both"] if p == parameter])
-        print(f"  {parameter}: {np.count_nonzero(abs(z) <= LEVEL)} of {z.size}, root mean square {np.sqrt(np.mean(z**2)):.2f}")
+        inside = np.count_nonzero(abs(z) <= LEVEL)
+        print(f"  {parameter}: {inside} of {z.size}, root mean square {np.sqrt(np.mean(z**2)):.2f}")
 
 
 if __name__ == "__main__":

@@ -49,10 +49,15 @@ def photograph(
     """Measure from a photograph of a curved sample. Every square of pixels becomes a row of a measurement table."""
     from gonio import measurement
     from gonio.cli import console
+    from gonio.errors import ConfigError
     from gonio_scenes.photograph import reduce
     from gonio_scenes.scene import read
 
-    table = reduce(read(scene), image)
+    described = read(scene)
+    try:
+        table = reduce(described, image)
+    except ConfigError as error:
+        raise ConfigError(f"{scene}: {error}") from None
     for note in table.attrs["notes"]:
         console.note(note)
     for remark in measurement.write(table, out):

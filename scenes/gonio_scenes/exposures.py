@@ -140,8 +140,8 @@ def _require_size(scene: Scene, path: Path, shape: tuple[int, ...]) -> None:
     camera = scene.camera
     if shape != (camera.height, camera.width):
         raise DataError(
-            f"{path}: has {shape[1]} x {shape[0]} pixels, and the scene's camera {camera.width} x {camera.height}: give "
-            "camera.width and camera.height of the picture as it was taken, neither cropped nor scaled"
+            f"{path}: has {shape[1]} x {shape[0]} pixels, and the scene's camera {camera.width} x {camera.height}: "
+            "give camera.width and camera.height of the picture as it was taken, neither cropped nor scaled"
         )
 
 
@@ -190,8 +190,10 @@ def _exr(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tuple
 
 def _nanometres(channel: str) -> float | None:
     """The wavelength of a spectral channel, as in "S0.550,000nm"."""
+    if not channel.endswith("nm"):
+        return None
     try:
-        return float(channel.removeprefix("S0.").removesuffix("nm").replace(",", ".")) if channel.endswith("nm") else None
+        return float(channel.removeprefix("S0.").removesuffix("nm").replace(",", "."))
     except ValueError:
         return None
 
@@ -202,8 +204,8 @@ def _one_of(channels: dict[str, Any], table: PhotographTable, path: Path) -> Flo
         return np.asarray(next(iter(channels.values())), np.float64)
     if table.channel is None or table.channel not in channels:
         raise ConfigError(
-            f"{path}: has the channels {', '.join(sorted(channels))}: say which is measured, as in photograph.channel = "
-            '"G"'
+            f"{path}: has the channels {', '.join(sorted(channels))}: say which is measured, as in "
+            'photograph.channel = "G"'
         )
     return np.asarray(channels[table.channel], np.float64)
 
@@ -228,8 +230,8 @@ def _tiff(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tupl
 def _plane(table: PhotographTable, path: Path, array: Any) -> Floats:
     if not np.issubdtype(array.dtype, np.floating):
         raise DataError(
-            f"{path}: holds {array.dtype}; linear radiances are floating-point numbers (what a camera's own JPEG or TIFF "
-            "holds is not linear: take the raw file)"
+            f"{path}: holds {array.dtype}; linear radiances are floating-point numbers (what a camera's own JPEG or "
+            "TIFF holds is not linear: take the raw file)"
         )
     if array.ndim == 3 and array.shape[2] == 3:
         return _one_of(dict(zip("RGB", np.moveaxis(array, 2, 0), strict=True)), table, path)

@@ -101,7 +101,9 @@ def _shape(scene: Scene) -> int:
         return 0
     listed = ", ".join(f'"{shape.name}"' for shape in shapes if shape.name) or "none: give them a name"
     if name is None:
-        raise ConfigError(f"photograph.shape is missing: say which of the {len(shapes)} shapes is measured; names: {listed}")
+        raise ConfigError(
+            f"photograph.shape is missing: say which of the {len(shapes)} shapes is measured; names: {listed}"
+        )
     if len(named) != 1:
         raise ConfigError(f'photograph.shape = "{name}": {len(named)} shapes have that name; names: {listed}')
     return named[0]
@@ -110,11 +112,11 @@ def _shape(scene: Scene) -> int:
 def _light(scene: Scene) -> Any:
     if scene.ambient is not None:
         raise ConfigError(
-            "light: ambient light cannot be told from the lamp's in one picture: take a second picture with the lamp off, "
-            "subtract it, and leave the ambient light out of the scene file"
+            "light: ambient light cannot be told from the lamp's in one picture: take a second picture with the lamp "
+            "off, subtract it, and leave the ambient light out of the scene file"
         )
     if len(scene.lights) != 1:
-        raise ConfigError(f"light: {len(scene.lights)} lights: which of them a pixel sees cannot be told; one is needed")
+        raise ConfigError(f"light: {len(scene.lights)} lights: which of them lit a pixel cannot be told; one is needed")
     if scene.polariser_deg is not None or scene.lights[0].polarisation is not None:
         raise ConfigError("polarisation: a photograph is reduced for unpolarised light alone")
     if not scene.lights[0].power[0] > 0.0:
@@ -240,7 +242,8 @@ class _Squares:
         """Mean of the eight neighbours: what is expected of a square, free of its own noise."""
         self.noise = self._noise(exposure, gain, used, cut, self.around)
         """Standard uncertainty of the mean."""
-        k, m = xx / size**2, yy / size**2  # mean - above gives the square itself 1 + k + m, and its neighbours -k/2, -m/2
+        # in mean - above the square itself counts 1 + k + m, and its neighbours -k/2 and -m/2
+        k, m = xx / size**2, yy / size**2
         weights = (1.0 + k + m) ** 2 + 0.5 * (k**2 + m**2)
         self.random = np.sqrt(weights * self.noise**2 + (UNSURE * self.above) ** 2 + doubt**2)
         """The same of `value`."""
@@ -394,8 +397,8 @@ def _table(
     notes += [f"{count} more squares have no directions above the horizon: {word}." for word, count in aside.items()]
     if any(name.startswith("unseen") for name in columns):
         notes.append(
-            f"The stated uncertainties turn directions by up to {unseen_deg:.2g} degrees to where this picture does not look; "
-            "what that may do is in the columns s_unseen."
+            f"The stated uncertainties turn directions by up to {unseen_deg:.2g} degrees to where this picture does "
+            "not look; what that may do is in the columns s_unseen."
         )
     if len(scene.world.shapes) > 1:
         notes.append("Light that the scene's other shapes reflect onto the sample is not subtracted.")
@@ -426,9 +429,7 @@ def _picked(seen: Seen, here: Mask) -> Seen:
 
 def _across_picture(vantage: Vantage, column: Floats, row: Floats) -> Floats:
     """d(normal)/d(column, row) of `Seen.normal`, (n, 3, 2) [1/px]."""
-    sides = [
-        vantage.at(column + x, row + y).normal for x, y in ((0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5))
-    ]
+    sides = [vantage.at(column + x, row + y).normal for x, y in ((0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5))]
     return np.stack([sides[0] - sides[1], sides[2] - sides[3]], axis=2)
 
 
@@ -458,7 +459,7 @@ def _common(
     if not moved:
         return out, 0.0
     slopes = _slopes(squares, used)
-    inverse = np.linalg.pinv(jacobian, rcond=FLAT)
+    inverse: Floats = np.asarray(np.linalg.pinv(jacobian, rcond=FLAT), np.float64)
     column, row = squares.column[used], squares.row[used]
     turned, opened = np.zeros(f.size), np.zeros(f.size)
     for name, both in moved.items():

@@ -1,4 +1,4 @@
-"""What `gonio render` writes: radiance.npz, picture.png and summary.json, picture.exr and photograph.dng if asked for."""
+"""What `gonio render` writes: radiance.npz, picture.png, summary.json; picture.exr and photograph.dng if asked for."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gonio.typing import Floats
 from gonio_scenes.lights import Disc, relative_power
 from gonio_scenes.render import Picture
 from gonio_scenes.scene import Scene
-from gonio_scenes.sensor import SATURATED, expose, require_size
+from gonio_scenes.sensor import SATURATED, expose
 
 Image = npt.NDArray[np.uint8]
 WHITE_SHARE = 0.99
@@ -57,8 +57,6 @@ def require_free(scene: Scene, out: Path, *, exr: bool) -> None:
     """Raise `ConfigError`, before any work, where the files cannot be written: somebody else's are there."""
     if exr:
         openexr()
-    if _photographed(scene):
-        require_size(scene.camera)
     more = [name for name, asked in (("picture.exr", exr), ("photograph.dng", _photographed(scene))) if asked]
     require_own(out, ["radiance.npz", "picture.png", "summary.json", *more])
 
@@ -69,7 +67,7 @@ def photograph(scene: Scene, picture: Picture) -> Frame:
     Raises
     ------
     ConfigError
-        The scene file names no sensor or no exposure, or the picture is too small for a raw file.
+        The scene file names no sensor or no exposure.
     """
     table = scene.tables.photograph
     if table is None or table.sensor is None or table.exposure_s is None:
@@ -78,9 +76,7 @@ def photograph(scene: Scene, picture: Picture) -> Frame:
 
 
 def _photographed(scene: Scene) -> bool:
-    """Whether a raw frame is asked for: an exposure and a sensor are named."""
-    table = scene.tables.photograph
-    return table is not None and table.sensor is not None and table.exposure_s is not None
+    return scene.tables.photograph is not None and scene.tables.photograph.simulated
 
 
 def _of_frame(scene: Scene, frame: Frame) -> dict[str, Any]:
@@ -173,7 +169,7 @@ def openexr() -> Any:
     try:
         import OpenEXR
     except ImportError:
-        raise ConfigError("--exr needs the package OpenEXR: pip install gonio[exr]") from None
+        raise ConfigError("EXR files need the package OpenEXR: pip install gonio[exr]") from None
     return OpenEXR
 
 

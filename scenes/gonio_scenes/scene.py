@@ -20,7 +20,7 @@ from gonio_scenes import lights, polarised
 from gonio_scenes.camera import Camera, CameraTable
 from gonio_scenes.lights import AmbientTable, Disc, Light, LightTable, PointLight, RigTable
 from gonio_scenes.material import Material, MaterialTable
-from gonio_scenes.sensor import SensorTable
+from gonio_scenes.sensor import SensorTable, require_size
 from gonio_scenes.shapes import AnyShape
 from gonio_scenes.spectra import MAX_WAVELENGTHS, Range, Wavelength
 from gonio_scenes.world import World
@@ -84,6 +84,17 @@ class PhotographTable(Strict):
     """Of a picture of linear radiances: standard deviation of a pixel, in units of radiance."""
     uncertainty: UncertaintyTable = UncertaintyTable()
 
+    @model_validator(mode="after")
+    def _sound(self) -> PhotographTable:
+        if self.exposure_s is not None and self.sensor is None:
+            raise ValueError("exposure_s is that of a simulated raw frame, which needs the table [photograph.sensor]")
+        return self
+
+    @property
+    def simulated(self) -> bool:
+        """Whether a raw frame is to be rendered."""
+        return self.exposure_s is not None
+
 
 class SceneFile(Strict):
     """A scene file, as it is written."""
@@ -121,8 +132,8 @@ class SceneFile(Strict):
             raise ValueError('light: kind = "rig" is the lamp of camera.rig, which is missing')
         if self.photograph is not None and len(waves) != 1:
             raise ValueError(
-                f"photograph: a raw frame is taken at one wavelength, and wavelength_nm holds {len(waves)}: write a scene "
-                "file a wavelength"
+                f"photograph: a raw frame is taken at one wavelength, and wavelength_nm holds {len(waves)}: write a "
+                "scene file a wavelength"
             )
         return self
 
@@ -194,6 +205,8 @@ def _built(tables: SceneFile, source: Path) -> Scene:
             polarised.require(material.model, f"material.{name}")
     world = World(shapes)
     camera = cameras.from_table(tables.camera, rig)
+    if tables.photograph is not None and tables.photograph.simulated:
+        require_size(camera)
     shining: list[Light] = []
     ambient: Floats | None = None
     for k, light in enumerate(tables.light):

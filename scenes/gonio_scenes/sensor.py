@@ -47,7 +47,9 @@ class SensorTable(Strict):
     def _sound(self) -> SensorTable:
         black, white = 64.0 if self.black_level_dn is None else self.black_level_dn, float(2**self.bits - 1)
         if black >= white:
-            raise ValueError(f"black_level_dn = {black:g} must lie below the highest value of {self.bits} bits, {white:g}")
+            raise ValueError(
+                f"black_level_dn = {black:g} must lie below the highest value of {self.bits} bits, {white:g}"
+            )
         return self
 
     def model(self, width: int, height: int) -> SensorModel:
@@ -80,18 +82,12 @@ def require_size(camera: Camera) -> None:
 
 
 def expose(sensor: SensorTable, camera: Camera, radiance: Floats, exposure_s: float, seed: int) -> Frame:
-    """The raw frame of radiances (height, width), with the noise of the simulated rig's camera.
-
-    Raises
-    ------
-    ConfigError
-        The picture is too small for a raw file.
-    """
-    from gonio.rig.protocols import Frame
+    """The raw frame of radiances (height, width), with the noise of the simulated rig's camera."""
     from gonio_sim.camera import Sensor
     from gonio_sim.world import Stream, key
 
-    require_size(camera)
+    from gonio.rig.protocols import Frame
+
     model = sensor.model(camera.width, camera.height)
     chip = Sensor(model, lambda stream: key(seed, stream))
     rate = radiance * sensor.responsivity_e_per_s * falloff(sensor, camera)

@@ -138,9 +138,8 @@ def displaced(
         _refuse(given.light_deg, "light_deg", "the light has a place: give light_mm")
         place = "position" if isinstance(light, PointLight) else "center"
         for name, step in _along("light", given.light_mm):
-            out[name] = _pair(
-                replace(vantage, light=replace(light, **{place: getattr(light, place) + sign * step})) for sign in (1, -1)
-            )
+            places = (getattr(light, place) + sign * step for sign in (1, -1))
+            out[name] = _pair(replace(vantage, light=replace(light, **{place: at})) for at in places)
     for name, step in _along("center", given.center_mm):
         out[name] = _pair(replace(vantage, shift=vantage.shift + sign * step) for sign in (1, -1))
     if given.radius_mm:
@@ -163,9 +162,8 @@ def displaced(
                 replace(vantage, camera=_turned(camera, one, other, math.radians(sign * degrees))) for sign in (1, -1)
             )
     if given.field_rel:
-        out["field"] = _pair(
-            replace(vantage, camera=replace(camera, step=camera.step * (1.0 + sign * given.field_rel))) for sign in (1, -1)
-        )
+        steps = (camera.step * (1.0 + sign * given.field_rel) for sign in (1, -1))
+        out["field"] = _pair(replace(vantage, camera=replace(camera, step=step)) for step in steps)
     return out
 
 

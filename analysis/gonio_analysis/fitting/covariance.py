@@ -16,9 +16,9 @@ import numpy.typing as npt
 from gonio.errors import ArgumentError
 from gonio.typing import Floats
 
-
 ADDED = ("dark", "black")
-"""Causes whose names begin so add to a value whatever it is: offsets of the sensor. All others change it in proportion."""
+"""Causes whose names begin so add to a value, whatever it is: offsets of a sensor. All others change it in proportion.
+"""
 
 
 @dataclass(frozen=True)

@@ -233,8 +233,8 @@ def together(several: Mapping[str, Observations]) -> Observations:
     if stated and len(stated) < len(several):
         silent = next(name for name in several if name not in stated)
         raise DataError(
-            f"{silent}: states no uncertainties, and {stated[0]} does: nothing says how the two weigh against each other; "
-            "fit them one by one, or give the first one a column u_brdf"
+            f"{silent}: states no uncertainties, and {stated[0]} does: nothing says how the two weigh against each "
+            "other; fit them one by one, or give the first one a column u_brdf"
         )
     each = list(several.values())
     ends = np.cumsum([len(one) for one in each])

@@ -36,8 +36,8 @@ def test_each_table_has_its_own_scale_error() -> None:
     both = together(parts)
     assert both.covariance is not None
     assert both.covariance.causes == ("scale@a", "scale@b")
-    # by hand: two estimates of variance u^2/n + s^2, weighted by it; the columns are scaled to where the search with the
-    # independent parts alone ends, which is the mean, 0.205
+    # by hand: two estimates of variance u^2/n + s^2, weighted by it; the columns are scaled to where the search with
+    # the independent parts alone ends, which is the mean, 0.205
     result = fit(both, "lambert")
     found = result.parameters["albedo"].value / math.pi
     variance = [1e-8 / 40 + (0.002 * 0.205 / 0.20) ** 2, 1e-8 / 40 + (0.004 * 0.205 / 0.21) ** 2]
