@@ -11,11 +11,11 @@ import numpy.typing as npt
 import pandas as pd
 import pytest
 from gonio_scenes import picture
-from gonio_scenes.photograph import FLAGS, reduce
+from gonio_scenes.photograph import reduce
 from gonio_scenes.render import render
 from gonio_scenes.scene import Scene
 
-from gonio import measurement, models
+from gonio import instrument, measurement, models
 from gonio.errors import GonioError
 from gonio.geometry import Directions
 from gonio.rig.dng import encode_dng
@@ -186,10 +186,6 @@ def test_rows_beside_an_edge_in_shadow_and_saturated_are_flagged(tmp_path: Path)
     assert 0 < table.attrs["source_solid_angle_sr"] < 2e-3
 
 
-def test_a_flag_is_stated_for_every_reason() -> None:
-    assert set(FLAGS) == {"limb", "below_horizon", "blocked", "saturated", "clamped"}
-
-
 def mosaic(values: npt.NDArray[np.uint16], pattern: str) -> bytes:
     """A raw file."""
     return encode_dng(Frame(values, 0.1, 64.0, 65535.0, pattern, time_s=0.0))
@@ -248,6 +244,30 @@ def test_a_cylinder_is_measured_too(tmp_path: Path) -> None:
     both = found.merge(off, on=["theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg"], suffixes=("", "_off"))
     change = both["brdf_off"] - both["brdf"]
     assert np.sqrt(np.mean((change - both["s_radius"]) ** 2)) < 0.06 * np.sqrt(np.mean(change**2))
+
+
+def test_a_rigs_camera_and_lamp_are_seen_through_their_cones(tmp_path: Path) -> None:
+    ball = {"kind": "sphere", "radius_mm": 8.0, "material": "m"}
+    camera = {"rig": "sim", "pose": {"light_deg": 30, "camera_deg": 20}, "samples": 16, "width": 96, "height": 72}
+    lamp = {"kind": "rig", "irradiance": 2.0, "samples": 4}
+    of = described(shape=[ball], camera=camera, light=[lamp], photograph={"noise_rel": 0.01, "bin": 3})
+    table = reduce(of, linear(tmp_path, of))
+    # lamp and lens of 0.5 degrees at 1 m, and up to 8 mm nearer
+    for which in ("source", "receiver"):
+        half = math.radians(0.5)
+        assert table.attrs[f"{which}_solid_angle_sr"] == pytest.approx(math.pi * half**2, rel=0.02)
+    found = good(table)
+    assert "mirror" in set(table["flag"])
+    model = models.build(GLOSSY["model"], GLOSSY["parameters"])
+    expected = instrument.apparent_brdf(
+        model,
+        *Directions.from_table(found).angles,
+        wavelength_nm=550.0,
+        source_solid_angle_sr=table.attrs["source_solid_angle_sr"],
+        receiver_solid_angle_sr=table.attrs["receiver_solid_angle_sr"],
+    )
+    # the noise of 16 rays a pixel, and the lens's blur
+    assert np.sqrt(np.mean((found["brdf"] / expected - 1.0) ** 2)) < 4e-3
 
 
 REFUSED: list[tuple[dict[str, Any], str]] = [
