@@ -13,6 +13,7 @@ import typer
 
 if TYPE_CHECKING:
     from gonio_analysis.fitting.fit import FitResult
+    from gonio_analysis.fitting.observations import Observations
     from gonio_analysis.fitting.parameters import Ior
     from gonio_analysis.fitting.profile_likelihood import Interval
 
@@ -43,6 +44,12 @@ def demo(
 def fit(
     table: Annotated[str, typer.Argument(metavar="TABLE", help="A table, a run, or FILE:SAMPLE.", show_default=False)],
     model: Annotated[str, typer.Option(help="Which model: he-torrance, cook-torrance, ...", show_default=False)],
+    more: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[MORE ...]", help="Tables of the same sample: all are fitted together.", show_default=False
+        ),
+    ] = None,
     ior: Annotated[str | None, typer.Option(help=IOR_HELP, show_default=False)] = None,
     fix: Annotated[
         list[str] | None, typer.Option(metavar="NAME=VALUE", help="Keep a parameter.", show_default=False)
@@ -71,24 +78,21 @@ def fit(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
-    """Fit one model to a measurement. With the table's covariance, and through the instrument's cones."""
+    """Fit one model to measurements of a sample. With the table's covariance, and through the instrument's cones."""
     import json
 
-    from gonio import measurement
-    from gonio.errors import ConfigError
     from gonio_analysis import result_records
     from gonio_analysis.fitting import parameters
     from gonio_analysis.fitting.fit import fit as run_fit
+    from gonio_analysis.fitting.observations import together
     from gonio_analysis.fitting.problem import FitRequest
 
     index = read_ior(ior)
     kept = dict(read_fixed(text) for text in fix or [])
     parameters.family(model, slopes=slopes, ior=index)
-    samples = measurement.tables(table)
-    if len(samples) > 1:
-        listed = "; ".join(samples)
-        raise ConfigError(f"{table} holds {len(samples)} samples: name one as {table}:SAMPLE, of: {listed}")
-    name, frame = next(iter(samples.items()))
+    tables = [table, *(more or [])]
+    read = [_observed(one) for one in tables]
+    name = read[0][0]
     asked = FitRequest(
         model,
         ior=index,
@@ -102,19 +106,45 @@ def fit(
         loss=loss,
         searches=searches,
     )
-    result = run_fit(frame, asked, name=str(table))
+    several = dict(zip(_short(tables), (data for _, data in read), strict=True))
+    result = run_fit(together(several), asked, name=" + ".join(tables))
     walked = {}
     if intervals:
         from gonio_analysis.fitting.profile_likelihood import profiles
 
         walked = profiles(result).intervals
     if as_json:
-        out = {**result.to_json(), "sample": name, "table": table}
+        out = {**result.to_json(), "sample": name, "table": tables if more else table}
         if intervals:
             out["intervals"] = {n: result_records.as_json(i.summary()) for n, i in walked.items()}
         print(json.dumps(out, indent=1, ensure_ascii=False))
     else:
         _print(result, name, walked)
+
+
+def _observed(table: str) -> tuple[str, Observations]:
+    """The one sample that a table on the command line names, and its usable values."""
+    from gonio import measurement
+    from gonio.errors import ConfigError
+    from gonio_analysis.fitting.observations import observations
+
+    samples = measurement.tables(table)
+    if len(samples) > 1:
+        listed = "; ".join(samples)
+        raise ConfigError(f"{table} holds {len(samples)} samples: name one as {table}:SAMPLE, of: {listed}")
+    name, frame = next(iter(samples.items()))
+    return name, observations(frame, table)
+
+
+def _short(tables: list[str]) -> list[str]:
+    """What messages call tables that are fitted together: their files' names, or their paths where those are alike."""
+    from gonio.errors import ConfigError
+
+    if len(set(tables)) < len(tables):
+        twice = next(table for table in tables if tables.count(table) > 1)
+        raise ConfigError(f"{twice}: is named twice; its values would count twice")
+    names = [Path(table).name.removesuffix(".csv") for table in tables]
+    return names if len(set(names)) == len(names) else tables
 
 
 def compare(

@@ -71,8 +71,9 @@ class FitSummary:
     weighting: str
     condition: float | None
     left_out: Mapping[str, int]
-    source_solid_angle_sr: float
-    receiver_solid_angle_sr: float
+    source_solid_angle_sr: float | None
+    """None where tables that are fitted together have different ones."""
+    receiver_solid_angle_sr: float | None
     convention: str
     notes: list[str]
     wall_s: float

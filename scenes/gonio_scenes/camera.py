@@ -140,6 +140,15 @@ class Camera:
             direction /= np.linalg.norm(direction, axis=1)[:, None]
         return origin, direction
 
+    def through(self, column: Floats, row: Floats) -> tuple[Floats, Floats]:
+        """Origins and unit directions (n, 3) of rays from the lens's centre through places of the picture.
+
+        Columns and rows are fractions of pixels, 0 the picture's left and upper edge, as in `project`.
+        """
+        x, y = (column - 0.5 * self.width) * self.step, (row - 0.5 * self.height) * self.step
+        direction = self.forward + x[:, None] * self.right + y[:, None] * self.down
+        return np.broadcast_to(self.position, direction.shape), direction / np.linalg.norm(direction, axis=1)[:, None]
+
     def project(self, point: Floats) -> tuple[Floats, Floats]:
         """Column and row (fractions of pixels, 0 the picture's left and upper edge) of points (n, 3) before the lens.
 

@@ -1,4 +1,4 @@
-"""The command `gonio render`. Nothing heavy is imported before it runs."""
+"""The commands `gonio render` and `gonio photograph`. Nothing heavy is imported before one runs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def render(
     if to is not None:
         _write(described, out, to, exr)
         return
-    picture.require_free(out, exr=exr)
+    picture.require_free(described, out, exr=exr)
     with console.counter("rendering") as step:
         result = rendered(described, step=step)
     picture.write(described, result, out, exr=exr, command=command_line())
@@ -59,3 +59,37 @@ def _write(scene: Scene, out: Path, to: str, exr: bool) -> None:
         console.note(f"{left['what']}: {left['why']}")
     for name in made.scenes:
         print(out / name)
+
+
+def photograph(
+    scene: Annotated[
+        Path, typer.Argument(metavar="SCENE", help="Scene file: camera, shape and light as known.", show_default=False)
+    ],
+    image: Annotated[
+        Path,
+        typer.Argument(
+            metavar="IMAGE", help="A raw frame, or linear radiances: .npz, .exr, .npy, .tif.", show_default=False
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="The measurement table to write (.csv).", show_default=False)],
+) -> None:
+    """Measure from a photograph of a curved sample. Every square of pixels becomes a row of a measurement table."""
+    from gonio import measurement
+    from gonio.cli import console
+    from gonio.errors import ConfigError
+    from gonio_scenes.photograph import reduce
+    from gonio_scenes.scene import read
+
+    described = read(scene)
+    try:
+        table = reduce(described, image)
+    except ConfigError as error:
+        raise ConfigError(f"{scene}: {error}") from None
+    for note in table.attrs["notes"]:
+        console.note(note)
+    for remark in measurement.write(table, out):
+        console.note(remark)
+    counts = table["flag"].value_counts()
+    used = int(counts.pop("")) if "" in counts else 0
+    aside = "".join(f", {count} {word}" for word, count in counts.items())
+    console.show(f"{out}: {used} values{aside}")

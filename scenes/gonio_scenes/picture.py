@@ -1,4 +1,4 @@
-"""What `gonio render` writes: radiance.npz, picture.png, picture.exr if asked for, and summary.json."""
+"""What `gonio render` writes: radiance.npz, picture.png, summary.json; picture.exr and photograph.dng if asked for."""
 
 from __future__ import annotations
 
@@ -15,10 +15,13 @@ import numpy.typing as npt
 from gonio import __version__
 from gonio.disk import require_own, write_own
 from gonio.errors import ConfigError
+from gonio.rig.dng import encode_dng
+from gonio.rig.protocols import Frame
 from gonio.typing import Floats
 from gonio_scenes.lights import Disc, relative_power
 from gonio_scenes.render import Picture
 from gonio_scenes.scene import Scene
+from gonio_scenes.sensor import SATURATED, expose
 
 Image = npt.NDArray[np.uint8]
 WHITE_SHARE = 0.99
@@ -34,11 +37,13 @@ def write(scene: Scene, picture: Picture, out: Path, *, exr: bool = False, comma
         The folder cannot be written, or holds files of the same name that somebody else made; OpenEXR is missing.
     """
     shown, white = display(scene, picture.radiance)
-    files = {
-        "radiance.npz": _npz(scene, picture),
-        "picture.png": _png(shown),
-        "summary.json": (json.dumps(summary(scene, picture, white, command), indent=2) + "\n").encode(),
-    }
+    told = summary(scene, picture, white, command)
+    files = {"radiance.npz": _npz(scene, picture), "picture.png": _png(shown)}
+    if _photographed(scene):
+        frame = photograph(scene, picture)
+        files["photograph.dng"] = encode_dng(frame)
+        told["photograph"] = _of_frame(scene, frame)
+    files["summary.json"] = (json.dumps(told, indent=2) + "\n").encode()
     if exr:
         files["picture.exr"] = _exr(scene, picture)
     try:
@@ -48,11 +53,44 @@ def write(scene: Scene, picture: Picture, out: Path, *, exr: bool = False, comma
         raise ConfigError(f"{out}: cannot be written: {error.strerror}") from None
 
 
-def require_free(out: Path, *, exr: bool) -> None:
+def require_free(scene: Scene, out: Path, *, exr: bool) -> None:
     """Raise `ConfigError`, before any work, where the files cannot be written: somebody else's are there."""
     if exr:
-        _openexr()
-    require_own(out, ["radiance.npz", "picture.png", "summary.json", *(["picture.exr"] if exr else [])])
+        openexr()
+    more = [name for name, asked in (("picture.exr", exr), ("photograph.dng", _photographed(scene))) if asked]
+    require_own(out, ["radiance.npz", "picture.png", "summary.json", *more])
+
+
+def photograph(scene: Scene, picture: Picture) -> Frame:
+    """The raw frame that the scene's sensor gives of a picture.
+
+    Raises
+    ------
+    ConfigError
+        The scene file names no sensor or no exposure.
+    """
+    table = scene.tables.photograph
+    if table is None or table.sensor is None or table.exposure_s is None:
+        raise ConfigError("photograph: a raw frame needs photograph.exposure_s and the table [photograph.sensor]")
+    return expose(table.sensor, scene.camera, picture.radiance[..., 0], table.exposure_s, table.seed)
+
+
+def _photographed(scene: Scene) -> bool:
+    return scene.tables.photograph is not None and scene.tables.photograph.simulated
+
+
+def _of_frame(scene: Scene, frame: Frame) -> dict[str, Any]:
+    table = scene.tables.photograph
+    assert table is not None
+    assert table.sensor is not None
+    full = min(frame.white_level_dn, frame.black_level_dn + table.sensor.full_well_e / table.sensor.electrons_per_dn)
+    limit = frame.black_level_dn + SATURATED * (full - frame.black_level_dn)
+    return {
+        "exposure_s": frame.exposure_s,
+        "seed": table.seed,
+        "largest_dn": int(frame.mosaic.max()),
+        "saturated_share": float(np.mean(frame.mosaic > limit)),
+    }
 
 
 def display(scene: Scene, radiance: Floats) -> tuple[Image, float]:
@@ -128,17 +166,18 @@ def _png(image: Image) -> bytes:
     return bytes(data)
 
 
-def _openexr() -> Any:
+def openexr() -> Any:
+    """The module OpenEXR, or `ConfigError` saying how to get it."""
     try:
         import OpenEXR
     except ImportError:
-        raise ConfigError("--exr needs the package OpenEXR: pip install gonio[exr]") from None
+        raise ConfigError("EXR files need the package OpenEXR: pip install gonio[exr]") from None
     return OpenEXR
 
 
 def _exr(scene: Scene, picture: Picture) -> bytes:
     """A float EXR with one channel a wavelength, named as spectral renderers name them."""
-    openexr = _openexr()
+    module = openexr()
     channels = {
         f"S0.{wave:.3f}nm".replace(".", ",").replace("S0,", "S0."): np.ascontiguousarray(
             picture.radiance[..., k].astype(np.float32)
@@ -147,8 +186,8 @@ def _exr(scene: Scene, picture: Picture) -> bytes:
     }
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "picture.exr"
-        header = {"compression": openexr.ZIP_COMPRESSION, "type": openexr.scanlineimage}
-        with openexr.File(header, channels) as file:
+        header = {"compression": module.ZIP_COMPRESSION, "type": module.scanlineimage}
+        with module.File(header, channels) as file:
             file.write(str(path))
         return path.read_bytes()
 
@@ -189,6 +228,8 @@ def left_out(scene: Scene) -> list[dict[str, str]]:
         add("sampling of lights", "every light has one direction at a point")
     elif scene.camera.noiseless and scene.tolerance == 0.0 and all(disc.samples == 1 for disc in discs):
         add("the size of discs of light", "samples = 1 and one ray a pixel: they light from their centre")
+    if not _photographed(scene):
+        add("a sensor's frame", "the scene names no photograph with a sensor and an exposure")
     if scene.camera.lens_radius == 0.0:
         add("depth of field", "the camera is a pinhole")
     if scene.camera.samples == 1 and scene.tolerance == 0.0:

@@ -21,6 +21,7 @@ from gonio_scenes import lights, polarised
 from gonio_scenes.camera import Camera, CameraTable
 from gonio_scenes.lights import AmbientTable, Disc, Light, LightTable, PointLight, RigTable
 from gonio_scenes.material import Material, MaterialTable
+from gonio_scenes.sensor import SensorTable, require_size
 from gonio_scenes.shapes import AnyShape
 from gonio_scenes.spectra import MAX_WAVELENGTHS, Range, Wavelength, table_or
 from gonio_scenes.world import World
@@ -36,6 +37,66 @@ class PictureTable(Strict):
     """Today's practice, or Cook and Torrance's: scaled as a whole, desaturated at constant dominant wavelength."""
 
 
+class UncertaintyTable(Strict):
+    """The table [photograph.uncertainty]: standard uncertainties of what a reduction takes for known."""
+
+    irradiance_rel: NonNegative = 0.0
+    """Of the absolute scale: the light's strength and the sensor's responsivity together."""
+    light_deg: NonNegative = 0.0
+    """Of a directional light, along each of two axes across its direction."""
+    light_mm: NonNegative = 0.0
+    """Of the place of a point or a disc of light, along x, y and z each."""
+    center_mm: NonNegative = 0.0
+    """Of the shape's place, along x, y and z each."""
+    radius_mm: NonNegative = 0.0
+    camera_mm: NonNegative = 0.0
+    """Of the camera's place, along x, y and z each; it goes on looking in the same direction."""
+    pointing_deg: NonNegative = 0.0
+    """Of the camera's turn to the right, and of that upward."""
+    roll_deg: NonNegative = 0.0
+    """Of the camera's turn about its axis."""
+    field_rel: NonNegative = 0.0
+    """Of the size of a pixel on the plane at distance 1: the focal length."""
+    black_level_dn: NonNegative = 0.0
+
+
+class PhotographTable(Strict):
+    """The table [photograph]: the sensor behind the lens, and how its frames are reduced."""
+
+    sensor: SensorTable | None = None
+    """Needed for raw frames, simulated or real."""
+    exposure_s: Positive | None = None
+    """Of the simulated frame; a raw file says its own."""
+    seed: Annotated[int, Field(ge=0, lt=1 << 63)] = 0
+    """Of the simulated frame's noise."""
+    shape: str | None = None
+    """The name of the shape that is measured; a scene of one shape need not say it."""
+    channel: Literal["R", "G", "B"] | None = None
+    """The channel of a colour mosaic, or of a picture in three colours."""
+    bin: Annotated[int, Field(ge=1, le=512)] | None = None
+    """Pixels along a side of the squares that become rows; otherwise as many as make about 4000 squares."""
+    limb_px: Annotated[int, Field(ge=0, le=512)] = 2
+    """Pixels nearer than this to an edge of the shape are not used."""
+    theta_max_deg: Annotated[float, Field(gt=0, le=90)] = 80.0
+    """Directions nearer to grazing are not used."""
+    noise_rel: NonNegative | None = None
+    """Of a picture of linear radiances: standard deviation of a pixel, relative."""
+    noise: NonNegative | None = None
+    """Of a picture of linear radiances: standard deviation of a pixel, in units of radiance."""
+    uncertainty: UncertaintyTable = UncertaintyTable()
+
+    @model_validator(mode="after")
+    def _sound(self) -> PhotographTable:
+        if self.exposure_s is not None and self.sensor is None:
+            raise ValueError("exposure_s is that of a simulated raw frame, which needs the table [photograph.sensor]")
+        return self
+
+    @property
+    def simulated(self) -> bool:
+        """Whether a raw frame is to be rendered."""
+        return self.exposure_s is not None
+
+
 class SceneFile(Strict):
     """A scene file, as it is written."""
 
@@ -46,6 +107,7 @@ class SceneFile(Strict):
     material: dict[str, MaterialTable]
     light: tuple[LightTable, ...]
     picture: PictureTable = PictureTable()
+    photograph: PhotographTable | None = None
     mirror_depth: Annotated[int, Field(ge=0, le=64)] = 4
     """How many mirror rays follow each other at most."""
     tolerance: NonNegative = 0.0
@@ -74,6 +136,11 @@ class SceneFile(Strict):
             raise ValueError("light: one ambient light is all: add their radiances")
         if self.camera.rig is None and any(isinstance(light, RigTable) for light in self.light):
             raise ValueError('light: kind = "rig" is the lamp of camera.rig, which is missing')
+        if self.photograph is not None and len(waves) != 1:
+            raise ValueError(
+                f"photograph: a raw frame is taken at one wavelength, and wavelength_nm holds {len(waves)}: write a "
+                "scene file a wavelength"
+            )
         return self
 
     def waves(self) -> tuple[float, ...]:
@@ -150,6 +217,8 @@ def _built(tables: SceneFile, source: Path) -> Scene:
             polarised.require(material.model, f"material.{name}")
     world = World(shapes)
     camera = cameras.from_table(tables.camera, rig)
+    if tables.photograph is not None and tables.photograph.simulated:
+        require_size(camera)
     shining: list[Light] = []
     ambient: Floats | None = None
     for k, light in enumerate(tables.light):

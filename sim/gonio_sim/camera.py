@@ -24,7 +24,7 @@ THREADS = max(1, min(2, os.cpu_count() or 1))
 
 
 class Sensor:
-    """A sensor with its own fixed differences between pixels, drawn from the seed alone.
+    """A sensor with its own fixed differences between pixels; `key` gives the start of each one's random numbers.
 
     The order of effects is that of EMVA 1288: photo-electrons (with PRNU) and dark electrons are counted, with shot
     noise; the well fills up; dark offset (DSNU) and read noise are added; the gain makes DN above the black level; the
@@ -36,7 +36,7 @@ class Sensor:
         The description asks for unquantised levels in a raw file that cannot hold them.
     """
 
-    def __init__(self, camera: Camera, world: World) -> None:
+    def __init__(self, camera: Camera, key: Callable[[Stream], np.uint64]) -> None:
         if not camera.quantised and camera.bits != 16:
             raise ConfigError(
                 f"camera.quantised = false with camera.bits = {camera.bits}: a raw file holds whole numbers; "
@@ -45,7 +45,7 @@ class Sensor:
         self._camera = camera
         self._size = camera.width * camera.height
         self._pool: ThreadPoolExecutor | None = None
-        self._world = world
+        self._key = key
         self._maps: tuple[Floats32, Floats32] | None = None
         self._dark = np.zeros(self._size, np.float32)
 
@@ -101,7 +101,7 @@ class Sensor:
 
         out = np.full(self._size, centre, np.float32)
         if deviation > 0.0:
-            key = self._world.key(stream)
+            key = self._key(stream)
             self._in_parts(lambda first, last: normals(key, first, last, deviation, centre, out))
         return out
 
@@ -126,7 +126,7 @@ class SimulatedCamera:
     def __init__(self, world: World, renderer: Renderer) -> None:
         self._world = world
         self._renderer = renderer
-        self._sensor = Sensor(world.description.camera, world)
+        self._sensor = Sensor(world.description.camera, world.key)
 
     def capture(self, exposure_s: float) -> Frame:
         """One frame of what the world looks like now.

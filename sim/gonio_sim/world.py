@@ -125,7 +125,7 @@ class World:
 
     def key(self, stream: Stream, *address: int) -> np.uint64:
         """64 bits that start a counter-based generator for one whole frame or map."""
-        return np.uint64(np.random.SeedSequence([self.seed, stream, *address]).generate_state(1, np.uint64)[0])
+        return key(self.seed, stream, *address)
 
     def _generator(self, stream: Stream, *address: int) -> np.random.Generator:
         return np.random.default_rng([self.seed, stream, *address])
@@ -135,6 +135,11 @@ class World:
         if not self.open:
             name = self.description.name
             raise DeviceError(f'the {device} of the simulated rig "{name}" is not open: enter the rig first')
+
+
+def key(seed: int, stream: Stream, *address: int) -> np.uint64:
+    """64 bits that start a counter-based generator, a function of a seed and an address."""
+    return np.uint64(np.random.SeedSequence([seed, stream, *address]).generate_state(1, np.uint64)[0])
 
 
 def slot_s(description: RigDescription) -> float:

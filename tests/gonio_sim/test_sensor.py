@@ -32,7 +32,7 @@ QUIET: dict[str, Any] = {
 
 def sensor(seed: int = 3, **changes: Any) -> Sensor:
     description = describe("sim", camera=QUIET | {"bits": 16, "electrons_per_dn": 0.25, "full_well_e": 15000} | changes)
-    return Sensor(description.camera, World(description, None, seed))
+    return Sensor(description.camera, World(description, None, seed).key)
 
 
 def electrons(of: Sensor, mean: float | None, exposure_s: float = 1.0, key: int = 1) -> npt.NDArray[np.float64]:
@@ -150,7 +150,7 @@ def test_same_frame_whatever_the_number_of_threads(monkeypatch: pytest.MonkeyPat
     rate = np.linspace(0, 12_000, PIXELS, dtype=np.float32).reshape(SHAPE)
 
     def frame() -> npt.NDArray[np.uint16]:
-        of = Sensor(camera, World(describe("sim"), None, 8))
+        of = Sensor(camera, World(describe("sim"), None, 8).key)
         mosaic = of.read_out(rate, 1.0, 1.0, np.uint64(77))
         of.close()
         return mosaic
@@ -175,4 +175,4 @@ def test_frames_of_different_keys_are_independent() -> None:
 
 def test_unquantised_levels_need_sixteen_bits() -> None:
     with pytest.raises(ConfigError, match=r"camera\.quantised = false with camera\.bits = 12"):
-        Sensor(Camera(quantised=False), World(describe("sim"), None, 1))
+        Sensor(Camera(quantised=False), World(describe("sim"), None, 1).key)

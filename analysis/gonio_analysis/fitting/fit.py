@@ -153,8 +153,8 @@ class FitResult:
             weighting=self.weighting,
             condition=finite(self.condition),
             left_out=self.data.left_out,
-            source_solid_angle_sr=self.data.source_solid_angle_sr,
-            receiver_solid_angle_sr=self.data.receiver_solid_angle_sr,
+            source_solid_angle_sr=finite(self.data.source_solid_angle_sr),
+            receiver_solid_angle_sr=finite(self.data.receiver_solid_angle_sr),
             convention=self.model.convention,
             notes=list(self.notes),
             wall_s=self.wall_s,
@@ -201,6 +201,7 @@ def fit(
         start = [{n: known[n.partition("@")[0]] for n in problem.free}]
     else:
         data, wavelength, notes = _one_wavelength(data, asked.wavelength_nm, problem.family, name)
+    _require_parts(data, wavelength)
     names = problem.free
     if len(data) <= len(names):
         at = "" if math.isnan(wavelength) else f" at {wavelength:g} nm"
@@ -244,8 +245,30 @@ def fit(
         spread=spread,
         goal=goal,
     )
-    notes += _identifiability(result)
+    notes += _by_part(result) + _identifiability(result)
     return replace(result, notes=[*data.notes, *notes], wall_s=time.perf_counter() - began)
+
+
+def _require_parts(data: Observations, wavelength_nm: float) -> None:
+    """Refuse tables without a value at the wavelength of the fit, which would be left out in silence."""
+    for k, part in enumerate(data.parts):
+        if not (data.part == k).any():
+            at = "in a broad band" if math.isnan(wavelength_nm) else f"at {wavelength_nm:g} nm"
+            raise DataError(
+                f"{part.name}: has no value {at}, where the tables are fitted together; choose another with "
+                "--wavelength-nm, or fit all wavelengths with --joint"
+            )
+
+
+def _by_part(result: FitResult) -> list[str]:
+    """How well each of several tables is described."""
+    if result.chi_square is None:
+        return []
+    out = []
+    for k, part in enumerate(result.data.parts):
+        white = result.whitened[: len(result.data)][result.data.part == k]
+        out.append(f"{part.name}: chi-square {float(white @ white):.4g} of {white.size} values.")
+    return out
 
 
 def _together(

@@ -35,7 +35,7 @@ def _alone(model: Any, wavelength_nm: float) -> Any:
     return model.models[wavelength_nm] if isinstance(model, ByWavelength) else model
 
 
-def apparent(model: Any, at: Observations, *, quick: bool = False, rules: list[Rules] | None = None) -> Floats:
+def apparent(model: Any, at: Observations, *, quick: bool = False, rules: list[Rules | None] | None = None) -> Floats:
     """The BRDF [1/sr] that the instrument of a table sees of `model` in its directions.
 
     Averaged over the cones of source and receiver, the specular spike carried through the integral
@@ -44,25 +44,33 @@ def apparent(model: Any, at: Observations, *, quick: bool = False, rules: list[R
     (see `averaging`) averages it as was found good for a like model.
     """
     out = np.empty(len(at))
-    for k, (wavelength, rows, cones) in enumerate(at.cones):
-        out[rows] = _value(
-            _alone(model, wavelength), cones, wavelength, pointlike(at), quick, None if rules is None else rules[k]
+    for k, here in enumerate(at.cones):
+        out[here.rows] = _value(
+            _alone(model, here.wavelength_nm),
+            here.cones,
+            here.wavelength_nm,
+            here.pointlike,
+            quick,
+            None if rules is None else rules[k],
         )
     return out
 
 
-def averaging(model: Any, at: Observations) -> list[Rules] | None:
+def averaging(model: Any, at: Observations) -> list[Rules | None] | None:
     """How the averages over the cones are taken for `model`; None where there are no cones."""
     if pointlike(at):
         return None
     return [
-        cones.rules(_alone(model, wavelength), wavelength_nm=_known(wavelength)) for wavelength, _, cones in at.cones
+        None
+        if here.pointlike
+        else here.cones.rules(_alone(model, here.wavelength_nm), wavelength_nm=_known(here.wavelength_nm))
+        for here in at.cones
     ]
 
 
 def pointlike(at: Observations) -> bool:
-    """Whether both cones are directions."""
-    return at.source_solid_angle_sr == at.receiver_solid_angle_sr == 0.0
+    """Whether all cones are directions."""
+    return all(here.pointlike for here in at.cones)
 
 
 def seen(

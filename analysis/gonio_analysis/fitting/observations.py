@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -27,11 +27,32 @@ LARGEST = 1e30
 
 
 @dataclass(frozen=True)
+class Part:
+    """One of several tables that are fitted together."""
+
+    name: str
+    source_solid_angle_sr: float
+    receiver_solid_angle_sr: float
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Values of one wavelength that one instrument measured, for the forward model."""
+
+    wavelength_nm: float
+    rows: Any
+    cones: Cones
+    pointlike: bool
+    """Whether both cones are directions."""
+
+
+@dataclass(frozen=True)
 class Observations:
     """The usable values of one sample, in the order of the table.
 
     `brdf` and everything of `covariance` are 1/sr. `wavelength_nm` is NaN in a broad band.
-    `covariance` is None where the table states no uncertainty.
+    `covariance` is None where the table states no uncertainty. Solid angles are NaN where tables that are fitted
+    together have different ones.
     """
 
     directions: Directions
@@ -46,6 +67,10 @@ class Observations:
     """Why rows of the table are not here -> the wavelengths [nm] of those rows."""
     notes: tuple[str, ...] = ()
     """Sentences for a person about what was assumed."""
+    parts: tuple[Part, ...] = ()
+    """The tables that are fitted together; none where there is one."""
+    part: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
+    """Which of `parts` each value is from; empty where there is one table."""
 
     def __len__(self) -> int:
         return int(self.brdf.size)
@@ -66,22 +91,30 @@ class Observations:
         return [float(w) for w in np.unique(self.wavelength_nm)]
 
     @cached_property
-    def cones(self) -> list[tuple[float, Any, Cones]]:
-        """Of each wavelength [nm]: the values that have it, and their directions, prepared for the forward model."""
+    def cones(self) -> list[Prepared]:
+        """The values of each wavelength and instrument, and their directions, prepared for the forward model."""
         from gonio.instrument import LOBE_TOLERANCE, Cones
 
         out = []
-        for wavelength in self.wavelengths:
-            rows = np.isnan(self.wavelength_nm) if np.isnan(wavelength) else self.wavelength_nm == wavelength
-            here = slice(None) if rows.all() else rows
-            cones = Cones(
-                *self.directions[here].angles,
-                source_solid_angle_sr=self.source_solid_angle_sr,
-                receiver_solid_angle_sr=self.receiver_solid_angle_sr,
-                spike="exact",
-                tolerance=LOBE_TOLERANCE,
-            )
-            out.append((wavelength, here, cones))
+        own = Part("", self.source_solid_angle_sr, self.receiver_solid_angle_sr)
+        for number, part in enumerate(self.parts or (own,)):
+            of_part = self.part == number if self.parts else np.ones(len(self), dtype=bool)
+            for wavelength in self.wavelengths:
+                rows = of_part & (
+                    np.isnan(self.wavelength_nm) if np.isnan(wavelength) else self.wavelength_nm == wavelength
+                )
+                if not rows.any():
+                    continue
+                here = slice(None) if rows.all() else rows
+                cones = Cones(
+                    *self.directions[here].angles,
+                    source_solid_angle_sr=part.source_solid_angle_sr,
+                    receiver_solid_angle_sr=part.receiver_solid_angle_sr,
+                    spike="exact",
+                    tolerance=LOBE_TOLERANCE,
+                )
+                pointlike = part.source_solid_angle_sr == part.receiver_solid_angle_sr == 0.0
+                out.append(Prepared(wavelength, here, cones, pointlike))
         return out
 
     def __getstate__(self) -> dict[str, Any]:
@@ -91,7 +124,8 @@ class Observations:
         """Some of the values."""
         arrays = ("directions", "wavelength_nm", "brdf", "rows")
         covariance = self.covariance.take(rows) if self.covariance is not None else None
-        return replace(self, covariance=covariance, **{name: getattr(self, name)[rows] for name in arrays})
+        taken = {name: getattr(self, name)[rows] for name in (*arrays, *(("part",) if self.parts else ()))}
+        return replace(self, covariance=covariance, **taken)
 
     def at(self, wavelength_nm: float) -> Observations:
         """The values at one of `wavelengths` (NaN: the broad band)."""
@@ -181,6 +215,60 @@ def observations(table: pd.DataFrame, name: str = "the table") -> Observations:
         omitted=omitted,
         notes=tuple(notes),
     )
+
+
+def together(several: Mapping[str, Observations]) -> Observations:
+    """The values of several tables of one sample as one, by name: each with its own instrument and its own causes.
+
+    A cause is common to the rows of its table alone, and is called CAUSE@TABLE.
+
+    Raises
+    ------
+    DataError
+        Some tables state uncertainties and others do not: nothing says how they weigh against each other.
+    """
+    if len(several) == 1:
+        return next(iter(several.values()))
+    stated = [name for name, one in several.items() if one.covariance is not None]
+    if stated and len(stated) < len(several):
+        silent = next(name for name in several if name not in stated)
+        raise DataError(
+            f"{silent}: states no uncertainties, and {stated[0]} does: nothing says how the two weigh against each "
+            "other; fit them one by one, or give the first one a column u_brdf"
+        )
+    each = list(several.values())
+    ends = np.cumsum([len(one) for one in each])
+    covariance = None
+    if stated:
+        blocks = [one.covariance for one in each if one.covariance is not None]
+        common = np.zeros((int(ends[-1]), sum(len(block.causes) for block in blocks)))
+        causes: list[str] = []
+        for name, block, end in zip(several, blocks, ends, strict=True):
+            rows = slice(end - block.random.size, end)
+            common[rows, len(causes) : len(causes) + len(block.causes)] = block.common
+            causes += [f"{cause}@{name}" for cause in block.causes]
+        covariance = Covariance(np.concatenate([block.random for block in blocks]), common, tuple(causes))
+    return Observations(
+        directions=Directions(*np.concatenate([np.stack(one.directions.angles) for one in each], axis=1)),
+        wavelength_nm=np.concatenate([one.wavelength_nm for one in each]),
+        brdf=np.concatenate([one.brdf for one in each]),
+        covariance=covariance,
+        rows=np.concatenate([one.rows for one in each]),
+        source_solid_angle_sr=_shared([one.source_solid_angle_sr for one in each]),
+        receiver_solid_angle_sr=_shared([one.receiver_solid_angle_sr for one in each]),
+        omitted={
+            f"{reason} in {name}": waves for name, one in several.items() for reason, waves in one.omitted.items()
+        },
+        notes=tuple(f"{name}: {note}" for name, one in several.items() for note in one.notes),
+        parts=tuple(
+            Part(name, one.source_solid_angle_sr, one.receiver_solid_angle_sr) for name, one in several.items()
+        ),
+        part=np.repeat(np.arange(len(each)), [len(one) for one in each]),
+    )
+
+
+def _shared(values: Sequence[float]) -> float:
+    return values[0] if len(set(values)) == 1 else float("nan")
 
 
 def describe_left_out(left_out: Mapping[str, int]) -> str:

@@ -156,7 +156,7 @@ def derivatives(
     vector: Floats,
     *,
     quick: bool = False,
-    rules: list[Rules] | None = None,
+    rules: list[Rules | None] | None = None,
     only: Iterable[int] | None = None,
 ) -> Floats:
     """d(model)/d(search scale), (n, p); `only` names the columns, `quick` and `rules` are those of `apparent`.

@@ -16,6 +16,10 @@ import numpy.typing as npt
 from gonio.errors import ArgumentError
 from gonio.typing import Floats
 
+ADDED = ("dark", "black")
+"""Causes whose names begin so add to a value, whatever it is: offsets of a sensor. All others change it in proportion.
+"""
+
 
 @dataclass(frozen=True)
 class Covariance:
@@ -89,11 +93,12 @@ class Covariance:
     def scaled(self, factor: Floats) -> Covariance:
         """The covariance with the common part of value i times `factor[i]`.
 
-        The effect of a common cause is proportional to the true value. Columns that were computed from measured, noisy
-        values pull a fit toward low values (Peelle's puzzle); once a model is fitted, `factor` = fitted / measured
-        takes that pull away.
+        The effect of most common causes is proportional to the true value. Columns that were computed from measured,
+        noisy values pull a fit toward low values (Peelle's puzzle); once a model is fitted, `factor` = fitted /
+        measured takes that pull away. What is `ADDED` holds no measured value, and would take up its noise.
         """
-        return Covariance(self.random, self.common * factor[:, None], self.causes)
+        added = np.array([cause.startswith(ADDED) for cause in self.causes], dtype=bool)
+        return Covariance(self.random, self.common * np.where(added, 1.0, factor[:, None]), self.causes)
 
     def take(self, rows: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Covariance:
         """The covariance of some of the values."""

@@ -1,0 +1,243 @@
+"""Pictures that can be measured: raw frames, and files of linear radiances, with the noise of each pixel."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.disk import read_file
+from gonio.errors import ConfigError, DataError
+from gonio.typing import Floats
+from gonio_scenes.sensor import SATURATED, falloff
+
+if TYPE_CHECKING:
+    from gonio_scenes.scene import PhotographTable, Scene
+
+Mask = npt.NDArray[np.bool_]
+SAME_NM = 1e-3
+"""Wavelengths are the same: EXR channels are named to a thousandth of a nanometre."""
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """A picture whose values are in proportion to radiance. Arrays are (height, width).
+
+    The variance of a pixel that is expected to have the value s is `shot` s + `constant` + (`relative` s)^2; where
+    `step` is above its noise, the rounding of neighbours is alike.
+    """
+
+    value: Floats
+    """Electrons above the dark signal, or radiances."""
+    per_radiance: Floats
+    """Value of the radiance 1."""
+    used: Mask
+    """Pixels of the channel that is measured."""
+    saturated: Mask
+    clamped: Mask
+    """Pixels at the converter's lower end, where noise is cut off."""
+    shot: float
+    constant: Floats | float
+    relative: float
+    step: float = 0.0
+    """One DN, in units of `value`."""
+    described: tuple[tuple[str, Any], ...] = ()
+    """For the provenance."""
+
+
+def read(scene: Scene, path: str | Path) -> Exposure:
+    """Read the picture of a scene: a raw frame, or linear radiances as .npz, .exr, .npy or .tif.
+
+    Raises
+    ------
+    ConfigError
+        The scene file does not say what the picture needs.
+    DataError
+        The file is missing, damaged, of another size than the scene's camera, or holds no linear values.
+    """
+    path = Path(path)
+    table = scene.tables.photograph
+    if table is None:
+        raise ConfigError("the table [photograph] is missing: it names the sensor, and the uncertainties of the scene")
+    try:
+        data = read_file(path)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
+    kind = _READERS.get(path.suffix.lower())
+    if kind is None:
+        return _raw(scene, table, path, data)
+    radiance, u = kind(scene, table, path, data)
+    return _linear(scene, table, path, radiance, u)
+
+
+def _raw(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> Exposure:
+    from gonio.rig.dng import read_raw
+
+    sensor = table.sensor
+    if sensor is None:
+        raise ConfigError(f"{path}: a raw frame needs the table [photograph.sensor], and the scene file has none")
+    frame = read_raw(path, data)
+    _require_size(scene, path, frame.mosaic.shape)
+    used = np.ones(frame.mosaic.shape, dtype=bool)
+    if frame.pattern != "mono":
+        if table.channel is None:
+            raise ConfigError(
+                f"{path}: is a colour mosaic ({frame.pattern}): say which channel is measured, as in "
+                'photograph.channel = "G"'
+            )
+        cell = np.array([letter == table.channel for letter in frame.pattern]).reshape(2, 2)
+        rows, columns = frame.mosaic.shape
+        used = np.tile(cell, (-(-rows // 2), -(-columns // 2)))[:rows, :columns]
+    elif table.channel is not None:
+        raise ConfigError(f'photograph.channel = "{table.channel}": {path} has no colours; leave the key out')
+    black = frame.black_level_dn if sensor.black_level_dn is None else sensor.black_level_dn
+    gain = sensor.electrons_per_dn
+    full = min(frame.white_level_dn, black + sensor.full_well_e / gain)
+    dark = sensor.dark_current_e_per_s * frame.exposure_s
+    return Exposure(
+        value=np.asarray((frame.mosaic - black) * gain - dark, np.float64),
+        per_radiance=sensor.responsivity_e_per_s * frame.exposure_s * falloff(sensor, scene.camera),
+        used=used,
+        saturated=frame.mosaic > black + SATURATED * (full - black),
+        clamped=frame.mosaic == 0,
+        shot=1.0 if sensor.photon_noise else 0.0,
+        constant=sensor.read_noise_e**2 + sensor.dsnu_e**2 + (dark if sensor.photon_noise else 0.0),
+        relative=sensor.prnu,
+        step=gain,
+        described=(("exposure_s", frame.exposure_s), ("black_level_dn", black), ("pattern", frame.pattern)),
+    )
+
+
+def _linear(scene: Scene, table: PhotographTable, path: Path, radiance: Floats, u: Floats | None) -> Exposure:
+    _require_size(scene, path, radiance.shape)
+    if u is None and table.noise is None and table.noise_rel is None:
+        raise ConfigError(
+            f"{path}: does not say the noise of its values: give photograph.noise_rel or photograph.noise (0 for a "
+            "picture without noise)"
+        )
+    constant = np.full(radiance.shape, (table.noise or 0.0) ** 2)
+    if u is not None:
+        constant += np.where(np.isfinite(u), u, 0.0) ** 2
+    known = np.isfinite(radiance)
+    return Exposure(
+        value=np.where(known, radiance, 0.0),
+        per_radiance=np.ones(radiance.shape),
+        used=np.ones(radiance.shape, dtype=bool),
+        saturated=~known,
+        clamped=np.zeros(radiance.shape, dtype=bool),
+        shot=0.0,
+        constant=constant,
+        relative=table.noise_rel or 0.0,
+    )
+
+
+def _require_size(scene: Scene, path: Path, shape: tuple[int, ...]) -> None:
+    camera = scene.camera
+    if shape != (camera.height, camera.width):
+        raise DataError(
+            f"{path}: has {shape[1]} x {shape[0]} pixels, and the scene's camera {camera.width} x {camera.height}: "
+            "give camera.width and camera.height of the picture as it was taken, neither cropped nor scaled"
+        )
+
+
+# --- files of linear radiances ---------------------------------------------------------------------------------------
+
+
+def _npz(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tuple[Floats, Floats | None]:
+    """`radiance.npz` of `gonio render`."""
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+            radiance, waves = (np.asarray(arrays[name], np.float64) for name in ("radiance", "wavelength_nm"))
+            u = np.asarray(arrays["u_radiance"], np.float64) if "u_radiance" in arrays else None
+    except (ValueError, OSError, KeyError, zipfile.BadZipFile, EOFError) as error:
+        raise DataError(f"{path}: is no radiance.npz of gonio render: {error}") from None
+    if radiance.ndim != 3 or waves.shape != radiance.shape[2:] or (u is not None and u.shape != radiance.shape):
+        raise DataError(f"{path}: radiance has the shape {radiance.shape}; (height, width, wavelengths) is needed")
+    k = _wavelength(scene, path, waves)
+    return radiance[..., k], None if u is None else u[..., k]
+
+
+def _wavelength(scene: Scene, path: Path, waves: Floats) -> int:
+    goal = float(scene.wavelength_nm[0])
+    found = np.flatnonzero(np.abs(waves - goal) < SAME_NM)
+    if not found.size:
+        listed = ", ".join(f"{wave:g}" for wave in waves[:8])
+        raise DataError(f"{path}: has no radiances at wavelength_nm = {goal:g} of the scene; it has {listed}")
+    return int(found[0])
+
+
+def _exr(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tuple[Floats, None]:
+    from gonio_scenes.picture import openexr
+
+    module = openexr()
+    try:
+        with module.File(str(path), separate_channels=True) as file:
+            channels = {name: np.asarray(channel.pixels) for name, channel in file.channels().items()}
+    except (RuntimeError, OSError, ValueError, TypeError) as error:
+        raise DataError(f"{path}: cannot be read as EXR: {error}") from None
+    spectral = {name: _nanometres(name) for name in channels}
+    waves = [(nm, name) for name, nm in spectral.items() if nm is not None]
+    if waves:
+        k = _wavelength(scene, path, np.array([nm for nm, _ in waves]))
+        return np.asarray(channels[waves[k][1]], np.float64), None
+    return _one_of(channels, table, path), None
+
+
+def _nanometres(channel: str) -> float | None:
+    """The wavelength of a spectral channel, as in "S0.550,000nm"."""
+    if not channel.endswith("nm"):
+        return None
+    try:
+        return float(channel.removeprefix("S0.").removesuffix("nm").replace(",", "."))
+    except ValueError:
+        return None
+
+
+def _one_of(channels: dict[str, Any], table: PhotographTable, path: Path) -> Floats:
+    """The channel that is measured, of a picture in colours or in one."""
+    if len(channels) == 1:
+        return np.asarray(next(iter(channels.values())), np.float64)
+    if table.channel is None or table.channel not in channels:
+        raise ConfigError(
+            f"{path}: has the channels {', '.join(sorted(channels))}: say which is measured, as in "
+            'photograph.channel = "G"'
+        )
+    return np.asarray(channels[table.channel], np.float64)
+
+
+def _npy(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tuple[Floats, None]:
+    try:
+        array = np.load(io.BytesIO(data), allow_pickle=False)
+    except (ValueError, OSError, EOFError) as error:
+        raise DataError(f"{path}: cannot be read as an array: {error}") from None
+    return _plane(table, path, array), None
+
+
+def _tiff(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tuple[Floats, None]:
+    import cv2
+
+    array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if array is None:
+        raise DataError(f"{path}: cannot be read as TIFF")
+    return _plane(table, path, array[..., ::-1] if array.ndim == 3 else array), None  # OpenCV's order is B, G, R
+
+
+def _plane(table: PhotographTable, path: Path, array: Any) -> Floats:
+    if not np.issubdtype(array.dtype, np.floating):
+        raise DataError(
+            f"{path}: holds {array.dtype}; linear radiances are floating-point numbers (what a camera's own JPEG or "
+            "TIFF holds is not linear: take the raw file)"
+        )
+    if array.ndim == 3 and array.shape[2] == 3:
+        return _one_of(dict(zip("RGB", np.moveaxis(array, 2, 0), strict=True)), table, path)
+    if array.ndim != 2:
+        raise DataError(f"{path}: has the shape {array.shape}; (height, width) or (height, width, 3) is needed")
+    return np.asarray(array, np.float64)
+
+
+_READERS = {".npz": _npz, ".exr": _exr, ".npy": _npy, ".tif": _tiff, ".tiff": _tiff}

@@ -1,0 +1,504 @@
+"""A photograph of a curved sample as a measurement: every square of pixels is a row of a measurement table.
+
+See docs/photograph.md for the design, and for what is neglected and how small that is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio import __version__, geometry
+from gonio.errors import ConfigError, DataError
+from gonio.typing import Floats
+from gonio_scenes import exposures
+from gonio_scenes.exposures import Exposure
+from gonio_scenes.scene import Scene
+from gonio_scenes.vantage import Seen, Vantage, displaced
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+ROWS = 4000
+"""About so many squares are made where the file does not say how large they are."""
+BLOCK = 1 << 17
+"""Pixels that are traced together."""
+EDGE_DEG = 10.0
+"""Normals of neighbouring pixels that differ by more lie on either side of an edge."""
+FLAT = 0.05
+"""Directions in which the normal changes this much less than in the steepest one do not count as a gradient."""
+LOW = 0.05
+"""Quantile of the values that counts as their level far from the lobe."""
+LEVEL_SLOPE, LOBE_SLOPE = 0.3, 0.5
+"""How f may change with half the angle between light and viewer [1/rad], the lobe by 2 tan of it more: what microfacet
+models do through 1 / (cos theta_i cos theta_r). docs/photograph.md has the slopes of random samples."""
+STILL = 1e-5
+"""Turns of the normal [rad] that are left out: what a sphere's picture has by its perspective."""
+UNSURE = 0.1
+"""Share of a square's correction for its curvature that is taken as uncertain: what the next order may be."""
+FLAGS = ("limb", "below_horizon", "blocked", "saturated", "clamped")
+"""Why a pixel is not used; a square takes the first that one of its pixels has."""
+
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class _Pixels:
+    """The whole picture, (height, width)."""
+
+    received: Floats
+    """Irradiance on the surface, NaN off the shape."""
+    why: npt.NDArray[np.int8]
+    """1 + the place in `FLAGS` of why a pixel is not used, 0 where it is, -1 off the shape."""
+
+
+def reduce(scene: Scene, image: str | Path) -> pd.DataFrame:
+    """The measurement table of a photograph of a scene.
+
+    Parameters
+    ----------
+    scene
+        Where camera, shape and light are taken to be; its materials are not looked at.
+    image
+        A raw frame, or linear radiances as .npz, .exr, .npy or .tif (`gonio_scenes.exposures`).
+
+    Raises
+    ------
+    ConfigError
+        The scene does not say what is needed, or holds light that cannot be told from that of its one lamp.
+    DataError
+        The picture is missing, damaged or of another size, or not one square of it can be used.
+    """
+    which = _shape(scene)
+    table = scene.tables.photograph
+    vantage = Vantage(scene.camera, _light(scene), scene.world.shapes[which], np.zeros(3))
+    exposure = exposures.read(scene, image)
+    if table is None:  # `exposures.read` has refused it
+        raise ConfigError("the table [photograph] is missing")
+    moved = displaced(vantage, scene.tables.shape[which], scene.folder, table.uncertainty)
+    pixels = _looked_at(scene, vantage, which, exposure, table.limb_px)
+    seen = pixels.why >= 0
+    if not (seen & exposure.used).any():
+        raise DataError(f"{image}: the camera of the scene does not see the shape that is measured")
+    size = table.bin or max(1, math.ceil(math.sqrt(np.count_nonzero(seen) / ROWS)))
+    if table.channel is not None and size % 2 and not exposure.used.all():
+        size += 1  # a square of a mosaic holds whole cells
+    squares = _Squares(pixels, exposure, size, scene.camera.samples > 1)
+    return _table(scene, Path(image), exposure, vantage, moved, squares, table.theta_max_deg)
+
+
+def _shape(scene: Scene) -> int:
+    shapes, table = scene.tables.shape, scene.tables.photograph
+    name = table.shape if table is not None else None
+    named = [k for k, shape in enumerate(shapes) if shape.name == name]
+    if name is None and len(shapes) == 1:
+        return 0
+    listed = ", ".join(f'"{shape.name}"' for shape in shapes if shape.name) or "none: give them a name"
+    if name is None:
+        raise ConfigError(
+            f"photograph.shape is missing: say which of the {len(shapes)} shapes is measured; names: {listed}"
+        )
+    if len(named) != 1:
+        raise ConfigError(f'photograph.shape = "{name}": {len(named)} shapes have that name; names: {listed}')
+    return named[0]
+
+
+def _light(scene: Scene) -> Any:
+    if scene.ambient is not None:
+        raise ConfigError(
+            "light: ambient light cannot be told from the lamp's in one picture: take a second picture with the lamp "
+            "off, subtract it, and leave the ambient light out of the scene file"
+        )
+    if len(scene.lights) != 1:
+        raise ConfigError(f"light: {len(scene.lights)} lights: which of them lit a pixel cannot be told; one is needed")
+    if scene.polariser_deg is not None or scene.lights[0].polarisation is not None:
+        raise ConfigError("polarisation: a photograph is reduced for unpolarised light alone")
+    if not scene.lights[0].power[0] > 0.0:
+        raise ConfigError("light[1]: is dark")
+    return scene.lights[0]
+
+
+# --- every pixel -----------------------------------------------------------------------------------------------------
+
+
+def _looked_at(scene: Scene, vantage: Vantage, which: int, exposure: Exposure, margin: int) -> _Pixels:
+    """What every pixel's centre sees, and why some are not used."""
+    camera = scene.camera
+    count = camera.pixels
+    received = np.full(count, np.nan)
+    normal = np.full((count, 3), np.nan)
+    low, hidden = np.zeros(count, bool), np.zeros(count, bool)
+    for first in range(0, count, BLOCK):
+        pixel = np.arange(first, min(first + BLOCK, count))
+        row, column = np.divmod(pixel, camera.width)
+        origin, direction = camera.through(column + 0.5, row + 0.5)
+        hits = scene.world.hit(origin, direction)
+        own = np.flatnonzero(hits.shape == which)
+        if not own.size:
+            continue
+        hits = hits.picked(own)
+        at = pixel[own]
+        received[at] = vantage.received(hits.position, hits.facing)
+        normal[at] = hits.facing
+        for toward, distance in vantage.edges(hits.position):
+            low[at] |= np.einsum("ij,ij->i", toward, hits.facing) <= 0.0
+            if scene.world.casts_shadows:
+                hidden[at] |= scene.world.blocked(toward, distance, hits, np.arange(hits.shape.size))
+    shape = (camera.height, camera.width)
+    seen = np.isfinite(received).reshape(shape)
+    reasons = (
+        _near_edge(seen, normal.reshape(*shape, 3), margin),
+        low.reshape(shape),
+        hidden.reshape(shape),
+        exposure.saturated,
+        exposure.clamped,
+    )
+    why = np.zeros(shape, np.int8)
+    for k, here in reversed(list(enumerate(reasons))):
+        why[here] = k + 1
+    why[~seen] = -1
+    return _Pixels(received.reshape(shape), why)
+
+
+def _near_edge(seen: Mask, normal: Floats, margin: int) -> Mask:
+    """Pixels within a margin of where the shape ends, of an edge of it, or of the picture's own edge."""
+    from scipy.ndimage import binary_dilation
+
+    edge = ~seen
+    with np.errstate(invalid="ignore"):
+        for axis in (0, 1):
+            near, far = np.moveaxis(normal, axis, 0)[:-1], np.moveaxis(normal, axis, 0)[1:]
+            apart = np.einsum("ijk,ijk->ij", near, far) < math.cos(math.radians(EDGE_DEG))
+            along = np.moveaxis(edge, axis, 0)
+            along[:-1] |= apart
+            along[1:] |= apart
+    return np.asarray(binary_dilation(edge, np.ones((3, 3)), iterations=margin) if margin else edge)
+
+
+# --- squares of pixels -----------------------------------------------------------------------------------------------
+
+
+class _Squares:
+    """Means over squares of pixels, on a grid (rows, columns); NaN where a pixel of one is not used.
+
+    Parameters
+    ----------
+    pixels, exposure
+        The picture.
+    size
+        Pixels along a side.
+    whole
+        Whether a pixel sees the mean over its area, and not its centre's radiance.
+    """
+
+    def __init__(self, pixels: _Pixels, exposure: Exposure, size: int, whole: bool) -> None:
+        self.size = size
+        height, width = (n // size for n in pixels.why.shape)
+
+        def cut(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+            whole = array[: height * size, : width * size].reshape(height, size, width, size)
+            return whole.swapaxes(1, 2).reshape(height, width, size * size)
+
+        used = cut(exposure.used)
+        why = np.where(used, cut(pixels.why), 0)
+        self.of_shape = (np.where(used, cut(pixels.why), -1) >= 0).any(axis=2)
+        """Squares that see something of the shape."""
+        worst = np.where(why == -1, 1, why)
+        first = np.where(worst > 0, worst, 127).min(axis=2)
+        self.why = np.where(first == 127, 0, first)
+        """As in `_Pixels`; a square that the shape's limb goes through counts as the limb."""
+        good = self.why == 0
+        count = used.sum(axis=2)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self.count = np.where(count > 0, count, 1)
+            per_value = cut(exposure.per_radiance) * cut(pixels.received)
+            gain = np.where(used & (per_value > 0.0), 1.0 / per_value, 0.0)  # 0 off the shape too
+            value = np.where(used, cut(exposure.value), 0.0)
+            self.mean = np.where(good, (gain * value).sum(axis=2) / self.count, np.nan)
+        per_value = np.where(good, gain.sum(axis=2) / self.count, np.nan)
+        row, column = (n.reshape(1, 1, -1) for n in np.divmod(np.arange(size * size), size))
+
+        def over(place: npt.NDArray[Any]) -> Floats:
+            return np.asarray((used * place).sum(axis=2) / self.count)
+
+        y, x = over(row), over(column)
+        self.row = np.arange(height)[:, None] * size + y + 0.5
+        """Where the middle of its used pixels lies; 0 is the picture's upper edge."""
+        self.column = np.arange(width)[None, :] * size + x + 0.5
+        area = 1.0 / 12.0 if whole else 0.0
+        xx, yy, xy = over(column**2) - x**2 + area, over(row**2) - y**2 + area, over(row * column) - x * y
+        self.above = _curved(self.mean, (xx, yy, xy), size)
+        """By how much the mean lies above the value in the middle, from second differences."""
+        self.per_value = per_value - _curved(per_value, (xx, yy, xy), size)
+        """BRDF [1/sr] of a picture whose pixels all have the value 1."""
+        doubt = _curved(self.mean, (np.full_like(xx, 1 / 12), np.full_like(yy, 1 / 12), np.zeros_like(xy)), size)
+        self.around = _around(self.mean)
+        """Mean of the eight neighbours: what is expected of a square, free of its own noise."""
+        self.noise = self._noise(exposure, gain, used, cut, self.around)
+        """Standard uncertainty of the mean."""
+        # in mean - above the square itself counts 1 + k + m, and its neighbours -k/2 and -m/2
+        k, m = xx / size**2, yy / size**2
+        weights = (1.0 + k + m) ** 2 + 0.5 * (k**2 + m**2)
+        self.random = np.sqrt(weights * self.noise**2 + (UNSURE * self.above) ** 2 + doubt**2)
+        """The same of `value`."""
+        self.value = self.mean - self.above
+        """The BRDF in the middle [1/sr]; NaN too where a neighbour has none."""
+
+    def _noise(
+        self, exposure: Exposure, gain: Floats, used: Mask, cut: Callable[[Any], Any], expected: Floats
+    ) -> Floats:
+        """The sensor's noise, from what the square's neighbours say of its signal and not from its own noisy one."""
+        constant = cut(np.broadcast_to(exposure.constant, exposure.value.shape))
+        f = np.maximum(expected, 0.0)
+        steady = (gain**2 * np.where(used, constant, 0.0)).sum(axis=2)
+        light = exposure.shot * f * gain.sum(axis=2) + (exposure.relative * f) ** 2 * self.count
+        rounding = exposure.step**2 / 12.0 * (gain**2).sum(axis=2)
+        # pixels that are alike within half a step round alike
+        alike = steady + light < 0.25 * exposure.step**2 * (gain**2).sum(axis=2)
+        variance = steady + light + np.where(alike, rounding * self.count, rounding)
+        return np.asarray(np.sqrt(variance) / self.count)
+
+
+def _shifted(grid: Floats, down: int, right: int) -> Floats:
+    """The grid's values so many squares below and to the right, NaN beyond its edge."""
+    out = np.full_like(grid, np.nan)
+    height, width = grid.shape
+    to, of = (
+        tuple(slice(max(0, s * n), m + min(0, s * n)) for n, m in ((down, height), (right, width))) for s in (-1, 1)
+    )
+    out[to] = grid[of]
+    return out
+
+
+def _curved(mean: Floats, moments: tuple[Floats, Floats, Floats], size: int) -> Floats:
+    """What second moments (columns, rows, both) [px^2] add to a mean, from second differences of a grid."""
+    xx, yy, xy = moments
+    along = _shifted(mean, 0, 1) + _shifted(mean, 0, -1) - 2.0 * mean
+    across = _shifted(mean, 1, 0) + _shifted(mean, -1, 0) - 2.0 * mean
+    both = _shifted(mean, 1, 1) + _shifted(mean, -1, -1) - _shifted(mean, 1, -1) - _shifted(mean, -1, 1)
+    return np.asarray((0.5 * xx * along + 0.5 * yy * across + 0.25 * xy * both) / size**2)
+
+
+def _around(mean: Floats) -> Floats:
+    """The mean of the eight neighbours."""
+    return np.asarray(sum(_shifted(mean, *step) for step in _RING) / len(_RING))
+
+
+_RING = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if (down, right) != (0, 0))
+
+
+@dataclass(frozen=True)
+class _Slopes:
+    """The logarithm (asinh) of squares' values around their middles, as a quadratic in pixels."""
+
+    small: float
+    level: Floats
+    gradient: Floats
+    """(n, 2): along columns and rows."""
+    hessian: Floats
+    """(n, 3): columns, rows, both."""
+
+    def moved(self, step: Floats) -> Floats:
+        """The BRDF [1/sr] at places (n, 2) [px] beside the middles."""
+        x, y = step.T
+        bend = 0.5 * (self.hessian[:, 0] * x**2 + self.hessian[:, 1] * y**2) + self.hessian[:, 2] * x * y
+        return np.asarray(2.0 * self.small * np.sinh(self.level + (self.gradient * step).sum(axis=1) + bend))
+
+
+def _slopes(squares: _Squares, used: Mask) -> _Slopes:
+    """The quadratic of least squares through 3 x 3 squares."""
+    value, size = squares.mean, float(squares.size)
+    small = max(3.0 * float(np.median(squares.noise[used])), 1e-6 * float(np.abs(value[used]).max()), 1e-300)
+    log = np.arcsinh(value / (2.0 * small))
+    at = {(r, c): _shifted(log, r, c) for r in (-1, 0, 1) for c in (-1, 0, 1)}
+    rows = [(at[r, -1], at[r, 0], at[r, 1]) for r in (-1, 0, 1)]
+    columns = [(at[-1, c], at[0, c], at[1, c]) for c in (-1, 0, 1)]
+    x, y = (np.mean([b - a for a, _, b in lines], axis=0) / (2.0 * size) for lines in (rows, columns))
+    xx, yy = (np.mean([a + b - 2.0 * m for a, m, b in lines], axis=0) / size**2 for lines in (rows, columns))
+    xy = (at[1, 1] + at[-1, -1] - at[1, -1] - at[-1, 1]) / (4.0 * size**2)
+    return _Slopes(
+        small,
+        np.arcsinh(squares.value[used] / (2.0 * small)),
+        np.stack([x[used], y[used]], axis=1),
+        np.stack([xx[used], yy[used], xy[used]], axis=1),
+    )
+
+
+# --- the table -------------------------------------------------------------------------------------------------------
+
+
+def _table(
+    scene: Scene,
+    image: Path,
+    exposure: Exposure,
+    vantage: Vantage,
+    moved: dict[str, tuple[Vantage, Vantage]],
+    squares: _Squares,
+    theta_max_deg: float,
+) -> pd.DataFrame:
+    import pandas as pd
+
+    given = scene.tables.photograph
+    assert given is not None
+    there = np.flatnonzero(squares.of_shape)
+    seen = vantage.at(squares.column.flat[there], squares.row.flat[there])
+    omega_i, omega_r = seen.omega_i, seen.omega_r
+    flag = np.array(["", *FLAGS], dtype=object)[squares.why.flat[there]]
+    value, random = squares.value.flat[there], squares.random.flat[there]
+    flag[(flag == "") & ~seen.met] = "limb"
+    grazing = np.minimum(omega_i[:, 2], omega_r[:, 2]) <= math.cos(math.radians(theta_max_deg))
+    flag[(flag == "") & grazing] = "grazing"
+    flag[(flag == "") & ~np.isfinite(value)] = "beside_unused"
+    jacobian = _across_picture(vantage, squares.column.flat[there], squares.row.flat[there])
+    cones = _cones(scene, vantage, squares, there)
+    turn = 2.0 * squares.size / math.sqrt(2.0) * np.linalg.norm(jacobian, axis=(1, 2))
+    from_mirror = geometry.angle_between(geometry.mirrored(omega_r), omega_i)
+    flag[(flag == "") & (from_mirror < cones[0] + cones[1] + turn)] = "mirror"
+    shown = seen.met & (np.minimum(omega_i[:, 2], omega_r[:, 2]) > 0.0)
+    good = flag == ""
+    if not good.any():
+        counts = ", ".join(f"{np.count_nonzero(flag == word)} {word}" for word in sorted(set(flag)))
+        raise DataError(f"{image}: not one of {flag.size} squares of {squares.size} pixels can be used: {counts}")
+
+    grid = np.zeros(squares.of_shape.shape, bool)
+    grid.flat[there[good]] = True
+    stated = given.uncertainty.model_dump()
+    columns, unseen_deg = _common(squares, grid, exposure, stated, moved, _picked(seen, good), jacobian[good])
+    if columns:  # the limb may come past a square before a cause has moved by one standard deviation
+        whole = np.isfinite(np.stack(list(columns.values()))).all(axis=0)
+        flag[np.flatnonzero(good)[~whole]] = "limb"
+        good, columns = flag == "", {name: column[whole] for name, column in columns.items()}
+    numbers = np.full((len(columns) + 2, flag.size), np.nan)
+    numbers[0], numbers[1] = np.where(good, value, np.nan), np.where(good, random, np.nan)
+    for k, name in enumerate(columns):
+        numbers[2 + k, good] = columns[name]
+    angles = [np.degrees(a) for omega in (omega_i, omega_r) for a in geometry.angles(np.nan_to_num(omega))]
+    frame = pd.DataFrame(
+        {
+            **dict(zip(("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg"), angles, strict=True)),
+            "wavelength_nm": float(scene.wavelength_nm[0]),
+            "polarisation": "unpolarised",
+            "brdf": numbers[0],
+            "u_brdf": np.sqrt((numbers[1:] ** 2).sum(axis=0)),
+            "u_random": numbers[1],
+            **{f"s_{name}": numbers[2 + k] for k, name in enumerate(columns)},
+            "flag": flag,
+        }
+    )[shown].reset_index(drop=True)
+    frame["flag"] = frame["flag"].astype(str)
+    aside = {str(word): int(np.count_nonzero(flag[~shown] == word)) for word in sorted(set(flag[~shown]))}
+    notes = [f"Each row is the mean over {squares.size} x {squares.size} pixels, brought to its middle."]
+    notes += [f"{count} more squares have no directions above the horizon: {word}." for word, count in aside.items()]
+    if any(name.startswith("unseen") for name in columns):
+        notes.append(
+            f"The stated uncertainties turn directions by up to {unseen_deg:.2g} degrees to where this picture does "
+            "not look; what that may do is in the columns s_unseen."
+        )
+    if len(scene.world.shapes) > 1:
+        notes.append("Light that the scene's other shapes reflect onto the sample is not subtracted.")
+    source = float(np.median(cones[0][good]))
+    frame.attrs.update(
+        quantity="brdf",
+        source_solid_angle_sr=float(geometry.solid_angle_of_cone(source)),
+        receiver_solid_angle_sr=float(geometry.solid_angle_of_cone(cones[1])),
+        bands=[],
+        polarisation="unpolarised",
+        source_file=str(image),
+        sample=scene.name,
+        provenance={
+            "reduced_by": f"gonio {__version__}",
+            "scene": scene.name,
+            "pixels_a_square": squares.size,
+            **dict(exposure.described),
+            "standard_uncertainties": {n: u for n, u in stated.items() if u},
+        },
+        notes=notes,
+    )
+    return frame
+
+
+def _picked(seen: Seen, here: Mask) -> Seen:
+    return Seen(*(getattr(seen, name)[here] for name in Seen.__dataclass_fields__))
+
+
+def _across_picture(vantage: Vantage, column: Floats, row: Floats) -> Floats:
+    """d(normal)/d(column, row) of `Seen.normal`, (n, 3, 2) [1/px]."""
+    sides = [vantage.at(column + x, row + y).normal for x, y in ((0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5))]
+    return np.stack([sides[0] - sides[1], sides[2] - sides[3]], axis=2)
+
+
+def _cones(scene: Scene, vantage: Vantage, squares: _Squares, there: npt.NDArray[np.intp]) -> tuple[Floats, float]:
+    """Half-angles [rad] of the light, of each square, and of the lens."""
+    origin, direction = scene.camera.through(squares.column.flat[there], squares.row.flat[there])
+    hits = scene.world.hit(origin, direction)
+    return vantage.half_angles(hits.position)
+
+
+def _common(
+    squares: _Squares,
+    used: Mask,
+    exposure: Exposure,
+    given: dict[str, float],
+    moved: dict[str, tuple[Vantage, Vantage]],
+    seen: Seen,
+    jacobian: Floats,
+) -> tuple[dict[str, Floats], float]:
+    """Cause -> what one standard deviation of it does to each value [1/sr]; and the angle [deg] of `_unseen`."""
+    f = squares.value[used]
+    out: dict[str, Floats] = {}
+    if given["irradiance_rel"]:
+        out["irradiance"] = f * given["irradiance_rel"]
+    if given["black_level_dn"] and exposure.step:
+        out["black_level"] = given["black_level_dn"] * exposure.step * squares.per_value[used]
+    if not moved:
+        return out, 0.0
+    slopes = _slopes(squares, used)
+    inverse: Floats = np.asarray(np.linalg.pinv(jacobian, rcond=FLAT), np.float64)
+    column, row = squares.column[used], squares.row[used]
+    turned, opened = np.zeros(f.size), np.zeros(f.size)
+    for name, both in moved.items():
+        ends, turns, angles = [], [], []
+        for end in both:
+            other = end.at(column, row)
+            change = other.normal - seen.normal
+            step = np.einsum("nij,nj->ni", inverse, change)
+            beyond = change - np.einsum("nij,nj->ni", jacobian, step)
+            beyond -= np.einsum("ni,ni->n", beyond, seen.normal)[:, None] * seen.normal  # unit vectors stay so
+            turns.append(np.linalg.norm(beyond, axis=1))
+            angles.append(other.difference)
+            ends.append(slopes.moved(step) * other.received / seen.received)
+        out[name] = 0.5 * (ends[0] - ends[1])
+        turned += (0.5 * (turns[0] + turns[1])) ** 2
+        opened += (0.5 * (angles[0] - angles[1])) ** 2
+    widest = math.degrees(math.sqrt(float(np.nanmax(opened + turned))))
+    turned, opened = np.asarray(np.sqrt(turned)), np.asarray(np.sqrt(opened))
+    return out | _unseen(squares, used, slopes, inverse, seen, turned, opened), widest
+
+
+def _unseen(
+    squares: _Squares, used: Mask, slopes: _Slopes, inverse: Floats, seen: Seen, turned: Floats, opened: Floats
+) -> dict[str, Floats]:
+    """What all causes together may do in directions that the picture does not hold [1/sr].
+
+    `opened` [rad] is the change of half the angle between light and viewer, which is nearly the same in the whole
+    picture. What it does to f is, for all models here, close to a f + b (f - f_low) with f_low the level far from the
+    lobe; a and b are unknown. `turned` [rad] is a turn of the normal that no place of the picture has, as along a
+    cylinder; f may change with it as fast as along the picture.
+    """
+    f = squares.value[used]
+    low = float(np.quantile(squares.around[used], LOW))
+    tangent = np.tan(seen.difference)
+    out = {
+        "unseen_level": LEVEL_SLOPE * opened * f,
+        "unseen_lobe": (LOBE_SLOPE + 2.0 * tangent) * opened * f * (1.0 - low / squares.around[used]),
+    }
+    if float(turned.max()) > STILL:
+        steep = np.einsum("ni,nij->nj", slopes.gradient, inverse)
+        out["unseen_turn"] = math.sqrt(float(np.mean(steep**2))) * turned * f
+    return {name: column for name, column in out.items() if np.any(np.abs(column) > 0.0)}
