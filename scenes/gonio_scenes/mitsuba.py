@@ -90,6 +90,7 @@ def write(scene: Scene, out: Path, command: str = "") -> Export:
     ConfigError
         As `export`; or the folder cannot be written, or holds files of the same name that somebody else made.
     """
+    require_own(out, ["summary.json"])
     made = export(scene)
     summary = {
         "name": scene.name,
@@ -102,7 +103,6 @@ def write(scene: Scene, out: Path, command: str = "") -> Export:
     files = made.files | {"summary.json": (json.dumps(summary, indent=2) + "\n").encode()}
     try:
         out.mkdir(parents=True, exist_ok=True)
-        require_own(out, files)
         write_own(out, files)
     except OSError as error:
         raise ConfigError(f"{out}: cannot be written: {error.strerror}") from None
@@ -282,24 +282,26 @@ class _Writer:
 
     # --- shapes -----------------------------------------------------------------------------------------------------
 
-    def _meshes(self) -> dict[int, str]:
-        """The files of the shapes that are written as triangles."""
+    def _meshes(self) -> dict[int, tuple[str, bool]]:
+        """The files of the shapes that are written as triangles, and whether they are smooth."""
         out = {}
         for k, (shape, table) in enumerate(zip(self.scene.world.shapes, self.scene.tables.shape, strict=True)):
             parts = _triangles(shape, table.kind)
             if parts is not None:
-                out[k] = f"shape-{k + 1}.ply"
-                self.files[out[k]] = _ply(*parts)
+                out[k] = f"shape-{k + 1}.ply", parts[1] is not None
+                self.files[out[k][0]] = _ply(*parts)
                 if isinstance(shape, Analytic):
                     self._say(f"shape[{k + 1}] ({table.kind}): its curve", f"{TURN} flat facets around the axis")
         return out
 
-    def _shape(self, root: ElementTree.Element, k: int, meshes: dict[int, str]) -> None:
+    def _shape(self, root: ElementTree.Element, k: int, meshes: dict[int, tuple[str, bool]]) -> None:
         shape, table = self.scene.world.shapes[k], self.scene.tables.shape[k]
         material = table.material
         if k in meshes:
             made = _add(root, "shape", "ply")
-            _put(made, "string", "filename", meshes[k])
+            file, smooth = meshes[k]
+            _put(made, "string", "filename", file)
+            _put(made, "boolean", "face_normals", "false" if smooth else "true")
             _refer(made, material)
             return
         if not isinstance(shape, Analytic):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -12,10 +13,13 @@ import numpy as np
 import pytest
 from gonio_scenes import mitsuba
 from gonio_scenes.commands import render as command
+from gonio_scenes.shapes.shape import Ints
+from gonio_scenes.world import World
 
 from gonio.errors import ConfigError
 from gonio.formats.rgl import Measured
 from gonio.models import Phong
+from gonio.typing import Floats
 from tests.gonio_scenes.scenes import SPHERE, scene
 
 SMALL = {"nodes": 24, "incidences": 12}
@@ -128,6 +132,50 @@ def test_a_surface_of_revolution_becomes_triangles_on_it() -> None:
     outward = np.einsum("ij,ij->i", rows[cone, :2], rows[cone, 3:5]) / radius[cone]
     np.testing.assert_allclose(outward, 4.0 / math.sqrt(17.0), rtol=1e-6)
     np.testing.assert_allclose(rows[z == 0.0][:10, 5], -1.0, rtol=1e-6)
+
+
+@dataclass(frozen=True)
+class Triangles:
+    """A shape that is a triangle, which no ray of the camera meets."""
+
+    normals: Any
+    vertices: Floats = field(default_factory=lambda: 10.0 * np.eye(3))
+    faces: Ints = field(default_factory=lambda: np.array([[0, 1, 2]]))
+    convex: bool = True
+    closed: bool = False
+    has_uv: bool = False
+    size_mm: float = 20.0
+
+    def intersect(self, origin: Floats, direction: Floats, nearest: float) -> tuple[Floats, Ints]:
+        return np.full(len(origin), np.inf), np.zeros(len(origin), np.int64)
+
+    def surface(self, origin: Floats, direction: Floats, distance: Floats, primitive: Ints) -> Any:
+        raise NotImplementedError
+
+    def contains(self, point: Any) -> bool:
+        return False
+
+
+@dataclass(frozen=True)
+class PerCorner:
+    values: Floats
+    faces: Ints
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_triangles_are_written_with_the_normals_that_they_have(smooth: bool) -> None:
+    """Mitsuba makes normals up where a file has none, unless it is told not to."""
+    up = PerCorner(np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 3), np.int64))
+    world = World([Triangles(up if smooth else None)])
+    made = mitsuba.export(replace(scene(), world=world))
+    flat = xml(made).find("shape[@type='ply']/boolean[@name='face_normals']")
+    assert flat is not None
+    assert flat.attrib["value"] == ("false" if smooth else "true")
+    body = made.files["shape-1.ply"].partition(b"end_header\n")[2]
+    rows = np.frombuffer(body, "<f4", 18 if smooth else 9).reshape(3, -1)
+    np.testing.assert_array_equal(rows[:, :3], 10.0 * np.eye(3))
+    np.testing.assert_array_equal(rows[:, 3:], [[0.0, 0.0, 1.0]] * 3 if smooth else np.empty((3, 0)))
+    assert body[rows.nbytes :] == b"\x03" + np.arange(3, dtype="<i4").tobytes()
 
 
 @pytest.mark.parametrize(

@@ -217,7 +217,7 @@ def drawn(s: SceneBench) -> list[Figure]:
         axes.set_xlabel("seconds", fontsize=8)
         axes.set_ylabel("root mean square error", fontsize=8)
         axes.grid(True, color=FAINT, lw=0.4)
-        axes.tick_params(labelsize=7.5)
+        axes.tick_params(which="both", labelsize=7.5)
         axes.legend(fontsize=7.5, frameon=False)
 
     caption = (

@@ -126,11 +126,26 @@ CASES: dict[str, dict[str, Any]] = {
         "material": {"m": {"model": "he-torrance", "parameters": {"sigma0_um": 0.0, "tau_um": 2.0, "ior": "Al"}}},
         "light": [scenes.LAMP],
     },
+    "copper at three wavelengths": {
+        "shape": [FLOOR, BALL],
+        "material": {
+            "m": scenes.METALS["Cook-Torrance, copper"],
+            "floor": {"model": "lambert",
+                      "parameters": {"albedo": {"wavelength_nm": [400, 700], "value": [0.1, 0.7]}}},
+        },
+        "light": [scenes.SUN | {"spectrum": "D65"}],
+        "wavelength_nm": [450.0, 550.0, 650.0],
+    },
+    "a white sphere in ambient light": {
+        "shape": [BALL],
+        "material": {"m": {"model": "lambert", "parameters": {"albedo": 0.7}, "ambient_reflectance": 0.7}},
+        "light": [{"kind": "ambient", "radiance": 1.0}],
+    },
 }  # fmt: skip
 
 
 def apart(ours_scene: Any, made: mitsuba.Export, folder: Path) -> Floats:
-    """Scores of the tiles of the first wavelength."""
+    """Scores of the tiles at every wavelength of the first file."""
     for name, data in made.files.items():
         (folder / name).write_bytes(data)
     (variant,) = [v for v in mitsuba_pictures.find()[1] if v.name == mitsuba_pictures.SCALAR]
@@ -138,9 +153,9 @@ def apart(ours_scene: Any, made: mitsuba.Export, folder: Path) -> Floats:
     ours = render(ours_scene)
     assert ours.error is not None
     assert theirs.radiance.mean() > 0.0
-    return mitsuba_pictures.scores(
-        ours.radiance[..., 0], ours.error[..., 0], theirs.radiance[..., 0], theirs.error[..., 0]
-    )
+    pictures = (ours.radiance, ours.error, theirs.radiance, theirs.error)
+    waves = range(ours.radiance.shape[-1])
+    return np.stack([mitsuba_pictures.scores(*(picture[..., k] for picture in pictures)) for k in waves])
 
 
 @installed
