@@ -64,7 +64,7 @@ class Vantage:
         position = hits.position + self.shift
         side = np.cross(hits.facing, hits.tangent)
         axes = np.stack([hits.tangent, side, hits.facing], axis=1)
-        light = self.light.arrive(position, 0, None).direction
+        light = np.broadcast_to(self.light.arrive(position, 0, None).direction, position.shape)
         with np.errstate(invalid="ignore", divide="ignore"):
             half, across = light - direction, light + direction
             h, d = (v / np.linalg.norm(v, axis=1)[:, None] for v in (half, across))
@@ -89,14 +89,14 @@ class Vantage:
         count = DISC_POINTS if soft else 1
         for sample in range(count):
             arriving = self.light.arrive(position, sample, still)
-            cosine = np.einsum("ij,ij->i", arriving.direction, normal)
+            cosine = np.einsum("ij,ij->i", np.broadcast_to(arriving.direction, normal.shape), normal)
             out += np.maximum(cosine, 0.0) * arriving.strength
         return np.asarray(out * float(self.light.power[0]) / count)
 
     def edges(self, position: Floats) -> Iterator[tuple[Floats, Floats]]:
         """Unit vectors (n, 3) toward the light's centre and the points of its edge, and their distances (n,)."""
         away = self.light.arrive(position, 0, None)
-        yield away.direction, np.broadcast_to(away.distance, len(position))
+        yield np.broadcast_to(away.direction, position.shape), np.broadcast_to(away.distance, len(position))
         if not isinstance(self.light, Disc):
             return
         first, second = _across(self.light.normal)
