@@ -417,9 +417,10 @@ def _turned(shape: Analytic) -> tuple[Floats, Floats, npt.NDArray[Any]]:
     vertices, normals, faces = [], [], []
     ring = np.arange(TURN)
     following = (ring + 1) % TURN
-    for k, slope in enumerate(slopes):
+    for k, step in enumerate(np.diff(points, axis=0)):
         for s, (r, z) in zip((0.0, 1.0), points[k : k + 2], strict=True):
-            dr, dz = (slope[:, 0] * s + slope[:, 1]) * s + slope[:, 2]
+            # straight pieces have no slopes of their own
+            dr, dz = (slopes[k, :, 0] * s + slopes[k, :, 1]) * s + slopes[k, :, 2] if len(slopes) else step
             vertices.append(r * around + z * up)
             normals.append((dz * around - dr * up) / math.hypot(dr, dz))
         low, high = 2 * k * TURN, (2 * k + 1) * TURN
