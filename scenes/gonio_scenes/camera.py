@@ -11,14 +11,14 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from gonio.config import Strict
-from gonio.rig.description import NonNegative, Positive, RigDescription
+from gonio.rig.description import RigDescription
 from gonio.rig.kinematics import view
 from gonio.rig.protocols import Pose
 from gonio.typing import Floats
 from gonio_scenes._frames import toward_plane
 from gonio_scenes.sampling import on_disc, point
+from gonio_scenes.shapes.shape import LARGEST_MM, Length, Point
 
-Point = tuple[float, float, float]
 MAX_PIXELS = 1 << 26
 
 
@@ -47,8 +47,8 @@ class CameraTable(Strict):
     height: Annotated[int, Field(ge=1, le=16384)] | None = None
     samples: Annotated[int, Field(ge=1, le=65536)] = 1
     """Rays through a pixel: one goes through its centre, several are spread over it."""
-    lens_radius_mm: NonNegative = 0.0
-    focus_mm: Positive | None = None
+    lens_radius_mm: Annotated[float, Field(ge=0.0, le=LARGEST_MM)] = 0.0
+    focus_mm: Length | None = None
     """Distance of the plane in focus from the lens, along the axis; that of `look_at_mm` if it is not given."""
     polariser_deg: float | None = None
     """A linear polariser before the lens: the angle of what it passes from the picture's right, toward its top."""

@@ -7,18 +7,19 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from gonio.config import Strict
 from gonio.errors import ConfigError
-from gonio.rig.description import Positive, RigDescription
+from gonio.rig.description import RigDescription
 from gonio.rig.kinematics import view
 from gonio.rig.protocols import Pose
 from gonio.typing import Floats
 from gonio_scenes.sampling import on_disc, point
+from gonio_scenes.shapes.shape import Coordinate, Length, refuse_parallel
 from gonio_scenes.spectra import NonNegativeSpectrum, Spectral, table_or, values
 
-Vector = tuple[float, float, float]
+Vector = tuple[Coordinate, Coordinate, Coordinate]
 
 
 class _Light(Strict):
@@ -30,6 +31,13 @@ class _Light(Strict):
 
     polarisation: Vector | None = None
     """Along the electric field of linearly polarised light; what of it lies along the light does not count."""
+
+    @field_validator("polarisation")
+    @classmethod
+    def _is_a_direction(cls, vector: Vector | None) -> Vector | None:
+        if vector is not None:
+            _some_direction("polarisation", vector)
+        return vector
 
 
 def _some_direction(name: str, vector: Vector) -> None:
@@ -49,6 +57,8 @@ class DirectionalTable(_Light):
     @model_validator(mode="after")
     def _sound(self) -> DirectionalTable:
         _some_direction("toward", self.toward)
+        if self.polarisation is not None:
+            refuse_parallel("toward", self.toward, self.polarisation, "polarisation")
         return self
 
 
@@ -67,7 +77,7 @@ class DiscTable(_Light):
     kind: Literal["disc"]
     center_mm: Vector
     normal: Vector
-    radius_mm: Positive
+    radius_mm: Length
     radiance: Spectral
     samples: Annotated[int, Field(ge=1, le=65536)] = 16
     """Points of the disc that a ray's hit looks at."""

@@ -31,7 +31,8 @@ def require(model: Model, where: str) -> None:
 def doubled_angle(travel: Floats, axis: Floats) -> tuple[Floats, Floats]:
     """cos 2 chi and sin 2 chi of an axis (n, 3) against s, for light that travels along `travel` (n, 3).
 
-    The part of the axis along the light does not count. Both are vectors in the surface's frame.
+    The part of the axis along the light does not count; where there is no other, neither direction is preferred, and
+    both are 0. Both are vectors in the surface's frame.
     """
     flat = np.hypot(travel[:, 0], travel[:, 1])
     # along the normal: the limit at the azimuth that `gonio.geometry.angles` gives, that of the direction that leaves
@@ -43,8 +44,8 @@ def doubled_angle(travel: Floats, axis: Floats) -> tuple[Floats, Floats]:
     p = np.cross(s, travel)
     along_s, along_p = np.einsum("ij,ij->i", axis, s), np.einsum("ij,ij->i", axis, p)
     total = along_s**2 + along_p**2
-    with np.errstate(invalid="ignore"):
-        return (along_s**2 - along_p**2) / total, 2.0 * along_s * along_p / total
+    total = np.where(total > 0.0, total, 1.0)
+    return (along_s**2 - along_p**2) / total, 2.0 * along_s * along_p / total
 
 
 def brdf(

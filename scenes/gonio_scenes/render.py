@@ -21,6 +21,8 @@ BLOCK = 1 << 16
 BATCH = 4
 """Rays of a pixel between two looks at its error."""
 FIRST_BATCHES = 3
+MOST_BATCHES = 8
+"""Of a pixel without a tolerance: their scatter tells the error to a quarter, and each still fills the pixel evenly."""
 PRIOR = 16
 """Batches that the scatter around a pixel counts for. It asks a pixel beside an edge for some contrast/tolerance rays:
 as many as an edge in its own corner needs not to be missed."""
@@ -122,24 +124,26 @@ def _averaged(scene: Scene, integrator: Integrator, told: Step) -> tuple[Floats,
     as it had at most before it is looked at again.
     """
     camera, count = scene.camera, scene.camera.pixels
-    size, batches = (BATCH, FIRST_BATCHES) if scene.tolerance > 0 else _batches(camera.samples)
+    size, sizes = BATCH, [BATCH] * FIRST_BATCHES if scene.tolerance > 0 else _batches(camera.samples)
+    batches = len(sizes)
     sums = _Sums(
         np.zeros((count, scene.wavelength_nm.size)),
         np.zeros((count, scene.wavelength_nm.size)),
+        np.zeros(count, np.int64),
         np.zeros(count, np.int64),
     )
     for batch in range(batches):
         for first in range(0, count, BLOCK):
             pixel = np.arange(first, min(first + BLOCK, count))
-            sums.add(scene, integrator, pixel, size, _random(scene, batch + 1, first))
+            sums.add(scene, integrator, pixel, sizes[batch], _random(scene, batch + 1, first))
             if scene.tolerance == 0:
                 told(batch * count + int(pixel[-1]) + 1, batches * count)
     if scene.tolerance == 0:
-        return sums.mean, sums.error(), sums.batches * size, 0
+        return sums.mean, sums.error(), sums.rays, 0
     for turn in itertools.count(batches + 1):
         error = sums.error(camera.height, camera.width)
         wanted = sums.batches * _excess(scene, sums.mean, error)
-        active = np.flatnonzero((wanted > sums.batches) & (sums.batches * size < MAX_RAYS))
+        active = np.flatnonzero((wanted > sums.batches) & (sums.rays < MAX_RAYS))
         told(count - active.size, count)
         if active.size == 0:
             break
@@ -149,7 +153,7 @@ def _averaged(scene: Scene, integrator: Integrator, told: Step) -> tuple[Floats,
         for first in range(0, rows.size, BLOCK):
             sums.add(scene, integrator, rows[first : first + BLOCK], size, _random(scene, turn, first))
     above = int((_excess(scene, sums.mean, error) > 1.0).sum())
-    return sums.mean, error, sums.batches * size, above
+    return sums.mean, error, sums.rays, above
 
 
 @dataclass(frozen=True)
@@ -157,13 +161,15 @@ class _Sums:
     """What batches of rays gave so far, pixel by pixel."""
 
     total: Floats
-    """Of the batches' means, (pixels, wavelengths)."""
+    """Of the rays, (pixels, wavelengths)."""
     squares: Floats
+    """Of the batches' means, each as often as it has rays."""
     batches: Indices
+    rays: Indices
 
     @property
     def mean(self) -> Floats:
-        return np.asarray(self.total / self.batches[:, None])
+        return np.asarray(self.total / self.rays[:, None])
 
     def add(self, scene: Scene, integrator: Integrator, pixel: Indices, size: int, random: np.random.Generator) -> None:
         """Follow a batch of rays for each entry of `pixel`, which grows and may name a pixel several times."""
@@ -174,9 +180,11 @@ class _Sums:
         mean /= size
         starts = np.flatnonzero(np.diff(pixel, prepend=-1))
         at = pixel[starts]
-        self.total[at] += np.add.reduceat(mean, starts)
-        self.squares[at] += np.add.reduceat(mean * mean, starts)
-        self.batches[at] += np.diff(starts, append=pixel.size)
+        again = np.diff(starts, append=pixel.size)
+        self.total[at] += size * np.add.reduceat(mean, starts)
+        self.squares[at] += size * np.add.reduceat(mean * mean, starts)
+        self.batches[at] += again
+        self.rays[at] += size * again
 
     def error(self, height: int = 0, width: int = 0) -> Floats:
         """Standard errors of the means from the scatter of batches, (pixels, wavelengths); NaN after one batch.
@@ -184,20 +192,21 @@ class _Sums:
         With the picture's size, the mean scatter of a pixel and its eight neighbours counts as `PRIOR` more batches
         would. A few batches scatter too little by chance, and miss an edge in a corner of their pixel.
         """
-        n = self.batches[:, None].astype(np.float64)
+        n, rays = self.batches[:, None].astype(np.float64), self.rays[:, None].astype(np.float64)
         with np.errstate(divide="ignore", invalid="ignore"):
-            variance = np.maximum(self.squares - self.total**2 / n, 0.0) / (n - 1.0)
+            # of one ray: a batch's mean has it over the rays of the batch
+            variance = np.maximum(self.squares - self.total**2 / rays, 0.0) / (n - 1.0)
         if height:
             grid = variance.reshape(height, width, -1)
             around = uniform_filter(grid, size=(3, 3, 1), mode="nearest").reshape(variance.shape)
             variance = ((n - 1.0) * variance + PRIOR * np.maximum(around, 0.0)) / (n - 1.0 + PRIOR)
-        return np.asarray(np.sqrt(variance / n))
+        return np.asarray(np.sqrt(variance / rays))
 
 
-def _batches(samples: int) -> tuple[int, int]:
-    """Rays a batch and batches for so many rays a pixel: two batches at least, if there are two rays."""
-    batches = next((b for b in (8, 7, 6, 5, 4, 3, 2) if samples % b == 0 and samples // b > 0), 1)
-    return samples // batches, batches
+def _batches(samples: int) -> list[int]:
+    """Rays of each batch for so many rays a pixel: as many batches as `MOST_BATCHES` allows, as even as can be."""
+    batches = min(samples, MOST_BATCHES)
+    return [samples // batches + (k < samples % batches) for k in range(batches)]
 
 
 def _excess(scene: Scene, mean: Floats, error: Floats) -> Floats:

@@ -28,6 +28,14 @@ FROM_600 = {"wavelength_nm": [600, 700], "value": [0.1, 0.2]}
         ({"light": []}, r"a scene needs one \[\[light\]\] at least"),
         ({"light": [DIRECTIONAL | {"toward": [0, 0, 0]}]}, "toward = .* is no direction"),
         ({"light": [DIRECTIONAL | {"irradiance": -1.0}]}, "irradiance"),
+        ({"light": [DIRECTIONAL | {"polarisation": [0, 0, 0]}]}, r"light\[1\]\.polarisation.*is no direction"),
+        (
+            {"light": [DIRECTIONAL | {"polarisation": [2.0, 1.0, 4.0]}]},
+            r"light\[1\].*polarisation = .* is parallel to toward: give one that is not",
+        ),
+        ({"light": [DIRECTIONAL | {"toward": [1e200, 0, 0]}]}, r"light\[1\]\.toward\[1\] = 1e\+200"),
+        ({"camera": SPHERE["camera"] | {"position_mm": [0, 0, 1e200]}}, r"camera\.position_mm\[3\] = 1e\+200"),
+        ({"camera": SPHERE["camera"] | {"lens_radius_mm": 1e300}}, r"camera\.lens_radius_mm = 1e\+300"),
         ({"light": [DIRECTIONAL | {"spectrum": "D66"}]}, r"light\[1\].*D65"),
         ({"light": [{"kind": "rig", "irradiance": 1.0}]}, r'kind = "rig" is the lamp of camera\.rig, which is missing'),
         (

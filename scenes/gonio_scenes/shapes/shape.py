@@ -229,10 +229,10 @@ PARALLEL = 1e-6
 """Sine of the angle below which two axes of a scene file span no plane."""
 
 
-def refuse_parallel(name: str, axis: npt.ArrayLike, x_axis: npt.ArrayLike | None) -> None:
-    """Raise ValueError, for pydantic, where `x_axis` is along the axis called `name`."""
-    if x_axis is not None and np.linalg.norm(np.cross(unit(axis), unit(x_axis))) < PARALLEL:
-        raise ValueError(f"x_axis = {list(np.asarray(x_axis))} is parallel to {name}: give one that is not")
+def refuse_parallel(name: str, axis: npt.ArrayLike, other: npt.ArrayLike | None, called: str = "x_axis") -> None:
+    """Raise ValueError, for pydantic, where a vector, `called` so in the file, is along the axis called `name`."""
+    if other is not None and np.linalg.norm(np.cross(unit(axis), unit(other))) < PARALLEL:
+        raise ValueError(f"{called} = {np.asarray(other).tolist()} is parallel to {name}: give one that is not")
 
 
 class ShapeTable(Strict):
