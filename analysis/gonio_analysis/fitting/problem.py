@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -98,6 +98,18 @@ class Problem:
         """The values that hold at one of `waves`."""
         own = {n: values[f"{n}@{wavelength_nm:g}"] for n in self.each}
         return {n: x for n, x in values.items() if "@" not in n} | own
+
+    def own_wavelength(self, k: int) -> float | None:
+        """The one of `waves` that the k-th free parameter counts at; None where it counts at all."""
+        name, between, at = self.free[k].partition("@")
+        return next(w for w in self.waves if f"{w:g}" == at) if between else None
+
+    def moved_together(self, among: Iterable[int]) -> list[list[int]]:
+        """Free parameters in groups whose effects do not overlap: those of one name at different wavelengths."""
+        out: dict[str, list[int]] = {}
+        for k in among:
+            out.setdefault(self.free[k].partition("@")[0], []).append(k)
+        return list(out.values())
 
     def pulls(self, vector: Floats) -> Floats:
         """Residuals of the priors, one each."""
