@@ -69,6 +69,10 @@ def fit(
         list[str] | None,
         typer.Option(metavar="NAME", help="With --joint: a value at each wavelength.", show_default=False),
     ] = None,
+    save: Annotated[
+        Path | None,
+        typer.Option(help="Write the fitted model as a sample file (.toml).", metavar="SAMPLE", show_default=False),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Fit one model to a measurement. With the table's covariance, and through the instrument's cones."""
@@ -77,7 +81,7 @@ def fit(
     from gonio import measurement
     from gonio.errors import ConfigError
     from gonio_analysis import result_records
-    from gonio_analysis.fitting import parameters
+    from gonio_analysis.fitting import parameters, saving
     from gonio_analysis.fitting.fit import fit as run_fit
     from gonio_analysis.fitting.problem import FitRequest
 
@@ -102,7 +106,11 @@ def fit(
         loss=loss,
         searches=searches,
     )
+    if save is not None:
+        saving.check_target(save, asked)
     result = run_fit(frame, asked, name=str(table))
+    if save is not None:
+        saving.save(result, save, name=name, source=str(table))
     walked = {}
     if intervals:
         from gonio_analysis.fitting.profile_likelihood import profiles

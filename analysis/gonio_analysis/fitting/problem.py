@@ -174,7 +174,7 @@ def pose(asked: FitRequest) -> Problem:
     """
     model, ior, fix, free = asked.model, asked.ior, asked.fix or {}, asked.free
     notes: list[str] = []
-    if ior is not None and not parameters.needs_ior(model) and set(parameters.parts(model)) <= set(parameters.FAMILIES):
+    if ior is not None and not parameters.needs_ior(model):
         ior = None
         notes.append(f"The optical constants are not used: {model} has none.")
     family = parameters.family(model, slopes=asked.slopes, ior=ior)
