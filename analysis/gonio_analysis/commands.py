@@ -76,13 +76,17 @@ def fit(
         list[str] | None,
         typer.Option(metavar="NAME", help="With --joint: a value at each wavelength.", show_default=False),
     ] = None,
+    save: Annotated[
+        Path | None,
+        typer.Option(help="Write the fitted model as a sample file (.toml).", metavar="SAMPLE", show_default=False),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Fit one model to measurements of a sample. With the table's covariance, and through the instrument's cones."""
     import json
 
     from gonio_analysis import result_records
-    from gonio_analysis.fitting import parameters
+    from gonio_analysis.fitting import parameters, saving
     from gonio_analysis.fitting.fit import fit as run_fit
     from gonio_analysis.fitting.observations import together
     from gonio_analysis.fitting.problem import FitRequest
@@ -106,8 +110,12 @@ def fit(
         loss=loss,
         searches=searches,
     )
+    if save is not None:
+        saving.check_target(save, asked)
     several = dict(zip(_short(tables), (data for _, data in read), strict=True))
     result = run_fit(together(several), asked, name=" + ".join(tables))
+    if save is not None:
+        saving.save(result, save, name=name, source=" + ".join(tables))
     walked = {}
     if intervals:
         from gonio_analysis.fitting.profile_likelihood import profiles

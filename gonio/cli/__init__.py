@@ -5,6 +5,7 @@ This module imports next to nothing: from its `main` on a signal ends in one lin
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import time
@@ -48,6 +49,8 @@ def main() -> None:
     """Run the command line, and end the process with its exit code."""
     ending = Ending()
     ending.listen()
+    # numpy's matrices are small here: threads of BLAS that wait for each other cost ten times what they save
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         from gonio.cli import application
 

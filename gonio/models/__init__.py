@@ -7,6 +7,7 @@ from typing import Any
 
 from gonio.errors import ArgumentError
 from gonio.models import fresnel, htsg
+from gonio.models.arrays import ArrayModel
 from gonio.models.blinn import Blinn, Phong
 from gonio.models.cook_torrance import CookTorrance
 from gonio.models.engine import Geometry, geometry
@@ -14,11 +15,14 @@ from gonio.models.he_torrance import HeTorrance
 from gonio.models.lambert import Lambert
 from gonio.models.model import Model, build_model
 from gonio.models.oren_nayar import OrenNayar
+from gonio.models.parameters import Fitted
 from gonio.models.sum import Sum
 
 __all__ = [
+    "ArrayModel",
     "Blinn",
     "CookTorrance",
+    "Fitted",
     "Geometry",
     "HeTorrance",
     "Lambert",

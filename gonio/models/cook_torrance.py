@@ -145,7 +145,7 @@ class CookTorrance(Model):
     Parameters
     ----------
     s, d
-        Shares of specular and diffuse reflectance, in [0, 1], s + d <= 1.
+        Shares of specular and diffuse reflectance, in [0, 1], s + d <= 1. Without d it is 0; with `m` it is 1 - s.
     slopes
         Pairs (rms slope m, weight); weights are at least 0 and sum to 1. A single number is one slope.
     ior
@@ -160,6 +160,8 @@ class CookTorrance(Model):
         Reflectance at normal incidence, instead of `ior`: n = (1 + sqrt F_0)/(1 - sqrt F_0), k = 0.
     fresnel
         "exact", or "schlick": F_0 + (1 - F_0)(1 - V.H)^5 (Schlick 1994), as many published fits have it.
+    m
+        One rms slope instead of `slopes`, as a fit names it.
 
     Raises
     ------
@@ -180,8 +182,8 @@ class CookTorrance(Model):
     def __init__(
         self,
         s: float = 1.0,
-        d: float = 0.0,
-        slopes: float | Sequence[Sequence[float]] = ((0.4, 0.4), (0.2, 0.6)),
+        d: float | None = None,
+        slopes: float | Sequence[Sequence[float]] | None = None,
         ior: Index | None = None,
         distribution: str = "beckmann",
         diffuse_albedo: float = 0.0,
@@ -189,14 +191,22 @@ class CookTorrance(Model):
         *,
         f0: float | None = None,
         fresnel: str = "exact",
+        m: float | None = None,
     ) -> None:
+        if m is not None and slopes is not None:
+            raise ArgumentError("m and slopes are both given: m is the one slope, instead of slopes")
+        if slopes is None:
+            slopes = ((0.4, 0.4), (0.2, 0.6)) if m is None else ((positive("m", m), 1.0),)
+        s = number("s", s, 0.0, 1.0)
+        if d is None:
+            d = 0.0 if m is None else 1.0 - s
         if f0 is not None and ior is not None:
             raise ArgumentError("f0 and ior are both given: f0 stands instead of ior")
         if f0 is not None:
             ior = n_from_f0(f0)
         store(
             self,
-            s=number("s", s, 0.0, 1.0),
+            s=s,
             d=number("d", d, 0.0, 1.0),
             slopes=_checked_slopes(slopes),
             ior=checked_index(DEFAULT_INDEX if ior is None else ior),

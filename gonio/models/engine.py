@@ -255,7 +255,7 @@ def over_vectors(
     Two float32 arrays give a float32 result: by float32 arithmetic where kernel and constants allow it, else by
     float64. Into `out` nothing is written before all arguments are checked.
     """
-    single = _all_single(omega_i, omega_r)
+    single = all_single(omega_i, omega_r)
     if single and not _in_single(kernel, constants):
         return delivered(
             out, _to_single(over_vectors(kernel, constants, *vector_arrays(omega_i, omega_r)[0], split=split))
@@ -265,7 +265,7 @@ def over_vectors(
     count = prod(shape)
     values = room(out, shape, arrays, real)
     if count == 0 or values is out:
-        _check_vectors(arrays)
+        check_vectors(arrays)
     if count:
         run = loop(_loops.over_vectors, kernel, len(constants), in_single=single)
         (l, sl), (v, sv) = (_flat_vectors(array, shape, count) for array in arrays)  # noqa: E741
@@ -278,7 +278,8 @@ def over_vectors(
     return delivered(out, values)
 
 
-def _check_vectors(arrays: list[NDArray[Any]]) -> None:
+def check_vectors(arrays: list[NDArray[Any]]) -> None:
+    """Raise `ArgumentError` for a vector that is not of unit length, or holds NaN."""
     for array in arrays:
         run = loop(_loops.over_lengths, _loops.off_unit, 0)
         flat = np.ascontiguousarray(array, np.float64).reshape(-1)
@@ -286,7 +287,7 @@ def _check_vectors(arrays: list[NDArray[Any]]) -> None:
             raise _explain_vectors(arrays)
 
 
-def _all_single(*arguments: Any) -> bool:
+def all_single(*arguments: Any) -> bool:
     """Whether every argument that has an axis is a float32 array, and there is one."""
     arrays = [x for x in arguments if not isinstance(x, (int, float)) and getattr(x, "ndim", None) != 0]
     return bool(arrays) and all(getattr(x, "dtype", None) == np.float32 for x in arrays)

@@ -15,7 +15,7 @@ import numpy as np
 from gonio.errors import ArgumentError
 from gonio.models import engine, hemispherical
 from gonio.models.engine import SPLIT, Constants, Geometry, Kernel
-from gonio.models.parameters import Parameters, checked_wavelength
+from gonio.models.parameters import Fitted, Parameters, checked_wavelength
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -34,6 +34,11 @@ class Model(ABC):
 
     name: ClassVar[str]
     """The model's name on the command line and in sample files."""
+    fitted: ClassVar[Mapping[str, Fitted]] = {}
+    """Of a model from another package: what a fit may move of the constructor's arguments, and within which bounds.
+    Those of the papers are described in `gonio_analysis.fitting.parameters`."""
+    needs_wavelength: ClassVar[bool] = False
+    """Of such a model: whether its value depends on the wavelength, so that a broad band cannot be fitted."""
     grain: ClassVar[int] = SPLIT
     """How many evaluations are worth a thread of their own."""
 

@@ -7,7 +7,8 @@ import difflib
 import functools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, cast
+from dataclasses import dataclass
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -18,6 +19,40 @@ Index = complex | str | Sequence[float] | Callable[[float], complex]
 
 Parameters = dict[str, Any]
 """A model's parameters by name, as a sample file or a report holds them; those of a sum are a table a term."""
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What a fit may do with a number that a model's constructor takes (`Model.fitted`).
+
+    Raises
+    ------
+    ArgumentError
+        The bounds do not ascend, a logarithmic scale goes down to 0, or a start is outside.
+    """
+
+    lower: float
+    upper: float
+    scale: Literal["linear", "log"] = "linear"
+    """On which the search moves; "log" for lengths, widths and indices."""
+    unit: str = ""
+    starts: tuple[float, ...] | Literal["diffuse", "peak"] = ()
+    """Where to search from: every combination of all parameters' starts. "diffuse" is pi times the lower values that
+    were measured, "peak" pi times the highest; without any, three values between the bounds."""
+    fixed: float | None = None
+    """Its value, unless the user frees it; None: it is fitted."""
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.lower) and math.isfinite(self.upper) and self.lower < self.upper):
+            raise ArgumentError(f"bounds {self.lower:g} to {self.upper:g}: must be finite, and ascend")
+        if self.scale not in ("linear", "log") or (self.scale == "log" and self.lower <= 0):
+            raise ArgumentError(f'scale "{self.scale}" from {self.lower:g}: "linear", or "log" with bounds above 0')
+        if isinstance(self.starts, str) and self.starts not in ("diffuse", "peak"):
+            raise ArgumentError(f'starts = "{self.starts}": must be numbers, "diffuse" or "peak"')
+        known = () if isinstance(self.starts, str) else self.starts
+        for value in (*known, *(() if self.fixed is None else (self.fixed,))):
+            if not self.lower <= value <= self.upper:
+                raise ArgumentError(f"{value:g} is not between the bounds {self.lower:g} and {self.upper:g}")
 
 
 def number(name: str, value: Any, low: float = -math.inf, high: float = math.inf, unit: str = "") -> float:

@@ -6,13 +6,20 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from gonio_analysis import commands
+from gonio_analysis.change.point_by_point import side
+from gonio_analysis.fitting.fit import fit
+from gonio_analysis.fitting.forward import apparent
+from gonio_analysis.fitting.observations import observations
 
 from gonio import measurement
 from gonio.errors import ConfigError
 from gonio.models import build
+from tests.command_line import gonio
 from tests.gonio_analysis.synthetic import measure
 
 
@@ -102,3 +109,57 @@ def test_importing_the_commands_imports_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600, check=True)
     assert done.stdout.strip() == "[]"
+
+
+FITTED: dict[str, tuple[dict[str, Any], str | None]] = {
+    "lambert": ({"albedo": 0.6}, None),
+    "oren-nayar": ({"albedo": 0.6, "sigma_deg": 20.0}, None),
+    "blinn": ({"k_d": 0.2, "k_s": 0.4, "c": 0.3, "ior": 1.5}, "1.5"),
+    "cook-torrance": ({"s": 0.3, "m": 0.25, "diffuse_albedo": 0.2, "ior": [1.5, 0.2]}, "1.5+0.2j"),
+    "he-torrance": ({"sigma0_um": 0.28, "tau_um": 1.77, "ior": "Al"}, "Al"),
+    "oren-nayar+phong": (
+        {"oren-nayar": {"albedo": 0.5, "sigma_deg": 25.0}, "phong": {"k_d": 0.0, "k_s": 0.8, "exponent": 60.0}},
+        None,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FITTED)
+def test_a_saved_fit_is_the_sample_of_another_measurement(name: str, tmp_path: Path) -> None:
+    truth, given = FITTED[name]
+    (tmp_path / "plan.toml").write_text(
+        'name = "two incidences"\nwavelength_nm = [550]\n[[sweep]]\ntheta_i_deg = [10, 50]\n'
+        "theta_r_deg = { start = -72, stop = 72, step = 8 }\n"
+    )
+    measurement.write(measure(build("sum" if "+" in name else name, truth), noise=0.01), tmp_path / "a.csv")
+    say = ["--model", name, *(["--ior", given] if given else []), "--json"]
+    done = gonio(tmp_path, "fit", "a.csv", *say, "--save", "sample.toml")
+    assert done.returncode == 0, done.stderr
+    first = json.loads(done.stdout)["parameters"]
+    built = side(str(tmp_path / "sample.toml")).model
+    data = observations(measurement.read(tmp_path / "a.csv"))
+    np.testing.assert_array_equal(apparent(built, data), fit(data, name, ior=commands.read_ior(given)).predicted)
+    made = gonio(tmp_path, "measure", "plan.toml", "--rig", "sim-ideal", "--sample", "sample.toml", "--out", "run")
+    assert made.returncode == 0, made.stderr
+    assert gonio(tmp_path, "reduce", "run").returncode == 0
+    done = gonio(tmp_path, "fit", "run", *say)
+    second = json.loads(done.stdout)["parameters"]
+    for key, e in second.items():
+        # the ideal rig has no noise: what is left is the search's own tolerance, and the mean over pixels
+        assert e["value"] == pytest.approx(first[key]["value"], rel=2e-3, abs=1e-4), key
+
+
+def test_what_cannot_be_saved_is_told_before_the_fit(table: Path, tmp_path: Path) -> None:
+    for words, save in (("no folder", "absent/a.toml"), ("ending", "sample.txt")):
+        with pytest.raises(ConfigError, match=words):
+            commands.fit(str(table), "oren-nayar", save=tmp_path / save)
+    with pytest.raises(ConfigError, match="one value of albedo"):
+        commands.fit(str(table), "oren-nayar", each=["albedo"], save=tmp_path / "a.toml")
+
+
+def test_parameters_as_a_fit_names_them_make_a_cook_torrance_sample() -> None:
+    fitted = build("cook-torrance", {"s": 0.3, "m": 0.25, "diffuse_albedo": 0.2, "ior": 1.5})
+    told = build("cook-torrance", {"s": 0.3, "d": 0.7, "slopes": [[0.25, 1.0]], "diffuse_albedo": 0.2, "ior": 1.5})
+    assert fitted == told
+    with pytest.raises(ConfigError, match="both given"):
+        build("cook-torrance", {"m": 0.25, "slopes": 0.3})

@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 FARTHEST = float(np.radians(15.0))
 """Nothing is interpolated between directions farther apart than this [rad]."""
 
+ON_EDGE = 1e-12
+"""A point so little outside a triangle, as a share of its height, lies on its edge."""
+
 
 @dataclass(frozen=True)
 class Carried:
@@ -88,6 +91,7 @@ def carry(a: Observations, b: Observations, b_table: pd.DataFrame) -> Carried:
     common = np.zeros((n, k))
     missing = {"at another wavelength": n}
     unused = _Unused.of(b, b_table)
+    kept: dict[tuple[bytes, ...], Interpolation] = {}
     for wave_a, wave_b in common_wavelengths(a, b):
         here_a, here_b = _at(a.wavelength_nm, wave_a), _at(b.wavelength_nm, wave_b)
         missing["at another wavelength"] -= here_a.size
@@ -101,9 +105,11 @@ def carry(a: Observations, b: Observations, b_table: pd.DataFrame) -> Carried:
             incident = a.directions[group]
             normal = float(incident.phi_i[0]) if incident.theta_i.max() < SAME_ANGLE else None
             holes = gone.holes(b, partner, normal)
-            nodes, weights, bend = interpolation(
-                _places(incident, normal), _places(b.directions[partner], normal), holes, b.brdf[partner]
-            )
+            goal, known = _places(incident, normal), _places(b.directions[partner], normal)
+            key = tuple(p.key for p in (goal, known, holes))
+            if key not in kept:
+                kept[key] = Interpolation(goal, known, holes)
+            nodes, weights, bend = kept[key].nodes, kept[key].weights, kept[key].error(b.brdf[partner])
             found = nodes[:, 0] >= 0
             if not found.all():
                 reason = "outside the other's directions, or in a hole of them"
@@ -127,6 +133,11 @@ class _Places:
     """Angle along the plane of incidence, from the mirror direction [rad]."""
     inside: npt.NDArray[np.bool_]
     """Whether it lies in the plane of incidence."""
+
+    @property
+    def key(self) -> bytes:
+        """The same for the same places."""
+        return self.points.tobytes() + self.signed.tobytes() + self.inside.tobytes()
 
 
 def _at(waves: Floats, wave: float) -> Rows:
@@ -186,43 +197,103 @@ def _partner(a: Observations, group: Rows, b: Observations, pool: list[Rows]) ->
     return pool[int(np.argmin(off))]
 
 
-def interpolation(goal: _Places, known: _Places, holes: _Places, values: Floats) -> tuple[Rows, Floats, Floats]:
-    """Three neighbours for each goal (-1 where it has none), their weights, and the error of the interpolation."""
-    from scipy.spatial import KDTree
+class Interpolation:
+    """Where goals lie among known directions: three neighbours each, and what tells the error from their values.
 
-    n = goal.signed.size
-    nodes, weights, error = np.full((n, 3), -1), np.zeros((n, 3)), np.zeros(n)
-    distance, nearest = KDTree(known.points).query(goal.points)
-    same = distance <= SAME_DIRECTION
-    nodes[same] = nearest[same, None]
-    weights[same, 0] = 1.0
-    line = np.flatnonzero(known.inside)
-    along = np.flatnonzero(~same & goal.inside)
-    if line.size > 1 and along.size:
-        _along(goal, known, holes, values, along, line, (nodes, weights, error))
-    if (~known.inside).any():
-        rest = np.flatnonzero(nodes[:, 0] < 0)
-        if rest.size:
-            _across(goal, known, holes, values, rest, (nodes, weights, error))
-    return nodes, weights, error
+    All of it is of the directions alone, and most of it is slow: values at many wavelengths share it.
+    """
+
+    def __init__(self, goal: _Places, known: _Places, holes: _Places) -> None:
+        from scipy.spatial import KDTree
+
+        n = goal.signed.size
+        self.nodes: Rows = np.full((n, 3), -1)
+        """(n, 3) neighbours; -1 where a goal has none."""
+        self.weights: Floats = np.zeros((n, 3))
+        self._parts: list[_Along | _Across] = []
+        distance, nearest = KDTree(known.points).query(goal.points)
+        same = distance <= SAME_DIRECTION
+        self.nodes[same] = nearest[same, None]
+        self.weights[same, 0] = 1.0
+        line = np.flatnonzero(known.inside)
+        along = np.flatnonzero(~same & goal.inside)
+        if line.size > 1 and along.size:
+            self._take(_along(goal, known, holes, along, line))
+        if (~known.inside).any():
+            rest = np.flatnonzero(self.nodes[:, 0] < 0)
+            if rest.size:
+                self._take(_across(goal, known, holes, rest))
+
+    def _take(self, part: _Along | _Across | None) -> None:
+        if part is not None:
+            self.nodes[part.rows], self.weights[part.rows] = part.nodes, part.weights
+            self._parts.append(part)
+
+    def error(self, values: Floats) -> Floats:
+        """Of the interpolation of `values` at the known directions; 0 in the same direction."""
+        out = np.zeros(len(self.nodes))
+        for part in self._parts:
+            out[part.rows] = np.maximum(part.parabola(values), _off_logarithms(values[part.nodes], part.weights))
+        return out
 
 
-def _along(
-    goal: _Places,
-    known: _Places,
-    holes: _Places,
-    values: Floats,
-    rows: Rows,
-    line: Rows,
-    out: tuple[Rows, Floats, Floats],
-) -> None:
-    """Along the plane of incidence, between the two neighbours."""
+@dataclass(frozen=True)
+class _Along:
+    """Goals along the plane of incidence, between two neighbours."""
+
+    rows: Rows
+    nodes: Rows
+    weights: Floats
+    line: Rows
+    """All known directions of the plane, in their order."""
+    x: Floats
+    """Their angles [rad]."""
+    left: Rows
+    """Place of the left neighbour among them."""
+
+    def parabola(self, values: Floats) -> Floats:
+        """The error that gradients tell."""
+        f, k = values[self.line], self.left
+        slope = np.gradient(f, self.x)
+        gap = self.x[k + 1] - self.x[k]
+        chord = (f[k + 1] - f[k]) / gap
+        w = self.weights[:, 1]
+        return np.asarray(0.5 * gap * w * (1 - w) * (np.abs(slope[k] - chord) + np.abs(slope[k + 1] - chord)))
+
+
+@dataclass(frozen=True)
+class _Across:
+    """Goals over the hemisphere, in the triangles around them."""
+
+    rows: Rows
+    nodes: Rows
+    weights: Floats
+    turn: Floats
+    """(n, 2, 2): of a triangle's plane."""
+    step: Floats
+    """(n, 3) distances to the neighbours."""
+    own: Rows
+    near: Rows
+    """The edges of the triangulation, from node to node."""
+    fit: Floats
+    """(edges, 2): least-squares gradient at `own` for a rise of 1 along the edge."""
+
+    def parabola(self, values: Floats) -> Floats:
+        """The error that gradients tell."""
+        rise = (values[self.near] - values[self.own])[:, None] * self.fit
+        slope = np.stack([np.bincount(self.own, r, values.size) for r in rise.T], axis=1)
+        # the interpolant's gradient: value = sum_k w_k f_k with w_0, w_1 linear in the position
+        f = values[self.nodes]
+        chord = np.einsum("nij,ni->nj", self.turn, f[:, :2] - f[:, 2:])
+        bend = np.linalg.norm(slope[self.nodes] - chord[:, None], axis=2)
+        return np.asarray(0.5 * (self.weights * bend * self.step).sum(axis=1))
+
+
+def _along(goal: _Places, known: _Places, holes: _Places, rows: Rows, line: Rows) -> _Along | None:
     x, first = np.unique(known.signed[line], return_index=True)
     line = line[first]
     if x.size < 2:
-        return
-    f = values[line]
-    slope = np.gradient(f, x)
+        return None
     t = goal.signed[rows]
     k = np.clip(np.searchsorted(x, t, side="right") - 1, 0, x.size - 2)
     gap = x[k + 1] - x[k]
@@ -231,12 +302,8 @@ def _along(
     good = (t >= x[0]) & (t <= x[-1]) & (gap <= FARTHEST) & free
     rows, k, t, gap = rows[good], k[good], t[good], gap[good]
     w = (t - x[k]) / gap
-    chord = (f[k + 1] - f[k]) / gap
-    nodes, weights, error = out
-    nodes[rows] = np.stack([line[k], line[k + 1], line[k]], axis=1)
-    weights[rows, 0], weights[rows, 1] = 1 - w, w
-    parabola = 0.5 * gap * w * (1 - w) * (np.abs(slope[k] - chord) + np.abs(slope[k + 1] - chord))
-    error[rows] = np.maximum(parabola, _off_logarithms(values[nodes[rows]], weights[rows]))
+    nodes = np.stack([line[k], line[k + 1], line[k]], axis=1)
+    return _Along(rows, nodes, np.stack([1 - w, w, np.zeros(w.size)], axis=1), line, x, k)
 
 
 def _off_logarithms(values: Floats, weights: Floats) -> Floats:
@@ -246,46 +313,78 @@ def _off_logarithms(values: Floats, weights: Floats) -> Floats:
     return np.where(positive, (weights * values).sum(axis=1) - np.exp((weights * logs).sum(axis=1)), 0.0)
 
 
-def _across(
-    goal: _Places, known: _Places, holes: _Places, values: Floats, rows: Rows, out: tuple[Rows, Floats, Floats]
-) -> None:
-    """Over the hemisphere, in the triangle around a goal."""
+def _across(goal: _Places, known: _Places, holes: _Places, rows: Rows) -> _Across | None:
     from scipy.spatial import Delaunay, QhullError
 
     flat = known.points[:, :2]
     try:
         mesh = Delaunay(flat)
     except QhullError:  # all on one line, or too few
-        return
+        return None
     corner = mesh.simplices
     edges = np.linalg.norm(known.points[corner] - known.points[np.roll(corner, 1, axis=1)], axis=2).max(axis=1)
     closed = edges > FARTHEST
-    inside = mesh.find_simplex(holes.points[:, :2]) if holes.signed.size else np.empty(0, dtype=np.intp)
+    turn = _turns(flat[corner])
+    inside, _ = _located(mesh, turn, holes.points[:, :2])
     closed[inside[inside >= 0]] = True
-    found = mesh.find_simplex(goal.points[rows, :2])
+    found, weights = _located(mesh, turn, goal.points[rows, :2])
     good = (found >= 0) & ~closed[found]
-    rows, found = rows[good], found[good]
-    turn = mesh.transform[found]
-    part = np.einsum("nij,nj->ni", turn[:, :2], goal.points[rows, :2] - turn[:, 2])
-    w = np.column_stack([part, 1 - part.sum(axis=1)])
-    near = corner[found]
-    own = _gradients(mesh, flat, values)
-    # the interpolant's gradient: value = sum_k w_k f_k with w_0, w_1 linear in the position
-    f = values[near]
-    chord = np.einsum("nij,ni->nj", turn[:, :2], f[:, :2] - f[:, 2:])
-    step = np.linalg.norm(flat[near] - goal.points[rows, None, :2], axis=2)
-    nodes, weights, error = out
-    nodes[rows], weights[rows] = near, w
-    parabola = 0.5 * (w * np.linalg.norm(own[near] - chord[:, None], axis=2) * step).sum(axis=1)
-    error[rows] = np.maximum(parabola, _off_logarithms(f, w))
+    rows, found, weights = rows[good], found[good], weights[good]
+    nodes = corner[found]
+    step = np.linalg.norm(flat[nodes] - goal.points[rows, None, :2], axis=2)
+    return _Across(rows, nodes, weights, turn[found], step, *_gradients(mesh, flat))
 
 
-def _gradients(mesh: Any, flat: Floats, values: Floats) -> Floats:
-    """Gradient (n, 2) at every node, by least squares over its neighbours in the triangulation."""
+def _turns(corners: Floats) -> Floats:
+    """(n, 2, 2): from a position less the third corner to the weights of the first two; NaN in a flat triangle.
+
+    `Delaunay.transform` has them too, by one LAPACK call a triangle: a hundred times slower where BLAS has threads.
+    """
+    (a, b), (c, d) = np.moveaxis(corners[:, :2] - corners[:, 2:], 0, -1)
+    area = a * d - b * c
+    size = np.maximum(np.hypot(a, b), np.hypot(c, d)) ** 2
+    area = np.where(np.abs(area) > 1e-12 * size, area, np.nan)
+    return np.asarray(np.moveaxis(np.array([[d, -c], [-b, a]]) / area, -1, 0))
+
+
+def _located(mesh: Any, turn: Floats, points: Floats) -> tuple[Rows, Floats]:
+    """The triangle around each point (-1: outside all), and the weights of its corners.
+
+    By walking across the edge that a point lies farthest beyond, from a triangle at the nearest node. In a Delaunay
+    triangulation that ends; points that come to a flat triangle are compared with all.
+    """
+    from scipy.spatial import KDTree
+
+    flat, corner = mesh.points, mesh.simplices
+
+    def weights(points: Floats, triangle: Rows) -> Floats:
+        part = np.einsum("...ij,...j->...i", turn[triangle], points - flat[corner[triangle, 2]])
+        return np.concatenate([part, 1 - part.sum(axis=-1, keepdims=True)], axis=-1)
+
+    found = mesh.vertex_to_simplex[KDTree(flat).query(points)[1]].astype(np.intp)
+    moving, stuck = np.flatnonzero(found >= 0), np.flatnonzero(found < 0)
+    for _ in range(len(corner)):
+        if not moving.size:
+            break
+        part = weights(points[moving], found[moving])
+        flat_one = np.isnan(part[:, 0])
+        stuck = np.concatenate([stuck, moving[flat_one]])
+        out = ~flat_one & (part.min(axis=1) < -ON_EDGE)
+        moving, part = moving[out], part[out]
+        found[moving] = mesh.neighbors[found[moving], part.argmin(axis=1)]
+        moving = moving[found[moving] >= 0]
+    every = np.arange(len(corner))
+    for k in np.concatenate([stuck, moving]):
+        least = np.nan_to_num(weights(points[k], every).min(axis=1), nan=-np.inf)
+        found[k] = int(least.argmax()) if least.max() >= -ON_EDGE else -1
+    return found, weights(points, found)
+
+
+def _gradients(mesh: Any, flat: Floats) -> tuple[Rows, Rows, Floats]:
+    """The edges of a triangulation, and the gradient at their first node, by least squares, for a rise of 1 on each."""
     start, near = mesh.vertex_neighbor_vertices
     own = np.repeat(np.arange(len(flat)), np.diff(start))
-    step, rise = flat[near] - flat[own], values[near] - values[own]
-    square, side = np.zeros((len(flat), 2, 2)), np.zeros((len(flat), 2))
+    step = flat[near] - flat[own]
+    square = np.zeros((len(flat), 2, 2))
     np.add.at(square, own, step[:, :, None] * step[:, None, :])
-    np.add.at(side, own, step * rise[:, None])
-    return np.asarray(np.einsum("nij,nj->ni", np.linalg.pinv(square), side))
+    return own, near, np.asarray(np.einsum("nij,nj->ni", np.linalg.pinv(square)[own], step))

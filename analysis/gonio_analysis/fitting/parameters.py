@@ -1,7 +1,7 @@
 """What is fitted of each model: parameters, bounds, scales, and where to start.
 
-A model that is not listed here (another package's, from the entry-point group `gonio.models`) can be compared and
-plotted, but not fitted.
+A model that is not listed here (another package's, from the entry-point group `gonio.models`) is fitted as its class
+declares it by `fitted` (docs/writing_a_model.md).
 """
 
 from __future__ import annotations
@@ -109,9 +109,11 @@ def family(name: str, *, slopes: int = 1, ior: Ior = None) -> Family:
         if slopes != 1:
             raise ConfigError(f"--slopes {slopes}: only cook-torrance has several slopes, not {name}")
         return _sum(name, ior)
-    if name not in FAMILIES:
-        near = difflib.get_close_matches(name, FAMILIES, n=1)
-        hint = f'did you mean "{near[0]}"?' if near else f"known: {', '.join(FAMILIES)}"
+    others = strangers() if name not in FAMILIES else ()
+    if name not in FAMILIES and name not in others:
+        known = [*FAMILIES, *others]
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f'did you mean "{near[0]}"?' if near else f"known: {', '.join(known)}"
         raise ConfigError(f'there is no model named "{name}" to fit; {hint}')
     if slopes != 1 and name != "cook-torrance":
         raise ConfigError(f"--slopes {slopes}: only cook-torrance has several slopes, not {name}")
@@ -119,7 +121,71 @@ def family(name: str, *, slopes: int = 1, ior: Ior = None) -> Family:
         raise ConfigError(f"--slopes {slopes}: 1 or 2 slopes can be fitted")
     if name == "cook-torrance":
         return _cook_torrance(slopes, ior)
-    return FAMILIES[name](ior)
+    return FAMILIES[name](ior) if name in FAMILIES else _declared(name)
+
+
+def strangers() -> tuple[str, ...]:
+    """Names of the models that other packages bring."""
+    from gonio import plugins
+
+    return tuple(name for name in plugins.available("gonio.models") if name not in FAMILIES)
+
+
+def declared() -> tuple[str, ...]:
+    """Those of them that declare what is fitted; a model whose import fails is none of them."""
+    out = []
+    for name in strangers():
+        try:
+            _declared(name)
+        except ConfigError:
+            continue
+        out.append(name)
+    return tuple(out)
+
+
+def _declared(name: str) -> Family:
+    """The family of another package's model, as its class declares it."""
+    from gonio import plugins
+    from gonio.models import Fitted
+
+    kind = plugins.load("gonio.models", name)
+    rows: Mapping[str, Fitted] = getattr(kind, "fitted", {})
+    if not rows:
+        raise ConfigError(
+            f'the model "{name}" does not say what of it is fitted: its class needs `fitted`, bounds and scales by'
+            " the names of its parameters"
+        )
+    for key, row in rows.items():
+        if not isinstance(row, Fitted):
+            raise ConfigError(f'the model "{name}": fitted["{key}"] has to be a gonio.models.Fitted, not {row!r}')
+    free = tuple(key for key, row in rows.items() if row.fixed is None)
+
+    def starts(data: Observations) -> list[Values]:
+        diffuse, peak = _levels(data)
+        grid = []
+        for key in free:
+            row = rows[key]
+            if isinstance(row.starts, str):
+                level = diffuse if row.starts == "diffuse" else peak
+                some = [level] if row.starts == "diffuse" else [0.03 * level, 0.3 * level, level]
+            elif row.starts:
+                some = list(row.starts)
+            elif row.scale == "log":
+                some = [row.lower ** (1 - q) * row.upper**q for q in (0.2, 0.5, 0.8)]
+            else:
+                some = [row.lower + (row.upper - row.lower) * q for q in (0.2, 0.5, 0.8)]
+            grid.append([min(max(x, row.lower), row.upper) for x in some])
+        return [dict(zip(free, values, strict=True)) for values in product(*grid)]
+
+    return Family(
+        name,
+        tuple(Parameter(key, row.lower, row.upper, row.scale, row.unit) for key, row in rows.items()),
+        free,
+        {key: row.fixed for key, row in rows.items() if row.fixed is not None},
+        lambda v: dict(v),
+        starts,
+        needs_wavelength=kind.needs_wavelength,
+    )
 
 
 def needs_ior(name: str) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -99,6 +99,18 @@ class Problem:
         own = {n: values[f"{n}@{wavelength_nm:g}"] for n in self.each}
         return {n: x for n, x in values.items() if "@" not in n} | own
 
+    def own_wavelength(self, k: int) -> float | None:
+        """The one of `waves` that the k-th free parameter counts at; None where it counts at all."""
+        name, between, at = self.free[k].partition("@")
+        return next(w for w in self.waves if f"{w:g}" == at) if between else None
+
+    def moved_together(self, among: Iterable[int]) -> list[list[int]]:
+        """Free parameters in groups whose effects do not overlap: those of one name at different wavelengths."""
+        out: dict[str, list[int]] = {}
+        for k in among:
+            out.setdefault(self.free[k].partition("@")[0], []).append(k)
+        return list(out.values())
+
     def pulls(self, vector: Floats) -> Floats:
         """Residuals of the priors, one each."""
         values = self.values(vector)
@@ -162,7 +174,7 @@ def pose(asked: FitRequest) -> Problem:
     """
     model, ior, fix, free = asked.model, asked.ior, asked.fix or {}, asked.free
     notes: list[str] = []
-    if ior is not None and not parameters.needs_ior(model) and set(parameters.parts(model)) <= set(parameters.FAMILIES):
+    if ior is not None and not parameters.needs_ior(model):
         ior = None
         notes.append(f"The optical constants are not used: {model} has none.")
     family = parameters.family(model, slopes=asked.slopes, ior=ior)

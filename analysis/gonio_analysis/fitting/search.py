@@ -165,17 +165,24 @@ def derivatives(
     """
     lower, upper = problem.bounds
     known = problem.known_slopes(vector)
-    columns = []
-    for k in range(vector.size) if only is None else only:
-        if problem.free[k] in known:
-            columns.append(np.full(len(data), known[problem.free[k]]))
-            continue
+    asked = list(range(vector.size) if only is None else only)
+    columns = np.empty((vector.size, len(data)))
+    for k in (k for k in asked if problem.free[k] in known):
+        columns[k] = known[problem.free[k]]
+    for together in problem.moved_together(k for k in asked if problem.free[k] not in known):
         up, down = vector.copy(), vector.copy()
-        up[k] = min(vector[k] + STEP, upper[k])
-        down[k] = max(vector[k] - STEP, lower[k])
+        up[together] = np.minimum(vector[together] + STEP, upper[together])
+        down[together] = np.maximum(vector[together] - STEP, lower[together])
         high, low = (apparent(problem.model(x), data, quick=quick, rules=rules) for x in (up, down))
-        columns.append((high - low) / (up[k] - down[k]))
-    return np.stack(columns, axis=1)
+        for k in together:
+            columns[k] = _own(problem, data, k, (high - low) / (up[k] - down[k]))
+    return columns[asked].T
+
+
+def _own(problem: Problem, data: Observations, k: int, column: Floats) -> Floats:
+    """A derivative where the parameter counts: at its own wavelength, or everywhere."""
+    wave = problem.own_wavelength(k)
+    return column if wave is None else np.where(data.wavelength_nm == wave, column, 0.0)
 
 
 def _one_sided(problem: Problem, data: Observations, vector: Floats, here: Floats) -> Floats:
@@ -186,10 +193,12 @@ def _one_sided(problem: Problem, data: Observations, vector: Floats, here: Float
     for k, name in enumerate(problem.free):
         if name in known:
             columns[k] = known[name]
-            continue
+    for together in problem.moved_together(k for k, name in enumerate(problem.free) if name not in known):
         moved = vector.copy()
-        moved[k] += SMALL_STEP if vector[k] + SMALL_STEP <= upper[k] else -SMALL_STEP
-        columns[k] = (apparent(problem.model(moved), data, quick=True) - here) / (moved[k] - vector[k])
+        moved[together] += np.where(vector[together] + SMALL_STEP <= upper[together], SMALL_STEP, -SMALL_STEP)
+        rise = apparent(problem.model(moved), data, quick=True) - here
+        for k in together:
+            columns[k] = _own(problem, data, k, rise / (moved[k] - vector[k]))
     return columns.T
 
 

@@ -120,7 +120,7 @@ class Choice:
         if j is self.named:
             return True
         alike = [other for other in self.judged if other.candidate.model == j.candidate.model]
-        return j.candidate.model in SINGLE and j is min(alike, key=lambda other: other.aic)
+        return len(parameters.parts(j.candidate.model)) == 1 and j is min(alike, key=lambda other: other.aic)
 
     def summary(self) -> ChoiceSummary:
         """Plain numbers and words."""
@@ -138,7 +138,7 @@ class Choice:
 
 
 def candidates(models: Sequence[str], ior: Ior = None) -> list[Candidate]:
-    """What to try: the models named, or with "all" every family, with n + ik fitted where nobody gave it, and sums.
+    """What to try: the models named, or with "all" every family (other packages' too), with n + ik fitted where nobody gave it, and sums.
 
     A sum's Lambertian base is left out where the glossy model brings one of its own.
 
@@ -153,7 +153,7 @@ def candidates(models: Sequence[str], ior: Ior = None) -> list[Candidate]:
         return [Candidate(name) for name in models]
     if len(models) > 1:
         raise ConfigError("--models all names every model: nothing can stand beside it")
-    single = [Candidate(name) for name in SINGLE]
+    single = [Candidate(name) for name in (*SINGLE, *parameters.declared())]
     several = [*(Candidate(name) for name in SUMS), Candidate("cook-torrance", slopes=2)]
     out = []
     for group in (single, several):

@@ -162,7 +162,9 @@ def examine(
 def check_models(models: Sequence[str]) -> None:
     """Raise `ConfigError` for a name that no fit knows, before anything is read."""
     if not models:
-        raise ConfigError(f"--models names no model; known: {', '.join(parameters.FAMILIES)}")
+        raise ConfigError(
+            f"--models names no model; known: {', '.join([*parameters.FAMILIES, *parameters.strangers()])}"
+        )
     candidates(models)
     twice = {m for m in models if list(models).count(m) > 1}
     if twice:

@@ -54,6 +54,18 @@ def test_help_imports_nothing_heavy(tmp_path: Path) -> None:
     assert "heavy: []" in done.stdout
 
 
+def test_blas_has_one_thread_unless_somebody_says_otherwise() -> None:
+    code = (
+        "import os, sys; from gonio.cli import main; sys.argv = ['gonio', '--version']\n"
+        "try: main()\n"
+        "except SystemExit: print(os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    bare = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+    for given, expected in ((bare, "1"), ({**bare, "OPENBLAS_NUM_THREADS": "2"}, "2")):
+        done = subprocess.run([sys.executable, "-c", code], env=given, capture_output=True, text=True, check=True)
+        assert done.stdout.split()[-1] == expected
+
+
 def test_plan_show_tells_what_cannot_be_measured_and_how_long_it_takes(tmp_path: Path) -> None:
     (tmp_path / "plan.toml").write_text(PLAN)
     alone = gonio(tmp_path, "plan", "show", "plan.toml")

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from gonio_analysis.change.resampling import carry, common_wavelengths
+import pandas as pd
+import pytest
+import scipy.spatial
+from gonio_analysis.change.resampling import _located, _turns, carry, common_wavelengths
 from gonio_analysis.fitting.observations import observations
 
+from gonio.formats import reader
 from gonio.models import OrenNayar
+from gonio.typing import Floats
 from tests.gonio_analysis.synthetic import measure
 
 MODEL = OrenNayar(0.6, 20.0)
@@ -33,3 +40,55 @@ def test_wavelengths_are_common_within_half_a_nanometre() -> None:
     a, b, c = (observations(measure(MODEL, wavelength_nm=nm)) for nm in (550.0, 550.4, 551.0))
     assert common_wavelengths(a, b) == [(550.0, 550.4)]
     assert common_wavelengths(a, c) == []
+
+
+def test_wavelengths_with_the_same_directions_share_one_triangulation(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[int] = []
+    delaunay = scipy.spatial.Delaunay
+
+    def counted(points: Floats) -> Any:
+        made.append(len(points))
+        return delaunay(points)
+
+    monkeypatch.setattr(scipy.spatial, "Delaunay", counted)
+    several = [
+        pd.concat([_hemisphere(seed, nm) for nm in np.arange(400.0, 701.0, 50.0)], ignore_index=True) for seed in (0, 1)
+    ]
+    carried = carry(observations(several[0]), observations(several[1]), several[1])
+    assert carried.interpolated > 300
+    assert len(made) == 1
+    apart = [
+        carry(observations(a), observations(b), b).value for a, b in zip(*map(_by_wavelength, several), strict=True)
+    ]
+    np.testing.assert_allclose(carried.value, np.concatenate(apart), rtol=1e-12)  # sums in another order
+
+
+def test_points_are_located_in_a_triangulation_as_scipy_locates_them() -> None:
+    rng = np.random.default_rng(3)
+    grid = np.array(np.meshgrid(np.arange(8.0), np.arange(9.0))).reshape(2, -1).T
+    flat = np.column_stack([np.linspace(0, 8, 40), 1e-17 * rng.normal(size=40)])
+    for nodes in (grid, rng.normal(size=(150, 2)), np.vstack([flat, [[3.0, 5.0], [4.0, -6.0]]])):
+        mesh = scipy.spatial.Delaunay(nodes)
+        goals = rng.uniform(nodes.min(axis=0) - 0.5, nodes.max(axis=0) + 0.5, size=(400, 2))
+        found, weights = _located(mesh, _turns(nodes[mesh.simplices]), goals)
+        inside = found >= 0
+        assert np.array_equal(inside, mesh.find_simplex(goals) >= 0)
+        assert weights[inside].min() > -1e-9
+        met = np.einsum("ni,nij->nj", weights[inside], nodes[mesh.simplices[found[inside]]])
+        np.testing.assert_allclose(met, goals[inside], atol=1e-9)  # of nodes some units apart
+
+
+def _hemisphere(seed: int, wavelength_nm: float) -> pd.DataFrame:
+    """Random receivers, the same for a seed, under one incidence."""
+    rng = np.random.default_rng(seed)
+    n = 500
+    theta, phi = np.degrees(np.arccos(rng.uniform(0.3, 1.0, n))), rng.uniform(0.0, 360.0, n)
+    true = MODEL.brdf(np.radians(30.0), 0.0, np.radians(theta), np.radians(phi)) * wavelength_nm
+    return reader.table(
+        theta_i_deg=np.full(n, 30.0), phi_i_deg=0.0, theta_r_deg=theta, phi_r_deg=phi, wavelength_nm=wavelength_nm,
+        brdf=true, u_brdf=1e-3 * true, u_random=1e-3 * true, attrs={},
+    )  # fmt: skip
+
+
+def _by_wavelength(frame: pd.DataFrame) -> list[pd.DataFrame]:
+    return [part for _, part in frame.groupby("wavelength_nm")]

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
+from gonio_analysis.fitting import search
 from gonio_analysis.fitting.fit import fit
+from gonio_analysis.fitting.forward import apparent
+from gonio_analysis.fitting.observations import observations
+from gonio_analysis.fitting.problem import FitRequest, pose, together
 from gonio_analysis.fitting.profile_likelihood import profiles
 
 from gonio.errors import ConfigError
@@ -65,3 +71,31 @@ def test_what_cannot_be_fitted_together_is_named(table: pd.DataFrame) -> None:
         fit(table, "lambert", each=[], wavelength_nm=550)
     with pytest.raises(ConfigError, match="prior of albedo"):
         fit(table, "lambert", each=["albedo"], priors={"albedo": (0.5, 0.1)})
+
+
+def test_values_at_each_wavelength_cost_no_evaluation_of_their_own(
+    table: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = together(pose(FitRequest("oren-nayar")), list(WAVES), ["albedo"])
+    data = observations(table)
+    vector = problem.vector({"sigma_deg": 20.0, **{f"albedo@{w:g}": a for w, a in WAVES.items()}})
+    calls = []
+
+    def counted(*arguments: Any, **options: Any) -> Any:
+        calls.append(1)
+        return apparent(*arguments, **options)
+
+    monkeypatch.setattr(search, "apparent", counted)
+    columns = search.derivatives(problem, data, vector)
+    assert len(calls) == 4  # two central differences: of sigma, and of the albedos of all wavelengths
+    quick = search._one_sided(problem, data, vector, apparent(problem.model(vector), data, quick=True))
+    assert len(calls) == 6
+    for k in range(vector.size):
+        up, down = vector.copy(), vector.copy()
+        up[k] += search.STEP
+        down[k] -= search.STEP
+        high, low = (apparent(problem.model(x), data) for x in (up, down))
+        np.testing.assert_allclose(columns[:, k], (high - low) / (2 * search.STEP), rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(quick[:, k], columns[:, k], rtol=1e-4, atol=1e-6)  # a one-sided step of 1e-6
+    only = search.derivatives(problem, data, vector, only=[2, 0])
+    np.testing.assert_array_equal(only, columns[:, [2, 0]])
