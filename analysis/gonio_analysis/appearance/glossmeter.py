@@ -70,8 +70,10 @@ class Glossmeter:
             A direction (3,) that panels close in on; without it the aperture is one panel.
         """
         centre = (0.0, 0.0) if about is None else self._in_focal_plane(about)
-        edges = [_panels(width, None if about is None else c) for width, c in zip(self.receiver_deg, centre, strict=True)]
-        points, weights = _rectangle(*edges, order)
+        along, across = (
+            _panels(width, None if about is None else c) for width, c in zip(self.receiver_deg, centre, strict=True)
+        )
+        points, weights = _rectangle(along, across, order)
         omega, solid = _directions(points, self.theta, 1.0)
         return omega, weights * solid
 
