@@ -413,7 +413,7 @@ def _assembled(
         except NotMeasured as error:
             return Quantity(None, None, None, unit, why=str(error), at_least=finite(error.at_least))
         u = uncertainty(one)
-        remark = None if note is None else note(one.value)
+        remark = one.note if note is None else note(one.value)
         return Quantity(finite(one.value), finite(u), finite(one.error), unit, note=remark)
 
     def named(key: str, unit: str) -> Quantity:

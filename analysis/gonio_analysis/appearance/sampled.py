@@ -30,12 +30,16 @@ taken; the others say how far the choice matters."""
 
 LARGEST_GAP = math.radians(10.0)
 """Between two directions of a curve that a third is interpolated from."""
+WING = math.radians(6.0)
+"""On both sides of the mirror direction, within which a gloss needs values."""
 BEYOND = 0.02
 """Share of a glossmeter's flux that may come from beyond the measured directions."""
 LARGEST_ERROR_GU, LARGEST_ERROR = 1.0, 0.2
 """Of a gloss that is stated: the larger of a number of units and a share."""
 LEAST_COVERED = 0.85
 """Share of the projected hemisphere that an integral over it needs."""
+PEAK = math.radians(2.5)
+"""Distance from the mirror direction beyond which a specular peak may hide between values."""
 FEWEST_DIRECTIONS = 20
 """Of an integral over a hemisphere."""
 SAME_PLACE = 1e-3
@@ -69,6 +73,7 @@ class Sampled:
     """By every value of the observations, (n,)."""
     error: float
     """Of the interpolation between values, estimated."""
+    note: str | None = None
 
     def times(self, factor: float) -> Sampled:
         """The number times an exact one."""
@@ -176,11 +181,15 @@ def gloss(data: Observations, meter: Glossmeter) -> Sampled:
 
 def _gloss(data: Observations, curve: Curve, meter: Glossmeter) -> Sampled:
     offset = curve.angle - curve.parameter
-    beside = offset[np.abs(offset) <= max(2.0 * meter.reach, math.radians(6.0))]
-    if not (np.any(beside <= -0.5 * meter.reach) and np.any(beside >= 0.0)):
+    if not np.any(np.abs(offset) <= meter.reach):
+        raise NotMeasured(
+            f"no value within {math.degrees(meter.reach):.1f}° of the mirror direction on the curve at"
+            f" {math.degrees(curve.parameter):.1f}°"
+        )
+    if not (np.any(np.abs(offset + 0.5 * WING) <= 0.5 * WING) and np.any(np.abs(offset - 0.5 * WING) <= 0.5 * WING)):
         raise NotMeasured(
             f"the curve at {math.degrees(curve.parameter):.1f}° has no values on both sides of the mirror direction"
-            f" within {math.degrees(max(2.0 * meter.reach, math.radians(6.0))):.1f}°"
+            f" within {math.degrees(WING):g}°"
         )
     response = spike_response(data, curve)
     scale = 100.0 / meter.standard
@@ -242,7 +251,7 @@ def _through(
     """The flux through the apertures from some values of a curve; and that from beyond the measured directions."""
     lobe = _HalfVector(curve, np.flatnonzero(response == 0.0), taken, shape)
     omega_i, share = meter.source(3)
-    omega_r, solid = meter.receiver(16)
+    omega_r, solid = meter.receiver(12)
     n_r = len(omega_r)
     omega_i, share = np.repeat(omega_i, n_r, axis=0), np.repeat(share, n_r)
     omega_r, solid = np.tile(omega_r, (len(omega_i) // n_r, 1)), np.tile(solid, len(omega_i) // n_r)
@@ -340,8 +349,9 @@ class _HalfVector:
             logarithmic = np.exp((1.0 - share) * np.log(y_low) + share * np.log(y_high))
             by_low, by_high = logarithmic * (1.0 - share) / y_low, logarithmic * share / y_high
         values = np.where(positive, logarithmic, (1.0 - share) * y_low + share * y_high)
-        np.add.at(gradient, rows[low], part * weight[low] * np.where(positive, by_low, 1.0 - share))
-        np.add.at(gradient, rows[high], part * weight[high] * np.where(positive, by_high, share))
+        by_low = part * weight[low] * np.where(positive, by_low, 1.0 - share)
+        by_high = part * weight[high] * np.where(positive, by_high, share)
+        np.add.at(gradient, rows, np.bincount(low, by_low, knots.size) + np.bincount(high, by_high, knots.size))
         return np.asarray(values)
 
 
@@ -412,9 +422,13 @@ def _reflectance(data: Observations, rows: Rows) -> Sampled:
             f"{100 * covered:.0f} % of the projected hemisphere was measured, {100 * LEAST_COVERED:.0f} % are needed",
             at_least=least if least > 0.0 and bool(np.all(data.brdf[rows] >= 0.0)) else None,
         )
+    note = None
+    if part.gap > PEAK:
+        away = f"{math.degrees(part.gap):.1f}°"
+        note = f"the nearest value to the mirror direction is {away} away: a narrower peak is not in it"
     halves = [part.integral(slice(first, None, 2))[0].value for first in (0, 1)]
     total = replace(lobe, error=max(abs(lobe.value - half) for half in halves) / 3.0 + 0.5 * abs(rim.value))
-    return total if part.spike is None else total.plus(part.spike)
+    return replace(total if part.spike is None else total.plus(part.spike), note=note)
 
 
 class _Projected:
@@ -426,6 +440,7 @@ class _Projected:
             at = at.seen_from(0.0)
         self._n = len(data)
         omega = at.from_incidence
+        self.gap = float(at.mirror_offset.min())
         self._theta_i = float(at.theta_i.mean())
         response = _response(data, rows) if data.source_solid_angle_sr and data.receiver_solid_angle_sr else None
         lobe = np.ones(rows.size, dtype=bool) if response is None else response == 0.0
