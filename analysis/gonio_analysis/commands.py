@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from gonio_analysis.appearance.quantities import Appearance
     from gonio_analysis.fitting.fit import FitResult
     from gonio_analysis.fitting.parameters import Ior
     from gonio_analysis.fitting.profile_likelihood import Interval
+    from gonio_analysis.result_records import Appearance
 
 MODELS = "lambert,oren-nayar,cook-torrance,he-torrance"
 MODELS_HELP = "Models to fit, with commas between (sums as oren-nayar+phong), or all."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ from gonio_analysis.appearance.glossmeter import GLOSSMETERS, gloss
 from gonio_analysis.appearance.sampled import NotMeasured, Sampled
 from gonio_analysis.curves.in_plane import Curve, curves
 from gonio_analysis.fitting.observations import Observations, observations
-from gonio_analysis.result_records import WHERE_KNOWN, finite
+from gonio_analysis.result_records import Appearance, AtIncidence, Colour, Quantity, Retroreflection, finite
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,76 +47,6 @@ SMOOTH_TIS = 0.1
 HAZE_ABOVE_GU = 70.0
 DARKEST_L = 1.0
 """L* that a flop index is divided by."""
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A number, its standard uncertainty and its numerical error; or why there is none."""
-
-    value: float | None
-    u: float | None
-    error: float | None
-    unit: str
-    why: str | None = field(default=None, metadata=WHERE_KNOWN)
-    at_least: float | None = field(default=None, metadata=WHERE_KNOWN)
-    """A lower bound where there is no value."""
-    note: str | None = field(default=None, metadata=WHERE_KNOWN)
-
-
-@dataclass(frozen=True)
-class AtIncidence(Quantity):
-    """A quantity at one angle of incidence."""
-
-    theta_i_deg: float = 0.0
-
-
-@dataclass(frozen=True)
-class Retroreflection:
-    """Both coefficients in one geometry."""
-
-    after: str
-    entrance_deg: float
-    observation_deg: float
-    R_A: Quantity
-    R_L: Quantity
-
-
-@dataclass(frozen=True)
-class Colour:
-    """L*a*b* in one geometry."""
-
-    theta_i_deg: float
-    aspecular_deg: float
-    theta_r_deg: float
-    """Signed."""
-    L: Quantity
-    a: Quantity
-    b: Quantity
-
-
-@dataclass(frozen=True)
-class Appearance:
-    """All quantities of one sample, as `gonio appearance --json` prints them."""
-
-    name: str
-    source: str
-    kind: str
-    """"table", "model" or "fit"."""
-    wavelength_nm: float | None
-    gloss_20_gu: Quantity
-    gloss_60_gu: Quantity
-    gloss_85_gu: Quantity
-    haze_gu: Quantity
-    rho_dh_8: Quantity
-    rho_dh: Sequence[AtIncidence]
-    radiance_factor_0_45: Quantity
-    radiance_factor_45_0: Quantity
-    retroreflection: Sequence[Retroreflection]
-    lab: Sequence[Colour]
-    flop_index: Quantity
-    tis_8: Quantity
-    rms_roughness_nm: Quantity
-    notes: Sequence[str] = ()
 
 
 def of(spec: str, *, wavelength_nm: float | None = None) -> Appearance:
@@ -170,8 +100,8 @@ def of_table(
     numbers = _Numbers()
     for meter in GLOSSMETERS:
         numbers.put(f"gloss_{meter.angle_deg:g}_gu", partial(sampled.gloss, at, meter))
-    numbers.put("rho_dh_8", lambda: sampled.reflectance_at_8(at))
     incidences = sampled.reflectances(at)
+    numbers.put("rho_dh_8", lambda: sampled.reflectance_at_8(incidences))
     for theta, rho in incidences.items():
         numbers.take(f"rho_dh {math.degrees(theta)}", rho)
     numbers.put("spike_8", lambda: sampled.spike_reflectivity(at, _nearest_8(incidences)))
@@ -193,8 +123,8 @@ def of_table(
         if whole.covariance is None:
             return None
         own = one.gradient * whole.covariance.random
-        common = one.gradient @ whole.covariance.common
-        return math.sqrt(float(own @ own + common @ common))
+        common = (one.gradient[:, None] * whole.covariance.common).sum(axis=0)
+        return math.sqrt(float((own**2).sum() + (common**2).sum()))
 
     return _assembled(numbers, uncertainty, name, source, "table", wavelength, list(incidences), notes)
 
@@ -389,7 +319,8 @@ class _Numbers:
 
     def __getitem__(self, key: str) -> Sampled:
         if key in self.missing:
-            raise self.missing[key]
+            why = self.missing[key]
+            raise NotMeasured(str(why), why.at_least)  # a new one: one that is raised again keeps all its frames
         return self.values[key]
 
 

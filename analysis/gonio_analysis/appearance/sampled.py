@@ -7,7 +7,7 @@ Every function takes observations at one wavelength and returns a `Sampled`; whe
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -40,6 +40,7 @@ LEAST_COVERED = 0.85
 """Share of the projected hemisphere that an integral over it needs."""
 PEAK = math.radians(2.5)
 """Distance from the mirror direction beyond which a specular peak may hide between values."""
+MOST_INCIDENCES = 12
 FEWEST_DIRECTIONS = 20
 """Of an integral over a hemisphere."""
 SAME_PLACE = 1e-3
@@ -359,22 +360,36 @@ class _HalfVector:
 
 
 def reflectances(data: Observations) -> dict[float, Sampled | NotMeasured]:
-    """Directional-hemispherical reflectance at every incidence [rad] of some observations."""
-    out: dict[float, Sampled | NotMeasured] = {}
+    """Directional-hemispherical reflectance at the incidences [rad] of some observations.
+
+    At most `MOST_INCIDENCES` of them, evenly chosen; the mean of several azimuths.
+    """
     at = data.directions
+    by_theta: dict[float, list[Rows]] = {}
     for rows in _incidences(at):
-        theta_i = float(at.theta_i[rows].mean())
-        try:
-            out[theta_i] = _reflectance(data, rows)
-        except NotMeasured as error:
-            out[theta_i] = error
+        by_theta.setdefault(round(math.degrees(float(at.theta_i[rows].mean())), 1), []).append(rows)
+    known = sorted(by_theta)
+    chosen = np.unique(np.round(np.linspace(0, len(known) - 1, min(len(known), MOST_INCIDENCES))).astype(int))
+    near_8 = {theta for theta in known if abs(math.radians(theta - 8.0)) <= NEAR_8}
+    out: dict[float, Sampled | NotMeasured] = {}
+    for theta in sorted({known[k] for k in chosen} | near_8):
+        found: list[Sampled] = []
+        why: NotMeasured | None = None
+        for rows in by_theta[theta]:
+            try:
+                found.append(_reflectance(data, rows))
+            except NotMeasured as error:
+                why = error
+        if found:
+            out[math.radians(theta)] = replace(_mean(found), note=found[0].note)
+        elif why is not None:
+            out[math.radians(theta)] = why
     return out
 
 
-def reflectance_at_8(data: Observations) -> Sampled:
-    """Reflectance at 8 degrees: of an incidence near it, or linear in theta^2 between two."""
+def reflectance_at_8(every: Mapping[float, Sampled | NotMeasured]) -> Sampled:
+    """Reflectance at 8 degrees from those at other incidences: of one near it, or linear in theta^2 between two."""
     goal = math.radians(8.0)
-    every = reflectances(data)
     known = {theta: one for theta, one in every.items() if isinstance(one, Sampled)}
     near = min(every, key=lambda theta: abs(theta - goal), default=math.inf)
     if near in known and abs(near - goal) <= NEAR_8:

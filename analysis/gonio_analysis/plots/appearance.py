@@ -50,12 +50,11 @@ def beams(ax: Any, angle_deg: float, source_deg: float, receiver_deg: float, *, 
         wedge = Wedge((0.0, 0.0), 1.0, centre - width / 2.0, centre + width / 2.0, facecolor=colour, edgecolor=colour)
         drawn.append(ax.add_patch(wedge))
         turn = math.radians(centre)
-        below = -0.13 if angle_deg > 80.0 else 0.0
-        ax.annotate(
-            f"{width:g}°", (1.08 * math.cos(turn), 1.08 * math.sin(turn) + below), ha="center", va="center", fontsize=8
-        )
-    ax.set_xlim(-1.25, 1.25)
-    ax.set_ylim(-0.15, 1.2)
+        above = 0.12 if angle_deg > 80.0 else 0.0  # clear of the surface
+        place = (1.14 * math.cos(turn), 1.14 * math.sin(turn) + above)
+        ax.annotate(f"{width:g}°", place, ha="center", va="center", fontsize=8)
+    ax.set_xlim(-1.35, 1.35)
+    ax.set_ylim(-0.1, 1.25)
     ax.set_aspect("equal")
     ax.set_axis_off()
     ax.set_title(label, fontsize=9)

@@ -13,7 +13,6 @@ import numpy as np
 
 from gonio.typing import Floats
 from gonio_analysis.appearance.glossmeter import GLOSSMETERS, SOURCE_DEG
-from gonio_analysis.appearance.quantities import Appearance, Quantity
 from gonio_analysis.plots import appearance as plots
 from gonio_analysis.report import files, pdf
 from gonio_analysis.report.blocks import (
@@ -34,7 +33,7 @@ from gonio_analysis.report.comparison import stamp
 from gonio_analysis.report.drawing import Draughtsmen
 from gonio_analysis.report.figures import Drawing
 from gonio_analysis.report.text import number, quantity, with_u
-from gonio_analysis.result_records import FigureSummary, as_json
+from gonio_analysis.result_records import Appearance, FigureSummary, Quantity, as_json
 
 SOURCES = {
     "gloss": "ISO 2813, ASTM D523",

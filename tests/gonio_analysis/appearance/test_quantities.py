@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from gonio_analysis.appearance.glossmeter import GLOSSMETERS, gloss
-from gonio_analysis.appearance.quantities import Appearance, Quantity, of_fit, of_model, of_table
+from gonio_analysis.appearance.quantities import of_fit, of_model, of_table
 from gonio_analysis.fitting.fit import fit
+from gonio_analysis.result_records import Appearance, Quantity
 
 from gonio import colour
 from gonio.models import CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Sum
@@ -170,7 +171,7 @@ def test_haze_of_a_matt_surface_has_a_note() -> None:
     assert "above 70 GU" in known_words(of_model(Lambert(0.9), name="white").haze_gu.note)
 
 
-def pulls(model: Model, directions: Any, waves: tuple[float, ...] = (550.0,), runs: int = 300) -> dict[str, Any]:
+def pulls(model: Model, directions: Any, waves: tuple[float, ...] = (550.0,), runs: int = 400) -> dict[str, Any]:
     """(quantity - its value without noise) / u over simulated measurements."""
     rng = np.random.default_rng(11)
     frame = measured(model, directions, waves=waves)
@@ -190,7 +191,7 @@ def test_pulls_of_one_wavelength_have_a_standard_deviation_of_one() -> None:
     found = pulls(PAINT, np.vstack([*geometry, plane(0.0, np.array([45.0])), plane(0.0, np.array([-45.0]))]))
     assert {"gloss_20_gu", "gloss_60_gu", "gloss_85_gu", "haze_gu", "rho_dh_8", "radiance_factor_45_0"} <= set(found)
     for key, values in found.items():
-        # 300 draws scatter by 4 %
+        # 400 draws scatter by 3.5 %
         assert 0.9 < values.std(ddof=1) < 1.1, key
 
 
