@@ -1,4 +1,4 @@
-"""The commands `gonio demo`, `fit`, `compare` and `report`.
+"""The commands `gonio demo`, `fit`, `compare`, `report` and `appearance`.
 
 Nothing heavy is imported before a command runs: `gonio --help` has to answer at once.
 """
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from gonio_analysis.fitting.observations import Observations
     from gonio_analysis.fitting.parameters import Ior
     from gonio_analysis.fitting.profile_likelihood import Interval
+    from gonio_analysis.result_records import Appearance
 
 MODELS = "lambert,oren-nayar,cook-torrance,he-torrance"
 MODELS_HELP = "Models to fit, with commas between (sums as oren-nayar+phong), or all."
@@ -213,6 +214,43 @@ def report(
     print(_report([str(run)], out or run / "report", _names(models), normalise, ior, wavelength_nm))
 
 
+def appearance(
+    sample: Annotated[
+        str,
+        typer.Argument(
+            metavar="TABLE|SAMPLE", help="A table, a run, FILE:SAMPLE, or a model: sample.toml.", show_default=False
+        ),
+    ],
+    wavelength_nm: Annotated[float | None, typer.Option(help=WAVELENGTH_HELP, show_default=False)] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the quantities as JSON.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder of a page with them.", show_default=False)] = None,
+) -> None:
+    """Gloss, haze, reflectances, colour over angle, retroreflection and roughness. Of a measurement or of a model."""
+    import json
+
+    from gonio.acquisition.run import command_line
+    from gonio_analysis.appearance.quantities import of
+    from gonio_analysis.result_records import as_json as plain
+
+    if wavelength_nm is not None:
+        from gonio.errors import ConfigError
+
+        if not 0.0 < wavelength_nm < float("inf"):
+            raise ConfigError(f"--wavelength-nm {wavelength_nm:g}: a wavelength is above 0 nm")
+    found = of(sample, wavelength_nm=wavelength_nm)
+    page = None
+    if out is not None:
+        from gonio_analysis.report import appearance as report_on_it
+
+        page = report_on_it.make(found, out, command=command_line())
+    if as_json:
+        print(json.dumps(plain(found), indent=1, ensure_ascii=False, allow_nan=False))
+        return
+    _print_appearance(found)
+    if page is not None:
+        print(page)
+
+
 def _names(models: str) -> list[str]:
     """The models that --models lists."""
     from gonio.errors import ConfigError
@@ -344,6 +382,19 @@ def _change(specs: list[str], out: Path, wavelength_nm: float | None, unused: li
             f"--{unused[0]} has no part in --change, which fits no model and divides by nothing; leave it out"
         )
     return change.make(specs, out, wavelength_nm=wavelength_nm, command=command_line(), progress=console.note)
+
+
+def _print_appearance(found: Appearance) -> None:
+    from gonio.cli import console
+    from gonio_analysis.report.appearance import listed
+
+    at = f" at {found.wavelength_nm:g} nm" if found.wavelength_nm is not None else ""
+    rows = console.table("quantity", "value", "", title=f"{found.name}{at}")
+    for one in listed(found):
+        rows.add_row(one.label, one.value, one.remark)
+    console.show(rows)
+    for text in found.notes:
+        console.note(text)
 
 
 def _print(result: FitResult, sample: str, walked: dict[str, Interval]) -> None:

@@ -187,6 +187,79 @@ class ChoiceSummary:
     left_out: dict[str, str]
 
 
+# --- appearance ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number, its standard uncertainty and its numerical error; or why there is none."""
+
+    value: float | None
+    u: float | None
+    error: float | None
+    unit: str
+    why: str | None = field(default=None, metadata=WHERE_KNOWN)
+    at_least: float | None = field(default=None, metadata=WHERE_KNOWN)
+    """A lower bound where there is no value."""
+    note: str | None = field(default=None, metadata=WHERE_KNOWN)
+
+
+@dataclass(frozen=True)
+class AtIncidence(Quantity):
+    """A quantity at one angle of incidence."""
+
+    theta_i_deg: float = 0.0
+
+
+@dataclass(frozen=True)
+class Retroreflection:
+    """Both coefficients in one geometry."""
+
+    after: str
+    entrance_deg: float
+    observation_deg: float
+    R_A: Quantity
+    R_L: Quantity
+
+
+@dataclass(frozen=True)
+class Colour:
+    """L*a*b* in one geometry."""
+
+    theta_i_deg: float
+    aspecular_deg: float
+    theta_r_deg: float
+    """Signed."""
+    L: Quantity
+    a: Quantity
+    b: Quantity
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """All quantities of one sample, as `gonio appearance --json` prints them."""
+
+    name: str
+    source: str
+    kind: str
+    """"table", "model" or "fit"."""
+    wavelength_nm: float | None
+    gloss_20_gu: Quantity
+    gloss_60_gu: Quantity
+    gloss_85_gu: Quantity
+    haze_gu: Quantity
+    rho_dh_8: Quantity
+    rho_dh: Sequence[AtIncidence]
+    radiance_factor_0_45: Quantity
+    radiance_factor_45_0: Quantity
+    retroreflection: Sequence[Retroreflection]
+    lab: Sequence[Colour]
+    flop_index: Quantity
+    tis_8: Quantity
+    rms_roughness_nm: Quantity
+    notes: Sequence[str] = ()
+
+
 # --- what was measured -----------------------------------------------------------------------------------------------
 
 
@@ -287,6 +360,8 @@ class DatasetSummary:
     usable_everywhere: int
     best: str | None
     conclusion: str
+    appearance: Appearance | None = None
+    """None where a table is too large for a quick look."""
 
 
 # --- pages -----------------------------------------------------------------------------------------------------------

@@ -26,6 +26,7 @@ from gonio.colour.display import (
     exposure,
 )
 from gonio.colour.dominant import dominant_wavelength
+from gonio.colour.lab import lab, lab_slope
 from gonio.colour.reflection import (
     ShiftError,
     index_from_f0,
@@ -51,6 +52,8 @@ __all__ = [
     "exposure",
     "illuminant",
     "index_from_f0",
+    "lab",
+    "lab_slope",
     "light_weights",
     "observer",
     "reflectance",

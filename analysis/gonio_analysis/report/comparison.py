@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 
 from gonio.geometry import AT_MIRROR, IN_PLANE
+from gonio_analysis.appearance.quantities import of_table
 from gonio_analysis.curves.in_plane import NORM_WORDS
 from gonio_analysis.fitting.budget import budget
 from gonio_analysis.fitting.fit import FitResult
@@ -19,6 +20,7 @@ from gonio_analysis.fitting.metrics import BELOW, DESCRIPTIONS
 from gonio_analysis.fitting.observations import describe_left_out
 from gonio_analysis.report.text import difference, slug
 from gonio_analysis.result_records import (
+    Appearance,
     AtWavelength,
     CurveSummary,
     DatasetSummary,
@@ -36,6 +38,8 @@ if TYPE_CHECKING:
 
 MOST_VALUES = 200
 """Measured values that a page lists where it has no model."""
+MOST_FOR_APPEARANCE = 100_000
+"""Rows of a table whose quantities of appearance are worked out along the way."""
 MOST_REASONS = 12
 """Why values were left out, in words on the page; `left_out` has all."""
 VALUES = ("wavelength_nm", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "brdf", "u_brdf")
@@ -125,7 +129,15 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         usable_everywhere=len(usable(d)),
         best=best,
         conclusion=_conclusion(d, best),
+        appearance=_appearance(d),
     )
+
+
+def _appearance(d: Dataset) -> Appearance | None:
+    """Quantities of appearance where they take no time to speak of."""
+    if len(d.table) > MOST_FOR_APPEARANCE:
+        return None
+    return of_table(d.table, name=d.name, source=d.source, wavelength_nm=finite(d.wavelength_nm))
 
 
 def _left_out(reasons: Mapping[str, int]) -> str:

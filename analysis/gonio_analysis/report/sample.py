@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from gonio import geometry
 from gonio.formats.reader import TableBand
-from gonio_analysis.report import blocks, model_choice
+from gonio_analysis.report import appearance, blocks, model_choice
 from gonio_analysis.report.blocks import (
     MOST_ROWS,
     Block,
@@ -67,6 +67,9 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
         out += [Heading(3, "Parameters"), *_parameters(d)]
         out += [Figures(by["profile"])] if "profile" in by else []
         out += [Heading(3, "Metrics"), *_metrics(s, d)]
+    quantities = None if d.appearance is None else appearance.known(d.appearance)
+    if quantities is not None:
+        out += [Heading(3, "Appearance"), quantities]
     out.append(Heading(3, "Uncertainty"))
     if "budget" in by:
         out += [Figures((*by["budget"], *by.get("budget-angle", ()))), _budget(d)]

@@ -265,3 +265,17 @@ def test_errors_that_the_docs_state(material: str, largest: float, rms: float) -
     error = colour.shift_error(np.arange(380.0, 781.0, 5.0), material)
     assert error.largest == pytest.approx(largest, rel=0.02)
     assert error.rms == pytest.approx(rms, rel=0.02)
+
+
+def test_slope_of_lab_is_its_difference_quotient() -> None:
+    values = np.array([[0.4, 0.3, 0.2], [0.004, 0.003, 0.002], [-0.001, 0.0, 0.5]])
+    step = 1e-6
+    for axis in range(3):
+        ahead, behind = (colour.lab(values + sign * step * np.eye(3)[axis]) for sign in (1, -1))
+        # a central difference errs by its step squared and by rounding over the step
+        assert colour.lab_slope(values)[..., axis] == pytest.approx((ahead - behind) / (2 * step), abs=1e-4, rel=1e-7)
+
+
+def test_lab_refuses_what_is_no_xyz() -> None:
+    with pytest.raises(ArgumentError, match="its last axis must hold X, Y and Z"):
+        colour.lab([0.1, 0.2])

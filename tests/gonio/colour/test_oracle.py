@@ -111,3 +111,11 @@ def test_the_colour_of_copper_by_both(oracle: Any) -> None:
         for row in colour.reflectance(theta, nm, "Cu")
     ]
     assert colour.reflected_xyz(theta, nm, "Cu") == pytest.approx(np.array(wanted), abs=1e-6)
+
+
+@pytest.mark.parametrize("name", colour.ILLUMINANTS)
+def test_lab(oracle: Any, name: str) -> None:
+    rng = np.random.default_rng(5)
+    values = np.concatenate([rng.uniform(0.0, 1.1, (50, 3)), rng.uniform(0.0, 0.01, (50, 3)), [colour.white(name)]])
+    wanted = oracle.XYZ_to_Lab(values, oracle.XYZ_to_xy(colour.white(name)))
+    assert colour.lab(values, name) == pytest.approx(wanted, abs=1e-10)  # rounding of numbers of a few hundred

@@ -1,0 +1,152 @@
+"""A glossmeter's beams and apertures (ISO 2813, ASTM D523), and the gloss of a model seen by it.
+
+Source and receiver are rectangles in the focal planes of two lenses: every point of one is a direction. The flux is
+the same from every point of the source. See docs/appearance.md.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gonio.models import fresnel
+from gonio.typing import Floats
+
+if TYPE_CHECKING:
+    from gonio.models import Model
+
+STANDARD_INDEX = 1.567
+"""Index of refraction of the glass that has 100 gloss units at every angle."""
+SOURCE_DEG = (0.75, 2.5)
+"""Angles of the source's image in the plane of incidence and across it."""
+EDGES_DEG = (0.0, 0.02, 0.06, 0.2, 0.5, 1.0, 2.0, 4.0, 20.0)
+"""Distances from the mirror direction where panels of the receiver end: lobes of any width down to 0.01 degrees."""
+
+
+@dataclass(frozen=True)
+class Glossmeter:
+    """One angle of a glossmeter, all in degrees.
+
+    Parameters
+    ----------
+    angle_deg
+        Of incidence and of the receiver's axis.
+    receiver_deg
+        Full angles of the receiver's aperture in the plane of incidence and across it.
+    """
+
+    angle_deg: float
+    receiver_deg: tuple[float, float]
+
+    @property
+    def theta(self) -> float:
+        """Angle of incidence and of the receiver's axis [rad]."""
+        return math.radians(self.angle_deg)
+
+    @cached_property
+    def reach(self) -> float:
+        """How far a detector in the plane of incidence has to see, from the mirror direction to either side [rad]."""
+        return math.radians(0.5 * (self.receiver_deg[0] + SOURCE_DEG[0]))
+
+    def source(self, order: int) -> tuple[Floats, Floats]:
+        """Directions toward the source (n, 3) and their share of the flux (n,), which add up to 1."""
+        points, weights = _rectangle(_panels(SOURCE_DEG[0]), _panels(SOURCE_DEG[1]), order)
+        omega, solid = _directions(points, self.theta, -1.0)
+        share = weights * solid
+        return omega, share / share.sum()
+
+    def receiver(self, order: int, about: Floats | None = None) -> tuple[Floats, Floats]:
+        """Directions inside of the receiver's aperture (n, 3) and their solid angles [sr] (n,).
+
+        Parameters
+        ----------
+        order
+            Gauss nodes of a panel, each way.
+        about
+            A direction (3,) that panels close in on; without it the aperture is one panel.
+        """
+        centre = (0.0, 0.0) if about is None else self._in_focal_plane(about)
+        along, across = (
+            _panels(width, None if about is None else c) for width, c in zip(self.receiver_deg, centre, strict=True)
+        )
+        points, weights = _rectangle(along, across, order)
+        omega, solid = _directions(points, self.theta, 1.0)
+        return omega, weights * solid
+
+    @cached_property
+    def standard(self) -> float:
+        """Mean reflectance of the standard glass over the source."""
+        omega, share = self.source(16)
+        return float(share @ fresnel.reflectance(omega[:, 2], STANDARD_INDEX))
+
+    def _in_focal_plane(self, omega: Floats) -> tuple[float, float]:
+        """Where a direction meets the receiver's focal plane: tangents in the plane of incidence and across."""
+        sine, cosine = math.sin(self.theta), math.cos(self.theta)
+        axis = sine * omega[0] + cosine * omega[2]
+        return float((cosine * omega[0] - sine * omega[2]) / axis), float(omega[1] / axis)
+
+
+GLOSSMETERS = (Glossmeter(20.0, (1.80, 3.6)), Glossmeter(60.0, (4.40, 11.7)), Glossmeter(85.0, (4.00, 6.0)))
+
+
+def gloss(model: Model, meter: Glossmeter, wavelength_nm: float) -> tuple[float, float]:
+    """Gloss of a model [GU], spike and lobe, and the error of its quadrature.
+
+    The light comes from phi_i = 180 degrees. The error is the difference between two rules, of which the better is
+    returned.
+    """
+    coarse, fine = (_flux(model, meter, wavelength_nm, *orders) for orders in ((3, 4), (4, 6)))
+    scale = 100.0 / meter.standard
+    return scale * fine, scale * abs(fine - coarse)
+
+
+def _flux(model: Model, meter: Glossmeter, wavelength_nm: float, source_order: int, receiver_order: int) -> float:
+    omega_i, share = meter.source(source_order)
+    spike = float(share @ model.specular_reflectivity(np.arccos(omega_i[:, 2]), wavelength_nm=wavelength_nm))
+    parts = [meter.receiver(receiver_order, about) for about in omega_i * (-1.0, -1.0, 1.0)]
+    omega_r = np.concatenate([omega for omega, _ in parts])
+    counts = [len(omega) for omega, _ in parts]
+    solid = np.concatenate([solid for _, solid in parts]) * np.repeat(share, counts)
+    f = model.brdf_vectors(np.repeat(omega_i, counts, axis=0), omega_r, wavelength_nm=wavelength_nm)
+    return spike + float((solid * omega_r[:, 2]) @ f)
+
+
+def _directions(points: Floats, theta: float, side: float) -> tuple[Floats, Floats]:
+    """Directions of points (tangents) in a focal plane whose axis is at `theta`, x positive on side +1; d(omega)/dA."""
+    along, across = points.T
+    sine, cosine = math.sin(theta), math.cos(theta)
+    length = np.sqrt(1.0 + along**2 + across**2)
+    omega = np.stack([side * (sine + cosine * along), across, cosine - sine * along], axis=1) / length[:, None]
+    return omega, length**-3.0
+
+
+def _panels(width_deg: float, about: float | None = None) -> Floats:
+    """Edges of panels over an aperture, as tangents, closing in on one of its points."""
+    end = math.tan(math.radians(0.5 * width_deg))
+    if about is None:
+        return np.array([-end, end])
+    steps = np.tan(np.radians(EDGES_DEG))
+    edges = np.concatenate([about - steps, about + steps, [-end, end]])
+    return np.unique(edges[np.abs(edges) <= end])
+
+
+@cache
+def _gauss(order: int) -> tuple[Floats, Floats]:
+    x, w = np.polynomial.legendre.leggauss(order)
+    return x, w
+
+
+def _rectangle(first: Floats, second: Floats, order: int) -> tuple[Floats, Floats]:
+    """Gauss-Legendre nodes (n, 2) and weights (n,) over the panels between edges."""
+    x, w = _gauss(order)
+    axes = []
+    for edges in (first, second):
+        half = 0.5 * np.diff(edges)[:, None]
+        middle = 0.5 * (edges[1:] + edges[:-1])[:, None]
+        axes.append(((middle + half * x).ravel(), (half * w).ravel()))
+    (a, wa), (b, wb) = axes
+    return np.stack([np.repeat(a, b.size), np.tile(b, a.size)], axis=1), np.outer(wa, wb).ravel()

@@ -1,0 +1,418 @@
+"""Every quantity of appearance of a table, a model or a fit, with its uncertainty (docs/appearance.md)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gonio import colour
+from gonio.errors import ArgumentError, ConfigError
+from gonio.typing import Floats
+from gonio_analysis.appearance import sampled
+from gonio_analysis.appearance.glossmeter import GLOSSMETERS, gloss
+from gonio_analysis.appearance.sampled import NotMeasured, Sampled
+from gonio_analysis.curves.in_plane import Curve, curves
+from gonio_analysis.fitting.observations import Observations, observations
+from gonio_analysis.result_records import Appearance, AtIncidence, Colour, Quantity, Retroreflection, finite
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from gonio.models import Model
+    from gonio_analysis.fitting.fit import FitResult
+
+DEFAULT_WAVELENGTH_NM = 550.0
+SPECTRUM_NM = tuple(np.arange(400.0, 701.0, 10.0).tolist())
+"""Where a model's colour is evaluated [nm]."""
+LARGEST_STEP_NM = 20.0
+REACH_NM = (420.0, 680.0)
+"""A table's wavelengths have to lie no farther apart than this, and to reach these, for a colour."""
+MODEL_INCIDENCES_DEG = (0.0, 8.0, 30.0, 45.0, 60.0)
+"""Where a model's directional-hemispherical reflectance is stated."""
+MULTI_ANGLE = ((45.0, -15.0), (45.0, 15.0), (45.0, 25.0), (45.0, 45.0), (45.0, 75.0), (45.0, 110.0), (15.0, -15.0),
+               (15.0, 15.0))  # fmt: skip
+"""Angle of incidence and aspecular angle [deg]: ASTM E2194 (45: 15, 45, 110) and E2539."""
+FLOP = ((45.0, 15.0), (45.0, 45.0), (45.0, 110.0))
+RETRO = ((4.0, 0.2, "ASTM E810"), (5.0, 0.33, "EN 12899"))
+"""Entrance and observation angle [deg] of retroreflection."""
+RETRO_GAP_DEG = 1.0
+"""Between two values that one near the source is interpolated from."""
+SMOOTH_TIS = 0.1
+"""Largest share of scattered light from which a roughness is stated."""
+HAZE_ABOVE_GU = 70.0
+DARKEST_L = 1.0
+"""L* that a flop index is divided by."""
+
+
+def of(spec: str, *, wavelength_nm: float | None = None) -> Appearance:
+    """The quantities of what a command line names: a table, a run, `FILE:SAMPLE`, or a model as a sample file (.toml).
+
+    Raises
+    ------
+    ConfigError, DataError
+        From reading it; a file of several samples has to be narrowed to one.
+    """
+    if spec.endswith(".toml"):
+        from gonio import models
+        from gonio.acquisition.measure import load_sample
+
+        sample = load_sample(spec)
+        model = models.build(sample.model, sample.parameters)
+        return of_model(model, name=sample.name, source=spec, wavelength_nm=wavelength_nm)
+    from gonio import measurement
+
+    found = measurement.tables(spec)
+    if len(found) > 1:
+        raise ConfigError(f"{spec} holds {len(found)} samples: name one as {spec}:SAMPLE, of: {'; '.join(found)}")
+    name, table = next(iter(found.items()))
+    return of_table(table, name=name, source=spec, wavelength_nm=wavelength_nm)
+
+
+# --- tables ----------------------------------------------------------------------------------------------------------
+
+
+def of_table(
+    table: pd.DataFrame | Observations, *, name: str = "the table", source: str = "", wavelength_nm: float | None = None
+) -> Appearance:
+    """The quantities of a measurement table of one sample.
+
+    Parameters
+    ----------
+    table
+        A measurement table, or what `observations` made of one.
+    name, source
+        What it is called, and the file that it came from.
+    wavelength_nm
+        Everything but colour is stated at the nearest wavelength; of 550 nm if none is given.
+
+    Raises
+    ------
+    DataError
+        No value of the table can be used.
+    """
+    data = table if isinstance(table, Observations) else observations(table, name)
+    at, wavelength = data.nearest(wavelength_nm)
+    numbers = _Numbers()
+    for meter in GLOSSMETERS:
+        numbers.put(f"gloss_{meter.angle_deg:g}_gu", partial(sampled.gloss, at, meter))
+    incidences = sampled.reflectances(at)
+    numbers.put("rho_dh_8", lambda: sampled.reflectance_at_8(incidences))
+    for theta, rho in incidences.items():
+        numbers.take(f"rho_dh {math.degrees(theta)}", rho)
+    numbers.put("spike_8", lambda: sampled.spike_reflectivity(at, _nearest_8(incidences)))
+    every, n = curves(at), len(at)
+    for key, pair in (("0_45", (0.0, 45.0)), ("45_0", (45.0, 0.0))):
+        numbers.put(f"radiance_factor_{key}", partial(_value, every, n, *pair, times=math.pi))
+    for entrance, observation, _ in RETRO:
+        numbers.put(f"f {entrance}", partial(_retro, every, n, entrance, observation))
+    _table_colours(numbers, data, at, every)
+    notes = list(data.notes)
+    if not (at.source_solid_angle_sr and at.receiver_solid_angle_sr):
+        notes.append(
+            "The cones of source and receiver are not both stated: a specular spike cannot be told from the lobe, and a"
+            " spike that the values leave out is not in the gloss."
+        )
+
+    def uncertainty(one: Sampled) -> float | None:
+        whole = data if one.gradient.size == len(data) else at
+        if whole.covariance is None:
+            return None
+        own = one.gradient * whole.covariance.random
+        common = (one.gradient[:, None] * whole.covariance.common).sum(axis=0)
+        return math.sqrt(float((own**2).sum() + (common**2).sum()))
+
+    return _assembled(numbers, uncertainty, name, source, "table", wavelength, list(incidences), notes)
+
+
+def _nearest_8(incidences: Mapping[float, object]) -> float:
+    goal = math.radians(8.0)
+    near = [theta for theta in incidences if abs(theta - goal) <= sampled.NEAR_8]
+    if not near:
+        raise NotMeasured(f"no incidence within {math.degrees(sampled.NEAR_8):g}° of 8° was measured")
+    return min(near, key=lambda theta: abs(theta - goal))
+
+
+def _value(every: Sequence[Curve], n: int, theta_i_deg: float, signed_deg: float, *, times: float = 1.0) -> Sampled:
+    return sampled.in_plane_value(every, n, math.radians(theta_i_deg), math.radians(signed_deg)).times(times)
+
+
+def _retro(every: Sequence[Curve], n: int, entrance: float, observation: float) -> Sampled:
+    """The BRDF at an observation angle to either side of the source."""
+    found, why = [], None
+    for side in (1.0, -1.0):
+        try:
+            found.append(
+                sampled.in_plane_value(
+                    every, n, math.radians(entrance), -math.radians(entrance + side * observation),
+                    gap=math.radians(RETRO_GAP_DEG),
+                )
+            )  # fmt: skip
+        except NotMeasured as error:
+            why = error
+    if not found:
+        assert why is not None
+        raise why
+    return found[0] if len(found) == 1 else found[0].times(0.5).plus(found[1], 0.5)
+
+
+def _table_colours(numbers: _Numbers, data: Observations, at: Observations, every: list[Curve]) -> None:
+    waves = [w for w in data.wavelengths if 360.0 <= w <= 830.0]  # not a broad band, whose wavelength is NaN
+    coloured = (
+        len(waves) > 1
+        and max(np.diff(waves)) <= LARGEST_STEP_NM + 1e-6
+        and waves[0] <= REACH_NM[0]
+        and waves[-1] >= REACH_NM[1]
+    )
+    if coloured:
+        matrix = math.pi * colour.weights(waves)
+        spectra = [(np.flatnonzero(np.abs(data.wavelength_nm - w) <= 1e-6), curves(data.at(w))) for w in waves]
+    for theta_i, aspecular in MULTI_ANGLE:
+        key, signed = _key(theta_i, aspecular), theta_i - aspecular
+        if not coloured:
+            numbers.put(f"L {key}", partial(_grey, every, len(at), theta_i, signed))
+            why = NotMeasured(
+                f"a colour needs wavelengths in steps of at most {LARGEST_STEP_NM:g} nm that reach {REACH_NM[0]:g} and"
+                f" {REACH_NM[1]:g} nm"
+            )
+            numbers.take(f"a {key}", why)
+            numbers.take(f"b {key}", why)
+            continue
+        try:
+            values = []
+            for rows, found in spectra:
+                one = _value(found, rows.size, theta_i, signed)
+                values.append((rows, one))
+            for letter, number in zip("Lab", _lab(values, matrix, len(data)), strict=True):
+                numbers.take(f"{letter} {key}", number)
+        except NotMeasured as error:
+            for letter in "Lab":
+                numbers.take(f"{letter} {key}", error)
+
+
+def _grey(every: Sequence[Curve], n: int, theta_i_deg: float, signed_deg: float) -> Sampled:
+    """L* of a sample that is as bright at all wavelengths."""
+
+    def lightness(f: float) -> float:
+        return float(colour.lab(math.pi * f * colour.white())[0])
+
+    return sampled.made_of(lightness, _value(every, n, theta_i_deg, signed_deg))
+
+
+def _lab(values: Sequence[tuple[Any, Sampled]], matrix: Floats, n: int) -> list[Sampled]:
+    """L*a*b* from the BRDF at each wavelength and its rows of the table."""
+    xyz = np.array([one.value for _, one in values]) @ matrix
+    gradient = np.zeros((3, n))
+    for weights, (rows, one) in zip(matrix, values, strict=True):
+        gradient[:, rows] += weights[:, None] * one.gradient
+    error = np.abs(np.array([one.error for _, one in values]) @ matrix)
+    slope = colour.lab_slope(xyz)
+    numbers = zip(colour.lab(xyz), slope @ gradient, np.abs(slope) @ error, strict=True)
+    return [Sampled(float(value), g, float(e)) for value, g, e in numbers]
+
+
+# --- models ----------------------------------------------------------------------------------------------------------
+
+
+def of_model(model: Model, *, name: str, source: str = "", wavelength_nm: float | None = None) -> Appearance:
+    """The quantities of a model with exact parameters: without uncertainties."""
+    wavelength = DEFAULT_WAVELENGTH_NM if wavelength_nm is None else wavelength_nm
+    numbers = _of_model(model, wavelength)
+    incidences = [math.radians(t) for t in MODEL_INCIDENCES_DEG]
+    notes = ["The sample's parameters are taken as exact: no uncertainty is stated."]
+    if model.depends_on_azimuth:
+        notes.append("The model depends on the sample's azimuth: the source stands at phi_i = 180 degrees.")
+    return _assembled(numbers, lambda _: None, name, source, "model", wavelength, incidences, notes)
+
+
+def of_fit(fit: FitResult, *, name: str, source: str = "") -> Appearance:
+    """The quantities of a fitted model, with the covariance of its parameters."""
+    wavelength = DEFAULT_WAVELENGTH_NM if math.isnan(fit.wavelength_nm) else fit.wavelength_nm
+    numbers = _of_model(fit.model, wavelength)
+    lower, upper = fit.problem.bounds
+    gradients: dict[str, Floats] = {key: np.zeros(len(fit.free)) for key in numbers.values}
+    for k in range(len(fit.free)):
+        step = 1e-3 * max(math.sqrt(max(float(fit.spread[k, k]), 0.0)), 1e-3 * max(abs(float(fit.vector[k])), 1e-3))
+        ends = [np.clip(fit.vector + s * step * np.eye(len(fit.free))[k], lower, upper) for s in (1.0, -1.0)]
+        width = float(ends[0][k] - ends[1][k])
+        ahead, behind = (_of_model(fit.problem.model(end), wavelength).values for end in ends)
+        for key, gradient in gradients.items():
+            gradient[k] = (ahead[key].value - behind[key].value) / width if width > 0.0 else 0.0
+    for key, gradient in gradients.items():
+        numbers.values[key] = replace(numbers.values[key], gradient=gradient)
+
+    def uncertainty(one: Sampled) -> float | None:
+        square = float(one.gradient @ fit.spread @ one.gradient)
+        return math.sqrt(square) if square >= 0.0 else None
+
+    incidences = [math.radians(t) for t in MODEL_INCIDENCES_DEG]
+    return _assembled(numbers, uncertainty, name, source, "fit", wavelength, incidences, list(fit.notes))
+
+
+def _of_model(model: Model, wavelength_nm: float) -> _Numbers:
+    numbers, none = _Numbers(), np.zeros(0)
+
+    def exact(value: float, error: float = 0.0) -> Sampled:
+        return Sampled(float(value), none, error)
+
+    for meter in GLOSSMETERS:
+        numbers.take(f"gloss_{meter.angle_deg:g}_gu", exact(*gloss(model, meter, wavelength_nm)))
+    theta = np.radians(MODEL_INCIDENCES_DEG)
+    every = model.directional_hemispherical(theta, phi_i=math.pi, wavelength_nm=wavelength_nm, tolerance=1e-6)
+    for angle, rho in zip(theta, every, strict=True):
+        numbers.take(f"rho_dh {math.degrees(angle)}", exact(rho, 1e-6 * rho))
+    eight = math.radians(8.0)
+    numbers.take("rho_dh_8", numbers.values[f"rho_dh {math.degrees(eight)}"])
+    numbers.take("spike_8", exact(model.specular_reflectivity(eight, wavelength_nm=wavelength_nm)))
+
+    def f(theta_i_deg: float, signed_deg: float, waves: Any) -> Any:
+        source = math.radians(theta_i_deg)
+        azimuth = 0.0 if signed_deg >= 0.0 else math.pi
+        return model.brdf(source, math.pi, abs(math.radians(signed_deg)), azimuth, wavelength_nm=waves)
+
+    numbers.take("radiance_factor_0_45", exact(math.pi * f(0.0, 45.0, wavelength_nm)))
+    numbers.take("radiance_factor_45_0", exact(math.pi * f(45.0, 0.0, wavelength_nm)))
+    for entrance, observation, _ in RETRO:
+        sides = [f(entrance, -(entrance + side * observation), wavelength_nm) for side in (1.0, -1.0)]
+        numbers.take(f"f {entrance}", exact(0.5 * sum(sides)))
+    matrix = math.pi * colour.weights(SPECTRUM_NM)
+    for theta_i, aspecular in MULTI_ANGLE:
+        key = _key(theta_i, aspecular)
+        try:
+            xyz = f(theta_i, theta_i - aspecular, np.array(SPECTRUM_NM)) @ matrix
+        except ArgumentError as error:  # an index that is not known over the whole of the spectrum
+            for letter in "Lab":
+                numbers.take(f"{letter} {key}", NotMeasured(str(error)))
+            continue
+        for letter, value in zip("Lab", colour.lab(xyz), strict=True):
+            numbers.take(f"{letter} {key}", exact(value))
+    return numbers
+
+
+# --- what all have in common -----------------------------------------------------------------------------------------
+
+
+class _Numbers:
+    """Numbers by name, and why others are missing."""
+
+    def __init__(self) -> None:
+        self.values: dict[str, Sampled] = {}
+        self.missing: dict[str, NotMeasured] = {}
+
+    def take(self, key: str, one: Sampled | NotMeasured) -> None:
+        """Keep a number, or why there is none."""
+        if isinstance(one, NotMeasured):
+            self.missing[key] = one
+        else:
+            self.values[key] = one
+
+    def put(self, key: str, make: Callable[[], Sampled]) -> None:
+        """Work a number out, or keep why that cannot be done."""
+        try:
+            self.values[key] = make()
+        except NotMeasured as error:
+            self.missing[key] = error
+
+    def __getitem__(self, key: str) -> Sampled:
+        if key in self.missing:
+            why = self.missing[key]
+            raise NotMeasured(str(why), why.at_least)  # a new one: one that is raised again keeps all its frames
+        return self.values[key]
+
+
+def _key(theta_i_deg: float, aspecular_deg: float) -> str:
+    return f"{theta_i_deg:g}as{aspecular_deg:g}"
+
+
+def _assembled(
+    numbers: _Numbers,
+    uncertainty: Callable[[Sampled], float | None],
+    name: str,
+    source: str,
+    kind: str,
+    wavelength_nm: float,
+    incidences: Sequence[float],
+    notes: Sequence[str],
+) -> Appearance:
+    def quantity(make: Callable[[], Sampled], unit: str, note: Callable[[float], str | None] | None = None) -> Quantity:
+        try:
+            one = make()
+        except NotMeasured as error:
+            return Quantity(None, None, None, unit, why=str(error), at_least=finite(error.at_least))
+        u = uncertainty(one)
+        remark = one.note if note is None else note(one.value)
+        return Quantity(finite(one.value), finite(u), finite(one.error), unit, note=remark)
+
+    def named(key: str, unit: str) -> Quantity:
+        return quantity(lambda: numbers[key], unit)
+
+    def haze_note(_: float) -> str | None:
+        g60 = numbers["gloss_60_gu"].value
+        return None if g60 > HAZE_ABOVE_GU else f"D4039 is meant for a gloss at 60° above {HAZE_ABOVE_GU:g} GU"
+
+    def tis() -> Sampled:
+        return sampled.made_of(lambda rho, spike: 1.0 - spike / rho, numbers["rho_dh_8"], numbers["spike_8"])
+
+    def roughness() -> Sampled:
+        share = tis()
+        if not 0.0 < share.value < SMOOTH_TIS:
+            raise NotMeasured(
+                f"{100 * share.value:.3g} % of what is reflected is scattered: a roughness follows between 0 and"
+                f" {100 * SMOOTH_TIS:g} %, from a smooth surface without a diffuse base"
+            )
+        if math.isnan(wavelength_nm):
+            raise NotMeasured("the wavelength is not known")
+        length = wavelength_nm / (4.0 * math.pi * math.cos(math.radians(8.0)))
+        return sampled.made_of(lambda t: length * math.sqrt(-math.log1p(-t)), share)
+
+    def retro(entrance: float, observation: float, after: str) -> Retroreflection:
+        cos_i, cos_r = math.cos(math.radians(entrance)), math.cos(math.radians(entrance + observation))
+        return Retroreflection(
+            after,
+            entrance,
+            observation,
+            quantity(lambda: numbers[f"f {entrance}"].times(cos_i * cos_r), "cd/(lx m²)"),
+            quantity(lambda: numbers[f"f {entrance}"].times(cos_i), "cd/(m² lx)"),
+        )
+
+    def colour_at(theta_i: float, aspecular: float) -> Colour:
+        parts = [named(f"{letter} {_key(theta_i, aspecular)}", "1") for letter in "Lab"]
+        return Colour(theta_i, aspecular, theta_i - aspecular, *parts)
+
+    return Appearance(
+        name=name,
+        source=source,
+        kind=kind,
+        wavelength_nm=finite(wavelength_nm),
+        gloss_20_gu=named("gloss_20_gu", "GU"),
+        gloss_60_gu=named("gloss_60_gu", "GU"),
+        gloss_85_gu=named("gloss_85_gu", "GU"),
+        haze_gu=quantity(lambda: numbers["gloss_60_gu"].plus(numbers["gloss_20_gu"], -1.0), "GU", haze_note),
+        rho_dh_8=named("rho_dh_8", "1"),
+        rho_dh=[
+            AtIncidence(**vars(named(f"rho_dh {math.degrees(t)}", "1")), theta_i_deg=round(math.degrees(t), 2))
+            for t in incidences
+        ],
+        radiance_factor_0_45=named("radiance_factor_0_45", "1"),
+        radiance_factor_45_0=named("radiance_factor_45_0", "1"),
+        retroreflection=[retro(*geometry) for geometry in RETRO],
+        lab=[colour_at(*geometry) for geometry in MULTI_ANGLE],
+        flop_index=quantity(lambda: _flop(numbers), "1"),
+        tis_8=quantity(tis, "1"),
+        rms_roughness_nm=quantity(roughness, "nm"),
+        notes=list(notes),
+    )
+
+
+def _flop(numbers: _Numbers) -> Sampled:
+    def index(near: float, face: float, far: float) -> float:
+        return float(2.69 * max(near - far, 0.0) ** 1.11 / face**0.86)  # Alman 1987
+
+    near, face, far = (numbers[f"L {_key(*geometry)}"] for geometry in FLOP)
+    if face.value < DARKEST_L:
+        raise NotMeasured(f"L* at 45 degrees, aspecular 45, is below {DARKEST_L:g}: the index divides by it")
+    return sampled.made_of(index, near, face, far)

@@ -1,0 +1,532 @@
+"""Quantities of appearance from the values of a table, each with its gradient by all of them.
+
+Every function takes observations at one wavelength and returns a `Sampled`; where the angles are missing it raises
+`NotMeasured`, whose message says which. docs/appearance.md says what is assumed of a sample between its values.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.errors import DataError
+from gonio.geometry import SAME_ANGLE, Directions
+from gonio.models import HeTorrance, fresnel
+from gonio.typing import Floats
+from gonio_analysis.appearance.glossmeter import STANDARD_INDEX, Glossmeter
+from gonio_analysis.curves.in_plane import Curve, curves, groups
+from gonio_analysis.fitting.observations import Observations
+
+Rows = npt.NDArray[np.intp]
+Shape = Literal["cosines", "plain", "fresnel"]
+SHAPES: tuple[Shape, ...] = ("cosines", "plain", "fresnel")
+"""What depends on the half vector alone: f cos cos, f, or f cos cos over the Fresnel reflectance of glass. The first is
+taken; the others say how far the choice matters."""
+
+LARGEST_GAP = math.radians(10.0)
+"""Between two directions of a curve that a third is interpolated from."""
+WING = math.radians(6.0)
+"""On both sides of the mirror direction, within which a gloss needs values."""
+BEYOND = 0.02
+"""Share of a glossmeter's flux that may come from beyond the measured directions."""
+LARGEST_ERROR_GU, LARGEST_ERROR = 1.0, 0.2
+"""Of a gloss that is stated: the larger of a number of units and a share."""
+LEAST_COVERED = 0.85
+"""Share of the projected hemisphere that an integral over it needs."""
+PEAK = math.radians(2.5)
+"""Distance from the mirror direction beyond which a specular peak may hide between values."""
+MOST_INCIDENCES = 12
+FEWEST_DIRECTIONS = 20
+"""Of an integral over a hemisphere."""
+SAME_PLACE = 1e-3
+"""On the projected hemisphere: values of one direction, about 0.06 degrees."""
+NEAR_8 = math.radians(2.5)
+FARTHEST_FROM_8 = math.radians(30.0)
+MIRROR = HeTorrance(sigma0_um=0.0, tau_um=1.0, ior=STANDARD_INDEX)
+"""A surface with nothing but a spike, of known reflectivity: what an instrument's cones make of one."""
+
+
+class NotMeasured(DataError):
+    """A table does not hold the angles that a quantity needs.
+
+    Attributes
+    ----------
+    at_least
+        A lower bound of the quantity, where what was measured gives one.
+    """
+
+    def __init__(self, why: str, at_least: float | None = None) -> None:
+        super().__init__(why)
+        self.at_least = at_least
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """A number made from a table's values."""
+
+    value: float
+    gradient: Floats
+    """By every value of the observations, (n,)."""
+    error: float
+    """Of the interpolation between values, estimated."""
+    note: str | None = None
+
+    def times(self, factor: float) -> Sampled:
+        """The number times an exact one."""
+        return Sampled(self.value * factor, self.gradient * factor, self.error * abs(factor))
+
+    def plus(self, other: Sampled, weight: float = 1.0) -> Sampled:
+        """The number plus `weight` times another of the same observations."""
+        return Sampled(
+            self.value + weight * other.value,
+            self.gradient + weight * other.gradient,
+            self.error + abs(weight) * other.error,
+        )
+
+
+# --- values in one direction -----------------------------------------------------------------------------------------
+
+
+def in_plane_value(
+    every: Sequence[Curve], n: int, theta_i: float, signed: float, *, gap: float = LARGEST_GAP
+) -> Sampled:
+    """The BRDF [1/sr] in a direction in the plane of incidence, linear between the two measured beside it.
+
+    Curves by reciprocity count; several (azimuths of the sample) are averaged.
+
+    Parameters
+    ----------
+    every, n
+        The curves of some observations, and how many values those have.
+    theta_i, signed
+        Angle of incidence, and signed angle of the detector [rad].
+    gap
+        Largest distance of the two [rad].
+    """
+    found = []
+    for still, moving in ((theta_i, signed), (abs(signed), math.copysign(theta_i, signed))):
+        for curve in every:
+            if abs(curve.parameter - still) <= SAME_ANGLE:
+                sides = (moving, -moving) if still < SAME_ANGLE else (moving,)
+                found += [one for one in (_along(curve, side, gap, n) for side in sides) if one is not None]
+    if not found:
+        raise NotMeasured(
+            f"no value within {math.degrees(gap):g}° of theta_i = {math.degrees(theta_i):g}°, theta_r ="
+            f" {math.degrees(signed):g}° (signed) in the plane of incidence"
+        )
+    return _mean(found)
+
+
+def _along(curve: Curve, angle: float, gap: float, n: int) -> Sampled | None:
+    nearest = int(np.argmin(np.abs(curve.angle - angle)))
+    gradient = np.zeros(n)
+    if abs(curve.angle[nearest] - angle) <= SAME_ANGLE / 2:
+        gradient[curve.rows[nearest]] = 1.0
+        return Sampled(float(curve.brdf[nearest]), gradient, 0.0)
+    above = int(np.searchsorted(curve.angle, angle))
+    if not 0 < above < curve.angle.size or curve.angle[above] - curve.angle[above - 1] > gap:
+        return None
+    low, high = curve.angle[above - 1], curve.angle[above]
+    share = float((angle - low) / (high - low))
+    gradient[curve.rows[above - 1]], gradient[curve.rows[above]] = 1.0 - share, share
+    value = float((1.0 - share) * curve.brdf[above - 1] + share * curve.brdf[above])
+    others = [k for k in (above - 2, above + 1) if 0 <= k < curve.angle.size and curve.angle[k] not in (low, high)]
+    bend = 0.0
+    for k in others:  # the parabola through a third value, less the straight line
+        slope = (curve.brdf[above] - curve.brdf[above - 1]) / (high - low)
+        second = ((curve.brdf[k] - curve.brdf[above]) / (curve.angle[k] - high) - slope) / (curve.angle[k] - low)
+        bend = max(bend, abs(float(second * (angle - low) * (angle - high))))
+    return Sampled(value, gradient, bend)
+
+
+def made_of(function: Callable[..., float], *parts: Sampled) -> Sampled:
+    """A smooth function of several numbers, by its difference quotients."""
+    at = [part.value for part in parts]
+    gradient, error = np.zeros_like(parts[0].gradient), 0.0
+    for k, part in enumerate(parts):
+        step = 1e-6 * max(abs(part.value), 1e-3)
+        ahead, behind = (function(*at[:k], at[k] + sign * step, *at[k + 1 :]) for sign in (1.0, -1.0))
+        slope = (ahead - behind) / (2.0 * step)
+        gradient = gradient + slope * part.gradient
+        error += abs(slope) * part.error
+    return Sampled(function(*at), gradient, error)
+
+
+def _mean(found: Sequence[Sampled]) -> Sampled:
+    total = found[0]
+    for one in found[1:]:
+        total = total.plus(one)
+    return total.times(1.0 / len(found))
+
+
+# --- gloss -----------------------------------------------------------------------------------------------------------
+
+
+def gloss(data: Observations, meter: Glossmeter) -> Sampled:
+    """Gloss [GU] from the curves at a glossmeter's angle; those of several azimuths are averaged."""
+    every = curves(data)
+    near = [c for c in every if abs(c.parameter - meter.theta) <= SAME_ANGLE]
+    if not near:
+        known = ", ".join(f"{a:g}°" for a in sorted({round(math.degrees(c.parameter), 1) for c in every}))
+        raise NotMeasured(
+            f"no in-plane curve at {meter.angle_deg:g}° (within {math.degrees(SAME_ANGLE):g}°); measured:"
+            f" {known or 'none'}"
+        )
+    return _mean([_gloss(data, curve, meter) for curve in near])
+
+
+def _gloss(data: Observations, curve: Curve, meter: Glossmeter) -> Sampled:
+    offset = curve.angle - curve.parameter
+    if not np.any(np.abs(offset) <= meter.reach):
+        raise NotMeasured(
+            f"no value within {math.degrees(meter.reach):.1f}° of the mirror direction on the curve at"
+            f" {math.degrees(curve.parameter):.1f}°"
+        )
+    if not (np.any(np.abs(offset + 0.5 * WING) <= 0.5 * WING) and np.any(np.abs(offset - 0.5 * WING) <= 0.5 * WING)):
+        raise NotMeasured(
+            f"the curve at {math.degrees(curve.parameter):.1f}° has no values on both sides of the mirror direction"
+            f" within {math.degrees(WING):g}°"
+        )
+    response = spike_response(data, curve)
+    scale = 100.0 / meter.standard
+    full, beyond = _through(data, curve, meter, response, slice(None))
+    thin = _every_other(curve)
+    try:
+        half, _ = _through(data, curve, meter, response, thin)
+        error = abs(full.value - half.value) / 3.0
+    except NotMeasured:
+        error = math.nan
+    others = [_through(data, curve, meter, response, slice(None), kind)[0].value for kind in SHAPES[1:]]
+    error += max(abs(value - full.value) for value in others) + abs(beyond)
+    if abs(beyond) > BEYOND * abs(full.value):
+        raise NotMeasured(
+            f"{100 * abs(beyond / full.value):.0f} % of the flux through the apertures at {meter.angle_deg:g}° comes"
+            " from directions beyond the measured ones"
+        )
+    if error > max(LARGEST_ERROR_GU / scale, LARGEST_ERROR * abs(full.value)):
+        raise NotMeasured(
+            f"values in one plane do not say enough about the apertures at {meter.angle_deg:g}°:"
+            f" {scale * full.value:.3g} GU, give or take {scale * error:.2g}"
+        )
+    return replace(full, error=error).times(scale)
+
+
+def spike_response(data: Observations, curve: Curve) -> Floats:
+    """BRDF [1/sr] that the instrument sees of a spike of reflectivity 1, at the values of a curve."""
+    if data.source_solid_angle_sr == 0.0 or data.receiver_solid_angle_sr == 0.0:
+        return np.zeros(curve.angle.size)
+    return _response(data, curve.rows)
+
+
+def _response(data: Observations, rows: Rows) -> Floats:
+    from gonio.instrument import apparent_spike
+
+    at = data.directions[rows]
+    cones = {
+        "source_solid_angle_sr": data.source_solid_angle_sr,
+        "receiver_solid_angle_sr": data.receiver_solid_angle_sr,
+    }
+    seen = apparent_spike(MIRROR, *at.angles, wavelength_nm=550.0, spike="exact", **cones)
+    return np.asarray(seen / MIRROR.specular_reflectivity(at.theta_i))
+
+
+def _every_other(curve: Curve) -> npt.NDArray[np.intp]:
+    """Every other value to either side of the one nearest to the mirror direction."""
+    mirror = int(np.argmin(np.abs(curve.angle - curve.parameter)))
+    return np.arange(mirror % 2, curve.angle.size, 2)
+
+
+def _through(
+    data: Observations,
+    curve: Curve,
+    meter: Glossmeter,
+    response: Floats,
+    taken: slice | npt.NDArray[np.intp],
+    shape: Shape = "cosines",
+) -> tuple[Sampled, float]:
+    """The flux through the apertures from some values of a curve; and that from beyond the measured directions."""
+    lobe = _HalfVector(curve, np.flatnonzero(response == 0.0), taken, shape)
+    omega_i, share = meter.source(3)
+    omega_r, solid = meter.receiver(12)
+    n_r = len(omega_r)
+    omega_i, share = np.repeat(omega_i, n_r, axis=0), np.repeat(share, n_r)
+    omega_r, solid = np.tile(omega_r, (len(omega_i) // n_r, 1)), np.tile(solid, len(omega_i) // n_r)
+    gradient = np.zeros(len(data))
+    value, beyond = lobe.total(Directions.from_vectors(omega_i, omega_r), share * solid * omega_r[:, 2], gradient)
+    caught = (
+        np.flatnonzero(response > 0.5 * response.max(initial=0.0)) if response.any() else np.empty(0, dtype=np.intp)
+    )
+    caught = np.intersect1d(caught, np.arange(response.size)[taken])
+    if caught.size:
+        squares = float((response[caught] ** 2).sum())
+        for k in caught:
+            own = np.zeros(len(data))
+            at = data.directions[curve.rows[k : k + 1]]
+            expected, _ = lobe.total(at, np.ones(1), own)
+            weight = response[k] / squares
+            value += weight * (curve.brdf[k] - expected)
+            gradient -= weight * own
+            gradient[curve.rows[k]] += weight
+    return Sampled(value, gradient, 0.0), beyond
+
+
+class _HalfVector:
+    """A curve as a function of the half vector: ln(f cos cos) linear in tan^2(theta_h), on either side of the mirror.
+
+    Where a value is not above zero its neighbourhood is linear in f cos cos instead.
+    """
+
+    def __init__(
+        self, curve: Curve, lobe: npt.NDArray[np.intp], taken: slice | npt.NDArray[np.intp], shape: Shape
+    ) -> None:
+        kept = np.intersect1d(lobe, np.arange(curve.angle.size)[taken])
+        self._theta = curve.parameter
+        tilt = 0.5 * (curve.angle[kept] - curve.parameter)
+        self._shape = shape
+        weight = self._weight(
+            np.full(kept.size, math.cos(curve.parameter)),
+            np.cos(curve.angle[kept]),
+            0.5 * (curve.angle[kept] + self._theta),
+        )
+        self._branches = []
+        touching = math.radians(0.02)
+        for side in (1.0, -1.0):
+            mine = np.flatnonzero(side * tilt >= -touching)
+            mine = mine[np.argsort(np.abs(tilt[mine]), kind="stable")]
+            x = np.tan(np.abs(tilt[mine])) ** 2
+            mine = mine[np.concatenate([[True], np.diff(x) > 1e-14])] if mine.size else mine
+            rows = curve.rows[kept[mine]]
+            self._branches.append((np.tan(np.abs(tilt[mine])) ** 2, curve.brdf[kept[mine]], weight[mine], rows))
+        if max(x.size for x, *_ in self._branches) < 2:
+            raise NotMeasured("fewer than two values beside the mirror direction")
+
+    def _weight(self, cos_i: Floats, cos_r: Floats, theta_d: Floats) -> Floats:
+        """What f is multiplied by, so that the product depends on the half vector alone."""
+        if self._shape == "plain":
+            return np.ones(cos_i.shape)
+        if self._shape == "cosines":
+            return np.asarray(cos_i * cos_r)
+        return np.asarray(cos_i * cos_r / fresnel.reflectance(np.cos(theta_d), STANDARD_INDEX))
+
+    def total(self, at: Directions, weights: Floats, gradient: Floats) -> tuple[float, float]:
+        """Sum of weights times f in some directions, its gradient added to `gradient`, and the part beyond the data."""
+        theta_h, theta_d = at.half
+        x = np.tan(theta_h) ** 2
+        factor = weights / self._weight(np.cos(at.theta_i), np.cos(at.theta_r), theta_d)
+        # how far the pair of directions is from the curve's two that have the same theta_h
+        along = np.clip(0.5 + (theta_d - self._theta) / (2.0 * np.maximum(theta_h, 1e-9)), 0.0, 1.0)
+        reach = [branch[0][-1] if branch[0].size >= 2 else -1.0 for branch in self._branches]
+        both = (x <= reach[0]) & (x <= reach[1])
+        first = np.where(both, along, (x <= reach[0]) | (reach[0] >= reach[1]))
+        value, beyond = 0.0, 0.0
+        for branch, end, mine in zip(self._branches, reach, (first, 1.0 - first), strict=True):
+            used = np.flatnonzero(mine > 0.0)
+            if used.size == 0 or end < 0.0:
+                continue
+            inside = np.minimum(x[used], end)  # beyond the outermost value it stands for what lies there
+            part = mine[used] * factor[used]
+            values = self._read(branch, inside, part, gradient)
+            value += float(part @ values)
+            beyond += float(np.abs(part[x[used] > end]) @ np.abs(values[x[used] > end]))
+        return value, beyond
+
+    @staticmethod
+    def _read(branch: tuple[Floats, Floats, Floats, Rows], x: Floats, part: Floats, gradient: Floats) -> Floats:
+        knots, f, weight, rows = branch
+        low = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, knots.size - 2)
+        high = low + 1
+        # short of the innermost value: along the line through a second one not too close to it
+        second = min(int(np.searchsorted(knots, 3.0 * knots[0])), knots.size - 1)
+        high = np.where(x < knots[0], max(second, 1), high)
+        share = (x - knots[low]) / (knots[high] - knots[low])
+        y_low, y_high = f[low] * weight[low], f[high] * weight[high]
+        positive = (y_low > 0.0) & (y_high > 0.0)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            logarithmic = np.exp((1.0 - share) * np.log(y_low) + share * np.log(y_high))
+            by_low, by_high = logarithmic * (1.0 - share) / y_low, logarithmic * share / y_high
+        values = np.where(positive, logarithmic, (1.0 - share) * y_low + share * y_high)
+        by_low = part * weight[low] * np.where(positive, by_low, 1.0 - share)
+        by_high = part * weight[high] * np.where(positive, by_high, share)
+        np.add.at(gradient, rows, np.bincount(low, by_low, knots.size) + np.bincount(high, by_high, knots.size))
+        return np.asarray(values)
+
+
+# --- hemispheres -----------------------------------------------------------------------------------------------------
+
+
+def reflectances(data: Observations) -> dict[float, Sampled | NotMeasured]:
+    """Directional-hemispherical reflectance at the incidences [rad] of some observations.
+
+    At most `MOST_INCIDENCES` of them, evenly chosen; the mean of several azimuths.
+    """
+    at = data.directions
+    by_theta: dict[float, list[Rows]] = {}
+    for rows in _incidences(at):
+        by_theta.setdefault(round(math.degrees(float(at.theta_i[rows].mean())), 1), []).append(rows)
+    known = sorted(by_theta)
+    chosen = np.unique(np.round(np.linspace(0, len(known) - 1, min(len(known), MOST_INCIDENCES))).astype(int))
+    near_8 = {theta for theta in known if abs(math.radians(theta - 8.0)) <= NEAR_8}
+    out: dict[float, Sampled | NotMeasured] = {}
+    for theta in sorted({known[k] for k in chosen} | near_8):
+        found: list[Sampled] = []
+        why: NotMeasured | None = None
+        for rows in by_theta[theta]:
+            try:
+                found.append(_reflectance(data, rows))
+            except NotMeasured as error:
+                why = error
+        if found:
+            out[math.radians(theta)] = replace(_mean(found), note=found[0].note)
+        elif why is not None:
+            out[math.radians(theta)] = why
+    return out
+
+
+def reflectance_at_8(every: Mapping[float, Sampled | NotMeasured]) -> Sampled:
+    """Reflectance at 8 degrees from those at other incidences: of one near it, or linear in theta^2 between two."""
+    goal = math.radians(8.0)
+    known = {theta: one for theta, one in every.items() if isinstance(one, Sampled)}
+    near = min(every, key=lambda theta: abs(theta - goal), default=math.inf)
+    if near in known and abs(near - goal) <= NEAR_8:
+        return known[near]
+    below = max((t for t in known if t < goal), default=None)
+    above = min((t for t in known if goal <= t <= FARTHEST_FROM_8), default=None)
+    if below is not None and above is not None:
+        share = (goal**2 - below**2) / (above**2 - below**2)
+        mixed = known[below].times(1.0 - share).plus(known[above], share)
+        return replace(mixed, error=mixed.error + abs(known[above].value - known[below].value) / 4.0)
+    bound = every.get(near)
+    if isinstance(bound, NotMeasured) and abs(near - goal) <= NEAR_8:
+        raise bound
+    reached = ", ".join(f"{math.degrees(t):.1f}°" for t in sorted(known)) or "none"
+    raise NotMeasured(f"no hemisphere was measured at 8°, nor on both sides of it up to 30°; hemispheres: {reached}")
+
+
+def spike_reflectivity(data: Observations, theta_i: float) -> Sampled:
+    """Reflectivity of the specular spike at an incidence [rad], the mean over the azimuths that have a curve."""
+    found = []
+    for rows in _incidences(data.directions):
+        if abs(float(data.directions.theta_i[rows].mean()) - theta_i) <= SAME_ANGLE:
+            part = _Projected(data, rows)
+            if part.spike is not None:
+                found.append(part.spike)
+    if not found:
+        raise NotMeasured("no mirror direction was measured with stated cones of source and receiver")
+    return _mean(found)
+
+
+def _incidences(at: Directions) -> list[Rows]:
+    """Rows of one direction of incidence each; all azimuths of normal incidence are one."""
+    return [rows for rows in groups(at.theta_i, at.phi_i, np.arange(len(at))) if rows.size >= 2]
+
+
+def _reflectance(data: Observations, rows: Rows) -> Sampled:
+    part = _Projected(data, rows)
+    if part.points.shape[0] < FEWEST_DIRECTIONS or np.ptp(part.points[:, 1]) < 0.3:
+        theta = math.degrees(float(data.directions.theta_i[rows].mean()))
+        raise NotMeasured(f"at {theta:.1f}° of incidence values lie in or near one plane and do not span a hemisphere")
+    lobe, rim, covered = part.integral(slice(None))
+    if covered < LEAST_COVERED:
+        least = lobe.plus(rim, -1.0).value
+        raise NotMeasured(
+            f"{100 * covered:.0f} % of the projected hemisphere was measured, {100 * LEAST_COVERED:.0f} % are needed",
+            at_least=least if least > 0.0 and bool(np.all(data.brdf[rows] >= 0.0)) else None,
+        )
+    note = None
+    if part.gap > PEAK:
+        away = f"{math.degrees(part.gap):.1f}°"
+        note = f"the nearest value to the mirror direction is {away} away: a narrower peak is not in it"
+    halves = [part.integral(slice(first, None, 2))[0].value for first in (0, 1)]
+    total = replace(lobe, error=max(abs(lobe.value - half) for half in halves) / 3.0 + 0.5 * abs(rim.value))
+    return replace(total if part.spike is None else total.plus(part.spike), note=note)
+
+
+class _Projected:
+    """Values of one incidence over the projected hemisphere, both sides of the plane of incidence taken as alike."""
+
+    def __init__(self, data: Observations, rows: Rows) -> None:
+        at = data.directions[rows]
+        if bool(at.theta_i.max() < SAME_ANGLE):  # at normal incidence azimuths of the source mean nothing
+            at = at.seen_from(0.0)
+        self._n = len(data)
+        omega = at.from_incidence
+        self.gap = float(at.mirror_offset.min())
+        self._theta_i = float(at.theta_i.mean())
+        response = _response(data, rows) if data.source_solid_angle_sr and data.receiver_solid_angle_sr else None
+        lobe = np.ones(rows.size, dtype=bool) if response is None else response == 0.0
+        xy = np.stack([omega[:, 0], np.abs(omega[:, 1])], axis=1)[lobe]
+        # values in one direction (both sides of the plane, repeats) count as their mean
+        keys = np.round(xy / SAME_PLACE).astype(np.int64)
+        _, first, place = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        self.points = xy[first]
+        order = np.lexsort((self.points[:, 0], self.points[:, 1]))
+        back = np.argsort(order)
+        self.points = self.points[order]
+        self._place = back[place.reshape(-1)]
+        self._rows = rows[lobe]
+        counts = np.bincount(self._place, minlength=len(self.points))
+        self._share = 1.0 / counts[self._place]
+        self._f = np.bincount(self._place, weights=data.brdf[self._rows] * self._share, minlength=len(self.points))
+        self.spike: Sampled | None = None
+        if response is not None and response.any():
+            self.spike = self._spike(data, rows, response, omega)
+
+    def _gradient(self, weights: Floats) -> Floats:
+        """Weights of the points as those of the table's values."""
+        out = np.zeros(self._n)
+        np.add.at(out, self._rows, weights[self._place] * self._share)
+        return out
+
+    def _spike(self, data: Observations, rows: Rows, response: Floats, omega: Floats) -> Sampled | None:
+        """The excess in the mirror direction over what lies around it."""
+        caught = np.flatnonzero(response > 0.5 * response.max())
+        distance = np.linalg.norm(
+            self.points - [-math.sin(self._theta_i), 0.0], axis=1
+        )  # the mirror direction; the lobe there: a plane through what is nearest
+        nearest = np.argsort(distance, kind="stable")[:6]
+        if nearest.size < 3:
+            return None
+        near = self.points[nearest] - [-math.sin(self._theta_i), 0.0]
+        columns = np.stack([np.ones(nearest.size), near[:, 0], near[:, 1] ** 2], axis=1)
+        level = np.linalg.pinv(columns)[0]
+        weights = np.zeros(len(self.points))
+        weights[nearest] = level
+        expected = float(weights @ self._f)
+        squares = float((response[caught] ** 2).sum())
+        gradient = -self._gradient(weights) * float(response[caught].sum()) / squares
+        gradient[rows[caught]] += response[caught] / squares
+        value = float(response[caught] @ (data.brdf[rows[caught]] - expected)) / squares
+        spread = float(np.ptp(self._f[nearest])) * float(response[caught].sum()) / squares
+        return Sampled(value, gradient, spread / 3.0)
+
+    def integral(self, taken: slice) -> tuple[Sampled, Sampled, float]:
+        """Integral of the lobe; the part of it from beyond the outermost values; the share that those enclose."""
+        from scipy.spatial import Delaunay, QhullError
+
+        chosen = np.arange(len(self.points))[taken]
+        points = self.points[chosen]
+        off = np.flatnonzero(points[:, 1] > SAME_PLACE)
+        both = np.concatenate([points, points[off] * (1.0, -1.0)])
+        source = np.concatenate([chosen, chosen[off]])
+        try:
+            mesh = Delaunay(both)
+        except QhullError:
+            raise NotMeasured("values of this incidence lie in one plane and do not span a hemisphere") from None
+        a, b, c = (both[mesh.simplices[:, k]] for k in range(3))
+        area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+        weights, rim = np.zeros(len(self.points)), np.zeros(len(self.points))
+        for k in range(3):
+            np.add.at(weights, source[mesh.simplices[:, k]], area / 3.0)
+        first, second = (both[mesh.convex_hull[:, k]] for k in range(2))
+        turn = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+        sector = 0.5 * np.arctan2(turn, (first * second).sum(axis=1))  # of the unit circle
+        for k in range(2):
+            np.add.at(rim, source[mesh.convex_hull[:, k]], 0.5 * np.maximum(sector - 0.5 * turn, 0.0))
+        lobe = Sampled(float((weights + rim) @ self._f), self._gradient(weights + rim), 0.0)
+        beyond = Sampled(float(rim @ self._f), self._gradient(rim), 0.0)
+        return lobe, beyond, float(area.sum()) / math.pi

@@ -1,0 +1,217 @@
+"""The page on a sample's quantities of appearance (`gonio appearance`), and their table in other pages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gonio.typing import Floats
+from gonio_analysis.appearance.glossmeter import GLOSSMETERS, SOURCE_DEG
+from gonio_analysis.plots import appearance as plots
+from gonio_analysis.report import files, pdf
+from gonio_analysis.report.blocks import (
+    Block,
+    Figures,
+    Footer,
+    Group,
+    Heading,
+    Page,
+    Paragraph,
+    Table,
+    code,
+    facts,
+    notes,
+    table,
+)
+from gonio_analysis.report.comparison import stamp
+from gonio_analysis.report.drawing import Draughtsmen
+from gonio_analysis.report.figures import Drawing
+from gonio_analysis.report.text import number, quantity, with_u
+from gonio_analysis.result_records import Appearance, FigureSummary, Quantity, as_json
+
+SOURCES = {
+    "gloss": "ISO 2813, ASTM D523",
+    "haze": "ASTM D4039",
+    "reflectance": "integral over the hemisphere",
+    "factor": "CIE 15",
+    "retro": "CIE e-ILV 17-24-103, -104",
+    "colour": "CIE 15, D65, 2°; ASTM E2194, E2539",
+    "flop": "Alman 1987",
+    "tis": "ASTM F1048",
+    "roughness": "Davies 1954",
+}
+KINDS = {"table": "measurement", "model": "model", "fit": "fitted model"}
+
+
+@dataclass(frozen=True)
+class Listed:
+    """One quantity in words."""
+
+    label: str
+    value: str
+    remark: str
+    """Why there is none, or what its value rests on."""
+    after: str
+
+
+def listed(a: Appearance) -> list[Listed]:
+    """Every quantity in words, in the order of a page."""
+    rows: list[tuple[str, Quantity, str]] = [
+        (f"gloss at {angle}°", q, SOURCES["gloss"])
+        for angle, q in ((20, a.gloss_20_gu), (60, a.gloss_60_gu), (85, a.gloss_85_gu))
+    ]
+    rows.append(("haze, G60 − G20", a.haze_gu, SOURCES["haze"]))
+    rows.append(("reflectance at 8°", a.rho_dh_8, SOURCES["reflectance"]))
+    rows += [(f"ρ_dh at {q.theta_i_deg:g}°", q, SOURCES["reflectance"]) for q in a.rho_dh]
+    rows.append(("radiance factor 0:45", a.radiance_factor_0_45, SOURCES["factor"]))
+    rows.append(("radiance factor 45:0", a.radiance_factor_45_0, SOURCES["factor"]))
+    for r in a.retroreflection:
+        where = f"{r.entrance_deg:g}°, observed at {r.observation_deg:g}°"
+        rows += [(f"R_A at {where}", r.R_A, SOURCES["retro"]), (f"R_L at {where}", r.R_L, SOURCES["retro"])]
+    rows.append(("flop index", a.flop_index, SOURCES["flop"]))
+    rows.append(("scattered share (TIS) at 8°", a.tis_8, SOURCES["tis"]))
+    rows.append(("rms roughness", a.rms_roughness_nm, SOURCES["roughness"]))
+    out = [Listed(label, _value(q), _remark(q), after) for label, q, after in rows]
+    for c in a.lab:
+        where = f"L*, a*, b* at {c.theta_i_deg:g}°, aspecular {_signed(c.aspecular_deg)}°"
+        parts = "; ".join(_value(q, 2) for q in (c.L, c.a, c.b))
+        why = c.L.why or (f"L* as if grey: {c.a.why}" if c.a.why else "")
+        out.append(Listed(where, "–" if c.L.value is None else parts, why, SOURCES["colour"]))
+    return out
+
+
+def block(a: Appearance) -> Table:
+    """The quantities as a table of a page."""
+    rows = [(one.label, one.value, one.remark, one.after) for one in listed(a)]
+    at = "" if a.wavelength_nm is None else f"All but colours at {a.wavelength_nm:g} nm. "
+    caption = at + "± is a standard uncertainty; the error is that of quadrature or of interpolation."
+    return table(caption, ["quantity", "value", "", "after"], rows)
+
+
+def known(a: Appearance) -> Table | None:
+    """Those of the quantities that have a value, for a page about something else; None where there are none."""
+    rows = [(one.label, one.value, one.remark, one.after) for one in listed(a) if one.value != "–"]
+    left = len(listed(a)) - len(rows)
+    if not rows:
+        return None
+    caption = (
+        f"{left} further quantities need angles that were not measured: gonio appearance says which." if left else ""
+    )
+    return table(caption, ["quantity", "value", "", "after"], rows)
+
+
+def make(a: Appearance, out: str | Path, *, command: str = "") -> Path:
+    """Write a page on the quantities, with figures and `summary.json`: all of it or nothing.
+
+    Returns
+    -------
+    Path
+        Of `index.html`.
+
+    Raises
+    ------
+    ConfigError
+        The folder cannot be written, or holds something that this program did not write.
+    """
+    with files.staged(out) as stage:
+        figures = Draughtsmen().draw(_drawings(a))
+        made = stamp(command)
+        page = _page(a, made["created"], command, made["versions"], figures)
+        shown = [as_json(FigureSummary(f.name, f.caption, f.alt)) for f in figures]
+        files.write_page(stage.work, page, {**as_json(a), **made, "figures": shown}, figures)
+        pdf.write(stage.work / "report.pdf", [page])
+    return Path(out) / "index.html"
+
+
+def _page(a: Appearance, created: str, command: str, versions: dict[str, str], figures: Sequence[Any]) -> Page:
+    sub = f"Appearance of a {KINDS[a.kind]}, {created[:10]}, gonio {versions['gonio']}."
+    body: list[Block] = [Group("header", (Heading(1, a.name), Paragraph(sub, "sub")))]
+    body += [notes(a.notes)] if a.notes else []
+    body += [Heading(2, "Quantities"), block(a)]
+    body += [Heading(2, "Geometry"), Figures(tuple(figures))] if figures else []
+    made = [("source", a.source or "–"), ("command", command or "–"), ("page made", created)]
+    made.append(("versions", ", ".join(f"{k} {v}" for k, v in versions.items())))
+    footer = Footer(("Every number on this page is in ", code("summary.json"), "."))
+    return Page(f"Appearance of {a.name}", (*body, Heading(2, "Provenance"), facts(made), footer))
+
+
+def _drawings(a: Appearance) -> list[Drawing]:
+    out = []
+    coloured = [c for c in a.lab if c.L.value is not None]
+    if coloured:
+        caption = "L*a*b* against the aspecular angle, from the mirror direction toward the normal."
+        if all(c.a.value is None for c in coloured):
+            caption = "L* against the aspecular angle, as if the sample were grey."
+        groups = []
+        for theta in sorted({c.theta_i_deg for c in coloured}, reverse=True):
+            mine = [c for c in coloured if c.theta_i_deg == theta]
+            values, u = (
+                [np.array([_or_nan(getattr(getattr(c, letter), what)) for c in mine]) for letter in "Lab"]
+                for what in ("value", "u")
+            )
+            groups.append((theta, np.array([c.aspecular_deg for c in mine]), values, u))
+        on = partial(_on_colours, groups=groups)
+        out.append(Drawing("colour", "colour", "", caption, caption, (6.4, 3.2), on))
+    caption = (
+        "The glossmeter's beams in the plane of incidence: source at the left, receiver at the right, full angles of"
+        " their apertures."
+    )
+    words = {
+        m.angle_deg: _value(q) for m, q in zip(GLOSSMETERS, (a.gloss_20_gu, a.gloss_60_gu, a.gloss_85_gu), strict=True)
+    }
+    out.append(Drawing("gloss", "gloss", "", caption, caption, (6.4, 1.7), partial(_on_beams, words=words)))
+    return out
+
+
+def _on_colours(figure: Any, *, groups: list[tuple[float, Floats, list[Floats], list[Floats]]]) -> None:
+    axes = figure.subplots(
+        1, len(groups), squeeze=False, width_ratios=[max(len(g[1]), 2) for g in groups], sharey=True
+    )[0]
+    figure.subplots_adjust(0.08, 0.17, 0.86, 0.91, wspace=0.08)
+    for ax, (theta, angles, values, u) in zip(axes, groups, strict=True):
+        plots.colours(ax, angles, values, u, label=f"θi = {theta:g}°")
+        ax.set_xlabel("aspecular angle / °", fontsize=8)
+    axes[-1].legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.02, 0.5), borderaxespad=0.0)
+
+
+def _on_beams(figure: Any, *, words: dict[float, str]) -> None:
+    axes = figure.subplots(1, len(GLOSSMETERS))
+    figure.subplots_adjust(0.01, 0.02, 0.99, 0.88, wspace=0.05)
+    for ax, meter in zip(axes, GLOSSMETERS, strict=True):
+        label = f"{meter.angle_deg:g}°: {words[meter.angle_deg]}"
+        plots.beams(ax, meter.angle_deg, SOURCE_DEG[0], meter.receiver_deg[0], label=label)
+
+
+def _value(q: Quantity, decimals: int | None = None) -> str:
+    unit = "" if q.unit == "1" else q.unit
+    if q.value is None:
+        return "–"
+    if q.u is None and (decimals is not None or unit == "GU"):
+        return quantity(f"{q.value + 0.0:.{decimals or 2}f}".replace("-0.00", "0.00").replace("-", "−"), unit)
+    if q.u is None:
+        return quantity(number(q.value, 4), unit)
+    return quantity(with_u(q.value, q.u), unit)
+
+
+def _remark(q: Quantity) -> str:
+    if q.value is None:
+        bound = "" if q.at_least is None else f" (at least {number(q.at_least)})"
+        return f"{q.why}{bound}"
+    parts = [q.note] if q.note else []
+    if q.error is not None and q.error > max(0.3 * (q.u or 0.0), 5e-4 * abs(q.value)):
+        parts.append(f"error {number(q.error, 2)}")
+    return "; ".join(parts)
+
+
+def _signed(angle: float) -> str:
+    return f"{angle:g}".replace("-", "−")
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value

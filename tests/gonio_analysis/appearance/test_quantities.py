@@ -1,0 +1,225 @@
+"""Quantities of tables and models: right, with uncertainties that hold, and refused where angles are missing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from gonio_analysis.appearance.glossmeter import GLOSSMETERS, gloss
+from gonio_analysis.appearance.quantities import of_fit, of_model, of_table
+from gonio_analysis.fitting.fit import fit
+from gonio_analysis.result_records import Appearance, Quantity
+
+from gonio import colour
+from gonio.models import CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Sum
+from tests.gonio_analysis.appearance.simulated import hemisphere, measured, noisy, plane
+from tests.gonio_analysis.synthetic import known
+
+SIGNED = np.arange(-87.5, 87.6, 2.5)
+GLOSSY = (20.0, 60.0, 85.0)
+PAINT = HeTorrance(sigma0_um=0.1, tau_um=2.0, ior=1.5, diffuse_albedo=0.1)
+
+
+def named(a: Appearance) -> Iterator[tuple[str, Quantity]]:
+    """Every quantity by its name."""
+    for key, one in vars(a).items():
+        if isinstance(one, Quantity):
+            yield key, one
+    for rho in a.rho_dh:
+        yield f"rho_dh {rho.theta_i_deg}", rho
+    for r in a.retroreflection:
+        yield f"R_A {r.entrance_deg}", r.R_A
+        yield f"R_L {r.entrance_deg}", r.R_L
+    for c in a.lab:
+        yield from ((f"{letter} {c.theta_i_deg} {c.aspecular_deg}", getattr(c, letter)) for letter in "Lab")
+
+
+def swept(*incidences: float) -> Any:
+    """In-plane directions at some incidences."""
+    return np.vstack([plane(theta, SIGNED) for theta in incidences])
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        HeTorrance(sigma0_um=0.0, tau_um=1.0, ior=1.567),  # a spike alone
+        HeTorrance(sigma0_um=0.28, tau_um=1.77, ior=1.5, diffuse_albedo=0.3),  # a lobe alone
+        PAINT,  # both
+        Lambert(0.9),
+        OrenNayar(albedo=0.9, sigma_deg=30.0),
+    ],
+    ids=("glass", "rough", "paint", "white", "plaster"),
+)
+def test_sampled_and_exact_gloss_agree(model: Model) -> None:
+    exact = of_model(model, name="exact")
+    table = of_table(measured(model, swept(*GLOSSY)), name="sampled")
+    for key in ("gloss_20_gu", "gloss_60_gu", "gloss_85_gu", "haze_gu"):
+        assert known(getattr(table, key).value) == pytest.approx(known(getattr(exact, key).value), abs=0.5), key
+
+
+def test_the_error_of_a_gloss_from_one_plane_covers_what_it_assumes() -> None:
+    model = CookTorrance(s=1, d=0, slopes=((0.3, 1.0),), ior=1.5)
+    sample = of_table(measured(model, swept(*GLOSSY)), name="sampled")
+    for meter, q in zip(GLOSSMETERS, (sample.gloss_20_gu, sample.gloss_60_gu, sample.gloss_85_gu), strict=True):
+        if q.value is None:
+            assert "values in one plane do not say enough" in known_words(q.why)
+        else:
+            assert abs(q.value - gloss(model, meter, 550.0)[0]) <= known(q.error) + 0.01
+    assert sample.gloss_85_gu.value is None
+
+
+def known_words(text: str | None) -> str:
+    """A text that has to be there."""
+    assert text is not None
+    return text
+
+
+@pytest.mark.parametrize("model", [Lambert(0.8), OrenNayar(0.9, 30.0), PAINT], ids=("white", "plaster", "paint"))
+def test_a_reflectance_is_the_models_integral(model: Model) -> None:
+    directions = np.vstack([hemisphere(8.0, 5.0, 15.0), hemisphere(45.0, 5.0, 15.0)])
+    sample = of_table(measured(model, directions), name="sampled")
+    for q in (sample.rho_dh_8, *sample.rho_dh):
+        theta = math.radians(getattr(q, "theta_i_deg", 8.0))
+        assert known(q.value) == pytest.approx(model.directional_hemispherical(theta), abs=known(q.error))
+        assert known(q.error) < 0.01
+
+
+def test_a_spike_is_in_the_reflectance() -> None:
+    glass = HeTorrance(sigma0_um=0.0, tau_um=1.0, ior=1.567)
+    sample = of_table(measured(glass, hemisphere(8.0)), name="glass")
+    assert known(sample.rho_dh_8.value) == pytest.approx(glass.specular_reflectivity(math.radians(8.0)), rel=1e-4)
+
+
+def test_half_a_hemisphere_gives_a_lower_bound() -> None:
+    sample = of_table(measured(Lambert(0.8), hemisphere(8.0, end=60.0)), name="cut")
+    assert sample.rho_dh_8.value is None
+    assert "% of the projected hemisphere was measured" in known_words(sample.rho_dh_8.why)
+    assert known(sample.rho_dh_8.at_least) == pytest.approx(0.8 * math.sin(math.radians(60.0)) ** 2, rel=0.05)
+
+
+@pytest.mark.parametrize("sigma_um", [0.004, 0.008])
+def test_roughness_is_that_of_a_smooth_surface(sigma_um: float) -> None:
+    smooth = HeTorrance(sigma0_um=sigma_um, tau_um=5.0, ior=1.5)
+    # the scatter theory holds to about the scattered share itself, at most 4 % here
+    assert known(of_model(smooth, name="smooth").rms_roughness_nm.value) == pytest.approx(1e3 * sigma_um, rel=0.04)
+    rough = of_model(PAINT, name="paint")
+    assert rough.rms_roughness_nm.value is None
+    assert "is scattered" in known_words(rough.rms_roughness_nm.why)
+
+
+def test_colours_are_those_of_the_spectrum() -> None:
+    waves = tuple(np.arange(400.0, 701.0, 20.0))
+    model = HeTorrance(sigma0_um=0.3, tau_um=1.5, ior=lambda nm: 1.3 + 0.001 * (nm - 400.0), diffuse_albedo=0.1)
+    directions = np.vstack(
+        [plane(45.0, np.array([60.0, 30.0, 20.0, 0.0, -30.0, -65.0])), plane(15.0, np.array([30.0, 0.0]))]
+    )
+    sample = of_table(measured(model, directions, waves=waves, cone_sr=0.0), name="paint")
+    for c in sample.lab:
+        azimuth = math.pi if c.theta_r_deg >= 0.0 else 0.0
+        f = model.brdf(
+            math.radians(c.theta_i_deg), 0.0, abs(math.radians(c.theta_r_deg)), azimuth, wavelength_nm=np.array(waves)
+        )
+        wanted = colour.lab(colour.xyz(math.pi * f, waves))
+        assert [c.L.value, c.a.value, c.b.value] == pytest.approx(wanted, abs=1e-9)  # rounding
+    exact = of_model(model, name="paint")
+    for ours, theirs in zip(sample.lab, exact.lab, strict=True):
+        # a spectrum every 20 nm instead of every 10
+        assert known(ours.L.value) == pytest.approx(known(theirs.L.value), abs=0.05)
+    assert known(sample.flop_index.value) == pytest.approx(known(exact.flop_index.value), rel=2e-3)
+    light = {c.aspecular_deg: known(c.L.value) for c in exact.lab if c.theta_i_deg == 45.0}
+    assert known(exact.flop_index.value) == pytest.approx(2.69 * (light[15] - light[110]) ** 1.11 / light[45] ** 0.86)
+
+
+def test_one_wavelength_gives_lightness_alone() -> None:
+    sample = of_table(measured(Lambert(0.5), plane(45.0, np.array([30.0, 0.0, -65.0]))), name="grey")
+    (face,) = (c for c in sample.lab if c.aspecular_deg == 45.0)
+    assert known(face.L.value) == pytest.approx(116.0 * 0.5 ** (1.0 / 3.0) - 16.0)
+    assert face.a.value is None
+    assert "steps of at most 20 nm" in known_words(face.a.why)
+
+
+def test_a_white_that_sends_light_back() -> None:
+    sample = of_table(measured(Lambert(0.9), plane(4.0, np.arange(-6.0, 6.1, 0.5))), name="white")
+    first = sample.retroreflection[0]
+    cosines = math.cos(math.radians(4.0)) * math.cos(math.radians(4.2))
+    assert known(first.R_A.value) == pytest.approx(0.9 / math.pi * cosines, rel=1e-9)
+    assert known(first.R_L.value) == pytest.approx(0.9 / math.pi * math.cos(math.radians(4.0)), rel=1e-9)
+
+
+def test_what_the_angles_do_not_give_is_null_and_says_why() -> None:
+    sample = of_table(measured(Lambert(0.9), plane(30.0, np.array([20.0, 30.0, 40.0]))), name="white")
+    for key, q in named(sample):
+        assert q.value is None, key
+        assert q.u is None
+        assert known_words(q.why), key
+    assert "no in-plane curve at 20°" in known_words(sample.gloss_20_gu.why)
+    assert sample.haze_gu.why == sample.gloss_60_gu.why
+
+
+def test_a_table_without_uncertainties_states_none() -> None:
+    frame = measured(Lambert(0.9), swept(60.0)).drop(columns="s_reference")
+    frame[["u_brdf", "u_random"]] = np.nan
+    sample = of_table(frame, name="white")
+    assert known(sample.gloss_60_gu.value) > 0.0
+    assert sample.gloss_60_gu.u is None
+
+
+def test_haze_of_a_matt_surface_has_a_note() -> None:
+    assert "above 70 GU" in known_words(of_model(Lambert(0.9), name="white").haze_gu.note)
+
+
+def pulls(model: Model, directions: Any, waves: tuple[float, ...] = (550.0,), runs: int = 400) -> dict[str, Any]:
+    """(quantity - its value without noise) / u over simulated measurements."""
+    rng = np.random.default_rng(11)
+    frame = measured(model, directions, waves=waves)
+    truth = dict(named(of_table(frame, name="truth")))
+    found: dict[str, list[float]] = {key: [] for key, q in truth.items() if q.value is not None}
+    for _ in range(runs):
+        sample = dict(named(of_table(noisy(frame, rng), name="noisy")))
+        for key, values in found.items():
+            values.append((known(sample[key].value) - known(truth[key].value)) / known(sample[key].u))
+    return {key: np.array(values) for key, values in found.items()}
+
+
+@pytest.mark.slow
+def test_pulls_of_one_wavelength_have_a_standard_deviation_of_one() -> None:
+    signed = np.concatenate([np.arange(-75.0, 0.0, 15.0), SIGNED[SIGNED >= 0.0]])
+    geometry = [hemisphere(8.0, 10.0, 30.0), *(plane(t, signed) for t in GLOSSY), plane(45.0, SIGNED[::2])]
+    found = pulls(PAINT, np.vstack([*geometry, plane(0.0, np.array([45.0])), plane(0.0, np.array([-45.0]))]))
+    assert {"gloss_20_gu", "gloss_60_gu", "gloss_85_gu", "haze_gu", "rho_dh_8", "radiance_factor_45_0"} <= set(found)
+    for key, values in found.items():
+        # 400 draws scatter by 3.5 %
+        assert 0.9 < values.std(ddof=1) < 1.1, key
+
+
+@pytest.mark.slow
+def test_pulls_of_colours_have_a_standard_deviation_of_one() -> None:
+    model = HeTorrance(sigma0_um=0.3, tau_um=1.5, ior=lambda nm: 1.3 + 0.001 * (nm - 400.0), diffuse_albedo=0.1)
+    found = pulls(model, plane(45.0, np.array([30.0, 0.0, -65.0])), tuple(np.arange(420.0, 681.0, 20.0)))
+    assert "flop_index" in found
+    for key, values in found.items():
+        assert 0.9 < values.std(ddof=1) < 1.1, key
+
+
+def test_the_uncertainty_of_a_fit_is_that_of_its_parameters() -> None:
+    frame = noisy(measured(PAINT, swept(20.0, 60.0)), np.random.default_rng(3))
+    result = fit(frame, "he-torrance", ior=1.5)
+    stated = of_fit(result, name="paint")
+    rng = np.random.default_rng(5)
+    drawn = rng.multivariate_normal(result.vector, result.spread, 60)
+    values = [gloss(result.problem.model(v), GLOSSMETERS[1], 550.0)[0] for v in drawn]
+    # 60 draws know their scatter to 9 %; three times that
+    assert known(stated.gloss_60_gu.u) == pytest.approx(np.std(values, ddof=1), rel=0.27)
+    assert known(stated.rho_dh_8.u) > 0.0
+
+
+def test_a_sum_of_spike_and_base_keeps_the_spike() -> None:
+    glass = HeTorrance(sigma0_um=0.0, tau_um=1.0, ior=1.567)
+    sample = of_model(Sum((glass, 1.0), (Lambert(0.5), 0.5)), name="coated")
+    assert known(sample.gloss_60_gu.value) > 100.0
+    assert known(sample.rho_dh_8.value) == pytest.approx(
+        0.25 + glass.specular_reflectivity(math.radians(8.0)), rel=1e-6
+    )
