@@ -69,6 +69,10 @@ class FitSummary:
     n_free: int
     wavelength_nm: float | None
     weighting: str
+    metric: str
+    """As of `--metric`."""
+    u_rel_assumed: float | None
+    """The relative uncertainty that was assumed; None where the table states its own, or nobody assumed any."""
     condition: float | None
     left_out: Mapping[str, int]
     source_solid_angle_sr: float

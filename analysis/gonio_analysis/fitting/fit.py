@@ -124,15 +124,24 @@ class FitResult:
     def verdict(self) -> str:
         """What chi-square says, in words."""
         if self.reduced_chi_square is None or self.p_value is None:
-            return "no verdict: the table states no uncertainties"
+            if self.data.covariance is None:
+                return "no verdict: the table states no uncertainties"
+            return "no verdict: " + (
+                "no value is left over for one"
+                if self.goal.whitened
+                else f"the metric {self.goal.metric} does not weigh by uncertainties"
+            )
+        assumed = self.data.u_rel_assumed
+        which = "stated uncertainties" if assumed is None else f"assumed uncertainty of {100 * assumed:g} %"
+        given = "" if assumed is None else f", with the {which}"
         if self.p_value >= 0.01:
             if self.p_value > 0.99:
-                return "not rejected; residuals are smaller than the stated uncertainties"
-            return "not rejected at the 1 % level"
+                return f"not rejected; residuals are smaller than the {which}"
+            return f"not rejected at the 1 % level{given}"
         factor = math.sqrt(self.reduced_chi_square)
         if self.reduced_chi_square < 2:
-            return f"formally rejected, but residuals are only {factor:.2f} times the stated uncertainties"
-        return f"rejected: residuals are {factor:.3g} times the stated uncertainties"
+            return f"formally rejected, but residuals are only {factor:.2f} times the {which}"
+        return f"rejected: residuals are {factor:.3g} times the {which}"
 
     def summary(self) -> FitSummary:
         """Plain numbers and words."""
@@ -151,6 +160,8 @@ class FitResult:
             n_free=len(names),
             wavelength_nm=finite(self.wavelength_nm),
             weighting=self.weighting,
+            metric=self.goal.metric,
+            u_rel_assumed=self.data.u_rel_assumed,
             condition=finite(self.condition),
             left_out=self.data.left_out,
             source_solid_angle_sr=self.data.source_solid_angle_sr,
@@ -189,7 +200,7 @@ def fit(
     began = time.perf_counter()
     asked = FitRequest(model, **options) if isinstance(model, str) else replace(model, **options)
     problem, start = pose(asked), asked.start
-    data = table if isinstance(table, Observations) else observations(table, name)
+    data = table if isinstance(table, Observations) else observations(table, name, asked.u_rel)
     if asked.each is not None:
         if asked.wavelength_nm is not None:
             nm = f"{asked.wavelength_nm:g}"
@@ -211,17 +222,17 @@ def fit(
     notes += problem.notes
 
     if start is None:
-        vector = search(problem, data, asked.loss, asked.searches)
+        vector = search(problem, data, asked.loss, asked.searches, asked.metric)
     else:
-        vector = search_from(problem, data, start, asked.loss)
-    goal = replace(scaled_to(data, apparent(problem.model(vector), data, quick=True)), loss=asked.loss)
+        vector = search_from(problem, data, start, asked.loss, asked.metric)
+    goal = replace(scaled_to(data, apparent(problem.model(vector), data, quick=True), asked.metric), loss=asked.loss)
     vector, jacobian = settle(problem, data, goal, refine(problem, data, goal, vector)[0])
     built = problem.model(vector)
     predicted = apparent(built, data)
     white = goal.residual(predicted)
     total = float(white @ white)
     spread, condition = covariance(jacobian)
-    if data.covariance is None:
+    if not goal.whitened:
         spread = spread * max(total / (len(data) - len(names)), ROUNDING)
         notes.append("Standard errors come from the scatter of the residuals; there is no chi-square.")
     result = FitResult(
@@ -235,7 +246,7 @@ def fit(
         predicted=predicted,
         whitened=white,
         weighting=goal.words,
-        chi_square=None if data.covariance is None else total,
+        chi_square=total if goal.whitened else None,
         wavelength_nm=wavelength,
         condition=condition,
         wall_s=0.0,

@@ -13,10 +13,17 @@ from gonio.errors import ConfigError
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.forward import ByWavelength
-from gonio_analysis.fitting.objective import LOSSES
+from gonio_analysis.fitting.objective import LOSSES, METRICS
+from gonio_analysis.fitting.observations import check_u_rel
 from gonio_analysis.fitting.parameters import Family, Ior, Parameter, Values
 
 STARTS = 4
+
+
+def check_metric(metric: str | None) -> None:
+    """Raise `ConfigError` for a metric that is none."""
+    if metric is not None and metric not in METRICS:
+        raise ConfigError(f"--metric {metric}: there is no such metric; known: {', '.join(METRICS)}")
 
 
 @dataclass(frozen=True)
@@ -52,6 +59,11 @@ class FitRequest:
     loss: str = "linear"
     """How large whitened residuals count: "linear" (their square), or one that outliers pull less: "soft_l1", "huber",
     "cauchy", "arctan" (as in `scipy.optimize.least_squares`, with a scale of one standard uncertainty)."""
+    metric: str | None = None
+    """What is made small: a name of `gonio_analysis.fitting.objective.METRICS`; by default "weighted" where
+    uncertainties are stated, "log" elsewhere."""
+    u_rel: float | None = None
+    """Relative standard uncertainty to assume, where the table states none."""
     start: Sequence[Values] | None = None
     """Sets of values to start from instead of a search: solutions of neighbours."""
     searches: int = STARTS
@@ -60,6 +72,8 @@ class FitRequest:
     def __post_init__(self) -> None:
         if self.loss not in LOSSES:
             raise ConfigError(f"--loss {self.loss}: there is no such loss; known: {', '.join(LOSSES)}")
+        check_metric(self.metric)
+        check_u_rel(self.u_rel)
         if self.searches < 1:
             raise ConfigError(f"--searches {self.searches}: at least one search is needed")
 

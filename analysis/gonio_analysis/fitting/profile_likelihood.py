@@ -116,7 +116,7 @@ def rise(result: FitResult, level: float) -> float:
     """
     from scipy.special import chdtri, fdtri
 
-    if result.data.covariance is not None:
+    if result.goal.whitened:
         return float(chdtri(1, 1.0 - level))
     return float(fdtri(1, len(result.data) - len(result.free), level))
 
@@ -148,7 +148,7 @@ class _Walker:
         self._near = Near(result)
         self._least = self._near.cost(result.vector)
         freedom = max(len(result.data) - len(result.free), 1)
-        self._unit = 1.0 if result.data.covariance is not None else max(self._least / freedom, ROUNDING)
+        self._unit = 1.0 if result.goal.whitened else max(self._least / freedom, ROUNDING)
         self.better: Floats | None = None
 
     def _held(self, k: int, start: Floats) -> tuple[Floats, float]:
