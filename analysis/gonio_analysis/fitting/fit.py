@@ -24,18 +24,21 @@ import numpy as np
 
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.typing import Floats
-from gonio_analysis.fitting.forward import apparent
+from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, apparent
 from gonio_analysis.fitting.identifiability import tied
+from gonio_analysis.fitting.incidences import angles
 from gonio_analysis.fitting.objective import Objective, scaled_to
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observations, observations
-from gonio_analysis.fitting.parameters import Family
-from gonio_analysis.fitting.problem import STARTS, FitRequest, Problem, pose, together
+from gonio_analysis.fitting.parameters import Family, Values
+from gonio_analysis.fitting.problem import STARTS, Bound, FitRequest, Problem, pose, together
 from gonio_analysis.fitting.search import STEP, covariance, refine, search, search_from, settle
 from gonio_analysis.result_records import FitSummary, ParameterSummary, as_json, finite
 
 if TYPE_CHECKING:
     import pandas as pd
 
+EXCESS = 2e-5
+"""What the bound on rho_dh gives way by, about."""
 ROUNDING = 1e-24
 """Scatter (squared, in the residuals' units) that a fit without one is taken to have: that of its own arithmetic."""
 
@@ -220,6 +223,12 @@ def fit(
             f"{'s' * (len(names) != 1)} {', '.join(names)} with an uncertainty: at least {len(names) + 1} are needed"
         )
     notes += problem.notes
+    if asked.energy:
+        if problem.waves:
+            raise ConfigError("--energy: the bound holds a fit at one wavelength; leave out --joint")
+        free = fit(data, replace(asked, energy=False), name=name)
+        problem, start, said = _bounded(problem, free, start)
+        notes += said
 
     if start is None:
         vector = search(problem, data, asked.loss, asked.searches, asked.metric)
@@ -257,6 +266,29 @@ def fit(
     )
     notes += _identifiability(result)
     return replace(result, notes=[*data.notes, *notes], wall_s=time.perf_counter() - began)
+
+
+def _bounded(
+    problem: Problem, free: FitResult, start: Sequence[Values] | None
+) -> tuple[Problem, Sequence[Values] | None, list[str]]:
+    """The problem with the bound rho_dh <= 1, where to start from, and what to say; the bound costs nothing if unused.
+
+    The bound is as tight as the data pull: what is left above it is far below their uncertainty.
+    """
+    wave = NO_WAVELENGTH_NM if math.isnan(free.wavelength_nm) else free.wavelength_nm
+    bound = Bound(tuple(angles(free.data)), float(free.data.directions.phi_i[0]), wave, 1.0)
+    highest = float(bound.rho_dh(free.model).max())
+    known = free.problem.values(free.vector)
+    if highest <= 1.0:
+        return problem, [known], ["rho_dh stays below 1 without the bound of --energy."]
+    # an excess e costs (e / width)^2. Data that pull with the slope T' leave e = width^2 T' / 2, and T' is about what a
+    # model costs that is too low by this factor.
+    cost = free.goal.total(free.goal.residual(free.predicted / highest)) / (highest - 1.0)
+    width = math.sqrt(2.0 * EXCESS / max(cost, 1e-12))
+    levels = [n for n in ("k_s", "s", "weight", "k_d", "albedo", "diffuse_albedo") if n in problem.free]
+    lower = known | {n: known[n] / highest for n in levels}
+    said = f"rho_dh is bound to 1 (--energy); without the bound it is {highest:.3g}."
+    return replace(problem, bound=replace(bound, width=width)), start or [known, lower], [said]
 
 
 def _together(

@@ -18,6 +18,10 @@ from gonio_analysis.fitting.observations import check_u_rel
 from gonio_analysis.fitting.parameters import Family, Ior, Parameter, Values
 
 STARTS = 4
+MARGIN = 1e-4
+"""The bound on rho_dh lies so far below 1, for it gives a little."""
+BOUND_STEP = 1e-3
+"""Of the derivatives of rho_dh, whose integral is right to 1e-5."""
 
 
 def check_metric(metric: str | None) -> None:
@@ -64,6 +68,8 @@ class FitRequest:
     uncertainties are stated, "log" elsewhere."""
     u_rel: float | None = None
     """Relative standard uncertainty to assume, where the table states none."""
+    energy: bool = False
+    """Bind rho_dh to 1 at the angles of incidence of the table."""
     start: Sequence[Values] | None = None
     """Sets of values to start from instead of a search: solutions of neighbours."""
     searches: int = STARTS
@@ -76,6 +82,25 @@ class FitRequest:
         check_u_rel(self.u_rel)
         if self.searches < 1:
             raise ConfigError(f"--searches {self.searches}: at least one search is needed")
+
+
+@dataclass(frozen=True)
+class Bound:
+    """rho_dh <= 1: what lies above counts like a measurement of 1 with the standard uncertainty `width`."""
+
+    theta_i: tuple[float, ...]
+    """[rad]"""
+    phi_i: float
+    wavelength_nm: float
+    width: float
+
+    def rho_dh(self, model: Any) -> Floats:
+        """Of a model, at each angle of incidence."""
+        return np.asarray(
+            model.directional_hemispherical(
+                np.array(self.theta_i), phi_i=self.phi_i, wavelength_nm=self.wavelength_nm, tolerance=1e-5
+            )
+        )
 
 
 @dataclass(frozen=True)
@@ -99,10 +124,12 @@ class Problem:
 
     asked: FitRequest | None = None
     """What it was made from."""
+    bound: Bound | None = None
+    """Where the model may not reflect more than it receives."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         # the functions of a family do not pickle: another process makes the problem again
-        return _posed, (self.asked, self.waves, self.each)
+        return _posed, (self.asked, self.waves, self.each, self.bound)
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of a name in `free`."""
@@ -116,13 +143,30 @@ class Problem:
     def pulls(self, vector: Floats) -> Floats:
         """Residuals of the priors, one each."""
         values = self.values(vector)
-        return np.array([(values[n] - value) / u for n, (value, u) in self.priors.items()])
+        pulls = np.array([(values[n] - value) / u for n, (value, u) in self.priors.items()])
+        return pulls if self.bound is None else np.concatenate([pulls, self._excess(vector)])
+
+    def _excess(self, vector: Floats) -> Floats:
+        """What rho_dh exceeds 1 by, in units of the bound's width."""
+        assert self.bound is not None
+        over: Floats = np.maximum(self.bound.rho_dh(self.model(vector)) - (1.0 - MARGIN), 0.0) / self.bound.width
+        return over
 
     def pull_slopes(self, vector: Floats) -> Floats:
         """d(pulls)/d(search scale), (priors, p)."""
         slope = self.slope(vector)
         rows = [np.where([m == n for m in self.free], slope / u, 0.0) for n, (_, u) in self.priors.items()]
-        return np.array(rows).reshape(len(rows), vector.size)
+        pulls = np.array(rows).reshape(len(rows), vector.size)
+        if self.bound is None:
+            return pulls
+        lower, upper = self.bounds
+        here = self._excess(vector)
+        columns = np.zeros((here.size, vector.size))
+        for k in range(vector.size) if here.any() else ():
+            up, down = vector.copy(), vector.copy()
+            up[k], down[k] = min(vector[k] + BOUND_STEP, upper[k]), max(vector[k] - BOUND_STEP, lower[k])
+            columns[:, k] = (self._excess(up) - self._excess(down)) / (up[k] - down[k])
+        return np.concatenate([pulls, columns])
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
@@ -220,9 +264,9 @@ def pose(asked: FitRequest) -> Problem:
     )
 
 
-def _posed(asked: FitRequest, waves: tuple[float, ...], each: tuple[str, ...]) -> Problem:
+def _posed(asked: FitRequest, waves: tuple[float, ...], each: tuple[str, ...], bound: Bound | None) -> Problem:
     problem = pose(asked)
-    return together(problem, waves, each) if waves else problem
+    return replace(together(problem, waves, each) if waves else problem, bound=bound)
 
 
 def together(problem: Problem, waves: Sequence[float], each: Sequence[str]) -> Problem:

@@ -75,7 +75,7 @@ def search(
     coarse.sort(key=lambda c: c[1])
     others = [c for c in coarse[1:] if np.abs(c[0] - coarse[0][0]).max() > 0.05]
     chosen = [coarse[0], *others[: max(searches // 4, 1)]]
-    starts = [vector for vector, _ in chosen]
+    begin = [vector for vector, _ in chosen]
     if metric in HIGHEST:  # its valley may be another one than that of the logarithms
         brightest = _with_brightest(few, data)
         goal = alone(brightest, metric)
@@ -85,8 +85,8 @@ def search(
         ]
         by_metric.sort(key=lambda c: c[0])
         near = [refine(problem, brightest, goal, v, quick=True, limit=25) for _, v in by_metric[:searches]]
-        starts += [min(near, key=lambda c: c[1])[0]]
-    return min((approach(problem, data, vector, loss, metric) for vector in starts), key=lambda f: f[1])[0]
+        begin += [min(near, key=lambda c: c[1])[0]]
+    return min((approach(problem, data, vector, loss, metric) for vector in begin), key=lambda f: f[1])[0]
 
 
 def _with_brightest(few: Observations, data: Observations) -> Observations:

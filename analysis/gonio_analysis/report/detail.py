@@ -155,11 +155,7 @@ def _profiles(d: Dataset, facts: DatasetSummary) -> Drawing:
     result = named.fit
     intervals = list(d.choice.intervals.values())
     level = intervals[0].level
-    what = (
-        "Rise of chi-square"
-        if result.data.covariance is not None
-        else "Rise of the sum of squares, in units of the scatter,"
-    )
+    what = "Rise of chi-square" if result.goal.whitened else "Rise of the sum of squares, in units of the scatter,"
     caption = (
         f"Profiles of {named.candidate.label}: {what[:1].lower() + what[1:]} over each parameter, with all others"
         f" fitted again. Line: fitted value; dashes: the rise at the ends of the {100 * level:g} % interval (shaded)."

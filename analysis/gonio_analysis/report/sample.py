@@ -54,6 +54,7 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
     out += [Heading(3, "Models"), _models(d)] if d.models else [Heading(3, "Measured values"), _values(d)]
     if d.skipped:
         out.append(Notes(tuple((strong(m), f" was not fitted: {why}") for m, why in d.skipped.items())))
+    out += _energy(d)
     if "polar" in by:
         out += [Heading(3, "In the plane of incidence, normalised"), _polar_words(s, d)]
         out += [Viewer(d.slug, view)] if view else []
@@ -68,7 +69,14 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
         out += [Figures(by["profile"])] if "profile" in by else []
         out += [Heading(3, "Metrics"), *_metrics(s, d)]
     out.append(Heading(3, "Uncertainty"))
-    if "budget" in by:
+    if d.u_rel_assumed is not None:
+        out.append(
+            Paragraph(
+                f"The table states no uncertainties. A standard uncertainty of {percent(d.u_rel_assumed)} of each"
+                " value, independent from value to value, is assumed: error bars, standard errors and χ² rest on it."
+            )
+        )
+    elif "budget" in by:
         out += [Figures((*by["budget"], *by.get("budget-angle", ()))), _budget(d)]
     else:
         out.append(
@@ -136,6 +144,8 @@ def _facts(d: DatasetSummary) -> Facts:
     if d.uncertainty_stated:
         causes = ", ".join(cause(c) for c in d.causes) or "none"
         rows.append(("uncertainty", f"median {percent(d.median_u_rel)}; causes common to all values: {causes}"))
+    elif d.u_rel_assumed is not None:
+        rows.append(("uncertainty", f"none stated; {percent(d.u_rel_assumed)} of each value is assumed"))
     else:
         rows.append(("uncertainty", "none stated"))
     return facts(rows)
@@ -149,9 +159,9 @@ def _models(d: DatasetSummary) -> Table:
             [
                 name,
                 fitted_words(f),
-                number(f.reduced_chi_square),
+                number(f.reduced_chi_square) + " (assumed u)" * (f.u_rel_assumed is not None),
                 difference(f.metrics["log_ratio"]),
-                f.verdict,
+                f.verdict + "; ⚠ reflects more than it receives" * f.reflects_too_much,
             ]
         )
     note = "● marks the model that fits best. Typical difference: rms of ln(model / measured)." if any(marks) else ""
@@ -162,6 +172,60 @@ def _models(d: DatasetSummary) -> Table:
         right=(2, 3),
         marks=marks,
     )
+
+
+def _energy(d: DatasetSummary) -> list[Block]:
+    """Reflectances of the models and of the measurement, and its symmetries."""
+    if not d.models:
+        return []
+    at = sorted({round(r.theta_i_deg, 1) for f in d.models.values() for r in f.rho_dh})
+    rows: list[Sequence[Text]] = []
+    for name, f in d.models.items():
+        found = {round(r.theta_i_deg, 1): r for r in f.rho_dh}
+        rows.append(
+            [
+                name + " ⚠ above 1" * f.reflects_too_much,
+                *(with_u(found[a].rho_dh, found[a].u) if a in found else "–" for a in at),
+            ]
+        )
+    own = {round(r.theta_i_deg, 1): r for r in d.rho_dh if r.rho_dh is not None}
+    if own:
+        near = {a: next((r for b, r in own.items() if abs(a - b) < 0.5), None) for a in at}
+        rows.append(["measurement", *("–" if r is None else with_u(r.rho_dh, r.u) for r in near.values())])
+    out: list[Block] = [Heading(3, "Energy and symmetry")]
+    if at:
+        out.append(
+            table(
+                "Directional-hemispherical reflectance rho_dh by angle of incidence: the share of the light that is"
+                " reflected. Uncertainties of models follow from the covariance of their parameters"
+                + (", which rests on the assumed uncertainty." if d.u_rel_assumed is not None else "."),
+                ["model", *(f"θi = {a:g}°" for a in at)],
+                rows,
+                right=tuple(range(1, len(at) + 1)),
+            )
+        )
+    said: list[Text] = []
+    why: dict[str, list[str]] = {}
+    for r in d.rho_dh:
+        if r.why:
+            why.setdefault(r.why, []).append(f"{r.theta_i_deg:.3g}°")
+    for reason, angles in why.items():
+        where = f"at θi = {', '.join(dict.fromkeys(angles))}" if len(angles) <= 8 else f"at {len(angles)} incidences"
+        said.append(f"The measurement's own rho_dh {where}: {reason}.")
+    for s in d.symmetries:
+        verdict = "broken" if s.broken else "kept"
+        by = "" if s.reduced_chi_square is None else f"; χ² a pair {number(s.reduced_chi_square)}"
+        limit = "" if s.reduced_chi_square is not None else " (the limit without uncertainties: 10 %)"
+        said.append(
+            f"Symmetry, {s.kind} ({s.words}): {verdict}. {s.pairs} pairs differ typically by"
+            f" {difference(s.typical)}, at most by {difference(s.largest)}{by}{limit}."
+        )
+    if not d.symmetries:
+        said.append(
+            "Symmetry: no values were measured that reciprocity, left and right or a turned sample could compare."
+        )
+    out.append(Notes(tuple(said)))
+    return out
 
 
 def _polar_words(s: Summary, d: DatasetSummary) -> Paragraph:
@@ -202,10 +266,14 @@ def _parameters(d: DatasetSummary) -> list[Block]:
             rows.append((label, code(p), value, kind, _strongest(f, p)))
             label = ""
     remarks = [(m, n) for m, f in d.models.items() for n in f.notes if n not in d.notes + d.data_notes]
+    whitened = any(f.chi_square is not None for f in d.models.values())
     caption = (
-        "Standard errors are those of least squares with the stated covariance; they are not scaled by χ²."
-        if d.uncertainty_stated
-        else "The table states no uncertainties: standard errors come from the scatter of the residuals."
+        "Standard errors come from the scatter of the residuals"
+        + (": the table states no uncertainties." if d.median_u_rel is None else ", by the metric of the fit.")
+        if not whitened
+        else f"Standard errors rest on the assumed uncertainty of {percent(d.u_rel_assumed)} of each value."
+        if d.u_rel_assumed is not None
+        else "Standard errors are those of least squares with the stated covariance; they are not scaled by χ²."
     )
     out: list[Block] = [table(caption, ["model", "parameter", "value", "", "strongest correlation"], rows)]
     return [*out, Notes(tuple((strong(m), f": {n}") for m, n in remarks))] if remarks else out
