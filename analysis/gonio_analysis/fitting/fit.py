@@ -37,6 +37,8 @@ from gonio_analysis.result_records import FitSummary, ParameterSummary, as_json,
 if TYPE_CHECKING:
     import pandas as pd
 
+BOUND_FIRST = 30.0
+"""The bound is so much softer on the way, for a search along a steep wall takes many short steps."""
 EXCESS = 2e-5
 """What the bound on rho_dh gives way by, about."""
 ROUNDING = 1e-24
@@ -233,7 +235,7 @@ def fit(
     if start is None:
         vector = search(problem, data, asked.loss, asked.searches, asked.metric)
     else:
-        vector = search_from(problem, data, start, asked.loss, asked.metric)
+        vector = search_from(problem.softer(BOUND_FIRST), data, start, asked.loss, asked.metric)
     goal = replace(scaled_to(data, apparent(problem.model(vector), data, quick=True), asked.metric), loss=asked.loss)
     vector, jacobian = settle(problem, data, goal, refine(problem, data, goal, vector)[0])
     built = problem.model(vector)

@@ -146,11 +146,15 @@ class Problem:
         pulls = np.array([(values[n] - value) / u for n, (value, u) in self.priors.items()])
         return pulls if self.bound is None else np.concatenate([pulls, self._excess(vector)])
 
-    def _excess(self, vector: Floats) -> Floats:
-        """What rho_dh exceeds 1 by, in units of the bound's width."""
+    def softer(self, factor: float) -> Problem:
+        """The same with a softer bound, where it has any."""
+        return self if self.bound is None else replace(self, bound=replace(self.bound, width=factor * self.bound.width))
+
+    def _excess(self, vector: Floats, *, signed: bool = False) -> Floats:
+        """What rho_dh exceeds 1 by, in units of the bound's width; below 1 it is 0, or negative if it is `signed`."""
         assert self.bound is not None
-        over: Floats = np.maximum(self.bound.rho_dh(self.model(vector)) - (1.0 - MARGIN), 0.0) / self.bound.width
-        return over
+        over: Floats = (self.bound.rho_dh(self.model(vector)) - (1.0 - MARGIN)) / self.bound.width
+        return over if signed else np.maximum(over, 0.0)
 
     def pull_slopes(self, vector: Floats) -> Floats:
         """d(pulls)/d(search scale), (priors, p)."""
@@ -159,13 +163,13 @@ class Problem:
         pulls = np.array(rows).reshape(len(rows), vector.size)
         if self.bound is None:
             return pulls
-        lower, upper = self.bounds
+        _, upper = self.bounds
         here = self._excess(vector)
         columns = np.zeros((here.size, vector.size))
         for k in range(vector.size) if here.any() else ():
-            up, down = vector.copy(), vector.copy()
-            up[k], down[k] = min(vector[k] + BOUND_STEP, upper[k]), max(vector[k] - BOUND_STEP, lower[k])
-            columns[:, k] = (self._excess(up) - self._excess(down)) / (up[k] - down[k])
+            moved = vector.copy()
+            moved[k] += BOUND_STEP if vector[k] + BOUND_STEP <= upper[k] else -BOUND_STEP
+            columns[:, k] = np.where(here > 0, (self._excess(moved, signed=True) - here) / (moved[k] - vector[k]), 0.0)
         return np.concatenate([pulls, columns])
 
     @property

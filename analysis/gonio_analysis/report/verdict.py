@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from gonio_analysis.fitting.metrics import DESCRIPTIONS
-from gonio_analysis.report.text import difference, with_u
+from gonio_analysis.report.text import difference, number, with_u
 from gonio_analysis.result_records import Reflectance, SymmetrySummary
 from gonio_analysis.selection.energy import ABOVE_ONE
 from gonio_analysis.selection.misfit_regions import FEWEST, Region
@@ -69,7 +69,8 @@ def where(missed: Region | None) -> str:
     """The region that a model misses most, as the end of a sentence."""
     if missed is None or missed.ratio is None:
         return ""
-    return f"farthest off at {missed.words} ({missed.values} values), where it is {missed.ratio:.2g} of the measurement"
+    times = f"{number(missed.ratio, 2)} {'times' if missed.ratio > 1 else 'of'} the measurement"
+    return f"farthest off at {missed.words} ({missed.values} values), where it is {times}"
 
 
 def none_describes(count: int) -> str:
