@@ -360,7 +360,9 @@ def _print(result: FitResult, sample: str, walked: dict[str, Interval]) -> None:
     rows = console.table("parameter", "value", *level, "", title=title)
     for name, e in [*result.parameters.items(), *result.derived.items()]:
         kind = "derived" if name in result.derived else "fixed" if e.fixed else "fitted"
-        value = quantity(with_u(e.value, 0.0 if e.fixed else e.u), e.unit) + (f" ({e.material})" if e.material else "")
+        alone = name in walked and not e.fixed and not walked[name].linear(e.value, e.u)  # two truths otherwise
+        shown = number(e.value, 4) if alone else with_u(e.value, 0.0 if e.fixed else e.u)
+        value = quantity(shown, e.unit) + (f" ({e.material})" if e.material else "")
         ends = [
             number(x, 4) + (" (bound)" if is_open else "")
             for x, is_open in (walked[name].ends if name in walked else ())

@@ -207,6 +207,8 @@ class IntervalSummary:
     open_high: bool
     level: float
     profile: ProfileSummary
+    linear: bool | None = field(default=None, metadata=WHERE_KNOWN)
+    """Whether the standard error says the same; where it does not, the interval stands alone."""
 
 
 @dataclass(frozen=True)

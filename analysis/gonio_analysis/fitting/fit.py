@@ -326,11 +326,15 @@ def _one_wavelength(
     if wavelength_nm is None:
         if family.needs_wavelength:
             raise ConfigError(
-                f"{name} holds a broad band, and {family.name} needs a wavelength: give one with --wavelength-nm"
+                f"{name} has no single wavelength, and {family.name} needs one: give it with --wavelength-nm"
             )
         return chosen, wavelength, []
     filled = replace(chosen, wavelength_nm=np.full(len(chosen), float(wavelength_nm)))
-    return filled, float(wavelength_nm), [f"The broad band is evaluated at {wavelength_nm:g} nm alone."]
+    return (
+        filled,
+        float(wavelength_nm),
+        [f"The table has no single wavelength; the model is evaluated at {wavelength_nm:g} nm."],
+    )
 
 
 def _estimates(problem: Problem, vector: Floats, spread: Floats, wavelength_nm: float) -> dict[str, Estimate]:

@@ -61,6 +61,20 @@ class Interval:
         low, high = min(self, other, key=lambda i: i.low), max(self, other, key=lambda i: i.high)
         return replace(self, low=low.low, open_low=low.open_low, high=high.high, open_high=high.open_high)
 
+    def linear(self, value: float, u: float | None) -> bool:
+        """Whether a standard error says the same: both halves of the interval are its multiple, within a factor of 2.
+
+        A half that ends on a bound says nothing against a standard error that is longer.
+        """
+        if u is None or not math.isfinite(u) or u <= 0:
+            return False
+        from scipy.special import ndtri
+
+        half = u * float(ndtri(0.5 * (1.0 + self.level)))
+        found = ((value - self.low, self.open_low), (self.high - value, self.open_high))
+        ratios = [(max(length, 0.0) / half, is_open) for length, is_open in found]
+        return all(0.5 <= ratio <= 2.0 for ratio, is_open in ratios if not is_open) and not all(o for _, o in ratios)
+
     def holds(self, value: float) -> bool:
         """Whether a value lies inside."""
         slack = 1e-9 * max(abs(self.low), abs(self.high))

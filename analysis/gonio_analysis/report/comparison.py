@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 
 MOST_VALUES = 200
 """Measured values that a page lists where it has no model."""
+MOST_LISTED = 40
+"""Curves that a note names one by one."""
 MOST_REASONS = 12
 """Why values were left out, in words on the page; `left_out` has all."""
 VALUES = ("wavelength_nm", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "brdf", "u_brdf")
@@ -53,7 +55,7 @@ def summarise(datasets: Sequence[Dataset], *, title: str, normalise: str, comman
         slugs.append(base if base not in slugs else f"{base}-{len(slugs) + 1}")
     models = list(dict.fromkeys(m for d in datasets for m in [*d.fitted, *d.skipped]))
     return Summary(
-        title=title,
+        title=title + (" (simulated)" if datasets and all(d.simulated for d in datasets) else ""),
         **stamp(command),
         normalise=normalise,
         models=models,
@@ -118,7 +120,7 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         curves_known=d.curves_known,
         scanned=d.curves[0].scanned if d.curves else None,
         out_of_plane_deg=math.degrees(max((c.out_of_plane for c in d.curves), default=0.0)),
-        curves_without_mirror=[_angle(c.parameter) for c in d.curves if c.mirror is None],
+        curves_without_mirror=[_angle(angle) for angle, _ in d.without_mirror],
         notes=_notes(d),
         data_notes=list(d.data.notes),
         provenance=_plain(attrs.get("provenance") or {}),
@@ -257,7 +259,8 @@ def _notes(d: Dataset) -> list[str]:
     notes += _shared(fits)
     if math.isnan(d.wavelength_nm) and any(not math.isnan(f.wavelength_nm) for f in fits):
         notes.append(
-            "Models that need a wavelength are evaluated at the one given with --wavelength-nm, not over the band."
+            "Models that need a wavelength are evaluated at the one given with --wavelength-nm"
+            + (", not over the band." if d.table.attrs.get("bands") else "; the table states none.")
         )
     if not d.curves:
         notes.append("No in-plane curve: fewer than two values of any incidence lie in the plane of incidence.")
@@ -267,10 +270,12 @@ def _notes(d: Dataset) -> list[str]:
         )
     if d.curves_known > len(d.curves):
         notes.append(f"{len(d.curves)} of {d.curves_known} in-plane curves are drawn; all values are fitted.")
-    without = [c.label for c in d.curves if c.mirror is None]
+    without = [label for _, label in d.without_mirror]
     if without:
+        many = f"{len(without)} curves, from {without[0]} to {without[-1]}"
         notes.append(
-            f"The mirror direction was not measured (within {math.degrees(AT_MIRROR):.1f}°) for {', '.join(without)}."
+            f"The mirror direction was not measured (within {math.degrees(AT_MIRROR):.1f}°) for"
+            f" {', '.join(without) if len(without) <= MOST_LISTED else many}."
         )
     sparse = [c.label for c in d.curves if c.angle.size < 20]
     if sparse:

@@ -96,11 +96,11 @@ def _polar(d: Dataset, facts: DatasetSummary, model: str, f: Fitted, most: int) 
     rim = in_plane.radius_of(every)
     lines = thinning.on_half_disc(every, rim, 0.42 * 5.6 * thinning.POINTS_AN_INCH, most)
     cut = [c.label for c, x in zip(f.drawn, every, strict=True) if max(_top(x.theory), _top(x.measured)) > 1.001 * rim]
-    caption = f"{model}: normalised {_norm_words(f)}. Solid: theory; dashed{_bars(d)}: measurement."
+    caption = f"{model}: normalised {_norm_words(f)}. Solid: theory; dashed{bars(d)}: {measurement(d)}."
     if cut:
         caption += f" Cut at the rim: {', '.join(cut)}."
     caption += _spikes(f) + thinning.words(thinning.measured(lines), thinning.measured(every))
-    alt = f"Half-disc polar plot for {d.name} and {model}. " + " ".join(
+    alt = f"Half-disc polar plot for {d.name} ({measurement(d)}) and {model}. " + " ".join(
         f"{c.label}: measured peak at {c.measured_peak_deg:.1f}°, theory's at {c.theory_peak_deg:.1f}°."
         for c in facts.models[model].curves
     )
@@ -109,7 +109,12 @@ def _polar(d: Dataset, facts: DatasetSummary, model: str, f: Fitted, most: int) 
     return Drawing(f"{facts.slug}-polar-{slug(model)}", "polar", model, caption, alt, (5.6, high), on)
 
 
-def _bars(d: Dataset) -> str:
+def measurement(d: Dataset) -> str:
+    """What captions call the values: those of a simulated rig are called so."""
+    return "simulated measurement" if d.simulated else "measurement"
+
+
+def bars(d: Dataset) -> str:
     """What the error bars are, as part of a sentence; "" where there are none."""
     if d.data.covariance is None:
         return ""
@@ -189,7 +194,7 @@ def _absolute(d: Dataset, facts: DatasetSummary, model: str, f: Fitted, most: in
         if stated
         else "model divided by measurement"
     )
-    caption = f"{model}: absolute in-plane BRDF{_bars(d)}. Below: {kind}"
+    caption = f"{model}: absolute in-plane BRDF of a {measurement(d)}{bars(d)}. Below: {kind}"
     caption += "; grey: values that belong to no curve shown." if rest.size else "."
     drawn = thinning.measured(low) + some.size
     caption += thinning.words(drawn, thinning.measured(lines) + rest.size)

@@ -86,9 +86,10 @@ def _intervals(choice: ChoiceSummary) -> Table:
         p = named.parameters[name]
         ends = ((i.low, i.open_low), (i.high, i.open_high))
         bounds = [f"{number(end, 4)}{' (bound)' if at_bound else ''}" for end, at_bound in ends]
-        rows.append([code(name), with_u(p.value, p.u), " to ".join(bounds)])
+        # an error of the linearised fit beside an interval that contradicts it would be two truths
+        rows.append([code(name), with_u(p.value, p.u) if i.linear else number(p.value, 4), " to ".join(bounds)])
     return table(
         f"Parameters of {named.label} with profile-likelihood intervals: each is held while all others follow.",
-        ["parameter", "value and standard error", "95 % interval"],
+        ["parameter", "value and standard error (where it says the same as the interval)", "95 % interval"],
         rows,
     )

@@ -30,7 +30,7 @@ from gonio_analysis.report.blocks import (
 from gonio_analysis.report.figures import Figure
 from gonio_analysis.report.text import CAUSES, cause, difference, number, percent, with_u
 from gonio_analysis.report.viewer import View
-from gonio_analysis.result_records import DatasetSummary, ModelSummary, RunFacts, Summary
+from gonio_analysis.result_records import DatasetSummary, ModelSummary, ParameterSummary, RunFacts, Summary
 
 
 def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View | None) -> Group:
@@ -46,7 +46,8 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
     by: dict[str, tuple[Figure, ...]] = {}
     for f in figures:
         by[f.kind] = (*by.get(f.kind, ()), f)
-    out: list[Block] = [Heading(2, d.name)] if len(s.datasets) > 1 else []
+    simulated = d.run is not None and d.run.sample is not None
+    out: list[Block] = [Heading(2, d.name + " (simulated)" * simulated)] if len(s.datasets) > 1 else []
     out += [lead(d.conclusion), Heading(3, "What was measured, and how"), _facts(d)]
     if d.notes:
         out.append(notes(d.notes))
@@ -128,7 +129,7 @@ def _facts(d: DatasetSummary) -> Facts:
         )
         rows.append(("wavelength", f"{d.wavelength_nm:g} nm{others}{_width(d)}"))
     else:
-        rows.append(("band", ", ".join(_band(b) for b in d.bands) or "broad; no wavelength stated"))
+        rows.append(("band", ", ".join(_band(b) for b in d.bands) or "no wavelength stated"))
     rows.append(("incidences", _angles(d.theta_i_deg)))
     used = f"{d.used} of {d.rows_here}" + (" at this wavelength" if len(wavelengths) > 1 else "")
     rows.append(("values used", used + (f"; left out: {d.left_out_words}" if d.left_out_words else "")))
@@ -158,7 +159,7 @@ def _models(d: DatasetSummary) -> Table:
         rows.append(
             [
                 name,
-                fitted_words(f),
+                fitted_words(d, name, f),
                 number(f.reduced_chi_square) + " (assumed u)" * (f.u_rel_assumed is not None),
                 difference(f.metrics["log_ratio"]),
                 f.verdict + "; ⚠ reflects more than it receives" * f.reflects_too_much,
@@ -261,7 +262,7 @@ def _parameters(d: DatasetSummary) -> list[Block]:
         for p, e in [*f.parameters.items(), *f.derived.items()]:
             kind = "derived" if p in f.derived else "fixed" if e.fixed else "fitted"
             kind += f", at its {e.at_bound} bound" if e.at_bound else ""
-            value = with_u(e.value, 0.0 if e.fixed else e.u)
+            value = _value(d, name, p, e)
             value += f" ({e.material})" if e.material else ""
             rows.append((label, code(p), value, kind, _strongest(f, p)))
             label = ""
@@ -277,6 +278,15 @@ def _parameters(d: DatasetSummary) -> list[Block]:
     )
     out: list[Block] = [table(caption, ["model", "parameter", "value", "", "strongest correlation"], rows)]
     return [*out, Notes(tuple((strong(m), f": {n}") for m, n in remarks))] if remarks else out
+
+
+def _value(d: DatasetSummary, model: str, parameter: str, e: ParameterSummary) -> str:
+    """value ± u; the interval alone where a standard error would contradict it."""
+    i = d.choice.intervals.get(parameter) if model == d.choice.named else None
+    if i is not None and i.linear is False:
+        ends = f"{number(i.low)} to {number(i.high)}"
+        return f"{number(e.value)} ({100 * i.level:g} % interval {ends})"
+    return with_u(e.value, 0.0 if e.fixed else e.u)
 
 
 def _strongest(f: ModelSummary, parameter: str) -> Text:
@@ -308,9 +318,9 @@ def _budget(d: DatasetSummary) -> Table:
     )
 
 
-def fitted_words(f: ModelSummary) -> str:
+def fitted_words(d: DatasetSummary, model: str, f: ModelSummary) -> str:
     """The fitted parameters of a model, with their uncertainties."""
-    parts = [f"{n} = {with_u(p.value, p.u)}" for n, p in f.parameters.items() if not p.fixed]
+    parts = [f"{n} = {_value(d, model, n, p)}" for n, p in f.parameters.items() if not p.fixed]
     return ", ".join(parts)
 
 

@@ -24,7 +24,7 @@ from gonio_analysis.fitting.parameters import Ior, Values
 from gonio_analysis.fitting.problem import FitRequest, pose
 from gonio_analysis.fitting.profile_likelihood import Interval, profiles
 from gonio_analysis.fitting.surrogate import Near, Rows
-from gonio_analysis.result_records import CandidateSummary, ChoiceSummary, Value, finite
+from gonio_analysis.result_records import CandidateSummary, ChoiceSummary, IntervalSummary, Value, finite
 from gonio_analysis.selection.misfit_regions import Region, blocks, farthest, worst
 
 SIGNIFICANCE = 0.01
@@ -122,6 +122,11 @@ class Choice:
         alike = [other for other in self.judged if other.candidate.model == j.candidate.model]
         return j.candidate.model in SINGLE and j is min(alike, key=lambda other: other.aic)
 
+    def _interval(self, name: str, interval: Interval) -> IntervalSummary:
+        assert self.named is not None
+        e = self.named.fit.parameters[name]
+        return replace(interval.summary(), linear=interval.linear(e.value, None if e.fixed else e.u))
+
     def summary(self) -> ChoiceSummary:
         """Plain numbers and words."""
         return ChoiceSummary(
@@ -132,7 +137,7 @@ class Choice:
             decisive_aic=DECISIVE,
             held_out_by=self.held_out_by,
             candidates=[j.summary() for j in self.judged],
-            intervals={n: i.summary() for n, i in self.intervals.items()},
+            intervals={n: self._interval(n, i) for n, i in self.intervals.items()},
             left_out=self.left_out,
         )
 

@@ -110,6 +110,13 @@ class Dataset:
     rho_dh: list[Reflectance] = field(default_factory=list)
     """Of the measurement itself."""
     symmetries: list[SymmetrySummary] = field(default_factory=list)
+    without_mirror: list[tuple[float, str]] = field(default_factory=list)
+    """Angle [rad] and label of every in-plane curve whose mirror direction was not measured, drawn or not."""
+
+    @property
+    def simulated(self) -> bool:
+        """Whether a run on a simulated rig made the table."""
+        return self.run is not None and self.run.sample is not None
 
 
 def examine(
@@ -191,6 +198,7 @@ def examine(
         run,
         energy.of_table(at),
         symmetries(at),
+        [(c.parameter, label) for c, label in zip(found, labels(found), strict=True) if c.mirror is None],
     )
 
 
