@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 MODELS = "lambert,oren-nayar,cook-torrance,he-torrance"
 MODELS_HELP = "Models to fit, with commas between (sums as oren-nayar+phong), or all."
 IOR_HELP = "Optical constants: a material (Al) or n + ik (0.77+6.08j); without them a real n is fitted."
+METRIC_HELP = "What fits make small: log, weighted, ngan, cube-root or relative; otherwise weighted, or log without u."
+U_REL_HELP = "Relative uncertainty to ASSUME where the table states none (0.03)."
+ENERGY_HELP = "Fit with the bound rho_dh <= 1 at the table's incidences."
 WAVELENGTH_HELP = "Wavelength [nm] of a table with several, or the effective one of a broad band."
 
 
@@ -72,6 +75,9 @@ def fit(
     intervals: Annotated[bool, typer.Option("--intervals", help="Profile-likelihood intervals (95 %).")] = False,
     slopes: Annotated[int, typer.Option(help="Slopes of Cook-Torrance's facets, 1 or 2.")] = 1,
     wavelength_nm: Annotated[float | None, typer.Option(help=WAVELENGTH_HELP, show_default=False)] = None,
+    metric: Annotated[str | None, typer.Option(help=METRIC_HELP, show_default=False)] = None,
+    u_rel: Annotated[float | None, typer.Option(help=U_REL_HELP, show_default=False)] = None,
+    energy: Annotated[bool, typer.Option("--energy", help=ENERGY_HELP)] = False,
     joint: Annotated[bool, typer.Option("--joint", help="Fit all wavelengths together.")] = False,
     each: Annotated[
         list[str] | None,
@@ -96,7 +102,7 @@ def fit(
     kept = dict(read_fixed(text) for text in fix or [])
     parameters.family(model, slopes=slopes, ior=index)
     tables = [table, *(more or [])]
-    read = [_observed(one) for one in tables]
+    read = [_observed(one, u_rel) for one in tables]
     name = read[0][0]
     asked = FitRequest(
         model,
@@ -109,6 +115,9 @@ def fit(
         bounds=dict(read_bound(text) for text in bound or []),
         priors=dict(read_prior(text) for text in prior or []),
         loss=loss,
+        metric=metric,
+        u_rel=u_rel,
+        energy=energy,
         searches=searches,
     )
     if save is not None:
@@ -131,7 +140,7 @@ def fit(
         _print(result, name, walked)
 
 
-def _observed(table: str) -> tuple[str, Observations]:
+def _observed(table: str, u_rel: float | None) -> tuple[str, Observations]:
     """The one sample that a table on the command line names, and its usable values."""
     from gonio import measurement
     from gonio.errors import ConfigError
@@ -142,7 +151,7 @@ def _observed(table: str) -> tuple[str, Observations]:
         listed = "; ".join(samples)
         raise ConfigError(f"{table} holds {len(samples)} samples: name one as {table}:SAMPLE, of: {listed}")
     name, frame = next(iter(samples.items()))
-    return name, observations(frame, table)
+    return name, observations(frame, table, u_rel)
 
 
 def _short(tables: list[str]) -> list[str]:
@@ -170,6 +179,9 @@ def compare(
     ] = None,
     ior: Annotated[str | None, typer.Option(help=IOR_HELP, show_default=False)] = None,
     wavelength_nm: Annotated[float | None, typer.Option(help=WAVELENGTH_HELP, show_default=False)] = None,
+    metric: Annotated[str | None, typer.Option(help=METRIC_HELP, show_default=False)] = None,
+    u_rel: Annotated[float | None, typer.Option(help=U_REL_HELP, show_default=False)] = None,
+    energy: Annotated[bool, typer.Option("--energy", help=ENERGY_HELP)] = False,
     dask: Annotated[
         str | None,
         typer.Option(metavar="ADDRESS", help="Fit on the Dask cluster of this scheduler.", show_default=False),
@@ -180,7 +192,15 @@ def compare(
 ) -> None:
     """Fit several models to measurements, and write a report. With --change instead: did A change into B?"""
     if change:
-        fitting = {"models": models, "normalise": normalise, "ior": ior, "dask": dask}
+        fitting = {
+            "models": models,
+            "normalise": normalise,
+            "ior": ior,
+            "dask": dask,
+            "metric": metric,
+            "u-rel": u_rel,
+            "energy": energy or None,
+        }
         print(_change(measurements, out, wavelength_nm, [name for name, value in fitting.items() if value is not None]))
         return
     print(
@@ -192,6 +212,9 @@ def compare(
             ior,
             wavelength_nm,
             dask,
+            metric=metric,
+            u_rel=u_rel,
+            energy=energy,
         )
     )
 
@@ -205,13 +228,21 @@ def report(
     normalise: Annotated[Norm, typer.Option(help="What polar curves are divided by.")] = Norm.mirror,
     ior: Annotated[str | None, typer.Option(help=IOR_HELP, show_default=False)] = None,
     wavelength_nm: Annotated[float | None, typer.Option(help=WAVELENGTH_HELP, show_default=False)] = None,
+    metric: Annotated[str | None, typer.Option(help=METRIC_HELP, show_default=False)] = None,
+    u_rel: Annotated[float | None, typer.Option(help=U_REL_HELP, show_default=False)] = None,
+    energy: Annotated[bool, typer.Option("--energy", help=ENERGY_HELP)] = False,
 ) -> None:
     """Write the report of one run."""
     from gonio.errors import ConfigError
 
     if not run.is_dir():
         raise ConfigError(f"{run}: there is no such folder; gonio report takes a run (for a file: gonio compare)")
-    print(_report([str(run)], out or run / "report", _names(models), normalise, ior, wavelength_nm))
+    out = out or run / "report"
+    print(
+        _report(
+            [str(run)], out, _names(models), normalise, ior, wavelength_nm, metric=metric, u_rel=u_rel, energy=energy
+        )
+    )
 
 
 def appearance(
@@ -349,13 +380,21 @@ def _report(
     ior: str | None,
     wavelength_nm: float | None,
     dask: str | None = None,
+    *,
+    metric: str | None = None,
+    u_rel: float | None = None,
+    energy: bool = False,
 ) -> Path:
     from gonio.acquisition.run import command_line
     from gonio.cli import console
+    from gonio_analysis.fitting.observations import check_u_rel
+    from gonio_analysis.fitting.problem import check_metric
     from gonio_analysis.report import make
     from gonio_analysis.selection.compare import check_models
 
     check_models(models)
+    check_metric(metric)
+    check_u_rel(u_rel)
     return make(
         specs,
         out,
@@ -363,6 +402,9 @@ def _report(
         normalise=normalise.value,
         ior=read_ior(ior),
         wavelength_nm=wavelength_nm,
+        metric=metric,
+        u_rel=u_rel,
+        bound_energy=energy,
         dask=dask,
         command=command_line(),
         progress=console.note,
@@ -407,7 +449,9 @@ def _print(result: FitResult, sample: str, walked: dict[str, Interval]) -> None:
     rows = console.table("parameter", "value", *level, "", title=title)
     for name, e in [*result.parameters.items(), *result.derived.items()]:
         kind = "derived" if name in result.derived else "fixed" if e.fixed else "fitted"
-        value = quantity(with_u(e.value, 0.0 if e.fixed else e.u), e.unit) + (f" ({e.material})" if e.material else "")
+        alone = name in walked and not e.fixed and not walked[name].linear(e.value, e.u)  # two truths otherwise
+        shown = number(e.value, 4) if alone else with_u(e.value, 0.0 if e.fixed else e.u)
+        value = quantity(shown, e.unit) + (f" ({e.material})" if e.material else "")
         ends = [
             number(x, 4) + (" (bound)" if is_open else "")
             for x, is_open in (walked[name].ends if name in walked else ())

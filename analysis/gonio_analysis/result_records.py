@@ -69,6 +69,10 @@ class FitSummary:
     n_free: int
     wavelength_nm: float | None
     weighting: str
+    metric: str
+    """As of `--metric`."""
+    u_rel_assumed: float | None
+    """The relative uncertainty that was assumed; None where the table states its own, or nobody assumed any."""
     condition: float | None
     left_out: Mapping[str, int]
     source_solid_angle_sr: float | None
@@ -110,18 +114,6 @@ class AtWavelength:
 
 
 @dataclass(frozen=True)
-class ModelSummary(FitSummary):
-    """A fit with what the page shows of it."""
-
-    metrics: dict[str, float | None]
-    curves: list[CurveSummary]
-    series: list[AtWavelength]
-
-
-# --- which model -----------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
 class RegionSummary:
     """Where a model misses, as `gonio_analysis.selection.misfit_regions.Region`."""
 
@@ -130,6 +122,52 @@ class RegionSummary:
     excess: float
     share: float
     ratio: float | None
+
+
+@dataclass(frozen=True)
+class Reflectance:
+    """Directional-hemispherical reflectance at one angle of incidence."""
+
+    theta_i_deg: float
+    rho_dh: float | None
+    """None where a table does not allow it."""
+    u: float | None
+    """Standard uncertainty; None where it is not determined."""
+    why: str
+    """Why there is none, or what was assumed."""
+
+
+@dataclass(frozen=True)
+class SymmetrySummary:
+    """Pairs of values that a symmetry of the sample would make alike."""
+
+    kind: str
+    """ "reciprocity", "left and right" or "azimuth of incidence"."""
+    words: str
+    pairs: int
+    typical: float
+    """rms of ln(one / other)."""
+    largest: float
+    reduced_chi_square: float | None
+    broken: bool
+    """Whether they differ by more than their uncertainty (by more than 10 %, where none is known)."""
+
+
+@dataclass(frozen=True)
+class ModelSummary(FitSummary):
+    """A fit with what the page shows of it."""
+
+    metrics: dict[str, float | None]
+    missed: RegionSummary | None
+    """The region of angles with the median of model / measured farthest from 1."""
+    rho_dh: list[Reflectance]
+    reflects_too_much: bool
+    """Whether it reflects more than it receives at one of these."""
+    curves: list[CurveSummary]
+    series: list[AtWavelength]
+
+
+# --- which model -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -170,6 +208,8 @@ class IntervalSummary:
     open_high: bool
     level: float
     profile: ProfileSummary
+    linear: bool | None = field(default=None, metadata=WHERE_KNOWN)
+    """Whether the standard error says the same; where it does not, the interval stands alone."""
 
 
 @dataclass(frozen=True)
@@ -338,6 +378,7 @@ class DatasetSummary:
     source_solid_angle_sr: float | None
     receiver_solid_angle_sr: float | None
     uncertainty_stated: bool
+    u_rel_assumed: float | None
     causes: list[str]
     theta_i_deg: list[float]
     brdf_min: float
@@ -360,6 +401,9 @@ class DatasetSummary:
     usable_everywhere: int
     best: str | None
     conclusion: str
+    rho_dh: list[Reflectance]
+    """Of the measurement itself."""
+    symmetries: list[SymmetrySummary]
     appearance: Appearance | None = None
     """None where a table is too large for a quick look."""
 

@@ -25,7 +25,7 @@ from gonio import geometry
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import SAME_ANGLE, Directions
 from gonio.typing import Floats
-from gonio_analysis.change.resampling import Carried, carry
+from gonio_analysis.change.resampling import Carried, carry, common_wavelengths
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.objective import scaled_to
@@ -157,7 +157,8 @@ def change(a: Side, b: Side, *, wavelength_nm: float | None = None) -> Change:
     a, b
         What `side` returns.
     wavelength_nm
-        For two models (550 nm if none is given), and for a model beside a broad band that needs one.
+        For two models (550 nm if none is given), and for a model beside a table that states none. Of measurements with
+        several wavelengths, the nearest that both have is compared alone.
 
     Raises
     ------
@@ -166,9 +167,10 @@ def change(a: Side, b: Side, *, wavelength_nm: float | None = None) -> Change:
     DataError
         Two measurements share no direction; the message says why.
     """
+    a, b, notes = _at_one(a, b, wavelength_nm)
     if a.data is not None and b.data is not None:
-        return _measurements(a, b)
-    notes: list[str] = []
+        found = _measurements(a, b)
+        return replace(found, notes=(*found.notes, *notes))
     at = a.data if a.data is not None else b.data
     if at is None:
         at = _directions(550.0 if wavelength_nm is None else wavelength_nm)
@@ -178,10 +180,12 @@ def change(a: Side, b: Side, *, wavelength_nm: float | None = None) -> Change:
     elif np.isnan(at.wavelengths[-1]):
         model = a.model if b.model is None else b.model
         if wavelength_nm is None and model.name == "he-torrance":
-            raise ConfigError(f"{a.source if a.data is not None else b.source} holds a broad band, and the model needs"
-                              " a wavelength: give one with --wavelength-nm")  # fmt: skip
+            raise ConfigError(f"{a.source if a.data is not None else b.source} has no single wavelength, and the model"
+                              " needs one: give it with --wavelength-nm")  # fmt: skip
         at = replace(at, wavelength_nm=np.full(len(at), wavelength_nm or 550.0))
-        notes.append(f"The model is evaluated at {wavelength_nm or 550.0:g} nm, not over the band.")
+        notes.append(
+            f"The model is evaluated at {wavelength_nm or 550.0:g} nm: the measurement has no single wavelength."
+        )
     values = [x.data.brdf if x.data is not None else apparent(x.model, at) for x in (a, b)]
     covariance = None
     if at.covariance is not None:
@@ -194,6 +198,25 @@ def change(a: Side, b: Side, *, wavelength_nm: float | None = None) -> Change:
     onto = "B" if a.data is None and b.data is not None else "A"
     of = _Values(values[0], values[1], u_a, u_b, np.zeros(len(at)), onto)
     return _judged(a, b, at, of, covariance, {}, [*at.notes, *notes])
+
+
+def _at_one(a: Side, b: Side, wavelength_nm: float | None) -> tuple[Side, Side, list[str]]:
+    """Both sides at the wavelength that was asked for, where there are several."""
+    measured = [x.data for x in (a, b) if x.data is not None]
+    if wavelength_nm is None or not measured:
+        return a, b, []
+    pairs = [(w, w) for w in measured[0].wavelengths if not np.isnan(w)]
+    if len(measured) == 2:
+        pairs = [p for p in common_wavelengths(measured[0], measured[1]) if not np.isnan(p).any()]
+    if len(pairs) < 2:
+        return a, b, []
+    own, other = min(pairs, key=lambda p: abs(p[0] - wavelength_nm))
+    sides = [
+        x if x.data is None else replace(x, data=x.data.at(wave))
+        for x, wave in zip((a, b), (own, other) if len(measured) == 2 else (own, own), strict=True)
+    ]
+    note = f"{own:g} nm alone is compared, the nearest of {len(pairs)} wavelengths to {wavelength_nm:g} nm."
+    return sides[0], sides[1], [note]
 
 
 def _measurements(a: Side, b: Side) -> Change:
@@ -339,7 +362,7 @@ def judge(value_a: Floats, value_b: Floats, covariance: Covariance) -> Verdict:
     p = 2 * ndtr(-np.abs(z))
     mean = covariance.whiten(0.5 * (value_a + value_b))
     strength = float(mean @ mean)
-    return Verdict(
+    found = Verdict(
         chi_square=total,
         p_value=float(chdtrc(n, total)),
         z=z,
@@ -351,6 +374,8 @@ def judge(value_a: Floats, value_b: Floats, covariance: Covariance) -> Verdict:
         scale=float(mean @ covariance.whiten(difference)) / strength,
         u_scale=float(strength**-0.5),
     )
+    # one verdict: where nothing says that anything changed, no single value has
+    return found if found.changed else replace(found, marked=np.zeros(n, dtype=bool))
 
 
 def _turn(a: Observations, b: Observations) -> float:

@@ -24,18 +24,23 @@ import numpy as np
 
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.typing import Floats
-from gonio_analysis.fitting.forward import apparent
+from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, apparent
 from gonio_analysis.fitting.identifiability import tied
+from gonio_analysis.fitting.incidences import angles
 from gonio_analysis.fitting.objective import Objective, scaled_to
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observations, observations
-from gonio_analysis.fitting.parameters import Family
-from gonio_analysis.fitting.problem import STARTS, FitRequest, Problem, pose, together
+from gonio_analysis.fitting.parameters import Family, Values
+from gonio_analysis.fitting.problem import STARTS, Bound, FitRequest, Problem, pose, together
 from gonio_analysis.fitting.search import STEP, covariance, refine, search, search_from, settle
 from gonio_analysis.result_records import FitSummary, ParameterSummary, as_json, finite
 
 if TYPE_CHECKING:
     import pandas as pd
 
+BOUND_FIRST = 30.0
+"""The bound is so much softer on the way, for a search along a steep wall takes many short steps."""
+EXCESS = 2e-5
+"""What the bound on rho_dh gives way by, about."""
 ROUNDING = 1e-24
 """Scatter (squared, in the residuals' units) that a fit without one is taken to have: that of its own arithmetic."""
 
@@ -124,15 +129,24 @@ class FitResult:
     def verdict(self) -> str:
         """What chi-square says, in words."""
         if self.reduced_chi_square is None or self.p_value is None:
-            return "no verdict: the table states no uncertainties"
+            if self.data.covariance is None:
+                return "no verdict: the table states no uncertainties"
+            return "no verdict: " + (
+                "no value is left over for one"
+                if self.goal.whitened
+                else f"the metric {self.goal.metric} does not weigh by uncertainties"
+            )
+        assumed = self.data.u_rel_assumed
+        which = "stated uncertainties" if assumed is None else f"assumed uncertainty of {100 * assumed:g} %"
+        given = "" if assumed is None else f", with the {which}"
         if self.p_value >= 0.01:
             if self.p_value > 0.99:
-                return "not rejected; residuals are smaller than the stated uncertainties"
-            return "not rejected at the 1 % level"
+                return f"not rejected; residuals are smaller than the {which}"
+            return f"not rejected at the 1 % level{given}"
         factor = math.sqrt(self.reduced_chi_square)
         if self.reduced_chi_square < 2:
-            return f"formally rejected, but residuals are only {factor:.2f} times the stated uncertainties"
-        return f"rejected: residuals are {factor:.3g} times the stated uncertainties"
+            return f"formally rejected, but residuals are only {factor:.2f} times the {which}"
+        return f"rejected: residuals are {factor:.3g} times the {which}"
 
     def summary(self) -> FitSummary:
         """Plain numbers and words."""
@@ -151,6 +165,8 @@ class FitResult:
             n_free=len(names),
             wavelength_nm=finite(self.wavelength_nm),
             weighting=self.weighting,
+            metric=self.goal.metric,
+            u_rel_assumed=self.data.u_rel_assumed,
             condition=finite(self.condition),
             left_out=self.data.left_out,
             source_solid_angle_sr=finite(self.data.source_solid_angle_sr),
@@ -189,7 +205,7 @@ def fit(
     began = time.perf_counter()
     asked = FitRequest(model, **options) if isinstance(model, str) else replace(model, **options)
     problem, start = pose(asked), asked.start
-    data = table if isinstance(table, Observations) else observations(table, name)
+    data = table if isinstance(table, Observations) else observations(table, name, asked.u_rel)
     if asked.each is not None:
         if asked.wavelength_nm is not None:
             nm = f"{asked.wavelength_nm:g}"
@@ -210,19 +226,25 @@ def fit(
             f"{'s' * (len(names) != 1)} {', '.join(names)} with an uncertainty: at least {len(names) + 1} are needed"
         )
     notes += problem.notes
+    if asked.energy:
+        if problem.waves:
+            raise ConfigError("--energy: the bound holds a fit at one wavelength; leave out --joint")
+        free = fit(data, replace(asked, energy=False), name=name)
+        problem, start, said = _bounded(problem, free, start)
+        notes += said
 
     if start is None:
-        vector = search(problem, data, asked.loss, asked.searches)
+        vector = search(problem, data, asked.loss, asked.searches, asked.metric)
     else:
-        vector = search_from(problem, data, start, asked.loss)
-    goal = replace(scaled_to(data, apparent(problem.model(vector), data, quick=True)), loss=asked.loss)
+        vector = search_from(problem.softer(BOUND_FIRST), data, start, asked.loss, asked.metric)
+    goal = replace(scaled_to(data, apparent(problem.model(vector), data, quick=True), asked.metric), loss=asked.loss)
     vector, jacobian = settle(problem, data, goal, refine(problem, data, goal, vector)[0])
     built = problem.model(vector)
     predicted = apparent(built, data)
     white = goal.residual(predicted)
     total = float(white @ white)
     spread, condition = covariance(jacobian)
-    if data.covariance is None:
+    if not goal.whitened:
         spread = spread * max(total / (len(data) - len(names)), ROUNDING)
         notes.append("Standard errors come from the scatter of the residuals; there is no chi-square.")
     result = FitResult(
@@ -236,7 +258,7 @@ def fit(
         predicted=predicted,
         whitened=white,
         weighting=goal.words,
-        chi_square=None if data.covariance is None else total,
+        chi_square=total if goal.whitened else None,
         wavelength_nm=wavelength,
         condition=condition,
         wall_s=0.0,
@@ -269,6 +291,29 @@ def _by_part(result: FitResult) -> list[str]:
         white = result.whitened[: len(result.data)][result.data.part == k]
         out.append(f"{part.name}: chi-square {float(white @ white):.4g} of {white.size} values.")
     return out
+
+
+def _bounded(
+    problem: Problem, free: FitResult, start: Sequence[Values] | None
+) -> tuple[Problem, Sequence[Values] | None, list[str]]:
+    """The problem with the bound rho_dh <= 1, where to start from, and what to say; the bound costs nothing if unused.
+
+    The bound is as tight as the data pull: what is left above it is far below their uncertainty.
+    """
+    wave = NO_WAVELENGTH_NM if math.isnan(free.wavelength_nm) else free.wavelength_nm
+    bound = Bound(tuple(angles(free.data)), float(free.data.directions.phi_i[0]), wave, 1.0)
+    highest = float(bound.rho_dh(free.model).max())
+    known = free.problem.values(free.vector)
+    if highest <= 1.0:
+        return problem, [known], ["rho_dh stays below 1 without the bound of --energy."]
+    # an excess e costs (e / width)^2. Data that pull with the slope T' leave e = width^2 T' / 2, and T' is about what a
+    # model costs that is too low by this factor.
+    cost = free.goal.total(free.goal.residual(free.predicted / highest)) / (highest - 1.0)
+    width = math.sqrt(2.0 * EXCESS / max(cost, 1e-12))
+    levels = [n for n in ("k_s", "s", "weight", "k_d", "albedo", "diffuse_albedo") if n in problem.free]
+    lower = known | {n: known[n] / highest for n in levels}
+    said = f"rho_dh is bound to 1 (--energy); without the bound it is {highest:.3g}."
+    return replace(problem, bound=replace(bound, width=width)), start or [known, lower], [said]
 
 
 def _together(
@@ -304,11 +349,15 @@ def _one_wavelength(
     if wavelength_nm is None:
         if family.needs_wavelength:
             raise ConfigError(
-                f"{name} holds a broad band, and {family.name} needs a wavelength: give one with --wavelength-nm"
+                f"{name} has no single wavelength, and {family.name} needs one: give it with --wavelength-nm"
             )
         return chosen, wavelength, []
     filled = replace(chosen, wavelength_nm=np.full(len(chosen), float(wavelength_nm)))
-    return filled, float(wavelength_nm), [f"The broad band is evaluated at {wavelength_nm:g} nm alone."]
+    return (
+        filled,
+        float(wavelength_nm),
+        [f"The table has no single wavelength; the model is evaluated at {wavelength_nm:g} nm."],
+    )
 
 
 def _estimates(problem: Problem, vector: Floats, spread: Floats, wavelength_nm: float) -> dict[str, Estimate]:

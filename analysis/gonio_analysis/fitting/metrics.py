@@ -6,7 +6,8 @@ With f the measured and F the model's BRDF [1/sr] in the same directions:
 - `log_ratio`: root mean square of ln(F / f): 0.1 is a typical disagreement of 10 %;
 - `log_cosine`: root mean square of ln(1 + F cos theta_i) - ln(1 + f cos theta_i);
 - `ngan`: root mean square of (F - f) cos theta_i [1/sr] (Ngan, Durand and Matusik 2005);
-- `cube_root`: root mean square of the difference of the cube roots of F cos theta_i and f cos theta_i.
+- `cube_root`: root mean square of the difference of the cube roots of F cos theta_i and f cos theta_i;
+- `relative`: root mean square of (F - f) / f, of the values that the logarithmic ones use.
 
 The directions are the measured ones, each counted once: no sample has been resampled to a uniform grid.
 """
@@ -26,6 +27,7 @@ DESCRIPTIONS = {
     "log_cosine": ("log(1 + f cos)", "rms of the difference of ln(1 + f cos θi), values above 3 u"),
     "ngan": ("Ngan cos-weighted", "rms of (model - measured) cos θi, in 1/sr: governed by the highest values"),
     "cube_root": ("cube root", "rms of the difference of (f cos θi)^(1/3)"),
+    "relative": ("relative", "rms of (model - measured) / measured, values above 3 u: costs too low a model less"),
 }
 """Name -> short label, and what it is."""
 
@@ -59,6 +61,7 @@ def metrics(
         else None,
         "ngan": _rms((model - measured) * cos_theta_i),
         "cube_root": _rms(np.cbrt(model * cos_theta_i) - np.cbrt(measured * cos_theta_i)),
+        "relative": _rms(model[above] / measured[above] - 1.0) if above.any() else None,
         "n_log": float(np.count_nonzero(logs)),
     }
     return out

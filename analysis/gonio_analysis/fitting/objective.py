@@ -1,14 +1,16 @@
-"""What a fit makes small: residuals, whitened by the data's uncertainties or, without any, of logarithms."""
+"""What a fit makes small: residuals, whitened by the data's uncertainties, of logarithms, or by another metric."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
+from gonio.errors import ConfigError
 from gonio.typing import Floats
-from gonio_analysis.fitting.observations import Observations
+from gonio_analysis.fitting.observations import LINEAR_BELOW, Observations
 from gonio_analysis.fitting.value_covariance import Covariance, independent
 
 LOSSES: dict[str, tuple[Callable[[Floats], Floats], Callable[[Floats], Floats]]] = {
@@ -19,36 +21,86 @@ LOSSES: dict[str, tuple[Callable[[Floats], Floats], Callable[[Floats], Floats]]]
     "arctan": (np.arctan, lambda z2: (1.0 + z2**2) ** -0.5),
 }
 """Name -> the loss of a squared residual, and the root of its derivative."""
-LINEAR_BELOW = 0.05
-"""Without uncertainties: the fraction of the median |f| below which differences count as such, not as ratios."""
+
+
+METRICS = {
+    "weighted": "whitened by the covariance",
+    "log": "logarithmic",
+    "ngan": "differences times cos theta_i, as Ngan, Durand and Matusik (2005)",
+    "cube-root": "differences of the cube roots of f cos theta_i",
+    "relative": "differences relative to the measured value",
+}
+"""Name, as of `--metric` -> what a fit by it makes small."""
 
 
 @dataclass(frozen=True)
 class Objective:
-    """Whitened residuals; without stated uncertainties, residuals of asinh(f / 2 e), which is ln(f / e) above e.
+    """Residuals by one of `METRICS`.
 
-    A relative residual (F - f)/f would cost a model that is far too low at most 1 and one that is far too high
-    without limit, and so fit too low; a difference of logarithms costs both alike.
+    Those of "log" are differences of asinh(f / 2 e), which is ln(f / e) above e. A relative residual (F - f)/f would
+    cost a model that is far too low at most 1 and one that is far too high without limit, and so fit too low; a
+    difference of logarithms costs both alike.
     """
 
     measured: Floats
     weights: Covariance | None
+    """Of "weighted"."""
     small: float = 1.0
     """e [1/sr]."""
     loss: str = "linear"
     """How large residuals count: a name of `scipy.optimize.least_squares`."""
+    metric: str = "log"
+    cosine: Floats | None = None
+    """cos theta_i (n,)."""
+    unit: Floats | None = None
+    """Of "log": the uncertainty of each value on this scale (n,), where one is assumed."""
+    assumed: float | None = None
+    """The relative uncertainty that is assumed, for `words`."""
+
+    @property
+    def whitened(self) -> bool:
+        """Whether residuals are in units of an uncertainty, so that their sum of squares is a chi-square."""
+        return self.weights is not None or self.unit is not None
+
+    def take(self, rows: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Objective:
+        """That of some of the values."""
+        weights = None if self.weights is None else self.weights.take(rows)
+        cosine, unit = (None if x is None else x[rows] for x in (self.cosine, self.unit))
+        return replace(self, measured=self.measured[rows], weights=weights, cosine=cosine, unit=unit)
 
     def residual(self, predicted: Floats) -> Floats:
         """Of a prediction (n,) [1/sr]; its sum of squares is what a fit minimises."""
         if self.weights is not None:
             return self.weights.whiten(predicted - self.measured)
-        return np.asarray(np.arcsinh(predicted / (2 * self.small)) - np.arcsinh(self.measured / (2 * self.small)))
+        if self.metric in ("ngan", "relative"):
+            return np.asarray((predicted - self.measured) * self._factor)
+        return np.asarray((self._scaled(predicted) - self._scaled(self.measured)) * self._factor)
 
     def jacobian(self, predicted: Floats, columns: Floats) -> Floats:
         """Derivatives of `residual`, from those of the prediction (n, p)."""
         if self.weights is not None:
             return self.weights.whiten(columns)
-        return np.asarray(columns / np.hypot(predicted, 2 * self.small)[:, None])
+        if self.metric == "log":
+            slope = self._factor / np.hypot(predicted, 2 * self.small)
+        elif self.metric == "cube-root":  # held where the root is vertical
+            slope = self._factor / (3.0 * np.cbrt(np.maximum(np.abs(predicted), 1e-3 * self.small)) ** 2)
+        else:
+            slope = self._factor
+        return np.asarray(columns * np.broadcast_to(slope, predicted.shape)[:, None])
+
+    def _scaled(self, f: Floats) -> Floats:
+        return np.asarray(np.cbrt(f) if self.metric == "cube-root" else np.arcsinh(f / (2 * self.small)))
+
+    @property
+    def _factor(self) -> Floats:
+        """What differences are multiplied by."""
+        one = np.ones(1)
+        if self.metric == "relative":
+            return np.asarray(1.0 / np.maximum(np.abs(self.measured), 2 * self.small))
+        if self.metric == "log":
+            return one if self.unit is None else 1.0 / self.unit
+        cosine = one if self.cosine is None else self.cosine
+        return np.asarray(np.cbrt(cosine)) if self.metric == "cube-root" else cosine
 
     def total(self, residual: Floats) -> float:
         """The sum of the losses of whitened residuals; the sum of squares, unless the loss is a robust one."""
@@ -62,41 +114,64 @@ class Objective:
     def words(self) -> str:
         """For reports."""
         robust = "" if self.loss == "linear" else f"; large residuals count by the loss {self.loss}"
-        if self.weights is None:
-            return f"logarithmic: every value alike, as ln f above {self.small:.2g} 1/sr and as f below{robust}"
-        causes = ", ".join(self.weights.causes)
-        return "the table's covariance" + (f", with the common causes {causes}" if causes else "") + robust
+        unit = "" if self.assumed is None else f", in units of an assumed {100 * self.assumed:g} % of each value"
+        if self.weights is not None:
+            if self.assumed is not None:
+                return f"weighted{unit}{robust}"
+            causes = ", ".join(self.weights.causes)
+            return "the table's covariance" + (f", with the common causes {causes}" if causes else "") + robust
+        if self.metric == "log":
+            return f"logarithmic: every value alike, as ln f above {self.small:.2g} 1/sr and as f below{unit}{robust}"
+        return f"{METRICS[self.metric]}{robust}"
 
 
-def objective(data: Observations) -> Objective:
-    """With the table's whole covariance, or logarithmic where it states none."""
-    if data.covariance is not None:
-        return Objective(data.brdf, data.covariance)
-    small = LINEAR_BELOW * float(np.median(np.abs(data.brdf)))
-    return Objective(data.brdf, None, max(small, 1e-300))
+def objective(data: Observations, metric: str | None = None) -> Objective:
+    """By a metric.
+
+    Without one: with the table's whole covariance, or logarithmic where it states none (in units of what is assumed).
+    """
+    stated = data.covariance is not None and data.u_rel_assumed is None
+    chosen = metric or ("weighted" if stated else "log")
+    small = max(LINEAR_BELOW * float(np.median(np.abs(data.brdf))), 1e-300)
+    if chosen == "weighted":
+        if data.covariance is None:
+            raise ConfigError(
+                "--metric weighted: the table states no uncertainties; --u-rel 0.03 assumes one of 3 % of each value"
+            )
+        return Objective(data.brdf, data.covariance, metric=chosen, assumed=data.u_rel_assumed)
+    unit = data.u / np.hypot(data.brdf, 2 * small) if chosen == "log" and data.u_rel_assumed is not None else None
+    return Objective(
+        data.brdf,
+        None,
+        small,
+        metric=chosen,
+        cosine=np.cos(data.directions.theta_i),
+        unit=unit,
+        assumed=None if unit is None else data.u_rel_assumed,
+    )
 
 
-def alone(data: Observations) -> Objective:
+def alone(data: Observations, metric: str | None = None) -> Objective:
     """With the independent part of the covariance only."""
-    if data.covariance is None:
-        return objective(data)
-    return Objective(data.brdf, independent(data.covariance.random))
+    goal = objective(data, metric)
+    return goal if goal.weights is None else replace(goal, weights=independent(goal.weights.random))
 
 
-def scaled_to(data: Observations, predicted: Floats) -> Objective:
+def scaled_to(data: Observations, predicted: Floats, metric: str | None = None) -> Objective:
     """With the whole covariance, its common causes scaled from the measured values to a model's.
 
     See `Covariance.scaled`; the ratio is used where a value is above 3 u, and held between 1/2 and 2.
     """
-    if data.covariance is None or not data.covariance.causes:
-        return objective(data)
+    goal = objective(data, metric)
+    if goal.weights is None or not goal.weights.causes:
+        return goal
     seen = data.brdf > 3 * data.u
     ratio = np.where(seen, predicted / np.where(seen, data.brdf, 1.0), 1.0)
-    return Objective(data.brdf, data.covariance.scaled(np.clip(ratio, 0.5, 2.0)))
+    return replace(goal, weights=goal.weights.scaled(np.clip(ratio, 0.5, 2.0)))
 
 
 def softened(data: Observations, relative: float) -> Objective:
     """With `relative` f added to every uncertainty, so that a steep flank does not hide the right valley."""
     if data.covariance is None:
         return objective(data)
-    return Objective(data.brdf, independent(np.hypot(data.u, relative * np.abs(data.brdf))))
+    return Objective(data.brdf, independent(np.hypot(data.u, relative * np.abs(data.brdf))), metric="weighted")

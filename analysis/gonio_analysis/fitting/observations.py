@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio.errors import DataError
+from gonio.errors import ConfigError, DataError
 from gonio.geometry import AT_HORIZON, Directions
 from gonio.typing import Floats
-from gonio_analysis.fitting.value_covariance import Covariance
+from gonio_analysis.fitting.value_covariance import Covariance, independent
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 DEFAULT_WAVELENGTH_NM = 550.0
 SAME_BAND_NM = 1e-6
+LINEAR_BELOW = 0.05
+"""Without uncertainties: the fraction of the median |f| below which differences count as such, not as ratios."""
 LARGEST = 1e30
 """[1/sr] No BRDF: a perfect mirror seen through a cone of a nanoradian has less. Squares of such values overflow."""
 
@@ -71,6 +73,8 @@ class Observations:
     """The tables that are fitted together; none where there is one."""
     part: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
     """Which of `parts` each value is from; empty where there is one table."""
+    u_rel_assumed: float | None = None
+    """Relative uncertainty that somebody assumes, where the table states none: `covariance` is then made from it."""
 
     def __len__(self) -> int:
         return int(self.brdf.size)
@@ -146,7 +150,7 @@ class Observations:
         return self.at(chosen), chosen
 
 
-def observations(table: pd.DataFrame, name: str = "the table") -> Observations:
+def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | None = None) -> Observations:
     """The usable rows of a measurement table.
 
     Left out, and counted by reason: flagged rows, polarised rows, values that are not finite or are beyond any mirror,
@@ -158,13 +162,20 @@ def observations(table: pd.DataFrame, name: str = "the table") -> Observations:
         A measurement table of one sample (`gonio.measurement`).
     name
         What messages call it.
+    u_rel
+        Relative standard uncertainty to assume of every value, independent from value to value, where the table states
+        none; above 0 and below 1.
 
     Raises
     ------
     DataError
         Not one row is usable; the message says why.
+    ConfigError
+        `u_rel` is no such number.
     """
     from gonio import measurement
+
+    check_u_rel(u_rel)
 
     directions = Directions.from_table(table)
     brdf = table["brdf"].to_numpy(np.float64)
@@ -190,11 +201,20 @@ def observations(table: pd.DataFrame, name: str = "the table") -> Observations:
         counts = describe_left_out({reason: waves.size for reason, waves in omitted.items()})
         raise DataError(f"{name}: none of its {len(table)} rows can be used: {counts or 'it is empty'}")
 
-    covariance = None
+    covariance, assumed = None, None
     if stated[keep].any():
         # A value whose independent part is 0 (an ideal rig) would have infinite weight.
         floor = 1e-6 * total[keep]
         covariance = Covariance(np.maximum(random[keep], floor), common[keep], tuple(causes))
+        if u_rel is not None:
+            notes.append(f"The table states its own uncertainties; the assumed {100 * u_rel:g} % is not used.")
+    elif u_rel is not None:
+        assumed = u_rel
+        covariance = independent(_assumed(brdf[keep], wavelength[keep], u_rel))
+        notes.append(
+            f"The table states no uncertainties: a standard uncertainty of {100 * u_rel:g} % of each value is ASSUMED"
+            " (--u-rel), independent from value to value. Every chi-square, verdict and error bar rests on it."
+        )
     else:
         notes.append("The table states no uncertainties.")
     cones = {which: _solid_angle(table.attrs, which) for which in ("source", "receiver")}
@@ -214,6 +234,7 @@ def observations(table: pd.DataFrame, name: str = "the table") -> Observations:
         receiver_solid_angle_sr=cones["receiver"] or 0.0,
         omitted=omitted,
         notes=tuple(notes),
+        u_rel_assumed=assumed,
     )
 
 
@@ -264,11 +285,29 @@ def together(several: Mapping[str, Observations]) -> Observations:
             Part(name, one.source_solid_angle_sr, one.receiver_solid_angle_sr) for name, one in several.items()
         ),
         part=np.repeat(np.arange(len(each)), [len(one) for one in each]),
+        u_rel_assumed=next((one.u_rel_assumed for one in each if one.u_rel_assumed is not None), None),
     )
 
 
 def _shared(values: Sequence[float]) -> float:
     return values[0] if len(set(values)) == 1 else float("nan")
+
+
+def check_u_rel(u_rel: float | None) -> None:
+    """Raise `ConfigError` for an assumed relative uncertainty that is none."""
+    if u_rel is not None and not 0 < u_rel < 1:
+        raise ConfigError(f"--u-rel {u_rel:g}: a relative uncertainty lies between 0 and 1, as 0.03 for 3 %")
+
+
+def _assumed(brdf: Floats, wavelength_nm: Floats, u_rel: float) -> Floats:
+    """u_rel times each value; those far below the median of their wavelength count as a tenth of it."""
+    out = np.empty(brdf.size)
+    _, group = np.unique(wavelength_nm, return_inverse=True)
+    for k in range(int(group.max()) + 1):
+        here = brdf[group == k]
+        small = max(LINEAR_BELOW * float(np.median(np.abs(here))), 1e-300)
+        out[group == k] = u_rel * np.hypot(here, 2 * small)
+    return out
 
 
 def describe_left_out(left_out: Mapping[str, int]) -> str:

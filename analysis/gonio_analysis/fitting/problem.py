@@ -13,10 +13,21 @@ from gonio.errors import ConfigError
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.forward import ByWavelength
-from gonio_analysis.fitting.objective import LOSSES
+from gonio_analysis.fitting.objective import LOSSES, METRICS
+from gonio_analysis.fitting.observations import check_u_rel
 from gonio_analysis.fitting.parameters import Family, Ior, Parameter, Values
 
 STARTS = 4
+MARGIN = 1e-4
+"""The bound on rho_dh lies so far below 1, for it gives a little."""
+BOUND_STEP = 1e-3
+"""Of the derivatives of rho_dh, whose integral is right to 1e-5."""
+
+
+def check_metric(metric: str | None) -> None:
+    """Raise `ConfigError` for a metric that is none."""
+    if metric is not None and metric not in METRICS:
+        raise ConfigError(f"--metric {metric}: there is no such metric; known: {', '.join(METRICS)}")
 
 
 @dataclass(frozen=True)
@@ -52,6 +63,13 @@ class FitRequest:
     loss: str = "linear"
     """How large whitened residuals count: "linear" (their square), or one that outliers pull less: "soft_l1", "huber",
     "cauchy", "arctan" (as in `scipy.optimize.least_squares`, with a scale of one standard uncertainty)."""
+    metric: str | None = None
+    """What is made small: a name of `gonio_analysis.fitting.objective.METRICS`; by default "weighted" where
+    uncertainties are stated, "log" elsewhere."""
+    u_rel: float | None = None
+    """Relative standard uncertainty to assume, where the table states none."""
+    energy: bool = False
+    """Bind rho_dh to 1 at the angles of incidence of the table."""
     start: Sequence[Values] | None = None
     """Sets of values to start from instead of a search: solutions of neighbours."""
     searches: int = STARTS
@@ -60,8 +78,29 @@ class FitRequest:
     def __post_init__(self) -> None:
         if self.loss not in LOSSES:
             raise ConfigError(f"--loss {self.loss}: there is no such loss; known: {', '.join(LOSSES)}")
+        check_metric(self.metric)
+        check_u_rel(self.u_rel)
         if self.searches < 1:
             raise ConfigError(f"--searches {self.searches}: at least one search is needed")
+
+
+@dataclass(frozen=True)
+class Bound:
+    """rho_dh <= 1: what lies above counts like a measurement of 1 with the standard uncertainty `width`."""
+
+    theta_i: tuple[float, ...]
+    """[rad]"""
+    phi_i: float
+    wavelength_nm: float
+    width: float
+
+    def rho_dh(self, model: Any) -> Floats:
+        """Of a model, at each angle of incidence."""
+        return np.asarray(
+            model.directional_hemispherical(
+                np.array(self.theta_i), phi_i=self.phi_i, wavelength_nm=self.wavelength_nm, tolerance=1e-5
+            )
+        )
 
 
 @dataclass(frozen=True)
@@ -85,10 +124,12 @@ class Problem:
 
     asked: FitRequest | None = None
     """What it was made from."""
+    bound: Bound | None = None
+    """Where the model may not reflect more than it receives."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         # the functions of a family do not pickle: another process makes the problem again
-        return _posed, (self.asked, self.waves, self.each)
+        return _posed, (self.asked, self.waves, self.each, self.bound)
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of a name in `free`."""
@@ -114,13 +155,34 @@ class Problem:
     def pulls(self, vector: Floats) -> Floats:
         """Residuals of the priors, one each."""
         values = self.values(vector)
-        return np.array([(values[n] - value) / u for n, (value, u) in self.priors.items()])
+        pulls = np.array([(values[n] - value) / u for n, (value, u) in self.priors.items()])
+        return pulls if self.bound is None else np.concatenate([pulls, self._excess(vector)])
+
+    def softer(self, factor: float) -> Problem:
+        """The same with a softer bound, where it has any."""
+        return self if self.bound is None else replace(self, bound=replace(self.bound, width=factor * self.bound.width))
+
+    def _excess(self, vector: Floats, *, signed: bool = False) -> Floats:
+        """What rho_dh exceeds 1 by, in units of the bound's width; below 1 it is 0, or negative if it is `signed`."""
+        assert self.bound is not None
+        over: Floats = (self.bound.rho_dh(self.model(vector)) - (1.0 - MARGIN)) / self.bound.width
+        return over if signed else np.maximum(over, 0.0)
 
     def pull_slopes(self, vector: Floats) -> Floats:
         """d(pulls)/d(search scale), (priors, p)."""
         slope = self.slope(vector)
         rows = [np.where([m == n for m in self.free], slope / u, 0.0) for n, (_, u) in self.priors.items()]
-        return np.array(rows).reshape(len(rows), vector.size)
+        pulls = np.array(rows).reshape(len(rows), vector.size)
+        if self.bound is None:
+            return pulls
+        _, upper = self.bounds
+        here = self._excess(vector)
+        columns = np.zeros((here.size, vector.size))
+        for k in range(vector.size) if here.any() else ():
+            moved = vector.copy()
+            moved[k] += BOUND_STEP if vector[k] + BOUND_STEP <= upper[k] else -BOUND_STEP
+            columns[:, k] = np.where(here > 0, (self._excess(moved, signed=True) - here) / (moved[k] - vector[k]), 0.0)
+        return np.concatenate([pulls, columns])
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
@@ -218,9 +280,9 @@ def pose(asked: FitRequest) -> Problem:
     )
 
 
-def _posed(asked: FitRequest, waves: tuple[float, ...], each: tuple[str, ...]) -> Problem:
+def _posed(asked: FitRequest, waves: tuple[float, ...], each: tuple[str, ...], bound: Bound | None) -> Problem:
     problem = pose(asked)
-    return together(problem, waves, each) if waves else problem
+    return replace(together(problem, waves, each) if waves else problem, bound=bound)
 
 
 def together(problem: Problem, waves: Sequence[float], each: Sequence[str]) -> Problem:

@@ -61,6 +61,20 @@ class Interval:
         low, high = min(self, other, key=lambda i: i.low), max(self, other, key=lambda i: i.high)
         return replace(self, low=low.low, open_low=low.open_low, high=high.high, open_high=high.open_high)
 
+    def linear(self, value: float, u: float | None) -> bool:
+        """Whether a standard error says the same: both halves of the interval are its multiple, within a factor of 2.
+
+        A half that ends on a bound says nothing against a standard error that is longer.
+        """
+        if u is None or not math.isfinite(u) or u <= 0:
+            return False
+        from scipy.special import ndtri
+
+        half = u * float(ndtri(0.5 * (1.0 + self.level)))
+        found = ((value - self.low, self.open_low), (self.high - value, self.open_high))
+        ratios = [(max(length, 0.0) / half, is_open) for length, is_open in found]
+        return all(0.5 <= ratio <= 2.0 for ratio, is_open in ratios if not is_open) and not all(o for _, o in ratios)
+
     def holds(self, value: float) -> bool:
         """Whether a value lies inside."""
         slack = 1e-9 * max(abs(self.low), abs(self.high))
@@ -116,7 +130,7 @@ def rise(result: FitResult, level: float) -> float:
     """
     from scipy.special import chdtri, fdtri
 
-    if result.data.covariance is not None:
+    if result.goal.whitened:
         return float(chdtri(1, 1.0 - level))
     return float(fdtri(1, len(result.data) - len(result.free), level))
 
@@ -148,7 +162,7 @@ class _Walker:
         self._near = Near(result)
         self._least = self._near.cost(result.vector)
         freedom = max(len(result.data) - len(result.free), 1)
-        self._unit = 1.0 if result.data.covariance is not None else max(self._least / freedom, ROUNDING)
+        self._unit = 1.0 if result.goal.whitened else max(self._least / freedom, ROUNDING)
         self.better: Floats | None = None
 
     def _held(self, k: int, start: Floats) -> tuple[Floats, float]:

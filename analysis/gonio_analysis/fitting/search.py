@@ -30,22 +30,28 @@ COARSE_U = 0.15
 """Relative uncertainty added while the start is sought."""
 MOST = 5000
 """Values that a search begins with, of more than that."""
+HIGHEST = ("ngan", "cube-root", "relative")
+"""Metrics whose valleys are sought apart from that of the logarithms."""
 STEP = 1e-4
 """Central differences, on the search scale: an error of 1e-8 relative, far above the rounding of the models."""
 SMALL_STEP = 1e-6
 """One-sided differences, on the search scale: good to about 1e-6, which is enough for the way to the solution."""
 
 
-def search_from(problem: Problem, data: Observations, starts: Sequence[Values], loss: str = "linear") -> Floats:
+def search_from(
+    problem: Problem, data: Observations, starts: Sequence[Values], loss: str = "linear", metric: str | None = None
+) -> Floats:
     """The best point of searches with the quick forward model that begin at solutions of relatives.
 
     As in `search` only the independent part of the covariance counts.
     """
-    found = [approach(problem, data, problem.vector(start), loss) for start in starts]
+    found = [approach(problem, data, problem.vector(start), loss, metric) for start in starts]
     return min(found, key=lambda f: f[1])[0]
 
 
-def search(problem: Problem, data: Observations, loss: str = "linear", searches: int = STARTS) -> Floats:
+def search(
+    problem: Problem, data: Observations, loss: str = "linear", searches: int = STARTS, metric: str | None = None
+) -> Floats:
     """The best point of several searches with the quick forward model, the first part of each with softened weights.
 
     Only the independent part of the covariance counts here: common causes need a model to be scaled by.
@@ -69,15 +75,36 @@ def search(problem: Problem, data: Observations, loss: str = "linear", searches:
     coarse.sort(key=lambda c: c[1])
     others = [c for c in coarse[1:] if np.abs(c[0] - coarse[0][0]).max() > 0.05]
     chosen = [coarse[0], *others[: max(searches // 4, 1)]]
-    return min((approach(problem, data, vector, loss) for vector, _ in chosen), key=lambda f: f[1])[0]
+    begin = [vector for vector, _ in chosen]
+    if metric in HIGHEST:  # its valley may be another one than that of the logarithms
+        brightest = _with_brightest(few, data)
+        goal = alone(brightest, metric)
+        by_metric = [
+            (float((goal.residual(apparent(problem.model(v), brightest, quick=True)) ** 2).sum()), v)
+            for _, v in candidates
+        ]
+        by_metric.sort(key=lambda c: c[0])
+        near = [refine(problem, brightest, goal, v, quick=True, limit=25) for _, v in by_metric[:searches]]
+        begin += [min(near, key=lambda c: c[1])[0]]
+    return min((approach(problem, data, vector, loss, metric) for vector in begin), key=lambda f: f[1])[0]
 
 
-def approach(problem: Problem, data: Observations, start: Floats, loss: str = "linear") -> tuple[Floats, float]:
+def _with_brightest(few: Observations, data: Observations) -> Observations:
+    """A few values, and as many of the highest ones, which govern some metrics."""
+    highest = np.sort(np.argsort(data.brdf)[-GRID_POINTS:])
+    rows = np.union1d(np.flatnonzero(np.isin(data.rows, few.rows)), highest)
+    return data.take(rows)
+
+
+def approach(
+    problem: Problem, data: Observations, start: Floats, loss: str = "linear", metric: str | None = None
+) -> tuple[Floats, float]:
     """As `refine`, with the quick forward model and the independent part of the covariance; first on `MOST` values."""
     if len(data) > MOST:
         few = data.take(np.sort(np.random.default_rng(0).choice(len(data), MOST, replace=False)))
-        start, _ = refine(problem, few, replace(alone(few), loss=loss), start, quick=True)
-    return refine(problem, data, replace(alone(data), loss=loss), start, quick=True)
+        few = _with_brightest(few, data) if metric in HIGHEST else few
+        start, _ = refine(problem, few, replace(alone(few, metric), loss=loss), start, quick=True)
+    return refine(problem, data, replace(alone(data, metric), loss=loss), start, quick=True)
 
 
 def refine(

@@ -12,7 +12,6 @@ import numpy.typing as npt
 from gonio.typing import Floats
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.forward import apparent
-from gonio_analysis.fitting.objective import Objective
 from gonio_analysis.fitting.search import derivatives
 
 Rows = npt.NDArray[np.intp]
@@ -26,8 +25,7 @@ class Near:
         self.data = result.data if rows is None else result.data.take(rows)
         goal = result.goal
         if rows is not None:
-            weights = None if goal.weights is None else goal.weights.take(rows)
-            goal = Objective(goal.measured[rows], weights, goal.small, goal.loss)
+            goal = goal.take(rows)
         self.goal = goal
         centre = apparent(result.model, self.data, quick=True)
         predicted = result.predicted if rows is None else result.predicted[rows]

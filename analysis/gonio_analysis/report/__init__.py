@@ -29,6 +29,9 @@ def make(
     normalise: Normalise = "mirror",
     ior: Ior = None,
     wavelength_nm: float | None = None,
+    metric: str | None = None,
+    u_rel: float | None = None,
+    bound_energy: bool = False,
     dask: str | None = None,
     command: str = "",
     progress: Callable[[str], None] = lambda text: None,
@@ -41,7 +44,7 @@ def make(
         Tables, RUN folders, or `FILE:SAMPLE`.
     out
         Folder of the report; an earlier report there is replaced.
-    models, normalise, ior, wavelength_nm
+    models, normalise, ior, wavelength_nm, metric, u_rel, bound_energy
         See `gonio_analysis.selection.compare.examine`.
     dask
         Address of a Dask scheduler to fit the samples on; by default several samples share the processors here.
@@ -70,7 +73,16 @@ def make(
             for sample, table in many.items():
                 found.append((sample, spec if len(many) == 1 else f"{spec}:{sample}", table, run))
         names = _distinct([sample for sample, *_ in found], [source for _, source, *_ in found])
-        examined = partial(examine, models=models, normalise=normalise, ior=ior, wavelength_nm=wavelength_nm)
+        examined = partial(
+            examine,
+            models=models,
+            normalise=normalise,
+            ior=ior,
+            wavelength_nm=wavelength_nm,
+            metric=metric,
+            u_rel=u_rel,
+            bound_energy=bound_energy,
+        )
         jobs = [
             partial(examined, table, name=name, source=source, run=run)
             for name, (_, source, table, run) in zip(names, found, strict=True)

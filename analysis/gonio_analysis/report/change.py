@@ -309,7 +309,7 @@ def _page(s: ChangeSummary, figures: Sequence[Figure], view: viewer.View | None)
 def _wavelengths(s: ChangeSummary) -> Table:
     rows = []
     for w in s.wavelengths:
-        name = "broad band" if w.wavelength_nm is None else f"{w.wavelength_nm:g} nm"
+        name = "no single wavelength" if w.wavelength_nm is None else f"{w.wavelength_nm:g} nm"
         counts = ["–" if n is None else str(n) for n in (w.n_points, w.beyond, w.changed_points)]
         rows.append([name, *counts, number(w.median_ratio, 4)])
     header = ["wavelength", "values", "beyond 2", "changed", "median B/A"]

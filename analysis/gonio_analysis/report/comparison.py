@@ -6,6 +6,7 @@ import datetime
 import math
 import platform
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, TypedDict
 
@@ -18,6 +19,7 @@ from gonio_analysis.fitting.budget import budget
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.metrics import BELOW, DESCRIPTIONS
 from gonio_analysis.fitting.observations import describe_left_out
+from gonio_analysis.report import verdict
 from gonio_analysis.report.text import difference, slug
 from gonio_analysis.result_records import (
     Appearance,
@@ -31,7 +33,8 @@ from gonio_analysis.result_records import (
     Value,
     finite,
 )
-from gonio_analysis.selection.compare import Dataset, Drawn, Fitted
+from gonio_analysis.selection.choice import SIGNIFICANCE
+from gonio_analysis.selection.compare import Dataset, Drawn, Fitted, jumps
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,6 +43,8 @@ MOST_VALUES = 200
 """Measured values that a page lists where it has no model."""
 MOST_FOR_APPEARANCE = 100_000
 """Rows of a table whose quantities of appearance are worked out along the way."""
+MOST_LISTED = 40
+"""Curves that a note names one by one."""
 MOST_REASONS = 12
 """Why values were left out, in words on the page; `left_out` has all."""
 VALUES = ("wavelength_nm", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "brdf", "u_brdf")
@@ -54,7 +59,7 @@ def summarise(datasets: Sequence[Dataset], *, title: str, normalise: str, comman
         slugs.append(base if base not in slugs else f"{base}-{len(slugs) + 1}")
     models = list(dict.fromkeys(m for d in datasets for m in [*d.fitted, *d.skipped]))
     return Summary(
-        title=title,
+        title=title + (" (simulated)" if datasets and all(d.simulated for d in datasets) else ""),
         **stamp(command),
         normalise=normalise,
         models=models,
@@ -85,7 +90,8 @@ def stamp(command: str) -> Stamp:
 
 def _dataset(d: Dataset, slug: str) -> DatasetSummary:
     attrs = d.table.attrs
-    stated = d.data.covariance is not None
+    known = d.data.covariance is not None
+    stated = known and d.data.u_rel_assumed is None
     negative = int(np.count_nonzero(d.data.brdf < 0))
     best = _best(d)
     return DatasetSummary(
@@ -106,18 +112,19 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         source_solid_angle_sr=finite(attrs.get("source_solid_angle_sr")),
         receiver_solid_angle_sr=finite(attrs.get("receiver_solid_angle_sr")),
         uncertainty_stated=stated,
+        u_rel_assumed=d.data.u_rel_assumed,
         causes=list(d.data.covariance.causes) if d.data.covariance is not None else [],
         theta_i_deg=[float(x) for x in np.unique(np.round(np.degrees(d.data.directions.theta_i), 1))],
         brdf_min=float(d.data.brdf.min()),
         brdf_max=float(d.data.brdf.max()),
         median_u_rel=finite(float(np.median(d.data.u / np.abs(d.data.brdf))))
-        if stated and np.all(d.data.brdf)
+        if known and np.all(d.data.brdf)
         else None,
-        budget=budget(d.data),
+        budget=budget(d.data) if stated else [],
         curves_known=d.curves_known,
         scanned=d.curves[0].scanned if d.curves else None,
         out_of_plane_deg=math.degrees(max((c.out_of_plane for c in d.curves), default=0.0)),
-        curves_without_mirror=[_angle(c.parameter) for c in d.curves if c.mirror is None],
+        curves_without_mirror=[_angle(angle) for angle, _ in d.without_mirror],
         notes=_notes(d),
         data_notes=list(d.data.notes),
         provenance=_plain(attrs.get("provenance") or {}),
@@ -130,6 +137,8 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         best=best,
         conclusion=_conclusion(d, best),
         appearance=_appearance(d),
+        rho_dh=d.rho_dh,
+        symmetries=d.symmetries,
     )
 
 
@@ -164,9 +173,13 @@ def _values(d: Dataset) -> list[MeasuredValue]:
 
 
 def _fitted(f: Fitted) -> ModelSummary:
+    fitted = f.fit.summary()
     return ModelSummary(
-        **vars(f.fit.summary()),
+        **vars(replace(fitted, notes=[*fitted.notes, *jumps(f.series)])),
         metrics={k: finite(v) for k, v in f.metrics.items()},
+        missed=None if f.missed is None else f.missed.summary(),
+        rho_dh=f.rho_dh,
+        reflects_too_much=verdict.reflects_too_much(f.rho_dh),
         curves=[_curve(drawn) for drawn in f.drawn],
         series=[
             AtWavelength(
@@ -202,12 +215,11 @@ def _curve(drawn: Drawn) -> CurveSummary:
 
 
 def _best(d: Dataset) -> str | None:
-    """The model that the data like best: by chi-square where there is one, else by the logarithmic ratio."""
+    """The nearest model: by chi-square where there is one, else by the metric of the fits."""
 
     def rank(f: Fitted) -> tuple[float, float]:
-        ratio = f.metrics["log_ratio"]
         chi = f.fit.reduced_chi_square
-        return (chi if chi is not None else 0.0, ratio if ratio is not None else math.inf)
+        return (chi if chi is not None else 0.0, verdict.order(f.metrics, f.fit.goal.metric))
 
     return min(d.fitted, key=lambda name: rank(d.fitted[name])) if d.fitted else None
 
@@ -215,14 +227,33 @@ def _best(d: Dataset) -> str | None:
 def _conclusion(d: Dataset, best: str | None) -> str:
     if best is None:
         return f"No model was fitted. {d.choice.words}"
-    f = d.fitted[best]
-    others = "the best of the models tried" if len(d.fitted) > 1 else "the only model tried"
-    ratio = f.metrics["log_ratio"]
+    f, many = d.fitted[best], len(d.fitted) > 1
+    ratio, chi = f.metrics["log_ratio"], f.fit.reduced_chi_square
     typical = "" if ratio is None else f"; model and measurement differ typically by {_spoken(ratio)}"
-    chi = f.fit.reduced_chi_square
-    if chi is None:
-        return f"{best} is {others}{typical}. Without stated uncertainties nothing says whether that is good enough."
-    return f"{best} is {others}: reduced chi-square {chi:.3g}, {f.fit.verdict}{typical}."
+    missed = verdict.where(f.missed)
+    good = verdict.describes(ratio, f.missed)
+    if chi is not None:
+        others = "the best of the models tried" if many else "the only model tried"
+        told = [f"{best} is {others}: reduced chi-square {chi:.3g}, {f.fit.verdict}{typical}."]
+        rejected = f.fit.p_value is not None and f.fit.p_value < SIGNIFICANCE
+        if rejected and not good:
+            told += [f"It is {missed}."] * bool(missed) + [verdict.none_describes(len(d.fitted))]
+    else:
+        others = f"the nearest of the {len(d.fitted)} models shown" if many else "the only model tried"
+        told = [f"{best} is {others}{typical}."] + [f"It is {missed}."] * bool(missed)
+        if not good:
+            told.append(verdict.none_describes(len(d.fitted)))
+        if d.data.covariance is None:
+            told.append(
+                "The table states no uncertainties, so nothing is accepted or rejected; --u-rel 0.03 judges the models"
+                " with an assumed uncertainty of 3 % of each value."
+            )
+        else:
+            told.append(f"The metric {f.fit.goal.metric} takes no account of uncertainties: nothing is rejected.")
+    told.append(verdict.too_bright({name: other.rho_dh for name, other in d.fitted.items()}, best))
+    told.append(verdict.direction_of_its_own(d.symmetries))
+    told.append(verdict.disagreement({name: other.metrics for name, other in d.fitted.items()}, best))
+    return " ".join(sentence for sentence in told if sentence)
 
 
 def _spoken(ratio: float) -> str:
@@ -240,7 +271,8 @@ def _notes(d: Dataset) -> list[str]:
     notes += _shared(fits)
     if math.isnan(d.wavelength_nm) and any(not math.isnan(f.wavelength_nm) for f in fits):
         notes.append(
-            "Models that need a wavelength are evaluated at the one given with --wavelength-nm, not over the band."
+            "Models that need a wavelength are evaluated at the one given with --wavelength-nm"
+            + (", not over the band." if d.table.attrs.get("bands") else "; the table states none.")
         )
     if not d.curves:
         notes.append("No in-plane curve: fewer than two values of any incidence lie in the plane of incidence.")
@@ -250,10 +282,12 @@ def _notes(d: Dataset) -> list[str]:
         )
     if d.curves_known > len(d.curves):
         notes.append(f"{len(d.curves)} of {d.curves_known} in-plane curves are drawn; all values are fitted.")
-    without = [c.label for c in d.curves if c.mirror is None]
+    without = [label for _, label in d.without_mirror]
     if without:
+        many = f"{len(without)} curves, from {without[0]} to {without[-1]}"
         notes.append(
-            f"The mirror direction was not measured (within {math.degrees(AT_MIRROR):.1f}°) for {', '.join(without)}."
+            f"The mirror direction was not measured (within {math.degrees(AT_MIRROR):.1f}°) for"
+            f" {', '.join(without) if len(without) <= MOST_LISTED else many}."
         )
     sparse = [c.label for c in d.curves if c.angle.size < 20]
     if sparse:

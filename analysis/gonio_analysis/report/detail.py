@@ -16,7 +16,7 @@ from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.plots import diagnostics, in_plane, maps, thinning
-from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, Drawing, budget_height, largest
+from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, Drawing, bars, budget_height, largest
 from gonio_analysis.report.text import cause, unit
 from gonio_analysis.result_records import DatasetSummary
 from gonio_analysis.selection.compare import Dataset
@@ -74,6 +74,10 @@ def _evenly(count: int) -> list[int]:
     return sorted({round(x) for x in np.linspace(0, count - 1, min(MOST, count))})
 
 
+def _measured(d: Dataset) -> str:
+    return "simulated" if d.simulated else "measured"
+
+
 def _theta(d: Dataset, rows: Rows) -> float:
     return float(d.data.directions.theta_i[rows].mean())
 
@@ -84,9 +88,9 @@ def _heat(d: Dataset, facts: DatasetSummary, rows: Rows, k: int, most: int) -> D
     at = data.directions[rows]
     some = thinning.over_hemisphere(at.theta_r, at.dphi, data.brdf[rows], DISC_PT, max(most, MOST_ON_DISC))
     caption = (
-        f"Hemisphere, θi = {np.degrees(theta):.1f}°: measured BRDF over the receiver's direction; radius: θr. Cross:"
-        " mirror direction; circle: source. Points were measured; colours between neighbours within 15° are a guide."
-        + thinning.words(some.size, rows.size)
+        f"Hemisphere, θi = {np.degrees(theta):.1f}°: {_measured(d)} BRDF over the receiver's direction; radius: θr."
+        f" Cross: mirror direction; circle: source. Points were {_measured(d)}; colours between neighbours within 15°"
+        " are a guide." + thinning.words(some.size, rows.size)
     )
     shown = at[some]
     on = partial(_on_disc, theta_r=shown.theta_r, dphi=shown.dphi, value=data.brdf[rows[some]], theta_i=theta)
@@ -103,7 +107,7 @@ def _slices(d: Dataset, facts: DatasetSummary, rows: Rows, lines: list[Line], k:
     every = [lines[p] for p in picks]
     shown = thinning.on_logarithm(every, PANEL_PT, 0.5 * PANEL_PT, most)
     caption = (
-        f"Slices out of the plane, θi = {np.degrees(_theta(d, rows)):.1f}°: measured BRDF with standard uncertainties"
+        f"Slices out of the plane, θi = {np.degrees(_theta(d, rows)):.1f}°: {_measured(d)} BRDF{bars(d)}"
         " in half-planes of constant azimuth, each with its opposite."
         + thinning.words(thinning.measured(shown), thinning.measured(every))
     )
@@ -134,8 +138,8 @@ def _lobe(d: Dataset, facts: DatasetSummary, rows: Rows, most: int) -> Drawing:
     at = data.directions[rows]
     some = thinning.over_hemisphere(at.theta_r, at.dphi, data.brdf[rows], DISC_PT, most)
     caption = (
-        f"Lobe, θi = {np.degrees(theta):.1f}°: {best.name} as fitted, without a spike (mesh); measured values (points)."
-        + thinning.words(some.size, rows.size)
+        f"Lobe, θi = {np.degrees(theta):.1f}°: {best.name} as fitted, without a spike (mesh);"
+        f" {_measured(d)} values (points)." + thinning.words(some.size, rows.size)
     )
     shown = at[some]
     on = partial(_on_space, mesh=maps.lobe_mesh(brdf), measured=(shown.theta_r, shown.dphi, data.brdf[rows][some]))
@@ -155,11 +159,7 @@ def _profiles(d: Dataset, facts: DatasetSummary) -> Drawing:
     result = named.fit
     intervals = list(d.choice.intervals.values())
     level = intervals[0].level
-    what = (
-        "Rise of chi-square"
-        if result.data.covariance is not None
-        else "Rise of the sum of squares, in units of the scatter,"
-    )
+    what = "Rise of chi-square" if result.goal.whitened else "Rise of the sum of squares, in units of the scatter,"
     caption = (
         f"Profiles of {named.candidate.label}: {what[:1].lower() + what[1:]} over each parameter, with all others"
         f" fitted again. Line: fitted value; dashes: the rise at the ends of the {100 * level:g} % interval (shaded)."

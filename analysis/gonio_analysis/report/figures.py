@@ -96,17 +96,30 @@ def _polar(d: Dataset, facts: DatasetSummary, model: str, f: Fitted, most: int) 
     rim = in_plane.radius_of(every)
     lines = thinning.on_half_disc(every, rim, 0.42 * 5.6 * thinning.POINTS_AN_INCH, most)
     cut = [c.label for c, x in zip(f.drawn, every, strict=True) if max(_top(x.theory), _top(x.measured)) > 1.001 * rim]
-    caption = f"{model}: normalised {_norm_words(f)}. Solid: theory; dashed, with error bars: measurement."
+    caption = f"{model}: normalised {_norm_words(f)}. Solid: theory; dashed{bars(d)}: {measurement(d)}."
     if cut:
         caption += f" Cut at the rim: {', '.join(cut)}."
     caption += _spikes(f) + thinning.words(thinning.measured(lines), thinning.measured(every))
-    alt = f"Half-disc polar plot for {d.name} and {model}. " + " ".join(
+    alt = f"Half-disc polar plot for {d.name} ({measurement(d)}) and {model}. " + " ".join(
         f"{c.label}: measured peak at {c.measured_peak_deg:.1f}°, theory's at {c.theory_peak_deg:.1f}°."
         for c in facts.models[model].curves
     )
     on = partial(_on_half_disc, lines=lines, rim=rim, label=_radius_label(f), legend=_Legend.of(f))
     high = 3.22 + LEGEND_ROW_IN * _Legend.of(f).rows
     return Drawing(f"{facts.slug}-polar-{slug(model)}", "polar", model, caption, alt, (5.6, high), on)
+
+
+def measurement(d: Dataset) -> str:
+    """What captions call the values: those of a simulated rig are called so."""
+    return "simulated measurement" if d.simulated else "measurement"
+
+
+def bars(d: Dataset) -> str:
+    """What the error bars are, as part of a sentence; "" where there are none."""
+    if d.data.covariance is None:
+        return ""
+    assumed = d.data.u_rel_assumed
+    return ", with error bars" + ("" if assumed is None else f" of an ASSUMED {100 * assumed:g} % (--u-rel)")
 
 
 def _on_half_disc(figure: Any, *, lines: list[Line], rim: float, label: str, legend: _Legend) -> None:
@@ -161,7 +174,7 @@ def _spikes(f: Fitted) -> str:
 
 def _absolute(d: Dataset, facts: DatasetSummary, model: str, f: Fitted, most: int) -> Drawing:
     lines = [c.absolute() for c in f.drawn]
-    stated = d.data.covariance is not None
+    stated = f.fit.goal.whitened
     used = np.concatenate([c.curve.rows for c in f.drawn]) if f.drawn else np.empty(0, dtype=np.intp)
     free = np.ones(len(d.data), dtype=bool)
     free[used] = False
@@ -177,10 +190,11 @@ def _absolute(d: Dataset, facts: DatasetSummary, model: str, f: Fitted, most: in
 
     kind = (
         "whitened residuals: model minus measurement in standard deviations, correlations taken out (band: ±2)"
+        + (", of the assumed uncertainty" if d.data.u_rel_assumed is not None else "")
         if stated
         else "model divided by measurement"
     )
-    caption = f"{model}: absolute in-plane BRDF. Below: {kind}"
+    caption = f"{model}: absolute in-plane BRDF of a {measurement(d)}{bars(d)}. Below: {kind}"
     caption += "; grey: values that belong to no curve shown." if rest.size else "."
     drawn = thinning.measured(low) + some.size
     caption += thinning.words(drawn, thinning.measured(lines) + rest.size)

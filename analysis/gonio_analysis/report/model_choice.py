@@ -43,7 +43,7 @@ def section(choice: ChoiceSummary) -> list[Block]:
         table(
             "From the simplest up. AIC and BIC are differences to the lowest; the held-out error is the mean squared"
             f" residual{', in units of the uncertainty,' if stated else ''} of values left out by"
-            f" {choice.held_out_by}. A model is rejected where"
+            f" {choice.held_out_by}. A model is {'rejected' if stated else 'behind'} where"
             + (f" the probability of its chi-square is below {100 * choice.significance:g} %, or where" * stated)
             + f" another is better by more than {choice.decisive_aic:g} in AIC.",
             ["model", "parameters", "reduced χ²", "ΔAIC", "ΔBIC", "held-out", "time", "verdict", "largest misfit"],
@@ -62,12 +62,14 @@ def section(choice: ChoiceSummary) -> list[Block]:
 def _verdict(c: CandidateSummary) -> str:
     """Without the chi-square that stands beside it."""
     why = re.sub(r"^reduced chi-square \S+ \((.*)\)$", r"\1", c.rejected)
+    if c.reduced_chi_square is None:
+        return f"behind: {why}" if why else "as near as any"
     return f"rejected: {why}" if why else "not rejected"
 
 
 def _fails(c: CandidateSummary) -> str:
     region = c.fails
-    if region is None or not c.rejected:
+    if region is None or (not c.rejected and c.reduced_chi_square is not None):
         return ""
     text = f"{region.words}: {100 * region.share:.0f} % of the misfit"
     if region.ratio is not None:
@@ -84,9 +86,10 @@ def _intervals(choice: ChoiceSummary) -> Table:
         p = named.parameters[name]
         ends = ((i.low, i.open_low), (i.high, i.open_high))
         bounds = [f"{number(end, 4)}{' (bound)' if at_bound else ''}" for end, at_bound in ends]
-        rows.append([code(name), with_u(p.value, p.u), " to ".join(bounds)])
+        # an error of the linearised fit beside an interval that contradicts it would be two truths
+        rows.append([code(name), with_u(p.value, p.u) if i.linear else number(p.value, 4), " to ".join(bounds)])
     return table(
         f"Parameters of {named.label} with profile-likelihood intervals: each is held while all others follow.",
-        ["parameter", "value and standard error", "95 % interval"],
+        ["parameter", "value and standard error (where it says the same as the interval)", "95 % interval"],
         rows,
     )

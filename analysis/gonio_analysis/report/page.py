@@ -110,7 +110,7 @@ def _overview(s: Summary, place: Mapping[str, str]) -> list[Block]:
         link = Span(d.name, href=place.get(d.slug, f"#{d.slug}"))
         for name, f in d.models.items():
             numbers = (number(f.reduced_chi_square), difference(f.metrics["log_ratio"]))
-            rows.append((link, strong(name), *numbers, sample.fitted_words(f)))
+            rows.append((link, strong(name), *numbers, sample.fitted_words(d, name, f)))
         for name in d.skipped:
             rows.append((link, strong(name), "–", "–", "not fitted: see there"))
     return [

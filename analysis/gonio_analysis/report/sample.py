@@ -30,7 +30,7 @@ from gonio_analysis.report.blocks import (
 from gonio_analysis.report.figures import Figure
 from gonio_analysis.report.text import CAUSES, cause, difference, number, percent, with_u
 from gonio_analysis.report.viewer import View
-from gonio_analysis.result_records import DatasetSummary, ModelSummary, RunFacts, Summary
+from gonio_analysis.result_records import DatasetSummary, ModelSummary, ParameterSummary, RunFacts, Summary
 
 
 def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View | None) -> Group:
@@ -46,7 +46,8 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
     by: dict[str, tuple[Figure, ...]] = {}
     for f in figures:
         by[f.kind] = (*by.get(f.kind, ()), f)
-    out: list[Block] = [Heading(2, d.name)] if len(s.datasets) > 1 else []
+    simulated = d.run is not None and d.run.sample is not None
+    out: list[Block] = [Heading(2, d.name + " (simulated)" * simulated)] if len(s.datasets) > 1 else []
     out += [lead(d.conclusion), Heading(3, "What was measured, and how"), _facts(d)]
     if d.notes:
         out.append(notes(d.notes))
@@ -54,6 +55,7 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
     out += [Heading(3, "Models"), _models(d)] if d.models else [Heading(3, "Measured values"), _values(d)]
     if d.skipped:
         out.append(Notes(tuple((strong(m), f" was not fitted: {why}") for m, why in d.skipped.items())))
+    out += _energy(d)
     if "polar" in by:
         out += [Heading(3, "In the plane of incidence, normalised"), _polar_words(s, d)]
         out += [Viewer(d.slug, view)] if view else []
@@ -71,7 +73,14 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
     if quantities is not None:
         out += [Heading(3, "Appearance"), quantities]
     out.append(Heading(3, "Uncertainty"))
-    if "budget" in by:
+    if d.u_rel_assumed is not None:
+        out.append(
+            Paragraph(
+                f"The table states no uncertainties. A standard uncertainty of {percent(d.u_rel_assumed)} of each"
+                " value, independent from value to value, is assumed: error bars, standard errors and χ² rest on it."
+            )
+        )
+    elif "budget" in by:
         out += [Figures((*by["budget"], *by.get("budget-angle", ()))), _budget(d)]
     else:
         out.append(
@@ -123,7 +132,7 @@ def _facts(d: DatasetSummary) -> Facts:
         )
         rows.append(("wavelength", f"{d.wavelength_nm:g} nm{others}{_width(d)}"))
     else:
-        rows.append(("band", ", ".join(_band(b) for b in d.bands) or "broad; no wavelength stated"))
+        rows.append(("band", ", ".join(_band(b) for b in d.bands) or "no wavelength stated"))
     rows.append(("incidences", _angles(d.theta_i_deg)))
     used = f"{d.used} of {d.rows_here}" + (" at this wavelength" if len(wavelengths) > 1 else "")
     rows.append(("values used", used + (f"; left out: {d.left_out_words}" if d.left_out_words else "")))
@@ -139,6 +148,8 @@ def _facts(d: DatasetSummary) -> Facts:
     if d.uncertainty_stated:
         causes = ", ".join(cause(c) for c in d.causes) or "none"
         rows.append(("uncertainty", f"median {percent(d.median_u_rel)}; causes common to all values: {causes}"))
+    elif d.u_rel_assumed is not None:
+        rows.append(("uncertainty", f"none stated; {percent(d.u_rel_assumed)} of each value is assumed"))
     else:
         rows.append(("uncertainty", "none stated"))
     return facts(rows)
@@ -151,10 +162,10 @@ def _models(d: DatasetSummary) -> Table:
         rows.append(
             [
                 name,
-                fitted_words(f),
-                number(f.reduced_chi_square),
+                fitted_words(d, name, f),
+                number(f.reduced_chi_square) + " (assumed u)" * (f.u_rel_assumed is not None),
                 difference(f.metrics["log_ratio"]),
-                f.verdict,
+                f.verdict + "; ⚠ reflects more than it receives" * f.reflects_too_much,
             ]
         )
     note = "● marks the model that fits best. Typical difference: rms of ln(model / measured)." if any(marks) else ""
@@ -165,6 +176,60 @@ def _models(d: DatasetSummary) -> Table:
         right=(2, 3),
         marks=marks,
     )
+
+
+def _energy(d: DatasetSummary) -> list[Block]:
+    """Reflectances of the models and of the measurement, and its symmetries."""
+    if not d.models:
+        return []
+    at = sorted({round(r.theta_i_deg, 1) for f in d.models.values() for r in f.rho_dh})
+    rows: list[Sequence[Text]] = []
+    for name, f in d.models.items():
+        found = {round(r.theta_i_deg, 1): r for r in f.rho_dh}
+        rows.append(
+            [
+                name + " ⚠ above 1" * f.reflects_too_much,
+                *(with_u(found[a].rho_dh, found[a].u) if a in found else "–" for a in at),
+            ]
+        )
+    own = {round(r.theta_i_deg, 1): r for r in d.rho_dh if r.rho_dh is not None}
+    if own:
+        near = {a: next((r for b, r in own.items() if abs(a - b) < 0.5), None) for a in at}
+        rows.append(["measurement", *("–" if r is None else with_u(r.rho_dh, r.u) for r in near.values())])
+    out: list[Block] = [Heading(3, "Energy and symmetry")]
+    if at:
+        out.append(
+            table(
+                "Directional-hemispherical reflectance rho_dh by angle of incidence: the share of the light that is"
+                " reflected. Uncertainties of models follow from the covariance of their parameters"
+                + (", which rests on the assumed uncertainty." if d.u_rel_assumed is not None else "."),
+                ["model", *(f"θi = {a:g}°" for a in at)],
+                rows,
+                right=tuple(range(1, len(at) + 1)),
+            )
+        )
+    said: list[Text] = []
+    why: dict[str, list[str]] = {}
+    for r in d.rho_dh:
+        if r.why:
+            why.setdefault(r.why, []).append(f"{r.theta_i_deg:.3g}°")
+    for reason, angles in why.items():
+        where = f"at θi = {', '.join(dict.fromkeys(angles))}" if len(angles) <= 8 else f"at {len(angles)} incidences"
+        said.append(f"The measurement's own rho_dh {where}: {reason}.")
+    for s in d.symmetries:
+        verdict = "broken" if s.broken else "kept"
+        by = "" if s.reduced_chi_square is None else f"; χ² a pair {number(s.reduced_chi_square)}"
+        limit = "" if s.reduced_chi_square is not None else " (the limit without uncertainties: 10 %)"
+        said.append(
+            f"Symmetry, {s.kind} ({s.words}): {verdict}. {s.pairs} pairs differ typically by"
+            f" {difference(s.typical)}, at most by {difference(s.largest)}{by}{limit}."
+        )
+    if not d.symmetries:
+        said.append(
+            "Symmetry: no values were measured that reciprocity, left and right or a turned sample could compare."
+        )
+    out.append(Notes(tuple(said)))
+    return out
 
 
 def _polar_words(s: Summary, d: DatasetSummary) -> Paragraph:
@@ -200,18 +265,31 @@ def _parameters(d: DatasetSummary) -> list[Block]:
         for p, e in [*f.parameters.items(), *f.derived.items()]:
             kind = "derived" if p in f.derived else "fixed" if e.fixed else "fitted"
             kind += f", at its {e.at_bound} bound" if e.at_bound else ""
-            value = with_u(e.value, 0.0 if e.fixed else e.u)
+            value = _value(d, name, p, e)
             value += f" ({e.material})" if e.material else ""
             rows.append((label, code(p), value, kind, _strongest(f, p)))
             label = ""
     remarks = [(m, n) for m, f in d.models.items() for n in f.notes if n not in d.notes + d.data_notes]
+    whitened = any(f.chi_square is not None for f in d.models.values())
     caption = (
-        "Standard errors are those of least squares with the stated covariance; they are not scaled by χ²."
-        if d.uncertainty_stated
-        else "The table states no uncertainties: standard errors come from the scatter of the residuals."
+        "Standard errors come from the scatter of the residuals"
+        + (": the table states no uncertainties." if d.median_u_rel is None else ", by the metric of the fit.")
+        if not whitened
+        else f"Standard errors rest on the assumed uncertainty of {percent(d.u_rel_assumed)} of each value."
+        if d.u_rel_assumed is not None
+        else "Standard errors are those of least squares with the stated covariance; they are not scaled by χ²."
     )
     out: list[Block] = [table(caption, ["model", "parameter", "value", "", "strongest correlation"], rows)]
     return [*out, Notes(tuple((strong(m), f": {n}") for m, n in remarks))] if remarks else out
+
+
+def _value(d: DatasetSummary, model: str, parameter: str, e: ParameterSummary) -> str:
+    """value ± u; the interval alone where a standard error would contradict it."""
+    i = d.choice.intervals.get(parameter) if model == d.choice.named else None
+    if i is not None and i.linear is False:
+        ends = f"{number(i.low)} to {number(i.high)}"
+        return f"{number(e.value)} ({100 * i.level:g} % interval {ends})"
+    return with_u(e.value, 0.0 if e.fixed else e.u)
 
 
 def _strongest(f: ModelSummary, parameter: str) -> Text:
@@ -243,9 +321,9 @@ def _budget(d: DatasetSummary) -> Table:
     )
 
 
-def fitted_words(f: ModelSummary) -> str:
+def fitted_words(d: DatasetSummary, model: str, f: ModelSummary) -> str:
     """The fitted parameters of a model, with their uncertainties."""
-    parts = [f"{n} = {with_u(p.value, p.u)}" for n, p in f.parameters.items() if not p.fixed]
+    parts = [f"{n} = {_value(d, model, n, p)}" for n, p in f.parameters.items() if not p.fixed]
     return ", ".join(parts)
 
 

@@ -24,8 +24,8 @@ from gonio_analysis.fitting.parameters import Ior, Values
 from gonio_analysis.fitting.problem import FitRequest, pose
 from gonio_analysis.fitting.profile_likelihood import Interval, profiles
 from gonio_analysis.fitting.surrogate import Near, Rows
-from gonio_analysis.result_records import CandidateSummary, ChoiceSummary, Value, finite
-from gonio_analysis.selection.misfit_regions import Region, blocks, worst
+from gonio_analysis.result_records import CandidateSummary, ChoiceSummary, IntervalSummary, Value, finite
+from gonio_analysis.selection.misfit_regions import Region, blocks, farthest, worst
 
 SIGNIFICANCE = 0.01
 DECISIVE = 10.0
@@ -59,10 +59,10 @@ class Candidate:
         """For reports."""
         return self.model + (", two slopes" if self.slopes == 2 else "") + (", n + ik" if "k" in self.free else "")
 
-    def request(self, ior: Ior) -> FitRequest:
+    def request(self, ior: Ior, metric: str | None = None, energy: bool = False) -> FitRequest:
         """Its fit, with the optical constants where it has any."""
         own = ior if parameters.needs_ior(self.model) else None
-        return FitRequest(self.model, ior=own, free=self.free, slopes=self.slopes)
+        return FitRequest(self.model, ior=own, free=self.free, slopes=self.slopes, metric=metric, energy=energy)
 
 
 @dataclass(frozen=True)
@@ -122,6 +122,11 @@ class Choice:
         alike = [other for other in self.judged if other.candidate.model == j.candidate.model]
         return len(parameters.parts(j.candidate.model)) == 1 and j is min(alike, key=lambda other: other.aic)
 
+    def _interval(self, name: str, interval: Interval) -> IntervalSummary:
+        assert self.named is not None
+        e = self.named.fit.parameters[name]
+        return replace(interval.summary(), linear=interval.linear(e.value, None if e.fixed else e.u))
+
     def summary(self) -> ChoiceSummary:
         """Plain numbers and words."""
         return ChoiceSummary(
@@ -132,7 +137,7 @@ class Choice:
             decisive_aic=DECISIVE,
             held_out_by=self.held_out_by,
             candidates=[j.summary() for j in self.judged],
-            intervals={n: i.summary() for n, i in self.intervals.items()},
+            intervals={n: self._interval(n, i) for n, i in self.intervals.items()},
             left_out=self.left_out,
         )
 
@@ -169,6 +174,8 @@ def choose(
     *,
     ior: Ior = None,
     wavelength_nm: float | None = None,
+    metric: str | None = None,
+    energy: bool = False,
     name: str = "the table",
     all_of_them: bool = False,
     progress: Callable[[str], None] = lambda text: None,
@@ -185,6 +192,8 @@ def choose(
         Optical constants n + ik, or a material, where they are known.
     wavelength_nm
         See `gonio_analysis.fitting.fit.fit`.
+    metric, energy
+        What the fits make small, and what models are compared by; whether rho_dh is bound to 1. See `FitRequest`.
     name
         What messages call the data.
     all_of_them
@@ -207,7 +216,9 @@ def choose(
     enough = math.inf
 
     def fitted(candidate: Candidate, start: Sequence[Values] | None) -> FitResult:
-        return fit(data, replace(candidate.request(ior), wavelength_nm=wavelength_nm, start=start), name=name)
+        return fit(
+            data, replace(candidate.request(ior, metric, energy), wavelength_nm=wavelength_nm, start=start), name=name
+        )
 
     for candidate in sorted(tried, key=lambda c: sizes[c]):  # stable
         if sizes[candidate] > enough and not all_of_them:
@@ -300,20 +311,23 @@ def _values(result: FitResult) -> Values:
     return dict(result.problem.values(result.vector))
 
 
+def deviance(result: FitResult) -> float:
+    """-2 log L of a fit, up to a constant of its data; without uncertainties the scatter is fitted too."""
+    n, total = len(result.data), float(result.whitened @ result.whitened)
+    return total if result.chi_square is not None else n * math.log(max(total, 1e-300) / n)
+
+
 def _judge(candidate: Candidate, result: FitResult, folds: Sequence[Rows], wall_s: float) -> Judged:
     n, p = len(result.data), len(result.free)
-    total = float(result.whitened @ result.whitened)
-    # without uncertainties the scatter is fitted too: -2 log L = n log(residual sum / n), up to a constant
-    deviance = total if result.chi_square is not None else n * math.log(max(total, 1e-300) / n)
     began = time.perf_counter()
     error = _held_out(result, folds)
     return Judged(
         candidate,
         result,
-        deviance + 2 * p,
-        deviance + p * math.log(n),
+        deviance(result) + 2 * p,
+        deviance(result) + p * math.log(n),
         error,
-        worst(result) if result.chi_square is not None else None,
+        worst(result) if result.chi_square is not None else farthest(result),
         wall_s=wall_s + time.perf_counter() - began,
     )
 
@@ -358,13 +372,12 @@ def _words(judged: Sequence[Judged], named: Judged | None) -> str:
     if named is None:
         return (
             f"The data reject every model that was tried ({len(judged)}); {best.candidate.label} is the best of them"
-            f" (reduced chi-square {best.fit.reduced_chi_square:.4g})."
+            f" (reduced chi-square {best.fit.reduced_chi_square:.4g}{_assumed(best)})."
         )
-    stated = named.fit.reduced_chi_square is not None
+    if named.fit.reduced_chi_square is None:
+        return _compared(judged, named, best)
     text = f"{named.candidate.label} is the simplest model that the data do not reject"
-    text += f" (reduced chi-square {named.fit.reduced_chi_square:.3g})." if stated else "."
-    if not stated:
-        text += " Without stated uncertainties only a comparison with the others (AIC) can reject a model."
+    text += f" (reduced chi-square {named.fit.reduced_chi_square:.3g}{_assumed(named)})."
     simpler = [j for j in judged if len(j.fit.free) < len(named.fit.free)]
     others = [j for j in judged if j is not named]
     if others and all(j.rejected for j in others):
@@ -377,3 +390,24 @@ def _words(judged: Sequence[Judged], named: Judged | None) -> str:
     if any(_follows(j, named) for j in judged):
         text += " It takes k as 0; n + ik is not rejected either, and the intervals let k follow."
     return text
+
+
+def _assumed(j: Judged) -> str:
+    assumed = j.fit.data.u_rel_assumed
+    return "" if assumed is None else f", with the assumed uncertainty of {100 * assumed:g} %"
+
+
+def _compared(judged: Sequence[Judged], named: Judged, best: Judged) -> str:
+    """The finding where no chi-square says whether a model is good enough."""
+    by = f"the metric {named.fit.goal.metric}"
+    if len(judged) == 1:
+        return f"{named.candidate.label} is the only model tried; nothing says whether it is good enough."
+    if named is best:
+        text = f"{named.candidate.label} comes nearest of the {len(judged)} models that were tried, by {by} and AIC."
+    else:
+        text = (
+            f"{best.candidate.label} comes nearest of the {len(judged)} models that were tried, by {by} and AIC;"
+            f" {named.candidate.label} is the simplest within {DECISIVE:g} of it."
+        )
+    why = "the table states no uncertainties" if named.fit.data.covariance is None else f"{by} takes no account of them"
+    return f"{text} This compares models with each other: {why}, so nothing says whether any is good enough."

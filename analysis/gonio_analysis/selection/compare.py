@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,14 +22,19 @@ from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.parameters import Ior
-from gonio_analysis.result_records import RunFacts
-from gonio_analysis.selection.choice import Choice, Judged, candidates, choose
+from gonio_analysis.result_records import Reflectance, RunFacts, SymmetrySummary
+from gonio_analysis.selection import energy
+from gonio_analysis.selection.choice import DECISIVE, Choice, Judged, candidates, choose, deviance
+from gonio_analysis.selection.misfit_regions import Region, farthest
+from gonio_analysis.selection.symmetry import symmetries
 
 if TYPE_CHECKING:
     import pandas as pd
 
 MOST_ANGLES = 1000
 """Measured angles of one curve at which theory is evaluated too."""
+JUMP = 3.0
+"""Factor between neighbouring wavelengths that no geometry, and no index but at a resonance, changes by."""
 MOST_WAVELENGTHS = 40
 """Parameters are tabulated over the wavelengths of a table that has at most this many."""
 
@@ -74,6 +80,9 @@ class Fitted:
     drawn: list[Drawn]
     series: list[FitResult] = field(default_factory=list)
     """Fits at every wavelength of the table, where it has several."""
+    missed: Region | None = None
+    """The region of angles that it misses most, by the ratio to the measurement."""
+    rho_dh: list[Reflectance] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -98,6 +107,16 @@ class Dataset:
     """Which model the data ask for."""
     run: RunFacts | None = None
     """What the run's own record says, for a table that a run made."""
+    rho_dh: list[Reflectance] = field(default_factory=list)
+    """Of the measurement itself."""
+    symmetries: list[SymmetrySummary] = field(default_factory=list)
+    without_mirror: list[tuple[float, str]] = field(default_factory=list)
+    """Angle [rad] and label of every in-plane curve whose mirror direction was not measured, drawn or not."""
+
+    @property
+    def simulated(self) -> bool:
+        """Whether a run on a simulated rig made the table."""
+        return self.run is not None and self.run.sample is not None
 
 
 def examine(
@@ -109,6 +128,9 @@ def examine(
     normalise: Normalise = "mirror",
     ior: Ior = None,
     wavelength_nm: float | None = None,
+    metric: str | None = None,
+    u_rel: float | None = None,
+    bound_energy: bool = False,
     run: RunFacts | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Dataset:
@@ -127,6 +149,9 @@ def examine(
     wavelength_nm
         The nearest wavelength of the table is reported (550 nm if none is given); in a broad band, the effective
         wavelength of the models that need one, which are left out without it.
+    metric, u_rel, bound_energy
+        What fits make small, the relative uncertainty to assume where none is stated, and whether rho_dh is bound to 1:
+        see `FitRequest`.
     progress
         Called with a line before each fit.
 
@@ -135,7 +160,7 @@ def examine(
     DataError
         No usable value, or too few for every one of the models.
     """
-    data = observations(table, name)
+    data = observations(table, name, u_rel)
     known = data.wavelengths
     at, wavelength = data.nearest(wavelength_nm)
     found = curves(at)
@@ -146,17 +171,35 @@ def examine(
         candidates(models, ior),
         ior=ior,
         wavelength_nm=wavelength_nm,
+        metric=metric,
+        energy=bound_energy,
         name=name,
         all_of_them=not every,
         progress=progress,
     )
     fitted = {
-        j.candidate.label: _fitted(j.fit, shown, normalise, _series(j, data, known, ior, name))
+        j.candidate.label: _fitted(j.fit, shown, normalise, _series(j, data, known, name))
         for j in choice.judged
         if not every or choice.shows(j)
     }
     skipped = {} if every else choice.left_out
-    return Dataset(name, source, table, at, known, wavelength, shown, len(found), fitted, skipped, choice, run)
+    return Dataset(
+        name,
+        source,
+        table,
+        at,
+        known,
+        wavelength,
+        shown,
+        len(found),
+        fitted,
+        skipped,
+        choice,
+        run,
+        energy.of_table(at),
+        symmetries(at),
+        [(c.parameter, label) for c, label in zip(found, labels(found), strict=True) if c.mirror is None],
+    )
 
 
 def check_models(models: Sequence[str]) -> None:
@@ -173,18 +216,17 @@ def check_models(models: Sequence[str]) -> None:
 
 def _fitted(result: FitResult, shown: list[Curve], normalise: Normalise, series: list[FitResult]) -> Fitted:
     data = result.data
-    stated = data.covariance is not None
-    numbers = metrics(
-        result.predicted,
-        data.brdf,
-        np.cos(data.directions.theta_i),
-        data.u if stated else None,
-        result.whitened if stated else None,
-    )
+    white = result.whitened if result.goal.whitened else None
+    if white is None and data.covariance is not None:
+        white = data.covariance.whiten(result.predicted - data.brdf)
+    u = None if data.covariance is None else data.u
+    numbers = metrics(result.predicted, data.brdf, np.cos(data.directions.theta_i), u, white)
     drawn = []
     for curve, label in zip(shown, labels(shown), strict=True):
         angle = theory_angles(curve, data)
-        residual = result.whitened[curve.rows] if stated else result.predicted[curve.rows] / curve.brdf - 1.0
+        residual = (
+            result.whitened[curve.rows] if result.goal.whitened else result.predicted[curve.rows] / curve.brdf - 1.0
+        )
         drawn.append(
             Drawn(
                 curve=curve,
@@ -195,26 +237,83 @@ def _fitted(result: FitResult, shown: list[Curve], normalise: Normalise, series:
                 residual=residual,
             )
         )
-    return Fitted(result, numbers, drawn, series)
+    return Fitted(result, numbers, drawn, series, farthest(result), energy.of_model(result))
 
 
-def _series(judged: Judged, data: Observations, known: list[float], ior: Ior, name: str) -> list[FitResult]:
-    """The same fit at every wavelength, each started from its neighbour's solution."""
-    result, candidate = judged.fit, judged.candidate
+def _series(judged: Judged, data: Observations, known: list[float], name: str) -> list[FitResult]:
+    """The same fit at every wavelength, each started from its neighbour's solution.
+
+    Where that ends in another valley (`jump`) a search of its own and the neighbours on either side are tried. A
+    solution near its neighbours is kept unless another is better by more than `DECISIVE` in AIC.
+    """
+    result = judged.fit
+    request = result.problem.asked
+    assert request is not None
     waves = [w for w in known if not math.isnan(w)]
     if not 1 < len(waves) <= MOST_WAVELENGTHS:
         return []
     middle = waves.index(result.wavelength_nm)
     out = {middle: result}
-    for k in [*range(middle + 1, len(waves)), *range(middle - 1, -1, -1)]:
-        near = out.get(k - 1 if k > middle else k + 1, result)
-        start = {n: e.value for n, e in near.parameters.items()}
+
+    def at(k: int, near: FitResult | None) -> FitResult | None:
+        start = None if near is None else [{n: e.value for n, e in near.parameters.items()}]
         try:
-            asked = replace(candidate.request(ior), start=[start])
-            out[k] = fit(data.at(waves[k]), asked, name=f"{name} at {waves[k]:g} nm")
+            asked = replace(request, wavelength_nm=None, start=start)
+            return fit(data.at(waves[k]), asked, name=f"{name} at {waves[k]:g} nm")
         except DataError:
-            continue  # too few usable values at this wavelength: the series has a gap there
+            return None  # too few usable values at this wavelength: the series has a gap there
+
+    upward, downward = range(middle + 1, len(waves)), range(middle - 1, -1, -1)
+    for k in [*upward, *downward]:
+        step = 1 if k > middle else -1
+        near = out.get(k - step, result)
+        found = [at(k, near)]
+        if found[0] is not None and jump(near, found[0]):
+            found += [at(k, None), *([at(k, out[k - 2 * step])] if k - 2 * step in out else [])]
+        if (chosen := _nearest([f for f in found if f is not None], [near])) is not None:
+            out[k] = chosen
+    for k in [*reversed(upward), *reversed(downward)]:  # and back
+        step = 1 if k > middle else -1
+        if k in out and k + step in out and jump(out[k], out[k + step]):
+            again = at(k, out[k + step])
+            both = [out[k], *([again] if again is not None else [])]
+            out[k] = _nearest(both, [out[j] for j in (k - step, k + step) if j in out]) or out[k]
     return [out[k] for k in sorted(out)]
+
+
+def _nearest(found: Sequence[FitResult], neighbours: Sequence[FitResult]) -> FitResult | None:
+    """Of fits to the same values that describe them alike, one that jumps least from its neighbours."""
+    if not found:
+        return None
+    best = min(deviance(f) for f in found)
+    alike = [f for f in found if deviance(f) <= best + DECISIVE]
+    return min(alike, key=lambda f: (sum(bool(jump(f, n)) for n in neighbours), deviance(f)))
+
+
+def jump(a: FitResult, b: FitResult) -> list[str]:
+    """Parameters that differ by more than a factor of three, and their uncertainties, from one wavelength to the next.
+
+    Only those with a scale (lengths, widths, exponents, indices); levels may follow the colour of a sample.
+    """
+    out = []
+    for name in a.free:
+        one, other = a.parameters[name], b.parameters[name]
+        if a.problem.parameter(name).scale != "log" or min(one.value, other.value) <= 0:
+            continue
+        u = math.hypot(one.u or 0.0, other.u or 0.0)
+        if abs(math.log(other.value / one.value)) > math.log(JUMP) and abs(other.value - one.value) > 3 * u:
+            out.append(name)
+    return out
+
+
+def jumps(series: Sequence[FitResult]) -> list[str]:
+    """Sentences on the jumps that are left in a series."""
+    return [
+        f"From {a.wavelength_nm:g} to {b.wavelength_nm:g} nm {n} jumps from {a.parameters[n].value:.3g} to"
+        f" {b.parameters[n].value:.3g}: the fits lie in different valleys, and neighbours' starts did not join them."
+        for a, b in pairwise(series)
+        for n in jump(a, b)
+    ]
 
 
 def theory_angles(curve: Curve, data: Observations, *, dense: bool = True) -> Floats:

@@ -9,12 +9,15 @@ from itertools import pairwise
 import numpy as np
 
 from gonio.geometry import AROUND_MIRROR, SAME_INCIDENCE
+from gonio.typing import Floats
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.surrogate import Rows
 from gonio_analysis.result_records import RegionSummary
 
 FOLDS = 5
+FEWEST = 3
+"""Values of a region that `farthest` may name."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +49,43 @@ def incidences(data: Observations) -> list[tuple[float, Rows]]:
 def worst(result: FitResult) -> Region | None:
     """The region with the largest excess of chi-square over the number of its values; None where there is none."""
     data, square = result.data, result.whitened**2
+    found = [(float(square[here].sum()) - here.size, words, here) for words, here in _regions(data)]
+    total = sum(max(excess, 0.0) for excess, _, _ in found)
+    if total <= 0:
+        return None
+    excess, words, here = max(found, key=lambda f: f[0])
+    return Region(words, int(here.size), excess, max(excess, 0.0) / total, _ratio(result, here, data.u))
+
+
+def farthest(result: FitResult) -> Region | None:
+    """The region of three values or more whose median of model / measured is farthest from 1, as a ratio.
+
+    Its `excess` is the sum of squares of ln(model / measured), and its share is of that of all regions. Where no region
+    has so many values they are taken together.
+    """
+    data = result.data
+    seen = (data.brdf > (3 * data.u if data.covariance is not None else 0.0)) & (result.predicted > 0)
+    logs = np.zeros(len(data))
+    logs[seen] = np.log(result.predicted[seen] / data.brdf[seen])
+    found = [(words, here[seen[here]]) for words, here in _regions(data)]
+    found = [(words, here) for words, here in found if here.size >= FEWEST] or [("all angles", np.flatnonzero(seen))]
+    total = float((logs**2).sum())
+    words, here = max(found, key=lambda f: abs(float(np.median(logs[f[1]]))) if f[1].size else -1.0)
+    if not here.size or total <= 0:
+        return None
+    excess = float((logs[here] ** 2).sum())
+    return Region(words, int(here.size), excess, excess / total, float(np.exp(np.median(logs[here]))))
+
+
+def _ratio(result: FitResult, here: Rows, u: Floats) -> float | None:
+    seen = here[result.data.brdf[here] > 3 * u[here]]
+    return float(np.median(result.predicted[seen] / result.data.brdf[seen])) if seen.size else None
+
+
+def _regions(data: Observations) -> list[tuple[str, Rows]]:
+    """Every region that holds a value, in words, and the values."""
     along, in_plane = data.directions.along, data.directions.in_plane
-    found: list[tuple[float, str, Rows]] = []
+    found = []
     for theta_i, rows in incidences(data):
         flat = in_plane[rows]
         mirror = np.abs(along[rows] - theta_i) < AROUND_MIRROR
@@ -58,18 +96,10 @@ def worst(result: FitResult) -> Region | None:
             "beyond the mirror direction": flat & ~mirror & (along[rows] >= theta_i),
             "out of plane": ~flat,
         }
-        for words, zone in zones.items():
-            here = rows[zone]
-            if here.size:
-                excess = float(square[here].sum()) - here.size
-                found.append((excess, f"θi = {math.degrees(theta_i):.0f}°, {words}", here))
-    total = sum(max(excess, 0.0) for excess, _, _ in found)
-    if total <= 0:
-        return None
-    excess, words, here = max(found, key=lambda f: f[0])
-    seen = here[data.brdf[here] > 3 * data.u[here]]
-    ratio = float(np.median(result.predicted[seen] / data.brdf[seen])) if seen.size else None
-    return Region(words, int(here.size), excess, max(excess, 0.0) / total, ratio)
+        found += [
+            (f"θi = {math.degrees(theta_i):.0f}°, {words}", rows[zone]) for words, zone in zones.items() if zone.any()
+        ]
+    return found
 
 
 def blocks(data: Observations) -> tuple[list[Rows], str]:

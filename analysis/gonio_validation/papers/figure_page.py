@@ -102,7 +102,7 @@ def index(pages: Sequence[FigureSummary], command: str) -> Page:
         [_link(f), c.claim, c.found] for f in pages for c in f.claims if c.verdict == "does not hold"
     ]
     body = (
-        _header(ALL, "Theory, experiment and verdicts", created, versions),
+        _header(ALL, "Theory, simulated measurements and verdicts", created, versions),
         Paragraph(_words([c for f in pages for c in f.claims]), "lead"),
         table("", ["figure", "what it shows", *VERDICTS], rows, right=(2, 3, 4)),
         section([Heading(2, "What does not hold"), table("", ["figure", "claim", "found"], failing)]),

@@ -94,7 +94,7 @@ def _build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
         Results(htsg_scans.CAPTION, htsg_scans.HEADER, text),
         numbers,
         _notes(figure, found, taken),
-        [("experiment", taken.words)],
+        [("simulated measurement", taken.words)],
         taken.files,
     )
 
@@ -112,8 +112,8 @@ def _notes(figure: int, scans: Sequence[Scan], taken: Experiment) -> list[str]:
         more = exact / float(last.spike.max()) - 1.0
         out.append(
             "Theory averages the spike as eq. 6 has it, with ρ_s of the cone's axis. What an instrument sees carries "
-            f"ρ_s and cos θ through the cone: {100 * more:.1f} % more at {last.theta_i_deg:g}°. The experiment has "
-            "that, and so has its chi-square."
+            f"ρ_s and cos θ through the cone: {100 * more:.1f} % more at {last.theta_i_deg:g}°. The simulated "
+            "measurement has that, and so has its chi-square."
         )
     if figure == 7:
         out.append(

@@ -97,8 +97,9 @@ def build(progress: Callable[[str], None]) -> PaperFigure:
     by = float(one.total[one.mirror])
     line = Line(label(0.0), np.radians(one.angle_deg), one.normalised, *divided(curve, by), 0.0)
     caption = (
-        "Normalised: by the model's BRDF along the normal, theory and experiment alike; lamp and camera block each "
-        "other there. Solid: theory; dashed, with error bars: experiment. The paper's drawing ends at a radius of 1."
+        "Normalised: by the model's BRDF along the normal, theory and simulated measurement alike; lamp and "
+        "camera block each other there. Solid: theory; dashed, with error bars: simulated measurement. The paper's "
+        "drawing ends at a radius of 1."
     )
     judged = claims()
     words = "BRDF / model's BRDF along the normal"
@@ -138,13 +139,15 @@ def build(progress: Callable[[str], None]) -> PaperFigure:
         ],
         judged,
         shown,
-        Results("Divided by the model's BRDF along the normal.", ("direction", "theory", "measured"), table),
+        Results(
+            "Divided by the model's BRDF along the normal.", ("direction", "theory", "simulated measurement"), table
+        ),
         numbers,
         [
             agreement(taken),
             "The paper sets a = 0. Facets this steep reflect light more than once; in this model that light is lost: "
             f"ρ_dh = {one.rho_dh:.3f} at normal incidence.",
         ],
-        [("experiment", taken.words)],
+        [("simulated measurement", taken.words)],
         taken.files,
     )

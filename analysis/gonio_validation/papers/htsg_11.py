@@ -117,7 +117,9 @@ def build(progress: Callable[[str], None]) -> PaperFigure:
         progress=lambda text: progress(f"htsg-11: {text}"),
     )
     text, numbers = htsg_scans.rows(scans, taken)
-    caption = "Absolute: BRDF, logarithmic as in the paper. Solid: theory; dashed, with error bars: experiment."
+    caption = (
+        "Absolute: BRDF, logarithmic as in the paper. Solid: theory; dashed, with error bars: simulated measurement."
+    )
     zoomed = [_near(line, 6.0) for line in htsg_scans.absolute(scans, taken)]
     return PaperFigure(
         "htsg-11",
@@ -147,7 +149,7 @@ def build(progress: Callable[[str], None]) -> PaperFigure:
         Results(htsg_scans.CAPTION, htsg_scans.HEADER, text),
         numbers,
         [agreement(taken)],
-        [("experiment", taken.words)],
+        [("simulated measurement", taken.words)],
         taken.files,
     )
 

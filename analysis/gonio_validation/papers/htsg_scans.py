@@ -129,7 +129,7 @@ def absolute(scans: Sequence[Scan], experiment: Experiment) -> list[Line]:
 
 def panels(scans: Sequence[Scan], experiment: Experiment, *, most: float = 2.5) -> list[Panel]:
     """The polar drawing of Figs. 7 to 9, and the same curves in absolute units."""
-    solid = "Solid: theory, averaged over the cones; dashed, with error bars: experiment."
+    solid = "Solid: theory, averaged over the cones; dashed, with error bars: simulated measurement."
     missing = " Values within three standard uncertainties of zero are left out."
     caption = f"Normalised: each curve divided by its own value in the mirror direction (eq. 11). {solid}"
     words = "BRDF / BRDF in the mirror direction"
@@ -146,15 +146,15 @@ HEADER = (
     "lobe's peak",
     "peak through the cones",
     "spike / lobe",
-    "measured",
+    "simulated",
     "ρ_s",
     "ρ_dh",
-    "measured peak",
+    "simulated peak",
 )
 CAPTION = (
     "Lobe's peak: where the BRDF without its spike is largest in one direction. Spike / lobe: in the mirror direction, "
-    "through the cones (eq. 6); measured: against the lobe of the directions around, which the spike misses. ρ_dh: all "
-    "that is reflected."
+    "through the cones (eq. 6); simulated: against the lobe of the directions around, which the spike misses. ρ_dh: "
+    "all that is reflected."
 )
 
 
@@ -216,6 +216,6 @@ def rows(scans: Sequence[Scan], experiment: Experiment) -> tuple[list[list[str]]
 def agreement(taken: Experiment) -> str:
     """How far the experiment agrees with theory, as a sentence."""
     return (
-        f"The experiment against the model seen through the rig's own cones: reduced chi-square "
+        f"The simulated measurement against the model seen through the rig's own cones: reduced chi-square "
         f"{number(taken.chi_square)} over {len(taken.data)} values, nothing fitted."
     )

@@ -1,0 +1,111 @@
+"""What a report's headline says of the nearest model: how far off, where, and by which metric."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from gonio_analysis.fitting.metrics import DESCRIPTIONS
+from gonio_analysis.report.text import difference, number, with_u
+from gonio_analysis.result_records import Reflectance, SymmetrySummary
+from gonio_analysis.selection.energy import ABOVE_ONE
+from gonio_analysis.selection.misfit_regions import FEWEST, Region
+
+DESCRIBES = 1.3
+"""Typical factor (exp of the rms of ln(model / measured)) beyond which a model does not describe a sample.
+
+Goniometers that are compared on one sample differ by percents, so a third is the model's failure. Chosen, not derived.
+"""
+FEATURE = 2.0
+"""A region whose median of model / measured is beyond this factor is a feature that the model does not have."""
+CLEARLY = 1.05
+"""A metric names another model where that one is better by this factor; less is no disagreement."""
+BY = {"log": "log_ratio", "weighted": "weighted", "ngan": "ngan", "cube-root": "cube_root", "relative": "relative"}
+"""Metric of a fit -> the metric of a report that is like it."""
+JUDGES = ("log_ratio", "ngan", "cube_root")
+"""Whose winners are compared with that of the fit's own metric."""
+
+
+def order(values: Mapping[str, float | None], metric: str) -> float:
+    """What models are ordered by: their metric, the smaller the better; infinite where there is none."""
+    value = values.get(BY[metric])
+    return math.inf if value is None else value
+
+
+def disagreement(metrics: Mapping[str, Mapping[str, float | None]], best: str) -> str:
+    """Which metrics name another model than `best`, as a sentence; "" where none does."""
+    others: dict[str, list[str]] = {}
+    for name in JUDGES:
+        known = {model: v for model, values in metrics.items() if (v := values.get(name)) is not None}
+        own = known.get(best)
+        if not known:
+            continue
+        first = min(known, key=known.__getitem__)
+        if first != best and (own is None or own > CLEARLY * known[first]):
+            label = DESCRIPTIONS[name][0]
+            off = "" if own is None else f" ({best} is {own / max(known[first], 1e-300):.2g} times as far off by it)"
+            others.setdefault(first, []).append(label + off)
+    if not others:
+        return ""
+    said = "; ".join(f"{model} is nearest by {' and by '.join(labels)}" for model, labels in others.items())
+    return f"The metrics disagree about the nearest: {said}."
+
+
+def describes(log_ratio: float | None, missed: Region | None) -> bool:
+    """Whether a model describes a sample at all: typically within `DESCRIBES`, and no feature of it is missing."""
+    if log_ratio is None or log_ratio > math.log(DESCRIBES):
+        return False
+    return not misses_feature(missed)
+
+
+def misses_feature(missed: Region | None) -> bool:
+    """Whether the region that a model misses most is a feature that it does not have."""
+    if missed is None or missed.ratio is None or missed.values < FEWEST:
+        return False
+    return not 1 / FEATURE <= missed.ratio <= FEATURE
+
+
+def where(missed: Region | None) -> str:
+    """The region that a model misses most, as the end of a sentence."""
+    if missed is None or missed.ratio is None:
+        return ""
+    times = f"{number(missed.ratio, 2)} {'times' if missed.ratio > 1 else 'of'} the measurement"
+    return f"farthest off at {missed.words} ({missed.values} values), where it is {times}"
+
+
+def none_describes(count: int) -> str:
+    """The sentence for models that do not describe a sample."""
+    who = "None of these describes the sample" if count > 1 else "It does not describe the sample"
+    return (
+        f"{who}: a typical factor above {DESCRIBES:g}, or a region off by more than a factor of {FEATURE:g}, is beyond"
+        " what any goniometer is off by."
+    )
+
+
+def reflects_too_much(found: Sequence[Reflectance]) -> bool:
+    """Whether a model reflects more than it receives at one of these incidences."""
+    return any(r.rho_dh is not None and r.rho_dh > 1.0 + ABOVE_ONE for r in found)
+
+
+def too_bright(found: Mapping[str, Sequence[Reflectance]], best: str) -> str:
+    """Which models reflect more than they receive, as sentences; "" where none does."""
+    worst = {m: max(rs, key=lambda r: r.rho_dh or 0.0) for m, rs in found.items() if reflects_too_much(rs)}
+    if not worst:
+        return ""
+    said = [
+        f"{m} (rho_dh = {with_u(r.rho_dh, r.u)} at θi = {r.theta_i_deg:.0f}°)"
+        for m, r in sorted(worst.items(), key=lambda item: item[0] != best)
+    ]
+    verb = "reflects more than it receives" if len(said) == 1 else "reflect more than they receive"
+    return f"Against the conservation of energy {', '.join(said)} {verb}; --energy fits within the bound."
+
+
+def direction_of_its_own(found: Sequence[SymmetrySummary]) -> str:
+    """The sentence for a sample that is not isotropic; "" where nothing shows it."""
+    shown = next((s for s in found if s.kind == "azimuth of incidence" and s.broken), None)
+    if shown is None:
+        return ""
+    return (
+        f"The sample is anisotropic: at equal θi, θr and φr − φi values change with the azimuth of incidence, typically"
+        f" by {difference(shown.typical)} ({shown.pairs} pairs). No isotropic model can describe that."
+    )

@@ -1,0 +1,182 @@
+"""One number, one truth: what a page says twice, it says alike."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from gonio_analysis import commands
+from gonio_analysis.change.point_by_point import Side, change, judge
+from gonio_analysis.fitting.fit import fit
+from gonio_analysis.fitting.observations import observations
+from gonio_analysis.fitting.profile_likelihood import Interval
+from gonio_analysis.fitting.value_covariance import independent
+from gonio_analysis.report import figures
+from gonio_analysis.report.comparison import summarise
+from gonio_analysis.report.sample import fitted_words
+from gonio_analysis.result_records import RunFacts, SampleFacts
+from gonio_analysis.selection.compare import Dataset, examine, jump, jumps
+
+from gonio.errors import ConfigError
+from gonio.models import build
+from tests.gonio_analysis.synthetic import measure
+
+MATTE = build("lambert", {"albedo": 0.5})
+GLOSS = build("phong", {"k_d": 0.3, "k_s": 0.4, "exponent": 40.0})
+
+
+def summary_of(d: Dataset) -> Any:
+    (facts,) = summarise([d], title="", normalise="mirror", command="").datasets
+    return facts
+
+
+def interval(low: float, high: float, *, open_low: bool = False, open_high: bool = False) -> Interval:
+    return Interval("s", low, high, open_low, open_high, 0.95, np.array([low, high]), np.array([4.0, 4.0]))
+
+
+@pytest.mark.parametrize(
+    ("ends", "u", "linear"),
+    [
+        ((0.073, 0.104), 0.48, False),  # s = 0.09 +- 0.48 beside 0.073 to 0.104
+        ((0.08, 0.10), 0.005, True),  # 1.96 u on either side, nearly
+        ((0.0899, 0.15), 0.005, False),  # crooked
+        ((0.08, 0.10), None, False),
+    ],
+)
+def test_a_standard_error_that_contradicts_the_interval(
+    ends: tuple[float, float], u: float | None, linear: bool
+) -> None:
+    assert interval(*ends).linear(0.09, u) is linear
+
+
+def test_a_bound_cuts_an_interval_and_contradicts_nothing() -> None:
+    assert interval(0.0, 0.19, open_low=True).linear(0.09, 0.05)
+
+
+def test_the_page_shows_the_interval_alone_where_linearisation_fails() -> None:
+    d = examine(measure(GLOSS, noise=0.01), ["phong"], name="x")
+    facts = summary_of(d)
+    wrong = replace(facts.choice.intervals["k_s"], low=0.01, high=9.0, linear=False)
+    facts = replace(facts, choice=replace(facts.choice, intervals=facts.choice.intervals | {"k_s": wrong}))
+    words = fitted_words(facts, "phong", facts.models["phong"])
+    assert "95 % interval 0.0100 to 9.00" in words
+    assert "±" not in words.partition("k_s")[2].partition("exponent")[0]
+    assert "±" in words.partition("exponent")[2]
+
+
+def test_where_nothing_changed_no_value_has_changed() -> None:
+    """The verdict is at 1 % for all values together, the marks at 5 %: one value could stand out of no change."""
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        n = 60
+        b = 1.0 + 0.01 * rng.normal(size=n)
+        b[0] += 0.033  # beyond 3 standard deviations: sometimes marked, seldom a verdict
+        v = judge(np.ones(n), b, independent(np.full(n, 0.01)))
+        assert v.changed or not v.marked.any()
+
+
+def spectral(seed: int, colours: dict[float, float]) -> pd.DataFrame:
+    parts = [
+        measure(build("lambert", {"albedo": a}), wavelength_nm=nm, noise=0.01, seed=seed + k, incidences=(30.0,))
+        for k, (nm, a) in enumerate(colours.items())
+    ]
+    out = pd.concat(parts, ignore_index=True)
+    out.attrs = parts[0].attrs
+    return out
+
+
+def test_change_heeds_the_wavelength() -> None:
+    """They differ at 450 nm alone; at 650 nm nothing changed."""
+    tables = spectral(1, {450.0: 0.2, 650.0: 0.5}), spectral(7, {450.0: 0.4, 650.0: 0.5})
+    a, b = (Side(n, n, t, observations(t, n)) for n, t in zip("ab", tables, strict=True))
+    both, blue, red = change(a, b), change(a, b, wavelength_nm=450), change(a, b, wavelength_nm=640)
+    assert both.at.wavelengths == [450.0, 650.0]
+    assert blue.at.wavelengths == [450.0]
+    assert red.at.wavelengths == [650.0]
+    assert blue.verdict is not None
+    assert blue.verdict.changed
+    assert red.verdict is not None
+    assert not red.verdict.changed
+    assert any("650 nm alone is compared" in n for n in red.notes)
+    model = Side("m", "m.toml", model=build("lambert", {"albedo": 0.2}))
+    assert change(a, model, wavelength_nm=450).at.wavelengths == [450.0]
+
+
+def test_every_curve_without_its_mirror_direction_is_listed() -> None:
+    """Of eight curves six are drawn; the note named those alone."""
+    thetas = tuple(float(t) for t in range(6, 83, 11))
+    views = np.arange(-80.0, 81.0, 20.0)  # none of these is within 0.6 degrees of a mirror direction
+    facts = summary_of(examine(measure(MATTE, incidences=thetas, views=views), ["lambert"], name="x"))
+    (note,) = [n for n in facts.notes if n.startswith("The mirror direction was not measured")]
+    assert all(f"θi = {t:g}°" in note for t in thetas)
+    assert facts.curves_without_mirror == pytest.approx(thetas)
+
+
+def test_a_table_without_a_wavelength_is_not_said_to_hold_a_broad_band() -> None:
+    frame = measure(MATTE, wavelength_nm=math.nan)
+    with pytest.raises(ConfigError, match="has no single wavelength"):
+        fit(frame, "he-torrance", ior=1.5)
+    result = fit(frame, "he-torrance", ior=1.5, wavelength_nm=600)
+    assert not any("broad" in n.lower() for n in result.notes)
+
+
+def test_a_jump_between_neighbouring_wavelengths_is_named() -> None:
+    one = fit(measure(GLOSS, noise=0.01, wavelength_nm=500.0), "phong")
+    same = fit(measure(GLOSS, noise=0.01, wavelength_nm=510.0, seed=1), "phong")
+    other = fit(measure(build("phong", {"k_d": 0.3, "k_s": 0.4, "exponent": 400.0}), wavelength_nm=520.0), "phong")
+    assert jump(one, same) == []
+    assert jump(same, other) == ["exponent"]
+    (words,) = jumps([one, same, other])
+    assert words.startswith("From 510 to 520 nm exponent jumps from ")
+
+
+def test_a_series_that_starts_in_another_valley_is_brought_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A neighbour's start that ends elsewhere, at the same cost, gives way to a search that does not jump."""
+    parts = [measure(GLOSS, noise=0.01, wavelength_nm=nm, seed=int(nm)) for nm in (540.0, 550.0, 560.0)]
+    table = pd.concat(parts, ignore_index=True)
+    table.attrs = parts[0].attrs
+
+    def astray(data: Any, asked: Any, **options: Any) -> Any:
+        found = fit(data, asked, **options)
+        if asked.start is None or data.wavelengths != [560.0]:
+            return found
+        lost = {**found.parameters, "exponent": replace(found.parameters["exponent"], value=4000.0, u=1.0)}
+        return replace(found, parameters=lost)
+
+    monkeypatch.setattr("gonio_analysis.selection.compare.fit", astray)
+    series = examine(table, ["phong"], name="x").fitted["phong"].series
+    assert [round(r.parameters["exponent"].value, -1) for r in series] == [40.0] * 3
+
+
+def test_simulated_values_are_called_simulated() -> None:
+    sample = SampleFacts("x", "lambert", {"albedo": 0.5})
+    run = RunFacts(
+        "RUN", "plan", "", 1, {}, "", "", "sim", "sim", 1, [], 1, {}, 0.5, 0.5, "beside", sample
+    )  # fmt: skip
+    d = examine(measure(MATTE), ["lambert"], name="x", run=run)
+    found = summarise([d], title="x", normalise="mirror", command="")
+    assert found.title == "x (simulated)"
+    captions = [f.caption for f in figures.draw(d, found.datasets[0], 500)]
+    assert all("simulated measurement" in c for c in captions if c.startswith("lambert: "))
+    assert summarise([replace(d, run=None)], title="x", normalise="mirror", command="").title == "x"
+
+
+def test_options_reach_the_command(tmp_path: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    import json
+
+    from gonio import measurement
+
+    frame = measure(MATTE, noise=0.03)
+    frame[["u_brdf", "u_random"]] = np.nan
+    measurement.write(frame, tmp_path / "t.csv")
+    commands.fit(str(tmp_path / "t.csv"), "lambert", u_rel=0.03, metric="weighted", as_json=True)
+    out = json.loads(capsys.readouterr().out)
+    assert out["u_rel_assumed"] == 0.03
+    assert out["metric"] == "weighted"
+    assert "assumed uncertainty of 3 %" in out["verdict"]
+    commands.fit(str(tmp_path / "t.csv"), "lambert", metric="ngan", as_json=True)
+    assert json.loads(capsys.readouterr().out)["metric"] == "ngan"
