@@ -142,7 +142,7 @@ class Problem:
 
     def own_wavelength(self, k: int) -> float | None:
         """The one of `waves` that the k-th free parameter counts at; None where it counts at all."""
-        name, between, at = self.free[k].partition("@")
+        _, between, at = self.free[k].partition("@")
         return next(w for w in self.waves if f"{w:g}" == at) if between else None
 
     def moved_together(self, among: Iterable[int]) -> list[list[int]]:

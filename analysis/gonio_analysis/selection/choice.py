@@ -143,7 +143,9 @@ class Choice:
 
 
 def candidates(models: Sequence[str], ior: Ior = None) -> list[Candidate]:
-    """What to try: the models named, or with "all" every family (other packages' too), with n + ik fitted where nobody gave it, and sums.
+    """What to try: the models named, or with "all" every family (other packages' too) and sums.
+
+    Where nobody gave an index of refraction, n + ik are fitted.
 
     A sum's Lambertian base is left out where the glossy model brings one of its own.
 
