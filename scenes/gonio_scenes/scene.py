@@ -99,7 +99,8 @@ class Scene:
     tolerance: float
     seed: int
     picture: PictureTable
-    folder: Path
+    source: Path
+    """The scene file, as messages name it."""
     tables: SceneFile = field(repr=False)
 
 
@@ -148,8 +149,8 @@ def _built(tables: SceneFile, source: Path) -> Scene:
     ):
         for name, material in materials.items():
             polarised.require(material.model, f"material.{name}")
-    world = World(shapes)
     camera = cameras.from_table(tables.camera, rig)
+    world = World(shapes, camera.position)
     shining: list[Light] = []
     ambient: Floats | None = None
     for k, light in enumerate(tables.light):
@@ -175,7 +176,7 @@ def _built(tables: SceneFile, source: Path) -> Scene:
         tolerance=tables.tolerance,
         seed=tables.seed,
         picture=tables.picture,
-        folder=folder,
+        source=source,
         tables=tables,
     )
 

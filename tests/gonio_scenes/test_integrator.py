@@ -166,6 +166,28 @@ def test_a_sphere_shadows_the_plane_behind_it_and_a_light_that_is_nearer_does_no
     assert (near.radiance[plane] > 0).all()
 
 
+@pytest.mark.parametrize(
+    "walls",
+    [
+        {"kind": "box", "size_mm": [100.0, 80.0, 60.0], "axis": [0.3, 0.2, 1.0]},
+        {"kind": "cylinder", "radius_mm": 40.0, "height_mm": 70.0, "axis": [0.3, 0.2, 1.0]},
+        {"kind": "sphere", "radius_mm": 50.0},
+        {"kind": "revolution", "profile_mm": [[20.0, -40.0], [45.0, -10.0], [30.0, 20.0], [10.0, 40.0]], "caps": True},
+    ],
+    ids=lambda walls: walls["kind"],
+)
+def test_a_closed_room_is_dark_inside_under_light_from_outside(walls: dict[str, Any]) -> None:
+    camera = SPHERE["camera"] | {"position_mm": [3.0, 2.0, 1.0], "look_at_mm": [9.0, -5.0, 2.0]}
+    outside = {"kind": "point", "position_mm": [120.0, -180.0, 240.0], "intensity": 1e5}
+    picture = rendered(
+        camera=camera | {"vertical_field_deg": 140.0},
+        shape=[walls | {"material": "m"}],
+        light=[outside, *SPHERE["light"]],
+    )
+    assert (picture.shape == 0).all()
+    assert (picture.radiance == 0.0).all()
+
+
 def test_ambient_light_is_multiplied_by_the_hemispherical_directional_reflectance() -> None:
     model = OrenNayar(albedo=0.9, sigma_deg=30)
     table = {"model": "oren-nayar", "parameters": {"albedo": 0.9, "sigma_deg": 30}}
@@ -254,7 +276,7 @@ def test_shininess_that_changes_over_a_surface_is_blinns_textured_distribution()
     omega /= np.linalg.norm(omega, axis=-1)[..., None]
     from gonio_scenes.patterns import Texture
 
-    t = Texture(pattern="speckle", repeat=(4, 4)).load(built.folder, "")(uv)
+    t = Texture(pattern="speckle", repeat=(4, 4)).load(built.source.parent, "")(uv)
     assert len(np.unique(t)) > 8
     half = omega.sum(axis=0)
     cos_alpha = half[:, 2] / np.linalg.norm(half, axis=-1)
