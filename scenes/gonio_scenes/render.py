@@ -84,8 +84,8 @@ def render(scene: Scene, *, step: Step | None = None) -> Picture:
         told(min(first + BLOCK, count), count * (1 if one_ray else camera.samples))
     if not (shape >= 0).any():
         raise ConfigError(
-            "camera: no ray through a pixel's centre meets a shape: look_at_mm, vertical_field_deg, or the shapes' "
-            "places are not what they should be"
+            f"{scene.source}: camera: no ray through a pixel's centre meets a shape: look_at_mm, vertical_field_deg, "
+            "or the shapes' places are not what they should be"
         )
     error: Floats | None = None
     samples = np.ones(count, dtype=np.int64)

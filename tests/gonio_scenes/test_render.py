@@ -64,7 +64,7 @@ def test_a_lens_blurs_what_is_not_in_focus_and_keeps_what_is() -> None:
 
 
 def test_a_camera_that_sees_nothing_is_refused() -> None:
-    with pytest.raises(ConfigError, match="no ray through a pixel's centre meets a shape"):
+    with pytest.raises(ConfigError, match=r"^scene\.toml: camera: no ray through a pixel's centre meets a shape"):
         rendered(camera=SMALL | {"look_at_mm": [0.0, 0.0, 2000.0]})
 
 
