@@ -173,8 +173,9 @@ def test_a_sphere_shadows_the_plane_behind_it_and_a_light_that_is_nearer_does_no
         {"kind": "cylinder", "radius_mm": 40.0, "height_mm": 70.0, "axis": [0.3, 0.2, 1.0]},
         {"kind": "sphere", "radius_mm": 50.0},
         {"kind": "revolution", "profile_mm": [[20.0, -40.0], [45.0, -10.0], [30.0, 20.0], [10.0, 40.0]], "caps": True},
+        {"kind": "revolution", "profile_mm": [[0.0, -40.0], [45.0, -10.0], [30.0, 20.0], [0.0, 40.0]], "smooth": True},
     ],
-    ids=lambda walls: walls["kind"],
+    ids=["box", "cylinder", "sphere", "frusta", "smooth"],
 )
 def test_a_closed_room_is_dark_inside_under_light_from_outside(walls: dict[str, Any]) -> None:
     camera = SPHERE["camera"] | {"position_mm": [3.0, 2.0, 1.0], "look_at_mm": [9.0, -5.0, 2.0]}
@@ -186,6 +187,16 @@ def test_a_closed_room_is_dark_inside_under_light_from_outside(walls: dict[str, 
     )
     assert (picture.shape == 0).all()
     assert (picture.radiance == 0.0).all()
+
+
+def test_a_shape_far_away_changes_nothing_on_a_smooth_one() -> None:
+    profile = [[0.0, -40.0], [45.0, -10.0], [30.0, 20.0], [0.0, 40.0]]
+    smooth = {"kind": "revolution", "profile_mm": profile, "smooth": True, "material": "m"}
+    far = {"kind": "disc", "center_mm": [0.0, 0.0, -9000.0], "radius_mm": 1.0, "material": "m"}
+    camera = SPHERE["camera"] | {"position_mm": [300.0, 200.0, 1000.0], "width": 160, "height": 160}
+    light = [{"kind": "directional", "toward": [0.6, 0.2, 1.0], "irradiance": 1.0}]
+    alone, two = (rendered(camera=camera, shape=shapes, light=light) for shapes in ([smooth], [smooth, far]))
+    np.testing.assert_array_equal(alone.radiance, two.radiance)
 
 
 def test_ambient_light_is_multiplied_by_the_hemispherical_directional_reflectance() -> None:
