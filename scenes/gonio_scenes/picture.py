@@ -92,10 +92,12 @@ def tristimulus(scene: Scene, radiance: Floats) -> tuple[Floats, str | None]:
     shared = {
         light.spectrum if isinstance(light.spectrum, str) else light.spectrum is None for light in scene.tables.light
     }
-    seen, nm = radiance[..., visible], waves[visible]
+    first, last = np.flatnonzero(visible)[[0, -1]]
+    within = slice(first, last + 1)  # a view: radiances of many wavelengths are most of what a picture takes
+    seen, nm = radiance[..., within], waves[within]
     if len(shared) == 1 and (name := shared.pop()) is not False:
         illuminant = "E" if name is True else str(name)
-        return seen / relative_power(illuminant, nm) @ colour.weights(nm, illuminant), illuminant
+        return seen @ (colour.weights(nm, illuminant) / relative_power(illuminant, nm)[:, None]), illuminant
     return seen @ colour.light_weights(nm), None
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
+from gonio_scenes.picture import display
 
 from gonio.errors import ConfigError
-from tests.gonio_scenes.scenes import SPHERE, rendered
+from tests.gonio_scenes.scenes import SPHERE, rendered, scene
 
 SMALL = SPHERE["camera"] | {"width": 24, "height": 20}
 LAMP = {
@@ -79,3 +82,15 @@ def test_any_number_of_rays_tells_its_error(samples: int) -> None:
     true = np.sqrt(np.mean([(picture.radiance - truth.radiance) ** 2 for picture in pictures]))
     # 480 pixels, eight times: their scatter is known to a few per cent; the truth has a tenth of the error of 11 rays
     assert true == pytest.approx(stated, rel=0.15)
+
+
+def test_a_picture_of_many_wavelengths_is_shown_without_a_copy_of_it() -> None:
+    built = scene(wavelength_nm={"start": 400, "stop": 700, "step": 10}, camera=SMALL)
+    radiance = np.random.default_rng(1).random((200, 200, built.wavelength_nm.size))
+    display(built, radiance[:2])  # tables are read on the first use
+    tracemalloc.start()
+    display(built, radiance)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    # a copy of the radiances has 31 numbers a pixel; XYZ, RGB and what lies between them have some 20
+    assert peak < radiance.nbytes
