@@ -8,6 +8,7 @@ from typing import Any
 import gonio_scenes.material
 import numpy as np
 import pytest
+from gonio_scenes.picture import left_out
 
 from gonio.geometry import angles
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, fresnel
@@ -342,6 +343,21 @@ def test_light_polarised_along_s_and_p_makes_up_unpolarised_light() -> None:
     both = rendered(material={"m": ALUMINIUM}, light=pair, camera=camera).radiance
     whole = rendered(material={"m": ALUMINIUM}, light=[light], camera=camera).radiance
     np.testing.assert_allclose(both, whole, rtol=1e-9, atol=1e-14)
+
+
+def test_what_is_not_known_of_the_polarisation_in_a_mirror_is_said() -> None:
+    lamp = {"kind": "disc", "center_mm": [0, 0, 300], "normal": [0, 0, -1], "radius_mm": 50.0, "radiance": 1.0}
+    mirror = {"m": MIRROR}
+
+    def said(**changes: Any) -> str:
+        return " ".join(each["what"] for each in left_out(scene(material=mirror, **changes)))
+
+    assert "polarisation of what a mirror shows" in said(light=[lamp | {"polarisation": [1, 0, 0]}])
+    assert "polarisation of what a mirror shows" in said(
+        light=[lamp], camera=SPHERE["camera"] | {"polariser_deg": 10.0}
+    )
+    assert "that the camera sees" in said(light=[lamp | {"polarisation": [1, 0, 0], "visible": True}])
+    assert "a mirror shows" not in said(light=[lamp])
 
 
 def test_a_field_along_the_light_prefers_no_direction() -> None:
