@@ -60,7 +60,7 @@ def render(scene: Scene, *, step: Step | None = None) -> Picture:
     Raises
     ------
     ConfigError
-        The camera sees no shape.
+        The camera sees no shape, or a radiance is no finite number.
     """
     began = time.perf_counter()
     camera, waves = scene.camera, scene.wavelength_nm.size
@@ -92,6 +92,13 @@ def render(scene: Scene, *, step: Step | None = None) -> Picture:
     above = 0
     if not (one_ray and camera.lens_radius == 0):
         radiance, error, samples, above = _averaged(scene, integrator, told)
+    with np.errstate(over="ignore"):
+        finite = bool(np.isfinite(radiance.sum()))
+    if not finite:
+        raise ConfigError(
+            f"{scene.source}: light: radiances of the picture are no finite numbers, or their sum is none: a light is "
+            "too strong, or lies on a surface"
+        )
     size = (camera.height, camera.width)
     return Picture(
         radiance=radiance.reshape(*size, waves),

@@ -94,3 +94,8 @@ def test_a_picture_of_many_wavelengths_is_shown_without_a_copy_of_it() -> None:
     tracemalloc.stop()
     # a copy of the radiances has 31 numbers a pixel; XYZ, RGB and what lies between them have some 20
     assert peak < radiance.nbytes
+
+
+def test_a_picture_that_is_no_finite_numbers_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"^scene\.toml: light: radiances of the picture are no finite numbers"):
+        rendered(camera=SMALL, light=3 * [SPHERE["light"][0] | {"irradiance": 1.7e308}])
