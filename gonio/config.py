@@ -6,9 +6,10 @@ import difflib
 import re
 import tomllib
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from gonio.disk import only_file
 from gonio.errors import ConfigError
@@ -23,6 +24,37 @@ class Strict(BaseModel):
     """A configuration table: frozen, with every unknown key an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _numbers_are_numbers(cls, values: Any) -> Any:
+        """Refuse text and true for a number, which pydantic would make one of (12.0 of "12", 1.0 of true)."""
+        if not isinstance(values, dict):
+            return values
+        wrong: list[InitErrorDetails] = []
+        for name in cls.model_fields.keys() & values.keys():
+            if _is_number(cls.model_fields[name].annotation) and (what := _no_number(values[name])):
+                error = PydanticCustomError("number", "must be a number, not {what}", {"what": what})
+                wrong.append({"type": error, "loc": (name,), "input": values[name]})
+        if wrong:
+            raise ValidationError.from_exception_data(cls.__name__, wrong)
+        return values
+
+
+def _no_number(value: Any) -> str:
+    """What a value, or an entry of a list, is that must not stand for a number."""
+    if isinstance(value, list | tuple):
+        return next(filter(None, map(_no_number, value)), "")
+    return "true or false" if isinstance(value, bool) else "text" if isinstance(value, str) else ""
+
+
+def _is_number(annotation: Any) -> bool:
+    """Whether a type holds numbers alone, or lists of them; None may stand for none."""
+    if get_origin(annotation) is Annotated:
+        return _is_number(get_args(annotation)[0])
+    if inner := get_args(annotation):
+        return get_origin(annotation) is not Literal and all(_is_number(a) or a in (type(None), ...) for a in inner)
+    return annotation in (int, float)
 
 
 Table = TypeVar("Table", bound=Strict)
@@ -78,8 +110,14 @@ def parse(table: type[Table], values: dict[str, Any], source: str | Path) -> Tab
     try:
         return table.model_validate(values)
     except ValidationError as error:
-        lines = [f"{source}: {_explain(table, item)}" for item in error.errors()]
+        lines = [f"{source}: {_explain(table, item)}" for item in error.errors() if not _is_said(item)]
     raise ConfigError("\n".join(lines[:8]))
+
+
+def _is_said(item: Any) -> bool:
+    """Whether an entry is missing from a list that ends before the entry in front of it, which is said already."""
+    last = item["loc"][-1] if item["loc"] else None
+    return item["type"] == "missing" and isinstance(last, int) and last > len(item["input"])
 
 
 def load(table: type[Table], path: str | Path) -> Table:
@@ -102,6 +140,8 @@ def _explain(table: type[BaseModel], item: Any) -> str:
         near = difflib.get_close_matches(item["ctx"]["tag"], known, n=1)
         hint = f'did you mean "{near[0]}"?' if near else f"known here: {', '.join(known)}"
         return f"{where}.{key} = {item['ctx']['tag']!r}: is unknown; {hint}"
+    if item["type"] == "missing" and isinstance(location[-1], int):
+        return f"{_dotted(location[:-1])} = {item['input']!r}: its entry {location[-1] + 1} is missing"
     if item["type"] == "missing":
         return f"the key {where} is missing"
     message = item["msg"].removeprefix("Value error, ")

@@ -122,8 +122,8 @@ class Integrator:
             for sample in range(count):
                 arriving = light.arrive(hits.position, sample, shift)
                 towards = local(arriving.direction, hits.facing, hits.tangent)
-                # the facet itself must be lit too: a smoothed normal alone would let light through
                 here = np.flatnonzero((towards[:, 2] > 0.0) & (view[:, 2] > 0.0) & (arriving.strength > 0.0))
+                here = here[_lights_facet(arriving.direction, hits, here)]
                 if scene.world.casts_shadows and here.size:
                     self.rays["shadow"] += here.size
                     here = here[~scene.world.blocked(arriving.direction, arriving.distance, hits, here)]
@@ -177,6 +177,17 @@ class Integrator:
             groups.setdefault(id(material), (material, []))[1].append(k)
         parts = [(material, here[np.isin(hits.shape[here], shapes)]) for material, shapes in groups.values()]
         return [(material, part) for material, part in parts if part.size]
+
+
+def _lights_facet(direction: Floats, hits: Hits, here: Indices) -> npt.NDArray[np.bool_]:
+    """Whether light comes to the side of the surface that is seen; a smoothed normal alone would let light through."""
+    toward, normal, facing = (a.take(here, axis=0) if a.ndim == 2 else a for a in (direction, hits.normal, hits.facing))
+    # on a surface that is not smoothed this asks for n.l > 0 once more, which rounding must not tell the other way
+    return np.asarray(
+        (normal @ toward if toward.ndim == 1 else np.einsum("ij,ij->i", normal, toward))
+        * np.einsum("ij,ij->i", normal, facing)
+        > -1e-12
+    )
 
 
 def _polariser(scene: Scene) -> Floats | None:

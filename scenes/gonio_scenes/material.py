@@ -12,7 +12,7 @@ from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
 
 from gonio import models
 from gonio.config import Strict, parse
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, GonioError
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, Sum
 from gonio.typing import Floats
 from gonio_scenes import polarised
@@ -82,6 +82,11 @@ class Material:
             name: texture.load(folder, f"{where}.textures.{name}") for name, texture in table.textures.items()
         }
         first = self._level((0.0,) * len(self._textures))
+        up = np.array([[0.0, 0.0, 1.0]])
+        try:  # an index of refraction is looked up at every wavelength: now, and not after minutes of rendering
+            self.untextured(up, up)
+        except GonioError as error:
+            raise ConfigError(f"{where}: {error}") from None
         self.has_spike = any(model.has_spike for model in first.at)
         """Whether it has a specular spike, so that mirror rays are followed."""
         self.constant = first.constant

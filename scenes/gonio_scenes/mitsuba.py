@@ -411,6 +411,9 @@ def _triangles(shape: Shape, kind: str) -> tuple[Floats, Floats | None, npt.NDAr
 def _turned(shape: Analytic) -> tuple[Floats, Floats, npt.NDArray[Any]]:
     """A surface of revolution as triangles: each frustum with normals of its own at both ends."""
     points, _, slopes = shape.constants[:3]
+    if not len(slopes):  # straight pieces
+        slopes = np.zeros((len(points) - 1, 2, 3))
+        slopes[:, :, 2] = np.diff(points, axis=0)
     azimuth = 2.0 * math.pi * np.arange(TURN) / TURN
     around = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(TURN)], axis=1)
     up = np.array([0.0, 0.0, 1.0])

@@ -130,10 +130,12 @@ def tristimulus(scene: Scene, radiance: Floats) -> tuple[Floats, str | None]:
     shared = {
         light.spectrum if isinstance(light.spectrum, str) else light.spectrum is None for light in scene.tables.light
     }
-    seen, nm = radiance[..., visible], waves[visible]
+    first, last = np.flatnonzero(visible)[[0, -1]]
+    within = slice(first, last + 1)  # a view: radiances of many wavelengths are most of what a picture takes
+    seen, nm = radiance[..., within], waves[within]
     if len(shared) == 1 and (name := shared.pop()) is not False:
         illuminant = "E" if name is True else str(name)
-        return seen / relative_power(illuminant, nm) @ colour.weights(nm, illuminant), illuminant
+        return seen @ (colour.weights(nm, illuminant) / relative_power(illuminant, nm)[:, None]), illuminant
     return seen @ colour.light_weights(nm), None
 
 
@@ -218,8 +220,13 @@ def left_out(scene: Scene) -> list[dict[str, str]]:
         add("spectra of materials", "no BRDF depends on the wavelength: each is evaluated once")
     if scene.polariser_deg is None and all(light.polarisation is None for light in scene.lights):
         add("polarisation", "neither a polariser nor polarised light")
-    elif scene.ambient is not None:
-        add("polarisation of ambient light", "half of it passes the polariser, whatever the reflection does to it")
+    else:
+        if scene.ambient is not None:
+            add("polarisation of ambient light", "half of it passes the polariser, whatever the reflection does to it")
+        if spikes and (world.casts_shadows or discs):
+            add("polarisation of what a mirror shows", "what comes along a mirror ray is taken as unpolarised")
+        if any(disc.polarisation is not None and disc.visible for disc in discs):
+            add("polarisation of discs of light that the camera sees", "their own radiance is taken as unpolarised")
     if scene.ambient is None:
         add("ambient light", "the scene names none")
     else:

@@ -60,7 +60,7 @@ def render(scene: Scene, *, step: Step | None = None) -> Picture:
     Raises
     ------
     ConfigError
-        The camera sees no shape.
+        The camera sees no shape, or a radiance is no finite number.
     """
     began = time.perf_counter()
     camera, waves = scene.camera, scene.wavelength_nm.size
@@ -84,14 +84,21 @@ def render(scene: Scene, *, step: Step | None = None) -> Picture:
         told(min(first + BLOCK, count), count * (1 if one_ray else camera.samples))
     if not (shape >= 0).any():
         raise ConfigError(
-            "camera: no ray through a pixel's centre meets a shape: look_at_mm, vertical_field_deg, or the shapes' "
-            "places are not what they should be"
+            f"{scene.source}: camera: no ray through a pixel's centre meets a shape: look_at_mm, vertical_field_deg, "
+            "or the shapes' places are not what they should be"
         )
     error: Floats | None = None
     samples = np.ones(count, dtype=np.int64)
     above = 0
     if not (one_ray and camera.lens_radius == 0):
         radiance, error, samples, above = _averaged(scene, integrator, told)
+    with np.errstate(over="ignore"):
+        finite = bool(np.isfinite(radiance.sum()))
+    if not finite:
+        raise ConfigError(
+            f"{scene.source}: light: radiances of the picture are no finite numbers, or their sum is none: a light is "
+            "too strong, or lies on a surface"
+        )
     size = (camera.height, camera.width)
     return Picture(
         radiance=radiance.reshape(*size, waves),

@@ -166,7 +166,8 @@ class Scene:
     tolerance: float
     seed: int
     picture: PictureTable
-    folder: Path
+    source: Path
+    """The scene file, as messages name it."""
     tables: SceneFile = field(repr=False)
 
 
@@ -215,10 +216,10 @@ def _built(tables: SceneFile, source: Path) -> Scene:
     ):
         for name, material in materials.items():
             polarised.require(material.model, f"material.{name}")
-    world = World(shapes)
     camera = cameras.from_table(tables.camera, rig)
     if tables.photograph is not None and tables.photograph.simulated:
         require_size(camera)
+    world = World(shapes, camera.position)
     shining: list[Light] = []
     ambient: Floats | None = None
     for k, light in enumerate(tables.light):
@@ -244,7 +245,7 @@ def _built(tables: SceneFile, source: Path) -> Scene:
         tolerance=tables.tolerance,
         seed=tables.seed,
         picture=tables.picture,
-        folder=folder,
+        source=source,
         tables=tables,
     )
 

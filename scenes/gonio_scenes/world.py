@@ -39,12 +39,14 @@ class Hits:
 
 
 class World:
-    """The shapes of a scene, in the order of its file."""
+    """The shapes of a scene, in the order of its file, for a camera at the point `eye` [mm]."""
 
-    def __init__(self, shapes: Sequence[Shape]) -> None:
+    def __init__(self, shapes: Sequence[Shape], eye: Floats) -> None:
         self.shapes = tuple(shapes)
-        self.casts_shadows = len(self.shapes) > 1 or any(not shape.convex for shape in self.shapes)
-        """Whether anything can stand before a light: not where one convex shape is all."""
+        self.casts_shadows = len(self.shapes) > 1 or any(
+            not shape.convex or shape.contains(eye) for shape in self.shapes
+        )
+        """Whether anything can stand before a light: not where one convex shape is all, looked at from outside."""
 
     def hit(self, origin: Floats, direction: Floats, leaving: Hits | None = None) -> Hits:
         """The first shape that each ray meets; `leaving` holds the hits that the rays start from, if they do."""

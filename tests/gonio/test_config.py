@@ -53,6 +53,18 @@ def test_value_out_of_range_shows_key_value_and_limit() -> None:
     assert "greater than or equal to 0" in text
 
 
+@pytest.mark.parametrize(("value", "said"), [("0.5", "not text"), (True, "not true or false")])
+def test_text_and_true_are_no_numbers(value: Any, said: str) -> None:
+    assert message(RIG | {"lamp": {"noise": value}}) == f"bench.toml: lamp.noise = {value!r}: must be a number, {said}"
+    limits = message(RIG | {"arms": {"camera": {"limits_deg": [value, 80]}}})
+    assert limits == f"bench.toml: arms.camera.limits_deg = {[value, 80]!r}: must be a number, {said}"
+
+
+def test_a_list_that_is_too_short_is_one_message() -> None:
+    text = message(RIG | {"arms": {"camera": {"limits_deg": []}}})
+    assert text == "bench.toml: arms.camera.limits_deg = []: its entry 1 is missing"
+
+
 def test_reversed_limits() -> None:
     text = message(RIG | {"arms": {"camera": {"limits_deg": [80, -80]}}})
     assert "arms.camera" in text

@@ -8,6 +8,7 @@ from typing import Any
 import gonio_scenes.material
 import numpy as np
 import pytest
+from gonio_scenes.picture import left_out
 
 from gonio.geometry import angles
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, fresnel
@@ -166,6 +167,39 @@ def test_a_sphere_shadows_the_plane_behind_it_and_a_light_that_is_nearer_does_no
     assert (near.radiance[plane] > 0).all()
 
 
+@pytest.mark.parametrize(
+    "walls",
+    [
+        {"kind": "box", "size_mm": [100.0, 80.0, 60.0], "axis": [0.3, 0.2, 1.0]},
+        {"kind": "cylinder", "radius_mm": 40.0, "height_mm": 70.0, "axis": [0.3, 0.2, 1.0]},
+        {"kind": "sphere", "radius_mm": 50.0},
+        {"kind": "revolution", "profile_mm": [[20.0, -40.0], [45.0, -10.0], [30.0, 20.0], [10.0, 40.0]], "caps": True},
+        {"kind": "revolution", "profile_mm": [[0.0, -40.0], [45.0, -10.0], [30.0, 20.0], [0.0, 40.0]], "smooth": True},
+    ],
+    ids=["box", "cylinder", "sphere", "frusta", "smooth"],
+)
+def test_a_closed_room_is_dark_inside_under_light_from_outside(walls: dict[str, Any]) -> None:
+    camera = SPHERE["camera"] | {"position_mm": [3.0, 2.0, 1.0], "look_at_mm": [9.0, -5.0, 2.0]}
+    outside = {"kind": "point", "position_mm": [120.0, -180.0, 240.0], "intensity": 1e5}
+    picture = rendered(
+        camera=camera | {"vertical_field_deg": 140.0},
+        shape=[walls | {"material": "m"}],
+        light=[outside, *SPHERE["light"]],
+    )
+    assert (picture.shape == 0).all()
+    assert (picture.radiance == 0.0).all()
+
+
+def test_a_shape_far_away_changes_nothing_on_a_smooth_one() -> None:
+    profile = [[0.0, -40.0], [45.0, -10.0], [30.0, 20.0], [0.0, 40.0]]
+    smooth = {"kind": "revolution", "profile_mm": profile, "smooth": True, "material": "m"}
+    far = {"kind": "disc", "center_mm": [0.0, 0.0, -9000.0], "radius_mm": 1.0, "material": "m"}
+    camera = SPHERE["camera"] | {"position_mm": [300.0, 200.0, 1000.0], "width": 160, "height": 160}
+    light = [{"kind": "directional", "toward": [0.6, 0.2, 1.0], "irradiance": 1.0}]
+    alone, two = (rendered(camera=camera, shape=shapes, light=light) for shapes in ([smooth], [smooth, far]))
+    np.testing.assert_array_equal(alone.radiance, two.radiance)
+
+
 def test_ambient_light_is_multiplied_by_the_hemispherical_directional_reflectance() -> None:
     model = OrenNayar(albedo=0.9, sigma_deg=30)
     table = {"model": "oren-nayar", "parameters": {"albedo": 0.9, "sigma_deg": 30}}
@@ -254,7 +288,7 @@ def test_shininess_that_changes_over_a_surface_is_blinns_textured_distribution()
     omega /= np.linalg.norm(omega, axis=-1)[..., None]
     from gonio_scenes.patterns import Texture
 
-    t = Texture(pattern="speckle", repeat=(4, 4)).load(built.folder, "")(uv)
+    t = Texture(pattern="speckle", repeat=(4, 4)).load(built.source.parent, "")(uv)
     assert len(np.unique(t)) > 8
     half = omega.sum(axis=0)
     cos_alpha = half[:, 2] / np.linalg.norm(half, axis=-1)
@@ -309,6 +343,21 @@ def test_light_polarised_along_s_and_p_makes_up_unpolarised_light() -> None:
     both = rendered(material={"m": ALUMINIUM}, light=pair, camera=camera).radiance
     whole = rendered(material={"m": ALUMINIUM}, light=[light], camera=camera).radiance
     np.testing.assert_allclose(both, whole, rtol=1e-9, atol=1e-14)
+
+
+def test_what_is_not_known_of_the_polarisation_in_a_mirror_is_said() -> None:
+    lamp = {"kind": "disc", "center_mm": [0, 0, 300], "normal": [0, 0, -1], "radius_mm": 50.0, "radiance": 1.0}
+    mirror = {"m": MIRROR}
+
+    def said(**changes: Any) -> str:
+        return " ".join(each["what"] for each in left_out(scene(material=mirror, **changes)))
+
+    assert "polarisation of what a mirror shows" in said(light=[lamp | {"polarisation": [1, 0, 0]}])
+    assert "polarisation of what a mirror shows" in said(
+        light=[lamp], camera=SPHERE["camera"] | {"polariser_deg": 10.0}
+    )
+    assert "that the camera sees" in said(light=[lamp | {"polarisation": [1, 0, 0], "visible": True}])
+    assert "a mirror shows" not in said(light=[lamp])
 
 
 def test_a_field_along_the_light_prefers_no_direction() -> None:

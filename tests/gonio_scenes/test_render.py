@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
+from gonio_scenes.picture import display
 
 from gonio.errors import ConfigError
-from tests.gonio_scenes.scenes import SPHERE, rendered
+from tests.gonio_scenes.scenes import SPHERE, rendered, scene
 
 SMALL = SPHERE["camera"] | {"width": 24, "height": 20}
 LAMP = {
@@ -64,7 +67,7 @@ def test_a_lens_blurs_what_is_not_in_focus_and_keeps_what_is() -> None:
 
 
 def test_a_camera_that_sees_nothing_is_refused() -> None:
-    with pytest.raises(ConfigError, match="no ray through a pixel's centre meets a shape"):
+    with pytest.raises(ConfigError, match=r"^scene\.toml: camera: no ray through a pixel's centre meets a shape"):
         rendered(camera=SMALL | {"look_at_mm": [0.0, 0.0, 2000.0]})
 
 
@@ -79,3 +82,20 @@ def test_any_number_of_rays_tells_its_error(samples: int) -> None:
     true = np.sqrt(np.mean([(picture.radiance - truth.radiance) ** 2 for picture in pictures]))
     # 480 pixels, eight times: their scatter is known to a few per cent; the truth has a tenth of the error of 11 rays
     assert true == pytest.approx(stated, rel=0.15)
+
+
+def test_a_picture_of_many_wavelengths_is_shown_without_a_copy_of_it() -> None:
+    built = scene(wavelength_nm={"start": 400, "stop": 700, "step": 10}, camera=SMALL)
+    radiance = np.random.default_rng(1).random((200, 200, built.wavelength_nm.size))
+    display(built, radiance[:2])  # tables are read on the first use
+    tracemalloc.start()
+    display(built, radiance)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    # a copy of the radiances has 31 numbers a pixel; XYZ, RGB and what lies between them have some 20
+    assert peak < radiance.nbytes
+
+
+def test_a_picture_that_is_no_finite_numbers_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"^scene\.toml: light: radiances of the picture are no finite numbers"):
+        rendered(camera=SMALL, light=3 * [SPHERE["light"][0] | {"irradiance": 1.7e308}])

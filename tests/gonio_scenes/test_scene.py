@@ -61,6 +61,10 @@ FROM_600 = {"wavelength_nm": [600, 700], "value": [0.1, 0.2]}
             r"a spectrum from 600 to 700 nm has no value at 550 nm: extend the table",
         ),
         (
+            {"wavelength_nm": [5e7], "material": {"m": {"model": "he-torrance", "parameters": {"ior": "Al"}}}},
+            r"material\.m: wavelength_nm = 5e\+07: Al .* is known from",
+        ),
+        (
             {"material": {"m": {"model": "lambert", "textures": {"albedo": {"file": "no.png"}}}}},
             r"material\.m\.textures\.albedo\.file = .*no\.png.*: there is no such file",
         ),
