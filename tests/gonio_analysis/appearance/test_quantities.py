@@ -60,6 +60,17 @@ def test_sampled_and_exact_gloss_agree(model: Model) -> None:
         assert known(getattr(table, key).value) == pytest.approx(known(getattr(exact, key).value), abs=0.5), key
 
 
+def test_values_out_of_the_plane_make_gloss_better() -> None:
+    model = CookTorrance(s=1, d=0, slopes=((0.3, 1.0),), ior=1.5)
+    flat = swept(60.0)
+    exact = gloss(model, GLOSSMETERS[1], 550.0)[0]
+    around = np.unique(np.vstack([flat, hemisphere(60.0, 2.5, 5.0, 87.5)]), axis=0)
+    one, other = (of_table(measured(model, d), name="sampled").gloss_60_gu for d in (flat, around))
+    assert abs(known(other.value) - exact) < 0.05  # GU; what the plane alone is off by is 0.3
+    assert abs(known(other.value) - exact) < abs(known(one.value) - exact)
+    assert known(other.error) < known(one.error)
+
+
 def test_the_error_of_a_gloss_from_one_plane_covers_what_it_assumes() -> None:
     model = CookTorrance(s=1, d=0, slopes=((0.3, 1.0),), ior=1.5)
     sample = of_table(measured(model, swept(*GLOSSY)), name="sampled")
