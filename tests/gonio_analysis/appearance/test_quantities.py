@@ -155,6 +155,17 @@ def test_one_wavelength_gives_lightness_alone() -> None:
     assert "steps of at most 20 nm" in known_words(face.a.why)
 
 
+@pytest.mark.parametrize("nm", [float("nan"), 3500.0])
+def test_what_is_not_known_to_be_visible_has_no_lightness(nm: float) -> None:
+    frame = measured(Lambert(0.5), plane(45.0, np.array([30.0, 0.0, -65.0])))
+    frame["wavelength_nm"] = nm
+    sample = of_table(frame, name="infrared")
+    for c in sample.lab:
+        assert c.L.value is None
+        assert "between 380 and 780 nm" in known_words(c.L.why)
+    assert any("visible light" in note for note in sample.notes)
+
+
 def test_a_white_that_sends_light_back() -> None:
     sample = of_table(measured(Lambert(0.9), plane(4.0, np.arange(-6.0, 6.1, 0.5))), name="white")
     first = sample.retroreflection[0]
