@@ -69,7 +69,7 @@ class Glossmeter:
         about
             A direction (3,) that panels close in on; without it the aperture is one panel.
         """
-        centre = (0.0, 0.0) if about is None else self._in_focal_plane(about)
+        centre = (0.0, 0.0) if about is None else self.in_focal_plane(about)
         along, across = (
             _panels(width, None if about is None else c) for width, c in zip(self.receiver_deg, centre, strict=True)
         )
@@ -83,11 +83,11 @@ class Glossmeter:
         omega, share = self.source(16)
         return float(share @ fresnel.reflectance(omega[:, 2], STANDARD_INDEX))
 
-    def _in_focal_plane(self, omega: Floats) -> tuple[float, float]:
-        """Where a direction meets the receiver's focal plane: tangents in the plane of incidence and across."""
+    def in_focal_plane(self, omega: Floats) -> Floats:
+        """Where directions (n, 3) meet the receiver's focal plane: tangents in the plane of incidence, across."""
         sine, cosine = math.sin(self.theta), math.cos(self.theta)
-        axis = sine * omega[0] + cosine * omega[2]
-        return float((cosine * omega[0] - sine * omega[2]) / axis), float(omega[1] / axis)
+        axis = sine * omega[..., 0] + cosine * omega[..., 2]
+        return np.stack([cosine * omega[..., 0] - sine * omega[..., 2], omega[..., 1]], axis=-1) / axis[..., None]
 
 
 GLOSSMETERS = (Glossmeter(20.0, (1.80, 3.6)), Glossmeter(60.0, (4.40, 11.7)), Glossmeter(85.0, (4.00, 6.0)))

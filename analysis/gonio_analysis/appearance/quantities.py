@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 DEFAULT_WAVELENGTH_NM = 550.0
 SPECTRUM_NM = tuple(np.arange(400.0, 701.0, 10.0).tolist())
 """Where a model's colour is evaluated [nm]."""
+VISIBLE_NM = (380.0, 780.0)
 LARGEST_STEP_NM = 20.0
 REACH_NM = (420.0, 680.0)
 """A table's wavelengths have to lie no farther apart than this, and to reach these, for a colour."""
@@ -112,6 +113,10 @@ def of_table(
         numbers.put(f"f {entrance}", partial(_retro, every, n, entrance, observation))
     _table_colours(numbers, data, at, every)
     notes = list(data.notes)
+    if not VISIBLE_NM[0] <= wavelength <= VISIBLE_NM[1]:
+        notes.append(
+            "Gloss, haze and retroreflection are quantities of visible light; these are their like in this band."
+        )
     if not (at.source_solid_angle_sr and at.receiver_solid_angle_sr):
         notes.append(
             "The cones of source and receiver are not both stated: a specular spike cannot be told from the lobe, and a"
@@ -171,8 +176,13 @@ def _table_colours(numbers: _Numbers, data: Observations, at: Observations, ever
     if coloured:
         matrix = math.pi * colour.weights(waves)
         spectra = [(np.flatnonzero(np.abs(data.wavelength_nm - w) <= 1e-6), curves(data.at(w))) for w in waves]
+    visible = all(VISIBLE_NM[0] <= w <= VISIBLE_NM[1] for w in at.wavelengths)  # False for NaN, a broad band
     for theta_i, aspecular in MULTI_ANGLE:
         key, signed = _key(theta_i, aspecular), theta_i - aspecular
+        if not coloured and not visible:
+            for letter in "Lab":
+                numbers.take(f"{letter} {key}", NotMeasured("no wavelength between 380 and 780 nm is stated"))
+            continue
         if not coloured:
             numbers.put(f"L {key}", partial(_grey, every, len(at), theta_i, signed))
             why = NotMeasured(

@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import DataError
-from gonio.geometry import SAME_ANGLE, Directions
+from gonio.geometry import IN_PLANE, SAME_ANGLE, SAME_AZIMUTH, Directions, wrap
 from gonio.models import HeTorrance, fresnel
 from gonio.typing import Floats
 from gonio_analysis.appearance.glossmeter import STANDARD_INDEX, Glossmeter
@@ -32,6 +32,10 @@ LARGEST_GAP = math.radians(10.0)
 """Between two directions of a curve that a third is interpolated from."""
 WING = math.radians(6.0)
 """On both sides of the mirror direction, within which a gloss needs values."""
+LARGEST_LN_RATIO = 3.0
+"""Of a value out of the plane of incidence to what the curve says of it; beyond, the curve says nothing."""
+WINDOW = math.radians(25.0)
+"""Around the mirror direction: values out of the plane of incidence that count for a gloss."""
 BEYOND = 0.02
 """Share of a glossmeter's flux that may come from beyond the measured directions."""
 LARGEST_ERROR_GU, LARGEST_ERROR = 1.0, 0.2
@@ -197,8 +201,8 @@ def _gloss(data: Observations, curve: Curve, meter: Glossmeter) -> Sampled:
     full, beyond = _through(data, curve, meter, response, slice(None))
     thin = _every_other(curve)
     try:
-        half, _ = _through(data, curve, meter, response, thin)
-        error = abs(full.value - half.value) / 3.0
+        whole, half = (_through(data, curve, meter, response, k, flat=True)[0].value for k in (slice(None), thin))
+        error = abs(whole - half) / 3.0
     except NotMeasured:
         error = math.nan
     others = [_through(data, curve, meter, response, slice(None), kind)[0].value for kind in SHAPES[1:]]
@@ -248,8 +252,13 @@ def _through(
     response: Floats,
     taken: slice | npt.NDArray[np.intp],
     shape: Shape = "cosines",
+    *,
+    flat: bool = False,
 ) -> tuple[Sampled, float]:
-    """The flux through the apertures from some values of a curve; and that from beyond the measured directions."""
+    """The flux through the apertures from some values of a curve; and that from beyond the measured directions.
+
+    Values out of the plane of incidence count too, unless it is to be `flat`.
+    """
     lobe = _HalfVector(curve, np.flatnonzero(response == 0.0), taken, shape)
     omega_i, share = meter.source(3)
     omega_r, solid = meter.receiver(12)
@@ -257,7 +266,13 @@ def _through(
     omega_i, share = np.repeat(omega_i, n_r, axis=0), np.repeat(share, n_r)
     omega_r, solid = np.tile(omega_r, (len(omega_i) // n_r, 1)), np.tile(solid, len(omega_i) // n_r)
     gradient = np.zeros(len(data))
-    value, beyond = lobe.total(Directions.from_vectors(omega_i, omega_r), share * solid * omega_r[:, 2], gradient)
+    at, weights = Directions.from_vectors(omega_i, omega_r), share * solid * omega_r[:, 2]
+    across = None if flat else _Across.of(data, curve, meter, lobe)
+    if across is None:
+        parts, beyond = lobe.total(at, weights, gradient)
+        value = float(parts.sum())
+    else:
+        value, beyond = across.total(lobe, at, weights, gradient)
     caught = (
         np.flatnonzero(response > 0.5 * response.max(initial=0.0)) if response.any() else np.empty(0, dtype=np.intp)
     )
@@ -266,13 +281,91 @@ def _through(
         squares = float((response[caught] ** 2).sum())
         for k in caught:
             own = np.zeros(len(data))
-            at = data.directions[curve.rows[k : k + 1]]
-            expected, _ = lobe.total(at, np.ones(1), own)
+            expected, _ = lobe.total(data.directions[curve.rows[k : k + 1]], np.ones(1), own)
             weight = response[k] / squares
-            value += weight * (curve.brdf[k] - expected)
+            value += weight * (curve.brdf[k] - float(expected[0]))
             gradient -= weight * own
             gradient[curve.rows[k]] += weight
     return Sampled(value, gradient, 0.0), beyond
+
+
+@dataclass(frozen=True)
+class _Across:
+    """What values out of the plane of incidence add: their ratio to what the curve says there, linear between them."""
+
+    meter: Glossmeter
+    mesh: Any
+    """Of the values' places."""
+    rows: Rows
+    at: Directions
+    f: Floats
+
+    @classmethod
+    def of(cls, data: Observations, curve: Curve, meter: Glossmeter, lobe: _HalfVector) -> _Across | None:
+        """The values around a curve's mirror direction; None where those out of its plane do not span a surface."""
+        from scipy.spatial import Delaunay, QhullError
+
+        d = data.directions
+        turned = np.abs(wrap(d.phi_i - curve.phi_i + math.pi) - math.pi)
+        rows = np.flatnonzero(
+            (np.abs(d.theta_i - curve.parameter) <= SAME_ANGLE)
+            & (turned <= SAME_AZIMUTH)
+            & (d.mirror_offset <= WINDOW)
+            & (curve.scanned == "theta_r")
+        )
+        if rows.size < 4 or not np.any(np.abs(d.out_of_plane[rows]) > 2.0 * IN_PLANE):
+            return None
+        rows = (
+            rows[_response(data, rows) == 0.0] if data.source_solid_angle_sr and data.receiver_solid_angle_sr else rows
+        )
+        on_curve, _ = lobe.total(d[rows], np.ones(rows.size), None)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rows = rows[np.abs(np.log(data.brdf[rows] / on_curve)) < LARGEST_LN_RATIO]
+        if rows.size < 4:
+            return None
+        try:
+            mesh = Delaunay(_places(d[rows], meter))
+        except (QhullError, ValueError):
+            return None
+        return cls(meter, mesh, rows, d[rows], data.brdf[rows])
+
+    def total(self, lobe: _HalfVector, at: Directions, weights: Floats, gradient: Floats) -> tuple[float, float]:
+        """As `_HalfVector.total`, summed, for a curve whose values are times the ratios between."""
+        plain, _ = lobe.total(at, weights, None)
+        on_curve, _ = lobe.total(self.at, np.ones(self.rows.size), None)
+        ratio = self.f / on_curve
+        places = _places(at, self.meter)
+        simplex = self.mesh.find_simplex(places)
+        inside = simplex >= 0
+        transform = self.mesh.transform[simplex[inside]]
+        first = np.einsum("nij,nj->ni", transform[:, :2], places[inside] - transform[:, 2])
+        shares = np.column_stack([first, 1.0 - first.sum(axis=1)])
+        corners = self.mesh.simplices[simplex[inside]]
+        factor = np.ones(plain.size)
+        factor[inside] = (shares * ratio[corners]).sum(axis=1)
+        parts, beyond = lobe.total(at, weights * factor, gradient)
+        lever = np.bincount(corners.ravel(), (plain[inside, None] * shares).ravel(), self.rows.size)
+        np.add.at(gradient, self.rows, lever / on_curve)
+        lobe.total(self.at, -lever * ratio / on_curve, gradient)
+        return float(parts.sum()), beyond
+
+
+def _places(at: Directions, meter: Glossmeter) -> Floats:
+    """Where pairs of directions meet the receiver's focal plane, the source on the glossmeter's axis, (n, 2).
+
+    The detector is moved so that the half vector stays. The second number is the square of the tangent across the
+    plane of incidence: both sides are alike, and what grows across begins as a square.
+    """
+    source, detector = at.vectors
+    half = source + detector
+    half = half / np.linalg.norm(half, axis=1, keepdims=True)
+    turn = at.phi_i + math.pi  # into the frame in which the light comes from -x
+    x = half[:, 0] * np.cos(turn) + half[:, 1] * np.sin(turn)
+    y = half[:, 1] * np.cos(turn) - half[:, 0] * np.sin(turn)
+    half = np.stack([x, y, half[:, 2]], axis=1)
+    nominal = np.array([-math.sin(meter.theta), 0.0, math.cos(meter.theta)])
+    along, across = meter.in_focal_plane(2.0 * (half @ nominal)[:, None] * half - nominal).T
+    return np.stack([along, across**2], axis=1)
 
 
 class _HalfVector:
@@ -313,8 +406,11 @@ class _HalfVector:
             return np.asarray(cos_i * cos_r)
         return np.asarray(cos_i * cos_r / fresnel.reflectance(np.cos(theta_d), STANDARD_INDEX))
 
-    def total(self, at: Directions, weights: Floats, gradient: Floats) -> tuple[float, float]:
-        """Sum of weights times f in some directions, its gradient added to `gradient`, and the part beyond the data."""
+    def total(self, at: Directions, weights: Floats, gradient: Floats | None) -> tuple[Floats, float]:
+        """Weights times f in some directions, and how much of their sum lies beyond the data.
+
+        The gradient of the sum is added to `gradient`.
+        """
         theta_h, theta_d = at.half
         x = np.tan(theta_h) ** 2
         factor = weights / self._weight(np.cos(at.theta_i), np.cos(at.theta_r), theta_d)
@@ -323,7 +419,7 @@ class _HalfVector:
         reach = [branch[0][-1] if branch[0].size >= 2 else -1.0 for branch in self._branches]
         both = (x <= reach[0]) & (x <= reach[1])
         first = np.where(both, along, (x <= reach[0]) | (reach[0] >= reach[1]))
-        value, beyond = 0.0, 0.0
+        out, beyond = np.zeros(x.size), 0.0
         for branch, end, mine in zip(self._branches, reach, (first, 1.0 - first), strict=True):
             used = np.flatnonzero(mine > 0.0)
             if used.size == 0 or end < 0.0:
@@ -331,12 +427,12 @@ class _HalfVector:
             inside = np.minimum(x[used], end)  # beyond the outermost value it stands for what lies there
             part = mine[used] * factor[used]
             values = self._read(branch, inside, part, gradient)
-            value += float(part @ values)
+            out[used] += part * values
             beyond += float(np.abs(part[x[used] > end]) @ np.abs(values[x[used] > end]))
-        return value, beyond
+        return out, beyond
 
     @staticmethod
-    def _read(branch: tuple[Floats, Floats, Floats, Rows], x: Floats, part: Floats, gradient: Floats) -> Floats:
+    def _read(branch: tuple[Floats, Floats, Floats, Rows], x: Floats, part: Floats, gradient: Floats | None) -> Floats:
         knots, f, weight, rows = branch
         low = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, knots.size - 2)
         high = low + 1
@@ -350,6 +446,8 @@ class _HalfVector:
             logarithmic = np.exp((1.0 - share) * np.log(y_low) + share * np.log(y_high))
             by_low, by_high = logarithmic * (1.0 - share) / y_low, logarithmic * share / y_high
         values = np.where(positive, logarithmic, (1.0 - share) * y_low + share * y_high)
+        if gradient is None:
+            return np.asarray(values)
         by_low = part * weight[low] * np.where(positive, by_low, 1.0 - share)
         by_high = part * weight[high] * np.where(positive, by_high, share)
         np.add.at(gradient, rows, np.bincount(low, by_low, knots.size) + np.bincount(high, by_high, knots.size))
