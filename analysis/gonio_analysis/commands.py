@@ -79,6 +79,7 @@ def fit(
     import json
 
     from gonio import measurement
+    from gonio.cli import console
     from gonio.errors import ConfigError
     from gonio_analysis import result_records
     from gonio_analysis.fitting import parameters, saving
@@ -108,7 +109,7 @@ def fit(
     )
     if save is not None:
         saving.check_target(save, asked)
-    result = run_fit(frame, asked, name=str(table))
+    result = run_fit(frame, asked, name=str(table), say=console.note)
     if save is not None:
         saving.save(result, save, name=name, source=str(table))
     walked = {}

@@ -24,13 +24,15 @@ import numpy as np
 
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.typing import Floats
-from gonio_analysis.fitting.forward import apparent
+from gonio_analysis import shown
+from gonio_analysis.fitting.forward import apparent, pointlike
 from gonio_analysis.fitting.identifiability import tied
 from gonio_analysis.fitting.objective import Objective, scaled_to
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observations, observations
 from gonio_analysis.fitting.parameters import Family
 from gonio_analysis.fitting.problem import STARTS, FitRequest, Problem, pose, together
 from gonio_analysis.fitting.search import STEP, covariance, refine, search, search_from, settle
+from gonio_analysis.pace import Say, silent
 from gonio_analysis.result_records import FitSummary, ParameterSummary, as_json, finite
 
 if TYPE_CHECKING:
@@ -134,6 +136,29 @@ class FitResult:
             return f"formally rejected, but residuals are only {factor:.2f} times the stated uncertainties"
         return f"rejected: residuals are {factor:.3g} times the stated uncertainties"
 
+    def __repr__(self) -> str:
+        found = ", ".join(
+            f"{n} = {shown.value(e.value, e.u, e.unit)}" for n, e in self.parameters.items() if not e.fixed
+        )
+        at = "" if math.isnan(self.wavelength_nm) else f" at {self.wavelength_nm:g} nm"
+        return f"<fit of {self.name} to {len(self.data)} values{at}: {found}; {self._conclusion}>"
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for n, e in [*self.parameters.items(), *self.derived.items()]:
+            kind = "derived" if n in self.derived else "fixed" if e.fixed else "fitted"
+            unknown = "" if e.u is not None else ", not determined"
+            bound = f", at its {e.at_bound} bound" if e.at_bound else ""
+            rows.append([n, shown.value(e.value, None if e.fixed else e.u, e.unit), kind + unknown + bound])
+        at = "" if math.isnan(self.wavelength_nm) else f" at {self.wavelength_nm:g} nm"
+        title = f"{self.name}, fitted to {len(self.data)} values{at}"
+        return shown.html(title, ["parameter", "value", ""], rows, [self._conclusion, *self.notes])
+
+    @property
+    def _conclusion(self) -> str:
+        chi = self.reduced_chi_square
+        return self.verdict if chi is None else f"reduced chi-square {chi:.4g}: {self.verdict}"
+
     def summary(self) -> FitSummary:
         """Plain numbers and words."""
         c = self.correlation
@@ -166,7 +191,12 @@ class FitResult:
 
 
 def fit(
-    table: pd.DataFrame | Observations, model: str | FitRequest, *, name: str = "the table", **options: Any
+    table: pd.DataFrame | Observations,
+    model: str | FitRequest,
+    *,
+    name: str = "the table",
+    say: Say = silent,
+    **options: Any,
 ) -> FitResult:
     """Fit one model to the usable values of a table, at one wavelength.
 
@@ -178,6 +208,8 @@ def fit(
         What to fit; or the name of a model, with the attributes of `FitRequest` as `options`.
     name
         What messages call the table.
+    say
+        Called with a line now and then, where the fit takes long.
 
     Raises
     ------
@@ -194,7 +226,7 @@ def fit(
         if asked.wavelength_nm is not None:
             nm = f"{asked.wavelength_nm:g}"
             raise ConfigError(f"--wavelength-nm {nm}: all wavelengths are fitted together; leave it out")
-        first = fit(data, replace(asked, each=None, loss="linear", start=None, searches=STARTS), name=name)
+        first = fit(data, replace(asked, each=None, loss="linear", start=None, searches=STARTS), name=name, say=say)
         problem, data, notes = _together(problem, data, asked.each, name)
         wavelength = math.nan
         known = first.problem.values(first.vector)
@@ -211,11 +243,13 @@ def fit(
     notes += problem.notes
 
     if start is None:
-        vector = search(problem, data, asked.loss, asked.searches)
+        vector = search(problem, data, asked.loss, asked.searches, say)
     else:
-        vector = search_from(problem, data, start, asked.loss)
+        vector = search_from(problem, data, start, asked.loss, say)
     goal = replace(scaled_to(data, apparent(problem.model(vector), data, quick=True)), loss=asked.loss)
-    vector, jacobian = settle(problem, data, goal, refine(problem, data, goal, vector)[0])
+    if not (pointlike(data) and goal.weights is data.covariance and (goal.weights is None or not goal.weights.causes)):
+        vector = refine(problem, data, goal, vector, say=say)[0]  # else the search has made the same sum small
+    vector, jacobian = settle(problem, data, goal, vector)
     built = problem.model(vector)
     predicted = apparent(built, data)
     white = goal.residual(predicted)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -94,6 +95,11 @@ class Problem:
         """The parameter of a name in `free`."""
         return self.family.parameter(name.partition("@")[0])
 
+    @cached_property
+    def _moving(self) -> list[Parameter]:
+        """The parameters of `free`."""
+        return [self.parameter(n) for n in self.free]
+
     def at(self, values: Values, wavelength_nm: float) -> Values:
         """The values that hold at one of `waves`."""
         own = {n: values[f"{n}@{wavelength_nm:g}"] for n in self.each}
@@ -101,7 +107,7 @@ class Problem:
 
     def own_wavelength(self, k: int) -> float | None:
         """The one of `waves` that the k-th free parameter counts at; None where it counts at all."""
-        name, between, at = self.free[k].partition("@")
+        _, between, at = self.free[k].partition("@")
         return next(w for w in self.waves if f"{w:g}" == at) if between else None
 
     def moved_together(self, among: Iterable[int]) -> list[list[int]]:
@@ -133,9 +139,8 @@ class Problem:
     def values(self, vector: Floats) -> Values:
         """All parameters by name, for a point of the search."""
         out = dict(self.fixed)
-        for n, x in zip(self.free, vector, strict=True):
-            p = self.parameter(n)
-            out[n] = p.inside(math.exp(x) if p.scale == "log" else float(x))
+        for n, p, x in zip(self.free, self._moving, vector.tolist(), strict=True):
+            out[n] = p.inside(math.exp(x) if p.scale == "log" else x)
         return out
 
     def vector(self, values: Values) -> Floats:

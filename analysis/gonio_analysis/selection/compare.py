@@ -14,6 +14,7 @@ import numpy as np
 
 from gonio.errors import ConfigError, DataError
 from gonio.typing import Floats
+from gonio_analysis import shown
 from gonio_analysis.curves.in_plane import Curve, Norm, Normalise, curves, labels, norm, selection
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting import parameters
@@ -21,6 +22,7 @@ from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.parameters import Ior
+from gonio_analysis.pace import Pace
 from gonio_analysis.result_records import RunFacts
 from gonio_analysis.selection.choice import Choice, Judged, candidates, choose
 
@@ -99,6 +101,20 @@ class Dataset:
     run: RunFacts | None = None
     """What the run's own record says, for a table that a run made."""
 
+    def __repr__(self) -> str:
+        return f"<{self.name}: {len(self.data)} values, {len(self.choice.judged)} models fitted; {self.choice.words}>"
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for j in self.choice.judged:
+            chi = j.fit.reduced_chi_square
+            found = ", ".join(
+                f"{n} = {shown.value(e.value, e.u, e.unit)}" for n, e in j.fit.parameters.items() if not e.fixed
+            )
+            rows.append([j.candidate.label, found, "–" if chi is None else f"{chi:.4g}", f"{j.aic:.1f}", j.rejected])
+        header = ["model", "fitted parameters", "reduced χ²", "AIC", "rejected because of"]
+        return shown.html(self.name, header, rows, [self.choice.words])
+
 
 def examine(
     table: pd.DataFrame,
@@ -151,7 +167,7 @@ def examine(
         progress=progress,
     )
     fitted = {
-        j.candidate.label: _fitted(j.fit, shown, normalise, _series(j, data, known, ior, name))
+        j.candidate.label: _fitted(j.fit, shown, normalise, _series(j, data, known, ior, name, progress))
         for j in choice.judged
         if not every or choice.shows(j)
     }
@@ -198,7 +214,9 @@ def _fitted(result: FitResult, shown: list[Curve], normalise: Normalise, series:
     return Fitted(result, numbers, drawn, series)
 
 
-def _series(judged: Judged, data: Observations, known: list[float], ior: Ior, name: str) -> list[FitResult]:
+def _series(
+    judged: Judged, data: Observations, known: list[float], ior: Ior, name: str, progress: Callable[[str], None]
+) -> list[FitResult]:
     """The same fit at every wavelength, each started from its neighbour's solution."""
     result, candidate = judged.fit, judged.candidate
     waves = [w for w in known if not math.isnan(w)]
@@ -206,7 +224,9 @@ def _series(judged: Judged, data: Observations, known: list[float], ior: Ior, na
         return []
     middle = waves.index(result.wavelength_nm)
     out = {middle: result}
+    pace = Pace(f"{name}: {candidate.label}, wavelengths", len(waves), progress)
     for k in [*range(middle + 1, len(waves)), *range(middle - 1, -1, -1)]:
+        pace.step(len(out))
         near = out.get(k - 1 if k > middle else k + 1, result)
         start = {n: e.value for n, e in near.parameters.items()}
         try:

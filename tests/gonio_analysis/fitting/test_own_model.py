@@ -17,7 +17,7 @@ from gonio_analysis.fitting.profile_likelihood import profiles
 from gonio_analysis.selection.choice import candidates, choose
 
 from gonio import measurement, models
-from gonio.errors import ArgumentError, ConfigError
+from gonio.errors import ArgumentError
 from gonio.formats import reader
 from gonio.models import ArrayModel, Fitted
 from tests.command_line import gonio
@@ -127,7 +127,9 @@ def test_an_array_model_answers_as_the_others_do(ward: None) -> None:
     rng = np.random.default_rng(5)
     theta, phi = rng.uniform(0, 1.5, (2, 40)), rng.uniform(0, 6.0, (2, 40))
     by_angle = model.brdf(theta[0], phi[0], theta[1], phi[1])
-    vectors = [np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], 1) for t, p in zip(theta, phi, strict=True)]
+    vectors = [
+        np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], 1) for t, p in zip(theta, phi, strict=True)
+    ]
     np.testing.assert_allclose(model.brdf_vectors(*vectors), by_angle, rtol=1e-12)  # rounding of the vectors
     assert isinstance(model.brdf(0.1, 0.2, 0.3, 0.4), float)
     assert model.brdf_vectors(vectors[0].astype(np.float32), vectors[1].astype(np.float32)).dtype == np.float32
