@@ -34,14 +34,19 @@ class Pace:
 
     def __init__(self, what: str, total: int, say: Say, *, at_most: bool = False) -> None:
         self._what, self._total, self._say, self._at_most = what, total, say, at_most
-        self._began = self._told = time.monotonic()
+        self._told = time.monotonic()
+        self._first: tuple[float, int] | None = None
 
     def step(self, done: int) -> None:
         """So many steps are done."""
         now = time.monotonic()
-        if now - self._told < QUIET_S or not 0 < done < self._total:
+        if self._first is None and done > 0:
+            self._first = now, done  # what is slow at the first step alone (imports, machine code) says nothing
             return
+        if self._first is None or now - self._told < QUIET_S or done >= self._total:
+            return
+        began, before = self._first
         self._told = now
-        left = duration((now - self._began) / done * (self._total - done))
+        left = duration((now - began) / (done - before) * (self._total - done))
         most = "at most " if self._at_most else ""
         self._say(f"{self._what}: {done} of {most}{self._total}, {most or 'about '}{left} left")

@@ -43,9 +43,8 @@ def test_steps_are_told_with_the_time_that_is_left(clock: list[float]) -> None:
     for k in range(5):
         steps.step(k)
     assert said == [
-        "drawing: 1 of 4, about 18 s left",  # 6 s after the start
-        "drawing: 2 of 4, about 9 s left",
-        "drawing: 3 of 4, about 4 s left",
+        "drawing: 2 of 4, about 6 s left",  # 3 s for the second step
+        "drawing: 3 of 4, about 3 s left",
     ]
 
 
@@ -65,7 +64,7 @@ def test_fits_comparisons_and_changes_tell_how_far_they_are(clock: list[float]) 
     said.clear()
     a, b = (Side(n, n, frame, observations(frame)) for n, frame in (("a", table()), ("b", table(0.5, 1))))
     change(a, b, say=said.append)
-    assert any(line.startswith("comparing: wavelengths: 1 of 3, about ") for line in said)
+    assert any(line.startswith("comparing: wavelengths: 2 of 3, about ") for line in said)
     said.clear()
     examine(table(), ["lambert", "oren-nayar"], name="clay", progress=said.append)
     assert any(line.startswith("clay: fitting oren-nayar (2 of 2") for line in said)
