@@ -92,6 +92,7 @@ def fit(
     """Fit one model to measurements of a sample. With the table's covariance, and through the instrument's cones."""
     import json
 
+    from gonio.cli import console
     from gonio_analysis import result_records
     from gonio_analysis.fitting import parameters, saving
     from gonio_analysis.fitting.fit import fit as run_fit
@@ -123,7 +124,7 @@ def fit(
     if save is not None:
         saving.check_target(save, asked)
     several = dict(zip(_short(tables), (data for _, data in read), strict=True))
-    result = run_fit(together(several), asked, name=" + ".join(tables))
+    result = run_fit(together(several), asked, name=" + ".join(tables), say=console.note)
     if save is not None:
         saving.save(result, save, name=name, source=" + ".join(tables))
     walked = {}

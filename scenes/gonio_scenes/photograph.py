@@ -81,7 +81,7 @@ def reduce(scene: Scene, image: str | Path) -> pd.DataFrame:
     exposure = exposures.read(scene, image)
     if table is None:  # `exposures.read` has refused it
         raise ConfigError("the table [photograph] is missing")
-    moved = displaced(vantage, scene.tables.shape[which], scene.folder, table.uncertainty)
+    moved = displaced(vantage, scene.tables.shape[which], scene.source.parent, table.uncertainty)
     pixels = _looked_at(scene, vantage, which, exposure, table.limb_px)
     seen = pixels.why >= 0
     if not (seen & exposure.used).any():

@@ -55,7 +55,7 @@ class Vantage:
     def at(self, column: Floats, row: Floats) -> Seen:
         """What places of the picture see; 0 is the picture's left and upper edge."""
         origin, direction = self.camera.through(column, row)
-        hits = World([self.shape]).hit(origin - self.shift, direction)
+        hits = World([self.shape], self.camera.position).hit(origin - self.shift, direction)
         return self.of(hits, direction)
 
     def of(self, hits: Hits, direction: Floats) -> Seen:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from gonio_analysis import commands
-from gonio_analysis.change.point_by_point import side
+from gonio_analysis.changes.point_by_point import side
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import observations

@@ -166,7 +166,7 @@ class PerCorner:
 def test_triangles_are_written_with_the_normals_that_they_have(smooth: bool) -> None:
     """Mitsuba makes normals up where a file has none, unless it is told not to."""
     up = PerCorner(np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 3), np.int64))
-    world = World([Triangles(up if smooth else None)])
+    world = World([Triangles(up if smooth else None)], np.zeros(3))
     made = mitsuba.export(replace(scene(), world=world))
     flat = xml(made).find("shape[@type='ply']/boolean[@name='face_normals']")
     assert flat is not None

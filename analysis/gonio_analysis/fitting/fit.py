@@ -24,7 +24,8 @@ import numpy as np
 
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.typing import Floats
-from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, apparent
+from gonio_analysis import shown
+from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, apparent, pointlike
 from gonio_analysis.fitting.identifiability import tied
 from gonio_analysis.fitting.incidences import angles
 from gonio_analysis.fitting.objective import Objective, scaled_to
@@ -32,6 +33,7 @@ from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observati
 from gonio_analysis.fitting.parameters import Family, Values
 from gonio_analysis.fitting.problem import STARTS, Bound, FitRequest, Problem, pose, together
 from gonio_analysis.fitting.search import STEP, covariance, refine, search, search_from, settle
+from gonio_analysis.pace import Say, silent
 from gonio_analysis.result_records import FitSummary, ParameterSummary, as_json, finite
 
 if TYPE_CHECKING:
@@ -148,6 +150,29 @@ class FitResult:
             return f"formally rejected, but residuals are only {factor:.2f} times the {which}"
         return f"rejected: residuals are {factor:.3g} times the {which}"
 
+    def __repr__(self) -> str:
+        found = ", ".join(
+            f"{n} = {shown.value(e.value, e.u, e.unit)}" for n, e in self.parameters.items() if not e.fixed
+        )
+        at = "" if math.isnan(self.wavelength_nm) else f" at {self.wavelength_nm:g} nm"
+        return f"<fit of {self.name} to {len(self.data)} values{at}: {found}; {self._conclusion}>"
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for n, e in [*self.parameters.items(), *self.derived.items()]:
+            kind = "derived" if n in self.derived else "fixed" if e.fixed else "fitted"
+            unknown = "" if e.u is not None else ", not determined"
+            bound = f", at its {e.at_bound} bound" if e.at_bound else ""
+            rows.append([n, shown.value(e.value, None if e.fixed else e.u, e.unit), kind + unknown + bound])
+        at = "" if math.isnan(self.wavelength_nm) else f" at {self.wavelength_nm:g} nm"
+        title = f"{self.name}, fitted to {len(self.data)} values{at}"
+        return shown.html(title, ["parameter", "value", ""], rows, [self._conclusion, *self.notes])
+
+    @property
+    def _conclusion(self) -> str:
+        chi = self.reduced_chi_square
+        return self.verdict if chi is None else f"reduced chi-square {chi:.4g}: {self.verdict}"
+
     def summary(self) -> FitSummary:
         """Plain numbers and words."""
         c = self.correlation
@@ -182,7 +207,12 @@ class FitResult:
 
 
 def fit(
-    table: pd.DataFrame | Observations, model: str | FitRequest, *, name: str = "the table", **options: Any
+    table: pd.DataFrame | Observations,
+    model: str | FitRequest,
+    *,
+    name: str = "the table",
+    say: Say = silent,
+    **options: Any,
 ) -> FitResult:
     """Fit one model to the usable values of a table, at one wavelength.
 
@@ -194,6 +224,8 @@ def fit(
         What to fit; or the name of a model, with the attributes of `FitRequest` as `options`.
     name
         What messages call the table.
+    say
+        Called with a line now and then, where the fit takes long.
 
     Raises
     ------
@@ -210,7 +242,7 @@ def fit(
         if asked.wavelength_nm is not None:
             nm = f"{asked.wavelength_nm:g}"
             raise ConfigError(f"--wavelength-nm {nm}: all wavelengths are fitted together; leave it out")
-        first = fit(data, replace(asked, each=None, loss="linear", start=None, searches=STARTS), name=name)
+        first = fit(data, replace(asked, each=None, loss="linear", start=None, searches=STARTS), name=name, say=say)
         problem, data, notes = _together(problem, data, asked.each, name)
         wavelength = math.nan
         known = first.problem.values(first.vector)
@@ -234,11 +266,19 @@ def fit(
         notes += said
 
     if start is None:
-        vector = search(problem, data, asked.loss, asked.searches, asked.metric)
+        vector = search(problem, data, asked.loss, asked.searches, asked.metric, say)
     else:
-        vector = search_from(problem.softer(BOUND_FIRST), data, start, asked.loss, asked.metric)
+        vector = search_from(problem.softer(BOUND_FIRST), data, start, asked.loss, asked.metric, say)
     goal = replace(scaled_to(data, apparent(problem.model(vector), data, quick=True), asked.metric), loss=asked.loss)
-    vector, jacobian = settle(problem, data, goal, refine(problem, data, goal, vector)[0])
+    done = asked.metric is None and problem.bound is None  # the search has made the same sum small, without more ado
+    if not (
+        done
+        and pointlike(data)
+        and goal.weights is data.covariance
+        and (goal.weights is None or not goal.weights.causes)
+    ):
+        vector = refine(problem, data, goal, vector, say=say)[0]
+    vector, jacobian = settle(problem, data, goal, vector)
     built = problem.model(vector)
     predicted = apparent(built, data)
     white = goal.residual(predicted)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -135,6 +136,11 @@ class Problem:
         """The parameter of a name in `free`."""
         return self.family.parameter(name.partition("@")[0])
 
+    @cached_property
+    def _moving(self) -> list[Parameter]:
+        """The parameters of `free`."""
+        return [self.parameter(n) for n in self.free]
+
     def at(self, values: Values, wavelength_nm: float) -> Values:
         """The values that hold at one of `waves`."""
         own = {n: values[f"{n}@{wavelength_nm:g}"] for n in self.each}
@@ -195,9 +201,8 @@ class Problem:
     def values(self, vector: Floats) -> Values:
         """All parameters by name, for a point of the search."""
         out = dict(self.fixed)
-        for n, x in zip(self.free, vector, strict=True):
-            p = self.parameter(n)
-            out[n] = p.inside(math.exp(x) if p.scale == "log" else float(x))
+        for n, p, x in zip(self.free, self._moving, vector.tolist(), strict=True):
+            out[n] = p.inside(math.exp(x) if p.scale == "log" else x)
         return out
 
     def vector(self, values: Values) -> Floats:

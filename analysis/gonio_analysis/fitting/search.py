@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import count
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +21,7 @@ from gonio_analysis.fitting.objective import Objective, alone, softened
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.parameters import Values
 from gonio_analysis.fitting.problem import STARTS, Problem
+from gonio_analysis.pace import Pace, Say, silent
 
 if TYPE_CHECKING:
     from gonio.instrument import Rules
@@ -39,18 +41,28 @@ SMALL_STEP = 1e-6
 
 
 def search_from(
-    problem: Problem, data: Observations, starts: Sequence[Values], loss: str = "linear", metric: str | None = None
+    problem: Problem,
+    data: Observations,
+    starts: Sequence[Values],
+    loss: str = "linear",
+    metric: str | None = None,
+    say: Say = silent,
 ) -> Floats:
     """The best point of searches with the quick forward model that begin at solutions of relatives.
 
     As in `search` only the independent part of the covariance counts.
     """
-    found = [approach(problem, data, problem.vector(start), loss, metric) for start in starts]
+    found = [approach(problem, data, problem.vector(start), loss, metric, say) for start in starts]
     return min(found, key=lambda f: f[1])[0]
 
 
 def search(
-    problem: Problem, data: Observations, loss: str = "linear", searches: int = STARTS, metric: str | None = None
+    problem: Problem,
+    data: Observations,
+    loss: str = "linear",
+    searches: int = STARTS,
+    metric: str | None = None,
+    say: Say = silent,
 ) -> Floats:
     """The best point of several searches with the quick forward model, the first part of each with softened weights.
 
@@ -65,7 +77,9 @@ def search(
     if "k" in problem.free and not known:
         shapes = {tuple((n, x) for n, x in start.items() if n != "ior"): None for start in starts}
         starts = [{**dict(shape), "ior": n, "k": k} for shape in shapes for n, k in parameters.INDICES]
-    for start in starts:
+    pace = Pace("fitting: starts tried", len(starts), say)
+    for k, start in enumerate(starts):
+        pace.step(k)
         vector = problem.vector({"k": 1.0, **start, **known})
         residual = soft.residual(apparent(problem.model(vector), few, quick=True))
         # large residuals count by their logarithm: a lobe in the right place must win over one that is merely low
@@ -86,7 +100,7 @@ def search(
         by_metric.sort(key=lambda c: c[0])
         near = [refine(problem, brightest, goal, v, quick=True, limit=25) for _, v in by_metric[:searches]]
         begin += [min(near, key=lambda c: c[1])[0]]
-    return min((approach(problem, data, vector, loss, metric) for vector in begin), key=lambda f: f[1])[0]
+    return min((approach(problem, data, vector, loss, metric, say) for vector in begin), key=lambda f: f[1])[0]
 
 
 def _with_brightest(few: Observations, data: Observations) -> Observations:
@@ -97,18 +111,30 @@ def _with_brightest(few: Observations, data: Observations) -> Observations:
 
 
 def approach(
-    problem: Problem, data: Observations, start: Floats, loss: str = "linear", metric: str | None = None
+    problem: Problem,
+    data: Observations,
+    start: Floats,
+    loss: str = "linear",
+    metric: str | None = None,
+    say: Say = silent,
 ) -> tuple[Floats, float]:
     """As `refine`, with the quick forward model and the independent part of the covariance; first on `MOST` values."""
     if len(data) > MOST:
         few = data.take(np.sort(np.random.default_rng(0).choice(len(data), MOST, replace=False)))
         few = _with_brightest(few, data) if metric in HIGHEST else few
         start, _ = refine(problem, few, replace(alone(few, metric), loss=loss), start, quick=True)
-    return refine(problem, data, replace(alone(data, metric), loss=loss), start, quick=True)
+    return refine(problem, data, replace(alone(data, metric), loss=loss), start, quick=True, say=say)
 
 
 def refine(
-    problem: Problem, data: Observations, goal: Objective, start: Floats, *, quick: bool = False, limit: int = 60
+    problem: Problem,
+    data: Observations,
+    goal: Objective,
+    start: Floats,
+    *,
+    quick: bool = False,
+    limit: int = 60,
+    say: Say = silent,
 ) -> tuple[Floats, float]:
     """Trust-region least squares from one start; the point and half its sum of squares.
 
@@ -120,16 +146,18 @@ def refine(
     lower, upper = problem.bounds
     margin = 1e-9 * (upper - lower)
     latest = np.empty(len(data))
+    pace, steps = Pace("fitting: trial points", limit, say, at_most=True), count()
     rules = None if quick else averaging(problem.model(start), data)
     quick = quick or pointlike(data)
 
     def residual(x: Floats) -> Floats:
+        pace.step(next(steps))
         latest[:] = apparent(problem.model(x), data, quick=quick, rules=rules)
         return np.concatenate([goal.residual(latest), problem.pulls(x)])
 
     def jacobian(x: Floats) -> Floats:
         near = latest if quick else apparent(problem.model(x), data, quick=True)
-        columns = _one_sided(problem, data, x, near)
+        columns = one_sided(problem, data, x, near)
         if not quick:
             with np.errstate(divide="ignore", invalid="ignore"):
                 columns = columns * np.nan_to_num(np.clip(latest / near, 0.2, 5.0), nan=1.0)[:, None]
@@ -212,21 +240,23 @@ def _own(problem: Problem, data: Observations, k: int, column: Floats) -> Floats
     return column if wave is None else np.where(data.wavelength_nm == wave, column, 0.0)
 
 
-def _one_sided(problem: Problem, data: Observations, vector: Floats, here: Floats) -> Floats:
+def one_sided(
+    problem: Problem, data: Observations, vector: Floats, here: Floats, *, only: Iterable[int] | None = None
+) -> Floats:
     """As `derivatives` of the quick model, from its values `here` and one more evaluation a parameter."""
     _, upper = problem.bounds
     known = problem.known_slopes(vector)
     columns = np.empty((vector.size, len(data)))
-    for k, name in enumerate(problem.free):
-        if name in known:
-            columns[k] = known[name]
-    for together in problem.moved_together(k for k, name in enumerate(problem.free) if name not in known):
+    asked = list(range(vector.size) if only is None else only)
+    for k in (k for k in asked if problem.free[k] in known):
+        columns[k] = known[problem.free[k]]
+    for together in problem.moved_together(k for k in asked if problem.free[k] not in known):
         moved = vector.copy()
         moved[together] += np.where(vector[together] + SMALL_STEP <= upper[together], SMALL_STEP, -SMALL_STEP)
         rise = apparent(problem.model(moved), data, quick=True) - here
         for k in together:
             columns[k] = _own(problem, data, k, rise / (moved[k] - vector[k]))
-    return columns.T
+    return columns[asked].T
 
 
 def covariance(jacobian: Floats) -> tuple[Floats, float]:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from gonio.typing import Floats
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.forward import apparent
-from gonio_analysis.fitting.search import derivatives
+from gonio_analysis.fitting.search import one_sided
 
 Rows = npt.NDArray[np.intp]
 
@@ -50,14 +50,22 @@ class Near:
             x[free] = part
             return x
 
+        latest: dict[bytes, Floats] = {}
+
         def residual(part: Floats) -> Floats:
             x = whole(part)
-            return np.concatenate([self.goal.residual(self.predicted(x)), self.problem.pulls(x)])
+            centre = apparent(self.problem.model(x), self.data, quick=True)
+            latest.clear()
+            latest[part.tobytes()] = centre
+            return np.concatenate([self.goal.residual(centre * self._ratio), self.problem.pulls(x)])
 
         def jacobian(part: Floats) -> Floats:
             x = whole(part)
-            columns = derivatives(self.problem, self.data, x, quick=True, only=free) * self._ratio[:, None]
-            rows = self.goal.jacobian(self.predicted(x), columns)
+            centre = latest.get(part.tobytes())
+            if centre is None:
+                centre = apparent(self.problem.model(x), self.data, quick=True)
+            columns = one_sided(self.problem, self.data, x, centre, only=free) * self._ratio[:, None]
+            rows = self.goal.jacobian(centre * self._ratio, columns)
             return np.concatenate([rows, self.problem.pull_slopes(x)[:, free]])
 
         if free.size == 0:

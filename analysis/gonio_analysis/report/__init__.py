@@ -14,6 +14,7 @@ from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.drawing import Draughtsmen, draughtsmen
 from gonio_analysis.result_records import FigureSummary, Summary, as_json
 from gonio_analysis.selection import parallel
+from gonio_analysis.selection.choice import candidates
 from gonio_analysis.selection.compare import Dataset, examine
 from gonio_analysis.selection.run_record import run_facts
 
@@ -87,7 +88,8 @@ def make(
             partial(examined, table, name=name, source=source, run=run)
             for name, (_, source, table, run) in zip(names, found, strict=True)
         ]
-        with draughtsmen(2 * len(jobs) * len(models)) as hands:  # they get ready while the models are fitted
+        tried = len(candidates(models, ior))
+        with draughtsmen(2 * len(jobs) * tried) as hands:  # they get ready while the models are fitted
             if len(jobs) < parallel.FEW and dask is None:
                 datasets = [job(progress=progress) for job in jobs]
             else:
@@ -143,7 +145,7 @@ def write(
     progress("drawing")
     most = _most_values(datasets)
     groups = [[*figures.draw(d, facts, most), *detail.draw(d, facts, most)] for d, facts in both]
-    every = (hands or Draughtsmen()).draw([drawing for group in groups for drawing in group])
+    every = (hands or Draughtsmen()).draw([drawing for group in groups for drawing in group], progress)
     rest = iter(every)
     drawn = [[next(rest) for _ in group] for group in groups]
     (folder / "tables").mkdir()

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio_analysis.change.point_by_point import FALSE_DISCOVERIES, LEVEL, Change, Side, change, side
+from gonio_analysis.changes.point_by_point import FALSE_DISCOVERIES, LEVEL, Change, Side, change, side
 from gonio_analysis.curves.in_plane import Curve, curves, labels, selection
 from gonio_analysis.fitting.metrics import DESCRIPTIONS
 from gonio_analysis.fitting.observations import Observations, describe_left_out
@@ -98,9 +98,9 @@ def make(
         if a.name == b.name:
             a, b = replace(a, name=f"{a.name} (A)"), replace(b, name=f"{b.name} (B)")
         progress(f"comparing {b.name} with {a.name}")
-        found = change(a, b, wavelength_nm=wavelength_nm)
+        found = change(a, b, wavelength_nm=wavelength_nm, say=progress)
         progress("drawing")
-        _write(found, stage.work, wavelength_nm, command, [run_facts(Path(spec)) for spec in specs], hands)
+        _write(found, stage.work, wavelength_nm, command, [run_facts(Path(spec)) for spec in specs], hands, progress)
     return Path(out) / "index.html"
 
 
@@ -111,13 +111,14 @@ def _write(
     command: str,
     runs: Sequence[RunFacts | None],
     hands: Draughtsmen,
+    progress: Callable[[str], None],
 ) -> None:
     found = summary(c, command, runs)
     at, shown = _one(c, wavelength_nm)
     every = curves(at)
     listed = selection(every, viewer.MOST_LISTED)
     drawn = selection(every)
-    figures = hands.draw(change_figures.draw(c, at, drawn, shown))
+    figures = hands.draw(change_figures.draw(c, at, drawn, shown), progress)
     (folder / "tables").mkdir()
     write_columns(folder / "tables" / "change.csv", COLUMNS, _columns(c))
     listed_tables = ["change.csv"]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gonio.typing import Floats
-from gonio_analysis.change.point_by_point import LEVEL, Change
+from gonio_analysis.changes.point_by_point import LEVEL, Change
 from gonio_analysis.curves.in_plane import Curve, groups, labels
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.observations import Observations

@@ -37,7 +37,7 @@ class ModelSide(SideSummary):
 
 @dataclass(frozen=True)
 class VerdictSummary:
-    """Whether the two differ, as `gonio_analysis.change.point_by_point.Verdict`."""
+    """Whether the two differ, as `gonio_analysis.changes.point_by_point.Verdict`."""
 
     changed: bool
     chi_square: float

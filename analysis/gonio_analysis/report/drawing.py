@@ -18,6 +18,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+from gonio_analysis.pace import Pace, Say, silent
 from gonio_analysis.report.figures import Drawing, Figure
 
 FEW = 6
@@ -32,8 +33,9 @@ class Draughtsmen:
     def __init__(self, processes: Sequence[subprocess.Popen[bytes]] = ()) -> None:
         self._processes = processes
 
-    def draw(self, drawings: Sequence[Drawing]) -> list[Figure]:
-        """Every drawing as SVG and PNG, in their order."""
+    def draw(self, drawings: Sequence[Drawing], say: Say = silent) -> list[Figure]:
+        """Every drawing as SVG and PNG, in their order; `say` is called with a line now and then."""
+        pace = Pace("drawing: figures", len(drawings), say)
         made: list[Figure | None] = [None] * len(drawings)
         waiting: queue.SimpleQueue[int] = queue.SimpleQueue()
         for k in range(len(drawings)):
@@ -44,6 +46,7 @@ class Draughtsmen:
         try:
             for k in _taken(waiting):
                 made[k] = drawings[k].rendered()
+                pace.step(sum(figure is not None for figure in made))
         except BaseException:
             self.stop()
             raise

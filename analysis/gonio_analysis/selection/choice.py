@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from gonio.cli.console import duration
 from gonio.errors import ConfigError, DataError
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
@@ -24,6 +25,7 @@ from gonio_analysis.fitting.parameters import Ior, Values
 from gonio_analysis.fitting.problem import FitRequest, pose
 from gonio_analysis.fitting.profile_likelihood import Interval, profiles
 from gonio_analysis.fitting.surrogate import Near, Rows
+from gonio_analysis.pace import QUIET_S, Pace
 from gonio_analysis.result_records import CandidateSummary, ChoiceSummary, IntervalSummary, Value, finite
 from gonio_analysis.selection.misfit_regions import Region, blocks, farthest, worst
 
@@ -143,9 +145,10 @@ class Choice:
 
 
 def candidates(models: Sequence[str], ior: Ior = None) -> list[Candidate]:
-    """What to try: the models named, or with "all" every family (other packages' too) and sums.
+    """What to try: the models named, or with "all" every family and sums.
 
-    Where nobody gave an index of refraction, n + ik are fitted.
+    Where nobody gave an index of refraction, n + ik are fitted. Models of other packages that declare what is fitted
+    are among all families.
 
     A sum's Lambertian base is left out where the glossy model brings one of its own.
 
@@ -222,11 +225,15 @@ def choose(
             data, replace(candidate.request(ior, metric, energy), wavelength_nm=wavelength_nm, start=start), name=name
         )
 
-    for candidate in sorted(tried, key=lambda c: sizes[c]):  # stable
+    began_all = time.perf_counter()
+    for k, candidate in enumerate(sorted(tried, key=lambda c: sizes[c])):  # stable
         if sizes[candidate] > enough and not all_of_them:
             left_out[candidate.label] = "a model with fewer parameters is not rejected"
             continue
-        progress(f"{name}: fitting {candidate.label}")
+        passed = time.perf_counter() - began_all
+        left = f", about {duration(passed / k * (len(tried) - k))} left" if passed > QUIET_S and k else ""
+        many = f" ({k + 1} of {len(tried)}{left})" if len(tried) > 1 else ""
+        progress(f"{name}: fitting {candidate.label}{many}")
         began = time.perf_counter()
         try:
             result = min(
@@ -249,7 +256,12 @@ def choose(
             raise DataError(f"{name}: {words}")
         return Choice([], None, {}, f"{words}.", "", left_out)
     folds, by = blocks(next(iter(fits.values())).data)
-    judged = _reject([_judge(c, r, folds, walls[c]) for c, r in fits.items()])
+    pace = Pace(f"{name}: errors of values held out, models", len(fits), progress)
+    every = []
+    for k, (c, r) in enumerate(fits.items()):
+        pace.step(k)
+        every.append(_judge(c, r, folds, walls[c]))
+    judged = _reject(every)
     named, intervals, lower = _walked(judged)
     if lower:  # valleys met while walking: begin again from there
         again = {j.candidate: fitted(j.candidate, [j.fit.problem.values(vector)]) for j, vector in lower}

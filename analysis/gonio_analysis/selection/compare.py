@@ -15,6 +15,7 @@ import numpy as np
 
 from gonio.errors import ConfigError, DataError
 from gonio.typing import Floats
+from gonio_analysis import shown
 from gonio_analysis.curves.in_plane import Curve, Norm, Normalise, curves, labels, norm, selection
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting import parameters
@@ -22,6 +23,7 @@ from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.parameters import Ior
+from gonio_analysis.pace import Pace
 from gonio_analysis.result_records import Reflectance, RunFacts, SymmetrySummary
 from gonio_analysis.selection import energy
 from gonio_analysis.selection.choice import DECISIVE, Choice, Judged, candidates, choose, deviance
@@ -118,6 +120,20 @@ class Dataset:
         """Whether a run on a simulated rig made the table."""
         return self.run is not None and self.run.sample is not None
 
+    def __repr__(self) -> str:
+        return f"<{self.name}: {len(self.data)} values, {len(self.choice.judged)} models fitted; {self.choice.words}>"
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for j in self.choice.judged:
+            chi = j.fit.reduced_chi_square
+            found = ", ".join(
+                f"{n} = {shown.value(e.value, e.u, e.unit)}" for n, e in j.fit.parameters.items() if not e.fixed
+            )
+            rows.append([j.candidate.label, found, "–" if chi is None else f"{chi:.4g}", f"{j.aic:.1f}", j.rejected])
+        header = ["model", "fitted parameters", "reduced χ²", "AIC", "rejected because of"]
+        return shown.html(self.name, header, rows, [self.choice.words])
+
 
 def examine(
     table: pd.DataFrame,
@@ -178,7 +194,7 @@ def examine(
         progress=progress,
     )
     fitted = {
-        j.candidate.label: _fitted(j.fit, shown, normalise, _series(j, data, known, name))
+        j.candidate.label: _fitted(j.fit, shown, normalise, _series(j, data, known, name, progress))
         for j in choice.judged
         if not every or choice.shows(j)
     }
@@ -240,7 +256,9 @@ def _fitted(result: FitResult, shown: list[Curve], normalise: Normalise, series:
     return Fitted(result, numbers, drawn, series, farthest(result), energy.of_model(result))
 
 
-def _series(judged: Judged, data: Observations, known: list[float], name: str) -> list[FitResult]:
+def _series(
+    judged: Judged, data: Observations, known: list[float], name: str, progress: Callable[[str], None]
+) -> list[FitResult]:
     """The same fit at every wavelength, each started from its neighbour's solution.
 
     Where that ends in another valley (`jump`) a search of its own and the neighbours on either side are tried. A
@@ -264,7 +282,9 @@ def _series(judged: Judged, data: Observations, known: list[float], name: str) -
             return None  # too few usable values at this wavelength: the series has a gap there
 
     upward, downward = range(middle + 1, len(waves)), range(middle - 1, -1, -1)
+    pace = Pace(f"{name}: {judged.candidate.label}, wavelengths", len(waves), progress)
     for k in [*upward, *downward]:
+        pace.step(len(out))
         step = 1 if k > middle else -1
         near = out.get(k - step, result)
         found = [at(k, near)]

@@ -9,7 +9,7 @@ import pytest
 from gonio_analysis.fitting.forward import apparent, averaging
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.problem import FitRequest, pose
-from gonio_analysis.fitting.search import STEP, _one_sided, derivatives
+from gonio_analysis.fitting.search import STEP, derivatives, one_sided
 
 from gonio.instrument import LOBE_TOLERANCE
 from gonio.models import build
@@ -33,7 +33,7 @@ def test_against_central_differences(name: str) -> None:
     vector = problem.vector({**problem.fixed, **AT[name]})
     rules = averaging(problem.model(vector), data)
     full, quick = derivatives(problem, data, vector, rules=rules), derivatives(problem, data, vector, quick=True)
-    one_sided = _one_sided(problem, data, vector, apparent(problem.model(vector), data, quick=True))
+    rough = one_sided(problem, data, vector, apparent(problem.model(vector), data, quick=True))
     for k in range(vector.size):
         for column, rule, is_quick in ((full, rules, False), (quick, None, True)):
             # an independent order: five points instead of two, with a step ten times as large
@@ -46,7 +46,7 @@ def test_against_central_differences(name: str) -> None:
             # the error of the two-point rule is STEP^2/6 times the third derivative: hundreds at a spike's edge
             np.testing.assert_allclose(column[:, k], expected, rtol=2e-5, atol=2e-6 * np.abs(expected).max())
         # a step of 1e-6 leaves 1e-6 of the curvature, and 1e-10 of rounding
-        np.testing.assert_allclose(one_sided[:, k], quick[:, k], rtol=1e-4, atol=2e-5 * np.abs(quick[:, k]).max())
+        np.testing.assert_allclose(rough[:, k], quick[:, k], rtol=1e-4, atol=2e-5 * np.abs(quick[:, k]).max())
 
 
 def test_rules_of_one_model_serve_its_neighbours() -> None:

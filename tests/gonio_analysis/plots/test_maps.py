@@ -13,7 +13,7 @@ from gonio_analysis.plots import diagnostics, maps
 from matplotlib.figure import Figure
 
 from gonio.models import build
-from tests.gonio_analysis.change.test_point_by_point import hemisphere
+from tests.gonio_analysis.changes.test_point_by_point import hemisphere
 
 GLOSS = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30})
 

@@ -1,6 +1,6 @@
 """Two things point by point: did this sample change, does this file agree with that one, how far apart are two models?
 
-Either side is a measurement or a model. Two measurements are aligned by `gonio_analysis.change.resampling`; a model
+Either side is a measurement or a model. Two measurements are aligned by `gonio_analysis.changes.resampling`; a model
 is evaluated in the directions and through the cones of the measurement. The difference is B - A.
 
 Significance. The difference has the covariance of both measurements (of two runs, independent of each other) and the
@@ -25,12 +25,14 @@ from gonio import geometry
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import SAME_ANGLE, Directions
 from gonio.typing import Floats
-from gonio_analysis.change.resampling import Carried, carry, common_wavelengths
+from gonio_analysis import shown
+from gonio_analysis.changes.resampling import Carried, carry, common_wavelengths
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.objective import scaled_to
 from gonio_analysis.fitting.observations import Observations, describe_left_out, observations
 from gonio_analysis.fitting.value_covariance import Covariance
+from gonio_analysis.pace import Say, silent
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -115,6 +117,23 @@ class Change:
     """Why values of A have no counterpart."""
     notes: Sequence[str] = ()
 
+    def __repr__(self) -> str:
+        return f"<{self.b.name} against {self.a.name} in {len(self.at)} directions: {self._conclusion}>"
+
+    def _repr_html_(self) -> str:
+        rows = [[key, "–" if number is None else f"{number:.4g}"] for key, number in self.metrics.items()]
+        title = f"{self.b.name} against {self.a.name} in {len(self.at)} directions"
+        return shown.html(title, ["metric", "value"], rows, [self._conclusion, *self.notes])
+
+    @property
+    def _conclusion(self) -> str:
+        v = self.verdict
+        if v is None:
+            return "no verdict: no uncertainties are stated"
+        marked = int(np.count_nonzero(v.marked))
+        head = "changed" if v.changed else "no sign of a change"
+        return f"{head} (p = {min(v.p_value, v.p_largest):.2g}); {marked} of {v.z.size} values are marked"
+
     @property
     def difference(self) -> Floats:
         """B - A [1/sr]."""
@@ -149,7 +168,7 @@ def side(spec: str) -> Side:
     return Side(name, spec, table, observations(table, spec))
 
 
-def change(a: Side, b: Side, *, wavelength_nm: float | None = None) -> Change:
+def change(a: Side, b: Side, *, wavelength_nm: float | None = None, say: Say = silent) -> Change:
     """Compare two sides.
 
     Parameters
@@ -159,6 +178,8 @@ def change(a: Side, b: Side, *, wavelength_nm: float | None = None) -> Change:
     wavelength_nm
         For two models (550 nm if none is given), and for a model beside a table that states none. Of measurements with
         several wavelengths, the nearest that both have is compared alone.
+    say
+        Called with a line now and then, where it takes long.
 
     Raises
     ------
@@ -169,7 +190,7 @@ def change(a: Side, b: Side, *, wavelength_nm: float | None = None) -> Change:
     """
     a, b, notes = _at_one(a, b, wavelength_nm)
     if a.data is not None and b.data is not None:
-        found = _measurements(a, b)
+        found = _measurements(a, b, say)
         return replace(found, notes=(*found.notes, *notes))
     at = a.data if a.data is not None else b.data
     if at is None:
@@ -219,11 +240,11 @@ def _at_one(a: Side, b: Side, wavelength_nm: float | None) -> tuple[Side, Side, 
     return sides[0], sides[1], [note]
 
 
-def _measurements(a: Side, b: Side) -> Change:
+def _measurements(a: Side, b: Side, say: Say) -> Change:
     """The values of one side against those of the other, carried to its directions."""
     assert a.data is not None and a.table is not None  # noqa: PT018
     data, table, turned = _laid_on(a.data, b)
-    forth, back = carry(a.data, data, table), carry(data, a.data, a.table)
+    forth, back = carry(a.data, data, table, say), carry(data, a.data, a.table, say)
     # what was sampled finely is interpolated, and not the other
     onto = "B" if _roughness(back) < 0.5 * _roughness(forth) else "A"
     carried = forth if onto == "A" else back

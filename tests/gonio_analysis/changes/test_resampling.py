@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.spatial
-from gonio_analysis.change.resampling import _located, _turns, carry, common_wavelengths
+from gonio_analysis.changes.resampling import _located, _turns, carry, common_wavelengths
 from gonio_analysis.fitting.observations import observations
 
 from gonio.formats import reader

@@ -28,6 +28,7 @@ from gonio.geometry import SAME_ANGLE, SAME_DIRECTION, Directions
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import Rows, groups
 from gonio_analysis.fitting.observations import SAME_BAND_NM, Observations
+from gonio_analysis.pace import Pace, Say, silent
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -75,7 +76,7 @@ def common_wavelengths(a: Observations, b: Observations, within_nm: float = 0.5)
     return out
 
 
-def carry(a: Observations, b: Observations, b_table: pd.DataFrame) -> Carried:
+def carry(a: Observations, b: Observations, b_table: pd.DataFrame, say: Say = silent) -> Carried:
     """B's values in the directions of A, at their common wavelengths.
 
     Parameters
@@ -84,6 +85,8 @@ def carry(a: Observations, b: Observations, b_table: pd.DataFrame) -> Carried:
         The usable values of two tables.
     b_table
         The whole table of B: its rows that are not in `b` are holes.
+    say
+        Called with a line now and then, where it takes long.
     """
     n = len(a)
     k = len(b.covariance.causes) if b.covariance is not None else 0
@@ -92,7 +95,10 @@ def carry(a: Observations, b: Observations, b_table: pd.DataFrame) -> Carried:
     missing = {"at another wavelength": n}
     unused = _Unused.of(b, b_table)
     kept: dict[tuple[bytes, ...], Interpolation] = {}
-    for wave_a, wave_b in common_wavelengths(a, b):
+    common_waves = common_wavelengths(a, b)
+    pace = Pace("comparing: wavelengths", len(common_waves), say)
+    for k_wave, (wave_a, wave_b) in enumerate(common_waves):
+        pace.step(k_wave)
         here_a, here_b = _at(a.wavelength_nm, wave_a), _at(b.wavelength_nm, wave_b)
         missing["at another wavelength"] -= here_a.size
         pool = groups(b.directions.theta_i, b.directions.phi_i, here_b)

@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from gonio_analysis import commands
-from gonio_analysis.change.point_by_point import Change, Side, change, judge
-from gonio_analysis.change.resampling import carry
+from gonio_analysis.changes.point_by_point import Change, Side, change, judge
+from gonio_analysis.changes.resampling import carry
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.value_covariance import Covariance
 from scipy.special import ndtri

@@ -1,0 +1,202 @@
+"""Fits, comparisons and plots straight from tables and models, for scripts and notebooks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from gonio import measurement
+from gonio.errors import ArgumentError, ConfigError, DataError
+from gonio.models import Lambert, Model
+from gonio_analysis.changes import point_by_point
+from gonio_analysis.changes.point_by_point import Change, Side
+from gonio_analysis.curves.in_plane import Normalise, curves, labels, norm, selection
+from gonio_analysis.fitting import fit as fitting
+from gonio_analysis.fitting.fit import FitResult
+from gonio_analysis.fitting.forward import ByWavelength
+from gonio_analysis.fitting.observations import Observations, observations
+from gonio_analysis.fitting.parameters import Ior
+from gonio_analysis.plots import in_plane
+from gonio_analysis.selection.compare import Dataset, Drawn, check_models, examine, theory_angles
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Table: TypeAlias = "pd.DataFrame | str | Path"
+"""A measurement table, or where one is: a file, a run, or "FILE:SAMPLE"."""
+
+
+def fit(table: Table, model: str | type[Model] | Model, *, name: str | None = None, **options: Any) -> FitResult:
+    """Fit one model to a table, at one wavelength or at all together.
+
+    Parameters
+    ----------
+    table
+        A table of `gonio.read`, or where one is.
+    model
+        A name as on the command line ("he-torrance", "oren-nayar+phong"), or the class of a model. Of a model the class
+        counts: where the search starts is its own affair.
+    name
+        What messages call the table.
+    options
+        The attributes of `gonio_analysis.fitting.problem.FitRequest`: ior, fix, free, bounds, wavelength_nm, each, ...
+
+    Raises
+    ------
+    ConfigError
+        Unknown model, parameter or option, or a file of several samples.
+    DataError
+        Too few usable values.
+    """
+    frame, called = _table(table, name)
+    kind = model if isinstance(model, str) else model.name
+    return fitting.fit(frame, kind, name=called, **options)
+
+
+def compare(
+    table: Table,
+    models: Sequence[str | type[Model]] = ("all",),
+    *,
+    name: str | None = None,
+    ior: Ior = None,
+    wavelength_nm: float | None = None,
+    normalise: Normalise = "mirror",
+) -> Dataset:
+    """Fit several models to a table, and say which the data ask for (`Dataset.choice`).
+
+    Parameters
+    ----------
+    table, name
+        As in `fit`.
+    models
+        Names or classes; "all" for every model, with sums and n + ik.
+    ior
+        Optical constants n + ik or a material, for the models that have any.
+    wavelength_nm
+        The nearest wavelength of the table is fitted (550 nm if none is given).
+    normalise
+        What the curves of polar plots are divided by.
+
+    Raises
+    ------
+    ConfigError, DataError
+        As `fit`.
+    """
+    frame, called = _table(table, name)
+    names = [models] if isinstance(models, str) else [m if isinstance(m, str) else m.name for m in models]
+    check_models(names)
+    return examine(frame, names, name=called, ior=ior, wavelength_nm=wavelength_nm, normalise=normalise)
+
+
+def change(a: Table | Model, b: Table | Model, *, wavelength_nm: float | None = None) -> Change:
+    """B against A, point by point; each is a table, or a model.
+
+    Raises
+    ------
+    ConfigError, DataError
+        As `gonio_analysis.changes.point_by_point.change`.
+    """
+    return point_by_point.change(_side(a, "A"), _side(b, "B"), wavelength_nm=wavelength_nm)
+
+
+def polar(
+    ax: Any,
+    table: Table,
+    model: Model | FitResult | None = None,
+    *,
+    wavelength_nm: float | None = None,
+    normalise: Normalise = "mirror",
+) -> list[Any]:
+    """The curves in the plane of incidence on a half disc, with a model's as the instrument would see it.
+
+    Parameters
+    ----------
+    ax
+        Axes of matplotlib, Cartesian ones.
+    table
+        As in `fit`.
+    model
+        A model, or a fit, whose wavelength is taken; None draws the measurement alone.
+    wavelength_nm
+        The nearest wavelength of the table is drawn (550 nm if none is given).
+    normalise
+        What curves are divided by: "mirror", "max" or "model".
+
+    Returns
+    -------
+    list of artists
+
+    Raises
+    ------
+    ConfigError
+        A file of several samples.
+    DataError
+        No usable value, or no curve in the plane of incidence.
+    """
+    if model is None and normalise == "model":
+        raise ArgumentError('normalise = "model": no model is given')
+    words = {"mirror": "BRDF / BRDF in the mirror direction", "max": "BRDF / its maximum", "model": "BRDF / model's"}
+    lines = [d.normalised() for d in _drawn(table, model, wavelength_nm, normalise)]
+    return in_plane.polar(ax, lines, radius_label=words[normalise])
+
+
+def semilog(
+    ax: Any, table: Table, model: Model | FitResult | None = None, *, wavelength_nm: float | None = None
+) -> list[Any]:
+    """The same curves absolute, on a logarithmic axis; arguments, result and errors as `polar`."""
+    return in_plane.semilog(ax, [d.absolute() for d in _drawn(table, model, wavelength_nm, "mirror")])
+
+
+def _drawn(
+    table: Table, model: Model | FitResult | None, wavelength_nm: float | None, normalise: Normalise
+) -> list[Drawn]:
+    frame, called = _table(table, None)
+    if wavelength_nm is None and isinstance(model, FitResult) and np.isfinite(model.wavelength_nm):
+        wavelength_nm = model.wavelength_nm
+    data, wave = observations(frame, called).nearest(wavelength_nm)
+    shown = selection(curves(data))
+    if not shown:
+        raise DataError(f"{called}: no two usable values lie on one curve in the plane of incidence")
+    alone = _alone(model, wave)
+    empty = np.empty(0)
+    out = []
+    for curve, label in zip(shown, labels(shown), strict=True):
+        angle = empty if alone is None else theory_angles(curve, data)
+        theory = empty if alone is None else curve.theory(alone, angle, data)
+        by = norm(curve, normalise, Lambert(1.0) if alone is None else alone, data)
+        out.append(Drawn(curve, by, label, angle, theory, np.full(curve.angle.size, np.nan)))
+    return out
+
+
+def _alone(model: Model | FitResult | None, wavelength_nm: float) -> Model | None:
+    """The model that holds at a wavelength."""
+    one = model.model if isinstance(model, FitResult) else model
+    if isinstance(one, ByWavelength):
+        one = one.models[wavelength_nm]
+    if one is not None and not isinstance(one, Model):
+        raise ArgumentError(f"model must be one of gonio.models, or a fit, not {type(one).__name__}")
+    return one
+
+
+def _table(table: Table, name: str | None) -> tuple[pd.DataFrame, str]:
+    """The table of one sample, and what it is called."""
+    frames = (
+        measurement.tables(table)
+        if isinstance(table, (str, Path))
+        else {n: measurement.unpolarised(part) for n, part in measurement.samples(table).items()}
+    )
+    if len(frames) > 1:
+        raise ConfigError(f"{name or 'the table'} holds {len(frames)} samples: take one, of: {'; '.join(frames)}")
+    called, frame = next(iter(frames.items()))
+    return frame, name or called or "the table"
+
+
+def _side(one: Table | Model, letter: str) -> Side:
+    if isinstance(one, Model):
+        return Side(f"{letter}: {one.name}", letter, model=one)
+    frame, called = _table(one, None)
+    data: Observations = observations(frame, called)
+    return Side(f"{letter}: {called}", called, frame, data)

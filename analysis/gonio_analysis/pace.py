@@ -1,0 +1,52 @@
+"""What long work says of itself: how far it is, and how long the rest may take."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from gonio.cli.console import duration
+
+QUIET_S = 2.0
+"""Work that is done sooner says nothing, and nothing is said again sooner."""
+
+Say = Callable[[str], None]
+
+
+def silent(text: str) -> None:
+    """For those whom nobody listens to."""
+
+
+class Pace:
+    """Tells how many of about equal steps are done.
+
+    Parameters
+    ----------
+    what
+        As in "drawing figures".
+    total
+        How many steps there are.
+    say
+        Called with a line, at most every `QUIET_S`.
+    at_most
+        There may be fewer steps than `total`.
+    """
+
+    def __init__(self, what: str, total: int, say: Say, *, at_most: bool = False) -> None:
+        self._what, self._total, self._say, self._at_most = what, total, say, at_most
+        self._told = time.monotonic()
+        self._first: tuple[float, int] | None = None
+
+    def step(self, done: int) -> None:
+        """So many steps are done."""
+        now = time.monotonic()
+        if self._first is None and done > 0:
+            self._first = now, done  # what is slow at the first step alone (imports, machine code) says nothing
+            return
+        if self._first is None or now - self._told < QUIET_S or done >= self._total:
+            return
+        began, before = self._first
+        self._told = now
+        left = duration((now - began) / (done - before) * (self._total - done))
+        most = "at most " if self._at_most else ""
+        self._say(f"{self._what}: {done} of {most}{self._total}, {most or 'about '}{left} left")
