@@ -81,11 +81,14 @@ def fit(
     import json
 
     from gonio import measurement
+    from gonio.cli import console
     from gonio.errors import ConfigError
     from gonio_analysis import result_records
     from gonio_analysis.fitting import parameters
     from gonio_analysis.fitting.fit import fit as run_fit
     from gonio_analysis.fitting.problem import FitRequest
+    from gonio_analysis.report.verdict import reflectances
+    from gonio_analysis.selection.energy import of_model
 
     index = read_ior(ior)
     kept = dict(read_fixed(text) for text in fix or [])
@@ -112,6 +115,7 @@ def fit(
         searches=searches,
     )
     result = run_fit(frame, asked, name=str(table))
+    rho_dh = of_model(result)
     walked = {}
     if intervals:
         from gonio_analysis.fitting.profile_likelihood import profiles
@@ -119,11 +123,14 @@ def fit(
         walked = profiles(result).intervals
     if as_json:
         out = {**result.to_json(), "sample": name, "table": table}
+        out["rho_dh"] = result_records.as_json(rho_dh)
         if intervals:
             out["intervals"] = {n: result_records.as_json(i.summary()) for n, i in walked.items()}
         print(json.dumps(out, indent=1, ensure_ascii=False))
     else:
         _print(result, name, walked)
+        if rho_dh:
+            console.note(reflectances(result.name, rho_dh))
 
 
 def compare(
