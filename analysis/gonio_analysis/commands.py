@@ -98,6 +98,8 @@ def fit(
     from gonio_analysis.fitting.fit import fit as run_fit
     from gonio_analysis.fitting.observations import together
     from gonio_analysis.fitting.problem import FitRequest
+    from gonio_analysis.report.verdict import reflectances
+    from gonio_analysis.selection.energy import of_model
 
     index = read_ior(ior)
     kept = dict(read_fixed(text) for text in fix or [])
@@ -125,6 +127,7 @@ def fit(
         saving.check_target(save, asked)
     several = dict(zip(_short(tables), (data for _, data in read), strict=True))
     result = run_fit(together(several), asked, name=" + ".join(tables), say=console.note)
+    rho_dh = of_model(result)
     if save is not None:
         saving.save(result, save, name=name, source=" + ".join(tables))
     walked = {}
@@ -134,11 +137,14 @@ def fit(
         walked = profiles(result).intervals
     if as_json:
         out = {**result.to_json(), "sample": name, "table": tables if more else table}
+        out["rho_dh"] = result_records.as_json(rho_dh)
         if intervals:
             out["intervals"] = {n: result_records.as_json(i.summary()) for n, i in walked.items()}
         print(json.dumps(out, indent=1, ensure_ascii=False))
     else:
         _print(result, name, walked)
+        if rho_dh:
+            console.note(reflectances(result.name, rho_dh))
 
 
 def _observed(table: str, u_rel: float | None) -> tuple[str, Observations]:

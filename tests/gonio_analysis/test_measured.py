@@ -53,3 +53,14 @@ def test_infrared_metal_in_a_broad_band(tmp_path: Path) -> None:
     assert metal["receiver_solid_angle_sr"] is None
     (metal,) = report(tmp_path, name, models=("he-torrance",), wavelength_nm=3500)
     assert metal["models"]["he-torrance"]["wavelength_nm"] == 3500
+
+
+def test_a_metal_s_fit_that_reflects_more_than_it_receives_is_marked(tmp_path: Path) -> None:
+    """In-plane scans of brushed steel leave the width across the plane open: an isotropic lobe is too wide there."""
+    name = "mwir_metals/mwir_inplane_reflected_radiance.csv:brushed stainless steel"
+    (metal,) = report(tmp_path, name, models=("cook-torrance",))
+    steel = metal["models"]["cook-torrance"]
+    assert steel["reflects_too_much"]
+    assert max(r["rho_dh"] for r in steel["rho_dh"]) > 2
+    assert "Against the conservation of energy cook-torrance" in metal["conclusion"]
+    assert "does not describe the sample" in metal["conclusion"]

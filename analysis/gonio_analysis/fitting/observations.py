@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 DEFAULT_WAVELENGTH_NM = 550.0
 SAME_BAND_NM = 1e-6
+UNSTATED = "The table states no uncertainties."
 LINEAR_BELOW = 0.05
 """Without uncertainties: the fraction of the median |f| below which differences count as such, not as ratios."""
 LARGEST = 1e30
@@ -216,7 +217,7 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
             " (--u-rel), independent from value to value. Every chi-square, verdict and error bar rests on it."
         )
     else:
-        notes.append("The table states no uncertainties.")
+        notes.append(UNSTATED)
     cones = {which: _solid_angle(table.attrs, which) for which in ("source", "receiver")}
     unknown = [which for which, cone in cones.items() if cone is None]
     if unknown:

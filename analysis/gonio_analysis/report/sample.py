@@ -183,19 +183,15 @@ def _energy(d: DatasetSummary) -> list[Block]:
     if not d.models:
         return []
     at = sorted({round(r.theta_i_deg, 1) for f in d.models.values() for r in f.rho_dh})
-    rows: list[Sequence[Text]] = []
-    for name, f in d.models.items():
-        found = {round(r.theta_i_deg, 1): r for r in f.rho_dh}
-        rows.append(
-            [
-                name + " ⚠ above 1" * f.reflects_too_much,
-                *(with_u(found[a].rho_dh, found[a].u) if a in found else "–" for a in at),
-            ]
-        )
-    own = {round(r.theta_i_deg, 1): r for r in d.rho_dh if r.rho_dh is not None}
+    columns = {
+        name + " ⚠ above 1" * f.reflects_too_much: {round(r.theta_i_deg, 1): r for r in f.rho_dh}
+        for name, f in d.models.items()
+    }
+    own = [r for r in d.rho_dh if r.rho_dh is not None]
     if own:
-        near = {a: next((r for b, r in own.items() if abs(a - b) < 0.5), None) for a in at}
-        rows.append(["measurement", *("–" if r is None else with_u(r.rho_dh, r.u) for r in near.values())])
+        near = {a: [r for r in own if abs(a - r.theta_i_deg) < 0.5] for a in at}
+        columns["the measurement itself"] = {a: found[0] for a, found in near.items() if found}
+    rows = [[f"{a:g}°", *(with_u(c[a].rho_dh, c[a].u) if a in c else "–" for c in columns.values())] for a in at]
     out: list[Block] = [Heading(3, "Energy and symmetry")]
     if at:
         out.append(
@@ -203,9 +199,9 @@ def _energy(d: DatasetSummary) -> list[Block]:
                 "Directional-hemispherical reflectance rho_dh by angle of incidence: the share of the light that is"
                 " reflected. Uncertainties of models follow from the covariance of their parameters"
                 + (", which rests on the assumed uncertainty." if d.u_rel_assumed is not None else "."),
-                ["model", *(f"θi = {a:g}°" for a in at)],
+                ["θi", *columns],
                 rows,
-                right=tuple(range(1, len(at) + 1)),
+                right=tuple(range(1, len(columns) + 1)),
             )
         )
     said: list[Text] = []

@@ -100,6 +100,14 @@ def too_bright(found: Mapping[str, Sequence[Reflectance]], best: str) -> str:
     return f"Against the conservation of energy {', '.join(said)} {verb}; --energy fits within the bound."
 
 
+def reflectances(model: str, found: Sequence[Reflectance]) -> str:
+    """rho_dh of one model as a line, with a word on what is above 1; "" where there is none."""
+    if not found:
+        return ""
+    line = ", ".join(f"{with_u(r.rho_dh, r.u)} at {r.theta_i_deg:.3g}°" for r in found)
+    return f"rho_dh, by angle of incidence: {line}. {too_bright({model: found}, model)}".rstrip()
+
+
 def direction_of_its_own(found: Sequence[SymmetrySummary]) -> str:
     """The sentence for a sample that is not isotropic; "" where nothing shows it."""
     shown = next((s for s in found if s.kind == "azimuth of incidence" and s.broken), None)

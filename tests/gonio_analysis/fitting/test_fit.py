@@ -190,7 +190,7 @@ def test_broad_band_needs_a_wavelength_where_the_model_does() -> None:
         fit(table, "he-torrance", ior=1.5 + 0j)
     r = fit(table, "he-torrance", ior=1.5 + 0j, wavelength_nm=4000)
     assert r.wavelength_nm == 4000
-    assert any("4000 nm alone" in note for note in r.notes)
+    assert any("evaluated at 4000 nm" in note for note in r.notes)
 
 
 def test_nearest_wavelength_is_fitted_and_said() -> None:

@@ -180,3 +180,18 @@ def test_options_reach_the_command(tmp_path: Any, capsys: pytest.CaptureFixture[
     assert "assumed uncertainty of 3 %" in out["verdict"]
     commands.fit(str(tmp_path / "t.csv"), "lambert", metric="ngan", as_json=True)
     assert json.loads(capsys.readouterr().out)["metric"] == "ngan"
+
+
+def test_a_fit_says_what_its_model_reflects(tmp_path: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    import json
+
+    from gonio import measurement
+
+    bright = build("phong", {"k_d": 0.4, "k_s": 40.0, "exponent": 60.0})
+    measurement.write(measure(bright, noise=0.01, floor=0.0, incidences=(10.0, 30.0)), tmp_path / "t.csv")
+    commands.fit(str(tmp_path / "t.csv"), "phong")
+    assert "reflects more than it receives" in " ".join(capsys.readouterr().err.split())
+    commands.fit(str(tmp_path / "t.csv"), "phong", as_json=True)
+    found = json.loads(capsys.readouterr().out)["rho_dh"]
+    assert [round(r["theta_i_deg"]) for r in found] == [8, 10, 30]
+    assert all(r["u"] > 0 for r in found)

@@ -76,6 +76,12 @@ def test_metrics_that_disagree_are_named() -> None:
     assert "is nearest by" in facts.conclusion
 
 
+def test_the_assumption_stands_among_the_notes_whatever_the_file_says() -> None:
+    frame = bare(noise=0.03)
+    frame.attrs["notes"] = ["the format states no uncertainties"]
+    assert any("ASSUMED" in n for n in headline(frame, "lambert", u_rel=0.03).notes)
+
+
 def test_an_assumed_uncertainty_judges_and_is_called_assumed() -> None:
     facts = headline(bare(noise=0.03), "lambert", "cook-torrance", u_rel=0.03)
     assert facts.u_rel_assumed == 0.03
