@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from gonio_analysis.demo import PLAN as DEMO_PLAN
-from gonio_analysis.demo import SAMPLE as DEMO_SAMPLE
-from gonio_analysis.demo import _clear
+from gonio_analysis.commands.demonstration import PLAN as DEMO_PLAN
+from gonio_analysis.commands.demonstration import SAMPLE as DEMO_SAMPLE
+from gonio_analysis.commands.demonstration import _clear
 from gonio_analysis.report import make
 from gonio_analysis.report.files import staged
 from gonio_validation import papers

@@ -21,18 +21,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio import geometry
+from gonio import geometry, shown
+from gonio.cli.pace import Say, silent
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import SAME_ANGLE, Directions
 from gonio.typing import Floats
-from gonio_analysis import shown
 from gonio_analysis.changes.resampling import Carried, carry, common_wavelengths
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.objective import scaled_to
 from gonio_analysis.fitting.observations import Observations, describe_left_out, observations
 from gonio_analysis.fitting.value_covariance import Covariance
-from gonio_analysis.pace import Say, silent
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -24,11 +24,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from gonio.cli.pace import Pace, Say, silent
 from gonio.geometry import SAME_ANGLE, SAME_DIRECTION, Directions
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import Rows, groups
 from gonio_analysis.fitting.observations import SAME_BAND_NM, Observations
-from gonio_analysis.pace import Pace, Say, silent
 
 if TYPE_CHECKING:
     import pandas as pd

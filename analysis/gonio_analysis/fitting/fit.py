@@ -22,9 +22,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gonio import shown
+from gonio.cli.pace import Say, silent
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.typing import Floats
-from gonio_analysis import shown
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, apparent, pointlike
 from gonio_analysis.fitting.identifiability import tied
 from gonio_analysis.fitting.incidences import angles
@@ -33,7 +34,6 @@ from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observati
 from gonio_analysis.fitting.parameters import Family, Values
 from gonio_analysis.fitting.problem import STARTS, Bound, FitRequest, Problem, pose, together
 from gonio_analysis.fitting.search import STEP, covariance, refine, search, search_from, settle
-from gonio_analysis.pace import Say, silent
 from gonio_analysis.result_records import FitSummary, ParameterSummary, as_json, finite
 
 if TYPE_CHECKING:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gonio.cli.pace import Pace, Say, silent
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.forward import apparent, averaging, pointlike
@@ -21,7 +22,6 @@ from gonio_analysis.fitting.objective import Objective, alone, softened
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.parameters import Values
 from gonio_analysis.fitting.problem import STARTS, Problem
-from gonio_analysis.pace import Pace, Say, silent
 
 if TYPE_CHECKING:
     from gonio.instrument import Rules

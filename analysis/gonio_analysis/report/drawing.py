@@ -18,7 +18,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from gonio_analysis.pace import Pace, Say, silent
+from gonio.cli.pace import Pace, Say, silent
 from gonio_analysis.report.figures import Drawing, Figure
 
 FEW = 6

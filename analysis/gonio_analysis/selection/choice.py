@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gonio.cli.console import duration
+from gonio.cli.pace import QUIET_S, Pace
 from gonio.errors import ConfigError, DataError
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
@@ -25,7 +26,6 @@ from gonio_analysis.fitting.parameters import Ior, Values
 from gonio_analysis.fitting.problem import FitRequest, pose
 from gonio_analysis.fitting.profile_likelihood import Interval, profiles
 from gonio_analysis.fitting.surrogate import Near, Rows
-from gonio_analysis.pace import QUIET_S, Pace
 from gonio_analysis.result_records import CandidateSummary, ChoiceSummary, IntervalSummary, Value, finite
 from gonio_analysis.selection.misfit_regions import Region, blocks, farthest, worst
 

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gonio import shown
+from gonio.cli.pace import Pace
 from gonio.errors import ConfigError, DataError
 from gonio.typing import Floats
-from gonio_analysis import shown
 from gonio_analysis.curves.in_plane import Curve, Norm, Normalise, curves, labels, norm, selection
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting import parameters
@@ -23,7 +24,6 @@ from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.parameters import Ior
-from gonio_analysis.pace import Pace
 from gonio_analysis.result_records import Reflectance, RunFacts, SymmetrySummary
 from gonio_analysis.selection import energy
 from gonio_analysis.selection.choice import DECISIVE, Choice, Judged, candidates, choose, deviance

@@ -20,7 +20,7 @@ from tests.gonio_analysis.synthetic import known
 
 SIGNED = np.arange(-87.5, 87.6, 2.5)
 GLOSSY = (20.0, 60.0, 85.0)
-RUNS = 200
+RUNS = 60
 SCATTER = 3.0 / math.sqrt(2.0 * RUNS)
 """What a standard deviation of so many draws differs from the true one by, three times: the largest of thirty."""
 PAINT = HeTorrance(sigma0_um=0.1, tau_um=2.0, ior=1.5, diffuse_albedo=0.1)

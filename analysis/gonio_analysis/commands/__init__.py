@@ -40,7 +40,7 @@ def demo(
     quick: Annotated[bool, typer.Option("--quick", help="Fewer directions: done in seconds.")] = False,
 ) -> None:
     """Measure, reduce, fit and report one simulated sample. Prints the report's path last."""
-    from gonio_analysis.demo import run_demo
+    from gonio_analysis.commands.demonstration import run_demo
 
     print(run_demo(out, quick=quick))
 

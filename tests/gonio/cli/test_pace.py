@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pandas as pd
 import pytest
-from gonio_analysis import pace
 from gonio_analysis.changes.point_by_point import Side, change
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.selection.compare import examine
 
+from gonio.cli import pace
 from gonio.models import build
 from tests.gonio_analysis.synthetic import measure
 
@@ -23,7 +23,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
         now[0] += 3.0
         return now[0]
 
-    monkeypatch.setattr("gonio_analysis.pace.time.monotonic", look)
+    monkeypatch.setattr("gonio.cli.pace.time.monotonic", look)
     return now
 
 
