@@ -153,7 +153,8 @@ def _read(path: Path, where: str) -> Parts:
     except MemoryError:
         raise
     except Exception as error:  # whatever a damaged file makes of its reader
-        text = " ".join(str(error).split())
+        # a library that its reader would have guessed an encoding with says nothing of the file
+        text = "it is damaged, or cut short" if isinstance(error, ImportError) else " ".join(str(error).split())
         raise DataError(f"{where}: cannot be read as {kind.upper()}: {text or type(error).__name__}") from error
 
 

@@ -250,3 +250,9 @@ def test_triangles_without_area_are_left_out(tmp_path: Path) -> None:
     assert len(built.faces) == 12  # type: ignore[attr-defined]
     distance, _ = built.intersect(np.array([[0.3, 0.2, 9.0]]), np.array([[0.0, 0.0, -1.0]]), 0.0)
     assert distance[0] == pytest.approx(8.0, abs=1e-14)
+
+
+def test_a_file_cut_short_is_said_to_be_that(tmp_path: Path) -> None:
+    (tmp_path / "cut.stl").write_bytes(b"\xff\xfe\x00solid x facet normal 0 0 1 outer loop vertex 0 0")
+    with pytest.raises(DataError, match=r"cannot be read as STL: it is damaged, or cut short"):
+        Mesh(kind="mesh", file="cut.stl", material="m").build(tmp_path)
