@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
-from gonio_scenes.shapes import Shape
+from gonio_scenes.shapes import Mesh, Shape
 
+from gonio.errors import DataError
 from gonio.typing import Floats
 from tests.gonio_scenes.shapes.solids import check_frame, shape, toward, units
 
