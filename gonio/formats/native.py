@@ -138,7 +138,9 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     # pandas writes a carriage return without quotes, as if it ended no line
     ends = any("\r" in word for name in words for word in cells[name].unique())
     quoting: Any = csv.QUOTE_NONNUMERIC if ends else csv.QUOTE_MINIMAL
-    text = cells.to_csv(index=False, lineterminator="\n", quoting=quoting)
+    # pandas writes numbers as numpy prints them, and a package may have set that to twelve digits (colour-science does)
+    with np.printoptions(legacy=False):
+        text = cells.to_csv(index=False, lineterminator="\n", quoting=quoting)
     try:
         meta = json.dumps(_plain(frame.attrs), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     except (TypeError, ValueError) as error:

@@ -53,6 +53,13 @@ def test_columns_are_those_of_the_contract(tmp_path: Path) -> None:
     assert back["polarisation"].tolist() == ["unpolarised"] * 4
 
 
+def test_numbers_are_written_whole_however_numpy_prints(tmp_path: Path) -> None:
+    """colour-science, once imported, has numpy print twelve digits."""
+    with np.printoptions(legacy="1.13"):
+        measurement.write(example(brdf=0.0008207405356859867), tmp_path / "t.csv")
+    assert (measurement.read(tmp_path / "t.csv")["brdf"] == 0.0008207405356859867).all()
+
+
 def test_a_round_trip_is_exact(tmp_path: Path) -> None:
     frame = example(flag=["", "blocked", "", "saturated"])
     frame.loc[1, ["brdf", "u_brdf", "u_random", "s_reference"]] = np.nan

@@ -18,7 +18,11 @@ OBSERVER = "CIE 1931 2 Degree Standard Observer"
 def oracle() -> Any:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it warns of what it would draw with
-        return pytest.importorskip("colour", reason="colour-science is of the dev extra")
+        printing = np.get_printoptions()
+        try:  # it changes how numpy prints, for every test after this one
+            return pytest.importorskip("colour", reason="colour-science is of the dev extra")
+        finally:
+            np.set_printoptions(**printing)
 
 
 def spectra(nm: Floats) -> Floats:
