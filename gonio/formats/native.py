@@ -20,6 +20,7 @@ import numpy as np
 
 from gonio.disk import read_file, require_name
 from gonio.errors import ConfigError, DataError
+from gonio.formats.column_hints import column_hints
 from gonio.formats.reader import COLUMNS, POLARISATIONS, Attributes, Format, attributes, flag_holes, write_bytes
 from gonio.formats.text import cell_of, column_names, decode, number, plain_word
 from gonio.typing import Floats
@@ -170,7 +171,8 @@ def check_columns(header: list[str], where: str, *, needed: tuple[str, ...] = CO
         if names:
             shown = ", ".join(repr(n if len(n) <= 40 else n[:37] + "...") for n in names[:8])
             known = f"a measurement table has {', '.join(NEEDED)}, and may have {', '.join(_DEFAULTS)} and s_<cause>"
-            raise DataError(f"{where}: columns {what}: {shown}; {known}")
+            hints = "".join(f"; {hint}" for hint in column_hints(header))
+            raise DataError(f"{where}: columns {what}: {shown}{hints}; {known}")
 
 
 def check(frame: pd.DataFrame, where: Any) -> None:
