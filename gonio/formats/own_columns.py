@@ -77,7 +77,7 @@ def beside_path(path: Path) -> Path:
 
 
 def beside(path: Path) -> dict[str, str] | None:
-    """The pairs in `<name>.columns.toml` beside a table; None where there is no such file.
+    """The pairs in `<name>.columns.toml` beside a table; None where there is no such file, or the table is no CSV.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def beside(path: Path) -> dict[str, str] | None:
         The file cannot be read, or holds something else.
     """
     file = beside_path(path)
-    if not os.path.lexists(file):
+    if path.suffix.lower() not in (".csv", ".tsv", ".txt") or not os.path.lexists(file):
         return None
     try:
         stored = tomllib.loads(read_file(file).decode())

@@ -55,6 +55,7 @@ def test_the_file_beside_the_table_is_read_by_every_command(tmp_path: Path) -> N
     assert_plain(measurement.read(tmp_path / "mine.csv"))
     (frame,) = measurement.tables(tmp_path / "mine.csv").values()  # what the commands call
     assert_plain(frame)
+    assert own_columns.beside(tmp_path / "mine.xls") is None  # another file, of the same name
 
 
 def test_convert_takes_them_on_the_command_line(tmp_path: Path) -> None:
