@@ -21,6 +21,7 @@ what a file leaves out or what a reader did to it.
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,6 +30,7 @@ import numpy as np
 from gonio import formats
 from gonio.disk import only_file
 from gonio.errors import ConfigError, DataError
+from gonio.formats import own_columns
 from gonio.formats.native import check, check_columns, meta_path
 from gonio.formats.reader import ANGLES, COLUMNS, MAX_BYTES
 from gonio.typing import Floats
@@ -44,7 +46,13 @@ __all__ = [
 ]  # fmt: skip
 
 
-def read(path: str | Path, *, format: str | None = None, sample: str | None = None) -> pd.DataFrame:
+def read(
+    path: str | Path,
+    *,
+    format: str | None = None,
+    sample: str | None = None,
+    columns: Mapping[str, str] | None = None,
+) -> pd.DataFrame:
     """The measurement table in a file of any supported format, or in a RUN folder (its `brdf.csv`).
 
     Parameters
@@ -55,11 +63,14 @@ def read(path: str | Path, *, format: str | None = None, sample: str | None = No
         The name of a format (`gonio.formats.all_formats()`), where neither tells.
     sample
         Which sample to take from a file that holds several; without it all are there, told apart by a column `sample`.
+    columns
+        The file's own names and units of the columns of a CSV made by hand: `{"theta_i": "ti:rad", "brdf": "R:factor"}`
+        (`gonio.formats.own_columns`). Without it those in `<name>.columns.toml` beside the file, if it is there.
 
     Raises
     ------
     ConfigError
-        There is no such file, or it cannot be opened; there is no such format.
+        There is no such file, or it cannot be opened; there is no such format; `columns` name what is no column.
     DataError
         The file is empty, damaged or in no known format; a value is not allowed (with file, line and column); it holds
         no such sample.
@@ -67,17 +78,30 @@ def read(path: str | Path, *, format: str | None = None, sample: str | None = No
     path = Path(path)
     if path.is_dir():
         path = _table_of_run(path)
-    frame = parse(_load(path), path, format=format)
+    frame = parse(_load(path), path, format=format, columns=columns)
     return frame if sample is None else _choose(frame, sample, path)
 
 
-def parse(data: bytes, path: Path, *, format: str | None = None) -> pd.DataFrame:
+def parse(
+    data: bytes, path: Path, *, format: str | None = None, columns: Mapping[str, str] | None = None
+) -> pd.DataFrame:
     """The table in the bytes of a file, as `read` gives it, with the same errors; `path` names the file in messages."""
+    where, stored = "columns", columns
+    if columns is None and (stored := own_columns.beside(path)) is not None:
+        where = str(own_columns.beside_path(path))
+    notes: list[str] = []
+    if stored is not None and format in (None, "gonio"):
+        format = "gonio"
+        if len(data) <= formats.named(format).max_bytes:
+            data, notes = own_columns.renamed(data, path, stored, where)
+    elif columns is not None:
+        raise ConfigError(f"{path}: columns are named in CSV files made by hand, and {format} files are none")
     chosen = formats.named(format) if format else formats.of_content(data, path)
     if len(data) > chosen.max_bytes:
         raise DataError(f"{path}: is larger than {chosen.max_bytes >> 20} MiB, the largest {chosen.title} that is read")
     with np.errstate(all="ignore"):  # absurd numbers overflow to what `check` then names
         frame = chosen.read(data, path)
+    frame.attrs["notes"] = [*notes, *frame.attrs.get("notes", ())]
     frame.attrs.setdefault("format", chosen.name)
     check_columns(list(frame.columns), str(path))
     if chosen.name != "gonio":  # whose reader has checked, with line numbers

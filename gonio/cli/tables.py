@@ -23,11 +23,19 @@ def convert(
     target_format: Annotated[
         str | None, typer.Option("--to", help="Format of OUT, where its ending does not tell.", show_default=False)
     ] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(help="Names and units in a CSV of one's own: theta_i=ti:rad,brdf=f.", show_default=False),
+    ] = None,
 ) -> None:
     """Convert a measurement, or a model, to another file format. By file ending, or by a format's name."""
     from gonio import measurement
     from gonio.cli import console
+    from gonio.errors import ConfigError
+    from gonio.formats import own_columns
 
+    if source.endswith(".toml") and columns is not None:
+        raise ConfigError(f"{source}: is a model, which has no --columns")
     if source.endswith(".toml"):
         from gonio import models
         from gonio.acquisition.measure import load_sample
@@ -39,7 +47,8 @@ def convert(
         console.show(f"{target}: {sample_file.name}")
         return
     path, sample = measurement.split(source)
-    table = measurement.read(path, format=source_format, sample=sample)
+    named = None if columns is None else own_columns.pairs(columns)
+    table = measurement.read(path, format=source_format, sample=sample, columns=named)
     for remark in measurement.write(table, target, format=target_format):
         console.note(remark)
     console.show(f"{target}: {len(table)} values")

@@ -11,6 +11,7 @@ import itertools
 import json
 import math
 import os
+import re
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -20,8 +21,9 @@ import numpy as np
 
 from gonio.disk import read_file, require_name
 from gonio.errors import ConfigError, DataError
+from gonio.formats.column_hints import column_hints
 from gonio.formats.reader import COLUMNS, POLARISATIONS, Attributes, Format, attributes, flag_holes, write_bytes
-from gonio.formats.text import cell_of, column_names, decode, number, plain_word
+from gonio.formats.text import cell_of, column_names, decode, number, plain_word, separator
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -108,7 +110,8 @@ def _read_line_by_line(text: str, path: Path) -> pd.DataFrame:
     """The columns of any file, as text and numbers; messages name line and column."""
     import pandas as pd
 
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    mark = separator(re.split(r"[\r\n]", text, maxsplit=1)[0])
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=mark, strict=True)
     try:
         header = next(reader, [])
         check_columns(header, f"{path}, line 1", needed=NEEDED)
@@ -120,7 +123,11 @@ def _read_line_by_line(text: str, path: Path) -> pd.DataFrame:
                     where = f"{path}, line {line + row}"
                     raise DataError(f"{where}: {len(cells)} cells, and the header names {len(header)} columns")
             for part, name, column in zip(parts, header, zip(*chunk, strict=True), strict=True):
-                part.append(np.array(column, dtype=object) if name in _WORDS else _floats(column, name, path, line))
+                if name in _WORDS:
+                    part.append(np.array(column, dtype=object))
+                    continue
+                plain = column if mark == "," else tuple(cell.replace(",", ".") for cell in column)
+                part.append(_floats(plain, name, path, line))
             line += len(chunk)
     except csv.Error as error:
         raise DataError(f"{path}, line {reader.line_num}: {error}") from None
@@ -172,7 +179,8 @@ def check_columns(header: list[str], where: str, *, needed: tuple[str, ...] = CO
         if names:
             shown = ", ".join(repr(n if len(n) <= 40 else n[:37] + "...") for n in names[:8])
             known = f"a measurement table has {', '.join(NEEDED)}, and may have {', '.join(_DEFAULTS)} and s_<cause>"
-            raise DataError(f"{where}: columns {what}: {shown}; {known}")
+            hints = "".join(f"; {hint}" for hint in column_hints(header))
+            raise DataError(f"{where}: columns {what}: {shown}{hints}; {known}")
 
 
 def check(frame: pd.DataFrame, where: Any) -> None:

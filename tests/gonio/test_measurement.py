@@ -346,6 +346,18 @@ def test_a_table_made_by_hand_needs_only_angles_and_values() -> None:
     assert any("no columns wavelength_nm, polarisation, u_brdf, u_random, flag" in n for n in frame.attrs["notes"])
 
 
+@pytest.mark.parametrize("mark", [";", "\t"])
+@pytest.mark.parametrize("point", [".", ","])
+@pytest.mark.parametrize("ending", ["\n", "\r\n"])
+def test_a_spreadsheet_s_own_separators_are_taken(mark: str, point: str, ending: str) -> None:
+    plain = "theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,brdf,flag\n30,0,45.5,180,1.25e-1,\n30,0,0,180,0.5,blocked\n"
+    other = plain.replace(",", mark).replace(".", point).replace("\n", ending)
+    frame = measurement.parse(other.encode(), Path("mine.csv"))
+    pd.testing.assert_frame_equal(frame, measurement.parse(plain.encode(), Path("mine.csv")), check_exact=True)
+    with pytest.raises(DataError, match=r"line 2: theta_i_deg is \"3\.0\.0\", not a number"):
+        measurement.parse(other.replace(f"{ending}30", f"{ending}3.0,0", 1).encode(), Path("mine.csv"))
+
+
 @pytest.mark.parametrize("ending", ["\n", "\r\n"])  # the first is read at once, the second line by line
 def test_both_ways_of_reading_agree(ending: str) -> None:
     frame = example(5, flag=["", "blocked", "", "saturated", ""])

@@ -1,0 +1,99 @@
+"""What to rename where the columns of a table made by hand are nearly those of the measurement table."""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+
+from gonio.formats.reader import COLUMNS
+
+_ANGLE = re.compile(r"(theta|phi|θ|ϑ|φ|ϕ|polar|azimuth)_?(i|in|inc|incident|r|o|out|s|refl|reflected|scattered)")
+"""Half and difference angles (theta_h, theta_d) are none of these, and are no measurement table's."""
+_POLAR = ("theta", "θ", "ϑ", "polar")
+_UNITS = {
+    "": "", "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "rad": "rad", "radian": "rad",
+    "radians": "rad", "nm": "nm", "um": "um", "µm": "um", "μm": "um", "micron": "um", "microns": "um",
+    "1/sr": "1/sr", "sr^-1": "1/sr", "sr-1": "1/sr", "per_sr": "1/sr",
+}  # fmt: skip
+_NAMES = {
+    "wavelength_nm": {"wavelength", "lambda", "wl", "wvl", "λ"},
+    "polarisation": {"polarization", "polarisation", "pol"},
+    "sample": {"sample", "sample_name"},
+    "brdf": {"brdf", "bsdf", "f_r", "fr", "brdf_value"},
+    "u_brdf": {"u_brdf", "ubrdf", "brdf_u", "brdf_unc", "brdf_uncertainty", "u_f_r", "uncertainty", "unc"},
+    "flag": {"flag", "flags"},
+}  # fmt: skip
+_BY_NAME = {name: column for column, names in _NAMES.items() for name in names}
+_FACTOR = {"reflectance_factor", "radiance_factor"}
+_ALLOWED = {"deg": "_deg", "rad": "_deg", "nm": "_nm", "um": "_nm", "1/sr": "brdf"}
+"""How the name of a column that may have this unit ends."""
+_REMARKS = {
+    "theta_i_deg": "degrees, toward the source",
+    "theta_r_deg": "degrees, toward the detector",
+    "phi_i_deg": "degrees, toward the source",
+    "phi_r_deg": "degrees, toward the detector; the mirror side is phi_i + 180",
+    "wavelength_nm": "nanometres",
+    "brdf": "1/sr; a reflectance factor is divided by pi first",
+    "u_brdf": "1/sr, standard uncertainties; an expanded uncertainty U is divided by its k first",
+}
+_CONVERTED = {"rad": "multiply its radians by 180/pi", "um": "multiply its micrometres by 1000"}
+_LOOKED_AT = 64
+"""So many unknown columns are looked at: a file with more of them is another kind of table."""
+
+
+def column_hints(header: Sequence[str]) -> list[str]:
+    """A sentence for each unknown column that is nearly one of the measurement table, saying how to make it that.
+
+    There is none for a column that the table has already, nor where several columns could be the same one.
+    """
+    present = set(header)
+    hints = defaultdict(list)
+    for name in itertools.islice((name for name in header if name not in COLUMNS and len(name) <= 40), _LOOKED_AT):
+        for column, sentence in _nearly(name):
+            if column not in present:
+                hints[column].append(sentence)
+    return [sentences[0] for sentences in hints.values() if len(sentences) == 1]
+
+
+def _nearly(name: str) -> Iterator[tuple[str, str]]:
+    """The column that this name is nearly that of, if any, and what to do."""
+    word, unit = _word_and_unit(name)
+    if word in _FACTOR and not unit:
+        yield "brdf", f"divide {name!r} by pi and name it 'brdf'"
+        return
+    angle = _ANGLE.fullmatch(word)
+    if angle:
+        kind, side = "theta" if angle[1] in _POLAR else "phi", "i" if angle[2].startswith("i") else "r"
+        column = f"{kind}_{side}_deg"
+    else:
+        near = difflib.get_close_matches(word, _SPELT, n=1, cutoff=0.85)
+        found = _BY_NAME.get(word) or (_SPELT[near[0]] if near else None)
+        if found is None:
+            return
+        column = found
+    if unit and not column.endswith(_ALLOWED[unit]):
+        return
+    remark = _REMARKS.get(column, "")
+    if unit in _CONVERTED:
+        yield column, f"{_CONVERTED[unit]} and name it {column!r} (now {name!r})"
+    else:
+        yield column, f"rename {name!r} to {column!r}" + (f" ({remark})" if remark else "")
+
+
+_SPELT = {"wavelength": "wavelength_nm", "polarisation": "polarisation", "sample": "sample", "u_random": "u_random"}
+"""Words long enough to be known by a slip of the pen; one letter makes an angle another angle."""
+
+
+def _word_and_unit(name: str) -> tuple[str, str]:
+    """A column's name without case, blanks and unit; and its unit, as this module writes it."""
+    plain = re.sub(r"[\s\-.]+", "_", re.sub(r"\bsr-1", "1/sr", name.strip().lower()))
+    bracketed = re.fullmatch(r"(.*?)_*[\[(]\s*(.*?)\s*[\])]", plain)
+    if bracketed and bracketed[2] in _UNITS:
+        return bracketed[1].strip("_"), _UNITS[bracketed[2]]
+    word, _, unit = plain.rpartition("_")
+    if word and unit in _UNITS:
+        return word.strip("_"), _UNITS[unit]
+    return plain.strip("_"), ""
