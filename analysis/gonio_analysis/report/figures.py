@@ -150,7 +150,8 @@ def _norm_words(f: Fitted) -> str:
     if len(kinds) == 1:
         return words[kinds.pop()]
     other = next(k for k in sorted(kinds) if k != "mirror")
-    return f"{words['mirror']}; curves marked * {words[other]}, because their mirror direction was not measured"
+    why = "because their mirror direction was not measured or is dark beside the rest"
+    return f"{words['mirror']}; curves marked * {words[other]}, {why}"
 
 
 def _spikes(f: Fitted) -> str:
