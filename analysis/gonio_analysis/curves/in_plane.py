@@ -27,6 +27,9 @@ Scanned = Literal["theta_r", "theta_i"]
 Normalise = Literal["mirror", "max", "model"]
 
 MOST_CURVES = 6
+DARK_MIRROR = 2.5
+"""A curve that reaches so many times its mirror value is not divided by it if it peaks on the retro side, or if that
+value is below the median too: an off-specular peak beyond a bright mirror direction is neither."""
 
 
 @dataclass(frozen=True)
@@ -184,9 +187,9 @@ def norm(curve: Curve, kind: Normalise, model: Any, data: Observations) -> Norm:
     Parameters
     ----------
     kind
-        "mirror": each by its own value in the measured direction nearest the mirror, and where that was not measured by
-        its own value at the largest in-plane measurement; "max": the latter for all curves; "model": both by the
-        fitted model in the mirror direction.
+        "mirror": each by its own value in the measured direction nearest the mirror, and where that was not measured,
+        or is dark beside the rest (`DARK_MIRROR`), by its own value at the largest in-plane measurement; "max": the
+        latter for all curves; "model": both by the fitted model in the mirror direction.
     """
 
     def of_model(angle: float) -> float:
@@ -197,6 +200,8 @@ def norm(curve: Curve, kind: Normalise, model: Any, data: Observations) -> Norm:
         value = of_model(curve.parameter)
         if np.isfinite(value) and value > 0:
             return Norm("model", value, value, curve.parameter)
+    if k is not None and _dark(curve, k):
+        k = None
     chosen = k if kind == "mirror" and k is not None else int(np.argmax(curve.brdf))
     angle = float(curve.angle[chosen])
     measured = float(curve.brdf[chosen])
@@ -204,3 +209,10 @@ def norm(curve: Curve, kind: Normalise, model: Any, data: Observations) -> Norm:
     safe = measured if measured > 0 else 1.0
     found: Normalise = "mirror" if chosen == k and kind == "mirror" else "max"
     return Norm(found, safe, value if np.isfinite(value) and value > 0 else safe, angle)
+
+
+def _dark(curve: Curve, k: int) -> bool:
+    """Whether value k is low beside the rest, as the mirror direction of a retroreflector is."""
+    value, top = curve.brdf[k], int(np.argmax(curve.brdf))
+    elsewhere = curve.angle[top] < 0.0 or value < np.median(curve.brdf)
+    return bool(elsewhere and curve.brdf[top] > DARK_MIRROR * value)

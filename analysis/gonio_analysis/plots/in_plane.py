@@ -112,9 +112,11 @@ def polar(ax: Any, lines: Sequence[Line], *, radius: float | None = None, radius
             artists += ax.plot(x, y, color=look["color"], lw=2.2, solid_capstyle="butt", clip_on=False, zorder=5)
         if notes:
             beyond.append((f"{line.label}: {' and '.join(notes)}", look["color"]))
+    rows = max(3, -(-len(beyond) // 2))  # three find room above the rim, on each side of the label of the normal
     for k, (text, colour) in enumerate(beyond):
-        at = (-1.12 * rim, (1.08 - 0.055 * k) * rim)
-        artists.append(ax.text(*at, text, color=colour, fontsize=6.5, ha="left", va="center", zorder=6))
+        side, ha = (-1.0, "left") if k < rows else (1.0, "right")
+        at = (side * 1.12 * rim, (1.105 - 0.048 * (k % rows)) * rim)
+        artists.append(ax.text(*at, text, color=colour, fontsize=6.5, ha=ha, va="center", zorder=6))
     return artists
 
 

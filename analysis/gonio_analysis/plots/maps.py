@@ -24,6 +24,8 @@ from gonio_analysis.plots.in_plane import FAINT, INK, angle_axis, style
 
 FEWEST = 4
 """Values that make a slice."""
+FAR = 1.5
+"""Largest measured value in a drawing of a lobe, in largest values of the model."""
 Marks = npt.NDArray[np.bool_]
 SEQUENTIAL, DIVERGING = "viridis", "RdBu_r"
 """Colour maps that readers with any colour vision can tell; signs are told by markers, too, for print in grey."""
@@ -175,6 +177,11 @@ def lobe_mesh(brdf: Any) -> Mesh:
     return Mesh(theta, phi, brdf(theta.ravel(), phi.ravel()).reshape(theta.shape))
 
 
+def beyond(mesh: Mesh, value: Floats) -> Marks:
+    """Which measured values a drawing of this lobe leaves out: they would shrink it to a dot, or are not numbers."""
+    return np.asarray(~(value <= FAR * float(np.nanmax(mesh.value))))
+
+
 def lobe(ax: Any, brdf: Any, *, measured: tuple[Floats, Floats, Floats] | None = None, label: str = "") -> list[Any]:
     """A lobe in three dimensions: the radius in each direction is the value in it, divided by the largest one.
 
@@ -185,7 +192,8 @@ def lobe(ax: Any, brdf: Any, *, measured: tuple[Floats, Floats, Floats] | None =
     brdf
         Function of (theta_r, dphi) [rad] to the value [1/sr], or what `lobe_mesh` made of it.
     measured
-        theta_r, dphi [rad] and values of measurements, drawn as points.
+        theta_r, dphi [rad] and values of measurements, drawn as points. The box grows with them to `FAR` times the
+        mesh's largest value; what is larger is left out (`beyond` counts it).
     label
         Of the whole, with the divisor.
     """
@@ -194,16 +202,18 @@ def lobe(ax: Any, brdf: Any, *, measured: tuple[Floats, Floats, Floats] | None =
     top = float(np.nanmax(mesh.value))
     x, y, z = _in_space(mesh.theta, mesh.dphi, mesh.value / top)
     artists: list[Any] = [ax.plot_wireframe(x, y, z, rstride=3, cstride=3, color=style(0)["color"], lw=0.45, zorder=2)]
+    points = (np.empty(0), np.empty(0), np.empty(0))
     if measured is not None:
-        points = _in_space(measured[0], measured[1], np.clip(measured[2] / top, 0.0, None))
+        near = ~beyond(mesh, measured[2])
+        points = _in_space(measured[0][near], measured[1][near], np.clip(measured[2][near] / top, 0.0, None))
         artists.append(ax.scatter(*points, s=4, color=style(1)["color"], depthshade=False, zorder=3))
     turn = np.radians(np.linspace(0, 360, 121))
-    reach = max(float(np.abs(x).max()), float(np.abs(y).max()), 0.3)
+    reach = max(0.3, *(float(np.abs(a).max(initial=0.0)) for a in (x, y, *points[:2])))
     artists += ax.plot(reach * np.cos(turn), reach * np.sin(turn), 0 * turn, color=FAINT, lw=0.7)
     artists += ax.plot([-reach, reach], [0, 0], [0, 0], color=FAINT, lw=0.7)
     ax.text(reach, 0, 0, "mirror side", fontsize=7, color="#5a6472", ha="right", va="top")
     ax.set_axis_off()
-    high = max(float(z.max()), 0.2)
+    high = max(0.2, float(z.max()), float(points[2].max(initial=0.0)))
     tall = high / (2 * reach)
     across = max(1.15, 0.75 + 0.93 * tall)  # of the drawing, seen from 22 degrees above, in widths of the disc
     ax.set_box_aspect((1, 1, tall), zoom=1.03 * float(np.sqrt(2.0 + tall**2)) / across)

@@ -17,7 +17,7 @@ from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.plots import diagnostics, in_plane, maps, thinning
 from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, Drawing, bars, budget_height, largest
-from gonio_analysis.report.text import cause, unit
+from gonio_analysis.report.text import cause, number, unit
 from gonio_analysis.result_records import DatasetSummary
 from gonio_analysis.selection.compare import Dataset
 
@@ -137,12 +137,21 @@ def _lobe(d: Dataset, facts: DatasetSummary, rows: Rows, most: int) -> Drawing:
 
     at = data.directions[rows]
     some = thinning.over_hemisphere(at.theta_r, at.dphi, data.brdf[rows], DISC_PT, most)
+    mesh = maps.lobe_mesh(brdf)
+    values = data.brdf[rows]
+    far = values[maps.beyond(mesh, values)]
     caption = (
         f"Lobe, θi = {np.degrees(theta):.1f}°: {best.name} as fitted, without a spike (mesh);"
         f" {_measured(d)} values (points)." + thinning.words(some.size, rows.size)
     )
+    if far.size:
+        times = number(float(far.max() / np.nanmax(mesh.value)), 2)
+        caption += (
+            f" Not drawn: {far.size} {'value' if far.size == 1 else 'values'} above {maps.FAR:g} times the mesh's"
+            f" largest, up to {times} times."
+        )
     shown = at[some]
-    on = partial(_on_space, mesh=maps.lobe_mesh(brdf), measured=(shown.theta_r, shown.dphi, data.brdf[rows][some]))
+    on = partial(_on_space, mesh=mesh, measured=(shown.theta_r, shown.dphi, values[some]))
     return Drawing(f"{facts.slug}-lobe", "lobe", "", caption, caption, (4.6, 4.0), on)
 
 

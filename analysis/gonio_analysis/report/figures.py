@@ -150,7 +150,8 @@ def _norm_words(f: Fitted) -> str:
     if len(kinds) == 1:
         return words[kinds.pop()]
     other = next(k for k in sorted(kinds) if k != "mirror")
-    return f"{words['mirror']}; curves marked * {words[other]}, because their mirror direction was not measured"
+    why = "because their mirror direction was not measured or is dark beside the rest"
+    return f"{words['mirror']}; curves marked * {words[other]}, {why}"
 
 
 def _spikes(f: Fitted) -> str:
@@ -194,12 +195,15 @@ def _absolute(d: Dataset, facts: DatasetSummary, model: str, f: Fitted, most: in
         if stated
         else "model divided by measurement"
     )
-    caption = f"{model}: absolute in-plane BRDF of a {measurement(d)}{bars(d)}. Below: {kind}"
-    caption += "; grey: values that belong to no curve shown." if rest.size else "."
+    if lines:
+        caption = f"{model}: absolute in-plane BRDF of a {measurement(d)}{bars(d)}. Below: {kind}"
+        caption += "; grey: values that belong to no curve shown." if rest.size else "."
+    else:
+        caption = f"{model}: {measurement(d)} without an in-plane curve, so residuals alone: {kind}."
     drawn = thinning.measured(low) + some.size
     caption += thinning.words(drawn, thinning.measured(lines) + rest.size)
     chi = facts.models[model].reduced_chi_square
-    alt = f"Semilog curves and residuals for {d.name} and {model}" + (
+    alt = f"{'Semilog curves and residuals' if lines else 'Residuals'} for {d.name} and {model}" + (
         f"; reduced chi-square {number(chi)}." if chi is not None else "."
     )
     running = "θr" if not d.curves or d.curves[0].scanned == "theta_r" else "θi"
@@ -207,7 +211,7 @@ def _absolute(d: Dataset, facts: DatasetSummary, model: str, f: Fitted, most: in
         _on_two_panels, lines=top, below=low, others=(angle[some], values[some]), whitened=stated, running=running,
         legend=_Legend.of(f, star=False),
     )  # fmt: skip
-    high = 3.57 + 0.46 + LEGEND_ROW_IN * _Legend.of(f).rows
+    high = (3.57 if lines else 1.6) + 0.46 + LEGEND_ROW_IN * _Legend.of(f).rows
     return Drawing(f"{facts.slug}-absolute-{slug(model)}", "absolute", model, caption, alt, (5.6, high), on)
 
 
@@ -216,17 +220,16 @@ def _on_two_panels(
     running: str, legend: _Legend,
 ) -> None:  # fmt: skip
     room = 0.46 + LEGEND_ROW_IN * legend.rows
-    high = 3.57 + room
-    top, low = figure.subplots(2, 1, height_ratios=(2.4, 1), sharex=True)
+    high = figure.get_figheight()
+    axes = figure.subplots(2, 1, height_ratios=(2.4, 1), sharex=True) if lines else [figure.subplots()]
     figure.subplots_adjust(0.145, room / high, 0.975, 1 - 0.11 / high, hspace=0.12)
+    low = axes[-1]
     if lines:
-        in_plane.semilog(top, lines)
-    else:
-        top.set_axis_off()
-    top.set_xlabel("")
+        in_plane.semilog(axes[0], lines)
+        axes[0].set_xlabel("")
     in_plane.residuals(low, below, whitened=whitened, others=others)
     low.set_xlabel(f"{running}: retro side negative, mirror side positive")
-    for ax in (top, low):  # a fixed place: to look for one, every tick would be laid out once more
+    for ax in axes:  # a fixed place: to look for one, every tick would be laid out once more
         ax.yaxis.set_label_coords(-0.1, 0.5)
     low.xaxis.set_label_coords(0.5, -0.235)
     legend.draw(figure)

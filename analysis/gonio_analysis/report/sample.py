@@ -240,8 +240,9 @@ def _polar_words(s: Summary, d: DatasetSummary) -> Paragraph:
     )
     if "max" in kinds:
         first += (
-            "Where that direction was not measured, or the largest value was asked for, the divisor is the largest "
-            "in-plane value, and theory is divided by its own value in that direction. "
+            "Where that direction was not measured, is dark beside the rest of the curve, or the largest value was "
+            "asked for, the divisor is the largest in-plane value, and theory is divided by its own value in that "
+            "direction. "
         )
     if "model" in kinds:
         first += "Measurement and theory are both divided by the fitted model's value in the mirror direction. "

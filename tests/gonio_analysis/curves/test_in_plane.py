@@ -104,6 +104,19 @@ def test_missing_mirror_falls_back_to_the_largest_value() -> None:
     assert n.measured == c.brdf.max()
 
 
+@pytest.mark.parametrize("incidence", [20.0, 40.0])  # above the dark floor in the mirror direction, and on it
+def test_a_retroreflector_is_not_divided_by_its_dark_mirror_direction(incidence: float) -> None:
+    table = measure(build("lambert", {"albedo": 0.5}), incidences=(incidence,))
+    signed = np.where(table["phi_r_deg"] == 180.0, table["theta_r_deg"], -table["theta_r_deg"])
+    table["brdf"] = 0.01 + np.exp(-(((signed + incidence) / 20.0) ** 2))
+    data = observations(table)
+    c = curves(data)[0]
+    n = norm(c, "mirror", GLOSS, data)
+    assert n.kind == "max"
+    assert n.measured == c.brdf.max()
+    assert np.degrees(n.angle) == pytest.approx(-incidence, rel=1e-14)
+
+
 def test_selection_prefers_curves_with_a_mirror_direction() -> None:
     parts = [measure(GLOSS, incidences=tuple(np.arange(10.0, 70.0, 2.5)))]
     chosen = selection(curves(observations(pd.concat(parts))))

@@ -73,6 +73,21 @@ def test_a_curve_beyond_the_rim_is_cut_with_a_note() -> None:
     assert texts == ["θi = 75°: theory to 40 and measured to 40"]
 
 
+def test_notes_of_six_curves_overprint_no_label_and_not_the_rim() -> None:
+    figure = Figure(figsize=(5.6, 3.6))
+    ax = figure.add_axes((0.01, 0.1, 0.98, 0.89))
+    in_plane.polar(ax, [line(f"θi = {k}5°", 40.0 + k) for k in range(1, 7)], radius=2.5)
+    figure.canvas.draw()
+    boxes = [text.get_window_extent() for text in ax.texts]
+    touching = [(a, b) for k, a in enumerate(boxes) for b in boxes[k + 1 :] if a.overlaps(b)]
+    assert not touching
+    notes = [text for text in ax.texts if "theory to" in text.get_text()]
+    assert len(notes) == 6
+    turn = np.radians(np.linspace(-90.0, 90.0, 721))
+    rim = ax.transData.transform(np.stack(in_plane.xy(turn, np.full(turn.size, 2.5)), axis=1))
+    assert not any(note.get_window_extent().contains(*point) for note in notes for point in rim)
+
+
 def test_error_bars_have_the_length_of_u() -> None:
     from matplotlib.collections import LineCollection
 

@@ -112,3 +112,18 @@ def test_budget_over_angle_is_in_percent() -> None:
     lines = diagnostics.budget_over_angle(ax, angle, [("combined", np.full(3, 0.01)), ("random", np.full(3, 0.004))])
     assert [line.get_ydata()[0] for line in lines] == pytest.approx([1.0, 0.4], rel=1e-14)
     assert len({line.get_linestyle() for line in lines} | {line.get_color() for line in lines}) > 2
+
+
+def test_a_lobe_s_points_lie_inside_its_box_and_far_ones_are_left_out() -> None:
+    mesh = maps.lobe_mesh(lambda theta, dphi: np.full(theta.shape, 0.1))
+    theta, dphi = np.radians([0.0, 80.0, 45.0]), np.radians([0.0, 180.0, 180.0])
+    value = np.array([0.14, 0.13, 5.0])  # above the mesh, beside it, and a spike that would shrink both to a dot
+    ax = axes(projection="3d")
+    maps.lobe(ax, mesh, measured=(theta, dphi, value))
+    scatter = next(c for c in ax.collections if type(c).__name__ == "Path3DCollection")
+    x, y, z = (np.asarray(a) for a in scatter._offsets3d)
+    assert x.size == 2
+    for points, limits in ((x, ax.get_xlim()), (y, ax.get_ylim()), (z, ax.get_zlim())):
+        assert limits[0] - 1e-12 <= points.min()  # a rounding
+        assert points.max() <= limits[1] + 1e-12
+    assert maps.beyond(mesh, value).tolist() == [False, False, True]

@@ -7,8 +7,10 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from gonio_analysis.report import change, make
+from PIL import Image
 
 from gonio import measurement
 from gonio.models import build
@@ -44,6 +46,33 @@ def plain(text: str) -> str:
     """Printed numbers as Python reads them."""
     digits = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−", "-0123456789-")
     return text.translate(digits).replace(" × 10", "e")
+
+
+def test_a_table_wider_than_the_window_shows_that_it_scrolls(report: Path, tab: Page, tmp_path: Path) -> None:
+    tab.open(report / "index.html", 400)
+    tab.run("var wide = [...document.querySelectorAll('.scroll')].find(e => e.scrollWidth > e.clientWidth + 60); 0")
+
+    def edges() -> tuple[int, int]:
+        """Darkest grey of the space above the lines at the left and right end, out of the way of words."""
+        at = tab.run(
+            "wide.scrollIntoView({block: 'start', behavior: 'instant'});"
+            "(r => [r.left, r.right, r.top, r.bottom])(wide.getBoundingClientRect())"
+        )
+        tab.screenshot(tmp_path / "shot.png")
+        with Image.open(tmp_path / "shot.png") as shot:
+            grey = np.asarray(shot.convert("L"))
+        left, right, top, bottom = (round(x) for x in at)
+        rows = grey[top + 1 : min(bottom, grey.shape[0]) - 1]
+        # most rows are empty near the edge: their median is the background; two pixels in, fractions are past
+        return int(np.median(rows[:, left + 2])), int(np.median(rows[:, right - 3]))
+
+    left, right = edges()
+    assert left == 255
+    assert right < 235  # a shadow that an eye sees beside 255
+    tab.run("wide.scrollLeft = wide.scrollWidth")
+    left, right = edges()
+    assert left < 235
+    assert right == 255
 
 
 @pytest.mark.parametrize("width", [1280, 400])
