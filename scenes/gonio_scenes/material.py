@@ -14,6 +14,7 @@ from gonio import models
 from gonio.config import Strict, parse
 from gonio.errors import ConfigError, GonioError
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, Sum
+from gonio.models.parameters import Parameters
 from gonio.typing import Floats
 from gonio_scenes import polarised
 from gonio_scenes.patterns import Pattern, Texture
@@ -32,7 +33,7 @@ class MaterialTable(Strict):
     """A table [material.NAME] of a scene file: as a sample file, and textures by the name of a parameter."""
 
     model: str
-    parameters: dict[str, Any] = Field(default_factory=dict)
+    parameters: Parameters = Field(default_factory=dict)
     """The model's arguments. A number may be a table { wavelength_nm = [...], value = [...] }."""
     textures: dict[str, Texture] = Field(default_factory=dict)
     ambient_reflectance: Annotated[
@@ -260,11 +261,6 @@ class Material:
         return out
 
 
-def load(table: dict[str, Any], wavelength_nm: Floats, folder: Path, where: str) -> Material:
-    """A material from a TOML table that is not checked yet."""
-    return Material(parse(MaterialTable, table, where), wavelength_nm, folder, where)
-
-
 def _ends(texture: Texture) -> tuple[Any, Any]:
     return texture.low, texture.high
 
@@ -275,9 +271,9 @@ def _has_spectrum(value: Any) -> bool:
     return isinstance(value, dict) and any(_has_spectrum(inner) for inner in value.values())
 
 
-def _at(parameters: dict[str, Any], wavelength_nm: float, where: str) -> dict[str, Any]:
+def _at(parameters: Parameters, wavelength_nm: float, where: str) -> Parameters:
     """Parameters with every spectrum at one wavelength."""
-    out: dict[str, Any] = {}
+    out: Parameters = {}
     for name, value in parameters.items():
         if is_table(value):
             out[name] = parse(Spectrum, value, f"{where}.{name}").at(wavelength_nm)

@@ -32,9 +32,12 @@ from gonio_validation.bench.scene_results import (
     WayRow,
 )
 
+SceneTables = dict[str, Any]
+"""A scene file or a part of it, as tables of TOML."""
+
 Step = Callable[[int, int], None]
 
-CAMERA: dict[str, Any] = {
+CAMERA: SceneTables = {
     "position_mm": [150.0, -600.0, 420.0],
     "look_at_mm": [5.0, 0.0, 10.0],
     "up": [0.0, 0.0, 1.0],
@@ -48,7 +51,7 @@ LAMP = {
     "radiance": 20.0, "samples": 1,
 }  # fmt: skip
 FLOOR = {"model": "lambert", "parameters": {"albedo": 0.4}}
-MATERIALS: dict[str, dict[str, Any]] = {
+MATERIALS: dict[str, SceneTables] = {
     "Lambert": {"model": "lambert", "parameters": {"albedo": 0.7}},
     "He-Torrance, rough aluminium": {
         "model": "he-torrance",
@@ -61,7 +64,7 @@ MATERIALS: dict[str, dict[str, Any]] = {
         },
     },
 }  # fmt: skip
-METALS: dict[str, dict[str, Any]] = {
+METALS: dict[str, SceneTables] = {
     "Cook-Torrance, copper": {"model": "cook-torrance", "parameters": {"slopes": 0.3, "ior": "Cu"}},
     "Cook-Torrance, gold": {"model": "cook-torrance", "parameters": {"slopes": 0.3, "ior": "Au"}},
     "He-Torrance, rough copper": {
@@ -72,7 +75,7 @@ METALS: dict[str, dict[str, Any]] = {
 BINS = (3, 8, 16, 31)
 REFERENCE_NM = tuple(np.arange(380.0, 780.1, 5.0))
 """81 wavelengths: the tables of CIE 15 themselves."""
-WAYS: dict[str, dict[str, dict[str, Any]]] = {
+WAYS: dict[str, dict[str, SceneTables]] = {
     "He-Torrance, rough aluminium": {
         f"tolerance {tolerance:g}": {
             "model": "he-torrance",
@@ -205,7 +208,7 @@ SHARED = ("Lambert", "He-Torrance, rough aluminium", "Cook-Torrance, copper")
 
 
 def _scene(
-    pixels: int, material: dict[str, Any], light: Sequence[dict[str, Any]], wavelength_nm: Sequence[float] = (550.0,)
+    pixels: int, material: SceneTables, light: Sequence[SceneTables], wavelength_nm: Sequence[float] = (550.0,)
 ) -> Scene:
     """A sphere on a floor. Mirror rays are left out, which no renderer here has in common with another."""
     tables = {
@@ -266,7 +269,7 @@ def _tolerances(name: str, scene: Scene, truth: Floats, effort: Effort) -> Itera
         )
 
 
-def _bins(name: str, material: dict[str, Any], effort: Effort) -> list[BinsRow]:
+def _bins(name: str, material: SceneTables, effort: Effort) -> list[BinsRow]:
     def seen(waves: Sequence[float]) -> tuple[Floats, float]:
         scene = _scene(effort.pixels, material, [SUN | {"spectrum": "D65"}], waves)
         made, seconds = _timed(scene, effort.repeats)
@@ -294,7 +297,7 @@ def _lab(share: Floats) -> Floats:
     return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)
 
 
-def _ways(name: str, ways: dict[str, dict[str, Any]], effort: Effort) -> Iterator[WayRow]:
+def _ways(name: str, ways: dict[str, SceneTables], effort: Effort) -> Iterator[WayRow]:
     truth: Floats | None = None
     for way, material in ways.items():
         made, seconds = _timed(_scene(effort.shared, material, [SUN]), effort.repeats + 1)
@@ -317,7 +320,7 @@ def _shift(metal: str) -> WayRow:
     return WayRow(f"reflectance of {metal}", "colour shift", taken[1], error.rms, error.largest, note)
 
 
-def _shared(name: str, material: dict[str, Any], effort: Effort) -> SharedRow:
+def _shared(name: str, material: SceneTables, effort: Effort) -> SharedRow:
     waves = tuple(np.linspace(400.0, 700.0, 31))
     _, together = _timed(_scene(effort.shared, material, [SUN], waves), effort.repeats)
     each = [_scene(effort.shared, material, [SUN], [wave]) for wave in waves]
@@ -326,7 +329,7 @@ def _shared(name: str, material: dict[str, Any], effort: Effort) -> SharedRow:
 
 
 def _peer(
-    material: str, name: str, light: Sequence[dict[str, Any]], variant: mitsuba_pictures.Variant, effort: Effort
+    material: str, name: str, light: Sequence[SceneTables], variant: mitsuba_pictures.Variant, effort: Effort
 ) -> PeerRow:
     # other random numbers for each material: the floor's noise would be the same in all pictures
     seed = 10 + list(MATERIALS).index(material)
