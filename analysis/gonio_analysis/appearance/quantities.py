@@ -13,7 +13,7 @@ import numpy as np
 from gonio import colour
 from gonio.errors import ArgumentError, ConfigError
 from gonio.typing import Floats
-from gonio_analysis.appearance import sampled
+from gonio_analysis.appearance import sampled, sampled_hemisphere
 from gonio_analysis.appearance.glossmeter import GLOSSMETERS, gloss
 from gonio_analysis.appearance.sampled import NotMeasured, Sampled
 from gonio_analysis.curves.in_plane import Curve, curves
@@ -101,11 +101,11 @@ def of_table(
     numbers = _Numbers()
     for meter in GLOSSMETERS:
         numbers.put(f"gloss_{meter.angle_deg:g}_gu", partial(sampled.gloss, at, meter))
-    incidences = sampled.reflectances(at)
-    numbers.put("rho_dh_8", lambda: sampled.reflectance_at_8(incidences))
+    incidences = sampled_hemisphere.reflectances(at)
+    numbers.put("rho_dh_8", lambda: sampled_hemisphere.reflectance_at_8(incidences))
     for theta, rho in incidences.items():
         numbers.take(f"rho_dh {math.degrees(theta)}", rho)
-    numbers.put("spike_8", lambda: sampled.spike_reflectivity(at, _nearest_8(incidences)))
+    numbers.put("spike_8", lambda: sampled_hemisphere.spike_reflectivity(at, _nearest_8(incidences)))
     every, n = curves(at), len(at)
     for key, pair in (("0_45", (0.0, 45.0)), ("45_0", (45.0, 0.0))):
         numbers.put(f"radiance_factor_{key}", partial(_value, every, n, *pair, times=math.pi))
@@ -136,9 +136,9 @@ def of_table(
 
 def _nearest_8(incidences: Mapping[float, object]) -> float:
     goal = math.radians(8.0)
-    near = [theta for theta in incidences if abs(theta - goal) <= sampled.NEAR_8]
+    near = [theta for theta in incidences if abs(theta - goal) <= sampled_hemisphere.NEAR_8]
     if not near:
-        raise NotMeasured(f"no incidence within {math.degrees(sampled.NEAR_8):g}° of 8° was measured")
+        raise NotMeasured(f"no incidence within {math.degrees(sampled_hemisphere.NEAR_8):g}° of 8° was measured")
     return min(near, key=lambda theta: abs(theta - goal))
 
 

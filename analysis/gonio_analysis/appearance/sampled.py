@@ -7,7 +7,7 @@ Every function takes observations at one wavelength and returns a `Sampled`; whe
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -19,7 +19,7 @@ from gonio.geometry import IN_PLANE, SAME_ANGLE, SAME_AZIMUTH, Directions, wrap
 from gonio.models import HeTorrance, fresnel
 from gonio.typing import Floats
 from gonio_analysis.appearance.glossmeter import STANDARD_INDEX, Glossmeter
-from gonio_analysis.curves.in_plane import Curve, curves, groups
+from gonio_analysis.curves.in_plane import Curve, curves
 from gonio_analysis.fitting.observations import Observations
 
 Rows = npt.NDArray[np.intp]
@@ -40,17 +40,6 @@ BEYOND = 0.02
 """Share of a glossmeter's flux that may come from beyond the measured directions."""
 LARGEST_ERROR_GU, LARGEST_ERROR = 1.0, 0.2
 """Of a gloss that is stated: the larger of a number of units and a share."""
-LEAST_COVERED = 0.85
-"""Share of the projected hemisphere that an integral over it needs."""
-PEAK = math.radians(2.5)
-"""Distance from the mirror direction beyond which a specular peak may hide between values."""
-MOST_INCIDENCES = 12
-FEWEST_DIRECTIONS = 20
-"""Of an integral over a hemisphere."""
-SAME_PLACE = 1e-3
-"""On the projected hemisphere: values of one direction, about 0.06 degrees."""
-NEAR_8 = math.radians(2.5)
-FARTHEST_FROM_8 = math.radians(30.0)
 MIRROR = HeTorrance(sigma0_um=0.0, tau_um=1.0, ior=STANDARD_INDEX)
 """A surface with nothing but a spike, of known reflectivity: what an instrument's cones make of one."""
 
@@ -123,7 +112,7 @@ def in_plane_value(
             f"no value within {math.degrees(gap):g}° of theta_i = {math.degrees(theta_i):g}°, theta_r ="
             f" {math.degrees(signed):g}° (signed) in the plane of incidence"
         )
-    return _mean(found)
+    return mean(found)
 
 
 def _along(curve: Curve, angle: float, gap: float, n: int) -> Sampled | None:
@@ -161,7 +150,7 @@ def made_of(function: Callable[..., float], *parts: Sampled) -> Sampled:
     return Sampled(function(*at), gradient, error)
 
 
-def _mean(found: Sequence[Sampled]) -> Sampled:
+def mean(found: Sequence[Sampled]) -> Sampled:
     total = found[0]
     for one in found[1:]:
         total = total.plus(one)
@@ -181,7 +170,7 @@ def gloss(data: Observations, meter: Glossmeter) -> Sampled:
             f"no in-plane curve at {meter.angle_deg:g}° (within {math.degrees(SAME_ANGLE):g}°); measured:"
             f" {known or 'none'}"
         )
-    return _mean([_gloss(data, curve, meter) for curve in near])
+    return mean([_gloss(data, curve, meter) for curve in near])
 
 
 def _gloss(data: Observations, curve: Curve, meter: Glossmeter) -> Sampled:
@@ -224,10 +213,10 @@ def spike_response(data: Observations, curve: Curve) -> Floats:
     """BRDF [1/sr] that the instrument sees of a spike of reflectivity 1, at the values of a curve."""
     if data.source_solid_angle_sr == 0.0 or data.receiver_solid_angle_sr == 0.0:
         return np.zeros(curve.angle.size)
-    return _response(data, curve.rows)
+    return cone_response(data, curve.rows)
 
 
-def _response(data: Observations, rows: Rows) -> Floats:
+def cone_response(data: Observations, rows: Rows) -> Floats:
     from gonio.instrument import apparent_spike
 
     at = data.directions[rows]
@@ -316,7 +305,9 @@ class _Across:
         if rows.size < 4 or not np.any(np.abs(d.out_of_plane[rows]) > 2.0 * IN_PLANE):
             return None
         rows = (
-            rows[_response(data, rows) == 0.0] if data.source_solid_angle_sr and data.receiver_solid_angle_sr else rows
+            rows[cone_response(data, rows) == 0.0]
+            if data.source_solid_angle_sr and data.receiver_solid_angle_sr
+            else rows
         )
         on_curve, _ = lobe.total(d[rows], np.ones(rows.size), None)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -452,179 +443,3 @@ class _HalfVector:
         by_high = part * weight[high] * np.where(positive, by_high, share)
         np.add.at(gradient, rows, np.bincount(low, by_low, knots.size) + np.bincount(high, by_high, knots.size))
         return np.asarray(values)
-
-
-# --- hemispheres -----------------------------------------------------------------------------------------------------
-
-
-def reflectances(data: Observations) -> dict[float, Sampled | NotMeasured]:
-    """Directional-hemispherical reflectance at the incidences [rad] of some observations.
-
-    At most `MOST_INCIDENCES` of them, evenly chosen; the mean of several azimuths.
-    """
-    at = data.directions
-    by_theta: dict[float, list[Rows]] = {}
-    for rows in _incidences(at):
-        by_theta.setdefault(round(math.degrees(float(at.theta_i[rows].mean())), 1), []).append(rows)
-    known = sorted(by_theta)
-    chosen = np.unique(np.round(np.linspace(0, len(known) - 1, min(len(known), MOST_INCIDENCES))).astype(int))
-    near_8 = {theta for theta in known if abs(math.radians(theta - 8.0)) <= NEAR_8}
-    out: dict[float, Sampled | NotMeasured] = {}
-    for theta in sorted({known[k] for k in chosen} | near_8):
-        found: list[Sampled] = []
-        why: NotMeasured | None = None
-        for rows in by_theta[theta]:
-            try:
-                found.append(_reflectance(data, rows))
-            except NotMeasured as error:
-                why = error
-        if found:
-            out[math.radians(theta)] = replace(_mean(found), note=found[0].note)
-        elif why is not None:
-            out[math.radians(theta)] = why
-    return out
-
-
-def reflectance_at_8(every: Mapping[float, Sampled | NotMeasured]) -> Sampled:
-    """Reflectance at 8 degrees from those at other incidences: of one near it, or linear in theta^2 between two."""
-    goal = math.radians(8.0)
-    known = {theta: one for theta, one in every.items() if isinstance(one, Sampled)}
-    near = min(every, key=lambda theta: abs(theta - goal), default=math.inf)
-    if near in known and abs(near - goal) <= NEAR_8:
-        return known[near]
-    below = max((t for t in known if t < goal), default=None)
-    above = min((t for t in known if goal <= t <= FARTHEST_FROM_8), default=None)
-    if below is not None and above is not None:
-        share = (goal**2 - below**2) / (above**2 - below**2)
-        mixed = known[below].times(1.0 - share).plus(known[above], share)
-        return replace(mixed, error=mixed.error + abs(known[above].value - known[below].value) / 4.0)
-    bound = every.get(near)
-    if isinstance(bound, NotMeasured) and abs(near - goal) <= NEAR_8:
-        raise bound
-    reached = ", ".join(f"{math.degrees(t):.1f}°" for t in sorted(known)) or "none"
-    raise NotMeasured(f"no hemisphere was measured at 8°, nor on both sides of it up to 30°; hemispheres: {reached}")
-
-
-def spike_reflectivity(data: Observations, theta_i: float) -> Sampled:
-    """Reflectivity of the specular spike at an incidence [rad], the mean over the azimuths that have a curve."""
-    found = []
-    for rows in _incidences(data.directions):
-        if abs(float(data.directions.theta_i[rows].mean()) - theta_i) <= SAME_ANGLE:
-            part = _Projected(data, rows)
-            if part.spike is not None:
-                found.append(part.spike)
-    if not found:
-        raise NotMeasured("no mirror direction was measured with stated cones of source and receiver")
-    return _mean(found)
-
-
-def _incidences(at: Directions) -> list[Rows]:
-    """Rows of one direction of incidence each; all azimuths of normal incidence are one."""
-    return [rows for rows in groups(at.theta_i, at.phi_i, np.arange(len(at))) if rows.size >= 2]
-
-
-def _reflectance(data: Observations, rows: Rows) -> Sampled:
-    part = _Projected(data, rows)
-    if part.points.shape[0] < FEWEST_DIRECTIONS or np.ptp(part.points[:, 1]) < 0.3:
-        theta = math.degrees(float(data.directions.theta_i[rows].mean()))
-        raise NotMeasured(f"at {theta:.1f}° of incidence values lie in or near one plane and do not span a hemisphere")
-    lobe, rim, covered = part.integral(slice(None))
-    if covered < LEAST_COVERED:
-        least = lobe.plus(rim, -1.0).value
-        raise NotMeasured(
-            f"{100 * covered:.0f} % of the projected hemisphere was measured, {100 * LEAST_COVERED:.0f} % are needed",
-            at_least=least if least > 0.0 and bool(np.all(data.brdf[rows] >= 0.0)) else None,
-        )
-    note = None
-    if part.gap > PEAK:
-        away = f"{math.degrees(part.gap):.1f}°"
-        note = f"the nearest value to the mirror direction is {away} away: a narrower peak is not in it"
-    halves = [part.integral(slice(first, None, 2))[0].value for first in (0, 1)]
-    total = replace(lobe, error=max(abs(lobe.value - half) for half in halves) / 3.0 + 0.5 * abs(rim.value))
-    return replace(total if part.spike is None else total.plus(part.spike), note=note)
-
-
-class _Projected:
-    """Values of one incidence over the projected hemisphere, both sides of the plane of incidence taken as alike."""
-
-    def __init__(self, data: Observations, rows: Rows) -> None:
-        at = data.directions[rows]
-        if bool(at.theta_i.max() < SAME_ANGLE):  # at normal incidence azimuths of the source mean nothing
-            at = at.seen_from(0.0)
-        self._n = len(data)
-        omega = at.from_incidence
-        self.gap = float(at.mirror_offset.min())
-        self._theta_i = float(at.theta_i.mean())
-        response = _response(data, rows) if data.source_solid_angle_sr and data.receiver_solid_angle_sr else None
-        lobe = np.ones(rows.size, dtype=bool) if response is None else response == 0.0
-        xy = np.stack([omega[:, 0], np.abs(omega[:, 1])], axis=1)[lobe]
-        # values in one direction (both sides of the plane, repeats) count as their mean
-        keys = np.round(xy / SAME_PLACE).astype(np.int64)
-        _, first, place = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-        self.points = xy[first]
-        order = np.lexsort((self.points[:, 0], self.points[:, 1]))
-        back = np.argsort(order)
-        self.points = self.points[order]
-        self._place = back[place.reshape(-1)]
-        self._rows = rows[lobe]
-        counts = np.bincount(self._place, minlength=len(self.points))
-        self._share = 1.0 / counts[self._place]
-        self._f = np.bincount(self._place, weights=data.brdf[self._rows] * self._share, minlength=len(self.points))
-        self.spike: Sampled | None = None
-        if response is not None and response.any():
-            self.spike = self._spike(data, rows, response, omega)
-
-    def _gradient(self, weights: Floats) -> Floats:
-        """Weights of the points as those of the table's values."""
-        out = np.zeros(self._n)
-        np.add.at(out, self._rows, weights[self._place] * self._share)
-        return out
-
-    def _spike(self, data: Observations, rows: Rows, response: Floats, omega: Floats) -> Sampled | None:
-        """The excess in the mirror direction over what lies around it."""
-        caught = np.flatnonzero(response > 0.5 * response.max())
-        distance = np.linalg.norm(
-            self.points - [-math.sin(self._theta_i), 0.0], axis=1
-        )  # the mirror direction; the lobe there: a plane through what is nearest
-        nearest = np.argsort(distance, kind="stable")[:6]
-        if nearest.size < 3:
-            return None
-        near = self.points[nearest] - [-math.sin(self._theta_i), 0.0]
-        columns = np.stack([np.ones(nearest.size), near[:, 0], near[:, 1] ** 2], axis=1)
-        level = np.linalg.pinv(columns)[0]
-        weights = np.zeros(len(self.points))
-        weights[nearest] = level
-        expected = float(weights @ self._f)
-        squares = float((response[caught] ** 2).sum())
-        gradient = -self._gradient(weights) * float(response[caught].sum()) / squares
-        gradient[rows[caught]] += response[caught] / squares
-        value = float(response[caught] @ (data.brdf[rows[caught]] - expected)) / squares
-        spread = float(np.ptp(self._f[nearest])) * float(response[caught].sum()) / squares
-        return Sampled(value, gradient, spread / 3.0)
-
-    def integral(self, taken: slice) -> tuple[Sampled, Sampled, float]:
-        """Integral of the lobe; the part of it from beyond the outermost values; the share that those enclose."""
-        from scipy.spatial import Delaunay, QhullError
-
-        chosen = np.arange(len(self.points))[taken]
-        points = self.points[chosen]
-        off = np.flatnonzero(points[:, 1] > SAME_PLACE)
-        both = np.concatenate([points, points[off] * (1.0, -1.0)])
-        source = np.concatenate([chosen, chosen[off]])
-        try:
-            mesh = Delaunay(both)
-        except QhullError:
-            raise NotMeasured("values of this incidence lie in one plane and do not span a hemisphere") from None
-        a, b, c = (both[mesh.simplices[:, k]] for k in range(3))
-        area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
-        weights, rim = np.zeros(len(self.points)), np.zeros(len(self.points))
-        for k in range(3):
-            np.add.at(weights, source[mesh.simplices[:, k]], area / 3.0)
-        first, second = (both[mesh.convex_hull[:, k]] for k in range(2))
-        turn = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
-        sector = 0.5 * np.arctan2(turn, (first * second).sum(axis=1))  # of the unit circle
-        for k in range(2):
-            np.add.at(rim, source[mesh.convex_hull[:, k]], 0.5 * np.maximum(sector - 0.5 * turn, 0.0))
-        lobe = Sampled(float((weights + rim) @ self._f), self._gradient(weights + rim), 0.0)
-        beyond = Sampled(float(rim @ self._f), self._gradient(rim), 0.0)
-        return lobe, beyond, float(area.sum()) / math.pi

@@ -276,25 +276,19 @@ def _bins(name: str, material: SceneTables, effort: Effort) -> list[BinsRow]:
         return picture.tristimulus(scene, made.radiance)[0][made.shape == 1], seconds
 
     truth, _ = seen(REFERENCE_NM)
-    white = colour.white() / colour.exposure(truth)
+    exposure = colour.exposure(truth)
+    white = colour.white() / exposure
     out = []
     for count in BINS:
         waves = (450.0, 550.0, 650.0) if count == 3 else tuple(np.linspace(400.0, 700.0, count))
         xyz, seconds = seen(waves)
-        off = np.linalg.norm(_lab(xyz / white) - _lab(truth / white), axis=-1)
+        off = np.linalg.norm(colour.lab(exposure * xyz) - colour.lab(exposure * truth), axis=-1)
         out.append(
             BinsRow(
                 name, count, seconds, float(np.abs((xyz - truth) / white).max()), float(off.mean()), float(off.max())
             )
         )
     return out
-
-
-def _lab(share: Floats) -> Floats:
-    """CIE 1976 L*a*b* of XYZ over the white's (CIE 15:2018, 8.2.1)."""
-    cube = np.where(share > (6 / 29) ** 3, np.cbrt(share), share / (3 * (6 / 29) ** 2) + 4 / 29)
-    x, y, z = np.moveaxis(cube, -1, 0)
-    return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)
 
 
 def _ways(name: str, ways: dict[str, SceneTables], effort: Effort) -> Iterator[WayRow]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gonio_analysis.appearance import sampled
+from gonio_analysis.appearance import sampled, sampled_hemisphere
 from gonio_analysis.appearance.glossmeter import GLOSSMETERS
 from gonio_analysis.fitting.observations import Observations, observations
 
@@ -42,6 +42,6 @@ def test_gradient_of_gloss(around: bool) -> None:
 
 def test_gradient_of_a_reflectance_is_exact() -> None:
     data = observations(measured(PAINT, hemisphere(8.0)))
-    (found,) = sampled.reflectances(data).values()
+    (found,) = sampled_hemisphere.reflectances(data).values()
     assert isinstance(found, sampled.Sampled)
     assert found.value == pytest.approx(float(found.gradient @ data.brdf), rel=1e-12)  # linear in every value

@@ -15,7 +15,6 @@ from gonio_validation.papers.figure import Claim, agreed
 from gonio_validation.papers.pictures.centre import Centre, Mask, blurred, centre, edges, many
 
 CYLINDERS = tuple(f"htsg-12{letter}" for letter in "abcde")
-SIGMA_UM = (0.18, 0.28, 0.38, 0.48, 0.58)
 MIRROR = "htsg-13b"
 ALUMINIUM = materials.ior("Al")
 GRAZING = 0.35
