@@ -7,6 +7,7 @@ from typing import Any
 
 from gonio.errors import ArgumentError
 from gonio.models import fresnel, htsg
+from gonio.models.anisotropic import AnisotropicFacets
 from gonio.models.arrays import ArrayModel
 from gonio.models.blinn import Blinn, Phong
 from gonio.models.cook_torrance import CookTorrance
@@ -16,9 +17,11 @@ from gonio.models.lambert import Lambert
 from gonio.models.model import Model, build_model
 from gonio.models.oren_nayar import OrenNayar
 from gonio.models.parameters import Fitted
+from gonio.models.retroreflecting import Retroreflecting
 from gonio.models.sum import Sum
 
 __all__ = [
+    "AnisotropicFacets",
     "ArrayModel",
     "Blinn",
     "CookTorrance",
@@ -29,6 +32,7 @@ __all__ = [
     "Model",
     "OrenNayar",
     "Phong",
+    "Retroreflecting",
     "Sum",
     "build",
     "fresnel",

@@ -167,8 +167,8 @@ def over_facets(
             edges[open_],
             viewer,
             levels,
-            _unit_rule(n_alpha, True),
-            _unit_rule(n_beta, rooted),
+            unit_rule(n_alpha, True),
+            unit_rule(n_beta, rooted),
         )
         out[open_] = value
         with np.errstate(invalid="ignore"):
@@ -275,7 +275,7 @@ def _facet_rule(
     return total.astype(np.float64)  # of no rows it would be of integers
 
 
-def _unit_rule(order: int, rooted: bool) -> tuple[Floats, Floats]:
+def unit_rule(order: int, rooted: bool = False) -> tuple[Floats, Floats]:
     """Gauss-Legendre nodes and weights on [0, 1]; `rooted`: running quadratically into both ends, for roots there."""
     x, w = np.polynomial.legendre.leggauss(order)
     t, w = 0.5 * (1.0 + x), 0.5 * w
@@ -338,7 +338,7 @@ def _over_boxes(
         fixed[2] = 0.0
 
     def rule(boxes: Floats, order: int) -> Floats:
-        node, weight = _unit_rule(order, False)
+        node, weight = unit_rule(order)
         polar = boxes[:, :1] + (boxes[:, 1:2] - boxes[:, :1]) * node
         azimuth = phi + boxes[:, 2:3] + (boxes[:, 3:] - boxes[:, 2:3]) * node
         sine, cosine = np.sin(polar), np.cos(polar)
@@ -352,9 +352,41 @@ def _over_boxes(
         sides = 2.0 if even else 1.0
         return np.asarray(sides * area * np.einsum("bij,bi,i,j->b", value, sine * cosine, weight, weight))
 
-    polar_edges = np.unique([0.0, theta, HALF_PI])
     turns = HALF_PI * np.arange(3.0 if even else 5.0)
-    boxes = np.array([(a, b, c, d) for a, b in pairwise(polar_edges) for c, d in pairwise(turns)])
+    return adaptive(
+        rule, boxes(np.unique([0.0, theta, HALF_PI]), turns), tolerance, f"{model.name}: {math.degrees(theta):.6g} deg"
+    )
+
+
+def boxes(first: Sequence[float] | Floats, second: Sequence[float] | Floats) -> Floats:
+    """Boxes (n, 4) between edges of two variables: low and high of the one, low and high of the other."""
+    return np.array([(a, b, c, d) for a, b in pairwise(first) for c, d in pairwise(second)])
+
+
+def adaptive(rule: Callable[[Floats, int], Floats], boxes: Floats, tolerance: float, name: str) -> float:
+    """The integral over boxes, of which those are quartered where rules of two orders differ too much.
+
+    Parameters
+    ----------
+    rule
+        The integral over each of some boxes (n, 4), by a product of Gauss rules of so many nodes a side.
+    boxes
+        Where to begin (`boxes`); they cover what is integrated over.
+    tolerance
+        Relative error of the sum.
+    name
+        The model and the angle, for the message.
+
+    Raises
+    ------
+    DataError
+        It takes more than 20 000 boxes.
+    """
+
+    def size(some: Floats) -> Floats:
+        return np.asarray((some[:, 1] - some[:, 0]) * (some[:, 3] - some[:, 2]))
+
+    whole = float(size(boxes).sum())
     done, used = 0.0, 0
     while len(boxes):
         used += len(boxes)
@@ -367,14 +399,13 @@ def _over_boxes(
         if off.sum() <= allowed:
             return total
         # half of what is allowed, by area, is for boxes that are done
-        area = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
-        split = off > 0.5 * allowed * area / (HALF_PI * turns[-1])
+        split = off > 0.5 * allowed * size(boxes) / whole
         done += float(value[~split].sum())
         boxes = _quartered(boxes[split])
         if used + len(boxes) > MOST_BOXES:
             raise DataError(
-                f"{model.name}: the hemispherical reflectance at {math.degrees(theta):.6g} deg is known to "
-                f"{off.sum() / abs(total):.1g} of it after {used} boxes of directions, not to {tolerance:g}"
+                f"{name}: the hemispherical reflectance is known to {off.sum() / abs(total):.1g} of it after {used} "
+                f"boxes of directions, not to {tolerance:g}"
             )
     return done
 

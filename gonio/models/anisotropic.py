@@ -1,0 +1,192 @@
+"""Mirror facets whose slopes have a direction: anisotropic Trowbridge-Reitz (GGX) facets with Smith's shadowing.
+
+Walter et al. 2007 have the distribution and Smith's function for it, Burley 2012 its two widths, Heitz 2014 the
+height-correlated shadowing.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from math import pi, sqrt
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from gonio.models import hemispherical
+from gonio.models._compile import device, with_others
+from gonio.models._facets import OPPOSITE, fresnel, fresnel_constants, fresnel_real
+from gonio.models._loops import HALF_PI
+from gonio.models.engine import Constants, Kernel
+from gonio.models.fresnel import reflectance
+from gonio.models.model import Model, store
+from gonio.models.parameters import Index, checked_index, index_at, number
+
+if TYPE_CHECKING:
+    from gonio.typing import Floats
+
+
+@device
+def anisotropic(lx, ly, lz, vx, vy, vz, constants):  # type: ignore[no-untyped-def]
+    """F D G_2/(4 (N.L)(N.V)) over a diffuse base.
+
+    With s = L + V, q = s_1^2/a_1^2 + s_2^2/a_2^2 + s_z^2 and the projected areas A(V)^2 = v_z^2 + a_1^2 v_1^2 + a_2^2
+    v_2^2 it is F |s|^4/(2 pi a_1 a_2 q^2 (l_z A(V) + v_z A(L))): finite where one direction is grazing.
+    """
+    diffuse, scale, contrast, real, imag, cos_b, sin_b, along, across, per_along, per_across = constants
+    l1 = lx * cos_b + ly * sin_b
+    l2 = ly * cos_b - lx * sin_b
+    v1 = vx * cos_b + vy * sin_b
+    v2 = vy * cos_b - vx * sin_b
+    s1 = l1 + v1
+    s2 = l2 + v2
+    sz = lz + vz
+    horizontal = s1 * s1 + s2 * s2
+    square = horizontal + sz * sz
+    apart = square >= OPPOSITE
+    square = square if apart else 1.0
+    # Walter2007 D over two widths: 1/(pi a_1 a_2 cos^4 (1 + tan^2 (cos^2 b/a_1^2 + sin^2 b/a_2^2))^2)
+    q = s1 * s1 * per_along + s2 * s2 * per_across + sz * sz if apart else 1.0
+    # Heitz2014 G_2 = 1/(1 + Lambda(L) + Lambda(V)), where 1 + 2 Lambda(V) = A(V)/v_z
+    area_l = sqrt(lz * lz + along * l1 * l1 + across * l2 * l2)
+    area_v = sqrt(vz * vz + along * v1 * v1 + across * v2 * v2)
+    f_up, f_down = fresnel(0.25 * square if apart else 0.0, contrast, real, imag)
+    up = scale * (square * square) * f_up
+    down = (q * q) * (lz * area_v + vz * area_l) * f_down
+    return diffuse + (up / down if up > 0.0 else 0.0)
+
+
+_KERNELS: dict[str, Kernel] = {
+    "exact": anisotropic,
+    "real": with_others(anisotropic, "anisotropic_real", {fresnel: fresnel_real}),
+}
+
+
+@dataclass(frozen=True, repr=False)
+class AnisotropicFacets(Model):
+    """Mirror facets with a direction over a diffuse base: brdf = s F D G_2/(4 (N.L)(N.V)) + (1 - s) albedo/pi [1/sr].
+
+    D is the Trowbridge-Reitz (GGX) distribution with two widths (Walter 2007, Burley 2012), G_2 Smith's shadowing and
+    masking, correlated in height (Heitz 2014), F the exact unpolarised reflectance for a complex index. It is
+    reciprocal, and reflects no more than it receives. For brushed metal the slopes across the scratches are the
+    larger: `alpha_along` < `alpha_across`. Turning the brushing by 90 degrees exchanges the two.
+
+    Parameters
+    ----------
+    alpha_along, alpha_across
+        Widths of the distribution of slopes along and across the brushing, in [1e-50, 10]: the slope at which D cos^4
+        of the facet's angle has fallen to a quarter.
+    brushing_deg
+        Azimuth of the brushing from the sample's x axis [deg]; 180 degrees more are the same.
+    ior
+        Index of refraction n + ik of the facets: a complex number, [n, k], a material's name or a function of the
+        wavelength in nm.
+    s
+        The share of the facets, in [0, 1]; 1 - s is that of the diffuse base.
+    diffuse_albedo
+        The diffuse base's reflectance, in [0, 1].
+
+    Raises
+    ------
+    ArgumentError
+        A parameter is out of range; the message names it.
+    """
+
+    alpha_along: float = 0.1
+    alpha_across: float = 0.3
+    brushing_deg: float = 0.0
+    ior: Index = "Al"
+    s: float = 1.0
+    diffuse_albedo: float = 0.0
+    name: ClassVar[str] = "anisotropic"
+
+    def __post_init__(self) -> None:
+        store(
+            self,
+            alpha_along=number("alpha_along", self.alpha_along, 1e-50, 10.0),
+            alpha_across=number("alpha_across", self.alpha_across, 1e-50, 10.0),
+            brushing_deg=number("brushing_deg", self.brushing_deg, -1e6, 1e6, unit="deg"),
+            ior=checked_index(self.ior),
+            s=number("s", self.s, 0.0, 1.0),
+            diffuse_albedo=number("diffuse_albedo", self.diffuse_albedo, 0.0, 1.0),
+        )
+
+    @property
+    def convention(self) -> str:
+        return (
+            "Trowbridge-Reitz (GGX) facets of two widths (Walter et al. 2007, Burley 2012), height-correlated Smith "
+            "shadowing (Heitz 2014), exact Fresnel reflectance for n + ik; the sample's x axis is azimuth 0."
+        )
+
+    @property
+    def depends_on_azimuth(self) -> bool:
+        return self.alpha_along != self.alpha_across and self.s > 0.0
+
+    def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
+        ior = index_at(self.ior, wavelength_nm)
+        turn, along, across = math.radians(self.brushing_deg % 180.0), self.alpha_along, self.alpha_across
+        return _KERNELS["real" if ior.imag == 0.0 else "exact"], (
+            (1.0 - self.s) * self.diffuse_albedo / pi,
+            self.s / (2.0 * pi * along * across),
+            *fresnel_constants(ior),
+            math.cos(turn),
+            math.sin(turn),
+            along * along,
+            across * across,
+            1.0 / (along * along),
+            1.0 / (across * across),
+        )
+
+    def _hemispherical(
+        self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool, tolerance: float
+    ) -> Floats:
+        """The same for both sides, as the model is reciprocal."""
+        base = (1.0 - self.s) * self.diffuse_albedo
+        if self.s == 0.0:
+            return np.full(theta.size, base)
+        ior = index_at(self.ior, wavelength_nm)
+        turn = math.radians(self.brushing_deg % 180.0)
+        lobe = np.array([self._lobe(t, p - turn, ior, tolerance) for t, p in zip(theta, phi, strict=True)])
+        return self.s * lobe + base
+
+    def _lobe(self, theta: float, phi: float, ior: complex, tolerance: float) -> float:
+        """The integral of F D G_2/(4 N.V) for a direction V in the brushing's frame, over the facets' slopes.
+
+        The slopes over their widths are tan(x) (cos g, sin g): D cos of the facet's angle is then sin(2 x) dx dg/(2
+        pi) whatever the widths, and light leaves below the horizon beyond an x in closed form.
+        """
+        a1, a2 = self.alpha_along, self.alpha_across
+        v1, v2 = math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi)
+        vz = max(math.cos(theta) if theta < HALF_PI else 0.0, 1e-9 * min(a1, a2))  # the limit toward grazing
+        area_v = math.sqrt(vz * vz + (a1 * v1) ** 2 + (a2 * v2) ** 2)
+
+        def rule(boxes: Floats, order: int) -> Floats:
+            node, weight = hemispherical.unit_rule(order)
+            g = (boxes[:, :1] + (boxes[:, 1:2] - boxes[:, :1]) * node)[:, None, :]
+            share = (boxes[:, 2:3] + (boxes[:, 3:] - boxes[:, 2:3]) * node)[:, :, None]
+            e1, e2 = a1 * np.cos(g), a2 * np.sin(g)
+            toward, steep = v1 * e1 + v2 * e2, e1 * e1 + e2 * e2
+            root = np.sqrt(toward * toward + steep * vz * vz)
+            # the last x: tan x = (toward + root)/(steep v_z), without cancellation
+            last = np.where(
+                toward > 0.0, np.arctan2(toward + root, steep * vz), np.arctan2(vz, root + np.abs(toward))
+            )
+            x = last * share
+            sine, cosine = np.sin(x), np.cos(x)
+            m1, m2 = sine * e1, sine * e2  # a vector along the facet's normal, with cosine as its z
+            vm, mm = cosine * vz + sine * toward, cosine * cosine + sine * sine * steep
+            l1, l2 = 2.0 * vm * m1 / mm - v1, 2.0 * vm * m2 / mm - v2
+            lz = np.maximum(2.0 * vm * cosine / mm - vz, 0.0)
+            area_l = np.sqrt(lz * lz + (a1 * l1) ** 2 + (a2 * l2) ** 2)
+            facet = np.minimum(np.maximum(vm, 0.0) / np.sqrt(mm), 1.0)
+            with np.errstate(invalid="ignore"):
+                shown = np.where(lz > 0.0, 2.0 * lz / (lz * area_v + vz * area_l), 0.0)  # G_2/v_z
+            value = reflectance(facet, ior) * shown * vm * 2.0 * sine * last / (2.0 * pi)
+            area = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
+            return np.asarray(area * np.einsum("bij,i,j->b", value, weight, weight))
+
+        own = math.atan2(v2 * a2, v1 * a1) % HALF_PI
+        quarters = np.unique([*(HALF_PI * np.arange(5.0)), *(own + HALF_PI * np.arange(4.0))])
+        shares = (0.0, 0.5, 0.9, 1.0)
+        boxes = hemispherical.boxes(quarters, shares)
+        return hemispherical.adaptive(rule, boxes, tolerance, f"{self.name}: {math.degrees(theta):.6g} deg")

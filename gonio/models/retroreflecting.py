@@ -1,0 +1,152 @@
+"""Light that goes back where it came from: the lobe of tape and sheeting about the direction of incidence."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from math import pi
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from gonio.models import hemispherical
+from gonio.models._compile import device, of_columns
+from gonio.models._loops import HALF_PI
+from gonio.models._math import _LOG2_E, exp2, log
+from gonio.models.engine import Constants, Kernel
+from gonio.models.model import Model, store
+from gonio.models.parameters import number
+
+if TYPE_CHECKING:
+    from gonio.typing import Floats
+
+GRAZING = 1e-150
+"""The cosine that stands for that of an exactly grazing direction: the limit along equal polar angles."""
+
+
+@device
+def observation(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
+    """(|V - L|^2, product, sum) of the directions' difference and of their cosines."""
+    lz = max(lz, GRAZING)
+    vz = max(vz, GRAZING)
+    x, y, z = vx - lx, vy - ly, vz - lz
+    return x * x + y * y + z * z, lz * vz, lz + vz
+
+
+@of_columns(observation, 3, single_range=(math.inf, 0.0))
+def retroreflecting(apart2, product, total, constants):  # type: ignore[no-untyped-def]
+    """(product)^p (1 + |V - L|^2/w^2)^-t over (sum - product), and a diffuse base; infinite where it is beyond 1e60."""
+    diffuse, scale, per_w2, tail, entrance = constants
+    lobe = exp2(_LOG2_E * (entrance * log(product) - tail * log(1.0 + apart2 * per_w2)))
+    value = diffuse + scale * lobe / (total - product)
+    return value if value < 1e60 else math.inf
+
+
+@dataclass(frozen=True, repr=False)
+class Retroreflecting(Model):
+    """A lobe about the direction of incidence over a diffuse base: s R + (1 - s) diffuse_albedo/pi [1/sr].
+
+    R = D (cos_i cos_r)^entrance / (cos_i + cos_r - cos_i cos_r). D is a function of the observation angle d between the
+    two directions: (1 + (2 sin(d/2)/w)^2)^-tail, of integral 1 over all directions (the shape of Burley 2012, about the
+    light in place of the normal). The denominator is that of Ashikhmin and Premoze 2007: the form is reciprocal, and
+    reflects at most `s` of what it receives.
+
+    Parameters
+    ----------
+    s
+        The share of the lobe, in [0, 1]: what it sends back at normal incidence, but for what a wide lobe sends below
+        the horizon. 1 - s is the share of the diffuse base.
+    width_deg
+        w: the observation angle at which D has fallen by the factor 2^tail [deg], in [1e-6, 90].
+    tail
+        How fast D falls beyond the width, in [0.5, 100]: as d^(-2 tail).
+    entrance
+        How the lobe loses with the entrance angle, in [0, 20]: seen straight back, by cos^(2 entrance). At 0 the value
+        at the peak goes as 1/(cos (2 - cos)), and R_A = f cos^2 as cos/(2 - cos).
+    diffuse_albedo
+        The diffuse base's reflectance, in [0, 1].
+
+    Raises
+    ------
+    ArgumentError
+        A parameter is out of range; the message names it.
+    """
+
+    s: float = 0.3
+    width_deg: float = 1.0
+    tail: float = 1.5
+    entrance: float = 0.0
+    diffuse_albedo: float = 0.0
+    name: ClassVar[str] = "retroreflecting"
+
+    def __post_init__(self) -> None:
+        store(
+            self,
+            s=number("s", self.s, 0.0, 1.0),
+            width_deg=number("width_deg", self.width_deg, 1e-6, 90.0, unit="deg"),
+            tail=number("tail", self.tail, 0.5, 100.0),
+            entrance=number("entrance", self.entrance, 0.0, 20.0),
+            diffuse_albedo=number("diffuse_albedo", self.diffuse_albedo, 0.0, 1.0),
+        )
+
+    @property
+    def convention(self) -> str:
+        return (
+            "A retroreflected lobe (1 + |V - L|^2/w^2)^-tail about the light, normalised over all directions, over "
+            "Ashikhmin and Premoze's 2007 cos_i + cos_r - cos_i cos_r; s is its share."
+        )
+
+    def _normalised(self) -> tuple[float, float, float]:
+        """w^2, and e = tail - 1 and c of D's share within x = |V - L|^2: (1 - (1 + x/w^2)^-e)/c."""
+        w2 = math.radians(self.width_deg) ** 2
+        e = self.tail - 1.0
+        full = math.log1p(4.0 / w2)
+        return w2, e, -math.expm1(-e * full) if e else full
+
+    def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
+        w2, e, c = self._normalised()
+        peak = (e or 1.0) / (pi * w2 * c)  # solid angle is pi d(x)
+        diffuse = (1.0 - self.s) * self.diffuse_albedo / pi
+        return retroreflecting, (diffuse, self.s * peak, 1.0 / w2, self.tail, self.entrance)
+
+    def _hemispherical(
+        self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool, tolerance: float
+    ) -> Floats:
+        """The same for both sides, as the model is reciprocal."""
+        base = (1.0 - self.s) * self.diffuse_albedo
+        if self.s == 0.0:
+            return np.full(theta.size, base)
+        return self.s * np.array([self._lobe(t, tolerance) for t in theta]) + base
+
+    def _lobe(self, theta: float, tolerance: float) -> float:
+        """The integral of R cos over V, by the share of D within the observation angle and the azimuth about L."""
+        w2, e, c = self._normalised()
+        lz, lx = max(math.cos(theta) if theta < HALF_PI else 0.0, GRAZING), math.sin(theta)
+
+        def rule(boxes: Floats, order: int) -> Floats:
+            node, weight = hemispherical.unit_rule(order)
+            place = (boxes[:, :1] + (boxes[:, 1:2] - boxes[:, :1]) * node)[:, None, :]
+            part = np.floor(boxes[:, 0]).astype(int)[:, None, None]
+            t = place - part
+            share = shares[part] + (shares[part + 1] - shares[part]) * t * t * (3.0 - 2.0 * t)
+            slope = (shares[part + 1] - shares[part]) * 6.0 * t * (1.0 - t)
+            turn = (boxes[:, 2:3] + (boxes[:, 3:] - boxes[:, 2:3]) * node)[:, :, None]
+            grown = -np.log1p(-share * c) / e if e else share * c  # ln(1 + x/w^2)
+            x = np.minimum(w2 * np.expm1(grown), 4.0)
+            cosine, sine = 1.0 - 0.5 * x, np.sqrt(x * (1.0 - 0.25 * x))  # of the observation angle
+            level, swing = cosine * lz, sine * lx
+            with np.errstate(divide="ignore", invalid="ignore"):
+                horizon = np.arccos(np.fmin(np.fmax(-level / swing, -1.0), 1.0))
+            rest = (1.0 - turn) ** 4  # V_z may enter with a broken power at the horizon
+            vz = np.maximum(level + swing * np.cos(horizon * (1.0 - rest)), 0.0)
+            value = vz * (lz * vz) ** self.entrance / (lz + vz - lz * vz) * slope * (4.0 * (1.0 - turn) ** 3) * horizon / pi
+            area = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
+            return np.asarray(area * np.einsum("bij,i,j->b", value, weight, weight))
+
+        # where the lobe first meets the horizon, and where it is all below it
+        at = [2.0 - 2.0 * lx, 2.0 + 2.0 * lx]  # |V - L|^2
+        kinks = [(-math.expm1(-e * math.log1p(x / w2)) if e else math.log1p(x / w2)) / c for x in at]
+        shares = np.unique(np.clip([0.0, *kinks, 1.0], 0.0, 1.0))
+        # the first variable is a part's number and t in it, which runs quadratically into roots at both ends
+        boxes = hemispherical.boxes(np.arange(float(shares.size)), (0.0, 0.5, 1.0))
+        return hemispherical.adaptive(rule, boxes, tolerance, f"{self.name}: {math.degrees(theta):.6g} deg")
