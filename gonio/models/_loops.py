@@ -3,7 +3,7 @@
 A kernel maps the components of two unit vectors and a tuple of constants to a BRDF. The loops run over vectors, over
 angles, and over columns of numbers made of the directions before. They check arguments in the pass that evaluates
 them, and return 1 where one is wrong, else 0. Every loop that turns arguments into vectors does it by `unit_vectors`
-or `vectors_of_angles`; a kernel that needs several passes over a block (`_htsg_kernels`) brings loops of its own.
+or by `vectors_of_angles` and its like; a kernel that needs several passes over a block (`_htsg_kernels`) brings loops of its own.
 """
 
 from __future__ import annotations
@@ -58,6 +58,17 @@ def vectors_of_angles(theta_i, phi_i, theta_r, phi_r):  # type: ignore[no-untype
 
 
 @device
+def vectors_of_absolute_angles(theta_i, phi_i, theta_r, phi_r):  # type: ignore[no-untyped-def]
+    """Two unit vectors in the sample's frame, and what `off_range` says."""
+    sin_i, cos_i = sincos_polar(theta_i)
+    sin_r, cos_r = sincos_polar(theta_r)
+    sin_p, cos_p = sincos(phi_i)
+    sin_q, cos_q = sincos(phi_r)
+    wrong = off_range(theta_i, phi_i, theta_r, phi_r)
+    return sin_i * cos_p, sin_i * sin_p, cos_i, sin_r * cos_q, sin_r * sin_q, cos_r, wrong
+
+
+@device
 def part(flat, first, count, step):  # type: ignore[no-untyped-def]
     """The numbers of a block of pairs: of an argument with a number a pair (`step` 1), or of a constant one (0)."""
     return flat[first * step : first * step + count]
@@ -109,16 +120,15 @@ def over_absolute_angles(  # type: ignore[no-untyped-def]
     theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, constants, out, start, stop
 ):
     wrong = 0
-    for j in range(start, stop):
-        a, b, p, q = theta_i[j * step_ti], theta_r[j * step_tr], phi_i[j * step_pi], phi_r[j * step_pr]
-        if off_range(a, p, b, q):
-            wrong = 1
-            continue
-        sin_i, cos_i = sincos_polar(a)
-        sin_r, cos_r = sincos_polar(b)
-        sin_p, cos_p = sincos(p)
-        sin_q, cos_q = sincos(q)
-        out[j] = kernel(sin_i * cos_p, sin_i * sin_p, cos_i, sin_r * cos_q, sin_r * sin_q, cos_r, constants)  # type: ignore[name-defined]  # noqa: F821
+    for first in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - first)
+        ti, pi_ = part(theta_i, first, count, step_ti), part(phi_i, first, count, step_pi)
+        tr, pr = part(theta_r, first, count, step_tr), part(phi_r, first, count, step_pr)
+        o = out[first : first + count]
+        for j in range(count):
+            lx, ly, lz, vx, vy, vz, off = vectors_of_absolute_angles(ti[j], pi_[j], tr[j], pr[j])
+            wrong |= off
+            o[j] = kernel(lx, ly, lz, vx, vy, vz, constants)  # type: ignore[name-defined]  # noqa: F821
     return wrong
 
 

@@ -140,11 +140,13 @@ class AnisotropicFacets(Model):
     def _hemispherical(
         self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool, tolerance: float
     ) -> Floats:
-        """The same for both sides, as the model is reciprocal."""
+        """The same for both sides, as the model is reciprocal. Right to 1e-5 alone where n < 1 with hardly any k."""
         base = (1.0 - self.s) * self.diffuse_albedo
         if self.s == 0.0:
             return np.full(theta.size, base)
         ior = index_at(self.ior, wavelength_nm)
+        if ior.real < 1.0 and ior.imag < 0.1:  # the onset of total reflection is a root, along no edge of the boxes
+            tolerance = max(tolerance, 1e-5)
         turn = math.radians(self.brushing_deg % 180.0)
         lobe = np.array([self._lobe(t, p - turn, ior, tolerance) for t, p in zip(theta, phi, strict=True)])
         return self.s * lobe + base

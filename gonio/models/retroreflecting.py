@@ -44,18 +44,18 @@ def retroreflecting(apart2, product, total, constants):  # type: ignore[no-untyp
 
 @dataclass(frozen=True, repr=False)
 class Retroreflecting(Model):
-    """A lobe about the direction of incidence over a diffuse base: s R + (1 - s) diffuse_albedo/pi [1/sr].
+    """A lobe about the direction of incidence over a diffuse base: returned R + (1 - returned) diffuse_albedo/pi [1/sr].
 
     R = D (cos_i cos_r)^entrance / (cos_i + cos_r - cos_i cos_r). D is a function of the observation angle d between the
     two directions: (1 + (2 sin(d/2)/w)^2)^-tail, of integral 1 over all directions (the shape of Burley 2012, about the
     light in place of the normal). The denominator is that of Ashikhmin and Premoze 2007: the form is reciprocal, and
-    reflects at most `s` of what it receives.
+    reflects at most `returned` of what it receives.
 
     Parameters
     ----------
-    s
+    returned
         The share of the lobe, in [0, 1]: what it sends back at normal incidence, but for what a wide lobe sends below
-        the horizon. 1 - s is the share of the diffuse base.
+        the horizon. 1 - returned is the share of the diffuse base.
     width_deg
         w: the observation angle at which D has fallen by the factor 2^tail [deg], in [1e-6, 90].
     tail
@@ -72,7 +72,7 @@ class Retroreflecting(Model):
         A parameter is out of range; the message names it.
     """
 
-    s: float = 0.3
+    returned: float = 0.3
     width_deg: float = 1.0
     tail: float = 1.5
     entrance: float = 0.0
@@ -82,7 +82,7 @@ class Retroreflecting(Model):
     def __post_init__(self) -> None:
         store(
             self,
-            s=number("s", self.s, 0.0, 1.0),
+            returned=number("returned", self.returned, 0.0, 1.0),
             width_deg=number("width_deg", self.width_deg, 1e-6, 90.0, unit="deg"),
             tail=number("tail", self.tail, 0.5, 100.0),
             entrance=number("entrance", self.entrance, 0.0, 20.0),
@@ -93,7 +93,7 @@ class Retroreflecting(Model):
     def convention(self) -> str:
         return (
             "A retroreflected lobe (1 + |V - L|^2/w^2)^-tail about the light, normalised over all directions, over "
-            "Ashikhmin and Premoze's 2007 cos_i + cos_r - cos_i cos_r; s is its share."
+            "Ashikhmin and Premoze's 2007 cos_i + cos_r - cos_i cos_r; `returned` is its share."
         )
 
     def _normalised(self) -> tuple[float, float, float]:
@@ -106,17 +106,17 @@ class Retroreflecting(Model):
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
         w2, e, c = self._normalised()
         peak = (e or 1.0) / (pi * w2 * c)  # solid angle is pi d(x)
-        diffuse = (1.0 - self.s) * self.diffuse_albedo / pi
-        return retroreflecting, (diffuse, self.s * peak, 1.0 / w2, self.tail, self.entrance)
+        diffuse = (1.0 - self.returned) * self.diffuse_albedo / pi
+        return retroreflecting, (diffuse, self.returned * peak, 1.0 / w2, self.tail, self.entrance)
 
     def _hemispherical(
         self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool, tolerance: float
     ) -> Floats:
         """The same for both sides, as the model is reciprocal."""
-        base = (1.0 - self.s) * self.diffuse_albedo
-        if self.s == 0.0:
+        base = (1.0 - self.returned) * self.diffuse_albedo
+        if self.returned == 0.0:
             return np.full(theta.size, base)
-        return self.s * np.array([self._lobe(t, tolerance) for t in theta]) + base
+        return self.returned * np.array([self._lobe(t, tolerance) for t in theta]) + base
 
     def _lobe(self, theta: float, tolerance: float) -> float:
         """The integral of R cos over V, by the share of D within the observation angle and the azimuth about L."""

@@ -350,7 +350,7 @@ def _bounded(
     # model costs that is too low by this factor.
     cost = free.goal.total(free.goal.residual(free.predicted / highest)) / (highest - 1.0)
     width = math.sqrt(2.0 * EXCESS / max(cost, 1e-12))
-    levels = [n for n in ("k_s", "s", "weight", "k_d", "albedo", "diffuse_albedo") if n in problem.free]
+    levels = [n for n in ("k_s", "s", "returned", "weight", "k_d", "albedo", "diffuse_albedo") if n in problem.free]
     lower = known | {n: known[n] / highest for n in levels}
     said = f"rho_dh is bound to 1 (--energy); without the bound it is {highest:.3g}."
     return replace(problem, bound=replace(bound, width=width)), start or [known, lower], [said]

@@ -190,7 +190,7 @@ def _declared(name: str) -> Family:
 
 def needs_ior(name: str) -> bool:
     """Whether optical constants mean something to this model."""
-    return any(part in ("blinn", "cook-torrance", "he-torrance") for part in parts(name))
+    return any(part in ("blinn", "cook-torrance", "he-torrance", "anisotropic") for part in parts(name))
 
 
 def parts(name: str) -> tuple[str, ...]:
@@ -366,18 +366,91 @@ def _he_torrance(ior: Ior) -> Family:
     )
 
 
-MATTE = ("lambert", "oren-nayar")
-GLOSSY = ("phong", "blinn", "cook-torrance", "he-torrance")
+def _anisotropic(ior: Ior) -> Family:
+    fixed, free, needs = _ior_defaults(
+        ior, ("s", "alpha_along", "alpha_across", "brushing_deg", "diffuse_albedo", "ior")
+    )
+
+    def starts(data: Observations) -> list[Values]:
+        diffuse, _ = _levels(data)
+        indices = (1.5,) if ior is not None else (1.5, 20.0)
+        grid = product((0.03, 0.1, 0.3), (1.5, 4.0), (-45.0, 0.0, 45.0, 90.0), (0.03, 0.2, 0.7), indices)
+        return [
+            {
+                "s": s,
+                "alpha_along": alpha,
+                "alpha_across": alpha * ratio,
+                "brushing_deg": brushing,
+                "diffuse_albedo": min(diffuse / (1 - s), 1.0),
+                "ior": n,
+            }
+            for alpha, ratio, brushing, s, n in grid
+        ]
+
+    return Family(
+        "anisotropic",
+        (
+            Parameter("s", 0.0, 1.0),
+            Parameter("alpha_along", 0.002, 3.0, "log"),
+            Parameter("alpha_across", 0.002, 3.0, "log"),
+            # twice round, so that no direction of brushing lies at a bound
+            Parameter("brushing_deg", -180.0, 180.0, unit="deg"),
+            _DIFFUSE,
+            _N,
+            _K,
+        ),
+        free,
+        fixed,
+        lambda v: {
+            **{n: v[n] for n in ("s", "alpha_along", "alpha_across", "brushing_deg", "diffuse_albedo")},
+            "ior": _ior_argument(v, ior),
+        },
+        starts,
+        needs_wavelength=needs,
+        flat=lambda v: {"diffuse_albedo": (1.0 - v["s"]) / math.pi},
+    )
+
+
+def _retroreflecting(ior: Ior) -> Family:
+    names = ("returned", "width_deg", "tail", "entrance", "diffuse_albedo")
+
+    def starts(data: Observations) -> list[Values]:
+        diffuse, _ = _levels(data)
+        grid = product((0.01, 0.1, 0.5), (0.2, 1.0, 4.0, 15.0), (1.0, 2.0), (0.0, 1.0))
+        return [
+            dict(zip(names, (s, width, tail, entrance, min(diffuse / (1 - s), 1.0)), strict=True))
+            for s, width, tail, entrance in grid
+        ]
+
+    return Family(
+        "retroreflecting",
+        (
+            Parameter("returned", 0.0, 1.0),
+            Parameter("width_deg", 0.01, 60.0, "log", "deg"),
+            Parameter("tail", 0.5, 30.0, "log"),
+            Parameter("entrance", 0.0, 20.0),
+            _DIFFUSE,
+        ),
+        names,
+        {},
+        lambda v: {n: v[n] for n in names},
+        starts,
+        flat=lambda v: {"diffuse_albedo": (1.0 - v["returned"]) / math.pi},
+    )
+
+
+BASES = ("lambert", "oren-nayar", "retroreflecting")
+GLOSSY = ("phong", "blinn", "cook-torrance", "he-torrance", "anisotropic", "retroreflecting")
 
 
 def _sum(name: str, ior: Ior) -> Family:
-    """A matte base and a glossy model on it, whose own Lambertian part is left out.
+    """A matte or retroreflecting base and a glossy model on it, whose own Lambertian part is left out.
 
     The level of the gloss lies in its own k_s or s; He-Torrance has none, and gets a weight.
     """
     terms = parts(name)
-    if len(terms) != 2 or terms[0] not in MATTE or terms[1] not in GLOSSY:
-        raise ConfigError(f'"{name}": a sum to fit is one of {", ".join(MATTE)} + one of {", ".join(GLOSSY)}')
+    if len(terms) != 2 or terms[0] not in BASES or terms[1] not in GLOSSY or terms[0] == terms[1]:
+        raise ConfigError(f'"{name}": a sum to fit is one of {", ".join(BASES)} + another of {", ".join(GLOSSY)}')
     base, gloss = FAMILIES[terms[0]](ior), FAMILIES[terms[1]](ior)
     own = {"k_d", "diffuse_albedo"} & {p.name for p in gloss.parameters}
     level = (Parameter("weight", 0.0, 1.0),) if terms[1] == "he-torrance" else ()
@@ -391,11 +464,17 @@ def _sum(name: str, ior: Ior) -> Family:
 
     def starts(data: Observations) -> list[Values]:
         albedo = _ALBEDO.inside(_levels(data)[0])
-        known = {"albedo": albedo, "sigma_deg": 20.0} if terms[0] == "oren-nayar" else {"albedo": albedo}
+        bases: list[Values] = [{"albedo": albedo}]
+        if terms[0] == "oren-nayar":
+            bases = [{"albedo": albedo, "sigma_deg": 20.0}]
+        elif terms[0] == "retroreflecting":
+            lobe = {"returned": 0.1, "tail": 1.2, "entrance": 0.0, "diffuse_albedo": albedo}
+            bases = [{**lobe, "width_deg": width} for width in (0.5, 2.0, 8.0)]
         shapes: dict[tuple[tuple[str, float], ...], None] = {}
         for values in gloss.starts(data):
             shapes[tuple((n, x) for n, x in values.items() if n not in own)] = None
-        return [{**known, **dict(shape), **w} for shape in shapes for w in ([{"weight": 0.5}] if level else [{}])]
+        more: Values = {"weight": 0.5} if level else {}
+        return [{**base, **dict(shape), **more} for base in bases for shape in shapes]
 
     return Family(
         name,
@@ -439,4 +518,6 @@ FAMILIES: Mapping[str, Callable[[Ior], Family]] = {
     "blinn": _blinn,
     "cook-torrance": lambda ior: _cook_torrance(1, ior),
     "he-torrance": _he_torrance,
+    "anisotropic": _anisotropic,
+    "retroreflecting": _retroreflecting,
 }

@@ -42,7 +42,7 @@ class FitRequest:
     """
 
     model: str
-    """Name on the command line: "lambert", "oren-nayar", "phong", "blinn", "cook-torrance", "he-torrance"."""
+    """Name on the command line: "lambert", "oren-nayar", "phong", "blinn", "cook-torrance", "he-torrance", ..."""
     ior: Ior = None
     """Optical constants n + ik, or the name of a material: fixed, unless `free` names "ior" or "k"."""
     fix: Mapping[str, float | str] | None = None

@@ -37,14 +37,19 @@ BEYOND = 2
 MANY = 20_000
 """Of more values than this, held-out errors take an even selection, and intervals are not walked out: with so many the
 standard errors are as good."""
-SINGLE = ("lambert", "oren-nayar", "phong", "blinn", "cook-torrance", "he-torrance")
+SINGLE = ("lambert", "oren-nayar", "phong", "blinn", "cook-torrance", "he-torrance", "anisotropic", "retroreflecting")
 SUMS = (
     "oren-nayar+phong",
     "oren-nayar+blinn",
     "oren-nayar+cook-torrance",
     "lambert+he-torrance",
     "oren-nayar+he-torrance",
+    "retroreflecting+cook-torrance",
 )
+SAME_AZIMUTH_DEG = 2.0
+"""Azimuths of incidence nearer than this, or half a turn apart, show one side of a surface with a direction."""
+NEAR_RETRO_DEG = 10.0
+"""A lobe about the direction of incidence is looked for where a value lies this near to it."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +60,8 @@ class Candidate:
     """As on the command line; sums as "oren-nayar+phong"."""
     free: tuple[str, ...] = ()
     slopes: int = 1
+    asked: bool = field(default=True, compare=False)
+    """Whether it was named, and not tried as one of all."""
 
     @property
     def label(self) -> str:
@@ -163,8 +170,11 @@ def candidates(models: Sequence[str], ior: Ior = None) -> list[Candidate]:
         return [Candidate(name) for name in models]
     if len(models) > 1:
         raise ConfigError("--models all names every model: nothing can stand beside it")
-    single = [Candidate(name) for name in (*SINGLE, *parameters.declared())]
-    several = [*(Candidate(name) for name in SUMS), Candidate("cook-torrance", slopes=2)]
+    single = [Candidate(name, asked=False) for name in (*SINGLE, *parameters.declared())]
+    several = [
+        *(Candidate(name, asked=False) for name in SUMS),
+        Candidate("cook-torrance", slopes=2, asked=False),
+    ]
     out = []
     for group in (single, several):
         out += group
@@ -227,6 +237,10 @@ def choose(
 
     began_all = time.perf_counter()
     for k, candidate in enumerate(sorted(tried, key=lambda c: sizes[c])):  # stable
+        beyond = "" if candidate.asked else _beyond_the_directions(candidate, data)
+        if beyond:
+            left_out[candidate.label] = beyond
+            continue
         if sizes[candidate] > enough and not all_of_them:
             left_out[candidate.label] = "a model with fewer parameters is not rejected"
             continue
@@ -271,6 +285,22 @@ def choose(
     return Choice(judged, named, intervals, _words(judged, named), by, left_out)
 
 
+def _beyond_the_directions(candidate: Candidate, data: Observations) -> str:
+    """Why a model that was not asked for by name cannot be told from others in these directions; "" where it can."""
+    where, terms = data.directions, parameters.parts(candidate.model)
+    if "anisotropic" in terms:
+        tilted = where.theta_i > math.radians(SAME_AZIMUTH_DEG)
+        half_turns = np.exp(2j * where.phi_i[tilted])  # azimuths half a turn apart are the same
+        if not np.any(np.abs(np.angle(half_turns / half_turns[:1])) > 2.0 * math.radians(SAME_AZIMUTH_DEG)):
+            return "the light comes from one azimuth, which does not tell a surface's own direction"
+    if "retroreflecting" in terms:
+        omega_i, omega_r = where.vectors
+        apart = np.sum((omega_i - omega_r) ** 2, axis=-1)
+        if not np.any(apart < (2.0 * math.sin(math.radians(NEAR_RETRO_DEG) / 2.0)) ** 2):
+            return f"no value lies within {NEAR_RETRO_DEG:g} degrees of the direction of incidence"
+    return ""
+
+
 def _walked(judged: Sequence[Judged]) -> tuple[Judged | None, dict[str, Interval], list[tuple[Judged, Floats]]]:
     """The simplest model that is not rejected, its parameters' intervals, and the lower valleys that were met.
 
@@ -308,7 +338,7 @@ def _starts(candidate: Candidate, fits: Mapping[Candidate, FitResult]) -> list[l
         known = _values(simpler)
         return [[known, *({**known, "ior": n, "k": k} for n, k in parameters.INDICES)]]
     terms = parameters.parts(candidate.model)
-    if len(terms) == 1 or candidate.model == "lambert+he-torrance":
+    if len(terms) == 1 or candidate.model == "lambert+he-torrance" or terms[0] == "retroreflecting":
         return [None]
     base = "lambert+he-torrance" if terms[1] == "he-torrance" else terms[1]
     simpler = fits.get(Candidate(base))
