@@ -220,7 +220,11 @@ def check(frame: pd.DataFrame, where: Any) -> None:
     for column in ("theta_i_deg", "theta_r_deg"):
         theta = frame[column].to_numpy(np.float64)
         behind = through if column == "theta_r_deg" else np.zeros(len(frame), dtype=bool)
-        stated = "" if column == "theta_i_deg" else '; of transmission they go on to 180, in rows whose column "side" says "transmission"'
+        stated = (
+            ""
+            if column == "theta_i_deg"
+            else '; of transmission they go on to 180, in rows whose column "side" says "transmission"'
+        )
         demand(behind | ((theta >= 0) & (theta <= 90)), column, polar + stated)
         demand(
             ~behind | ((theta > 90) & (theta <= 180)),
@@ -244,7 +248,9 @@ def check(frame: pd.DataFrame, where: Any) -> None:
     for column in MUELLER:
         if column in frame.columns:
             element = frame[column].to_numpy(np.float64)
-            demand(~np.isinf(element), column, "an element of the Mueller matrix over the first one, or NaN where unknown")
+            demand(
+                ~np.isinf(element), column, "an element of the Mueller matrix over the first one, or NaN where unknown"
+            )
     for column in U_MUELLER:
         if column in frame.columns:
             u = frame[column].to_numpy(np.float64)
