@@ -7,10 +7,14 @@ A table is a `pandas.DataFrame` with one row a direction pair, wavelength and po
 - `wavelength_nm`, NaN for a broad band; `polarisation`: "unpolarised", or "ss", "sp", "ps", "pp"
   (incident, then reflected), or "s", "p" (incident only);
 - `sample`, only where a file holds several samples;
+- `side`, only where some rows are transmission: "reflection" or "transmission". In rows of transmission theta_r lies
+  in (90, 180], behind the sample, and `brdf` is the BTDF (docs/transmission.md);
 - `brdf` [1/sr], with the sign that it was measured with;
 - `u_brdf`, its combined standard uncertainty (k = 1), NaN where nobody stated one; `u_random`, the part of it that is
   independent from row to row; `s_<cause>`, one signed column a common cause: the change of `brdf` for one standard
   deviation of that cause. The covariance of the values is diag(u_random^2) + sum over causes of s s^T;
+- `m01` to `m33`, only where Mueller matrices were measured: their elements over the first one (docs/conventions.md),
+  NaN where unknown, and `u_m01` to `u_m33`, their standard uncertainties;
 - `flag`: "" or the reason why the row must not be used.
 
 `frame.attrs` holds the rest: `quantity`, `source_solid_angle_sr`, `receiver_solid_angle_sr` (None where unknown),
@@ -32,7 +36,7 @@ from gonio.disk import only_file
 from gonio.errors import ConfigError, DataError
 from gonio.formats import own_columns
 from gonio.formats.native import check, check_columns, meta_path
-from gonio.formats.reader import ANGLES, COLUMNS, MAX_BYTES
+from gonio.formats.reader import ANGLES, COLUMNS, MAX_BYTES, MUELLER, U_MUELLER, reflection_only
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -41,8 +45,8 @@ if TYPE_CHECKING:
     from gonio.models import Model
 
 __all__ = [
-    "COLUMNS", "meta_path", "parse", "read", "samples", "split", "tables", "uncertainty", "unpolarised", "write",
-    "write_model",
+    "COLUMNS", "meta_path", "parse", "read", "reflection", "samples", "split", "tables", "transmission", "turned_over",
+    "uncertainty", "unpolarised", "write", "write_model",
 ]  # fmt: skip
 
 
@@ -147,8 +151,12 @@ def write(frame: pd.DataFrame, path: str | Path, *, format: str | None = None) -
         raise ConfigError(f'{path}: files of the format "{chosen.name}" are read, not written')
     check_columns(list(frame.columns), str(path))
     check(frame, lambda row: f"{path}, row {row + 1}")
+    if "transmission" not in chosen.carries:
+        reflection_only(frame, path, chosen.title)
     chosen.write(frame, path)
     lost = []
+    if "mueller" not in chosen.carries and set(MUELLER) & set(frame.columns):
+        lost.append(f"{chosen.title} has no room for Mueller matrices: m01 to m33 are not written")
     if "uncertainty" not in chosen.carries and frame["u_brdf"].notna().any():
         lost.append(f"{chosen.title} has no room for uncertainties: u_brdf, u_random and s_ columns are not written")
     if "solid angle" not in chosen.carries and any(
@@ -262,6 +270,7 @@ def unpolarised(frame: pd.DataFrame) -> pd.DataFrame:
         rows["u_random"] = np.sqrt(squares.sum(min_count=len(complete)).to_numpy()) / 2.0
         rows["u_brdf"] = np.sqrt(rows["u_random"] ** 2 + (rows[causes] ** 2).sum(axis=1))
         rows["flag"] = groups["flag"].max().to_numpy()
+        rows[[name for name in (*MUELLER, *U_MUELLER) if name in rows.columns]] = np.nan  # was one state's
         left = pd.concat([left.drop(part.index), rows]).sort_index()
         count += len(rows)
     if not count:
@@ -270,6 +279,45 @@ def unpolarised(frame: pd.DataFrame) -> pd.DataFrame:
     note = f"{count} values were measured in every state of polarisation; taken is what unpolarised light would show"
     out.attrs = frame.attrs | {"notes": [*frame.attrs.get("notes", ()), note]}
     return out
+
+
+def reflection(frame: pd.DataFrame) -> pd.DataFrame:
+    """The rows of reflection; a note says how many of transmission are left out."""
+    if "side" not in frame.columns:
+        return frame
+    kept, left = _of_side(frame, "reflection")
+    if left:
+        kept.attrs["notes"] = [*kept.attrs.get("notes", ()), f"{left} rows of transmission are left out"]
+    return kept
+
+
+def transmission(frame: pd.DataFrame) -> pd.DataFrame | None:
+    """The rows of transmission; None where there are none."""
+    if "side" not in frame.columns or not (frame["side"] == "transmission").any():
+        return None
+    return _of_side(frame, "transmission")[0].assign(side="transmission")
+
+
+def turned_over(frame: pd.DataFrame) -> pd.DataFrame:
+    """Transmission as if it were reflection: directions toward the detector mirrored at the sample's plane.
+
+    theta_r becomes 180 - theta_r, the angle from the normal of the back, so that whatever integrates, interpolates or
+    plots over a hemisphere serves for both. Straight through becomes the mirror direction.
+    """
+    if "side" not in frame.columns:
+        return frame
+    behind = frame["side"] == "transmission"
+    out = frame.drop(columns="side")
+    out["theta_r_deg"] = frame["theta_r_deg"].where(~behind, 180.0 - frame["theta_r_deg"])
+    return out
+
+
+def _of_side(frame: pd.DataFrame, side: str) -> tuple[pd.DataFrame, int]:
+    """The rows of one side without the column, and how many others there are."""
+    here = frame["side"] == side
+    out = frame[here].drop(columns="side").reset_index(drop=True)
+    out.attrs = {**frame.attrs, "quantity": "brdf" if side == "reflection" else "btdf"}
+    return out, int((~here).sum())
 
 
 def split(spec: str | Path) -> tuple[str, str | None]:

@@ -138,6 +138,46 @@ class Reflectance:
 
 
 @dataclass(frozen=True)
+class TransmissionSummary:
+    """What a sample lets through."""
+
+    name: str
+    rows: int
+    used: int
+    left_out_words: str
+    wavelength_nm: float | None
+    theta_i_deg: list[float]
+    btdf_min: float
+    btdf_max: float
+    tau_dh: list[Reflectance]
+    """Directional-hemispherical transmittance, in the field `rho_dh` of each."""
+
+
+@dataclass(frozen=True)
+class MuellerElement:
+    """One element of measured Mueller matrices, over the first one, against a model's."""
+
+    name: str
+    points: int
+    rms: float | None
+    """Of the measured values."""
+    mean_residual: float | None
+    """Measured less model."""
+    rms_residual: float | None
+    chi_square_per_value: float | None
+    """Mean square of the residuals over their stated uncertainties."""
+
+
+@dataclass(frozen=True)
+class MuellerSummary:
+    """Measured Mueller matrices against those of a model."""
+
+    model: str | None
+    points: int
+    elements: list[MuellerElement]
+
+
+@dataclass(frozen=True)
 class SymmetrySummary:
     """Pairs of values that a symmetry of the sample would make alike."""
 
@@ -406,6 +446,9 @@ class DatasetSummary:
     symmetries: list[SymmetrySummary]
     appearance: Appearance | None = None
     """None where a table is too large for a quick look."""
+    transmission: TransmissionSummary | None = None
+    """None where the table holds reflection alone."""
+    mueller: MuellerSummary | None = None
 
 
 # --- pages -----------------------------------------------------------------------------------------------------------
@@ -443,5 +486,7 @@ class Summary:
     log_metrics_above_u: float
     metrics: dict[str, MetricSummary]
     datasets: list[DatasetSummary]
+    transmission_only: list[TransmissionSummary] = field(default_factory=list)
+    """Samples of which no reflection was measured."""
     figures: Sequence[FigureSummary] = ()
     tables: Sequence[str] = ()

@@ -29,7 +29,7 @@ from gonio.errors import DeviceError, Disturbed, Interrupted
 from gonio.rig import Frame, Pose, Rig, Step, Target
 from gonio.rig.description import Band
 from gonio.rig.imaging import Roi, roi
-from gonio.rig.kinematics import View, view
+from gonio.rig.kinematics import View, left_its_side, view
 
 log = logging.getLogger("gonio.devices")
 
@@ -213,7 +213,7 @@ class _Session:
         pose = self._rig.arms.move(step.pose)
         readback = _Readback(pose, self._rig.time_s())
         seen = view(self._description, pose)
-        if seen.camera_mm[2] <= 0.0 or seen.source_mm[2] <= 0.0:
+        if left_its_side(self._description, step.pose, pose):
             return self._taken(step, step.pose, readback, None, "below_horizon", 0.0)
         levels, brightest = {}, 0.0
         count = len(self._run.bands) * (self._frames(step) + (step.kind == "point"))

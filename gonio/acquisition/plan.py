@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
@@ -70,6 +70,8 @@ class Sweep(Strict):
     """Without `dphi_deg` signed: positive on the mirror side, negative on the retro side."""
     dphi_deg: AngleList | None = None
     """phi_r - phi_i: 0 is retro, 180 the mirror half-plane. A negative theta_r lies on the opposite side."""
+    side: Literal["reflection", "transmission"] = "reflection"
+    """Of transmission theta_r goes on beyond the horizon, from 90 to 180 in size: 180 is behind, along the normal."""
 
     @property
     def count(self) -> int:
@@ -103,16 +105,21 @@ class Sweep(Strict):
                 raise ValueError(f"{angle:g} deg is outside 0 to 90 deg: theta_i is counted from the normal")
         return value
 
-    @field_validator("theta_r_deg")
-    @classmethod
-    def _reflection(cls, value: tuple[float, ...]) -> tuple[float, ...]:
-        for angle in value:
-            if not -90 <= angle <= 90:
+    @model_validator(mode="after")
+    def _on_its_side(self) -> Sweep:
+        for angle in self.theta_r_deg:
+            if self.side == "reflection" and not -90 <= angle <= 90:
                 raise ValueError(
-                    f"{angle:g} deg is outside -90 to 90 deg: theta_r is counted from the normal, "
+                    f"theta_r_deg: {angle:g} deg is outside -90 to 90 deg: theta_r is counted from the normal, "
                     "positive on the mirror side"
+                    + ('; behind the sample, say side = "transmission"' if abs(angle) <= 180 else "")
                 )
-        return value
+            if self.side == "transmission" and not 90 < abs(angle) <= 180:
+                raise ValueError(
+                    f'theta_r_deg: {angle:g} deg is not behind the sample: with side = "transmission" it lies beyond '
+                    "90, up to 180 deg in size"
+                )
+        return self
 
     @field_validator("dphi_deg")
     @classmethod
@@ -154,7 +161,7 @@ class PlanFile(Strict):
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """A point of a plan in canonical angles [deg]: theta in [0, 90], phi in [0, 360)."""
+    """A point of a plan in canonical angles [deg]: theta_i in [0, 90], theta_r in [0, 180], phi in [0, 360)."""
 
     theta_i_deg: float
     phi_i_deg: float
@@ -245,7 +252,9 @@ def load_plan(path: str | Path) -> Plan:
 
 
 def read_points(path: Path) -> list[Point]:
-    """The points of a CSV with the columns theta_i_deg, phi_i_deg, theta_r_deg, phi_r_deg (others are passed over).
+    """The points of a CSV with the columns theta_i_deg, phi_i_deg, theta_r_deg, phi_r_deg.
+
+    A column `side` says which are transmission, as in a measurement table; others are passed over.
 
     Raises
     ------
@@ -276,20 +285,32 @@ def _points_of(path: Path, lines: csv.DictReader[str]) -> list[Point]:
         if columns.count(name) > 1:
             raise ConfigError(f"{path}: the column {name} is there {columns.count(name)} times")
     lines.fieldnames = columns
+    if columns.count("side") > 1:
+        raise ConfigError(f"{path}: the column side is there {columns.count('side')} times")
     points = []
     for row in lines:
         values = {}
+        side = (row.get("side") or "reflection").strip()
+        if side not in ("reflection", "transmission"):
+            raise ConfigError(f"{path}: line {lines.line_num}: side = {side[:40]!r}; reflection or transmission")
+        behind = side == "transmission"
         for name in ANGLES:
             try:
                 values[name] = float(row[name])
             except (TypeError, ValueError):
                 values[name] = math.nan
-            limit = 90.0 if name.startswith("theta") else 360.0
+            limit = 180.0 if behind and name == "theta_r_deg" else 90.0 if name.startswith("theta") else 360.0
             if not abs(values[name]) <= limit:
+                hint = '; behind the sample, write transmission into a column "side"' if name == "theta_r_deg" else ""
                 raise ConfigError(
                     f"{path}: line {lines.line_num}: {name} = {row[name]!r}; "
-                    f"allowed are numbers from {-limit:g} to {limit:g}"
+                    f"allowed are numbers from {-limit:g} to {limit:g}" + (hint if abs(values[name]) <= 180.0 else "")
                 )
+        if behind and abs(values["theta_r_deg"]) <= 90.0:
+            raise ConfigError(
+                f"{path}: line {lines.line_num}: theta_r_deg = {row['theta_r_deg']!r} is not behind the sample, and "
+                'side = "transmission": it lies beyond 90, up to 180'
+            )
         points.append(canonical(*values.values()))
     if not points:
         raise ConfigError(f"{path}: holds no points")
@@ -303,7 +324,7 @@ def assess(plan: Plan, description: RigDescription) -> list[Assessed]:
         try:
             if point.theta_i_deg > 90.0 - GRAZING_DEG:
                 raise Unreachable("grazing", "theta_i = 90 deg: no light falls on the sample")
-            if point.theta_r_deg > 90.0 - GRAZING_DEG:
+            if abs(point.theta_r_deg - 90.0) < GRAZING_DEG:
                 raise Unreachable("grazing", "theta_r = 90 deg: the sample is seen edge-on")
             out.append(Assessed(point, reach(description, point.directions)))
         except Unreachable as error:
@@ -324,7 +345,7 @@ def _combinations(sweep: Sweep) -> list[Point]:
 
 
 def canonical(theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> Point:
-    """Signed angles [deg] to theta in [0, 90] and phi in [0, 360): (-theta, phi) is (theta, phi + 180)."""
+    """Signed angles [deg] to theta not negative and phi in [0, 360): (-theta, phi) is (theta, phi + 180)."""
     phi_i, phi_r = phi_i + 180.0 * (theta_i < 0), phi_r + 180.0 * (theta_r < 0)
     return Point(abs(theta_i), _turn(phi_i), abs(theta_r), _turn(phi_r))
 

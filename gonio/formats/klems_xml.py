@@ -6,8 +6,9 @@ incidence. Directions are those of propagation along the window, so that regular
 both lie on the diagonal: light of incidence azimuth phi comes from phi + 180. Both sides share the window's x and y, so
 azimuths of the back, seen against its own normal, run the other way.
 
-Only reflection is read; each side and band becomes a sample named "<product> front Visible". Bands are broad: there
-is no wavelength. A value is an average over two patches, which the polar angles of their centres stand for.
+Each side that light falls on, and each band, becomes a sample named "<product> front Visible", with its reflection and
+its transmission. The frame is that of the lit side: what is transmitted leaves at theta_r = 180 - Theta, with the
+azimuth that it travels with. Bands are broad: there is no wavelength. A value is an average over two patches, which the polar angles of their centres stand for.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.reader import ANGLES, Format, table, wrap_deg, write_bytes
+from gonio.formats.reader import ANGLES, SIDES, Format, table, wrap_deg, write_bytes
 from gonio.formats.text import integer, number
 from gonio.typing import Floats
 
@@ -85,39 +86,36 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
     bases = dict(_bases(definition, path))
     product = " ".join((layer.findtext("{*}Material/{*}Name") or path.stem).split()) or path.stem
     parts = []
-    skipped = 0
     for element in layer.iterfind("{*}WavelengthData"):
         band = _text(element, "Wavelength", path)
         for block in element.iterfind("{*}WavelengthDataBlock"):
             direction = _text(block, "WavelengthDataDirection", path)
-            if not direction.startswith("Reflection"):
-                skipped += 1
-                continue
-            side = direction.removeprefix("Reflection").strip().lower()
-            if side not in ("front", "back"):
-                raise DataError(f'{path}: WavelengthDataDirection is "{direction[:40]}"')
-            parts.append(
-                (f"{product} {side} {'_'.join(band.split())[:40]}", *_block(block, structure, bases, side, path))
-            )
+            kind, _, lit = direction.partition(" ")
+            kind, lit = kind.lower(), lit.strip().lower()
+            if kind not in SIDES or lit not in ("front", "back"):
+                raise DataError(
+                    f'{path}: WavelengthDataDirection is "{direction[:40]}"; read are Reflection and Transmission, '
+                    "Front and Back"
+                )
+            name = f"{product} {lit} {'_'.join(band.split())[:40]}"
+            parts.append((name, kind, *_block(block, structure, bases, kind, lit, path)))
     if not parts:
-        raise DataError(f"{path}: holds no reflection ({skipped} blocks of transmission)")
-    names = [name for name, _, _ in parts]
-    if len(set(names)) < len(names):
+        raise DataError(f"{path}: holds no block of reflection or of transmission")
+    if len({(name, kind) for name, kind, *_ in parts}) < len(parts):
         raise DataError(f"{path}: a side and a band are there twice")
-    angles = np.concatenate([a for _, a, _ in parts])
-    bands = dict.fromkeys(name.rpartition(" ")[2] for name in names)
+    angles = np.concatenate([a for *_, a, _ in parts])
+    bands = dict.fromkeys(name.rpartition(" ")[2] for name, *_ in parts)
     notes = ["values are averages over pairs of Klems patches, given at the patches' centres"]
     notes.append("broad bands; the file states no uncertainties")
-    if skipped:
-        notes.append(f"{skipped} blocks of transmission are not carried")
     return table(
         theta_i_deg=angles[:, 0],
         phi_i_deg=angles[:, 1],
         theta_r_deg=angles[:, 2],
         phi_r_deg=angles[:, 3],
         wavelength_nm=math.nan,
-        brdf=np.concatenate([v for _, _, v in parts]),
-        sample=[name for name, _, values in parts for _ in values],
+        brdf=np.concatenate([v for *_, v in parts]),
+        sample=[name for name, *_, values in parts for _ in values],
+        side=[kind for _, kind, _, values in parts for _ in values],
         attrs={
             "source_file": str(path),
             "bands": [
@@ -144,7 +142,7 @@ def _bases(definition: ElementTree.Element, path: Path) -> Iterator[tuple[str, B
 
 
 def _block(
-    block: ElementTree.Element, structure: str, bases: dict[str, Basis], side: str, path: Path
+    block: ElementTree.Element, structure: str, bases: dict[str, Basis], kind: str, side: str, path: Path
 ) -> tuple[Floats, Floats]:
     """Directions (n, 4) and values (n,) of one matrix, incidence by incidence."""
     pair = []
@@ -157,8 +155,8 @@ def _block(
     words = _text(block, "ScatteringData", path).replace(",", " ").split()
     if len(words) != columns.theta.size * rows.theta.size:
         wanted = f"{rows.theta.size} x {columns.theta.size}"
-        raise DataError(f"{path}: ScatteringData of {side} reflection has {len(words)} numbers; {wanted} are needed")
-    where = f"{path}, ScatteringData of {side} reflection"
+        raise DataError(f"{path}: ScatteringData of {side} {kind} has {len(words)} numbers; {wanted} are needed")
+    where = f"{path}, ScatteringData of {side} {kind}"
     matrix = np.array([number(word, where, f"number {k + 1}") for k, word in enumerate(words)])
     matrix = matrix.reshape(rows.theta.size, columns.theta.size)
     incident, outgoing, values = (columns, rows, matrix.T) if structure == "Columns" else (rows, columns, matrix)
@@ -167,7 +165,13 @@ def _block(
         a.ravel() for a in np.meshgrid(np.arange(incident.theta.size), np.arange(outgoing.theta.size), indexing="ij")
     )
     phi_i, phi_r = wrap_deg(turn * incident.phi[i] + 180.0), wrap_deg(turn * outgoing.phi[r])
-    return np.column_stack([incident.theta[i], phi_i, outgoing.theta[r], phi_r]), values.ravel()
+    theta_r = _theta_r(outgoing, kind)[r]
+    return np.column_stack([incident.theta[i], phi_i, theta_r, phi_r]), values.ravel()
+
+
+def _theta_r(basis: Basis, kind: str) -> Floats:
+    """Polar angles against the normal of the lit side: those of transmission are counted from the other one."""
+    return 180.0 - basis.theta if kind == "transmission" else basis.theta
 
 
 def _child(element: ElementTree.Element, name: str, path: Path) -> ElementTree.Element:
@@ -194,17 +198,23 @@ def write(frame: pd.DataFrame, path: Path) -> None:
         frame.groupby("sample", sort=False) if "sample" in frame.columns else [(frame.attrs.get("sample") or "", frame)]
     )
     product, blocks = "", []
-    for name, group in groups:
+    parts = [
+        (name, kind, part)
+        for name, group in groups
+        for kind, part in (group.groupby("side") if "side" in group.columns else [("reflection", group)])
+    ]
+    for name, kind, group in parts:
         match = _NAME.fullmatch(str(name))
         product, side, band = match.groups() if match else (str(name), "front", "Visible")
         turn = 1.0 if side == "front" else -1.0
         given = {tuple(row): k for k, row in enumerate(np.round(group[list(ANGLES)].to_numpy(np.float64), 6).tolist())}
         phi_i, phi_r = wrap_deg(turn * basis.phi + 180.0), wrap_deg(turn * basis.phi)
+        theta_r = _theta_r(basis, str(kind))
         lines = []
         values = group["brdf"].tolist()
         for r in range(basis.theta.size):
             keys = [
-                tuple(np.round([basis.theta[i], phi_i[i], basis.theta[r], phi_r[r]], 6).tolist())
+                tuple(np.round([basis.theta[i], phi_i[i], theta_r[r], phi_r[r]], 6).tolist())
                 for i in range(basis.theta.size)
             ]
             absent = next((key for key in keys if key not in given), None)
@@ -213,7 +223,15 @@ def write(frame: pd.DataFrame, path: Path) -> None:
                     f"{path}: a Klems matrix needs each pair of its 145 patches once, and this table has others"
                 )
             lines.append(", ".join(repr(values[given[key]]) for key in keys))
-        blocks.append(_XML_BLOCK.format(band=escape(band), side=side.capitalize(), data=",\n".join(lines)))
+        blocks.append(
+            _XML_BLOCK.format(
+                band=escape(band),
+                kind=str(kind).capitalize(),
+                side=side.capitalize(),
+                letter="T" if kind == "transmission" else "R",
+                data=",\n".join(lines),
+            )
+        )
     rings = "".join(
         _XML_RING.format(theta=(low + high) / 2 if low else 0, low=low, high=high, count=count)
         for low, high, count in _FULL
@@ -284,10 +302,10 @@ _XML_BLOCK = """<WavelengthData>
 <LayerNumber>System</LayerNumber>
 <Wavelength unit="Integral">{band}</Wavelength>
 <WavelengthDataBlock>
-<WavelengthDataDirection>Reflection {side}</WavelengthDataDirection>
+<WavelengthDataDirection>{kind} {side}</WavelengthDataDirection>
 <ColumnAngleBasis>LBNL/Klems Full</ColumnAngleBasis>
 <RowAngleBasis>LBNL/Klems Full</RowAngleBasis>
-<ScatteringDataType>BRDF</ScatteringDataType>
+<ScatteringDataType>B{letter}DF</ScatteringDataType>
 <ScatteringData>
 {data}
 </ScatteringData>
@@ -304,4 +322,5 @@ FORMAT = Format(
     write=write,
     write_model=write_model,
     max_bytes=16 * 2**20,
+    carries=frozenset({"transmission"}),
 )

@@ -22,14 +22,29 @@ import numpy as np
 from gonio.disk import read_file, require_name
 from gonio.errors import ConfigError, DataError
 from gonio.formats.column_hints import column_hints
-from gonio.formats.reader import COLUMNS, POLARISATIONS, Attributes, Format, attributes, flag_holes, write_bytes
+from gonio.formats.reader import (
+    COLUMNS,
+    EXTRA,
+    MUELLER,
+    POLARISATIONS,
+    SIDES,
+    U_MUELLER,
+    Attributes,
+    Format,
+    attributes,
+    flag_holes,
+    quantity,
+    write_bytes,
+)
 from gonio.formats.text import cell_of, column_names, decode, number, plain_word, separator
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_WORDS = ("polarisation", "sample", "flag")
+_WORDS = ("polarisation", "side", "sample", "flag")
+_TEXTS = ("sample", "flag")
+"""Words that are anybody's."""
 _DEFAULTS: dict[str, float | str] = {
     "wavelength_nm": math.nan,
     "polarisation": "unpolarised",
@@ -54,16 +69,16 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
     frame = _read_at_once(text)
     if frame is None:
         frame = _read_line_by_line(text, path)
-        for name in _WORDS[1:]:
+        for name in _TEXTS:
             if name in frame.columns:
                 frame[name] = _per_word(frame[name], plain_word)
     absent = [name for name in _DEFAULTS if name not in frame.columns]
     if absent:
         causes = [name for name in frame.columns if name.startswith("s_")]
         frame = frame.assign(**{name: _DEFAULTS[name] for name in absent})
-        samples = ["sample"] if "sample" in frame.columns else []
-        frame = frame[[*COLUMNS[:6], *samples, *COLUMNS[6:9], *causes, "flag"]]
-    frame.attrs.update(_read_attrs(path))
+        words, numbers = ([name for name in some if name in frame.columns] for some in (EXTRA[:2], EXTRA[2:]))
+        frame = frame[[*COLUMNS[:6], *words, *COLUMNS[6:9], *causes, *numbers, "flag"]]
+    frame.attrs.update(_read_attrs(path, quantity(frame)))
     if absent:
         shown = ", ".join(absent)
         frame.attrs["notes"] = [*frame.attrs["notes"], f"the file has no columns {shown}: taken as unknown, or none"]
@@ -140,7 +155,7 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     """The table, its numbers to the last bit, and its attributes beside it."""
     check_columns(list(frame.columns), str(path))
     check(frame, lambda row: f"{path}, row {row + 1}")
-    words = [name for name in _WORDS[1:] if name in frame.columns]
+    words = [name for name in _TEXTS if name in frame.columns]
     cells = frame.assign(**{name: _per_word(frame[name], cell_of) for name in words})
     # pandas writes a carriage return without quotes, as if it ended no line
     ends = any("\r" in word for name in words for word in cells[name].unique())
@@ -166,19 +181,19 @@ def _require_own_attributes(meta: Path) -> None:
         stored = json.loads(read_file(meta))
     except (OSError, ValueError, RecursionError):
         stored = None
-    if not isinstance(stored, dict) or not stored.keys() <= attributes().keys() | {"samples"}:
+    if not isinstance(stored, dict) or not stored.keys() <= attributes().keys() | {"samples", "format"}:
         raise ConfigError(f"{meta}: is not the attributes of a table, and is not replaced; give the table another name")
 
 
 def check_columns(header: list[str], where: str, *, needed: tuple[str, ...] = COLUMNS) -> None:
     """`DataError` unless these are the columns of a measurement table, each once, and the `needed` ones are there."""
     missing = [name for name in needed if name not in header]
-    extra = [n for n in header if n not in COLUMNS and n != "sample" and not (n.startswith("s_") and len(n) > 2)]
+    extra = [n for n in header if n not in COLUMNS and n not in EXTRA and not (n.startswith("s_") and len(n) > 2)]
     twice = sorted(name for name, count in Counter(header).items() if count > 1)
     for names, what in ((missing, "missing"), (extra, "not known"), (twice, "there twice")):
         if names:
             shown = ", ".join(repr(n if len(n) <= 40 else n[:37] + "...") for n in names[:8])
-            known = f"a measurement table has {', '.join(NEEDED)}, and may have {', '.join(_DEFAULTS)} and s_<cause>"
+            known = f"a measurement table has {', '.join(NEEDED)}, and may have {', '.join(_DEFAULTS)}, side, s_<cause> and m01 to m33"
             hints = "".join(f"; {hint}" for hint in column_hints(header))
             raise DataError(f"{where}: columns {what}: {shown}{hints}; {known}")
 
@@ -196,12 +211,25 @@ def check(frame: pd.DataFrame, where: Any) -> None:
             shown = f"{value:.9g}" if isinstance(value, float) else repr(value)[:40]
             raise DataError(f"{where(int(bad[0]))}: {column} = {shown}; {allowed}")
 
+    if "side" in frame.columns:
+        demand(_one_of(frame["side"], lambda word: word in SIDES), "side", f"one of {', '.join(SIDES)}")
+        through = frame["side"].to_numpy() == "transmission"
+    else:
+        through = np.zeros(len(frame), dtype=bool)
+    polar = "polar angles lie in [0, 90] degrees; write (-theta, phi) as (theta, phi + 180)"
     for column in ("theta_i_deg", "theta_r_deg"):
         theta = frame[column].to_numpy(np.float64)
+        behind = through if column == "theta_r_deg" else np.zeros(len(frame), dtype=bool)
+        stated = (
+            ""
+            if column == "theta_i_deg"
+            else '; of transmission they go on to 180, in rows whose column "side" says "transmission"'
+        )
+        demand(behind | ((theta >= 0) & (theta <= 90)), column, polar + stated)
         demand(
-            (theta >= 0) & (theta <= 90),
+            ~behind | ((theta > 90) & (theta <= 180)),
             column,
-            "polar angles lie in [0, 90] degrees; write (-theta, phi) as (theta, phi + 180)",
+            'a row whose column "side" says "transmission" has its detector behind the sample, in (90, 180] degrees',
         )
     for column in ("phi_i_deg", "phi_r_deg"):
         phi = frame[column].to_numpy(np.float64)
@@ -217,6 +245,16 @@ def check(frame: pd.DataFrame, where: Any) -> None:
         u = frame[column].to_numpy(np.float64)
         known = (u >= 0) & np.isfinite(u)
         demand(np.isnan(u) | known | flagged, column, "a standard uncertainty [1/sr] >= 0, or NaN where it is unknown")
+    for column in MUELLER:
+        if column in frame.columns:
+            element = frame[column].to_numpy(np.float64)
+            demand(
+                ~np.isinf(element), column, "an element of the Mueller matrix over the first one, or NaN where unknown"
+            )
+    for column in U_MUELLER:
+        if column in frame.columns:
+            u = frame[column].to_numpy(np.float64)
+            demand(np.isnan(u) | ((u >= 0) & np.isfinite(u)), column, "a standard uncertainty >= 0, or NaN")
     causes = [column for column in frame.columns if column.startswith("s_")]
     for first in range(0, len(causes), 64):  # each access to a table copies its attributes
         several = causes[first : first + 64]
@@ -256,13 +294,13 @@ def _floats(cells: tuple[str, ...], name: str, path: Path, line: int) -> Floats:
     return out
 
 
-def _read_attrs(path: Path) -> Attributes:
+def _read_attrs(path: Path, known: str = "brdf") -> Attributes:
     meta = meta_path(path)
     try:
         stored = json.loads(read_file(meta))
     except FileNotFoundError:
         note = f"there is no {meta.name} beside the table, so its solid angles and provenance are unknown"
-        return attributes(source_file=str(path), notes=[note])
+        return attributes(quantity=known, source_file=str(path), notes=[note])
     except OSError as error:
         raise DataError(f"{meta}: cannot be read: {error.strerror}") from None
     except (ValueError, RecursionError) as error:
@@ -306,5 +344,5 @@ FORMAT = Format(
     sniff=lambda head: {"theta_i_deg", "brdf"} <= column_names(head),
     read=read,
     write=write,
-    carries=frozenset({"uncertainty", "flag", "solid angle"}),
+    carries=frozenset({"uncertainty", "flag", "solid angle", "transmission", "mueller"}),
 )

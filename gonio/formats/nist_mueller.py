@@ -3,8 +3,12 @@
 Columns: `lambda` [um], `thetai, phi (or phii), thetar, phir` [degrees], `f_r11` (or `fr11`) [1/sr], and 15 ratios of
 the Mueller matrix to its first element in a basis fixed to the sample's x and y. `f_r11` is the BRDF for unpolarised
 light. The polar angle of incidence is negative in NIST's files, which puts the source at azimuth phi + 180, so that
-phir = 0 is the mirror half-plane. The ratios are not carried into the table: its polarised rows are for s and p, and
-these ratios refer to x and y. Uncertainties and solid angles are not in the file.
+phir = 0 is the mirror half-plane. Uncertainties and solid angles are not in the file.
+
+The ratios refer to axes that are carried from the sample's x and y to each ray, and to SCATMECH's Stokes vectors: the
+axes are s and p of the plane of propagation turned back by its azimuth psi, so that M_sp = R(psi_r) M_xy R(psi_i) with
+R the rotation of (Q, U) by 2 psi; and s, p and the ray are right-handed there, left-handed with us, so that U and V
+change their signs. Table columns m01 to m33 have the project's own frame (docs/conventions.md).
 """
 
 from __future__ import annotations
@@ -15,8 +19,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.reader import Format, fold, table
+from gonio.formats.reader import MUELLER, Format, fold, table
 from gonio.formats.text import column_names, csv_table
+from gonio.typing import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,8 +46,19 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
     theta_r, phi_r = fold(theta["thetar"], cells.column("phir"))
     notes = [
         "the file states no uncertainties and no solid angles",
-        "the BRDF is f_r11, for unpolarised light; the Mueller ratios (in the xy basis) are not carried",
+        "the BRDF is f_r11, for unpolarised light",
     ]
+    named = _ratios(names)
+    mueller = None
+    if named is not None:
+        matrices = np.ones((um.size, 4, 4))
+        for (i, j), name in named.items():
+            matrices[:, i, j] = cells.column(name, estimates=True)
+        turned = in_sp(matrices, cells.column(azimuth), cells.column("phir"))
+        mueller = {name: turned[:, int(name[1]), int(name[2])] for name in MUELLER}
+        notes.append("the Mueller ratios (m01 to m33) are turned from the file's xy basis to s and p")
+    else:
+        notes.append("the file lacks some of the 15 Mueller ratios: none are read")
     return table(
         theta_i_deg=theta_i,
         phi_i_deg=phi_i,
@@ -50,8 +66,42 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
         phi_r_deg=phi_r,
         wavelength_nm=np.round(um * 1000.0, 9),
         brdf=cells.column(value, estimates=True),
+        mueller=mueller,
         attrs={"source_file": str(path), "sample": path.stem, "notes": notes},
     )
+
+
+def _ratios(names: set[str]) -> dict[tuple[int, int], str] | None:
+    """The names of the 15 ratios in a file, by row and column from 0; None where one is missing."""
+    found = {}
+    for i, j in ((i, j) for i in range(4) for j in range(4) if i or j):
+        both = f"{i + 1}{j + 1}"
+        known = (f"f_r{both}/f_r11", f"fr{both}/fr11", f"m{both}")
+        name = next((name for name in known if name in names), None)
+        if name is None:
+            return None
+        found[i, j] = name
+    return found
+
+
+def in_sp(matrices: Floats, phi_i_deg: Floats, phi_r_deg: Floats) -> Floats:
+    """Mueller matrices (n, 4, 4) on the xy bases of NIST's files as they are on s and p of docs/conventions.md.
+
+    The azimuths [degrees] are those in which the light travels.
+    """
+    sign = np.array([1.0, 1.0, -1.0, -1.0])
+    turned = _rotation(np.deg2rad(phi_r_deg)) @ matrices @ _rotation(np.deg2rad(phi_i_deg))
+    return np.asarray(sign[:, None] * turned * sign)
+
+
+def _rotation(psi: Floats) -> Floats:
+    """Mueller matrices of a turn of the axes by psi."""
+    out = np.zeros((psi.size, 4, 4))
+    out[:, 0, 0] = out[:, 3, 3] = 1.0
+    out[:, 1, 1] = out[:, 2, 2] = np.cos(2 * psi)
+    out[:, 1, 2] = np.sin(2 * psi)
+    out[:, 2, 1] = -out[:, 1, 2]
+    return out
 
 
 def _sniff(head: bytes) -> bool:

@@ -23,9 +23,9 @@ from gonio.formats.reader import ANGLES, COLUMNS, plain_degrees
 from gonio.formats.text import csv_table
 from gonio.typing import Floats
 
-_KEYS = {name.removesuffix("_deg").removesuffix("_nm"): name for name in (*COLUMNS, "sample")}
+_KEYS = {name.removesuffix("_deg").removesuffix("_nm"): name for name in (*COLUMNS, "sample", "side")}
 """What the pairs call the columns, whose units they state on the other side."""
-_WORDS = ("polarisation", "sample", "flag")
+_WORDS = ("polarisation", "side", "sample", "flag")
 
 
 def _from_radians(values: Floats) -> Floats:

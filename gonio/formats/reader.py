@@ -31,6 +31,14 @@ ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 COLUMNS = (*ANGLES, "wavelength_nm", "polarisation", "brdf", "u_brdf", "u_random", "flag")
 POLARISATIONS = ("unpolarised", "ss", "sp", "ps", "pp", "s", "p")
 """Incident, then reflected; "s" and "p" alone: polarised incidence, and a receiver that takes both."""
+SIDES = ("reflection", "transmission")
+"""Of the column `side`, which a table has where some of it is transmission."""
+MUELLER = tuple(f"m{i}{j}" for i in range(4) for j in range(4) if i or j)
+"""Columns of a table that holds Mueller matrices: their elements over the first one, which is `brdf` (conventions)."""
+U_MUELLER = tuple(f"u_{name}" for name in MUELLER)
+"""Their standard uncertainties, where they are stated."""
+EXTRA = ("sample", "side", *MUELLER, *U_MUELLER)
+"""Columns that only some tables have."""
 MAX_BYTES = 2**28
 """No file above this size is opened; formats whose readers need many bytes of memory a byte have less."""
 RGB_NM = {"red": 610.0, "green": 550.0, "blue": 465.0}
@@ -54,7 +62,8 @@ class Format:
     """Writes an isotropic model, with a name, at the directions of the format: for renderers."""
     max_bytes: int = MAX_BYTES
     carries: frozenset[str] = frozenset()
-    """What it has room for besides angles and values: "uncertainty", "flag", "solid angle"."""
+    """What it has room for besides angles and values: "uncertainty", "flag", "solid angle", "transmission",
+    "mueller"."""
     only_flag: str = ""
     """The one flag that reads back, where a flagged value is written as a zero."""
 
@@ -105,11 +114,14 @@ def table(
     polarisation: str | Sequence[str] = "unpolarised",
     flag: str | Sequence[str] | npt.NDArray[Any] = "",
     sample: Sequence[str] | npt.NDArray[Any] | None = None,
+    side: str | Sequence[str] | npt.NDArray[Any] | None = None,
+    mueller: Mapping[str, npt.ArrayLike] | None = None,
     attrs: Mapping[str, Any],
 ) -> pd.DataFrame:
     """A measurement table, its columns in order; arguments broadcast to one length, attributes get their defaults.
 
-    A row whose `brdf` is NaN and that has no flag is flagged "not_measured".
+    A row whose `brdf` is NaN and that has no flag is flagged "not_measured". `side` is left out where all is
+    reflection.
     """
     import pandas as pd
 
@@ -130,10 +142,22 @@ def table(
     frame.insert(5, "polarisation", _words(polarisation, count))
     if sample is not None:
         frame.insert(6, "sample", _words(sample, count))
+    if side is not None and (words := _words(side, count) == SIDES[1]).any():
+        frame.insert(list(frame.columns).index("brdf"), "side", np.where(words, *reversed(SIDES)).astype(object))
+    for name, values_of in (mueller or {}).items():
+        frame[name] = np.asarray(values_of, dtype=np.float64)
     frame["flag"] = _words(flag, count)
-    frame.attrs.update(attributes(**attrs))
+    frame.attrs.update(attributes(**({"quantity": quantity(frame)} | dict(attrs))))
     flag_holes(frame)
     return frame
+
+
+def quantity(frame: pd.DataFrame) -> str:
+    """What the values of a table are: "brdf", "btdf", or "bsdf" where it has both."""
+    if "side" not in frame.columns:
+        return "brdf"
+    through = frame["side"].to_numpy() == "transmission"
+    return "btdf" if through.all() else "bsdf" if through.any() else "brdf"
 
 
 def flag_holes(frame: pd.DataFrame) -> None:
@@ -234,6 +258,15 @@ def single(frame: pd.DataFrame, path: Path, format_name: str) -> None:
     if "sample" in frame.columns:
         raise DataError(
             f"{path}: {format_name} holds one sample; name one as FILE:SAMPLE: {', '.join(frame.attrs['samples'])}"
+        )
+
+
+def reflection_only(frame: pd.DataFrame, path: Path, format_name: str) -> None:
+    """`DataError` where a table has transmission, and the format has no way to say so."""
+    if "side" in frame.columns and (count := int((frame["side"] == "transmission").sum())):
+        raise DataError(
+            f"{path}: {format_name} holds reflection only, and {count} of {len(frame)} rows are transmission (theta_r "
+            "beyond 90 degrees); write it as .csv, or leave those rows out (side = reflection)"
         )
 
 

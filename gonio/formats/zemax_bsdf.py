@@ -4,7 +4,8 @@ For each sample rotation and angle of incidence a TIS line and a matrix: one row
 `ScatterRadial` [degrees], values in 1/sr. Radial 0 is the mirror direction and grows outward; azimuth 0 points from
 there toward the normal and grows counter-clockwise. "PlaneSymmetrical" files stop at azimuth 180; they are not mirrored
 here. Zeros stand for directions below the surface, which are dropped, and for what was not measured, which is flagged
-"not_measured". The rotation is taken as the azimuth of incidence. The format states no wavelength (files that we write
+"not_measured". With `ScatterType` BTDF the grid is about the direction that the light goes on in, straight through the
+sample, azimuth 0 points from there toward the normal of the back, and the rows are transmission. The rotation is taken as the azimuth of incidence. The format states no wavelength (files that we write
 say theirs in a comment), no uncertainty, no solid angle.
 """
 
@@ -30,7 +31,7 @@ _WORDS = {
     "Source": ("Measured",),
     "Symmetry": ("PlaneSymmetrical", "ASymmetrical", "ASymmetrical4D", "Asymmetrical", "Asymmetrical4D"),
     "SpectralContent": ("Monochrome",),
-    "ScatterType": ("BRDF",),
+    "ScatterType": ("BRDF", "BTDF"),
 }
 _LISTS = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
 _LIMITS = {
@@ -54,8 +55,8 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
         if content.strip() and not content.lstrip().startswith("#"):
             lines.append(line)
     file = _Lines(text, lines)
-    for keyword, allowed in _WORDS.items():
-        file.keyword(keyword, allowed)
+    words = {keyword: file.keyword(keyword, allowed) for keyword, allowed in _WORDS.items()}
+    through = words["ScatterType"] == ["BTDF"]
     axes = {name: file.axis(name) for name in _LISTS}
     file.keyword("Monochrome", ())
     file.keyword("DataBegin", ())
@@ -68,6 +69,8 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
             blocks.append(_block(rotation, incidence, azimuth, radial, matrix))
     file.keyword("DataEnd", ())
     rows = np.concatenate(blocks)
+    if through:  # a detector at the horizon belongs to neither side
+        rows = rows[rows[:, 2] < 90]
     unmeasured = rows[:, 4] == 0
     notes = ["the format states no uncertainties and no solid angles"]
     if math.isnan(wavelength):
@@ -77,9 +80,10 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
     return table(
         theta_i_deg=rows[:, 0],
         phi_i_deg=rows[:, 1],
-        theta_r_deg=rows[:, 2],
+        theta_r_deg=180.0 - rows[:, 2] if through else rows[:, 2],
         phi_r_deg=rows[:, 3],
         wavelength_nm=wavelength,
+        side="transmission" if through else None,
         brdf=rows[:, 4],
         flag=np.where(unmeasured, "not_measured", ""),
         attrs={"source_file": str(path), "sample": path.stem, "notes": notes},
@@ -165,7 +169,16 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     single(frame, path, "a Zemax BSDF file")
     if frame["wavelength_nm"].nunique(dropna=False) != 1:
         raise DataError(f"{path}: a Zemax BSDF file holds one wavelength, and this table has several")
+    sides = set(frame["side"]) if "side" in frame.columns else {"reflection"}
+    if len(sides) > 1:
+        raise DataError(
+            f"{path}: a Zemax BSDF file holds reflection or transmission, and this table has both: write each side to "
+            "a file of its own"
+        )
+    through = sides == {"transmission"}
     angles = frame[list(ANGLES)].to_numpy(np.float64)
+    if through:
+        angles[:, 2] = 180.0 - angles[:, 2]
     mirror, inward, side = _frame(angles[:, 0])
     theta, phi = np.deg2rad(angles[:, 2]), np.deg2rad(angles[:, 3] - angles[:, 1])
     omega = geometry.direction(theta, phi)
@@ -199,7 +212,7 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     wavelength = float(frame["wavelength_nm"].iloc[0])
     lines = [] if math.isnan(wavelength) else [f"# wavelength_nm {wavelength!r}"]
     lines += ["Source\tMeasured", f"Symmetry\t{'PlaneSymmetrical' if symmetric else 'ASymmetrical'}"]
-    lines += ["SpectralContent\tMonochrome", "ScatterType\tBRDF"]
+    lines += ["SpectralContent\tMonochrome", f"ScatterType\tB{'T' if through else 'R'}DF"]
     for name, axis in zip(_LISTS, axes, strict=True):
         lines += [f"{name}\t{axis.size}", "\t".join(f"{angle!r}" for angle in axis.tolist())]
     lines += ["", "Monochrome", "DataBegin"]
@@ -226,5 +239,5 @@ FORMAT = Format(
     sniff=lambda head: re.search(rb"^Source\s+Measured", head, re.MULTILINE) is not None and b"ScatterRadial" in head,
     read=read,
     write=write,
-    carries=frozenset({"flag"}),
+    carries=frozenset({"flag", "transmission"}),
 )

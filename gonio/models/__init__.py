@@ -11,6 +11,7 @@ from gonio.models.anisotropic import AnisotropicFacets
 from gonio.models.arrays import ArrayModel
 from gonio.models.blinn import Blinn, Phong
 from gonio.models.cook_torrance import CookTorrance
+from gonio.models.diffuse_transmitter import DiffuseTransmitter
 from gonio.models.engine import Geometry, geometry
 from gonio.models.he_torrance import HeTorrance
 from gonio.models.lambert import Lambert
@@ -25,6 +26,7 @@ __all__ = [
     "ArrayModel",
     "Blinn",
     "CookTorrance",
+    "DiffuseTransmitter",
     "Fitted",
     "Geometry",
     "HeTorrance",
@@ -57,6 +59,8 @@ def build(name: str, parameters: Mapping[str, Any]) -> Model:
     """
     from gonio import plugins
 
+    if name == DiffuseTransmitter.name:  # as a sum no entry point: nothing is fitted with it
+        return build_model(DiffuseTransmitter, name, parameters)
     if name == Sum.name:
         return Sum(*(_term(key, values) for key, values in parameters.items()))
     return build_model(plugins.load("gonio.models", name), name, parameters)

@@ -25,6 +25,19 @@ if TYPE_CHECKING:
     Vector = tuple[float, float, float]
 
 
+def _checked_behind(*angles: ArrayLike) -> tuple[Any, ...]:
+    """Four angles [rad] of transmission as arrays, and the shape that they broadcast to."""
+    arrays = [np.asarray(a, dtype=np.float64) for a in angles]
+    bounds = {"theta_i": (0.0, np.pi / 2), "phi_i": None, "theta_r": (np.pi / 2, np.pi), "phi_r": None}
+    for (name, bound), array in zip(bounds.items(), arrays, strict=True):
+        low, high = bound or (-np.inf, np.inf)
+        bad = ~((array >= low) & (array <= high) & np.isfinite(array))
+        if bad.any():
+            allowed = f"in [{low:g}, {high:g}] rad" if bound else "a finite number"
+            raise ArgumentError(f"{name} = {array[bad].flat[0]:g}: must be {allowed}")
+    return *arrays, np.broadcast_shapes(*(array.shape for array in arrays))
+
+
 class Model(ABC):
     """A reflectance model with its parameters.
 
@@ -66,6 +79,37 @@ class Model(ABC):
     def depends_on_azimuth(self) -> bool:
         """Whether the BRDF depends on both azimuths and not on their difference alone."""
         return False
+
+    def btdf(
+        self,
+        theta_i: ArrayLike,
+        phi_i: ArrayLike,
+        theta_r: ArrayLike,
+        phi_r: ArrayLike,
+        *,
+        wavelength_nm: float = 550.0,
+    ) -> Floats:
+        """BTDF [1/sr] of detectors behind the sample: 0, unless a model transmits light.
+
+        Parameters
+        ----------
+        theta_i, phi_i, phi_r, wavelength_nm
+            As in `brdf` [rad, nm].
+        theta_r
+            Polar angle of the detector [rad], in [pi/2, pi], from the normal of the lit side.
+
+        Raises
+        ------
+        ArgumentError
+            An angle is outside its range or not a number.
+        """
+        incident, _, behind, _, shape = _checked_behind(theta_i, phi_i, theta_r, phi_r)
+        checked_wavelength(wavelength_nm)
+        return np.broadcast_to(self._transmitted(incident, behind), shape).copy()
+
+    def _transmitted(self, theta_i: Floats, theta_r: Floats) -> Floats:
+        """BTDF [1/sr] of checked polar angles."""
+        return np.zeros(np.broadcast_shapes(theta_i.shape, theta_r.shape))
 
     @overload
     def brdf(

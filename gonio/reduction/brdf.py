@@ -63,7 +63,7 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
         point is missing or was changed), "not_measured" (the run ended before).
         Causes: `s_reference` (the certificate), `s_reference_noise` (mean level of the visits), `s_lamp_drift`,
         `s_dark_1` to `s_dark_3` (noise of the dark frames), `s_theta_i_zero`, `s_theta_r_zero` and, with those axes,
-        `s_tilt_zero`, `s_azimuth_zero`.
+        `s_tilt_zero`, `s_azimuth_zero`. A plan with points behind the sample gives a column `side`.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
     visits = [step for step in steps if isinstance(step, Reduced) and step.point is None]
     rejected = [step for step in steps if isinstance(step, Rejected)]
     fitted, reference_brdf = _level(frames, points, visits, band)
-    columns, untold, coarse = _columns(frames, points, visits[0], fitted, band)
+    columns, untold, coarse = _columns_of_sides(frames, points, visits[0], fitted, band)
     levels = fitted.at(np.array([point.time_s for point in points]))
     angles = np.array([_angles_deg(point.directions) for point in points]).reshape(-1, len(ANGLES))
     darks = np.array([point.dark for point in points]).reshape(len(points), 2, PATTERNS)
@@ -144,6 +144,39 @@ def _level(
     return white_reference.fit(times, rates / known, variances / known**2, wanted), float(known.mean())
 
 
+def _columns_of_sides(
+    frames: RunFrames, points: list[Reduced], visit: Reduced, fitted: white_reference.Level, band: Band
+) -> tuple[dict[str, Floats], Directions, Directions]:
+    """`_columns` of the points on each side of the sample, whose curves have nothing to do with each other."""
+    behind = np.array([_behind(point.directions) for point in points], dtype=bool)
+    if not behind.any():
+        return _columns(frames, points, visit, fitted, band)
+    columns: dict[str, Floats] = {}
+    untold, coarse = [], []
+    for there in (False, True):
+        rows = np.flatnonzero(behind == there)
+        if not rows.size:
+            continue
+        # behind the sample lobes move with the straight direction as they do before it with the mirror's
+        group = [replace(points[k], directions=_turned_over(points[k].directions, there)) for k in rows]
+        found, first, second = _columns(frames, group, visit, fitted, band)
+        for name, values in found.items():
+            columns.setdefault(name, np.zeros(len(points)))[rows] = values
+        untold += list(_turned_over(first, there))
+        coarse += list(_turned_over(second, there))
+    return columns, Directions.stack(untold), Directions.stack(coarse)
+
+
+def _behind(d: Directions) -> bool:
+    """Whether the detector of one pair of directions is behind the sample."""
+    return bool(d.theta_r > 0.5 * math.pi)
+
+
+def _turned_over(d: Directions, behind: bool) -> Directions:
+    """Directions of transmission as those of reflection: the detector mirrored at the sample's plane."""
+    return Directions(d.theta_i, d.phi_i, math.pi - d.theta_r, d.phi_r) if behind else d
+
+
 def _columns(
     frames: RunFrames, points: list[Reduced], visit: Reduced, fitted: white_reference.Level, band: Band
 ) -> tuple[dict[str, Floats], Directions, Directions]:
@@ -161,6 +194,7 @@ def _columns(
     prnu = np.array([_prnu(description, point, frames.reference[band.channel].count) for point in points])
     independent = noise + (brdf * prnu) ** 2 + (brdf * fitted.extra(times) / k) ** 2
     goals = Directions.from_table(frames.run.plan)[[point.point for point in points]]
+    goals = _turned_over(goals, bool(len(goals)) and _behind(goals[0]))
     cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
     shares = _shares(description, points, [*encoder.items(), *zeros.items()], cones, band)
     read = Directions.stack([point.directions for point in points])
@@ -222,7 +256,9 @@ def _encoder_steps(description: RigDescription) -> dict[str, float]:
 
 
 def _moved(description: RigDescription, pose: Pose, axis: str, by: float) -> Directions:
-    return kinematics.directions(description, replace(pose, **{axis: getattr(pose, axis) + by}))
+    """The directions when an axis stands elsewhere; of transmission `_turned_over`."""
+    moved = kinematics.directions(description, replace(pose, **{axis: getattr(pose, axis) + by}))
+    return _turned_over(moved, _behind(kinematics.directions(description, pose)))
 
 
 def _effects(
@@ -285,7 +321,8 @@ def _pixels(description: RigDescription, point: Reduced, band: Band) -> tuple[Fl
     view = kinematics.view(description, point.pose)
     region = imaging.roi(description, view, "sample", band.channel)
     seen = imaging.pixel_map(description, view, region.rows, region.cols)
-    return seen.omega_i[region.mask], seen.omega_r[region.mask]
+    omega_r = seen.omega_r[region.mask]
+    return seen.omega_i[region.mask], omega_r * (1.0, 1.0, -1.0) if view.camera_mm[2] < 0.0 else omega_r
 
 
 def _change_of_cosine(description: RigDescription, visit: Reduced, axis: str, u: float) -> float:
@@ -304,6 +341,9 @@ def _prnu(description: RigDescription, point: Reduced, reference_pixels: int) ->
 
 def _angles_deg(directions: Directions) -> tuple[float, float, float, float]:
     """The four angles [deg] as tables have them."""
-    theta = [min(round(math.degrees(t), 9), 90.0) for t in (directions.theta_i, directions.theta_r)]
+    most = (90.0, 180.0 if _behind(directions) else 90.0)
+    theta = [
+        min(round(math.degrees(t), 9), m) for t, m in zip((directions.theta_i, directions.theta_r), most, strict=True)
+    ]
     phi = [round(math.degrees(p), 9) % 360.0 for p in (directions.phi_i, directions.phi_r)]
     return theta[0], phi[0], theta[1], phi[1]

@@ -154,10 +154,11 @@ class RunFrames:
         return (step for step in self._every if step.kind != "dark" and not step.flag)
 
     def _region(self, step: StepRecord, channel: Channel) -> Region | None:
-        """The region of a step; None where source or camera stands below the horizon."""
+        """The region of a step; None where the source stands below the horizon, or the camera on the
+        other side of the sample than it should."""
         target: Target = "reference" if step.kind == "reference" else "sample"
         view = kinematics.view(self.description, step.pose)
-        if view.source_mm[2] <= 0 or view.camera_mm[2] <= 0:
+        if kinematics.left_its_side(self.description, step.goal, step.pose):
             return None
         region = roi(self.description, view, target, channel)
         seen = pixel_map(self.description, view, region.rows, region.cols)

@@ -98,11 +98,19 @@ def assemble(run: Run, results: list[BandResult], notes: list[str]) -> pd.DataFr
     frame = pd.DataFrame(dict(zip(numbers, values.reshape(len(numbers), -1), strict=True)))
     frame.insert(len(ANGLES), "wavelength_nm", np.tile([result.band.centre_nm for result in results], len(plan)))
     frame.insert(len(ANGLES) + 1, "polarisation", "unpolarised")
+    behind = np.repeat(plan["theta_r_deg"].to_numpy(dtype=float) > 90.0, len(results))
+    if behind.any():
+        frame.insert(len(ANGLES) + 2, "side", np.where(behind, "transmission", "reflection").astype(object))
+        notes = [
+            *notes,
+            "transmission is measured against the white reference in reflection: its BTDF is that of the sample as it "
+            "lies, seen from behind",
+        ]
     frame["flag"] = pd.Series(flags.ravel().tolist(), dtype=str)
     lamp, camera = description.lamp, description.camera
     cones = (math.radians(lamp.half_angle_deg), math.radians(camera.lens_half_angle_deg))
     frame.attrs.update(
-        quantity="brdf",
+        quantity="brdf" if not behind.any() else "btdf" if behind.all() else "bsdf",
         source_solid_angle_sr=float(geometry.solid_angle_of_cone(cones[0])),
         receiver_solid_angle_sr=float(geometry.solid_angle_of_cone(cones[1])),
         bands=[result.band.model_dump() for result in results],

@@ -27,13 +27,13 @@ def spots(
 ) -> None:
     """Fill x, y, cos(theta_i) and (distance/d)^2 for lines of sight by_row[i] + by_col[:, j] from `eye`.
 
-    A line that does not meet the plane z = 0 in front of the camera gives NaN, NaN, 0, 0. The loop has no
+    A line that does not meet the plane z = 0 in front of the camera gives NaN, NaN, 0, 0; a camera behind the plane
+    sees the spots from there. The loop has no
     branches, so that it runs on vectors.
     """
     up = max(source[2], 0.0)
     height_squared = source[2] * source[2]
     distance_squared = distance * distance
-    above = eye[2] > 0.0
     for i in range(by_row.shape[0]):
         row_a, row_b, row_c = by_row[i, 0], by_row[i, 1], by_row[i, 2]
         x_i, y_i, cos_i_i, factor_i = x[i], y[i], cos_i[i], factor[i]
@@ -47,7 +47,7 @@ def spots(
             to_x = source[0] - u
             to_y = source[1] - v
             inverse = 1.0 / (to_x * to_x + to_y * to_y + height_squared)
-            meets = above and c < 0.0
+            meets = eye[2] * c < 0.0
             x_i[j] = u if meets else np.nan
             y_i[j] = v if meets else np.nan
             cos_i_i[j] = up * math.sqrt(inverse) if meets else 0.0

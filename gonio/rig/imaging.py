@@ -215,15 +215,15 @@ def roi(description: RigDescription, view: View, target: Target = "sample", chan
     Raises
     ------
     ConfigError
-        The camera is not above the plane, or does not see the target's centre.
+        The camera is in the plane, or does not see the target's centre.
     """
     camera, centre = description.camera, _centre(description, target)
-    if view.camera_mm[2] <= 0:
-        raise ConfigError("the camera is not above the sample's plane: it sees no region of interest")
+    if view.camera_mm[2] == 0:
+        raise ConfigError("the camera is in the sample's plane: it sees no region of interest")
     radius = description.acquisition.roi_radius_mm
     eye = np.asarray(view.camera_mm, dtype=float)
     pitch = 1e-3 * camera.pixel_um * np.linalg.norm(eye) / image_distance_mm(description)
-    longest = float(pitch * np.linalg.norm(eye) / eye[2])  # of a pixel, on the sample
+    longest = float(pitch * np.linalg.norm(eye) / abs(eye[2]))  # of a pixel, on the sample
     column, row = _project(description, view, *centre)
     if not (-0.5 <= column < camera.width - 0.5 and -0.5 <= row < camera.height - 0.5):
         raise ConfigError(

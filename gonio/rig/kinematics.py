@@ -78,6 +78,12 @@ def directions(description: RigDescription, pose: Pose) -> Directions:
     return Directions(*_angles(light), *_angles(camera))
 
 
+def left_its_side(description: RigDescription, goal: Pose, read: Pose) -> bool:
+    """Whether the pose that was read has the source behind the sample, or the camera on the other side than asked."""
+    asked, seen = view(description, goal), view(description, read)
+    return bool(seen.source_mm[2] <= 0.0 or seen.camera_mm[2] * asked.camera_mm[2] <= 0.0)
+
+
 def separation(d: Directions) -> float:
     """Angle [rad] between source and detector of one pair of directions, without cancellation near 0 and near pi."""
     return _separation(d.floats)
@@ -112,18 +118,20 @@ def reach(description: RigDescription, d: Directions) -> Pose:
     description : RigDescription
         Limits, axes and bodies.
     d : Directions
-        One pair of them: polar angles in [0, pi/2], azimuths in any turn.
+        One pair of them: theta_i in [0, pi/2], theta_r in [0, pi] (beyond pi/2 the camera stands behind the sample and
+        sees transmission), azimuths in any turn.
 
     Raises
     ------
     Unreachable
         With flag "blocked" where one body hides the other, "unreachable" where the rig has no axis for the directions
-        or both branches leave a limit, "below_horizon" for a polar angle above pi/2.
+        or both branches leave a limit, "below_horizon" for a source below the surface.
     """
     one = d.floats
-    for name, theta in (("theta_i", one[0]), ("theta_r", one[2])):
-        if not 0.0 <= theta <= math.pi / 2 + AT_LIMIT:
-            raise Unreachable("below_horizon", f"{name} = {math.degrees(theta):g} deg is outside 0 to 90 deg")
+    for name, theta, most in (("theta_i", one[0], math.pi / 2), ("theta_r", one[2], math.pi)):
+        if not 0.0 <= theta <= most + AT_LIMIT:
+            allowed = f"0 to {math.degrees(most):g} deg"
+            raise Unreachable("below_horizon", f"{name} = {math.degrees(theta):g} deg is outside {allowed}")
     apart, cone = _separation(one), blocked_cone(description)
     if apart < cone - AT_LIMIT:
         cause = f"the bodies of source and detector block {math.degrees(cone):.1f} deg around retro"
@@ -225,7 +233,8 @@ def _inside_limits(description: RigDescription, pose: Pose) -> Pose:
     return Pose(**values)
 
 
-FREE_TURNS = ("spin", "azimuth")
+FREE_TURNS = ("camera", "spin", "azimuth")
+"""Axes that stand alike after a whole turn: only an arm that reaches behind the sample has limits that far apart."""
 NAMES = {
     "light": "light arm",
     "camera": "camera arm",

@@ -6,7 +6,8 @@ For a pixel that looks at the spot x of the sample's plane (docs/architecture.md
 
 with f the BRDF at the spot's own directions, averaged over the cones of lamp and lens. Its lobe is followed on a grid
 of nodes (`nodes`), the specular spike is computed for every pixel that sees the mirror image of the lamp. Around the
-sample lies the holder's plate, matt; the white reference lies beside the sample, or takes its place.
+sample lies the holder's plate, matt; the white reference lies beside the sample, or takes its place. From behind, f is the
+sample's BTDF; plate and reference let no light through.
 """
 
 from __future__ import annotations
@@ -104,11 +105,12 @@ class Renderer:
 
         description = self._world.description
         scene = view(description, pose)
-        if scene.camera_mm[2] <= 0.0:
+        behind = scene.camera_mm[2] < 0.0
+        if scene.camera_mm[2] == 0.0 or (behind and target == "reference"):
             return np.zeros((description.camera.height, description.camera.width), np.float32)
         seen = pixel_map(description, scene)
-        brdf = np.full(seen.weight.shape, description.holder.holder_albedo / math.pi)
-        for disc in self._discs(band, target):
+        brdf = np.full(seen.weight.shape, 0.0 if behind else description.holder.holder_albedo / math.pi)
+        for disc in self._through(band) if behind else self._discs(band, target):
             disc.paint(seen, scene, disc, brdf)
         # A pixel that sees no plane has no weight. A model may be negative where its formula is bad (Oren-Nayar near
         # grazing), or infinite; light is not.
@@ -133,6 +135,20 @@ class Renderer:
             )
         diameter = sample.diameter_mm or description.holder.sample_diameter_mm
         yield Disc((0.0, 0.0), diameter / 2, self._sample(band))
+
+    def _through(self, band: Band) -> Iterator[Disc]:
+        """What lets light through: the sample alone, point by point without the cones of lamp and lens."""
+        description, sample, model = self._world.description, self._world.sample, self._model
+        if sample is None or model is None:
+            return
+        waves = _wavelengths(band) if sample.integrate_band else [(band.centre_nm, 1.0)]
+
+        def paint(seen: PixelMap, scene: View, disc: Disc, brdf: Floats) -> None:
+            covered = disc.covers(seen)
+            at = geometry.Directions.from_vectors(seen.omega_i[covered], seen.omega_r[covered])
+            brdf[covered] = sum(share * model.btdf(*at.angles, wavelength_nm=wave) for wave, share in waves)
+
+        yield Disc((0.0, 0.0), (sample.diameter_mm or description.holder.sample_diameter_mm) / 2, paint)
 
     def _reference(self, band: Band) -> Callable[[PixelMap, View, Disc, Floats], None]:
         """The white reference: its certificate times its true error; a table is read at the centre of the frame."""

@@ -65,17 +65,21 @@ class Curve:
     def theory(self, model: Any, angle: Floats, data: Observations) -> Floats:
         """The model through the instrument at signed angles [rad] along this curve [1/sr]."""
         wavelength = data.wavelengths[0]
+        return seen(
+            model,
+            self.directions(angle),
+            wavelength_nm=NO_WAVELENGTH_NM if np.isnan(wavelength) else wavelength,
+            cones=(data.source_solid_angle_sr, data.receiver_solid_angle_sr),
+        )
+
+    def directions(self, angle: Floats) -> Directions:
+        """The directions at signed angles [rad] along this curve."""
         still, (theta, dphi) = np.full(angle.shape, self.parameter), geometry.unsigned(angle)
         phi = np.full(angle.shape, self.phi_i)
         at = Directions(still, phi, theta, geometry.wrap(phi + dphi))
         if self.scanned == "theta_i":
             at = Directions(theta, geometry.wrap(phi + (np.pi - dphi)), still, geometry.wrap(phi + np.pi))
-        return seen(
-            model,
-            at,
-            wavelength_nm=NO_WAVELENGTH_NM if np.isnan(wavelength) else wavelength,
-            cones=(data.source_solid_angle_sr, data.receiver_solid_angle_sr),
-        )
+        return at
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,8 @@ SAME_BAND_NM = 1e-6
 UNSTATED = "The table states no uncertainties."
 LINEAR_BELOW = 0.05
 """Without uncertainties: the fraction of the median |f| below which differences count as such, not as ratios."""
+TRANSMISSION = "of transmission"
+"""Why rows behind the sample are not here."""
 LARGEST = 1e30
 """[1/sr] No BRDF: a perfect mirror seen through a cone of a nanoradian has less. Squares of such values overflow."""
 
@@ -154,7 +156,7 @@ class Observations:
 def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | None = None) -> Observations:
     """The usable rows of a measurement table.
 
-    Left out, and counted by reason: flagged rows, polarised rows, values that are not finite or are beyond any mirror,
+    Left out, and counted by reason: transmission, which no model here describes, flagged rows, polarised rows, values that are not finite or are beyond any mirror,
     directions at or below the horizon, and rows without an uncertainty in a table that states one elsewhere.
 
     Parameters
@@ -182,6 +184,8 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
     brdf = table["brdf"].to_numpy(np.float64)
     flags = table["flag"].fillna("").astype(str).to_numpy()
     why = np.where(flags == "", "", np.char.add("flagged ", flags.astype(str))).astype(object)
+    if "side" in table.columns:
+        why[(table["side"] == "transmission").to_numpy()] = TRANSMISSION
     why[(why == "") & (table["polarisation"] != "unpolarised").to_numpy()] = "polarised"
     why[(why == "") & ~np.isfinite(brdf)] = "without a value"
     why[(why == "") & (np.abs(brdf) > LARGEST)] = f"beyond {LARGEST:g} 1/sr"
@@ -200,7 +204,11 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
     omitted = {str(reason): wavelength[why == reason] for reason in sorted(set(why) - {""})}
     if not keep.size:
         counts = describe_left_out({reason: waves.size for reason, waves in omitted.items()})
-        raise DataError(f"{name}: none of its {len(table)} rows can be used: {counts or 'it is empty'}")
+        alone = TRANSMISSION in omitted and len(omitted) == 1
+        raise DataError(
+            f"{name}: none of its {len(table)} rows can be used: {counts or 'it is empty'}"
+            + ("; models and quantities here are those of reflection" if alone else "")
+        )
 
     covariance, assumed = None, None
     if stated[keep].any():
@@ -218,6 +226,8 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
         )
     else:
         notes.append(UNSTATED)
+    if TRANSMISSION in omitted:
+        notes.append(f"{omitted[TRANSMISSION].size} rows are transmission: left out, models here describe reflection.")
     cones = {which: _solid_angle(table.attrs, which) for which in ("source", "receiver")}
     unknown = [which for which, cone in cones.items() if cone is None]
     if unknown:

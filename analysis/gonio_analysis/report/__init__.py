@@ -6,18 +6,34 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.parameters import Ior
-from gonio_analysis.report import detail, figures, files, html, page, pdf, tables, viewer
+from gonio_analysis.report import (
+    detail,
+    figures,
+    files,
+    html,
+    page,
+    pdf,
+    polarisation,
+    tables,
+    transmission,
+    viewer,
+)
 from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.drawing import Draughtsmen, draughtsmen
-from gonio_analysis.result_records import FigureSummary, Summary, as_json
+from gonio_analysis.report.figures import Drawing
+from gonio_analysis.result_records import DatasetSummary, FigureSummary, RunFacts, Summary, as_json
 from gonio_analysis.selection import parallel
 from gonio_analysis.selection.choice import candidates
-from gonio_analysis.selection.compare import Dataset, examine
+from gonio_analysis.selection.compare import Dataset, check_models, examine
 from gonio_analysis.selection.run_record import run_facts
+from gonio_analysis.selection.transmission import Transmitted, transmitted
 
+Measured = tuple[str, str, Any, RunFacts | None]
+"""A sample's name, where it comes from, its table, and what its run says."""
 MARKERS = 40_000
 """On one page; each takes about 60 bytes."""
 
@@ -73,6 +89,8 @@ def make(
             many = measurement.tables(spec)
             for sample, table in many.items():
                 found.append((sample, spec if len(many) == 1 else f"{spec}:{sample}", table, run))
+        check_models(models)
+        apart, found = _apart(found, wavelength_nm, u_rel)
         names = _distinct([sample for sample, *_ in found], [source for _, source, *_ in found])
         examined = partial(
             examine,
@@ -97,11 +115,35 @@ def make(
                 for dataset in parallel.each(_examined, jobs, dask=dask):
                     datasets.append(dataset)
                     progress(f"{dataset.name}: fitted ({len(datasets)} of {len(jobs)})")
-            title = names[0] if len(names) == 1 else " and ".join(names) if len(names) == 2 else f"{len(names)} samples"
+            every = names + [t.name for t in apart]
+            title = every[0] if len(every) == 1 else " and ".join(every) if len(every) == 2 else f"{len(every)} samples"
             write(
-                datasets, stage.work, title=title, normalise=normalise, command=command, hands=hands, progress=progress
+                datasets,
+                stage.work,
+                title=title,
+                normalise=normalise,
+                command=command,
+                apart=apart,
+                hands=hands,
+                progress=progress,
             )
     return Path(out) / "index.html"
+
+
+def _apart(
+    found: list[Measured], wavelength_nm: float | None, u_rel: float | None
+) -> tuple[list[Transmitted], list[Measured]]:
+    """Samples of which transmission alone was measured, and the others."""
+    apart, others = [], []
+    for one in found:
+        name, _, table, _ = one
+        alone = "side" in table.columns and (table["side"] == "transmission").all()
+        through = transmitted(table, name, wavelength_nm, u_rel) if alone else None
+        if through is None:
+            others.append(one)
+        else:
+            apart.append(through)
+    return apart, others
 
 
 def _examined(job: Callable[[], Dataset]) -> Dataset:
@@ -115,6 +157,7 @@ def write(
     title: str,
     normalise: Normalise = "mirror",
     command: str = "",
+    apart: Sequence[Transmitted] = (),
     hands: Draughtsmen | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Summary:
@@ -130,6 +173,8 @@ def write(
         What was asked for the polar plots.
     command
         The command line, for the record.
+    apart
+        Samples of which transmission alone was measured.
     hands
         Who draws; this process alone if it is not given.
     progress
@@ -141,16 +186,20 @@ def write(
         What `summary.json` holds: every number of the page.
     """
     summary = summarise(datasets, title=title, normalise=normalise, command=command)
+    summary = replace(summary, transmission_only=[t.summary() for t in apart])
     both = list(zip(datasets, summary.datasets, strict=True))
     progress("drawing")
     most = _most_values(datasets)
-    groups = [[*figures.draw(d, facts, most), *detail.draw(d, facts, most)] for d, facts in both]
+    groups = [
+        [*figures.draw(d, facts, most), *detail.draw(d, facts, most), *_other_sides(d, facts)] for d, facts in both
+    ]
+    groups += [transmission.draw(t, (), slug) for t, slug in zip(apart, page.slugs_apart(summary), strict=True)]
     every = (hands or Draughtsmen()).draw([drawing for group in groups for drawing in group], progress)
     rest = iter(every)
     drawn = [[next(rest) for _ in group] for group in groups]
     (folder / "tables").mkdir()
     listed = [FigureSummary(f.name, f.caption, f.alt) for f in every]
-    room = viewer.BYTES // len(datasets)
+    room = viewer.BYTES // max(len(datasets), 1)
     views = [viewer.viewer(d, facts, normalise, room) if d.curves else None for d, facts in both]
     summary = replace(summary, figures=listed, tables=tables.write(datasets, summary, views, folder / "tables"))
     pages = page.render(summary, drawn, views)
@@ -164,7 +213,17 @@ def write(
 def _most_values(datasets: Sequence[Dataset]) -> int:
     """Measured values in one panel, so that those of all panels take about half of the room of a page."""
     panels = sum(3 * len(d.fitted) + 6 for d in datasets)
-    return min(max(MARKERS // panels, 300), 2400)
+    return min(max(MARKERS // max(panels, 1), 300), 2400)
+
+
+def _other_sides(d: Dataset, facts: DatasetSummary) -> list[Drawing]:
+    """The figures of transmission and of polarisation, where they were measured."""
+    out: list[Drawing] = []
+    if d.transmitted is not None:
+        out += transmission.draw(d.transmitted, d.curves, facts.slug, simulated=d.simulated)
+    if d.polarisation is not None:
+        out += polarisation.draw(d.polarisation, d.name, facts.slug)
+    return out
 
 
 def _distinct(names: Sequence[str], sources: Sequence[str]) -> list[str]:

@@ -137,6 +137,8 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         best=best,
         conclusion=_conclusion(d, best),
         appearance=_appearance(d),
+        transmission=None if d.transmitted is None else d.transmitted.summary(),
+        mueller=None if d.polarisation is None else d.polarisation.summary(),
         rho_dh=d.rho_dh,
         symmetries=d.symmetries,
     )
@@ -160,6 +162,8 @@ def _left_out(reasons: Mapping[str, int]) -> str:
 def usable(d: Dataset) -> pd.DataFrame:
     """The rows of every wavelength that have a value and no flag, with the columns that a page lists."""
     kept = (d.table["flag"].fillna("") == "") & d.table["brdf"].notna()
+    if "side" in d.table.columns:
+        kept &= d.table["side"] == "reflection"
     return d.table.loc[kept, list(VALUES)]
 
 

@@ -314,20 +314,24 @@ class _Legend:
         return -(-len(self.labels) // self.columns) if self.labels else 0
 
     def draw(self, figure: Any) -> None:
-        from matplotlib.lines import Line2D
+        if self.labels:
+            legend(figure, self.labels, self.columns)
 
-        if not self.labels:
-            return
-        figure.legend(
-            handles=[Line2D([], [], lw=1.5, ms=3.5, label=x, **in_plane.style(k)) for k, x in enumerate(self.labels)],
-            loc="lower center",
-            ncol=self.columns,
-            fontsize=7.5,
-            frameon=False,
-            handlelength=1.6,
-            columnspacing=1.1,
-            borderpad=0.1,
-        )
+
+def legend(figure: Any, names: list[str], columns: int) -> None:
+    """Labels of curves in the order of their colours, below a figure."""
+    from matplotlib.lines import Line2D
+
+    figure.legend(
+        handles=[Line2D([], [], lw=1.5, ms=3.5, label=x, **in_plane.style(k)) for k, x in enumerate(names)],
+        loc="lower center",
+        ncol=columns,
+        fontsize=7.5,
+        frameon=False,
+        handlelength=1.6,
+        columnspacing=1.1,
+        borderpad=0.1,
+    )
 
 
 def rendered(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from gonio_analysis.report import html, provenance, sample
+from gonio_analysis.report import html, provenance, sample, transmission
 from gonio_analysis.report.blocks import (
     MOST_ROWS,
     Block,
@@ -23,7 +23,7 @@ from gonio_analysis.report.blocks import (
     table,
 )
 from gonio_analysis.report.figures import Figure
-from gonio_analysis.report.text import difference, number
+from gonio_analysis.report.text import difference, number, slug
 from gonio_analysis.report.viewer import View
 from gonio_analysis.result_records import Summary
 
@@ -53,13 +53,14 @@ def render(summary: Summary, drawn: Sequence[Sequence[Figure]], views: Sequence[
     """
     datasets, title = summary.datasets, summary.title
     several = len(datasets) > 1
-    last = [_conventions(summary), provenance.section(summary)]
+    apart = _apart(summary, drawn[len(datasets) :])
+    last = [*apart, _conventions(summary), provenance.section(summary)]
     frame = Page(title, (*(_overview(summary, {}) if several else ()), *last, FOOTER))
     room = MOST_BYTES - html.size(html.document(frame)) - 300 * len(datasets) - 10_000
     room -= html.size(html.program()) if any(views) else 0
     sections = [
         html.within(sample.section(summary, *parts), max(room, MOST_BYTES // 4))
-        for parts in zip(datasets, drawn, views, strict=True)
+        for parts in zip(datasets, drawn[: len(datasets)], views, strict=True)
     ]
     groups: list[list[int]] = [[]]
     used = 0
@@ -80,6 +81,20 @@ def render(summary: Summary, drawn: Sequence[Sequence[Figure]], views: Sequence[
         blocks += [sections[k] for k in group]
         pages[name] = Page(title, (*blocks, *(last if first else ()), FOOTER))
     return pages
+
+
+def slugs_apart(s: Summary) -> list[str]:
+    """Of the samples of which transmission alone was measured."""
+    return [f"{slug(t.name) or 'sample'}-transmission-{k + 1}" for k, t in enumerate(s.transmission_only)]
+
+
+def _apart(s: Summary, drawn: Sequence[Sequence[Figure]]) -> list[Group]:
+    """Their sections."""
+    many = len(s.datasets) + len(s.transmission_only) > 1
+    return [
+        section([*([Heading(2, t.name)] if many else []), *transmission.section(t, figures)], name)
+        for t, name, figures in zip(s.transmission_only, slugs_apart(s), drawn, strict=True)
+    ]
 
 
 def _header(s: Summary, place: Mapping[str, str], names: Sequence[str], name: str) -> Group:

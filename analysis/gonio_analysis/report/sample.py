@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from gonio import geometry
 from gonio.formats.reader import TableBand
-from gonio_analysis.report import appearance, blocks, model_choice
+from gonio_analysis.report import appearance, blocks, model_choice, polarisation, transmission
 from gonio_analysis.report.blocks import (
     MOST_ROWS,
     Block,
@@ -69,6 +69,11 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
         out += [Heading(3, "Parameters"), *_parameters(d)]
         out += [Figures(by["profile"])] if "profile" in by else []
         out += [Heading(3, "Metrics"), *_metrics(s, d)]
+    if d.transmission is not None:
+        both = (*by.get("both-sides", ()), *by.get("transmission", ()))
+        out += transmission.section(d.transmission, both, d.rho_dh)
+    if d.mueller is not None:
+        out += polarisation.section(d.mueller, by.get("mueller", ()))
     quantities = None if d.appearance is None else appearance.known(d.appearance)
     if quantities is not None:
         out += [Heading(3, "Appearance"), quantities]

@@ -27,8 +27,10 @@ from gonio_analysis.fitting.parameters import Ior
 from gonio_analysis.result_records import Reflectance, RunFacts, SymmetrySummary
 from gonio_analysis.selection import energy
 from gonio_analysis.selection.choice import DECISIVE, Choice, Judged, candidates, choose, deviance
+from gonio_analysis.selection.polarisation import Polarisation, polarisation
 from gonio_analysis.selection.misfit_regions import Region, farthest
 from gonio_analysis.selection.symmetry import symmetries
+from gonio_analysis.selection.transmission import Transmitted, transmitted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -114,6 +116,8 @@ class Dataset:
     symmetries: list[SymmetrySummary] = field(default_factory=list)
     without_mirror: list[tuple[float, str]] = field(default_factory=list)
     """Angle [rad] and label of every in-plane curve whose mirror direction was not measured, drawn or not."""
+    transmitted: Transmitted | None = None
+    polarisation: Polarisation | None = None
 
     @property
     def simulated(self) -> bool:
@@ -176,6 +180,7 @@ def examine(
     DataError
         No usable value, or too few for every one of the models.
     """
+    through = transmitted(table, name, wavelength_nm, u_rel)
     data = observations(table, name, u_rel)
     known = data.wavelengths
     at, wavelength = data.nearest(wavelength_nm)
@@ -215,6 +220,8 @@ def examine(
         energy.of_table(at),
         symmetries(at),
         [(c.parameter, label) for c, label in zip(found, labels(found), strict=True) if c.mirror is None],
+        through,
+        polarisation(table, at, shown, {label: one.fit for label, one in fitted.items()}),
     )
 
 

@@ -1,0 +1,127 @@
+"""What a sample lets through: its part of a page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from gonio_analysis.curves.in_plane import Curve, labels
+from gonio_analysis.curves.line import Line
+from gonio_analysis.plots import in_plane, two_sides
+from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, facts, table
+from gonio_analysis.report.figures import LEGEND_ROW_IN, Drawing, Figure, legend
+from gonio_analysis.report.text import number, with_u
+from gonio_analysis.result_records import Reflectance, TransmissionSummary
+from gonio_analysis.selection.transmission import Transmitted
+
+
+def draw(t: Transmitted, reflected: Sequence[Curve], slug: str, *, simulated: bool = False) -> list[Drawing]:
+    """The figures of one sample: both sides in a polar plot, and the transmission in absolute values."""
+    if not t.curves:
+        return []
+    measured = "simulated measurement" if simulated else "measurement"
+    above, below = _lines(reflected, True), _lines(t.curves, True)
+    order = list(dict.fromkeys(line.label for line in (*above, *below)))
+    halves = "upper half: BRDF; lower half: BTDF" if above else "lower half: BTDF; no reflection was measured"
+    caption = (
+        f"In the plane of incidence ({measured}), {halves}. Each curve is divided by its own largest value; the strokes"
+        " on the rim mark the mirror direction above and the straight direction below."
+    )
+    alt = f"Polar plot of reflection and transmission of {t.name}: {len(above)} curves above, {len(below)} below."
+    rows = -(-len(order) // 6)
+    high = 5.55 + LEGEND_ROW_IN * rows
+    on = partial(_on_disc, above=above, below=below, order=order)
+    out = [Drawing(f"{slug}-both-sides", "both-sides", "", caption, alt, (5.6, high), on)]
+    caption = (
+        f"BTDF in the plane of incidence ({measured}). The angle counts from the normal of the back, positive on the"
+        " side of the straight direction: θr = 180° less its size."
+    )
+    alt = f"Transmission of {t.name} over the angle, {number(float(t.data.brdf.max()))} per steradian at most."
+    absolute = _lines(t.curves, False)
+    on = partial(_on_axis, lines=absolute)
+    high = 2.9 + LEGEND_ROW_IN * -(-len(absolute) // 6)
+    return [*out, Drawing(f"{slug}-transmission", "transmission", "", caption, alt, (5.6, high), on)]
+
+
+def section(
+    t: TransmissionSummary, figures: Sequence[Figure], rho_dh: Sequence[Reflectance] = (), title: str = "Transmission"
+) -> list[Block]:
+    """What was transmitted, in numbers and figures."""
+    rows = [("values used", f"{t.used} of {t.rows}" + (f"; left out: {t.left_out_words}" if t.left_out_words else ""))]
+    if t.wavelength_nm is not None:
+        rows.append(("wavelength", f"{t.wavelength_nm:g} nm"))
+    rows.append(("BTDF", f"{number(t.btdf_min)} to {number(t.btdf_max)} sr⁻¹"))
+    out: list[Block] = [Heading(3, title), facts(rows)]
+    known = [r for r in t.tau_dh if r.rho_dh is not None]
+    if known:
+        near = [min(rho_dh, key=lambda r, at=one: abs(r.theta_i_deg - at.theta_i_deg), default=None) for one in known]
+        own = [
+            r if r is not None and abs(r.theta_i_deg - k.theta_i_deg) < 0.5 else None
+            for r, k in zip(near, known, strict=True)
+        ]
+        out.append(
+            table(
+                "Directional-hemispherical transmittance tau_dh, integrated over the measured values behind the sample;"
+                " rho_dh is the measurement's own reflectance at that incidence.",
+                ["θi", "tau_dh", "rho_dh", "both"],
+                [
+                    [f"{k.theta_i_deg:.3g}°", with_u(k.rho_dh, k.u), *_beside(k, r)]
+                    for k, r in zip(known, own, strict=True)
+                ],
+                right=(1, 2, 3),
+            )
+        )
+    why: dict[str, list[str]] = {}
+    for r in t.tau_dh:
+        if r.why:
+            why.setdefault(r.why, []).append(f"{r.theta_i_deg:.3g}°")
+    if why:
+        out.append(
+            Notes(
+                tuple(
+                    f"tau_dh at {f'θi = {chr(44).join(a)}' if len(a) <= 8 else f'{len(a)} incidences'}: {reason}."
+                    for reason, a in why.items()
+                )
+            )
+        )
+    return [*out, Figures(tuple(figures))] if figures else out
+
+
+def _beside(tau: Reflectance, rho: Reflectance | None) -> tuple[str, str]:
+    if rho is None or rho.rho_dh is None or tau.rho_dh is None:
+        return "–", "–"
+    # the reference and the lamp are common to both: their uncertainties are added, not their squares
+    u = None if tau.u is None or rho.u is None else tau.u + rho.u
+    return with_u(rho.rho_dh, rho.u), with_u(tau.rho_dh + rho.rho_dh, u)
+
+
+def _lines(curves: Sequence[Curve], normalised: bool) -> list[Line]:
+    none = np.empty(0)
+    out = []
+    for c, label in zip(curves, labels(list(curves)), strict=True):
+        top = float(c.brdf.max()) if normalised and c.brdf.max() > 0 else 1.0
+        mirror = c.parameter if c.scanned == "theta_r" and math.isfinite(c.parameter) else None
+        out.append(Line(label, none, none, c.angle, c.brdf / top, c.u / top, mirror))
+    return out
+
+
+def _on_disc(figure: Any, *, above: list[Line], below: list[Line], order: list[str]) -> None:
+    room = LEGEND_ROW_IN * -(-len(order) // 6) + 0.1
+    ax = figure.add_axes((0.01, room / figure.get_figheight(), 0.98, 0.99 - room / figure.get_figheight()))
+    words = ("BRDF / its largest value" if above else "(no reflection)", "BTDF / its largest value")
+    two_sides.disc(ax, above, below, order, words=words)
+    legend(figure, order, 6)
+
+
+def _on_axis(figure: Any, *, lines: list[Line]) -> None:
+    room = LEGEND_ROW_IN * -(-len(lines) // 6) + 0.46
+    high = figure.get_figheight()
+    ax = figure.subplots()
+    figure.subplots_adjust(0.145, room / high, 0.975, 1 - 0.11 / high)
+    in_plane.semilog(ax, lines, unit="BTDF [1/sr]")
+    ax.set_xlabel("angle from the normal of the back", fontsize=8)
+    legend(figure, [line.label for line in lines], 6)

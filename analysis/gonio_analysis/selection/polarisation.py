@@ -1,0 +1,108 @@
+"""Measured Mueller matrices against those of a fitted model, element by element."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gonio.formats.reader import MUELLER
+from gonio.typing import Floats
+from gonio_analysis.curves.in_plane import Curve, labels
+from gonio_analysis.curves.line import Line
+from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM
+from gonio_analysis.fitting.observations import Observations
+from gonio_analysis.result_records import MuellerElement, MuellerSummary
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from gonio_analysis.fitting.fit import FitResult
+
+
+@dataclass(frozen=True)
+class Polarisation:
+    """The Mueller matrices of a table's usable rows, and those of the model that has any."""
+
+    measured: Floats
+    """(n, 15): m01 to m33, over the first element; NaN where unknown."""
+    u: Floats
+    """Their standard uncertainties; NaN where none is stated."""
+    model: str | None
+    theory: Floats | None
+    """As `measured`; None without a model that has a matrix."""
+    lines: dict[str, list[Line]]
+    """In the plane of incidence, by element, a line for each curve."""
+
+    def summary(self) -> MuellerSummary:
+        """As `summary.json` holds it."""
+        return MuellerSummary(
+            model=self.model,
+            points=int(np.isfinite(self.measured).any(axis=1).sum()),
+            elements=[self._element(k) for k in range(len(MUELLER))],
+        )
+
+    def _element(self, k: int) -> MuellerElement:
+        m, u = self.measured[:, k], self.u[:, k]
+        known = np.isfinite(m)
+        chi = None
+        mean = rms = None
+        if self.theory is not None and known.any():
+            off = (m - self.theory[:, k])[known]
+            mean, rms = float(off.mean()), float(np.sqrt(np.mean(off**2)))
+            stated = known & (u > 0)
+            if stated.any():
+                chi = float(np.mean(((m - self.theory[:, k])[stated] / u[stated]) ** 2))
+        return MuellerElement(
+            name=MUELLER[k],
+            points=int(known.sum()),
+            rms=float(np.sqrt(np.mean(m[known] ** 2))) if known.any() else None,
+            mean_residual=mean,
+            rms_residual=rms,
+            chi_square_per_value=chi,
+        )
+
+
+def polarisation(
+    table: pd.DataFrame, at: Observations, drawn: list[Curve], fits: Mapping[str, FitResult]
+) -> Polarisation | None:
+    """The Mueller matrices of a table; None where it holds none.
+
+    The model is the first of the fitted ones that has a Mueller matrix (He-Torrance), as it was fitted to the BRDF
+    alone; its matrix is that of single directions, without the cones of source and receiver.
+    """
+    known = [name for name in MUELLER if name in table.columns]
+    if not known or not table[known].notna().to_numpy().any():
+        return None
+    measured, u = (_columns(table, names, at) for names in (MUELLER, [f"u_{name}" for name in MUELLER]))
+    label, model = next(((n, f.model) for n, f in fits.items() if hasattr(f.model, "mueller")), (None, None))
+    wave = NO_WAVELENGTH_NM
+    if label is not None and np.isfinite(fits[label].wavelength_nm):
+        wave = fits[label].wavelength_nm
+    theory = None if model is None else _ratios(model, *at.directions.angles, wave)
+    lines: dict[str, list[Line]] = {name: [] for name in MUELLER}
+    for curve, name in zip(drawn, labels(drawn), strict=True):
+        angle = np.empty(0) if model is None else np.radians(np.linspace(-89.0, 89.0, 179))
+        along = None if model is None else _ratios(model, *curve.directions(angle).angles, wave)
+        for k, element in enumerate(MUELLER):
+            there = np.isfinite(measured[curve.rows, k])
+            rows = curve.rows[there]
+            path = np.empty(0) if along is None else along[:, k]
+            lines[element].append(Line(name, angle, path, curve.angle[there], measured[rows, k], u[rows, k]))
+    return Polarisation(measured, u, label, theory, lines)
+
+
+def _columns(table: pd.DataFrame, names: Any, at: Observations) -> Floats:
+    out = np.full((len(at), len(names)), np.nan)
+    for k, name in enumerate(names):
+        if name in table.columns:
+            out[:, k] = table[name].to_numpy(np.float64)[at.rows]
+    return out
+
+
+def _ratios(model: Any, theta_i: Floats, phi_i: Floats, theta_r: Floats, phi_r: Floats, wave: float) -> Floats:
+    """m01 to m33 of a model over its first element, (n, 15)."""
+    matrix = model.mueller(theta_i, phi_i, theta_r, phi_r, wavelength_nm=wave).reshape(-1, 16)
+    return np.asarray(matrix[:, 1:] / np.where(matrix[:, :1] > 0, matrix[:, :1], np.nan))

@@ -1,0 +1,65 @@
+"""What a sample lets through: the rows of transmission of a table, apart from all that is reflected."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gonio import measurement
+from gonio_analysis.curves.in_plane import Curve, curves, selection
+from gonio_analysis.fitting.observations import Observations, describe_left_out, observations
+from gonio_analysis.result_records import Reflectance, TransmissionSummary, finite
+from gonio_analysis.selection import energy
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class Transmitted:
+    """The usable rows of transmission of one sample at one wavelength.
+
+    Directions toward the detector are turned over (`gonio.measurement.turned_over`): theta_r is counted from the normal
+    of the back, and the mirror direction stands for straight through.
+    """
+
+    name: str
+    rows: int
+    """Of transmission in the table, at every wavelength."""
+    data: Observations
+    wavelength_nm: float
+    curves: list[Curve]
+    """The in-plane curves that are drawn."""
+    tau_dh: list[Reflectance]
+
+    def summary(self) -> TransmissionSummary:
+        """As `summary.json` holds it."""
+        at = self.data
+        return TransmissionSummary(
+            name=self.name,
+            rows=self.rows,
+            used=len(at),
+            left_out_words=describe_left_out(at.left_out),
+            wavelength_nm=finite(self.wavelength_nm),
+            theta_i_deg=[float(x) for x in np.unique(np.round(np.degrees(at.directions.theta_i), 1))],
+            btdf_min=float(at.brdf.min()),
+            btdf_max=float(at.brdf.max()),
+            tau_dh=self.tau_dh,
+        )
+
+
+def transmitted(
+    table: pd.DataFrame, name: str, wavelength_nm: float | None = None, u_rel: float | None = None
+) -> Transmitted | None:
+    """The transmission of a table at the wavelength nearest to the one asked for; None where it holds none.
+
+    None as well where it holds some of which no row can be used.
+    """
+    through = measurement.transmission(table)
+    if through is None or not (through["flag"].fillna("") == "").any():
+        return None
+    every = observations(measurement.turned_over(through), f"{name}, transmission", u_rel)
+    at, wavelength = every.nearest(wavelength_nm)
+    return Transmitted(name, len(through), at, wavelength, selection(curves(at)), energy.of_table(at))
