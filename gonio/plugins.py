@@ -14,9 +14,46 @@ from gonio.errors import ConfigError, GonioError
 Group = Literal["gonio.rigs", "gonio.cameras", "gonio.models", "gonio.commands"]
 
 
+_added: dict[tuple[Group, str], EntryPoint] = {}
+"""What this process brings itself, beside what is installed."""
+
+
 def available(group: Group) -> dict[str, EntryPoint]:
     """The entry points of a group by name, not yet imported."""
-    return dict(_installed(group, tuple(sys.path)))
+    here = {name: point for (of, name), point in _added.items() if of == group}
+    return {**_installed(group, tuple(sys.path)), **here}
+
+
+def add(group: Group, name: str, kind: type) -> None:
+    """Let a class be found under a name in this process, as if an installed package had brought it.
+
+    It is looked up where it was defined: a cell of a notebook that is run again replaces it.
+
+    Raises
+    ------
+    ConfigError
+        Something else of that name is installed, or the class is not to be found in its module (a class inside a
+        function).
+    """
+    point = EntryPoint(name, f"{kind.__module__}:{kind.__qualname__}", group)
+    what = group.removeprefix("gonio.").removesuffix("s")
+    installed = _installed(group, tuple(sys.path)).get(name)
+    if installed is not None:
+        if load(group, name) is not kind:
+            raise ConfigError(
+                f'the {what} "{name}" ({point.value}): {installed.value} has that name already; give it another'
+            )
+        return
+    if _in_its_module(kind) is not kind:
+        raise ConfigError(
+            f'the {what} "{name}" ({point.value}) is not found under that name in its module: define the class outside'
+            " of functions, and run its cell again if it was replaced"
+        )
+    _added[group, name] = point
+
+
+def _in_its_module(kind: type) -> Any:
+    return getattr(sys.modules.get(kind.__module__), kind.__qualname__, None)
 
 
 @functools.lru_cache(maxsize=32)

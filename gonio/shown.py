@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from html import escape
 
 
 def value(number: float, u: float | None = None, unit: str = "") -> str:
-    """A value with its standard uncertainty, if it has one."""
-    text = f"{number:.5g}" if not u else f"{number:.5g} ± {u:.2g}"
-    return f"{text} {unit}".strip()
+    """A value with its standard uncertainty, if it has one: both to the second digit of the uncertainty."""
+    if not u or not math.isfinite(u) or not math.isfinite(number):
+        text = f"{number:.5g}"
+    else:
+        power = math.floor(math.log10(max(abs(number), u)))
+        far = not -4 <= power < 6
+        scale = 10.0**power if far else 1.0
+        digits = max(1 - math.floor(math.log10(u / scale)), 0)
+        text = f"{number / scale:.{digits}f} ± {u / scale:.{digits}f}"
+        text = f"({text})e{power}" if far else text
+    return f"{text} {'µm' if unit == 'um' else unit}".strip()
 
 
 def html(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], words: Sequence[str]) -> str:

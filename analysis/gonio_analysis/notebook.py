@@ -8,17 +8,18 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from gonio import measurement
+from gonio import measurement, plugins
 from gonio.errors import ArgumentError, ConfigError, DataError
-from gonio.models import Lambert, Model
+from gonio.models import Lambert, Model, Sum
 from gonio_analysis.changes import point_by_point
 from gonio_analysis.changes.point_by_point import Change, Side
 from gonio_analysis.curves.in_plane import Normalise, curves, labels, norm, selection
 from gonio_analysis.fitting import fit as fitting
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.forward import ByWavelength
-from gonio_analysis.fitting.observations import Observations, observations
+from gonio_analysis.fitting.observations import Observations, check_u_rel, observations
 from gonio_analysis.fitting.parameters import Ior
+from gonio_analysis.fitting.problem import check_metric
 from gonio_analysis.plots import in_plane
 from gonio_analysis.selection.compare import Dataset, Drawn, check_models, examine, theory_angles
 
@@ -37,8 +38,8 @@ def fit(table: Table, model: str | type[Model] | Model, *, name: str | None = No
     table
         A table of `gonio.read`, or where one is.
     model
-        A name as on the command line ("he-torrance", "oren-nayar+phong"), or the class of a model. Of a model the class
-        counts: where the search starts is its own affair.
+        A name as on the command line ("he-torrance", "oren-nayar+phong"), or the class of a model, one's own too
+        (docs/writing_a_model.md). Of a model the class counts: where the search starts is its own affair.
     name
         What messages call the table.
     options
@@ -52,18 +53,19 @@ def fit(table: Table, model: str | type[Model] | Model, *, name: str | None = No
         Too few usable values.
     """
     frame, called = _table(table, name)
-    kind = model if isinstance(model, str) else model.name
-    return fitting.fit(frame, kind, name=called, **options)
+    return fitting.fit(frame, _model_name(model), name=called, **options)
 
 
 def compare(
     table: Table,
-    models: Sequence[str | type[Model]] = ("all",),
+    models: str | type[Model] | Sequence[str | type[Model]] = ("all",),
     *,
     name: str | None = None,
     ior: Ior = None,
     wavelength_nm: float | None = None,
     normalise: Normalise = "mirror",
+    metric: str | None = None,
+    u_rel: float | None = None,
 ) -> Dataset:
     """Fit several models to a table, and say which the data ask for (`Dataset.choice`).
 
@@ -79,6 +81,10 @@ def compare(
         The nearest wavelength of the table is fitted (550 nm if none is given).
     normalise
         What the curves of polar plots are divided by.
+    metric
+        What fits make small, as `--metric`: "weighted", "log", "ngan", "cube-root" or "relative".
+    u_rel
+        Relative standard uncertainty to assume, where the table states none.
 
     Raises
     ------
@@ -86,9 +92,20 @@ def compare(
         As `fit`.
     """
     frame, called = _table(table, name)
-    names = [models] if isinstance(models, str) else [m if isinstance(m, str) else m.name for m in models]
+    names = [_model_name(m) for m in ([models] if isinstance(models, str | type) else models)]
     check_models(names)
-    return examine(frame, names, name=called, ior=ior, wavelength_nm=wavelength_nm, normalise=normalise)
+    check_metric(metric)
+    check_u_rel(u_rel)
+    return examine(
+        frame,
+        names,
+        name=called,
+        ior=ior,
+        wavelength_nm=wavelength_nm,
+        normalise=normalise,
+        metric=metric,
+        u_rel=u_rel,
+    )
 
 
 def change(a: Table | Model, b: Table | Model, *, wavelength_nm: float | None = None) -> Change:
@@ -179,6 +196,18 @@ def _alone(model: Model | FitResult | None, wavelength_nm: float) -> Model | Non
     if one is not None and not isinstance(one, Model):
         raise ArgumentError(f"model must be one of gonio.models, or a fit, not {type(one).__name__}")
     return one
+
+
+def _model_name(model: str | type[Model] | Model) -> str:
+    """The name that fits know it by; a class that no package brought is made known by it."""
+    if isinstance(model, str):
+        return model
+    kind = model if isinstance(model, type) else type(model)
+    if not issubclass(kind, Model) or not hasattr(kind, "name"):
+        raise ArgumentError(f"model must be a name, or a class of gonio.models.Model with a name, not {kind.__name__}")
+    if kind.name != Sum.name:
+        plugins.add("gonio.models", kind.name, kind)
+    return kind.name
 
 
 def _table(table: Table, name: str | None) -> tuple[pd.DataFrame, str]:

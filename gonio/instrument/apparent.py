@@ -37,16 +37,16 @@ Spike = Literal["nominal", "exact"]
 class Cones:
     """The cones of source and receiver about directions that are checked and prepared once, for many models.
 
+    The methods take a `gonio.models.Model` and a wavelength [nm], and return a float64 array of the shape that the
+    angles broadcast to; a wavelength that is no positive number, or at which the model's index is not known, raises
+    `ArgumentError`.
+
     Parameters
     ----------
     theta_i, phi_i, theta_r, phi_r, source_solid_angle_sr, receiver_solid_angle_sr, spike
         As `apparent_brdf` takes them, with its errors.
     tolerance
         Relative error of a lobe's average (see `apparent_lobe`).
-
-    The methods take a `gonio.models.Model` and a wavelength [nm], and return a float64 array of the shape that the
-    angles broadcast to; a wavelength that is no positive number, or at which the model's index is not known, raises
-    `ArgumentError`.
     """
 
     def __init__(

@@ -204,7 +204,7 @@ class HeTorrance(Model):
         *,
         wavelength_nm: float = 550.0,
     ) -> NDArray[np.complex128]:
-        """Jones matrix J[e_r][e_i] of one facet, on the bases of `mueller`: E_r = J E_i up to a common phase.
+        """Jones matrix `J[e_r][e_i]` of one facet, on the bases of `mueller`: E_r = J E_i up to a common phase.
 
         Parameters
         ----------

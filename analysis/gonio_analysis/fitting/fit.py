@@ -39,6 +39,8 @@ from gonio_analysis.result_records import FitSummary, ParameterSummary, as_json,
 if TYPE_CHECKING:
     import pandas as pd
 
+    from gonio_analysis.fitting.profile_likelihood import Interval
+
 BOUND_FIRST = 30.0
 """The bound is so much softer on the way, for a search along a steep wall takes many short steps."""
 EXCESS = 2e-5
@@ -149,6 +151,28 @@ class FitResult:
         if self.reduced_chi_square < 2:
             return f"formally rejected, but residuals are only {factor:.2f} times the {which}"
         return f"rejected: residuals are {factor:.3g} times the {which}"
+
+    def intervals(self, *names: str, level: float = 0.95) -> dict[str, Interval]:
+        """Profile-likelihood intervals of the fitted parameters, or of those named.
+
+        Parameters
+        ----------
+        names
+            Free parameters; all of them by default.
+        level
+            Probability that an interval holds the truth.
+
+        Raises
+        ------
+        ConfigError
+            A parameter was not fitted.
+        """
+        from gonio_analysis.fitting.profile_likelihood import profiles
+
+        for n in names:
+            if n not in self.free:
+                raise ConfigError(f"{n} of {self.name} is not fitted; it fits {', '.join(self.free)}")
+        return profiles(self, names or None, level=level).intervals
 
     def __repr__(self) -> str:
         found = ", ".join(

@@ -51,6 +51,10 @@ class Interval:
         """Lower and upper end, and whether each is a bound."""
         return (self.low, self.open_low), (self.high, self.open_high)
 
+    def __repr__(self) -> str:
+        low, high = (f"{end:.4g}{' (bound)' if is_open else ''}" for end, is_open in self.ends)
+        return f"<{100 * self.level:g} % interval of {self.name}: {low} to {high}>"
+
     def summary(self) -> IntervalSummary:
         """Plain numbers."""
         profile = ProfileSummary(self.values.tolist(), self.rise.tolist())
