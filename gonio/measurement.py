@@ -145,7 +145,7 @@ def write(frame: pd.DataFrame, path: str | Path, *, format: str | None = None) -
     if chosen.write is None and chosen.write_model is not None:
         raise ConfigError(
             f'{path}: "{chosen.name}" is written of models, which have a value in every direction, and not of tables: '
-            "fit one, and convert a sample file (TOML) with its parameters"
+            "fit one, and convert a sample file (TOML) with its parameters; or fill the table with --to mitsuba"
         )
     if chosen.write is None:
         raise ConfigError(f'{path}: files of the format "{chosen.name}" are read, not written')

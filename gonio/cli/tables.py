@@ -21,11 +21,20 @@ def convert(
         typer.Option("--from", help="Format of IN, where neither content nor ending tell.", show_default=False),
     ] = None,
     target_format: Annotated[
-        str | None, typer.Option("--to", help="Format of OUT, where its ending does not tell.", show_default=False)
+        str | None,
+        typer.Option(
+            "--to",
+            help="Format of OUT, where its ending does not tell; mitsuba, radiance, gltf or principled (Blender).",
+            show_default=False,
+        ),
     ] = None,
     columns: Annotated[
         str | None,
         typer.Option(help="Names and units in a CSV of one's own: theta_i=ti:rad,brdf=f.", show_default=False),
+    ] = None,
+    wavelength_nm: Annotated[
+        float | None,
+        typer.Option(help="For a renderer: this wavelength of a table alone, in grey.", show_default=False),
     ] = None,
 ) -> None:
     """Convert a measurement, or a model, to another file format. By file ending, or by a format's name."""
@@ -34,21 +43,49 @@ def convert(
     from gonio.errors import ConfigError
     from gonio.formats import own_columns
 
-    if source.endswith(".toml") and columns is not None:
+    to: str | None = "gltf" if target_format is None and target.suffix.lower() in (".gltf", ".glb") else target_format
+    is_model = source.endswith(".toml")
+    if is_model and columns is not None:
         raise ConfigError(f"{source}: is a model, which has no --columns")
-    if source.endswith(".toml"):
+    if wavelength_nm is not None and (is_model or to not in _RENDERERS):
+        raise ConfigError(
+            f"--wavelength-nm {wavelength_nm:g}: goes with a table and --to {', '.join(_RENDERERS)}; leave it out"
+        )
+    if is_model:
         from gonio import models
         from gonio.acquisition.measure import load_sample
 
         sample_file = load_sample(source)
         model = models.build(sample_file.model, sample_file.parameters)
-        for remark in measurement.write_model(model, target, name=sample_file.name, format=target_format):
+        if to in _TRANSLATED:
+            from gonio.renderers import translation
+
+            remarks = translation.write(translation.of_model(model, sample_file.name), target, to)
+        else:
+            plain = _MODEL_FORMATS.get(to, to) if to else None
+            remarks = measurement.write_model(model, target, name=sample_file.name, format=plain)
+        for remark in remarks:
             console.note(remark)
         console.show(f"{target}: {sample_file.name}")
         return
     path, sample = measurement.split(source)
     named = None if columns is None else own_columns.pairs(columns)
     table = measurement.read(path, format=source_format, sample=sample, columns=named)
-    for remark in measurement.write(table, target, format=target_format):
+    if to in _RENDERERS:
+        from gonio.renderers import channels, measured, translation
+
+        rows = channels.rows(table, sample or table.attrs.get("sample") or Path(path).stem, wavelength_nm=wavelength_nm)
+        if to in _TRANSLATED:
+            remarks = translation.write(translation.of_rows(rows), target, to)
+        else:
+            remarks = measured.write(rows, target, to)
+    else:
+        remarks = measurement.write(table, target, format=to)
+    for remark in remarks:
         console.note(remark)
     console.show(f"{target}: {len(table)} values")
+
+
+_TRANSLATED = ("gltf", "principled")
+_MODEL_FORMATS = {"mitsuba": "rgl", "radiance": "klems"}
+_RENDERERS = (*_MODEL_FORMATS, *_TRANSLATED)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -236,13 +236,21 @@ def write(frame: pd.DataFrame, path: Path) -> None:
         _XML_RING.format(theta=(low + high) / 2 if low else 0, low=low, high=high, count=count)
         for low, high, count in _FULL
     )
-    write_bytes(path, _XML.format(product=escape(product), rings=rings, blocks="".join(blocks)).encode())
+    said = "".join(f"<!-- {remark.replace('--', '- -')} -->\n" for remark in frame.attrs.get("remarks", ()))
+    text = _XML.format(product=escape(product), remarks=said, rings=rings, blocks="".join(blocks))
+    write_bytes(path, text.encode())
 
 
 def write_model(model: Model, name: str, path: Path) -> None:
-    """The model averaged over pairs of patches of the full basis, weighted with cosines, as its front in the visible.
+    """A model at 550 nm, as `averaged`."""
+    frame = averaged(model.brdf, name)
+    write(frame, path)
 
-    An average takes four by four directions of equal projected solid angle in each patch, at 550 nm.
+
+def averaged(brdf: Callable[[Floats, Floats, Floats, Floats], Floats], name: str) -> pd.DataFrame:
+    """A BRDF of four angles [rad] averaged over pairs of patches of the full basis, as its front in the visible.
+
+    Averages are weighted with both cosines, over four by four directions of equal projected solid angle in each patch.
     """
     basis = _full()
     count = basis.theta.size
@@ -258,10 +266,10 @@ def write_model(model: Model, name: str, path: Path) -> None:
     theta, phi = thetas.reshape(count, -1), phis.reshape(count, -1)
     matrix = np.empty((count, count))
     for row, incident, azimuth in zip(matrix, theta, phi, strict=True):
-        pairs = model.brdf(incident[:, None, None], azimuth[:, None, None] + math.pi, theta, phi)
+        pairs = brdf(incident[:, None, None], azimuth[:, None, None] + math.pi, theta, phi)
         row[:] = pairs.mean(axis=(0, 2))
     i, r = (a.ravel() for a in np.indices(matrix.shape))
-    frame = table(
+    return table(
         theta_i_deg=basis.theta[i],
         phi_i_deg=wrap_deg(basis.phi[i] + 180.0),
         theta_r_deg=basis.theta[r],
@@ -270,7 +278,6 @@ def write_model(model: Model, name: str, path: Path) -> None:
         brdf=matrix.ravel(),
         attrs={"sample": name},
     )
-    write(frame, path)
 
 
 def _full() -> Basis:
@@ -278,7 +285,7 @@ def _full() -> Basis:
 
 
 _XML = """<?xml version="1.0" encoding="UTF-8"?>
-<WindowElement xmlns="http://windows.lbl.gov">
+{remarks}<WindowElement xmlns="http://windows.lbl.gov">
 <WindowElementType>System</WindowElementType>
 <FileType>BSDF</FileType>
 <Optical>

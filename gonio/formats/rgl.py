@@ -289,7 +289,12 @@ def write_model(model: Model, name: str, path: Path) -> None:
 
 
 def sliced(
-    brdf: Callable[[Floats, Floats], Floats], name: str, *, nodes: int = _NODES, incidences: int = _INCIDENCES
+    brdf: Callable[[Floats, Floats], Floats],
+    name: str,
+    *,
+    nodes: int = _NODES,
+    incidences: int | Floats = _INCIDENCES,
+    remarks: str = "",
 ) -> bytes:
     """A BRDF as a file of three channels: brdf cos(theta_r) on the half vector's own grid, without a warp.
 
@@ -305,14 +310,16 @@ def sliced(
     name
         The sample's name in the file.
     nodes, incidences
-        Nodes of both axes of the half vector, and of theta_i. Twice as many of all leave a quarter of the error, in
-        eight times as large a file.
+        Nodes of both axes of the half vector (Mitsuba wants as many of both), and of theta_i, or those angles
+        themselves [rad]. Twice as many of all leave a quarter of the error, in eight times as large a file.
+    remarks
+        Words that the file carries in a field of its own, which renderers pass over.
     """
     side = np.linspace(0.0, 1.0, nodes)
     theta_m, phi_m = np.meshgrid(np.pi / 2 * side**2, np.pi * (2 * side - 1))
     half = _vector(theta_m, phi_m)
-    theta_i = np.linspace(0.0, np.deg2rad(89.0), incidences)
-    values = np.zeros((1, incidences, 3, nodes, nodes), np.float32)
+    theta_i = np.linspace(0.0, np.deg2rad(89.0), incidences) if isinstance(incidences, int) else incidences
+    values = np.zeros((1, theta_i.size, 3, nodes, nodes), np.float32)
     for slice_, theta in zip(values[0], theta_i.tolist(), strict=True):
         incident = _vector(np.array(theta), np.zeros(()))[:, np.newaxis, np.newaxis]
         outgoing = 2 * (incident * half).sum(axis=0) * half - incident
@@ -322,6 +329,7 @@ def sliced(
         slice_[:, above] = (np.maximum(f, 0.0) * outgoing[2][above, np.newaxis]).T
     # samples are drawn from this: what a half vector reflects, times the solid angle of its cell
     weight = values.mean(axis=2, dtype=np.float64) * side * np.sin(theta_m)
+    words = {"remarks": np.frombuffer(remarks.encode(), np.uint8)} if remarks else {}
     return _pack(
         {
             "description": np.frombuffer(name.encode()[:80] or b"model", np.uint8),
@@ -329,10 +337,11 @@ def sliced(
             "theta_i": theta_i.astype(np.float32),
             "ndf": np.ones((2, 2), np.float32),
             "sigma": np.full((2, 2), 0.25, np.float32),
-            "vndf": np.ones((1, incidences, 2, 2), np.float32),
+            "vndf": np.ones((1, theta_i.size, 2, 2), np.float32),
             "luminance": np.maximum(weight, 1e-6 * weight.max()).astype(np.float32),
             "rgb": values,
             "jacobian": np.ones(1, np.uint8),
+            **words,
         }
     )
 

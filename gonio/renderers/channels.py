@@ -1,0 +1,128 @@
+"""The channels of a renderer's file: one grey, or linear sRGB from colours or from a spectrum."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gonio import colour, measurement
+from gonio.errors import ConfigError, DataError
+from gonio.formats.reader import ANGLES
+from gonio.models import Model
+from gonio.typing import Floats
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+COLOURS = ("red", "green", "blue")
+WAVELENGTHS_NM = np.arange(400.0, 701.0, 20.0)
+"""Where a model is evaluated for its colour."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What was measured, a row a pair of directions."""
+
+    name: str
+    angles: Floats
+    """(n, 3): theta_i, theta_r, and |phi_r - phi_i| in [0, pi] [rad]."""
+    values: Floats
+    """(n, 1) grey or (n, 3) linear sRGB [1/sr]; what was measured below zero is zero."""
+    notes: tuple[str, ...]
+
+
+def rows(table: pd.DataFrame, name: str, *, wavelength_nm: float | None = None) -> Rows:
+    """The unflagged, unpolarised reflection of a table in a renderer's channels.
+
+    One wavelength, or one broad band, is grey. Samples named red, green and blue are the channels. A spectrum becomes
+    linear sRGB under D65: a perfect white is 1 in each.
+
+    Parameters
+    ----------
+    table
+        A measurement table.
+    name
+        Of the sample.
+    wavelength_nm
+        One of the table's wavelengths, which is then taken as grey.
+
+    Raises
+    ------
+    ConfigError
+        The table has no such wavelength.
+    DataError
+        Nothing is left, it holds several samples, or its wavelengths make no colour.
+    """
+    notes = []
+    samples = table["sample"].unique().tolist() if "sample" in table.columns else []
+    parts = {str(s).rpartition(" ")[2]: table[table["sample"] == s] for s in samples}
+    if samples and (set(parts) != set(COLOURS) or len(samples) != 3):
+        raise DataError(f"{name}: holds several samples; name one as FILE:SAMPLE: {'; '.join(map(str, samples))}")
+    frame = table if samples else measurement.unpolarised(table)
+    key = list(ANGLES)
+    usable = (frame["flag"] == "") & (frame["polarisation"] == "unpolarised") & np.isfinite(frame["brdf"])
+    usable &= (frame["theta_i_deg"] < 90) & (frame["theta_r_deg"] < 90)
+    left_out = len(frame) - int(usable.sum())
+    frame = frame[usable]
+    if left_out:
+        notes.append(f"{left_out} rows are left out: flagged, polarised, at the horizon or in transmission")
+    if frame.empty:
+        raise DataError(f"{name}: no row of the table can be used: all are flagged, polarised or in transmission")
+    waves = np.unique(frame["wavelength_nm"].to_numpy(np.float64))
+    waves = waves[np.isfinite(waves)]
+    if wavelength_nm is not None:
+        near = waves[np.abs(waves - wavelength_nm) < 0.5]
+        if samples or not near.size:
+            known = ", ".join(f"{w:g}" for w in waves) or "none"
+            raise ConfigError(f"--wavelength-nm {wavelength_nm:g}: {name} has {known}")
+        frame, waves = frame[frame["wavelength_nm"] == near[0]], near[:1]
+    if samples:
+        frame = frame.assign(channel=frame["sample"].str.rpartition(" ")[2])
+        wide = frame.pivot_table(index=key, columns="channel", values="brdf", sort=False)[list(COLOURS)]
+        notes.append("the samples red, green and blue are the three channels, as they stand in the file")
+        return _rows(name, wide, wide.to_numpy(), notes)
+    wide = frame.assign(wavelength_nm=frame["wavelength_nm"].fillna(0.0)).pivot_table(
+        index=key, columns="wavelength_nm", values="brdf", sort=False
+    )
+    if wide.shape[1] == 1:
+        notes.append(f"grey: {f'{waves[0]:g} nm' if waves.size else 'one band'} stands for all three channels")
+        return _rows(name, wide, wide.to_numpy(), notes)
+    whole = wide.notna().all(axis=1)
+    wide = wide[whole]
+    if not whole.all():
+        notes.append(f"{int((~whole).sum())} directions are left out, which were not measured at every wavelength")
+    nm = wide.columns.to_numpy(np.float64)
+    if len(wide) == 0 or (nm == 0).any() or ((nm > 380) & (nm < 730)).sum() < 3:
+        raise DataError(
+            f"{name}: {', '.join(f'{w:g}' for w in waves)} nm make no colour (three visible wavelengths do);"
+            " take one with --wavelength-nm"
+        )
+    visible = (nm >= 360) & (nm <= 830)
+    values = colour.SRGB.rgb(colour.xyz(wide.to_numpy()[:, visible], nm[visible]))
+    notes.append(f"linear sRGB under D65 of {int(visible.sum())} wavelengths, {nm.min():g} to {nm.max():g} nm")
+    return _rows(name, wide, values, notes)
+
+
+def _rows(name: str, wide: pd.DataFrame, values: Floats, notes: Sequence[str]) -> Rows:
+    known = np.isfinite(values).all(axis=1)
+    index = np.deg2rad(np.array(wide.index.tolist(), dtype=np.float64).reshape(-1, 4))[known]
+    values = values[known]
+    dphi = np.abs(np.mod(index[:, 3] - index[:, 1] + np.pi, 2 * np.pi) - np.pi)
+    said = list(notes)
+    below = int((values < 0).any(axis=1).sum())
+    if below:
+        said.append(f"{below} of {len(values)} values are below zero (noise, or colours beyond sRGB) and become zero")
+    angles = np.column_stack([index[:, 0], index[:, 2], dphi])
+    return Rows(name, angles, np.maximum(values, 0.0), tuple(said))
+
+
+def of_model(model: Model, theta_i: Floats, theta_r: Floats, dphi: Floats) -> Floats:
+    """A model's values in linear sRGB under D65 at pairs of directions [rad]; (n, 3) [1/sr]."""
+    ends = [model.brdf(theta_i, 0.0, theta_r, dphi, wavelength_nm=nm) for nm in WAVELENGTHS_NM[[0, -1]].tolist()]
+    if np.allclose(ends[0], ends[1], rtol=1e-9, atol=0):
+        return np.repeat(ends[0][:, np.newaxis], 3, axis=1)
+    spectra = [model.brdf(theta_i, 0.0, theta_r, dphi, wavelength_nm=nm) for nm in WAVELENGTHS_NM.tolist()]
+    return colour.SRGB.rgb(colour.xyz(np.stack(spectra, axis=-1), WAVELENGTHS_NM))
