@@ -54,6 +54,20 @@ class ParameterSummary(Value):
 
 
 @dataclass(frozen=True)
+class SharedGeometry:
+    """What fits at several wavelengths have in common (`gonio_analysis.fitting.spectrum`)."""
+
+    wavelengths_nm: list[float]
+    parameters: list[str]
+    """Those that are the same at all of them."""
+    n_points: int
+    n_free: int
+    """Of all wavelengths together."""
+    chi_square: float | None
+    reduced_chi_square: float | None
+
+
+@dataclass(frozen=True)
 class FitSummary:
     """What `gonio fit --json` prints of a `gonio_analysis.fitting.fit.FitResult`."""
 
@@ -81,6 +95,8 @@ class FitSummary:
     convention: str
     notes: list[str]
     wall_s: float
+    shared: SharedGeometry | None
+    """Where other wavelengths were fitted together with this one; else None."""
 
 
 @dataclass(frozen=True)

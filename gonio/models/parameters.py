@@ -41,6 +41,8 @@ class Fitted:
     were measured, "peak" pi times the highest; without any, three values between the bounds."""
     fixed: float | None = None
     """Its value, unless the user frees it; None: it is fitted."""
+    geometry: bool = False
+    """Whether it belongs to the surface (a roughness, a slope), and so is the same at every wavelength."""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.lower) and math.isfinite(self.upper) and self.lower < self.upper):

@@ -34,7 +34,7 @@ from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observati
 from gonio_analysis.fitting.parameters import Family, Values
 from gonio_analysis.fitting.problem import STARTS, Bound, FitRequest, Problem, pose, together
 from gonio_analysis.fitting.search import STEP, covariance, refine, search, search_from, settle
-from gonio_analysis.result_records import FitSummary, ParameterSummary, as_json, finite
+from gonio_analysis.result_records import FitSummary, ParameterSummary, SharedGeometry, as_json, finite
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -98,6 +98,8 @@ class FitResult:
     goal: Objective = field(repr=False)
     """What was made small."""
     notes: list[str] = field(default_factory=list)
+    shared: SharedGeometry | None = None
+    """What was fitted together with other wavelengths; None for a fit of its own."""
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -223,6 +225,7 @@ class FitResult:
             convention=self.model.convention,
             notes=list(self.notes),
             wall_s=self.wall_s,
+            shared=self.shared,
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -314,10 +317,10 @@ def fit(
     result = FitResult(
         name=asked.model,
         model=built,
-        parameters=_estimates(problem, vector, spread, wavelength),
+        parameters=estimates(problem, vector, spread, wavelength),
         free=names,
         covariance=spread * np.outer(problem.slope(vector), problem.slope(vector)),
-        derived=_derived(problem, vector, spread),
+        derived=derived(problem, vector, spread),
         data=data,
         predicted=predicted,
         whitened=white,
@@ -331,7 +334,7 @@ def fit(
         spread=spread,
         goal=goal,
     )
-    notes += _by_part(result) + _identifiability(result)
+    notes += remarks(result)
     return replace(result, notes=[*data.notes, *notes], wall_s=time.perf_counter() - began)
 
 
@@ -344,6 +347,11 @@ def _require_parts(data: Observations, wavelength_nm: float) -> None:
                 f"{part.name}: has no value {at}, where the tables are fitted together; choose another with "
                 "--wavelength-nm, or fit all wavelengths with --joint"
             )
+
+
+def remarks(result: FitResult) -> list[str]:
+    """What a fit says of each of several tables, and of what its data cannot tell."""
+    return _by_part(result) + _identifiability(result)
 
 
 def _by_part(result: FitResult) -> list[str]:
@@ -424,7 +432,8 @@ def _one_wavelength(
     )
 
 
-def _estimates(problem: Problem, vector: Floats, spread: Floats, wavelength_nm: float) -> dict[str, Estimate]:
+def estimates(problem: Problem, vector: Floats, spread: Floats, wavelength_nm: float) -> dict[str, Estimate]:
+    """Every parameter at a point of the search scale, with its standard error from `spread` there."""
     index = None
     if isinstance(problem.ior, str) and math.isfinite(wavelength_nm):
         from gonio import materials
@@ -456,7 +465,8 @@ def _estimates(problem: Problem, vector: Floats, spread: Floats, wavelength_nm: 
     return out
 
 
-def _derived(problem: Problem, vector: Floats, spread: Floats) -> dict[str, Estimate]:
+def derived(problem: Problem, vector: Floats, spread: Floats) -> dict[str, Estimate]:
+    """Combinations of parameters that say more than they do."""
     if problem.each:
         return {}
     base = problem.family.derived(problem.values(vector))

@@ -34,6 +34,8 @@ class Parameter:
     upper: float
     scale: Literal["linear", "log"] = "linear"
     unit: str = ""
+    geometry: bool = False
+    """Whether it belongs to the surface, and so is the same at every wavelength."""
 
     def inside(self, value: float) -> float:
         """`value`, brought between the bounds."""
@@ -179,7 +181,7 @@ def _declared(name: str) -> Family:
 
     return Family(
         name,
-        tuple(Parameter(key, row.lower, row.upper, row.scale, row.unit) for key, row in rows.items()),
+        tuple(Parameter(key, row.lower, row.upper, row.scale, row.unit, row.geometry) for key, row in rows.items()),
         free,
         {key: row.fixed for key, row in rows.items() if row.fixed is not None},
         lambda v: dict(v),
@@ -233,7 +235,7 @@ def _lambert(ior: Ior) -> Family:
 def _oren_nayar(ior: Ior) -> Family:
     return Family(
         "oren-nayar",
-        (_ALBEDO, Parameter("sigma_deg", 0.0, 60.0, unit="deg")),
+        (_ALBEDO, Parameter("sigma_deg", 0.0, 60.0, unit="deg", geometry=True)),
         ("albedo", "sigma_deg"),
         {},
         lambda v: {"albedo": v["albedo"], "sigma_deg": v["sigma_deg"]},
@@ -257,7 +259,7 @@ def _phong(ior: Ior) -> Family:
         (
             Parameter("k_d", 0.0, 1.0),
             Parameter("k_s", 0.0, 1e4),
-            Parameter("exponent", 0.1, 1e6, "log"),
+            Parameter("exponent", 0.1, 1e6, "log", geometry=True),
         ),
         ("k_d", "k_s", "exponent"),
         {},
@@ -276,7 +278,7 @@ def _blinn(ior: Ior) -> Family:
 
     return Family(
         "blinn",
-        (Parameter("k_d", 0.0, 1.0), Parameter("k_s", 0.0, 1e4), Parameter("c", 0.001, 1.0, "log"), _N, _K),
+        (Parameter("k_d", 0.0, 1.0), Parameter("k_s", 0.0, 1e4), Parameter("c", 0.001, 1.0, "log", geometry=True), _N, _K),
         free,
         fixed,
         lambda v: {"k_d": v["k_d"], "k_s": v["k_s"], "c": v["c"], "ior": _ior_argument(v, ior)},
@@ -313,7 +315,10 @@ def _cook_torrance(slopes: int, ior: Ior) -> Family:
             for (a, b), s, n in grid2
         ]
 
-    width = [Parameter(n, 0.005, 3.0, "log") if n != "w_1" else Parameter(n, 0.0, 1.0) for n in names]
+    width = [
+        Parameter(n, 0.0, 1.0, geometry=True) if n == "w_1" else Parameter(n, 0.005, 3.0, "log", geometry=True)
+        for n in names
+    ]
     return Family(
         "cook-torrance",
         (Parameter("s", 0.0, 1.0), *width, _DIFFUSE, _N, _K),
@@ -345,8 +350,8 @@ def _he_torrance(ior: Ior) -> Family:
     return Family(
         "he-torrance",
         (
-            Parameter("sigma0_um", 1e-4, 100.0, "log", "um"),
-            Parameter("tau_um", 1e-3, 1e4, "log", "um"),
+            Parameter("sigma0_um", 1e-4, 100.0, "log", "um", geometry=True),
+            Parameter("tau_um", 1e-3, 1e4, "log", "um", geometry=True),
             _DIFFUSE,
             _N,
             _K,

@@ -75,6 +75,8 @@ class FitRequest:
     """Sets of values to start from instead of a search: solutions of neighbours."""
     searches: int = STARTS
     """How many points of the coarse grid are searched from."""
+    separate: bool = False
+    """Fit one wavelength alone, where others of the table would share the geometry of its surface."""
 
     def __post_init__(self) -> None:
         if self.loss not in LOSSES:
