@@ -24,6 +24,7 @@ _MODULES = (
     "klems_xml",
     "zemax_bsdf",
     "rt300s",
+    "pab",
     "merl",
     "rgl",
 )
