@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from gonio.cli.options import Blank, Columns, reading, remember
+
 
 def convert(
     source: Annotated[
@@ -23,19 +25,17 @@ def convert(
     target_format: Annotated[
         str | None, typer.Option("--to", help="Format of OUT, where its ending does not tell.", show_default=False)
     ] = None,
-    columns: Annotated[
-        str | None,
-        typer.Option(help="Names and units in a CSV of one's own: theta_i=ti:rad,brdf=f.", show_default=False),
-    ] = None,
+    columns: Columns = None,
+    blank: Blank = None,
 ) -> None:
     """Convert a measurement, or a model, to another file format. By file ending, or by a format's name."""
     from gonio import measurement
     from gonio.cli import console
     from gonio.errors import ConfigError
-    from gonio.formats import own_columns
 
-    if source.endswith(".toml") and columns is not None:
-        raise ConfigError(f"{source}: is a model, which has no --columns")
+    how = reading(columns, blank)
+    if source.endswith(".toml") and (columns, blank) != (None, None):
+        raise ConfigError(f"{source}: is a model, which has no --{'blank' if columns is None else 'columns'}")
     if source.endswith(".toml"):
         from gonio import models
         from gonio.acquisition.measure import load_sample
@@ -47,8 +47,8 @@ def convert(
         console.show(f"{target}: {sample_file.name}")
         return
     path, sample = measurement.split(source)
-    named = None if columns is None else own_columns.pairs(columns)
-    table = measurement.read(path, format=source_format, sample=sample, columns=named)
+    table = measurement.read(path, format=source_format, sample=sample, columns=how.columns, blank=how.blank)
     for remark in measurement.write(table, target, format=target_format):
         console.note(remark)
+    remember([source], how)
     console.show(f"{target}: {len(table)} values")

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from gonio.measurement import Reading
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.parameters import Ior
 from gonio_analysis.report import detail, figures, files, html, page, pdf, tables, viewer
@@ -34,6 +35,7 @@ def make(
     u_rel: float | None = None,
     bound_energy: bool = False,
     dask: str | None = None,
+    how: Reading | None = None,
     command: str = "",
     progress: Callable[[str], None] = lambda text: None,
 ) -> Path:
@@ -49,6 +51,8 @@ def make(
         See `gonio_analysis.selection.compare.examine`.
     dask
         Address of a Dask scheduler to fit the samples on; by default several samples share the processors here.
+    how
+        Columns and blank of the tables, where they need any.
     command
         The command line, for the record.
     progress
@@ -70,7 +74,7 @@ def make(
         found = []
         for spec in specs:
             run = run_facts(Path(spec))
-            many = measurement.tables(spec)
+            many = measurement.tables(spec, how)
             for sample, table in many.items():
                 found.append((sample, spec if len(many) == 1 else f"{spec}:{sample}", table, run))
         names = _distinct([sample for sample, *_ in found], [source for _, source, *_ in found])

@@ -128,6 +128,17 @@ def test_colours_are_those_of_the_spectrum() -> None:
     assert known(exact.flop_index.value) == pytest.approx(2.69 * (light[15] - light[110]) ** 1.11 / light[45] ** 0.86)
 
 
+def test_a_solid_colour_has_a_flop_index_of_zero_with_an_uncertainty() -> None:
+    frame = measured(Lambert(0.5), plane(45.0, np.array([30.0, 0.0, -65.0])))
+    flop = of_table(frame, name="grey").flop_index
+    assert flop.value == pytest.approx(0.0, abs=1e-12)
+    light = 116.0 * 0.5 ** (1.0 / 3.0) - 16.0
+    # L* of f known to 1 % without what all values share: 116/3 (f/f_white)^(1/3) 0.01, twice, over L45^0.86
+    u_difference = math.sqrt(2.0) * 116.0 / 3.0 * 0.5 ** (1.0 / 3.0) * 0.01
+    # the formula's power 1.11 is a line to 15 % between a quarter and twice the step that its slope is taken over
+    assert known(flop.u) == pytest.approx(2.69 * u_difference / light**0.86, rel=0.15)
+
+
 def test_one_wavelength_gives_lightness_alone() -> None:
     sample = of_table(measured(Lambert(0.5), plane(45.0, np.array([30.0, 0.0, -65.0]))), name="grey")
     (face,) = (c for c in sample.lab if c.aspecular_deg == 45.0)
