@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,7 +35,7 @@ import numpy as np
 from gonio import formats
 from gonio.disk import only_file
 from gonio.errors import ConfigError, DataError
-from gonio.formats import own_columns
+from gonio.formats import own_columns, rt300s
 from gonio.formats.native import check, check_columns, meta_path
 from gonio.formats.reader import ANGLES, COLUMNS, MAX_BYTES, MUELLER, U_MUELLER, reflection_only
 from gonio.typing import Floats
@@ -45,8 +46,8 @@ if TYPE_CHECKING:
     from gonio.models import Model
 
 __all__ = [
-    "COLUMNS", "meta_path", "parse", "read", "reflection", "samples", "split", "tables", "transmission", "turned_over",
-    "uncertainty", "unpolarised", "write", "write_model",
+    "COLUMNS", "Reading", "meta_path", "parse", "read", "reflection", "samples", "split", "tables", "transmission",
+    "turned_over", "uncertainty", "unpolarised", "write", "write_model",
 ]  # fmt: skip
 
 
@@ -56,6 +57,7 @@ def read(
     format: str | None = None,
     sample: str | None = None,
     columns: Mapping[str, str] | None = None,
+    blank: Path | None = None,
 ) -> pd.DataFrame:
     """The measurement table in a file of any supported format, or in a RUN folder (its `brdf.csv`).
 
@@ -68,8 +70,11 @@ def read(
     sample
         Which sample to take from a file that holds several; without it all are there, told apart by a column `sample`.
     columns
-        The file's own names and units of the columns of a CSV made by hand: `{"theta_i": "ti:rad", "brdf": "R:factor"}`
-        (`gonio.formats.own_columns`). Without it those in `<name>.columns.toml` beside the file, if it is there.
+        The file's own names and units of the columns of a CSV or a workbook made by hand:
+        `{"theta_i": "ti:rad", "brdf": "R:factor"}` (`gonio.formats.own_columns`). Without it those in
+        `<name>.columns.toml` beside the file, if it is there.
+    blank
+        The blank measurement that is subtracted from an RT-300S workbook.
 
     Raises
     ------
@@ -82,29 +87,38 @@ def read(
     path = Path(path)
     if path.is_dir():
         path = _table_of_run(path)
-    frame = parse(_load(path), path, format=format, columns=columns)
+    frame = parse(_load(path), path, format=format, columns=columns, blank=blank)
     return frame if sample is None else _choose(frame, sample, path)
 
 
 def parse(
-    data: bytes, path: Path, *, format: str | None = None, columns: Mapping[str, str] | None = None
+    data: bytes,
+    path: Path,
+    *,
+    format: str | None = None,
+    columns: Mapping[str, str] | None = None,
+    blank: Path | None = None,
 ) -> pd.DataFrame:
     """The table in the bytes of a file, as `read` gives it, with the same errors; `path` names the file in messages."""
     where, stored = "columns", columns
     if columns is None and (stored := own_columns.beside(path)) is not None:
         where = str(own_columns.beside_path(path))
     notes: list[str] = []
-    if stored is not None and format in (None, "gonio"):
+    if stored is not None and format in (None, "gonio", "xlsx"):
         format = "gonio"
         if len(data) <= formats.named(format).max_bytes:
             data, notes = own_columns.renamed(data, path, stored, where)
     elif columns is not None:
-        raise ConfigError(f"{path}: columns are named in CSV files made by hand, and {format} files are none")
+        raise ConfigError(
+            f"{path}: columns are named in CSV files and workbooks made by hand, and {format} files are none"
+        )
     chosen = formats.named(format) if format else formats.of_content(data, path)
+    if blank is not None and chosen is not rt300s.FORMAT:
+        raise ConfigError(f"{path}: is {chosen.title}; --blank is subtracted from RT-300S workbooks alone")
     if len(data) > chosen.max_bytes:
         raise DataError(f"{path}: is larger than {chosen.max_bytes >> 20} MiB, the largest {chosen.title} that is read")
     with np.errstate(all="ignore"):  # absurd numbers overflow to what `check` then names
-        frame = chosen.read(data, path)
+        frame = chosen.read(data, path) if blank is None else rt300s.read(data, path, blank)
     frame.attrs["notes"] = [*notes, *frame.attrs.get("notes", ())]
     frame.attrs.setdefault("format", chosen.name)
     check_columns(list(frame.columns), str(path))
@@ -223,7 +237,17 @@ def samples(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
     return {name: _choose(frame, name, path) for name in frame.attrs["samples"]}
 
 
-def tables(spec: str | Path) -> dict[str, pd.DataFrame]:
+@dataclass(frozen=True)
+class Reading:
+    """What a command line says of its tables besides their names. Runs need none of it."""
+
+    columns: Mapping[str, str] | None = None
+    """Their own names and units of columns, as for `read`."""
+    blank: Path | None = None
+    """The blank of RT-300S workbooks."""
+
+
+def tables(spec: str | Path, how: Reading | None = None) -> dict[str, pd.DataFrame]:
     """The tables that `FILE`, `RUN` or `FILE:SAMPLE` on a command line names, by sample, as `unpolarised` leaves them.
 
     Raises
@@ -232,7 +256,8 @@ def tables(spec: str | Path) -> dict[str, pd.DataFrame]:
         As `read` does.
     """
     path, sample = split(spec)
-    frame = read(path, sample=sample)
+    how = Reading() if how is None or Path(path).is_dir() else how
+    frame = read(path, sample=sample, columns=how.columns, blank=how.blank)
     found = samples(frame) if sample is None else {sample: frame}
     return {name: unpolarised(table) for name, table in found.items()}
 

@@ -1,10 +1,21 @@
-"""What `gonio` itself takes, before any command."""
+"""What `gonio` itself takes, before any command; and what several commands take of their tables."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from gonio.measurement import Reading
+
+Columns = Annotated[
+    str | None,
+    typer.Option(help="Names and units in a table of one's own: theta_i=ti:rad,brdf=f.", show_default=False),
+]
+Blank = Annotated[Path | None, typer.Option(help="The blank to subtract from an RT-300S workbook.", show_default=False)]
 
 
 def _version(asked: bool) -> None:
@@ -21,3 +32,29 @@ def options(
     ] = False,
 ) -> None:
     """A goniometer workbench: plan, measure, reduce, fit, compare and report BRDFs."""
+
+
+def reading(columns: str | None, blank: Path | None) -> Reading:
+    """What --columns and --blank say.
+
+    Raises
+    ------
+    ConfigError
+        --columns is written otherwise.
+    """
+    from gonio.formats import own_columns
+    from gonio.measurement import Reading
+
+    return Reading(None if columns is None else own_columns.pairs(columns), blank)
+
+
+def remember(specs: Sequence[str], how: Reading) -> None:
+    """Write --columns beside the tables that they were right for, for the next command; say so."""
+    from gonio import measurement
+    from gonio.cli import console
+    from gonio.formats import own_columns
+
+    for path in (Path(measurement.split(spec)[0]) for spec in specs):
+        said = own_columns.remember(path, how.columns) if how.columns is not None and path.is_file() else None
+        if said is not None:
+            console.note(said)

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from gonio.cli.options import Blank, Columns, reading, remember
+
 
 def convert(
     source: Annotated[
@@ -28,10 +30,8 @@ def convert(
             show_default=False,
         ),
     ] = None,
-    columns: Annotated[
-        str | None,
-        typer.Option(help="Names and units in a CSV of one's own: theta_i=ti:rad,brdf=f.", show_default=False),
-    ] = None,
+    columns: Columns = None,
+    blank: Blank = None,
     wavelength_nm: Annotated[
         float | None,
         typer.Option(help="For a renderer: this wavelength of a table alone, in grey.", show_default=False),
@@ -41,12 +41,12 @@ def convert(
     from gonio import measurement
     from gonio.cli import console
     from gonio.errors import ConfigError
-    from gonio.formats import own_columns
 
+    how = reading(columns, blank)
     to: str | None = "gltf" if target_format is None and target.suffix.lower() in (".gltf", ".glb") else target_format
     is_model = source.endswith(".toml")
-    if is_model and columns is not None:
-        raise ConfigError(f"{source}: is a model, which has no --columns")
+    if is_model and (columns, blank) != (None, None):
+        raise ConfigError(f"{source}: is a model, which has no --{'blank' if columns is None else 'columns'}")
     if wavelength_nm is not None and (is_model or to not in _RENDERERS):
         raise ConfigError(
             f"--wavelength-nm {wavelength_nm:g}: goes with a table and --to {', '.join(_RENDERERS)}; leave it out"
@@ -69,8 +69,7 @@ def convert(
         console.show(f"{target}: {sample_file.name}")
         return
     path, sample = measurement.split(source)
-    named = None if columns is None else own_columns.pairs(columns)
-    table = measurement.read(path, format=source_format, sample=sample, columns=named)
+    table = measurement.read(path, format=source_format, sample=sample, columns=how.columns, blank=how.blank)
     if to in _RENDERERS:
         from gonio.renderers import channels, measured, translation
 
@@ -83,6 +82,7 @@ def convert(
         remarks = measurement.write(table, target, format=to)
     for remark in remarks:
         console.note(remark)
+    remember([source], how)
     console.show(f"{target}: {len(table)} values")
 
 

@@ -24,6 +24,8 @@ _MODULES = (
     "klems_xml",
     "zemax_bsdf",
     "rt300s",
+    "pab",
+    "workbook",
     "merl",
     "rgl",
 )
@@ -65,10 +67,9 @@ def of_content(data: bytes, path: Path) -> Format:
         (b"\x1f\x8b", "gzip"),
         (b"BZh", "bzip2"),
         (b"\xfd7zXZ", "xz"),
-        (b"PK\x03\x04", "zip, or .xlsx"),
     ):
         if data.startswith(magic):
-            raise DataError(f"{path}, byte 0: is compressed ({what}); unpack it first, or export a workbook as CSV")
+            raise DataError(f"{path}, byte 0: is compressed ({what}); unpack it first")
     head = data[:SNIFFED_BYTES]
     formats = all_formats().values()
     ending = path.suffix.lower()

@@ -17,10 +17,12 @@ _END, _FREE = 0xFFFFFFFE, 0xFFFFFFFA
 _MAX_CELLS = 1_000_000
 
 Cell = float | str
+Sheet = dict[tuple[int, int], Cell]
+"""Numbers and texts by (row, column), both from 0."""
 
 
-def worksheets(data: bytes, path: Path) -> list[dict[tuple[int, int], Cell]]:
-    """Numbers and texts of each worksheet by (row, column), both from 0.
+def worksheets(data: bytes, path: Path) -> list[Sheet]:
+    """The cells of each worksheet.
 
     Raises
     ------

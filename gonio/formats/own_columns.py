@@ -1,7 +1,7 @@
 """A table made by hand under its maker's own column names and units: which of them is which column.
 
 The pairs stand on the command line (`--columns theta_i=ti:rad,brdf=R:factor`) or in `<name>.columns.toml` beside the
-table (`theta_i = "ti:rad"`).
+table (`theta_i = "ti:rad"`). The table is a CSV or an Excel workbook.
 """
 
 from __future__ import annotations
@@ -15,9 +15,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
+import tomli_w
 
-from gonio.disk import read_file
+from gonio.disk import read_file, write_whole
 from gonio.errors import ConfigError, DataError
+from gonio.formats import workbook
 from gonio.formats.native import NEEDED
 from gonio.formats.reader import ANGLES, COLUMNS, plain_degrees
 from gonio.formats.text import csv_table
@@ -36,6 +38,10 @@ def _from_factor(values: Floats) -> Floats:
     return values / math.pi
 
 
+def _from_percent(values: Floats) -> Floats:
+    return values / (100.0 * math.pi)
+
+
 def _from_micrometres(values: Floats) -> Floats:
     return np.round(values * 1000.0, 9)  # so that 0.55 becomes 550 and not the float beside it
 
@@ -47,9 +53,14 @@ def _as_they_are(values: Floats) -> Floats:
 _UNITS: dict[str, dict[str, Callable[[Floats], Floats]]] = {
     **{name: {"deg": _as_they_are, "rad": _from_radians} for name in ANGLES},
     "wavelength_nm": {"nm": _as_they_are, "um": _from_micrometres},
-    **{name: {"1/sr": _as_they_are, "factor": _from_factor} for name in ("brdf", "u_brdf", "u_random")},
+    **{
+        name: {"1/sr": _as_they_are, "factor": _from_factor, "percent": _from_percent}
+        for name in ("brdf", "u_brdf", "u_random")
+    },
 }
-"""The units of each column; the first is taken where none is named. A reflectance factor is pi BRDF."""
+"""The units of each column; the first is taken where none is named. A reflectance factor is pi BRDF, and "percent" a
+hundredth of one: of uncertainties, too, which are therefore never a share of the value."""
+_TEXTS, _WORKBOOKS = (".csv", ".tsv", ".txt"), (".xlsx", ".xls")
 
 
 def pairs(text: str) -> dict[str, str]:
@@ -77,7 +88,9 @@ def beside_path(path: Path) -> Path:
 
 
 def beside(path: Path) -> dict[str, str] | None:
-    """The pairs in `<name>.columns.toml` beside a table; None where there is no such file, or the table is no CSV.
+    """The pairs in `<name>.columns.toml` beside a table; None where there is no such file, or it is not this table's.
+
+    It is that of a CSV of this name; where there is none, that of a workbook.
 
     Raises
     ------
@@ -85,7 +98,7 @@ def beside(path: Path) -> dict[str, str] | None:
         The file cannot be read, or holds something else.
     """
     file = beside_path(path)
-    if path.suffix.lower() not in (".csv", ".tsv", ".txt") or not os.path.lexists(file):
+    if not os.path.lexists(file) or not _owns(path):
         return None
     try:
         stored = tomllib.loads(read_file(file).decode())
@@ -99,8 +112,37 @@ def beside(path: Path) -> dict[str, str] | None:
     return stored
 
 
+def _owns(path: Path) -> bool:
+    """Whether `<name>.columns.toml` is about the table at `path`, and not about another of the same name."""
+    ending = path.suffix.lower()
+    texts = any(path.with_suffix(other).exists() for other in _TEXTS)
+    return ending in _TEXTS or (ending in _WORKBOOKS and not texts)
+
+
+def remember(path: Path, columns: Mapping[str, str]) -> str | None:
+    """Write the pairs to `<name>.columns.toml` beside the table they were right for; what was done, in a sentence.
+
+    A file that is there stays as it is. None: it says the same already.
+    """
+    file = beside_path(path)
+    if not _owns(path):
+        return None
+    if os.path.lexists(file):
+        try:
+            same = beside(path) == dict(columns)
+        except ConfigError:
+            same = False
+        return None if same else f"{file} says otherwise than --columns, which went before it; it is left as it is"
+    head = f"# Which columns of {path.name} are which; --columns named them.\n"
+    try:
+        write_whole(file, (head + tomli_w.dumps(dict(columns))).encode())
+    except OSError as error:
+        return f"{file}: the columns cannot be remembered there: {error.strerror}"
+    return f"{file} now names these columns: every command reads {path.name} without --columns"
+
+
 def renamed(data: bytes, path: Path, columns: Mapping[str, str], where: str) -> tuple[bytes, list[str]]:
-    """The CSV under the measurement table's names and in its units, and notes on what was done to it.
+    """The table as a CSV, under the measurement table's names and in its units, and notes on what was done to it.
 
     A column of a measurement table's name that no pair names is taken as it is; every other one is left out.
     `where` names the origin of the pairs in messages.
@@ -127,6 +169,9 @@ def renamed(data: bytes, path: Path, columns: Mapping[str, str], where: str) -> 
         if own in (other for other, _ in wanted.values()):
             raise ConfigError(f"{where}: the column {own[:40]!r} is named twice")
         wanted[name] = own, unit
+    notes: list[str] = []
+    if workbook.is_workbook(data):
+        data, notes = workbook.as_csv(data, path, [own for own, _ in wanted.values()])
     table = csv_table(data, path, [own for own, _ in wanted.values()])
     taken = {own for own, _ in wanted.values()}
     for name in table.header:
@@ -137,7 +182,6 @@ def renamed(data: bytes, path: Path, columns: Mapping[str, str], where: str) -> 
         listed = ", ".join(repr(name[:40]) for name in table.header[:16])
         unnamed = f"no column is named for {', '.join(missing)} in {where}"
         raise DataError(f"{path}, line 1: {unnamed}; the file has {listed}")
-    notes = []
     cells: list[list[str]] = []
     for name, (own, unit) in wanted.items():
         if name in _WORDS:

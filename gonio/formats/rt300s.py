@@ -8,22 +8,26 @@ Column 0 of each worksheet holds labels, each further column one measurement: `A
 The blank is a workbook `blank*.xls` beside the sample's: of several, the last one that is not dated after the sample.
 The mirror half-plane is A = -90 with R > 0, and A = +90 with R < 0: dphi = 90 - A for positive R. Around retro the
 receiver stands in the beam: within 10 degrees in R and 30 in azimuth, as the laboratory leaves out, rows are "blocked".
-Directions measured twice are both there; those that the blank lacks are "no_blank". The file states no uncertainties
-and no solid angles.
+Directions measured twice are both there; those that the blank lacks are "no_blank". A blank that is named (`blank`) has
+to have them all, and repeats of its directions count as their mean. The file states no uncertainties and no solid
+angles. Where a sample repeats directions often enough, their scatter is the uncertainty of its signals (the blank's, of
+its own repeats or else the same); without repeats it stays unknown.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio.disk import only_file
-from gonio.errors import DataError
-from gonio.formats._xls import MAGIC, worksheets
+from gonio.errors import ConfigError, DataError
+from gonio.formats import workbook
+from gonio.formats._xls import MAGIC, Sheet, worksheets
 from gonio.formats.reader import MAX_BYTES, Format, fold, table
 from gonio.typing import Floats
 
@@ -32,28 +36,50 @@ if TYPE_CHECKING:
 
 _LABELS = ("Azimuth", "Incidence", "Receive", "RT")
 _LIMITS = (360.0, 89.0, 89.0, math.inf)
+FEWEST_REPEATS = 10
+"""Degrees of freedom from which a scatter is stated: it is then known to about a quarter of itself."""
 
 
-def read(data: bytes, path: Path) -> pd.DataFrame:
-    """The measurement table in an RT-300S workbook; `DataError` says what is wrong with the file, and where."""
-    rows = _measurements(data, path)
+def read(data: bytes, path: Path, blank: Path | None = None) -> pd.DataFrame:
+    """The measurement table in an RT-300S workbook; `DataError` says what is wrong with the file, and where.
+
+    `blank` is the blank's workbook, which has to have every direction; by default one beside the file.
+    """
+    sheets = worksheets(data, path)
+    if not any(text.strip() in _LABELS for sheet in sheets for text in _labels(sheet)):
+        return workbook.read(data, path)  # a table of somebody's own, whose error says which columns it lacks
+    rows = _measurements(sheets, path)
     notes = ["wavelength: 650 nm, the instrument's laser; the file does not state it"]
-    blank = _blank_beside(path)
+    named, blank = blank is not None, blank or _blank_beside(path)
     signal = rows[:, 3].copy()
+    u = np.full(len(rows), math.nan)
     if blank is None:
         notes.append("no blank measurement (blank*.xls) lies beside the file: none was subtracted")
     else:
-        with open(blank, "rb", opener=only_file) as stream:
-            dark = {tuple(row[:3]): row[3] for row in _measurements(stream.read(MAX_BYTES), blank).tolist()}
-        signal -= [dark.get(tuple(row), math.nan) for row in rows[:, :3].tolist()]
-        alone = int(np.isnan(signal).sum())
+        dark_rows = _blank(blank)
+        means = _means(dark_rows)
+        dark = np.array([means.get(tuple(row), (math.nan, 1)) for row in rows[:, :3].tolist()])
+        alone = int(np.isnan(dark[:, 0]).sum())
         if alone == len(signal):
             raise DataError(f"{path}: its blank {blank.name} was measured at none of the file's directions")
+        if alone and named:
+            a, i, r = rows[np.isnan(dark[:, 0])][0, :3]
+            raise DataError(
+                f"{path}: {alone} of {len(rows)} directions were not measured with the blank {blank}; the first is"
+                f" azimuth {a:g}, incidence {i:g}, receive {r:g} degrees. Measure the blank at them, or lay it beside"
+                " the file as blank*.xls and leave --blank out: such rows are then flagged"
+            )
+        signal -= dark[:, 0]
         notes.append(f"blank subtracted: {blank.name}")
         if alone:
             notes.append(f'{alone} of {len(rows)} directions were not measured with the blank: flagged "no_blank"')
+        own, theirs = _scatter(rows), _scatter(dark_rows)
+        if own is not None:
+            u = np.sqrt(own**2 + (own if theirs is None else theirs) ** 2 / dark[:, 1])
+            notes.append("uncertainties are from the scatter of directions that were measured several times")
     notes.append("the smallest signal of the file is taken as zero, as the laboratory does")
     notes.append("the file states no uncertainties and no solid angles")
+    cosine = np.cos(np.deg2rad(rows[:, 2]))
     azimuth, incidence, receive = rows[:, :3].T
     theta_i, phi_i = fold(incidence, 0.0)
     theta_r, phi_r = fold(receive, 90.0 - azimuth)
@@ -65,17 +91,19 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
         theta_r_deg=theta_r,
         phi_r_deg=phi_r,
         wavelength_nm=650.0,
-        brdf=(signal - np.nanmin(signal)) / (np.pi * np.cos(np.deg2rad(receive))),
+        brdf=(signal - np.nanmin(signal)) / (np.pi * cosine),
+        u_brdf=u / (np.pi * cosine),
+        u_random=u / (np.pi * cosine),
         flag=np.select([blocked, np.isnan(signal)], ["blocked", "no_blank"], ""),
         attrs={"source_file": str(path), "sample": path.stem, "notes": notes},
     )
 
 
-def _measurements(data: bytes, path: Path) -> Floats:
+def _measurements(sheets: Sequence[Sheet], path: Path) -> Floats:
     """Azimuth, incidence, receive [degrees] and RT of each measurement, over all worksheets."""
     rows = []
-    for number, sheet in enumerate(worksheets(data, path), start=1):
-        labels = {text.strip(): row for (row, column), text in sheet.items() if column == 0 and isinstance(text, str)}
+    for number, sheet in enumerate(sheets, start=1):
+        labels = _labels(sheet)
         if not all(label in labels for label in _LABELS):
             if sheet:
                 missing = ", ".join(label for label in _LABELS if label not in labels)
@@ -90,6 +118,43 @@ def _measurements(data: bytes, path: Path) -> Floats:
     if not rows:
         raise DataError(f"{path}: the workbook holds no measurement")
     return np.array(rows, dtype=np.float64)
+
+
+def _blank(path: Path) -> Floats:
+    """The measurements of a blank."""
+    try:
+        with open(path, "rb", opener=only_file) as stream:
+            data = stream.read(MAX_BYTES)
+    except OSError as error:
+        raise ConfigError(f"{path}: the blank cannot be read: {error.strerror}") from None
+    return _measurements(worksheets(data, path), path)
+
+
+def _repeats(rows: Floats) -> dict[tuple[float, ...], list[float]]:
+    """Signals of each direction."""
+    found: dict[tuple[float, ...], list[float]] = {}
+    for *direction, signal in rows.tolist():
+        found.setdefault(tuple(direction), []).append(signal)
+    return found
+
+
+def _means(rows: Floats) -> dict[tuple[float, ...], tuple[float, int]]:
+    """Mean signal of each direction, and of how many."""
+    return {direction: (sum(signals) / len(signals), len(signals)) for direction, signals in _repeats(rows).items()}
+
+
+def _scatter(rows: Floats) -> float | None:
+    """Standard deviation of one signal, pooled over directions measured several times; None where those are few."""
+    several = [np.array(signals) for signals in _repeats(rows).values() if len(signals) > 1]
+    freedom = sum(len(signals) - 1 for signals in several)
+    if freedom < FEWEST_REPEATS:
+        return None
+    return math.sqrt(sum(float(((signals - signals.mean()) ** 2).sum()) for signals in several) / freedom)
+
+
+def _labels(sheet: Sheet) -> dict[str, int]:
+    """Texts of column 0, and their rows."""
+    return {text.strip(): row for (row, column), text in sheet.items() if column == 0 and isinstance(text, str)}
 
 
 def _blank_beside(path: Path) -> Path | None:

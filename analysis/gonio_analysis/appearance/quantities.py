@@ -23,6 +23,7 @@ from gonio_analysis.result_records import Appearance, AtIncidence, Colour, Quant
 if TYPE_CHECKING:
     import pandas as pd
 
+    from gonio.measurement import Reading
     from gonio.models import Model
     from gonio_analysis.fitting.fit import FitResult
 
@@ -46,11 +47,14 @@ RETRO_GAP_DEG = 1.0
 SMOOTH_TIS = 0.1
 """Largest share of scattered light from which a roughness is stated."""
 HAZE_ABOVE_GU = 70.0
+FLOP_STEP = 0.5
+"""Of L*: the slope of the flop index is taken over so much. At equal lightnesses its tangent is level, and says that
+lightnesses have no part in it."""
 DARKEST_L = 1.0
 """L* that a flop index is divided by."""
 
 
-def of(spec: str, *, wavelength_nm: float | None = None) -> Appearance:
+def of(spec: str, *, wavelength_nm: float | None = None, how: Reading | None = None) -> Appearance:
     """The quantities of what a command line names: a table, a run, `FILE:SAMPLE`, or a model as a sample file (.toml).
 
     Raises
@@ -67,7 +71,7 @@ def of(spec: str, *, wavelength_nm: float | None = None) -> Appearance:
         return of_model(model, name=sample.name, source=spec, wavelength_nm=wavelength_nm)
     from gonio import measurement
 
-    found = measurement.tables(spec)
+    found = measurement.tables(spec, how)
     if len(found) > 1:
         raise ConfigError(f"{spec} holds {len(found)} samples: name one as {spec}:SAMPLE, of: {'; '.join(found)}")
     name, table = next(iter(found.items()))
@@ -420,9 +424,10 @@ def _assembled(
 
 def _flop(numbers: _Numbers) -> Sampled:
     def index(near: float, face: float, far: float) -> float:
-        return float(2.69 * max(near - far, 0.0) ** 1.11 / face**0.86)  # Alman 1987
+        # Alman 1987; below the noise it keeps its sign, as every estimate
+        return float(2.69 * math.copysign(abs(near - far) ** 1.11, near - far) / face**0.86)
 
     near, face, far = (numbers[f"L {_key(*geometry)}"] for geometry in FLOP)
     if face.value < DARKEST_L:
         raise NotMeasured(f"L* at 45 degrees, aspecular 45, is below {DARKEST_L:g}: the index divides by it")
-    return sampled.made_of(index, near, face, far)
+    return sampled.made_of(index, near, face, far, step=FLOP_STEP)

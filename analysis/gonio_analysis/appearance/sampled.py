@@ -137,14 +137,14 @@ def _along(curve: Curve, angle: float, gap: float, n: int) -> Sampled | None:
     return Sampled(value, gradient, bend)
 
 
-def made_of(function: Callable[..., float], *parts: Sampled) -> Sampled:
-    """A smooth function of several numbers, by its difference quotients."""
+def made_of(function: Callable[..., float], *parts: Sampled, step: float | None = None) -> Sampled:
+    """A smooth function of several numbers, by its difference quotients over `step`, or over a millionth of each."""
     at = [part.value for part in parts]
     gradient, error = np.zeros_like(parts[0].gradient), 0.0
     for k, part in enumerate(parts):
-        step = 1e-6 * max(abs(part.value), 1e-3)
-        ahead, behind = (function(*at[:k], at[k] + sign * step, *at[k + 1 :]) for sign in (1.0, -1.0))
-        slope = (ahead - behind) / (2.0 * step)
+        step_k = 1e-6 * max(abs(part.value), 1e-3) if step is None else step
+        ahead, behind = (function(*at[:k], at[k] + sign * step_k, *at[k + 1 :]) for sign in (1.0, -1.0))
+        slope = (ahead - behind) / (2.0 * step_k)
         gradient = gradient + slope * part.gradient
         error += abs(slope) * part.error
     return Sampled(function(*at), gradient, error)

@@ -36,6 +36,8 @@ from gonio_analysis.fitting.value_covariance import Covariance
 if TYPE_CHECKING:
     import pandas as pd
 
+    from gonio.measurement import Reading
+
 LEVEL = 0.01
 """Probability that the verdict is "changed" where nothing changed."""
 FALSE_DISCOVERIES = 0.05
@@ -144,7 +146,7 @@ class Change:
         return self.covariance.total if self.covariance is not None else np.full(len(self.at), np.nan)
 
 
-def side(spec: str) -> Side:
+def side(spec: str, how: Reading | None = None) -> Side:
     """What a command line names: a table, a run, `FILE:SAMPLE`, or a model as a sample file (.toml).
 
     Raises
@@ -160,7 +162,7 @@ def side(spec: str) -> Side:
         return Side(sample.name, spec, model=models.build(sample.model, sample.parameters))
     from gonio import measurement
 
-    found = measurement.tables(spec)
+    found = measurement.tables(spec, how)
     if len(found) > 1:
         raise ConfigError(f"{spec} holds {len(found)} samples: name one as {spec}:SAMPLE, of: {'; '.join(found)}")
     name, table = next(iter(found.items()))

@@ -11,7 +11,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gonio.cli.options import Blank, Columns, reading, remember
+
 if TYPE_CHECKING:
+    from gonio.measurement import Reading
     from gonio_analysis.fitting.fit import FitResult
     from gonio_analysis.fitting.observations import Observations
     from gonio_analysis.fitting.parameters import Ior
@@ -88,6 +91,8 @@ def fit(
         typer.Option(help="Write the fitted model as a sample file (.toml).", metavar="SAMPLE", show_default=False),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    columns: Columns = None,
+    blank: Blank = None,
 ) -> None:
     """Fit one model to measurements of a sample. With the table's covariance, and through the instrument's cones."""
     import json
@@ -101,11 +106,12 @@ def fit(
     from gonio_analysis.report.verdict import reflectances
     from gonio_analysis.selection.energy import of_model
 
+    how = reading(columns, blank)
     index = read_ior(ior)
     kept = dict(read_fixed(text) for text in fix or [])
     parameters.family(model, slopes=slopes, ior=index)
     tables = [table, *(more or [])]
-    read = [_observed(one, u_rel) for one in tables]
+    read = [_observed(one, u_rel, how) for one in tables]
     name = read[0][0]
     asked = FitRequest(
         model,
@@ -130,6 +136,7 @@ def fit(
     rho_dh = of_model(result)
     if save is not None:
         saving.save(result, save, name=name, source=" + ".join(tables))
+    remember(tables, how)
     walked = {}
     if intervals:
         from gonio_analysis.fitting.profile_likelihood import profiles
@@ -147,13 +154,13 @@ def fit(
             console.note(reflectances(result.name, rho_dh))
 
 
-def _observed(table: str, u_rel: float | None) -> tuple[str, Observations]:
+def _observed(table: str, u_rel: float | None, how: Reading) -> tuple[str, Observations]:
     """The one sample that a table on the command line names, and its usable values."""
     from gonio import measurement
     from gonio.errors import ConfigError
     from gonio_analysis.fitting.observations import observations
 
-    samples = measurement.tables(table)
+    samples = measurement.tables(table, how)
     if len(samples) > 1:
         listed = "; ".join(samples)
         raise ConfigError(f"{table} holds {len(samples)} samples: name one as {table}:SAMPLE, of: {listed}")
@@ -196,8 +203,11 @@ def compare(
     change: Annotated[
         bool, typer.Option("--change", help="Compare two point by point; a model is given by its sample file (.toml).")
     ] = False,
+    columns: Columns = None,
+    blank: Blank = None,
 ) -> None:
     """Fit several models to measurements, and write a report. With --change instead: did A change into B?"""
+    how = reading(columns, blank)
     if change:
         fitting = {
             "models": models,
@@ -208,10 +218,10 @@ def compare(
             "u-rel": u_rel,
             "energy": energy or None,
         }
-        print(_change(measurements, out, wavelength_nm, [name for name, value in fitting.items() if value is not None]))
-        return
-    print(
-        _report(
+        unused = [name for name, value in fitting.items() if value is not None]
+        page = _change(measurements, out, wavelength_nm, unused, how)
+    else:
+        page = _report(
             measurements,
             out,
             _names(MODELS if models is None else models),
@@ -222,8 +232,10 @@ def compare(
             metric=metric,
             u_rel=u_rel,
             energy=energy,
+            how=how,
         )
-    )
+    remember(measurements, how)
+    print(page)
 
 
 def report(
@@ -262,6 +274,8 @@ def appearance(
     wavelength_nm: Annotated[float | None, typer.Option(help=WAVELENGTH_HELP, show_default=False)] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the quantities as JSON.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder of a page with them.", show_default=False)] = None,
+    columns: Columns = None,
+    blank: Blank = None,
 ) -> None:
     """Gloss, haze, reflectances, colour over angle, retroreflection and roughness. Of a measurement or of a model."""
     import json
@@ -275,12 +289,14 @@ def appearance(
 
         if not 0.0 < wavelength_nm < float("inf"):
             raise ConfigError(f"--wavelength-nm {wavelength_nm:g}: a wavelength is above 0 nm")
-    found = of(sample, wavelength_nm=wavelength_nm)
+    how = reading(columns, blank)
+    found = of(sample, wavelength_nm=wavelength_nm, how=how)
     page = None
     if out is not None:
         from gonio_analysis.report import appearance as report_on_it
 
         page = report_on_it.make(found, out, command=command_line())
+    remember([sample], how)
     if as_json:
         print(json.dumps(plain(found), indent=1, ensure_ascii=False, allow_nan=False))
         return
@@ -391,6 +407,7 @@ def _report(
     metric: str | None = None,
     u_rel: float | None = None,
     energy: bool = False,
+    how: Reading | None = None,
 ) -> Path:
     from gonio.acquisition.run import command_line
     from gonio.cli import console
@@ -413,12 +430,13 @@ def _report(
         u_rel=u_rel,
         bound_energy=energy,
         dask=dask,
+        how=how,
         command=command_line(),
         progress=console.note,
     )
 
 
-def _change(specs: list[str], out: Path, wavelength_nm: float | None, unused: list[str]) -> Path:
+def _change(specs: list[str], out: Path, wavelength_nm: float | None, unused: list[str], how: Reading) -> Path:
     from gonio.acquisition.run import command_line
     from gonio.cli import console
     from gonio.errors import ConfigError
@@ -430,7 +448,7 @@ def _change(specs: list[str], out: Path, wavelength_nm: float | None, unused: li
         raise ConfigError(
             f"--{unused[0]} has no part in --change, which fits no model and divides by nothing; leave it out"
         )
-    return change.make(specs, out, wavelength_nm=wavelength_nm, command=command_line(), progress=console.note)
+    return change.make(specs, out, wavelength_nm=wavelength_nm, how=how, command=command_line(), progress=console.note)
 
 
 def _print_appearance(found: Appearance) -> None:

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from gonio.measurement import Reading
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.parameters import Ior
 from gonio_analysis.report import (
@@ -50,6 +51,7 @@ def make(
     u_rel: float | None = None,
     bound_energy: bool = False,
     dask: str | None = None,
+    how: Reading | None = None,
     command: str = "",
     progress: Callable[[str], None] = lambda text: None,
 ) -> Path:
@@ -65,6 +67,8 @@ def make(
         See `gonio_analysis.selection.compare.examine`.
     dask
         Address of a Dask scheduler to fit the samples on; by default several samples share the processors here.
+    how
+        Columns and blank of the tables, where they need any.
     command
         The command line, for the record.
     progress
@@ -86,7 +90,7 @@ def make(
         found = []
         for spec in specs:
             run = run_facts(Path(spec))
-            many = measurement.tables(spec)
+            many = measurement.tables(spec, how)
             for sample, table in many.items():
                 found.append((sample, spec if len(many) == 1 else f"{spec}:{sample}", table, run))
         check_models(models)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from gonio.measurement import Reading
 from gonio_analysis.changes.point_by_point import FALSE_DISCOVERIES, LEVEL, Change, Side, change, side
 from gonio_analysis.curves.in_plane import Curve, curves, labels, selection
 from gonio_analysis.fitting.metrics import DESCRIPTIONS
@@ -72,6 +73,7 @@ def make(
     out: str | Path,
     *,
     wavelength_nm: float | None = None,
+    how: Reading | None = None,
     command: str = "",
     progress: Callable[[str], None] = lambda text: None,
 ) -> Path:
@@ -85,6 +87,8 @@ def make(
         Folder of the report; an earlier report there is replaced.
     wavelength_nm
         The nearest common wavelength is drawn (all are judged); for two models, the one they are evaluated at.
+    how
+        Columns and blank of the tables, where they need any.
     command, progress
         The command line, for the record; called with a line before each step.
 
@@ -94,7 +98,7 @@ def make(
         Of `index.html`.
     """
     with files.staged(out) as stage, draughtsmen(FIGURES) as hands:
-        a, b = (side(spec) for spec in specs)
+        a, b = (side(spec, how) for spec in specs)
         if a.name == b.name:
             a, b = replace(a, name=f"{a.name} (A)"), replace(b, name=f"{b.name} (B)")
         progress(f"comparing {b.name} with {a.name}")

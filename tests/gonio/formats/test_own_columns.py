@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import json
 import math
+import zipfile
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +16,15 @@ import pytest
 from gonio import measurement
 from gonio.cli.tables import convert
 from gonio.errors import ConfigError, DataError
-from gonio.formats import own_columns
+from gonio.formats import _xls, own_columns
+from tests.command_line import gonio
 
 PLAIN = """theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,wavelength_nm,brdf,u_brdf
 10,180,20,0,550,0.25,0.01
 10,180,70,0,550,0.5,0.02
 """
+MAIN = "http:" + "//schemas.openxmlformats.org/spreadsheetml/2006/main"
+LINKS = "http:" + "//schemas.openxmlformats.org/officeDocument/2006/relationships"
 SPEC = "theta_i=ti:rad,phi_i=pi,theta_r=tr:deg,phi_r=pr:rad,wavelength=wl:um,brdf=R:factor,u_brdf=U:factor"
 
 
@@ -76,7 +83,7 @@ def test_convert_takes_them_on_the_command_line(tmp_path: Path) -> None:
         ("theta_i=ti,theta_i_deg=tr", "'theta_i_deg' is no column, or named twice"),
         ("theta_i=ti,theta_r=ti", "the column 'ti' is named twice"),
         ("theta_i=ti:grad", "'grad' is no unit of it; deg or rad"),
-        ("brdf=R:percent", "'percent' is no unit of it; 1/sr or factor"),
+        ("brdf=R:share", "'share' is no unit of it; 1/sr or factor"),
     ],
 )
 def test_pairs_that_are_wrong(spec: str, told: str) -> None:
@@ -99,3 +106,132 @@ def test_what_is_wrong_with_the_files_is_told(tmp_path: Path) -> None:
         (tmp_path / "mine.columns.toml").write_text(text)
         with pytest.raises(ConfigError, match=rf"mine\.columns\.toml: {told}"):
             measurement.read(tmp_path / "mine.csv")
+
+
+def xlsx(*sheets: Sequence[Sequence[object]]) -> bytes:
+    """A workbook as ECMA-376 has it: numbers as they are, some texts shared and some in their cells."""
+    shared: list[str] = []
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        for number, rows in enumerate(sheets, start=1):
+            lines = []
+            for r, row in enumerate(rows, start=1):
+                cells = []
+                for c, value in enumerate(row):
+                    place = f'r="{chr(65 + c)}{r}"'
+                    if isinstance(value, str) and c % 2:
+                        cells.append(f'<c {place} t="inlineStr"><is><t>{value}</t></is></c>')
+                    elif isinstance(value, str):
+                        shared.append(value)
+                        cells.append(f'<c {place} t="s"><v>{len(shared) - 1}</v></c>')
+                    elif value is not None:
+                        cells.append(f"<c {place}><v>{value!r}</v></c>")
+                lines.append(f'<row r="{r}">{"".join(cells)}</row>')
+            sheet = f'<worksheet xmlns="{MAIN}"><sheetData>{"".join(lines)}</sheetData></worksheet>'
+            archive.writestr(f"xl/worksheets/sheet{number}.xml", sheet)
+        texts = "".join(f"<si><r><t>{text}</t></r></si>" for text in shared)
+        archive.writestr("xl/sharedStrings.xml", f'<sst xmlns="{MAIN}">{texts}</sst>')
+        names = "".join(f'<sheet name="s{k}" sheetId="{k}" r:id="rId{k}"/>' for k in range(1, len(sheets) + 1))
+        book = f'<workbook xmlns="{MAIN}" xmlns:r="{LINKS}"><sheets>{names}</sheets></workbook>'
+        archive.writestr("xl/workbook.xml", book)
+        links = "".join(
+            f'<Relationship Id="rId{k}" Type="{LINKS}/worksheet" Target="worksheets/sheet{k}.xml"/>'
+            for k in range(1, len(sheets) + 1)
+        )
+        archive.writestr("xl/_rels/workbook.xml.rels", f"<Relationships>{links}</Relationships>")
+    return out.getvalue()
+
+
+ROWS: list[list[object]] = [
+    ["run", "R", "ti", "pi", "tr", "pr", "wl", "U"],
+    [1, 0.25 * math.pi, math.radians(10), 180, 20, 0, 0.55, 0.01 * math.pi],
+    [1, 0.5 * math.pi, math.radians(10), 180, 70, 0, 0.55, 0.02 * math.pi],
+]
+
+
+def test_a_workbook_under_ones_own_names() -> None:
+    columns = own_columns.pairs(SPEC)
+    frame = measurement.parse(xlsx([["a remark"]], ROWS), Path("mine.xlsx"), columns=columns)
+    assert_plain(frame)
+    assert "worksheet 2 of 2 is read" in frame.attrs["notes"]
+
+
+def test_a_workbook_under_the_tables_names_needs_none() -> None:
+    header = PLAIN.splitlines()[0].split(",")
+    values = [[float(cell) for cell in line.split(",")] for line in PLAIN.splitlines()[1:]]
+    assert_plain(measurement.parse(xlsx([header, *values]), Path("plain.xlsx")))
+    with pytest.raises(DataError, match="rename 'theta_i' to 'theta_i_deg'"):
+        measurement.parse(xlsx([["theta_i", *header[1:]], *values]), Path("plain.xlsx"))
+
+
+def test_an_old_workbook_under_ones_own_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    numbers = [[v if isinstance(v, str) else float(str(v)) for v in row] for row in ROWS]
+    cells = {(r, c): value for r, row in enumerate(numbers) for c, value in enumerate(row)}
+    monkeypatch.setattr(_xls, "worksheets", lambda data, path: [cells])  # the reader has tests of its own
+    frame = measurement.parse(_xls.MAGIC, Path("mine.xls"), columns=own_columns.pairs(SPEC))
+    assert_plain(frame)
+
+
+def test_damaged_workbooks(survives: Callable[..., None]) -> None:
+    header = PLAIN.splitlines()[0].split(",")
+    survives(xlsx([header, [10, 180, 20, 0, 550, 0.25, 0.01]]), "mine.xlsx")
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        archive.writestr("a.txt", "a")
+    with pytest.raises(DataError, match=r"mine\.xlsx: is a zip, but no Excel workbook"):
+        measurement.parse(out.getvalue(), Path("mine.xlsx"))
+
+
+def test_a_percentage_is_a_reflectance_factor() -> None:
+    text = mine().replace(f"{0.25 * math.pi}", "25.0").replace(f"{0.5 * math.pi}", "50.0")
+    spec = SPEC.replace("R:factor", "R:percent")
+    frame = measurement.parse(text.encode(), Path("mine.csv"), columns=own_columns.pairs(spec))
+    assert frame["brdf"].tolist() == pytest.approx([0.25 / math.pi, 0.5 / math.pi], rel=1e-15)
+
+
+def test_the_names_are_remembered_and_never_written_over(tmp_path: Path) -> None:
+    table, file = tmp_path / "mine.csv", tmp_path / "mine.columns.toml"
+    table.write_text(mine())
+    columns = own_columns.pairs(SPEC)
+    said = own_columns.remember(table, columns)
+    assert said is not None
+    assert "mine.columns.toml now names these columns" in said
+    assert_plain(measurement.read(table))
+    assert own_columns.remember(table, columns) is None  # it says the same
+    before = file.read_bytes()
+    said = own_columns.remember(table, {**columns, "brdf": "R"})
+    assert said is not None
+    assert "says otherwise than --columns" in said
+    assert file.read_bytes() == before
+    (tmp_path / "mine.xlsx").write_bytes(xlsx(ROWS))
+    assert own_columns.remember(tmp_path / "mine.xlsx", columns) is None  # the file is about mine.csv
+
+
+def test_the_file_beside_a_workbook_is_its_own_where_no_csv_has_its_name(tmp_path: Path) -> None:
+    (tmp_path / "mine.xlsx").write_bytes(xlsx(ROWS))
+    assert own_columns.remember(tmp_path / "mine.xlsx", own_columns.pairs(SPEC)) is not None
+    assert_plain(measurement.read(tmp_path / "mine.xlsx"))
+
+
+@pytest.mark.parametrize("ending", ["csv", "xlsx"])
+def test_fit_compare_and_appearance_take_them(tmp_path: Path, ending: str) -> None:
+    rows: list[list[object]] = [["inc", "az", "det", "azd", "R"]]
+    rows += [[30.0, 180.0, float(t), 0.0, 50.0] for t in range(0, 85, 5)]
+    rows += [[30.0, 180.0, float(t), 180.0, 50.0] for t in range(5, 85, 5)]
+    table = tmp_path / f"mine.{ending}"
+    text = "\n".join(",".join(map(str, row)) for row in rows) + "\n"
+    table.write_bytes(xlsx(rows) if ending == "xlsx" else text.encode())
+    spec = "theta_i=inc,phi_i=az,theta_r=det,phi_r=azd,brdf=R:percent"
+    done = gonio(tmp_path, "fit", table.name, "--model", "lambert", "--columns", spec, "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["parameters"]["albedo"]["value"] == pytest.approx(0.5, rel=1e-9)
+    assert "mine.columns.toml now names these columns" in " ".join(done.stderr.split())
+    (tmp_path / "mine.columns.toml").unlink()
+    done = gonio(tmp_path, "compare", table.name, "--models", "lambert", "--columns", spec, "--out", "page")
+    assert done.returncode == 0, done.stderr
+    done = gonio(tmp_path, "appearance", table.name, "--json")  # remembered
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["lab"][0]["theta_i_deg"] == 45.0
+    done = gonio(tmp_path, "fit", table.name, "--model", "lambert", "--columns", "theta_i=inc")
+    assert done.returncode == 1
+    assert "no column is named for phi_i_deg" in done.stderr

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pandas as pd
 from gonio_analysis.fitting.forward import seen
+from gonio_analysis.result_records import Appearance, Quantity
 
 from gonio.formats.reader import table
 from gonio.geometry import Directions
@@ -74,3 +77,17 @@ def noisy(frame: pd.DataFrame, rng: np.random.Generator) -> pd.DataFrame:
     out["brdf"], out["s_reference"] = value, common * value / true
     out["u_brdf"] = np.hypot(random, out["s_reference"])
     return out
+
+
+def named(a: Appearance) -> Iterator[tuple[str, Quantity]]:
+    """Every quantity by its name."""
+    for key, one in vars(a).items():
+        if isinstance(one, Quantity):
+            yield key, one
+    for rho in a.rho_dh:
+        yield f"rho_dh {rho.theta_i_deg}", rho
+    for r in a.retroreflection:
+        yield f"R_A {r.entrance_deg}", r.R_A
+        yield f"R_L {r.entrance_deg}", r.R_L
+    for c in a.lab:
+        yield from ((f"{letter} {c.theta_i_deg} {c.aspecular_deg}", getattr(c, letter)) for letter in "Lab")
