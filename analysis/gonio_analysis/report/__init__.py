@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from gonio import shown
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.parameters import Ior
 from gonio_analysis.report import detail, figures, files, html, page, pdf, tables, viewer
@@ -97,11 +98,21 @@ def make(
                 for dataset in parallel.each(_examined, jobs, dask=dask):
                     datasets.append(dataset)
                     progress(f"{dataset.name}: fitted ({len(datasets)} of {len(jobs)})")
-            title = names[0] if len(names) == 1 else " and ".join(names) if len(names) == 2 else f"{len(names)} samples"
+            title = _title(datasets)
             write(
                 datasets, stage.work, title=title, normalise=normalise, command=command, hands=hands, progress=progress
             )
     return Path(out) / "index.html"
+
+
+def _title(datasets: Sequence[Dataset]) -> str:
+    """Heading of the page; samples whose values are simulated are marked."""
+    if len(datasets) <= 2:
+        return " and ".join(d.title for d in datasets)
+    simulated = sum(d.simulated for d in datasets)
+    if 0 < simulated < len(datasets):
+        return f"{len(datasets)} samples, {simulated} of them simulated"
+    return shown.marked(f"{len(datasets)} samples", simulated > 0)
 
 
 def _examined(job: Callable[[], Dataset]) -> Dataset:
@@ -154,8 +165,8 @@ def write(
     views = [viewer.viewer(d, facts, normalise, room) if d.curves else None for d, facts in both]
     summary = replace(summary, figures=listed, tables=tables.write(datasets, summary, views, folder / "tables"))
     pages = page.render(summary, drawn, views)
-    for name, shown in pages.items():
-        (folder / name).write_text(html.document(shown), encoding="utf-8")
+    for name, one in pages.items():
+        (folder / name).write_text(html.document(one), encoding="utf-8")
     files.write(folder, as_json(summary), every)
     pdf.write(folder / "report.pdf", list(pages.values()))
     return summary
