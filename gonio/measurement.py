@@ -46,8 +46,8 @@ if TYPE_CHECKING:
     from gonio.models import Model
 
 __all__ = [
-    "COLUMNS", "Reading", "meta_path", "parse", "read", "reflection", "samples", "split", "tables", "transmission",
-    "turned_over", "uncertainty", "unpolarised", "write", "write_model",
+    "COLUMNS", "Reading", "is_simulated", "meta_path", "parse", "read", "reflection", "samples", "split", "tables",
+    "transmission", "turned_over", "uncertainty", "unpolarised", "write", "write_model",
 ]  # fmt: skip
 
 
@@ -226,6 +226,12 @@ def write_model(model: Model, path: str | Path, *, name: str, format: str | None
     if model.has_spike:
         return ["the specular spike has no width and is not in the file: only the lobe and the diffuse part are"]
     return []
+
+
+def is_simulated(frame: pd.DataFrame) -> bool:
+    """Whether a simulation made the values: its provenance says so, which copies and conversions keep."""
+    provenance = frame.attrs.get("provenance")
+    return isinstance(provenance, Mapping) and provenance.get("simulated") is True
 
 
 def samples(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:

@@ -7,6 +7,11 @@ from collections.abc import Sequence
 from html import escape
 
 
+def marked(name: str, simulated: bool) -> str:
+    """A sample's name where people read it: simulated values are called so wherever they are named."""
+    return name + " (simulated)" * simulated
+
+
 def value(number: float, u: float | None = None, unit: str = "") -> str:
     """A value with its standard uncertainty, if it has one: both to the second digit of the uncertainty."""
     if not u or not math.isfinite(u) or not math.isfinite(number):

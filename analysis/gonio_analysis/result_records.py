@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
+from gonio import shown
+
 if TYPE_CHECKING:
     from pydantic import JsonValue
 
@@ -354,6 +356,13 @@ class Appearance:
     tis_8: Quantity
     rms_roughness_nm: Quantity
     notes: Sequence[str] = ()
+    simulated: bool = False
+    """Whether a simulation made the table."""
+
+    @property
+    def title(self) -> str:
+        """The name, with a mark where the values are simulated."""
+        return shown.marked(self.name, self.simulated)
 
 
 # --- what was measured -----------------------------------------------------------------------------------------------
@@ -465,6 +474,13 @@ class DatasetSummary:
     transmission: TransmissionSummary | None = None
     """None where the table holds reflection alone."""
     mueller: MuellerSummary | None = None
+    simulated: bool = False
+    """Whether a simulation made the values."""
+
+    @property
+    def title(self) -> str:
+        """The name, with a mark where the values are simulated."""
+        return shown.marked(self.name, self.simulated)
 
 
 # --- pages -----------------------------------------------------------------------------------------------------------

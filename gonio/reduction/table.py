@@ -120,6 +120,7 @@ def assemble(run: Run, results: list[BandResult], notes: list[str]) -> pd.DataFr
         provenance={
             "reduced_by": f"gonio {gonio.__version__}",
             "rig": description.name,
+            "simulated": run.sample is not None,
             "seed": run.seed,
             "reference": [_account(result) for result in results],
         },

@@ -12,6 +12,7 @@ import numpy as np
 
 from gonio import colour
 from gonio.errors import ArgumentError, ConfigError
+from gonio.measurement import is_simulated
 from gonio.typing import Floats
 from gonio_analysis.appearance import sampled, sampled_hemisphere
 from gonio_analysis.appearance.glossmeter import GLOSSMETERS, gloss
@@ -135,7 +136,8 @@ def of_table(
         common = (one.gradient[:, None] * whole.covariance.common).sum(axis=0)
         return math.sqrt(float((own**2).sum() + (common**2).sum()))
 
-    return _assembled(numbers, uncertainty, name, source, "table", wavelength, list(incidences), notes)
+    found = _assembled(numbers, uncertainty, name, source, "table", wavelength, list(incidences), notes)
+    return replace(found, simulated=not isinstance(table, Observations) and is_simulated(table))
 
 
 def _nearest_8(incidences: Mapping[float, object]) -> float:

@@ -25,6 +25,7 @@ from gonio import geometry, shown
 from gonio.cli.pace import Say, silent
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import SAME_ANGLE, Directions
+from gonio.measurement import is_simulated
 from gonio.typing import Floats
 from gonio_analysis.changes.resampling import Carried, carry, common_wavelengths
 from gonio_analysis.fitting.forward import apparent
@@ -62,6 +63,16 @@ class Side:
     def kind(self) -> str:
         """In a word: measurement, or model."""
         return "measurement" if self.data is not None else "model"
+
+    @property
+    def simulated(self) -> bool:
+        """Whether a simulation made the values of a measurement."""
+        return self.table is not None and is_simulated(self.table)
+
+    @property
+    def title(self) -> str:
+        """The name, with a mark where the values are simulated."""
+        return shown.marked(self.name, self.simulated)
 
 
 @dataclass(frozen=True)
@@ -119,11 +130,11 @@ class Change:
     notes: Sequence[str] = ()
 
     def __repr__(self) -> str:
-        return f"<{self.b.name} against {self.a.name} in {len(self.at)} directions: {self._conclusion}>"
+        return f"<{self.b.title} against {self.a.title} in {len(self.at)} directions: {self._conclusion}>"
 
     def _repr_html_(self) -> str:
         rows = [[key, "–" if number is None else f"{number:.4g}"] for key, number in self.metrics.items()]
-        title = f"{self.b.name} against {self.a.name} in {len(self.at)} directions"
+        title = f"{self.b.title} against {self.a.title} in {len(self.at)} directions"
         return shown.html(title, ["metric", "value"], rows, [self._conclusion, *self.notes])
 
     @property

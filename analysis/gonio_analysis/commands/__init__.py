@@ -97,6 +97,7 @@ def fit(
     """Fit one model to measurements of a sample. With the table's covariance, and through the instrument's cones."""
     import json
 
+    from gonio import shown
     from gonio.cli import console
     from gonio_analysis import result_records
     from gonio_analysis.fitting import parameters, saving
@@ -113,6 +114,7 @@ def fit(
     tables = [table, *(more or [])]
     read = [_observed(one, u_rel, how) for one in tables]
     name = read[0][0]
+    simulated = [made for *_, made in read]
     asked = FitRequest(
         model,
         ior=index,
@@ -131,11 +133,12 @@ def fit(
     )
     if save is not None:
         saving.check_target(save, asked)
-    several = dict(zip(_short(tables), (data for _, data in read), strict=True))
+    several = dict(zip(_short(tables), (data for _, data, _ in read), strict=True))
     result = run_fit(together(several), asked, name=" + ".join(tables), say=console.note)
     rho_dh = of_model(result)
     if save is not None:
-        saving.save(result, save, name=name, source=" + ".join(tables))
+        source = " + ".join(map(shown.marked, tables, simulated))
+        saving.save(result, save, name=name, source=source)
     remember(tables, how)
     walked = {}
     if intervals:
@@ -144,18 +147,21 @@ def fit(
         walked = profiles(result).intervals
     if as_json:
         out = {**result.to_json(), "sample": name, "table": tables if more else table}
+        out["simulated"] = simulated if more else simulated[0]
         out["rho_dh"] = result_records.as_json(rho_dh)
         if intervals:
             out["intervals"] = {n: result_records.as_json(i.summary()) for n, i in walked.items()}
         print(json.dumps(out, indent=1, ensure_ascii=False))
     else:
-        _print(result, name, walked)
+        if 0 < sum(simulated) < len(tables):
+            console.note("simulated: " + ", ".join(t for t, made in zip(tables, simulated, strict=True) if made))
+        _print(result, shown.marked(name, simulated[0]), walked)
         if rho_dh:
             console.note(reflectances(result.name, rho_dh))
 
 
-def _observed(table: str, u_rel: float | None, how: Reading) -> tuple[str, Observations]:
-    """The one sample that a table on the command line names, and its usable values."""
+def _observed(table: str, u_rel: float | None, how: Reading) -> tuple[str, Observations, bool]:
+    """The one sample that a table on the command line names, its usable values, and whether they are simulated."""
     from gonio import measurement
     from gonio.errors import ConfigError
     from gonio_analysis.fitting.observations import observations
@@ -165,7 +171,7 @@ def _observed(table: str, u_rel: float | None, how: Reading) -> tuple[str, Obser
         listed = "; ".join(samples)
         raise ConfigError(f"{table} holds {len(samples)} samples: name one as {table}:SAMPLE, of: {listed}")
     name, frame = next(iter(samples.items()))
-    return name, observations(frame, table, u_rel)
+    return name, observations(frame, table, u_rel), measurement.is_simulated(frame)
 
 
 def _short(tables: list[str]) -> list[str]:
@@ -456,7 +462,7 @@ def _print_appearance(found: Appearance) -> None:
     from gonio_analysis.report.appearance import listed
 
     at = f" at {found.wavelength_nm:g} nm" if found.wavelength_nm is not None else ""
-    rows = console.table("quantity", "value", "", title=f"{found.name}{at}")
+    rows = console.table("quantity", "value", "", title=f"{found.title}{at}")
     for one in listed(found):
         rows.add_row(one.label, one.value, one.remark)
     console.show(rows)

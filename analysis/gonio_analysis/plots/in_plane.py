@@ -17,6 +17,15 @@ from gonio_analysis.curves.line import Line
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#B8860B", "#56B4E9")
 MARKERS = ("o", "s", "^", "D", "v", "P")
+Stroke = str | tuple[float, tuple[float, ...]]
+STROKES: tuple[Stroke, ...] = (
+    "-",
+    (0, (6, 2)),
+    (0, (1.6, 1.4)),
+    (0, (7, 1.8, 1.6, 1.8)),
+    (0, (3, 1.4)),
+    (0, (7, 1.8, 1.6, 1.8, 1.6, 1.8)),
+)
 INK, FAINT = "#222222", "#c9ced6"
 
 
@@ -27,22 +36,44 @@ class Style(TypedDict):
     marker: str
 
 
-class Markers(TypedDict, total=False):
-    """Markers along a line, as matplotlib's `plot` takes them."""
-
-    marker: str
-    ms: float
-    markevery: tuple[float, float]
-
-
 def style(k: int) -> Style:
     """Colour and marker of curve number `k`."""
     return {"color": COLOURS[k % len(COLOURS)], "marker": MARKERS[k % len(MARKERS)]}
 
 
-def sparse(k: int) -> Markers:
-    """A few markers along curve number `k`, of which no values are drawn: colours alone do not tell lines in print."""
-    return {"marker": style(k)["marker"], "ms": 3.2, "markevery": (0.03 + 0.025 * (k % 6), 0.17)}
+def stroke(k: int, lines: Sequence[Line]) -> Stroke:
+    """Of theory along curve number `k`: solid beside measurements, which are dashed; without any, its own dashes.
+
+    A marker stands for a value that was measured. Where none was, dashes tell curves apart in print.
+    """
+    return "-" if any(line.measured.size for line in lines) else dashes(k)
+
+
+def dashes(k: int) -> Stroke:
+    """Dashes of line number `k` of those that no marker tells apart."""
+    return STROKES[k % len(STROKES)]
+
+
+def handles(lines: Sequence[Line], names: Sequence[str] = ()) -> list[Any]:
+    """What a legend says of curves: their colours, with markers where values were measured, or their dashes."""
+    from matplotlib.lines import Line2D
+
+    measured = any(line.measured.size for line in lines)
+    looks = [style(k) if measured else {"color": COLOURS[k % len(COLOURS)]} for k in range(len(lines))]
+    return [
+        Line2D([], [], lw=1.5, ms=3.5, ls=stroke(k, lines), label=name, **look)
+        for k, (name, look) in enumerate(zip(names or [line.label for line in lines], looks, strict=True))
+    ]
+
+
+def kinds(theory: str, measured: str) -> list[Any]:
+    """What a legend says of solid and dashed lines."""
+    from matplotlib.lines import Line2D
+
+    return [
+        Line2D([], [], color=INK, lw=1.4, label=theory),
+        Line2D([], [], color=INK, lw=0.9, ls=(0, (4, 2)), marker=".", ms=4, label=measured),
+    ]
 
 
 def radius_of(lines: Sequence[Line], most: float = 2.5) -> float:
@@ -52,7 +83,15 @@ def radius_of(lines: Sequence[Line], most: float = 2.5) -> float:
     return _round_up(max([1.0, *shown]) if len(shown) == len(tops) else max([1.2, *shown]))
 
 
-def polar(ax: Any, lines: Sequence[Line], *, radius: float | None = None, radius_label: str = "") -> list[Any]:
+def polar(
+    ax: Any,
+    lines: Sequence[Line],
+    *,
+    radius: float | None = None,
+    radius_label: str = "",
+    retro_right: bool = False,
+    called: str = "measured",
+) -> list[Any]:
     """Half-disc from -90 (left, retro side) to 90 degrees (right, mirror side), the radius labelled along the base.
 
     Parameters
@@ -65,6 +104,10 @@ def polar(ax: Any, lines: Sequence[Line], *, radius: float | None = None, radius
         Of the rim; `radius_of(lines)` if it is not given. What lies beyond it is cut, with a note at the rim.
     radius_label
         What the radius is, with its unit; below the base.
+    retro_right
+        The source's side lies on the right, as in papers whose light comes from there.
+    called
+        What notes at the rim call the values: "measured", or "simulated".
 
     Returns
     -------
@@ -74,7 +117,7 @@ def polar(ax: Any, lines: Sequence[Line], *, radius: float | None = None, radius
     from matplotlib.patches import Wedge
 
     rim = radius_of(lines) if radius is None else radius
-    _half_disc(ax, rim, radius_label)
+    _half_disc(ax, rim, radius_label, retro_right=retro_right)
     clip = Wedge((0, 0), rim, 0, 180, transform=ax.transData)
     artists: list[Any] = []
     beyond: list[tuple[str, str]] = []
@@ -82,9 +125,9 @@ def polar(ax: Any, lines: Sequence[Line], *, radius: float | None = None, radius
         look = style(k)
         notes: list[str] = []
         if line.theory.size:
-            marks = Markers() if line.measured.size else sparse(k)
+            ls = stroke(k, lines)
             path = xy(line.theory_angle, line.theory)
-            artists += ax.plot(*path, color=look["color"], lw=1.5, label=line.label, zorder=3, **marks)
+            artists += ax.plot(*path, color=look["color"], lw=1.5, label=line.label, zorder=3, ls=ls)
             artists[-1].set_clip_path(clip)
             if _top(line.theory) > rim * 1.001:
                 notes.append(f"theory to {_top(line.theory):.3g}")
@@ -106,7 +149,7 @@ def polar(ax: Any, lines: Sequence[Line], *, radius: float | None = None, radius
             )
             artists += _radial_bars(ax, line, clip, look["color"])
             if _top(line.measured) > rim * 1.001:
-                notes.append(f"measured to {_top(line.measured):.3g}")
+                notes.append(f"{called} to {_top(line.measured):.3g}")
         if line.mirror is not None:
             x, y = xy(np.array([line.mirror, line.mirror]), np.array([rim, rim * 1.03]))
             artists += ax.plot(x, y, color=look["color"], lw=2.2, solid_capstyle="butt", clip_on=False, zorder=5)
@@ -114,7 +157,8 @@ def polar(ax: Any, lines: Sequence[Line], *, radius: float | None = None, radius
             beyond.append((f"{line.label}: {' and '.join(notes)}", look["color"]))
     rows = max(3, -(-len(beyond) // 2))  # three find room above the rim, on each side of the label of the normal
     for k, (text, colour) in enumerate(beyond):
-        side, ha = (-1.0, "left") if k < rows else (1.0, "right")
+        ha = "left" if k < rows else "right"
+        side = -1.0 if (ha == "left") != retro_right else 1.0
         at = (side * 1.12 * rim, (1.105 - 0.048 * (k % rows)) * rim)
         artists.append(ax.text(*at, text, color=colour, fontsize=6.5, ha=ha, va="center", zorder=6))
     return artists
@@ -134,9 +178,9 @@ def semilog(ax: Any, lines: Sequence[Line], *, unit: str = "BRDF [1/sr]") -> lis
         look = style(k)
         if line.theory.size:
             value = np.where(line.theory > 0, line.theory, np.nan)
-            marks = Markers() if line.measured.size else sparse(k)
+            ls = stroke(k, lines)
             x = np.degrees(line.theory_angle)
-            artists += ax.plot(x, value, color=look["color"], lw=1.4, label=line.label, zorder=3, **marks)
+            artists += ax.plot(x, value, color=look["color"], lw=1.4, label=line.label, zorder=3, ls=ls)
         shown = line.measured > 0
         if shown.any():
             x, y, u = np.degrees(line.angle[shown]), line.measured[shown], np.nan_to_num(line.u[shown])
@@ -153,34 +197,71 @@ def semilog(ax: Any, lines: Sequence[Line], *, unit: str = "BRDF [1/sr]") -> lis
                     **look,
                 )
             )
-    ax.set_yscale("log")  # before the limits: a linear axis refuses limits as small as a table may hold
     if positive:
         measured = [line.measured[line.measured > 0] for line in lines if np.any(line.measured > 0)]
         low = min(float(np.min(v)) for v in (measured or positive))
-        high = max(float(np.max(v)) for v in positive)
-        low, high = low / 1.5, high * 1.5
-        ax.set_ylim(low, high)
-        if high < 100 * low:  # few decades: label the steps between them too
-            from matplotlib.ticker import FixedLocator, NullLocator
-
-            digits = (1, 1.5, 2, 3, 4, 5, 6, 8) if high < 10 * low else (1, 2, 5)
-            steps = [m * 10.0**p for p in range(-9, 9) for m in digits if low <= m * 10.0**p <= high]
-            ax.yaxis.set_major_locator(FixedLocator(steps))
-            ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-            ax.yaxis.set_minor_locator(NullLocator())
-        else:
-            from matplotlib.ticker import LogLocator, NullFormatter
-
-            ax.yaxis.set_major_formatter(lambda value, _: _power_of_ten(value))
-            if high > 1e4 * low:  # a tick is slow to draw, and eight a decade are too close to count
-                ax.yaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0), numticks=50))
-            ax.yaxis.set_minor_formatter(NullFormatter())
+        log_axis(ax, low, max(float(np.max(v)) for v in positive))
+    else:
+        ax.set_yscale("log")
     angle_axis(ax)
     ax.set_ylabel(unit)
     return artists
 
 
-def linear(ax: Any, lines: Sequence[Line], *, y_label: str) -> list[Any]:
+def overlay(ax: Any, line: Line, theory: Sequence[tuple[Floats, Floats]]) -> tuple[float, float]:
+    """One measured curve with the theory of several models, on an axis that `log_axis` makes logarithmic.
+
+    Parameters
+    ----------
+    ax
+        Axes.
+    line
+        The measurement; its own theory is not drawn.
+    theory
+        Signed angles [rad] and values of each model.
+
+    Returns
+    -------
+    tuple
+        The smallest value above 0 that is measured, and the largest of all; NaN where there is none.
+    """
+    for k, (angle, value) in enumerate(theory):
+        shown = np.where(value > 0, value, np.nan)
+        ax.plot(np.degrees(angle), shown, color=COLOURS[k % len(COLOURS)], ls=dashes(k), lw=1.2, zorder=4)
+    kept = line.measured > 0
+    x, y, u = np.degrees(line.angle[kept]), line.measured[kept], np.nan_to_num(line.u[kept])
+    if np.any(u > 0):
+        ax.errorbar(x, y, yerr=[np.minimum(u, 0.999 * y), u], ls="none", elinewidth=0.7, color="#77808c", zorder=3)
+    ax.plot(x, y, ls="none", marker=".", ms=3.5, color=INK, zorder=3)
+    angle_axis(ax)
+    every = np.concatenate([y, *(v[(v > 0) & np.isfinite(v)] for _, v in theory)])
+    least = float(y.min()) if y.size else float(every.min()) if every.size else np.nan
+    return least, float(every.max()) if every.size else np.nan
+
+
+def log_axis(ax: Any, low: float, high: float) -> None:
+    """A logarithmic y axis around these values, with the labels that its decades leave room for."""
+    ax.set_yscale("log")  # before the limits: a linear axis refuses limits as small as a table may hold
+    low, high = low / 1.5, high * 1.5
+    ax.set_ylim(low, high)
+    if high < 100 * low:  # few decades: label the steps between them too
+        from matplotlib.ticker import FixedLocator, NullLocator
+
+        digits = (1, 1.5, 2, 3, 4, 5, 6, 8) if high < 10 * low else (1, 2, 5)
+        steps = [m * 10.0**p for p in range(-9, 9) for m in digits if low <= m * 10.0**p <= high]
+        ax.yaxis.set_major_locator(FixedLocator(steps))
+        ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        ax.yaxis.set_minor_locator(NullLocator())
+    else:
+        from matplotlib.ticker import LogLocator, NullFormatter
+
+        ax.yaxis.set_major_formatter(lambda value, _: _power_of_ten(value))
+        if high > 1e4 * low:  # a tick is slow to draw, and eight a decade are too close to count
+            ax.yaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0), numticks=50))
+        ax.yaxis.set_minor_formatter(NullFormatter())
+
+
+def linear(ax: Any, lines: Sequence[Line], *, y_label: str, retro_right: bool = False) -> list[Any]:
     """Values on a linear axis from 0 over the signed angle.
 
     Returns
@@ -192,16 +273,16 @@ def linear(ax: Any, lines: Sequence[Line], *, y_label: str) -> list[Any]:
     for k, line in enumerate(lines):
         look = style(k)
         if line.theory.size:
-            marks = Markers() if line.measured.size else sparse(k)
+            ls = stroke(k, lines)
             x = np.degrees(line.theory_angle)
-            artists += ax.plot(x, line.theory, color=look["color"], lw=1.4, label=line.label, zorder=3, **marks)
+            artists += ax.plot(x, line.theory, color=look["color"], lw=1.4, label=line.label, zorder=3, ls=ls)
         if line.measured.size:
             x, u = np.degrees(line.angle), np.nan_to_num(line.u)
             artists.append(
                 ax.errorbar(x, line.measured, yerr=u, ls=(0, (4, 2)), lw=0.8, elinewidth=0.8, ms=2.6, zorder=4, **look)
             )
     ax.set_ylim(bottom=0.0)
-    angle_axis(ax)
+    angle_axis(ax, retro_right=retro_right)
     ax.set_ylabel(y_label)
     return artists
 
@@ -286,12 +367,12 @@ def _plain(value: float) -> str:
     return text.replace("-", "−", 1)
 
 
-def _half_disc(ax: Any, rim: float, label: str) -> None:
+def _half_disc(ax: Any, rim: float, label: str, *, retro_right: bool) -> None:
     from matplotlib.collections import LineCollection
 
     ax.set_aspect("equal")
     ax.axis("off")
-    ax.set_xlim(-1.14 * rim, 1.14 * rim)
+    ax.set_xlim(*(1.14 * rim * s for s in ((1, -1) if retro_right else (-1, 1))))
     ax.set_ylim(-0.2 * rim, 1.13 * rim)
     turn = np.linspace(-np.pi / 2, np.pi / 2, 181)
     ticks = _ticks(rim)
@@ -310,8 +391,9 @@ def _half_disc(ax: Any, rim: float, label: str) -> None:
     for t in ticks:
         for side in (-1, 1) if t else (1,):
             ax.text(side * t, -0.03 * rim, f"{t:.3g}", ha="center", va="top", fontsize=7, color=INK)
-    ax.text(-rim, -0.12 * rim, "retro side", ha="left", va="top", fontsize=7, color="#5a6472")
-    ax.text(rim, -0.12 * rim, "mirror side", ha="right", va="top", fontsize=7, color="#5a6472")
+    sides = ("right", "left") if retro_right else ("left", "right")
+    for x, words, ha in ((-rim, "retro side", sides[0]), (rim, "mirror side", sides[1])):
+        ax.text(x, -0.12 * rim, words, ha=ha, va="top", fontsize=7, color="#5a6472")
     ax.text(0, -0.12 * rim, label, ha="center", va="top", fontsize=7.5, color=INK)
 
 
@@ -360,9 +442,9 @@ def _ticks(rim: float) -> list[float]:
     return [float(rim * k / 4) for k in range(5)]
 
 
-def angle_axis(ax: Any) -> None:
-    """The signed angle from -90 to 90 degrees along x."""
-    ax.set_xlim(-90, 90)
+def angle_axis(ax: Any, *, retro_right: bool = False) -> None:
+    """The signed angle from -90 to 90 degrees along x, or (as some papers draw it) from 90 to -90."""
+    ax.set_xlim(*((90, -90) if retro_right else (-90, 90)))
     ax.set_xticks(range(-90, 91, 30), [f"{d}°".replace("-", "−") for d in range(-90, 91, 30)])
     ax.grid(color=FAINT, lw=0.5)
     clean(ax)

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from gonio import shown
 from gonio.measurement import Reading
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.parameters import Ior
@@ -119,8 +120,7 @@ def make(
                 for dataset in parallel.each(_examined, jobs, dask=dask):
                     datasets.append(dataset)
                     progress(f"{dataset.name}: fitted ({len(datasets)} of {len(jobs)})")
-            every = names + [t.name for t in apart]
-            title = every[0] if len(every) == 1 else " and ".join(every) if len(every) == 2 else f"{len(every)} samples"
+            title = _title(datasets, apart)
             write(
                 datasets,
                 stage.work,
@@ -148,6 +148,17 @@ def _apart(
         else:
             apart.append(through)
     return apart, others
+
+
+def _title(datasets: Sequence[Dataset], apart: Sequence[Transmitted]) -> str:
+    """Heading of the page; samples whose values are simulated are marked."""
+    every = [d.title for d in datasets] + [t.title for t in apart]
+    if len(every) <= 2:
+        return " and ".join(every)
+    simulated = sum(d.simulated for d in datasets) + sum(t.simulated for t in apart)
+    if 0 < simulated < len(every):
+        return f"{len(every)} samples, {simulated} of them simulated"
+    return shown.marked(f"{len(every)} samples", simulated > 0)
 
 
 def _examined(job: Callable[[], Dataset]) -> Dataset:
@@ -207,8 +218,8 @@ def write(
     views = [viewer.viewer(d, facts, normalise, room) if d.curves else None for d, facts in both]
     summary = replace(summary, figures=listed, tables=tables.write(datasets, summary, views, folder / "tables"))
     pages = page.render(summary, drawn, views)
-    for name, shown in pages.items():
-        (folder / name).write_text(html.document(shown), encoding="utf-8")
+    for name, one in pages.items():
+        (folder / name).write_text(html.document(one), encoding="utf-8")
     files.write(folder, as_json(summary), every)
     pdf.write(folder / "report.pdf", list(pages.values()))
     return summary

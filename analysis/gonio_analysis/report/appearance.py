@@ -130,24 +130,25 @@ def make(a: Appearance, out: str | Path, *, command: str = "") -> Path:
 
 
 def _page(a: Appearance, created: str, command: str, versions: dict[str, str], figures: Sequence[Any]) -> Page:
-    sub = f"Appearance of a {KINDS[a.kind]}, {created[:10]}, gonio {versions['gonio']}."
-    body: list[Block] = [Group("header", (Heading(1, a.name), Paragraph(sub, "sub")))]
+    sub = f"Appearance of a {'simulated ' * a.simulated}{KINDS[a.kind]}, {created[:10]}, gonio {versions['gonio']}."
+    body: list[Block] = [Group("header", (Heading(1, a.title), Paragraph(sub, "sub")))]
     body += [notes(a.notes)] if a.notes else []
     body += [Heading(2, "Quantities"), block(a)]
     body += [Heading(2, "Geometry"), Figures(tuple(figures))] if figures else []
     made = [("source", a.source or "–"), ("command", command or "–"), ("page made", created)]
     made.append(("versions", ", ".join(f"{k} {v}" for k, v in versions.items())))
     footer = Footer(("Every number on this page is in ", code("summary.json"), "."))
-    return Page(f"Appearance of {a.name}", (*body, Heading(2, "Provenance"), facts(made), footer))
+    return Page(f"Appearance of {a.title}", (*body, Heading(2, "Provenance"), facts(made), footer))
 
 
 def _drawings(a: Appearance) -> list[Drawing]:
     out = []
     coloured = [c for c in a.lab if c.L.value is not None]
     if coloured:
-        caption = "L*a*b* against the aspecular angle, from the mirror direction toward the normal."
+        made = " of the simulated measurement" * a.simulated
+        caption = f"L*a*b*{made} against the aspecular angle, from the mirror direction toward the normal."
         if all(c.a.value is None for c in coloured):
-            caption = "L* against the aspecular angle, as if the sample were grey."
+            caption = f"L*{made} against the aspecular angle, as if the sample were grey."
         groups = []
         for theta in sorted({c.theta_i_deg for c in coloured}, reverse=True):
             mine = [c for c in coloured if c.theta_i_deg == theta]

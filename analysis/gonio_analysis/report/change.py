@@ -101,7 +101,7 @@ def make(
         a, b = (side(spec, how) for spec in specs)
         if a.name == b.name:
             a, b = replace(a, name=f"{a.name} (A)"), replace(b, name=f"{b.name} (B)")
-        progress(f"comparing {b.name} with {a.name}")
+        progress(f"comparing {b.title} with {a.title}")
         found = change(a, b, wavelength_nm=wavelength_nm, say=progress)
         progress("drawing")
         _write(found, stage.work, wavelength_nm, command, [run_facts(Path(spec)) for spec in specs], hands, progress)
@@ -179,7 +179,7 @@ def summary(c: Change, command: str, runs: Sequence[RunFacts | None]) -> ChangeS
             u_scale=v.u_scale,
         )
     return ChangeSummary(
-        title=f"{c.b.name} against {c.a.name}",
+        title=f"{c.b.title} against {c.a.title}",
         **stamp(command),
         a=_side(c.a, runs[0]),
         b=_side(c.b, runs[1]),
@@ -200,7 +200,7 @@ def _side(s: Side, run: RunFacts | None) -> MeasuredSide | ModelSide:
     if s.data is None:
         return ModelSide(s.name, s.source, s.kind, run, s.model.name, s.model.convention)
     stated = s.data.covariance is not None
-    return MeasuredSide(s.name, s.source, s.kind, run, len(s.data), s.data.left_out, stated)
+    return MeasuredSide(s.name, s.source, s.kind, run, len(s.data), s.data.left_out, stated, s.simulated)
 
 
 def _median_error(c: Change) -> float | None:
@@ -259,7 +259,7 @@ def _view(c: Change, at: Observations, listed: list[Curve], drawn: list[Curve], 
     names = labels(listed)
     keep = {int(k.rows[0]) for k in drawn}
     first = [n for k, n in zip(listed, names, strict=True) if int(k.rows[0]) in keep]
-    sides = {f"A: {c.a.name}": (c.a, c.value_a, c.u_a), f"B: {c.b.name}": (c.b, c.value_b, c.u_b)}
+    sides = {f"A: {c.a.title}": (c.a, c.value_a, c.u_a), f"B: {c.b.title}": (c.b, c.value_b, c.u_b)}
     entries: list[viewer.CurveView] = []
     most = max(viewer.BYTES // (2 * viewer.MEASURED_BYTES * max(len(listed), 1)), viewer.FEWEST)
     shorter = [thinning.of_curve(curve, most) for curve in listed]
@@ -270,7 +270,7 @@ def _view(c: Change, at: Observations, listed: list[Curve], drawn: list[Curve], 
     values = np.concatenate([curve.brdf[curve.brdf > 0] for curve in drawn])
     high = values.size > 0 and float(values.max()) > SPIKE * float(np.median(values))
     return {
-        "name": f"{c.a.name} and {c.b.name}",
+        "name": f"{c.a.title} and {c.b.title}",
         "plot": "log" if high else "polar",
         "moving": "θr" if drawn[0].scanned == "theta_r" else "θi",
         "at": 0,
@@ -330,7 +330,7 @@ def _facts(s: ChangeSummary) -> list[tuple[str, str]]:
         stated = "with uncertainties" if x.uncertainty_stated else "no uncertainties stated"
         left = f"; left out: {describe_left_out(x.left_out)}" if x.left_out else ""
         run = f"; rig {x.run.rig}, {x.run.created[:10]}, seed {x.run.seed}" if x.run else ""
-        rows.append((key, f"{x.name} ({x.source}): {x.values} values, {stated}{left}{run}"))
+        rows.append((key, f"{x.name} ({x.source}): {x.values}{' simulated' * x.simulated} values, {stated}{left}{run}"))
     shared = f"{s.n_points}"
     if {s.a.kind, s.b.kind} == {"measurement"}:
         shared += f", in the directions of {s.in_directions_of}"

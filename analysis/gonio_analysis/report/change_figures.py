@@ -35,6 +35,12 @@ def draw(c: Change, at: Observations, drawn: list[Curve], shown: float) -> list[
     return out
 
 
+def _made(c: Change) -> str:
+    """A sentence on which side is simulated; "" where none is."""
+    which = [letter for letter, x in (("A", c.a), ("B", c.b)) if x.simulated]
+    return f" Simulated: {' and '.join(which)}." if which else ""
+
+
 def _values(c: Change, at: Observations, drawn: list[Curve], where: str) -> Drawing:
     every = []
     for curve, label in zip(drawn, labels(drawn), strict=True):
@@ -42,7 +48,7 @@ def _values(c: Change, at: Observations, drawn: list[Curve], where: str) -> Draw
         solid = at.rows[k.rows]
         every.append(Line(label, k.angle, c.value_b[solid], curve.angle, c.value_a[rows], c.u_a[rows]))
     lines = thinning.on_logarithm(every, PANEL_PT, 0.7 * PANEL_PT, MOST_DRAWN)
-    caption = f"In the plane of incidence{where}: markers and dashes {c.a.name}; solid lines {c.b.name}."
+    caption = f"In the plane of incidence{where}: markers and dashes {c.a.title}; solid lines {c.b.title}."
     caption += thinning.words(thinning.measured(lines), thinning.measured(every))
     return Drawing("values", "values", "", caption, caption, (5.6, 4.4), partial(_on_values, lines=lines))
 
@@ -75,7 +81,7 @@ def _changes(c: Change, at: Observations, drawn: list[Curve], where: str) -> Dra
         f"Change{where}: above, (B − A)/A with the standard uncertainty of the difference, where A is above three of"
         " them; rings mark values that changed. Below, each difference against what all the others predict, in standard"
         f" deviations (band: ±2; dashed: ±{limit:.2g}, which the largest of all {len(c.at)} exceeds by chance in"
-        f" {100 * LEVEL:g} % of comparisons)."
+        f" {100 * LEVEL:g} % of comparisons).{_made(c)}"
         + thinning.words(thinning.measured(scores), sum(curve.angle.size for curve in drawn))
     )
     alt = (
@@ -130,7 +136,8 @@ def _change_maps(c: Change, at: Observations, where: str) -> list[Drawing]:
             across = angle * PANEL_PT / np.pi
             kept = thinning.enough(across, heights, most=MOST_DRAWN, keep=marked[flat])
             kept = np.union1d(kept, thinning.ends(value[flat])).astype(np.intp)
-            caption = f"Map of the plane of incidence{where}: {what}{rings}." + thinning.words(kept.size, flat.size)
+            caption = f"Map of the plane of incidence{where}: {what}{rings}.{_made(c)}"
+            caption += thinning.words(kept.size, flat.size)
             on = partial(
                 _on_plane, angle=angle[kept], parameter=np.radians(tilts[kept]), value=value[flat][kept],
                 marked=marked[flat][kept], label=label, top=top, high=high,
@@ -145,7 +152,7 @@ def _change_maps(c: Change, at: Observations, where: str) -> list[Drawing]:
     for k, g in enumerate(some):
         kept = thinning.over_hemisphere(d[g].theta_r, d[g].dphi, value[g], DISC_PT, MOST_DRAWN, keep=marked[g])
         theta = f"θi = {np.degrees(d.theta_i[g].mean()):.1f}°"
-        caption = f"Map of the hemisphere, {theta}{where}: {what}{rings}. Empty: no shared direction."
+        caption = f"Map of the hemisphere, {theta}{where}: {what}{rings}. Empty: no shared direction.{_made(c)}"
         caption += thinning.words(kept.size, g.size)
         h = g[kept]
         on = partial(

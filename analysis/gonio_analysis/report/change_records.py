@@ -25,6 +25,8 @@ class MeasuredSide(SideSummary):
     values: int
     left_out: Mapping[str, int]
     uncertainty_stated: bool
+    simulated: bool
+    """Whether a simulation made the values."""
 
 
 @dataclass(frozen=True)

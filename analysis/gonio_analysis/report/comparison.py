@@ -59,7 +59,7 @@ def summarise(datasets: Sequence[Dataset], *, title: str, normalise: str, comman
         slugs.append(base if base not in slugs else f"{base}-{len(slugs) + 1}")
     models = list(dict.fromkeys(m for d in datasets for m in [*d.fitted, *d.skipped]))
     return Summary(
-        title=title + (" (simulated)" if datasets and all(d.simulated for d in datasets) else ""),
+        title=title,
         **stamp(command),
         normalise=normalise,
         models=models,
@@ -139,6 +139,7 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         appearance=_appearance(d),
         transmission=None if d.transmitted is None else d.transmitted.summary(),
         mueller=None if d.polarisation is None else d.polarisation.summary(),
+        simulated=d.simulated,
         rho_dh=d.rho_dh,
         symmetries=d.symmetries,
     )

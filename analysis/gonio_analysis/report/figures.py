@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -31,6 +31,12 @@ PNG_DPI = 160
 PANEL_PT = 335.0
 """Width of a panel over the angle."""
 LEGEND_ROW_IN = 0.19
+OVERLAY_IN = 1.55
+"""Height of a row of panels in which all models stand together."""
+SAME_CURVE = 5e-3
+"""Curves that differ by less coincide on paper: in a panel of three decades the width of a line is 2 %."""
+SAME_RESIDUAL = 0.1
+"""Whitened residuals that differ by less coincide: markers are three times as large."""
 MOST_CAUSES = 20
 """Of uncertainty, common to all values, in one figure."""
 
@@ -79,24 +85,55 @@ def draw(d: Dataset, facts: DatasetSummary, most: int) -> list[Drawing]:
     most
         Measured values that one panel shows, at most.
     """
-    out = []
-    for model, f in d.fitted.items():
-        if f.drawn:
-            out.append(_polar(d, facts, model, f, most))
-    for model, f in d.fitted.items():
-        out.append(_absolute(d, facts, model, f, most))
+    groups = coinciding(d)
+    out = [_polar(d, facts, names, most) for names in groups if d.fitted[names[0]].drawn]
+    out += [_absolute(d, facts, names, most) for names in groups]
+    if len(groups) > 1 and d.curves:
+        out.append(_overlay(d, groups, facts, most))
     if facts.budget:
         out.append(_budget(facts))
     out += [_series(facts, model, f) for model, f in d.fitted.items() if len(f.series) > 1]
     return out
 
 
-def _polar(d: Dataset, facts: DatasetSummary, model: str, f: Fitted, most: int) -> Drawing:
+def coinciding(d: Dataset) -> list[list[str]]:
+    """Names of the fitted models; those whose curves and values cannot be told apart on paper stand together."""
+    groups: list[list[str]] = []
+    for model, f in d.fitted.items():
+        same = next((g for g in groups if _coincide(d.fitted[g[0]], f)), None)
+        if same is None:
+            groups.append([model])
+        else:
+            same.append(model)
+    return groups
+
+
+def _coincide(a: Fitted, b: Fitted) -> bool:
+    def alike(x: Any, y: Any) -> bool:
+        return bool(np.shape(x) == np.shape(y) and np.allclose(x, y, rtol=SAME_CURVE, atol=0.0, equal_nan=True))
+
+    if a.fit.goal.whitened and not np.allclose(a.fit.whitened, b.fit.whitened, rtol=0.0, atol=SAME_RESIDUAL):
+        return False
+    pairs = zip(a.drawn, b.drawn, strict=True)
+    return alike(a.fit.predicted, b.fit.predicted) and all(
+        alike(x.theory_angle, y.theory_angle) and alike(x.theory, y.theory) for x, y in pairs
+    )
+
+
+def _named(names: Sequence[str]) -> str:
+    """As in "lambert" or "lambert and oren-nayar, which coincide"."""
+    if len(names) == 1:
+        return names[0]
+    return f"{', '.join(names[:-1])} and {names[-1]}, which coincide"
+
+
+def _polar(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int) -> Drawing:
+    model, f = names[0], d.fitted[names[0]]
     every = [c.normalised() for c in f.drawn]
     rim = in_plane.radius_of(every)
     lines = thinning.on_half_disc(every, rim, 0.42 * 5.6 * thinning.POINTS_AN_INCH, most)
     cut = [c.label for c, x in zip(f.drawn, every, strict=True) if max(_top(x.theory), _top(x.measured)) > 1.001 * rim]
-    caption = f"{model}: normalised {_norm_words(f)}. Solid: theory; dashed{bars(d)}: {measurement(d)}."
+    caption = f"{_named(names)}: normalised {_norm_words(f)}. Solid: theory; dashed{bars(d)}: {measurement(d)}."
     if cut:
         caption += f" Cut at the rim: {', '.join(cut)}."
     caption += _spikes(f) + thinning.words(thinning.measured(lines), thinning.measured(every))
@@ -104,14 +141,20 @@ def _polar(d: Dataset, facts: DatasetSummary, model: str, f: Fitted, most: int) 
         f"{c.label}: measured peak at {c.measured_peak_deg:.1f}°, theory's at {c.theory_peak_deg:.1f}°."
         for c in facts.models[model].curves
     )
-    on = partial(_on_half_disc, lines=lines, rim=rim, label=_radius_label(f), legend=_Legend.of(f))
-    high = 3.22 + LEGEND_ROW_IN * _Legend.of(f).rows
+    legend = _Legend.of(d, f)
+    on = partial(_on_half_disc, lines=lines, rim=rim, label=_radius_label(f), legend=legend, called=called(d))
+    high = 3.22 + LEGEND_ROW_IN * legend.rows
     return Drawing(f"{facts.slug}-polar-{slug(model)}", "polar", model, caption, alt, (5.6, high), on)
 
 
 def measurement(d: Dataset) -> str:
     """What captions call the values: those of a simulated rig are called so."""
     return "simulated measurement" if d.simulated else "measurement"
+
+
+def called(d: Dataset) -> str:
+    """What legends and notes call the values."""
+    return "simulated" if d.simulated else "measured"
 
 
 def bars(d: Dataset) -> str:
@@ -122,10 +165,10 @@ def bars(d: Dataset) -> str:
     return ", with error bars" + ("" if assumed is None else f" of an ASSUMED {100 * assumed:g} % (--u-rel)")
 
 
-def _on_half_disc(figure: Any, *, lines: list[Line], rim: float, label: str, legend: _Legend) -> None:
+def _on_half_disc(figure: Any, *, lines: list[Line], rim: float, label: str, legend: _Legend, called: str) -> None:
     below = LEGEND_ROW_IN * legend.rows
     ax = figure.add_axes((0.01, below / (3.22 + below), 0.98, 3.2 / (3.22 + below)))
-    in_plane.polar(ax, lines, radius=rim, radius_label=label)
+    in_plane.polar(ax, lines, radius=rim, radius_label=label, called=called)
     legend.draw(figure)
 
 
@@ -173,7 +216,8 @@ def _spikes(f: Fitted) -> str:
     return f" The spike at {where} is {times} times the largest value beside it: see the semilog curves."
 
 
-def _absolute(d: Dataset, facts: DatasetSummary, model: str, f: Fitted, most: int) -> Drawing:
+def _absolute(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int) -> Drawing:
+    model, f = names[0], d.fitted[names[0]]
     lines = [c.absolute() for c in f.drawn]
     stated = f.fit.goal.whitened
     used = np.concatenate([c.curve.rows for c in f.drawn]) if f.drawn else np.empty(0, dtype=np.intp)
@@ -196,22 +240,24 @@ def _absolute(d: Dataset, facts: DatasetSummary, model: str, f: Fitted, most: in
         else "model divided by measurement"
     )
     if lines:
-        caption = f"{model}: absolute in-plane BRDF of a {measurement(d)}{bars(d)}. Below: {kind}"
+        what = f"absolute in-plane BRDF of a {measurement(d)}{bars(d)} (dashed), and theory (solid)"
+        caption = f"{_named(names)}: {what}. Below: {kind}"
         caption += "; grey: values that belong to no curve shown." if rest.size else "."
     else:
-        caption = f"{model}: {measurement(d)} without an in-plane curve, so residuals alone: {kind}."
+        caption = f"{_named(names)}: {measurement(d)} without an in-plane curve, so residuals alone: {kind}."
     drawn = thinning.measured(low) + some.size
     caption += thinning.words(drawn, thinning.measured(lines) + rest.size)
     chi = facts.models[model].reduced_chi_square
     alt = f"{'Semilog curves and residuals' if lines else 'Residuals'} for {d.name} and {model}" + (
         f"; reduced chi-square {number(chi)}." if chi is not None else "."
     )
+    legend = _Legend.of(d, f, star=False)
     running = "θr" if not d.curves or d.curves[0].scanned == "theta_r" else "θi"
     on = partial(
         _on_two_panels, lines=top, below=low, others=(angle[some], values[some]), whitened=stated, running=running,
-        legend=_Legend.of(f, star=False),
+        legend=legend,
     )  # fmt: skip
-    high = (3.57 if lines else 1.6) + 0.46 + LEGEND_ROW_IN * _Legend.of(f).rows
+    high = (3.57 if lines else 1.6) + 0.46 + LEGEND_ROW_IN * legend.rows
     return Drawing(f"{facts.slug}-absolute-{slug(model)}", "absolute", model, caption, alt, (5.6, high), on)
 
 
@@ -233,6 +279,61 @@ def _on_two_panels(
         ax.yaxis.set_label_coords(-0.1, 0.5)
     low.xaxis.set_label_coords(0.5, -0.235)
     legend.draw(figure)
+
+
+def _overlay(d: Dataset, groups: Sequence[Sequence[str]], facts: DatasetSummary, most: int) -> Drawing:
+    names = [" = ".join(group) for group in groups]
+    first = d.fitted[groups[0][0]].drawn
+    share = max(most // len(first), 24)
+    panels = []
+    for k, c in enumerate(first):
+        measured = Line(c.label, np.empty(0), np.empty(0), c.curve.angle, c.curve.brdf, c.curve.u)
+        (shown,) = thinning.on_logarithm([measured], 0.45 * PANEL_PT, OVERLAY_IN * thinning.POINTS_AN_INCH, share)
+        theory = [(d.fitted[g[0]].drawn[k].theory_angle, d.fitted[g[0]].drawn[k].theory) for g in groups]
+        panels.append((shown, theory))
+    drawn = sum(line.measured.size for line, _ in panels)
+    caption = (
+        f"All models: absolute in-plane BRDF, a panel for each curve. Points{bars(d)}: {measurement(d)}; lines: theory."
+        + thinning.words(drawn, sum(c.curve.angle.size for c in first))
+    )
+    columns = max(1, min(len(names), int(96 / (max(map(len, names)) + 9))))
+    on = partial(_on_overlay, panels=panels, names=names, columns=columns, called=measurement(d))
+    rows = -(-len(panels) // 2)
+    high = OVERLAY_IN * rows + 0.42 + LEGEND_ROW_IN * (-(-len(names) // columns) + 1)
+    return Drawing(f"{facts.slug}-overlay", "overlay", "", caption, caption, (5.6, high), on)
+
+
+def _on_overlay(
+    figure: Any, *, panels: list[tuple[Line, list[tuple[Any, Any]]]], names: list[str], columns: int, called: str
+) -> None:
+    from matplotlib.lines import Line2D
+
+    rows, high = -(-len(panels) // 2), figure.get_figheight()
+    below = 0.42 + LEGEND_ROW_IN * (-(-len(names) // columns) + 1)
+    axes = figure.subplots(rows, min(len(panels), 2), squeeze=False, sharex=True, sharey=True)
+    figure.subplots_adjust(0.11, below / high, 0.97, 1 - 0.2 / high, hspace=0.3, wspace=0.08)
+    limits = []
+    for ax, (line, theory) in zip(axes.ravel(), panels, strict=False):
+        limits.append(in_plane.overlay(ax, line, theory))
+        ax.set_title(line.label, fontsize=7.5, loc="left", pad=2, color=in_plane.INK)
+    ends = np.array([pair for pair in limits if np.isfinite(pair).all()])
+    if ends.size:
+        in_plane.log_axis(axes[0, 0], float(ends[:, 0].min()), float(ends[:, 1].max()))
+    for ax in axes[:, 0]:
+        ax.set_ylabel("BRDF [1/sr]")
+    for ax in axes.ravel()[len(panels) :]:
+        ax.set_axis_off()
+    for column in axes.T:
+        lowest = [ax for ax in column if ax.axison][-1]
+        lowest.tick_params(labelbottom=True)
+        lowest.set_xticks(range(-60, 61, 30), [f"{a}°".replace("-", "−") for a in range(-60, 61, 30)])
+        lowest.set_xlabel("signed angle: retro side negative")
+    lines = [
+        Line2D([], [], color=in_plane.style(k)["color"], lw=1.4, ls=in_plane.dashes(k), label=name)
+        for k, name in enumerate(names)
+    ]
+    points = Line2D([], [], color=in_plane.INK, ls="none", marker=".", ms=4, label=called)
+    key(figure, lines, columns, [points], long=2.6)
 
 
 def largest(medians: list[float]) -> list[int]:
@@ -296,41 +397,47 @@ def _on_series(figure: Any, *, x: Any, values: dict[str, Floats]) -> None:
 
 @dataclass(frozen=True)
 class _Legend:
-    """The curves' labels below a figure."""
+    """The curves' labels below a figure, and what its solid and dashed lines are."""
 
     labels: list[str]
     columns: int
+    measured: str
+    """What the values are called."""
 
     @classmethod
-    def of(cls, f: Fitted, *, star: bool = True) -> _Legend:
+    def of(cls, d: Dataset, f: Fitted, *, star: bool = True) -> _Legend:
         mixed = star and len({c.norm.kind for c in f.drawn}) > 1
         names = [c.label + ("*" if mixed and c.norm.kind != "mirror" else "") for c in f.drawn]
         count = len(names)
         short = max((len(c.label) for c in f.drawn), default=0) < 10
-        return cls(names, min(count, 6 if short else 4 if count != 6 else 3))
+        return cls(names, min(count, 6 if short else 4 if count != 6 else 3), measurement(d))
 
     @property
     def rows(self) -> int:
-        return -(-len(self.labels) // self.columns) if self.labels else 0
+        return -(-len(self.labels) // self.columns) + 1 if self.labels else 0
 
     def draw(self, figure: Any) -> None:
-        if self.labels:
-            legend(figure, self.labels, self.columns)
+        if not self.labels:
+            return
+        legend(figure, self.labels, self.columns, in_plane.kinds("theory", self.measured))
 
 
-def legend(figure: Any, names: list[str], columns: int) -> None:
-    """Labels of curves in the order of their colours, below a figure."""
+def legend(figure: Any, names: Sequence[str], columns: int, kinds: Sequence[Any] = ()) -> None:
+    """Labels of curves in the order of their colours, below a figure, and what kinds of lines they are."""
     from matplotlib.lines import Line2D
 
+    curves = [Line2D([], [], lw=1.5, ms=3.5, label=x, **in_plane.style(k)) for k, x in enumerate(names)]
+    key(figure, curves, columns, kinds)
+
+
+def key(figure: Any, curves: Sequence[Any], columns: int, kinds: Sequence[Any] = (), *, long: float = 1.6) -> None:
+    """A legend at the foot of a figure: its curves, and below them what kinds of lines they are."""
+    look = {"fontsize": 7.5, "frameon": False, "columnspacing": 1.1, "borderpad": 0.1, "borderaxespad": 0.15}
+    if kinds:
+        figure.legend(handles=kinds, loc="lower center", ncol=len(kinds), handlelength=2.6, **look)
+    above = LEGEND_ROW_IN / figure.get_figheight() if kinds else 0.0
     figure.legend(
-        handles=[Line2D([], [], lw=1.5, ms=3.5, label=x, **in_plane.style(k)) for k, x in enumerate(names)],
-        loc="lower center",
-        ncol=columns,
-        fontsize=7.5,
-        frameon=False,
-        handlelength=1.6,
-        columnspacing=1.1,
-        borderpad=0.1,
+        handles=curves, loc="lower center", ncol=columns, handlelength=long, bbox_to_anchor=(0.5, above), **look
     )
 
 

@@ -98,7 +98,7 @@ def _apart(s: Summary, drawn: Sequence[Sequence[Figure]]) -> list[Group]:
 
 
 def _header(s: Summary, place: Mapping[str, str], names: Sequence[str], name: str) -> Group:
-    links = [(place[d.slug], d.name) for d in s.datasets] if len(s.datasets) > 1 else []
+    links = [(place[d.slug], d.title) for d in s.datasets] if len(s.datasets) > 1 else []
     if name == "index.html":
         links += [("#conventions", "Conventions"), ("#provenance", "Provenance")]
     blocks: list[Block] = [
@@ -122,7 +122,7 @@ def _header(s: Summary, place: Mapping[str, str], names: Sequence[str], name: st
 def _overview(s: Summary, place: Mapping[str, str]) -> list[Block]:
     rows: list[Sequence[Text]] = []
     for d in s.datasets:
-        link = Span(d.name, href=place.get(d.slug, f"#{d.slug}"))
+        link = Span(d.title, href=place.get(d.slug, f"#{d.slug}"))
         for name, f in d.models.items():
             numbers = (number(f.reduced_chi_square), difference(f.metrics["log_ratio"]))
             rows.append((link, strong(name), *numbers, sample.fitted_words(d, name, f)))

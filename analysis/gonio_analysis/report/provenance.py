@@ -25,14 +25,15 @@ def section(s: Summary) -> Group:
         rows = [("file", d.source or "–"), ("format", str(d.format or "–"))]
         if d.run:
             r = d.run
-            rows += [("measured", r.created), ("command", r.command), ("plan's SHA-256", r.plan_sha256)]
+            rows.append(("simulated" if d.simulated else "measured", r.created))
+            rows += [("command", r.command), ("plan's SHA-256", r.plan_sha256)]
             rows += [("seed", str(r.seed)), ("steps", str(r.steps)), ("bands", ", ".join(r.bands))]
             rows.append(("versions", _versions(r)))
         given = dict(d.provenance)
         visits = given.pop("reference", []) if d.run else []
         rows += list(_flat(given))
         rows += [("white reference", _reference(band)) for band in visits]
-        out += [Heading(3, d.name), facts(rows)]
+        out += [Heading(3, d.title), facts(rows)]
     return blocks.section(out, "provenance")
 
 

@@ -46,13 +46,14 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
     by: dict[str, tuple[Figure, ...]] = {}
     for f in figures:
         by[f.kind] = (*by.get(f.kind, ()), f)
-    simulated = d.run is not None and d.run.sample is not None
-    out: list[Block] = [Heading(2, d.name + " (simulated)" * simulated)] if len(s.datasets) > 1 else []
-    out += [lead(d.conclusion), Heading(3, "What was measured, and how"), _facts(d)]
+    out: list[Block] = [Heading(2, d.title)] if len(s.datasets) > 1 else []
+    what = "What was simulated, and how" if d.simulated else "What was measured, and how"
+    out += [lead(d.conclusion), Heading(3, what), _facts(d)]
     if d.notes:
         out.append(notes(d.notes))
     out += model_choice.section(d.choice)
-    out += [Heading(3, "Models"), _models(d)] if d.models else [Heading(3, "Measured values"), _values(d)]
+    values = "Simulated values" if d.simulated else "Measured values"
+    out += [Heading(3, "Models"), _models(d)] if d.models else [Heading(3, values), _values(d)]
     if d.skipped:
         out.append(Notes(tuple((strong(m), f" was not fitted: {why}") for m, why in d.skipped.items())))
     out += _energy(d)
@@ -62,6 +63,8 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
         out.append(Figures(by["polar"]))
     if "absolute" in by:
         out += [Heading(3, "In the plane of incidence, absolute, with residuals"), Figures(by["absolute"])]
+    if "overlay" in by:
+        out += [Heading(3, "All models together"), Figures(by["overlay"])]
     beyond = [f for kind in ("heat", "slices", "lobe") for f in by.get(kind, ())]
     if beyond:
         out += [Heading(3, "Out of the plane of incidence"), Figures(tuple(beyond))]

@@ -99,6 +99,7 @@ def viewer(d: Dataset, facts: DatasetSummary, normalise: str, room: int = BYTES)
             at = finite(result.data.wavelengths[0]) if len(d.wavelengths) > 1 else finite(d.wavelength_nm)
             waves.setdefault(at, {})[model] = result
     here = finite(d.wavelength_nm)
+    own = "simulated" if d.simulated else "measured"
     drawn = {int(c.rows[0]) for c in d.curves}
     known = {
         nm: d.data if nm == here else next(iter(results.values())).data
@@ -128,18 +129,18 @@ def viewer(d: Dataset, facts: DatasetSummary, normalise: str, room: int = BYTES)
                     angle = theory_angles(curve, data, dense=False)
                     found = angle, curve.theory(result.model, angle, data)
                 theory[model] = found
-            entries.append(_curve(curve, name, theory))
+            entries.append(_curve(curve, name, own, theory))
         out.append({"nm": nm, "curves": entries})
     names = list(dict.fromkeys([*first, *(c["label"] for w in out for c in w["curves"])]))
     return {
-        "name": d.name,
+        "name": d.title,
         "moving": "θr" if facts.scanned == "theta_r" else "θi",
         "at": next(k for k, w in enumerate(out) if w["nm"] == here),
         "labels": names,
         "shown": first,
-        "points": ["measured"],
+        "points": [own],
         "models": list(d.fitted),
-        "chosen": ["measured", *([facts.best] if facts.best else [])],
+        "chosen": [own, *([facts.best] if facts.best else [])],
         "normalise": normalise,
         "note": note(values["drawn"], values["of"], len(out), len(known)),
         "waves": out,
@@ -182,10 +183,10 @@ def note(drawn: int, of: int, waves: int, known: int) -> str:
     return "; ".join(parts) + "; all values are in tables/." if parts else ""
 
 
-def _curve(c: Curve, name: str, theory: dict[str, tuple[Floats, Floats]]) -> CurveView:
+def _curve(c: Curve, name: str, own: str, theory: dict[str, tuple[Floats, Floats]]) -> CurveView:
     top = int(np.argmax(c.brdf))
     mirror = c.mirror
-    series = [points("measured", c, c.brdf, c.u)]
+    series = [points(own, c, c.brdf, c.u)]
     for model, (angle, value) in theory.items():
 
         def at(where: float, angle: Floats = angle, value: Floats = value) -> float | None:

@@ -16,6 +16,7 @@ import numpy as np
 from gonio import shown
 from gonio.cli.pace import Pace
 from gonio.errors import ConfigError, DataError
+from gonio.measurement import is_simulated
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import Curve, Norm, Normalise, curves, labels, norm, selection
 from gonio_analysis.curves.line import Line
@@ -121,11 +122,16 @@ class Dataset:
 
     @property
     def simulated(self) -> bool:
-        """Whether a run on a simulated rig made the table."""
-        return self.run is not None and self.run.sample is not None
+        """Whether a simulation made the table."""
+        return is_simulated(self.table) or (self.run is not None and self.run.sample is not None)
+
+    @property
+    def title(self) -> str:
+        """The name, with a mark where the values are simulated."""
+        return shown.marked(self.name, self.simulated)
 
     def __repr__(self) -> str:
-        return f"<{self.name}: {len(self.data)} values, {len(self.choice.judged)} models fitted; {self.choice.words}>"
+        return f"<{self.title}: {len(self.data)} values, {len(self.choice.judged)} models fitted; {self.choice.words}>"
 
     def _repr_html_(self) -> str:
         rows = []
@@ -136,7 +142,7 @@ class Dataset:
             )
             rows.append([j.candidate.label, found, "–" if chi is None else f"{chi:.4g}", f"{j.aic:.1f}", j.rejected])
         header = ["model", "fitted parameters", "reduced χ²", "AIC", "rejected because of"]
-        return shown.html(self.name, header, rows, [self.choice.words])
+        return shown.html(self.title, header, rows, [self.choice.words])
 
 
 def examine(

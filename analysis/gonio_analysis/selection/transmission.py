@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gonio import measurement
+from gonio import measurement, shown
 from gonio_analysis.curves.in_plane import Curve, curves, selection
 from gonio_analysis.fitting.observations import Observations, describe_left_out, observations
 from gonio_analysis.result_records import Reflectance, TransmissionSummary, finite
@@ -33,6 +33,13 @@ class Transmitted:
     curves: list[Curve]
     """The in-plane curves that are drawn."""
     tau_dh: list[Reflectance]
+    simulated: bool = False
+    """Whether a simulation made the values."""
+
+    @property
+    def title(self) -> str:
+        """The name, with a mark where the values are simulated."""
+        return shown.marked(self.name, self.simulated)
 
     def summary(self) -> TransmissionSummary:
         """As `summary.json` holds it."""
@@ -62,4 +69,5 @@ def transmitted(
         return None
     every = observations(measurement.turned_over(through), f"{name}, transmission", u_rel)
     at, wavelength = every.nearest(wavelength_nm)
-    return Transmitted(name, len(through), at, wavelength, selection(curves(at)), energy.of_table(at))
+    tau_dh, made = energy.of_table(at), measurement.is_simulated(table)
+    return Transmitted(name, len(through), at, wavelength, selection(curves(at)), tau_dh, made)

@@ -90,7 +90,7 @@ def build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
         ]
         if k != 1:  # the aluminium of Fig. 7 is a wider copy of the first
             caption = f"{s.name[:1].upper()}{s.name[1:]}: intensity i = p_d (N·L) + p_s s in the plane of incidence."
-            panels.append(polar_panel(f"surface-{k + 1}", caption, lines, "intensity", most=math.inf))
+            panels.append(polar_panel(f"surface-{k + 1}", caption, lines, "intensity", most=math.inf, retro_right=True))
         row = HighlightRow(
             surface=s.name,
             phong_peak_deg=_peak(angle, phong),
@@ -134,8 +134,8 @@ def build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
         ),
         numbers,
         [
-            "Here light comes from the left (retro side) and the mirror direction lies on the right; the paper draws "
-            "it the other way round, and in three dimensions.",
+            "Light comes from the right and the mirror direction lies on the left, as in the paper, which draws it in "
+            "three dimensions.",
             "s is no BRDF: the peak of Torrance and Sparrow's s grows with 1/(N·E) toward the horizon.",
         ],
     )  # fmt: skip

@@ -15,7 +15,7 @@ from gonio.typing import Floats
 from gonio_validation.papers import cook_torrance_3
 from gonio_validation.papers.cook_torrance_3 import PAPER, SIMILAR
 from gonio_validation.papers.figure import Cell, Claim, CurveRow, Panel, PaperFigure, Parameter, Results, Row, agreed
-from gonio_validation.papers.panels import SIZE, Trace, plain_axes, trace_panel
+from gonio_validation.papers.panels import WIDTH_IN, Trace, plain_axes, trace_panel
 
 D65_SOURCE = "CIE 15, relative power at 380 to 780 nm in steps of 5 nm"
 NM = np.arange(380.0, 781.0, 5.0)
@@ -330,7 +330,7 @@ def _colours() -> PaperFigure:
                 "colours",
                 "(b), (c) Colours: of D6500 light reflected by copper, complete from the spectrum (b; b' with the "
                 "effective real index) and approximate (c). Below: linear RGB, complete solid, approximate dashed.",
-                SIZE,
+                (WIDTH_IN, 3.72),
                 on,
                 ("angle of incidence [deg]", "linear RGB"),
                 rows,

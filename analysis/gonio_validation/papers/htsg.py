@@ -10,8 +10,6 @@ import numpy as np
 from gonio_analysis.report.text import number
 
 from gonio_validation.papers import htsg_10, htsg_11, htsg_scans
-from gonio_validation.papers.experiment import Experiment, measure
-from gonio_validation.papers.experiment import scan as directions
 from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results
 from gonio_validation.papers.htsg_scans import Scan, agreement, each, scan
 from gonio_validation.papers.htsg_surfaces import (
@@ -23,6 +21,8 @@ from gonio_validation.papers.htsg_surfaces import (
     energy_limit,
     index_parameter,
 )
+from gonio_validation.papers.simulated import Simulated, measure
+from gonio_validation.papers.simulated import scan as directions
 
 ALUMINIUM = HtsgSurface(sigma0_um=0.28, tau_um=1.77, ior="Al")
 CERAMIC = HtsgSurface(sigma0_um=1.45, tau_um=13.2, ior="MgO", diffuse_albedo=0.9)
@@ -99,7 +99,7 @@ def _build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
     )
 
 
-def _notes(figure: int, scans: Sequence[Scan], taken: Experiment) -> list[str]:
+def _notes(figure: int, scans: Sequence[Scan], taken: Simulated) -> list[str]:
     last = scans[-1]
     out = [agreement(taken)]
     if figure == 9:

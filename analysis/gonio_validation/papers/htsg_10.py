@@ -11,11 +11,11 @@ from gonio_analysis.curves.line import Line
 from gonio_analysis.report.text import number
 
 from gonio.typing import Floats
-from gonio_validation.papers.experiment import divided, measure
 from gonio_validation.papers.figure import Claim, Panel, PaperFigure, Parameter, Results, Row, agreed
 from gonio_validation.papers.htsg_scans import agreement, label, scan
 from gonio_validation.papers.htsg_surfaces import CONE_SR, PAPER, HtsgSurface, cones_parameter, index_parameter
 from gonio_validation.papers.panels import angle_panel, at, polar_panel
+from gonio_validation.papers.simulated import divided, measure
 
 SLOPE = 4.4
 """sigma0 / tau"""

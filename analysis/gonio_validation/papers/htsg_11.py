@@ -11,8 +11,6 @@ from gonio_analysis.curves.line import Line
 from gonio_analysis.report.text import number
 
 from gonio_validation.papers import htsg_scans
-from gonio_validation.papers.experiment import measure
-from gonio_validation.papers.experiment import scan as directions
 from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results
 from gonio_validation.papers.htsg_scans import BRDF, Scan, agreement, each, scan
 from gonio_validation.papers.htsg_surfaces import (
@@ -23,6 +21,8 @@ from gonio_validation.papers.htsg_surfaces import (
     energy_limit,
 )
 from gonio_validation.papers.panels import angle_panel
+from gonio_validation.papers.simulated import measure
+from gonio_validation.papers.simulated import scan as directions
 
 PLASTIC_A, PLASTIC_RHO = 0.15, 0.195
 INCIDENCES = (15.0, 30.0, 45.0, 60.0)

@@ -12,10 +12,10 @@ from gonio_analysis.curves.line import Line
 from gonio_analysis.report.text import number
 
 from gonio.typing import Floats
-from gonio_validation.papers.experiment import Experiment, beside, divided
 from gonio_validation.papers.figure import Panel, Row
 from gonio_validation.papers.htsg_surfaces import CONE_SR, CONES
 from gonio_validation.papers.panels import NOTHING, angle_panel, polar_panel, signed
+from gonio_validation.papers.simulated import Simulated, beside, divided
 
 BRDF = "BRDF [1/sr]"
 
@@ -103,11 +103,11 @@ def each(values: Mapping[float, Any], text: str = "{}") -> str:
     return ", ".join(f"{text.format(v)} at {i:g}°" for i, v in values.items())
 
 
-def normalised(scans: Sequence[Scan], experiment: Experiment) -> list[Line]:
-    """Theory and experiment, each divided by its own value in the mirror direction (eq. 11)."""
+def normalised(scans: Sequence[Scan], taken: Simulated) -> list[Line]:
+    """Theory and the simulated measurement, each divided by its own value in the mirror direction (eq. 11)."""
     lines = []
     for s in scans:
-        curve = experiment.curve(s.theta_i_deg)
+        curve = taken.curve(s.theta_i_deg)
         k = curve.mirror
         measured = divided(curve, float(curve.brdf[k])) if k is not None else (NOTHING, NOTHING, NOTHING)
         mirror = math.radians(s.theta_i_deg)
@@ -115,11 +115,11 @@ def normalised(scans: Sequence[Scan], experiment: Experiment) -> list[Line]:
     return lines
 
 
-def absolute(scans: Sequence[Scan], experiment: Experiment) -> list[Line]:
-    """Theory and experiment in 1/sr; without the values that are lost in the noise, for a logarithmic axis."""
+def absolute(scans: Sequence[Scan], taken: Simulated) -> list[Line]:
+    """Theory and the simulated measurement in 1/sr, without the values that are lost in the noise: for logarithms."""
     lines = []
     for s in scans:
-        curve = experiment.curve(s.theta_i_deg)
+        curve = taken.curve(s.theta_i_deg)
         clear = curve.brdf > 3.0 * curve.u
         angle, value, u = (v[clear] for v in divided(curve, 1.0))
         mirror = math.radians(s.theta_i_deg)
@@ -127,16 +127,16 @@ def absolute(scans: Sequence[Scan], experiment: Experiment) -> list[Line]:
     return lines
 
 
-def panels(scans: Sequence[Scan], experiment: Experiment, *, most: float = 2.5) -> list[Panel]:
+def panels(scans: Sequence[Scan], taken: Simulated, *, most: float = 2.5) -> list[Panel]:
     """The polar drawing of Figs. 7 to 9, and the same curves in absolute units."""
     solid = "Solid: theory, averaged over the cones; dashed, with error bars: simulated measurement."
     missing = " Values within three standard uncertainties of zero are left out."
     caption = f"Normalised: each curve divided by its own value in the mirror direction (eq. 11). {solid}"
     words = "BRDF / BRDF in the mirror direction"
     return [
-        polar_panel("polar", caption, normalised(scans, experiment), words, most=most),
+        polar_panel("polar", caption, normalised(scans, taken), words, most=most),
         angle_panel(
-            "semilog", f"Absolute: BRDF. {solid}{missing}", absolute(scans, experiment), "BRDF [1/sr]", logarithmic=True
+            "semilog", f"Absolute: BRDF. {solid}{missing}", absolute(scans, taken), "BRDF [1/sr]", logarithmic=True
         ),
     ]
 
@@ -173,14 +173,14 @@ class ScanRow(Row):
     rho_dh: float
 
 
-def rows(scans: Sequence[Scan], experiment: Experiment) -> tuple[list[list[str]], list[ScanRow]]:
+def rows(scans: Sequence[Scan], taken: Simulated) -> tuple[list[list[str]], list[ScanRow]]:
     """The table of results, as text and at full precision."""
     from gonio import geometry
 
     width = 2.0 * float(geometry.half_angle_of_cone(CONE_SR))
     text, numbers = [], []
     for s in scans:
-        curve = experiment.curve(s.theta_i_deg)
+        curve = taken.curve(s.theta_i_deg)
         measured = beside(curve, s.theta_i_deg, width)
         if s.spike_over_lobe < 1e-3:
             measured = None  # a spike below what can be seen of the lobe's curvature
@@ -213,8 +213,8 @@ def rows(scans: Sequence[Scan], experiment: Experiment) -> tuple[list[list[str]]
     return text, numbers
 
 
-def agreement(taken: Experiment) -> str:
-    """How far the experiment agrees with theory, as a sentence."""
+def agreement(taken: Simulated) -> str:
+    """How far the simulated measurement agrees with theory, as a sentence."""
     return (
         f"The simulated measurement against the model seen through the rig's own cones: reduced chi-square "
         f"{number(taken.chi_square)} over {len(taken.data)} values, nothing fitted."

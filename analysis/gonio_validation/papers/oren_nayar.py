@@ -13,7 +13,15 @@ from gonio_analysis.report.text import number
 from gonio.typing import Floats
 from gonio_validation.papers import oren_nayar_samples
 from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results, Row, agreed
-from gonio_validation.papers.oren_nayar_samples import PAPER, SidesRow, assumed, between
+from gonio_validation.papers.oren_nayar_samples import (
+    DRAWN_DEG,
+    JUDGED_DEG,
+    PAPER,
+    SOURCE_RIGHT,
+    SidesRow,
+    assumed,
+    between,
+)
 from gonio_validation.papers.panels import Trace, angle_panel, at, signed, theory, trace_panel
 
 INCIDENCES = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
@@ -79,11 +87,11 @@ class RadianceRow(Row):
 
 
 @functools.cache
-def radiance(choice: Choice, interreflections: bool = True) -> tuple[Floats, Floats]:
+def radiance(choice: Choice, interreflections: bool = True, step_deg: float = 1.0) -> tuple[Floats, Floats]:
     """Signed angles [deg] and radiance over E0, the irradiance head-on [1/sr], by the integral (eq. 13)."""
     from gonio.models import OrenNayar
 
-    angle = np.arange(-85.0, 85.1, 1.0)
+    angle = np.round(np.arange(-85.0, 85.1, step_deg), 6)
     theta_r, phi_r = signed(angle)
     model = OrenNayar(choice.albedo, choice.sigma_deg, "exact", interreflections=interreflections)
     theta_i = math.radians(choice.theta_i_deg)
@@ -215,16 +223,19 @@ def _radiance() -> PaperFigure:
                 "Radiance: over the irradiance head-on, in the plane of incidence, by the integral (eq. 13).",
                 lines,
                 "L / E0 [1/sr]",
+                retro_right=True,
             ),
             angle_panel(
                 "share",
                 "Interreflection: its share of the radiance.",
                 [theory(f"σ = {c.sigma_deg:g}°", np.radians(angle), twice(c)[1]) for c in ROUGHNESSES],
                 "share of interreflection",
+                retro_right=True,
             ),
         ],
         Results("", ("direction", "radiance", "direct light alone", "interreflection"), text),
         numbers,
+        [SOURCE_RIGHT],
     )  # fmt: skip
 
 
@@ -242,21 +253,21 @@ class PlaneRow(SidesRow):
     spread: float
 
 
-def plane(choice: Choice, theta_i_deg: float) -> tuple[Floats, Floats]:
+def plane(choice: Choice, theta_i_deg: float, step_deg: float = JUDGED_DEG) -> tuple[Floats, Floats]:
     """Signed angles [deg] and BRDF [1/sr] in the plane of incidence."""
     from gonio.models import OrenNayar
 
-    angle = np.arange(-85.0, 85.1, 2.5)
+    angle = np.round(np.arange(-85.0, 85.1, step_deg), 6)
     theta_r, phi_r = signed(angle)
     model = OrenNayar(choice.albedo, choice.sigma_deg, "exact")
     return angle, np.asarray(model.brdf(math.radians(theta_i_deg), 0.0, theta_r, phi_r))
 
 
-def beside(choice: Choice, dphi_deg: float) -> tuple[Floats, Floats]:
+def beside(choice: Choice, dphi_deg: float, step_deg: float = JUDGED_DEG) -> tuple[Floats, Floats]:
     """Polar angles [deg] and radiance over E0 [1/sr] at an azimuth from the source."""
     from gonio.models import OrenNayar
 
-    angle = np.arange(0.0, 85.1, 2.5)
+    angle = np.round(np.arange(0.0, 85.1, step_deg), 6)
     model = OrenNayar(choice.albedo, choice.sigma_deg, "exact")
     theta_i = math.radians(choice.theta_i_deg)
     value = model.brdf(theta_i, 0.0, np.radians(angle), math.radians(dphi_deg))
@@ -317,9 +328,9 @@ def _claims_6() -> list[Claim]:
 
 
 def _brdf() -> PaperFigure:
-    curves = [(i, *plane(SHOWN, i)) for i in INCIDENCES]
+    curves = [(i, *plane(SHOWN, i, DRAWN_DEG)) for i in INCIDENCES]
     lines = [theory(f"θi = {i:g}°", np.radians(a), v) for i, a, v in curves]
-    out = [Trace(f"Δφ = {d:g}°", *beside(SHOWN, d)) for d in AZIMUTHS]
+    out = [Trace(f"Δφ = {d:g}°", *beside(SHOWN, d, DRAWN_DEG)) for d in AZIMUTHS]
     text, numbers = [], []
     for i, a, v in curves:
         row = PlaneRow(i, at(a, v, -i), at(a, v, 0.0), at(a, v, i), _spread(a, v))
@@ -346,6 +357,7 @@ def _brdf() -> PaperFigure:
                 "(a) BRDF: in the plane of incidence, by the integral (eq. 13).",
                 lines,
                 "BRDF [1/sr]",
+                retro_right=True,
             ),
             trace_panel(
                 "azimuth",
@@ -361,4 +373,5 @@ def _brdf() -> PaperFigure:
             text,
         ),
         numbers,
+        [SOURCE_RIGHT],
     )

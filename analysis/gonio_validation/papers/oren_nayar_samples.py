@@ -24,10 +24,17 @@ MATCHED = "the authors chose theirs to match their measurements, this one is a r
 SAMPLES = {8: ("wall plaster", "A"), 9: ("white sand", "B"), 10: ("foam", "C"), 11: ("cotton towel", "D")}
 ROUGHNESS = {8: (30.0, 0.9), 9: (35.0, 0.8), 10: (20.0, 0.8), 11: (40.0, 0.75)}
 """Drawn: sigma [deg] and rho."""
+SOURCE_RIGHT = (
+    "The source stands on the right, as in the paper's Fig. 5 (“forward” is its left, “backward” its right); the sign "
+    "of θr stays this program's: positive on the mirror side."
+)
 TRIED_SIGMA = (20.0, 30.0, 40.0)
 TRIED_SURFACE = (0.02, 0.1, 0.2)
 SURFACE, INDEX = 0.1, 1.5
 INCIDENCES = (30.0, 45.0, 60.0)
+JUDGED_DEG, DRAWN_DEG = 2.5, 0.25
+"""Steps of the angle of reflection: those that claims are judged on, and those that are drawn. The model's own corners
+lie on both: at theta_r = theta_i, and where Torrance and Sparrow's masking sets in."""
 VASE_SIGMA = (20.0, 30.0, 40.0, 50.0)
 VASE = (40.0, 0.7)
 VASE_LIGHT_DEG = (0.0, 20.0)
@@ -109,7 +116,7 @@ def body_and_surface(sigma_deg: float, albedo: float, share: float) -> Any:
     return Sum((OrenNayar(albedo, sigma_deg), 1.0), (surface, share))
 
 
-def radiance(model: Any, theta_i_deg: float, step_deg: float = 2.5) -> tuple[Floats, Floats]:
+def radiance(model: Any, theta_i_deg: float, step_deg: float = JUDGED_DEG) -> tuple[Floats, Floats]:
     """Signed angles [deg] and radiance over the irradiance head-on [1/sr], in the plane of incidence."""
     angle = np.round(np.arange(-85.0, 85.1, step_deg), 6)
     theta_r, phi_r = signed(angle)
@@ -191,7 +198,7 @@ def _sample(figure: int) -> PaperFigure:
     sigma, albedo = ROUGHNESS[figure]
     specular = figure >= 10
     model = body_and_surface(sigma, albedo, SURFACE) if specular else body(sigma, albedo)
-    curves = [(i, *radiance(model, i)) for i in INCIDENCES]
+    curves = [(i, *radiance(model, i, DRAWN_DEG)) for i in INCIDENCES]
     lines = [theory(f"θi = {i:g}°", np.radians(a), v, math.radians(i)) for i, a, v in curves]
     text, numbers = [], []
     for i, a, v in curves:
@@ -206,16 +213,19 @@ def _sample(figure: int) -> PaperFigure:
             Parameter("n of the surface", f"{INDEX:g}", "assumed", "the paper gives none; a polymer's or fibre's"),
         ]
     panels = [
-        angle_panel("radiance", f"Radiance: over the irradiance head-on; {words}.", lines, "L / E0 [1/sr]"),
+        angle_panel(
+            "radiance", f"Radiance: over the irradiance head-on; {words}.", lines, "L / E0 [1/sr]", retro_right=True
+        ),
     ]
     if specular:
-        alone = [(i, *radiance(body_and_surface(sigma, albedo, 0.0), i)) for i in INCIDENCES]
+        alone = [(i, *radiance(body_and_surface(sigma, albedo, 0.0), i, DRAWN_DEG)) for i in INCIDENCES]
         panels.append(
             angle_panel(
                 "body",
                 "Body alone: the same without surface reflection (k_s = 0).",
                 [theory(f"θi = {i:g}°", np.radians(a), v, math.radians(i)) for i, a, v in alone],
                 "L / E0 [1/sr]",
+                retro_right=True,
             )
         )
     return PaperFigure(
@@ -227,7 +237,12 @@ def _sample(figure: int) -> PaperFigure:
         panels,
         Results("Radiance over E0 [1/sr].", ("incidence", "source's side", "normal", "mirror side"), text),
         numbers,
-        ["The paper's dots, its measurements, are not in the scan: what is drawn is the model alone."],
+        [
+            "The paper's dots, its measurements, are not in the scan: what is drawn is the model alone.",
+            SOURCE_RIGHT,
+            "The corners of the curves are the model's own: it changes its branch at θr = θi on the source's side"
+            + (", and Torrance and Sparrow's masking factor has two more." if specular else "."),
+        ],
     )  # fmt: skip
 
 

@@ -16,13 +16,13 @@ from gonio_validation.papers import (
     blinn,
     cook_torrance,
     cook_torrance_3,
-    experiment,
     htsg,
     htsg_10,
     htsg_11,
     htsg_surfaces,
     oren_nayar,
     oren_nayar_samples,
+    simulated,
 )
 from gonio_validation.papers.figure import Claim, agreed
 from gonio_validation.papers.panels import Trace, trace_panel
@@ -130,8 +130,8 @@ def test_fig_11_is_spikes_over_an_albedo() -> None:
     assert reflectance == pytest.approx(0.195, abs=1e-9)  # by construction
 
 
-def test_experiment_measures_the_figures_surface_with_its_solid_angles() -> None:
-    taken = experiment.measure(
+def test_the_simulated_goniometer_measures_the_figures_surface_with_its_solid_angles() -> None:
+    taken = simulated.measure(
         htsg.ALUMINIUM,
         name="aluminium",
         wavelength_nm=2000.0,
@@ -141,15 +141,15 @@ def test_experiment_measures_the_figures_surface_with_its_solid_angles() -> None
     )
     assert taken.data.source_solid_angle_sr == pytest.approx(htsg_surfaces.CONE_SR, rel=1e-9)
     curve = taken.curve(45.0)
-    measured = experiment.beside(curve, 45.0, math.radians(3.6))
+    measured = simulated.beside(curve, 45.0, math.radians(3.6))
     # the landing is off by up to half an encoder step, 0.04 of the 3.6 degrees that the spike falls off in, on each arm
     assert measured == pytest.approx(77.4, rel=0.06)
     # 6 values: chi-square per value is below 3 in all but 1 of 100 runs of a Gaussian
     assert taken.chi_square < 3
     assert set(taken.files) == {
-        f"experiment/{f}" for f in ("rig.toml", "plan.toml", "sample.toml", "brdf.csv", "brdf.meta.json")
+        f"simulated/{f}" for f in ("rig.toml", "plan.toml", "sample.toml", "brdf.csv", "brdf.meta.json")
     }
-    assert json.loads(taken.files["experiment/brdf.meta.json"])["source_file"] == "RUN"
+    assert json.loads(taken.files["simulated/brdf.meta.json"])["source_file"] == "RUN"
 
 
 # --- Cook and Torrance --------------------------------------------------------------------------------------------
@@ -301,14 +301,14 @@ def test_page_states_parameters_verdicts_and_every_curve(tmp_path: Path) -> None
     with open(page.parent / "curves.csv", encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
     shown = [r for r in rows if r["panel"] == "polar"]
-    assert {r["kind"] for r in shown} == {"theory", "experiment"}
+    assert {r["kind"] for r in shown} == {"theory", "simulated"}
     at_normal = [float(r["y"]) for r in shown if r["kind"] == "theory" and float(r["x"]) == 0.0]
     assert at_normal == [1.0]
-    assert all(np.isfinite(float(r["u_y"])) for r in shown if r["kind"] == "experiment")
+    assert all(np.isfinite(float(r["u_y"])) for r in shown if r["kind"] == "simulated")
     for panel in facts["panels"]:
         for ending in ("svg", "png"):
             assert (page.parent / "figures" / f"htsg-10-{panel['name']}.{ending}").stat().st_size > 1000
-    assert (page.parent / "experiment" / "rig.toml").is_file()
+    assert (page.parent / "simulated" / "rig.toml").is_file()
 
 
 def test_labels_keep_their_digits() -> None:

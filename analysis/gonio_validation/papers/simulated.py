@@ -1,4 +1,4 @@
-"""The "experiment" of a figure: the simulated goniometer measures its surface, frames and reduction included."""
+"""The dashed curves of a figure: the simulated goniometer measures its surface, frames and reduction included."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ AROUND = float(np.radians(11.0))
 
 
 @dataclass(frozen=True)
-class Experiment:
+class Simulated:
     """What the simulated goniometer measured."""
 
     data: Observations
@@ -58,7 +58,7 @@ def measure(
     scans: Mapping[float, Sequence[float]],
     solid_angle_sr: float,
     progress: Callable[[str], None],
-) -> Experiment:
+) -> Simulated:
     """Measure and reduce one surface on the rig "sim", whose lamp, lens and band are made those of the figure.
 
     Parameters
@@ -107,17 +107,17 @@ def measure(
         frame.attrs["source_file"] = "RUN"  # the temporary folder is nobody's business
         measurement.write(frame, folder / "brdf.csv")
         kept = [*(f"{kind}.toml" for kind in tables), "brdf.csv", "brdf.meta.json"]
-        files = {f"experiment/{file}": (folder / file).read_bytes() for file in kept}
+        files = {f"simulated/{file}": (folder / file).read_bytes() for file in kept}
     data = observations(frame, name)
     assert data.covariance is not None  # the rig "sim" states its uncertainties
     seen = apparent(surface.model, data)
     chi = data.covariance.scaled(seen / data.brdf).chi_square(data.brdf - seen) / len(data)
     words = (
         f"{len(data)} of {points} directions on the rig sim, seed {SEED}, lamp and lens of {solid_angle_sr:.5f} sr "
-        "each; to repeat it, in experiment/: gonio measure plan.toml --rig rig.toml --sample sample.toml --seed "
+        "each; to repeat it, in simulated/: gonio measure plan.toml --rig rig.toml --sample sample.toml --seed "
         f"{SEED} --out RUN --yes; gonio reduce RUN"
     )
-    return Experiment(data, curves(data), chi, files, words)
+    return Simulated(data, curves(data), chi, files, words)
 
 
 def beside(curve: Curve, theta_i_deg: float, width: float) -> float | None:
