@@ -206,7 +206,7 @@ def test_a_class_that_cannot_be_found_again_is_refused(table: pd.DataFrame) -> N
 
     with pytest.raises(ConfigError, match="outside of functions"):
         gonio_analysis.fit(table, Hidden)
-    with pytest.raises(ConfigError, match='"lambert".*has that name already'):
+    with pytest.raises(ConfigError, match=r'"lambert".*has that name already'):
         gonio_analysis.fit(table, Usurper)
     with pytest.raises(ConfigError, match="with a name, not int"):
         gonio_analysis.fit(table, int)  # type: ignore[arg-type]
