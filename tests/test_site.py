@@ -46,7 +46,12 @@ def test_it_builds_without_a_warning_and_holds_what_it_should(tmp_path: Path, ho
     docs = {str(p.relative_to(ROOT / "docs").with_suffix("")) for p in (ROOT / "docs").rglob("*.[mi][dp]*")}
     assert pages >= docs | {"index"}
     reference = "".join(p.read_text("utf-8") for p in (site / "reference").glob("*.html"))
-    for name in ("gonio.measurement.read", "gonio.models.HeTorrance.brdf", "gonio_analysis.notebook.fit"):
+    for name in (
+        "gonio.measurement.read",
+        "gonio.models.Model.brdf",
+        "gonio.models.HeTorrance",
+        "gonio_analysis.notebook.fit",
+    ):
         assert f'id="{name}"' in reference
     assert not list(hooks.dead_links(site))
     text = "".join(p.read_text("utf-8") for p in site.rglob("*.html"))
@@ -105,7 +110,9 @@ def test_a_notebook_becomes_a_page(hooks: ModuleType) -> None:
                         "output_type": "execute_result",
                         "metadata": {},
                         "data": {
-                            "text/html": ["<style>p {}</style><table>\n\n<tr><td>1</td></tr></table>"],
+                            "text/html": [
+                                '<style>p {}</style><table border="1" class="dataframe">\n\n<tr><td>1</td></tr></table>'
+                            ],
                             "text/plain": "t",
                         },
                     },
