@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN = .venv/bin
 
-.PHONY: demo test check clean
+.PHONY: demo test check site clean
 
 demo: .venv/.ready
 	$(BIN)/gonio demo --out demo-run
@@ -16,6 +16,10 @@ check: .venv/.ready
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# build/site/index.html: docs, notebooks and the API's reference; a warning or a dead link ends it
+site: .venv/.ready
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
+
 .venv/.ready: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "gonio needs Python 3.11 or newer; say: make PYTHON=python3.11")'
 	$(PYTHON) -m venv .venv
@@ -23,5 +27,5 @@ check: .venv/.ready
 	touch .venv/.ready
 
 clean:
-	rm -rf .venv demo-run
+	rm -rf .venv demo-run build
 	find gonio drivers sim analysis tests -name __pycache__ -type d -exec rm -rf {} +

@@ -63,12 +63,25 @@ def lasting(notebook: Any) -> Any:
     for count, cell in enumerate(notebook.cells):
         cell.id = f"cell-{count:02}"
         cell.metadata = nbformat.from_dict({k: v for k, v in cell.metadata.items() if k == "tags"})
+        if cell.cell_type == "code":
+            cell.outputs = _joined(cell.outputs)
         for output in cell.get("outputs", []):
             if "text" in output:
-                output.text = ESCAPES.sub("", output.text).replace("\r\n", "\n")
+                output.text = ESCAPES.sub("", output.text).replace("\r\n", "\n").rstrip() + "\n"
             if "data" in output:
                 output.data = nbformat.from_dict({k: v for k, v in output.data.items() if _kept(k, output.data)})
     return notebook
+
+
+def _joined(outputs: list[Any]) -> list[Any]:
+    """Outputs with what was printed in one piece: how it came in pieces is chance."""
+    out: list[Any] = []
+    for one in outputs:
+        if one.output_type == "stream" and out and out[-1].output_type == "stream" and out[-1].name == one.name:
+            out[-1].text += one.text
+        else:
+            out.append(one)
+    return out
 
 
 def _kept(kind: str, data: Any) -> bool:

@@ -114,7 +114,9 @@ def _shown(output: dict[str, Any], stem: str, pictures: dict[str, bytes]) -> str
 
 
 def _without_blank_lines(html: str) -> str:
+    """HTML that Markdown leaves alone, with tables in the site's style and not in their own."""
     html = re.sub(r"<style.*?</style>", "", html, flags=re.DOTALL)
+    html = re.sub(r"<table[^>]*>", "<table>", html)
     return "\n".join(line.strip() for line in html.splitlines() if line.strip())
 
 

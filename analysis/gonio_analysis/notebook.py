@@ -164,7 +164,11 @@ def semilog(
     ax: Any, table: Table, model: Model | FitResult | None = None, *, wavelength_nm: float | None = None
 ) -> list[Any]:
     """The same curves absolute, on a logarithmic axis; arguments, result and errors as `polar`."""
-    return in_plane.semilog(ax, [d.absolute() for d in _drawn(table, model, wavelength_nm, "mirror")])
+    drawn = _drawn(table, model, wavelength_nm, "mirror")
+    artists = in_plane.semilog(ax, [d.absolute() for d in drawn])
+    angle = "θr" if drawn[0].curve.scanned == "theta_r" else "θi"  # the angle that runs along a curve
+    ax.set_xlabel(f"{angle}: retro side negative, mirror side positive")
+    return artists
 
 
 def _drawn(

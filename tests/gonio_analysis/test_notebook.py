@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import ClassVar
 
 import gonio_analysis
 import numpy as np
@@ -14,8 +17,10 @@ import pytest
 from gonio_analysis.selection.compare import Dataset
 
 import gonio
+from gonio import plugins, shown
 from gonio.errors import ConfigError, DataError
-from gonio.models import OrenNayar, build
+from gonio.models import ArrayModel, Fitted, Lambert, OrenNayar, build
+from gonio.typing import Floats
 from tests.gonio_analysis.synthetic import measure
 
 CLAY = OrenNayar(0.6, 20.0)
@@ -146,3 +151,105 @@ def test_a_rig_opens_by_name(tmp_path: Path) -> None:
         assert rig is not None
     with pytest.raises(ConfigError, match="did you mean"):
         gonio.open_rig("sin")
+
+
+@dataclass(frozen=True)
+class Dull(ArrayModel):
+    """A model that no package brings."""
+
+    level: float = 0.5
+    name = "dull"
+    fitted: ClassVar = {"level": Fitted(0.0, 1.0, starts="diffuse")}
+
+    @property
+    def convention(self) -> str:
+        return "level / pi."
+
+    def evaluate(self, omega_i: Floats, omega_r: Floats, wavelength_nm: float) -> Floats:
+        return np.full(len(omega_i), self.level / np.pi)
+
+
+class Usurper(Dull):
+    """One that takes the name of a model that ships."""
+
+    name = "lambert"
+
+
+@pytest.fixture
+def nothing_added() -> Iterator[None]:
+    before = dict(plugins._added)
+    yield
+    plugins._added.clear()
+    plugins._added.update(before)
+
+
+@pytest.mark.usefixtures("nothing_added")
+def test_a_class_of_ones_own_is_fitted_compared_and_given_intervals() -> None:
+    flat = measure(Lambert(0.3), noise=0.005)
+    result = gonio_analysis.fit(flat, Dull)
+    assert result.parameters["level"].value == pytest.approx(0.3, abs=4 * 0.3 * 0.005)  # noise of one value
+    (interval,) = result.intervals().values()
+    assert interval.holds(result.parameters["level"].value)
+    assert repr(interval).startswith("<95 % interval of level: 0.2")
+    found = gonio_analysis.compare(flat, ["oren-nayar", Dull])
+    assert found.choice.named is not None
+    assert found.choice.named.candidate.model == "dull"
+    assert gonio_analysis.compare(flat, Dull).choice.named is not None
+    with pytest.raises(ConfigError, match="is not fitted; it fits level"):
+        result.intervals("lever")
+
+
+@pytest.mark.usefixtures("nothing_added")
+def test_a_class_that_cannot_be_found_again_is_refused(table: pd.DataFrame) -> None:
+    class Hidden(Dull):
+        name = "hidden"
+
+    with pytest.raises(ConfigError, match="outside of functions"):
+        gonio_analysis.fit(table, Hidden)
+    with pytest.raises(ConfigError, match=r'"lambert".*has that name already'):
+        gonio_analysis.fit(table, Usurper)
+    with pytest.raises(ConfigError, match="with a name, not int"):
+        gonio_analysis.fit(table, int)  # type: ignore[arg-type]
+    assert not plugins._added
+
+
+def test_a_comparison_assumes_an_uncertainty_and_takes_a_metric(table: pd.DataFrame) -> None:
+    bare = table.assign(u_brdf=np.nan, u_random=np.nan)
+    bare.attrs = table.attrs
+    assert gonio_analysis.compare(bare, ["oren-nayar"]).choice.judged[0].fit.chi_square is None
+    found = gonio_analysis.compare(bare, ["oren-nayar"], u_rel=0.005, name="clay")
+    assert "assumed uncertainty of 0.5 %" in found.choice.words
+    assert gonio_analysis.compare(bare, "oren-nayar", metric="ngan").choice.judged[0].fit.goal.metric == "ngan"
+    with pytest.raises(ConfigError, match="no such metric"):
+        gonio_analysis.compare(bare, "oren-nayar", metric="mean")
+    with pytest.raises(ConfigError, match="u-rel"):
+        gonio_analysis.compare(bare, "oren-nayar", u_rel=-1.0)
+
+
+@pytest.mark.parametrize(
+    ("number", "u", "unit", "text"),
+    [
+        (0.279368, 0.00123, "um", "0.2794 ± 0.0012 µm"),
+        (7.2429e-07, 7.1e-07, "", "(7.2 ± 7.1)e-7"),
+        (0.047728, 0.134, "", "0.05 ± 0.13"),
+        (12345.6, 321.0, "nm", "12346 ± 321 nm"),
+        (1.5, None, "", "1.5"),
+        (1.5, 0.0, "deg", "1.5 deg"),
+        (0.1, float("inf"), "", "0.1"),
+    ],
+)
+def test_values_are_shown_to_the_second_digit_of_their_uncertainty(
+    number: float, u: float | None, unit: str, text: str
+) -> None:
+    assert shown.value(number, u, unit) == text
+
+
+@pytest.mark.parametrize("theory", [None, CLAY])
+def test_curves_carry_their_names_for_a_legend(table: pd.DataFrame, theory: OrenNayar | None) -> None:
+    from matplotlib.figure import Figure
+
+    for draw in (gonio_analysis.polar, gonio_analysis.semilog):
+        ax = Figure().subplots()
+        draw(ax, table, theory)
+        assert ax.get_legend_handles_labels()[1] == ["θi = 10°", "θi = 30°", "θi = 60°"]
+    assert ax.get_xlabel().startswith("θr: retro side negative")

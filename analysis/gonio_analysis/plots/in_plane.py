@@ -144,6 +144,7 @@ def polar(
                 marker=look["marker"],
                 ms=2.6,
                 color=look["color"],
+                label=None if line.theory.size else line.label,
                 zorder=4,
                 clip_on=False,
             )
@@ -191,6 +192,7 @@ def semilog(ax: Any, lines: Sequence[Line], *, unit: str = "BRDF [1/sr]") -> lis
                     yerr=[np.minimum(u, 0.999 * y), u],
                     ls=(0, (4, 2)),
                     lw=0.8,
+                    label=None if line.theory.size else line.label,
                     elinewidth=0.8,
                     ms=2.6,
                     zorder=4,
