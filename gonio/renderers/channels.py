@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 COLOURS = ("red", "green", "blue")
-WAVELENGTHS_NM = np.arange(400.0, 701.0, 20.0)
+WAVELENGTHS_NM = np.arange(400.0, 701.0, 50.0)
 """Where a model is evaluated for its colour."""
 
 
@@ -124,5 +124,5 @@ def of_model(model: Model, theta_i: Floats, theta_r: Floats, dphi: Floats) -> Fl
     ends = [model.brdf(theta_i, 0.0, theta_r, dphi, wavelength_nm=nm) for nm in WAVELENGTHS_NM[[0, -1]].tolist()]
     if np.allclose(ends[0], ends[1], rtol=1e-9, atol=0):
         return np.repeat(ends[0][:, np.newaxis], 3, axis=1)
-    spectra = [model.brdf(theta_i, 0.0, theta_r, dphi, wavelength_nm=nm) for nm in WAVELENGTHS_NM.tolist()]
-    return colour.SRGB.rgb(colour.xyz(np.stack(spectra, axis=-1), WAVELENGTHS_NM))
+    angles = [a[:, np.newaxis] for a in (theta_i, 0.0 * theta_i, theta_r, dphi)]
+    return colour.SRGB.rgb(colour.xyz(model.brdf(*angles, wavelength_nm=WAVELENGTHS_NM), WAVELENGTHS_NM))
