@@ -234,7 +234,7 @@ def averaged(
 ) -> pd.DataFrame:
     """A BRDF of four angles [rad] averaged over pairs of patches of the full basis, as its front in the visible.
 
-    Averages are weighted with both cosines, over `samples` by `samples` directions of equal projected solid angle in each patch.
+    Averages are over `samples` by `samples` directions of equal projected solid angle in each patch.
     """
     basis = _full()
     count = basis.theta.size

@@ -1,7 +1,7 @@
 """A model, or a table, as the material of another program: its BRDF fitted to ours, and how far off it is.
 
 The fit takes a model over the whole hemisphere, and a table at its own directions: nothing is filled in. It minimises
-the differences of the cube roots of brdf cos(theta_r), which neither the lobe nor the diffuse part rules (Löw 2012
+the differences of the cube roots of brdf cos(theta_r), which neither the lobe nor the diffuse part rules (Low2012
 compares such metrics). Each direction counts alike; those of a model crowd about the mirror direction.
 """
 
