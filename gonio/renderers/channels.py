@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gonio import colour, measurement
+from gonio import colour, geometry, measurement
 from gonio.errors import ConfigError, DataError
 from gonio.formats.reader import ANGLES
 from gonio.models import Model
@@ -112,6 +112,11 @@ def _rows(name: str, wide: pd.DataFrame, values: Floats, notes: Sequence[str]) -
     values = values[known]
     dphi = np.abs(np.mod(index[:, 3] - index[:, 1] + np.pi, 2 * np.pi) - np.pi)
     said = list(notes)
+    oblique = index[index[:, 0] > geometry.AT_NORMAL, 1]
+    if oblique.size:
+        turned = np.abs(np.mod(oblique - oblique[0] + np.pi / 2, np.pi) - np.pi / 2)  # of a half turn: the same plane
+        if turned.max() > geometry.SAME_AZIMUTH:
+            said.append("measured at several azimuths of incidence, which are averaged: a brushed sample loses its own")
     below = int((values < 0).any(axis=1).sum())
     if below:
         said.append(f"{below} of {len(values)} values are below zero (noise, or colours beyond sRGB) and become zero")

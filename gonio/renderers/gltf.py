@@ -137,7 +137,7 @@ class Coated(Material):
         return {**self.base.shown(), "KHR_materials_clearcoat": coat}
 
 
-KINDS: tuple[type[Material], ...] = (MetallicRoughness, Dielectric, Coated)
+KINDS: tuple[type[Material], ...] = (Dielectric, MetallicRoughness, Coated)
 
 
 def check(path: Path) -> None:

@@ -50,7 +50,7 @@ def remarks(rows: Rows, filled: Filled) -> list[str]:
             " table's step: its height is the table's, its width that of the step, and its flux is not known"
         )
     else:
-        peak = [s for s in filled.slices if s.line is not None and -s.reach[0] > 0]
+        peak = [s for s in filled.slices if s.line is not None and -s.reach[0] > geometry.AT_MIRROR]
         if peak:
             said.append(
                 "at some incidences the mirror direction lies beyond what was measured: the lobe may be missing"

@@ -60,9 +60,9 @@ def test_a_lambertian_plane_of_incidence_is_a_lambertian_hemisphere() -> None:
 def test_between_what_was_measured_the_model_comes_out() -> None:
     """Half a step beside every measured angle, out of plane too, and between the angles of incidence."""
     dphi = tuple(range(15, 180, 15))
-    filled = Filled(channels.rows(sampled(GLOSSY, [*range(0, 71, 10)], 2.5, dphi_deg=tuple(map(float, dphi))), "g"))
+    filled = Filled(channels.rows(sampled(GLOSSY, [*range(0, 71, 10)], 5, dphi_deg=tuple(map(float, dphi))), "g"))
     dice = np.random.default_rng(4)
-    theta_i, theta_r, phi = dice.uniform(0, 1.2, 2000), dice.uniform(0, 1.2, 2000), dice.uniform(0, math.pi, 2000)
+    theta_i, theta_r, phi = dice.uniform(0, 1.2, 500), dice.uniform(0, 1.2, 500), dice.uniform(0, math.pi, 500)
     i, r = geometry.direction(theta_i, 0 * phi), geometry.direction(theta_r, phi)
     assert filled.measured(i, r).all()
     error = np.abs(filled.brdf(i, r)[:, 0] / GLOSSY.brdf(theta_i, 0.0, theta_r, phi) - 1)
@@ -124,6 +124,19 @@ def test_channels_are_one_wavelength_colours_or_a_spectrum() -> None:
         channels.rows(grey.assign(sample="a"), "x")
 
 
+def test_azimuths_of_incidence_are_averaged_and_that_is_said() -> None:
+    one = sampled(Lambert(albedo=0.4), [30], 20)
+    turned = one.assign(phi_i_deg=90.0, phi_r_deg=(one["phi_r_deg"] + 90) % 360, brdf=one["brdf"] * 3)
+    both = pd.concat([one, turned], ignore_index=True)
+    both.attrs = one.attrs
+    rows = channels.rows(both, "x")
+    assert any("several azimuths" in note for note in rows.notes)
+    assert not any("several azimuths" in note for note in channels.rows(one, "x").notes)
+    # a mean of logarithms where all values are positive
+    values = Filled(rows).brdf(*vectors(channels.rows(one, "x")))
+    np.testing.assert_allclose(values, math.sqrt(3) * 0.4 / math.pi, rtol=1e-9)
+
+
 def test_scattered_directions_are_refused(tmp_path: Path) -> None:
     dice = np.random.default_rng(2)
     theta_i, theta_r = dice.uniform(5, 80, (2, 40))
@@ -174,8 +187,8 @@ def test_mitsuba_shows_the_radiance_that_the_table_says(tmp_path: Path) -> None:
     """Several incidences and colours, in plane and out of it, a well sampled lobe and one narrower than the step."""
     mitsuba = pytest.importorskip("mitsuba", reason="Mitsuba 3 is not installed (pip install gonio[peers])")
     mitsuba.set_variant("scalar_rgb")
-    for name, model, dphi in (("wide", GLOSSY, (45.0, 90.0, 135.0)), ("narrow", NARROW, ())):
-        part = sampled(model, [15, 45, 60], 5, dphi_deg=dphi)
+    for name, model, dphi in (("wide", GLOSSY, (60.0, 120.0)), ("narrow", NARROW, ())):
+        part = sampled(model, [20, 60], 5, dphi_deg=dphi)
         colours = pd.concat(
             [
                 part.assign(sample=f"m {c}", brdf=k * part["brdf"])
@@ -186,7 +199,7 @@ def test_mitsuba_shows_the_radiance_that_the_table_says(tmp_path: Path) -> None:
         colours.attrs = part.attrs | {"samples": ["m red", "m green", "m blue"]}
         rows = channels.rows(colours, name)
         measured.write(rows, tmp_path / f"{name}.bsdf", "mitsuba")
-        chosen = np.random.default_rng(1).choice(len(rows.angles), 40, replace=False)
+        chosen = np.random.default_rng(1).choice(len(rows.angles), 12, replace=False)
         chosen = np.append(chosen, np.argsort(rows.values[:, 0])[-3:])  # the peaks
         for angles, values in zip(rows.angles[chosen], rows.values[chosen], strict=True):
             shown = flat(mitsuba, tmp_path / f"{name}.bsdf", *angles.tolist())
@@ -214,7 +227,7 @@ def test_radiances_file_holds_averages_over_patches(tmp_path: Path) -> None:
 
     def drawn(patch: tuple[float, float, float, float]) -> tuple[Floats, Floats]:
         low, high, phi, width = patch
-        sines = dice.uniform(*np.sin(np.deg2rad([low, high])) ** 2, 4000)
+        sines = dice.uniform(math.sin(math.radians(low)) ** 2, math.sin(math.radians(high)) ** 2, 4000)
         return np.arcsin(np.sqrt(sines)), np.deg2rad(phi + width * dice.uniform(-0.5, 0.5, 4000))
 
     for row, column in ((0, 0), (30, 5), (60, 100), (110, 20), (90, 90)):
