@@ -247,15 +247,17 @@ def write_model(model: Model, name: str, path: Path) -> None:
     write(frame, path)
 
 
-def averaged(brdf: Callable[[Floats, Floats, Floats, Floats], Floats], name: str) -> pd.DataFrame:
+def averaged(
+    brdf: Callable[[Floats, Floats, Floats, Floats], Floats], name: str, *, samples: int = _SAMPLES
+) -> pd.DataFrame:
     """A BRDF of four angles [rad] averaged over pairs of patches of the full basis, as its front in the visible.
 
-    Averages are weighted with both cosines, over four by four directions of equal projected solid angle in each patch.
+    Averages are over `samples` by `samples` directions of equal projected solid angle in each patch.
     """
     basis = _full()
     count = basis.theta.size
-    shares = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
-    thetas, phis = np.empty((2, count, _SAMPLES, _SAMPLES))
+    shares = (np.arange(samples) + 0.5) / samples
+    thetas, phis = np.empty((2, count, samples, samples))
     start = 0
     for low, high, patches in _FULL:
         s_low, s_high = np.sin(np.deg2rad([low, high])) ** 2

@@ -37,6 +37,7 @@ _MAGIC = b"tensor_file\0"
 _KINDS = {1: "u1", 2: "i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4", 7: "<u8", 8: "<i8", 9: "<f2", 10: "<f4", 11: "<f8"}
 _COLOURS = tuple(RGB_NM)
 _NODES, _INCIDENCES = 128, 64
+_SWEEPS = 30
 
 
 def tensors(data: bytes, path: Path) -> dict[str, npt.NDArray[Any]]:
@@ -295,6 +296,7 @@ def sliced(
     nodes: int = _NODES,
     incidences: int | Floats = _INCIDENCES,
     remarks: str = "",
+    exact: tuple[Floats, Floats, Floats] | None = None,
 ) -> bytes:
     """A BRDF as a file of three channels: brdf cos(theta_r) on the half vector's own grid, without a warp.
 
@@ -314,6 +316,9 @@ def sliced(
         themselves [rad]. Twice as many of all leave a quarter of the error, in eight times as large a file.
     remarks
         Words that the file carries in a field of its own, which renderers pass over.
+    exact
+        Pairs of directions (n, 3), (n, 3) and values (n, 3) there: the nodes around them are moved until a reader's
+        straight lines give these back.
     """
     side = np.linspace(0.0, 1.0, nodes)
     theta_m, phi_m = np.meshgrid(np.pi / 2 * side**2, np.pi * (2 * side - 1))
@@ -327,6 +332,8 @@ def sliced(
         directions = np.moveaxis(outgoing[:, above], 0, -1)
         f = brdf(np.broadcast_to(incident[:, 0, 0], directions.shape), directions)
         slice_[:, above] = (np.maximum(f, 0.0) * outgoing[2][above, np.newaxis]).T
+    if exact is not None:
+        _move_nodes(values[0], theta_i, *exact)
     # samples are drawn from this: what a half vector reflects, times the solid angle of its cell
     weight = values.mean(axis=2, dtype=np.float64) * side * np.sin(theta_m)
     words = {"remarks": np.frombuffer(remarks.encode(), np.uint8)} if remarks else {}
@@ -344,6 +351,35 @@ def sliced(
             **words,
         }
     )
+
+
+def _move_nodes(values: npt.NDArray[Any], theta_i: Floats, first: Floats, second: Floats, wanted: Floats) -> None:
+    """Change nodes (incidences, 3, phi, theta) as little as gives `wanted` back: Kaczmarz, all at once."""
+    half = first + second
+    theta_m = np.arctan2(np.hypot(half[:, 0], half[:, 1]), half[:, 2])
+    turn = np.arctan2(half[:, 1], half[:, 0]) - np.arctan2(first[:, 1], first[:, 0])
+    turn = np.where(np.hypot(first[:, 0], first[:, 1]) < 1e-9, np.arctan2(half[:, 1], half[:, 0]), turn)
+    v = turn / (2 * np.pi) + 0.5
+    column, x = _cell(np.sqrt(theta_m * 2 / np.pi), values.shape[-1])
+    row, y = _cell(v - np.floor(v), values.shape[-2])
+    nodes, weights = [], []
+    for t, wt in _around(theta_i, np.arccos(np.clip(first[:, 2], -1, 1))):
+        for r, wr in ((row, 1 - y), (row + 1, y)):
+            for c, wc in ((column, 1 - x), (column + 1, x)):
+                nodes.append((t * values.shape[-2] + r) * values.shape[-1] + c)
+                weights.append(wt * wr * wc)
+    index, weight = np.stack(nodes), np.stack(weights)
+    flat = np.moveaxis(values, 1, 0).reshape(3, -1).astype(np.float64)
+    goal = (wanted * second[:, 2:3]).T
+    count = np.zeros(flat.shape[1])
+    np.add.at(count, index, weight)
+    share = weight / (weight**2).sum(axis=0) / np.maximum(count[index], 1.0)
+    for _ in range(_SWEEPS):
+        off = goal - (flat[:, index] * weight).sum(axis=1)
+        for channel, step in zip(flat, off, strict=True):
+            np.add.at(channel, index, share * step)
+        np.maximum(flat, 0.0, out=flat)
+    values[:] = np.moveaxis(flat.reshape(3, values.shape[0], *values.shape[2:]), 0, 1)
 
 
 def _pack(fields: dict[str, npt.NDArray[Any]]) -> bytes:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gonio import colour, measurement
+from gonio import colour, geometry, measurement
 from gonio.errors import ConfigError, DataError
 from gonio.formats.reader import ANGLES
 from gonio.models import Model
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 COLOURS = ("red", "green", "blue")
-WAVELENGTHS_NM = np.arange(400.0, 701.0, 20.0)
+WAVELENGTHS_NM = np.arange(400.0, 701.0, 50.0)
 """Where a model is evaluated for its colour."""
 
 
@@ -112,6 +112,11 @@ def _rows(name: str, wide: pd.DataFrame, values: Floats, notes: Sequence[str]) -
     values = values[known]
     dphi = np.abs(np.mod(index[:, 3] - index[:, 1] + np.pi, 2 * np.pi) - np.pi)
     said = list(notes)
+    oblique = index[index[:, 0] > geometry.AT_NORMAL, 1]
+    if oblique.size:
+        turned = np.abs(np.mod(oblique - oblique[0] + np.pi / 2, np.pi) - np.pi / 2)  # of a half turn: the same plane
+        if turned.max() > geometry.SAME_AZIMUTH:
+            said.append("measured at several azimuths of incidence, which are averaged: a brushed sample loses its own")
     below = int((values < 0).any(axis=1).sum())
     if below:
         said.append(f"{below} of {len(values)} values are below zero (noise, or colours beyond sRGB) and become zero")
@@ -124,5 +129,5 @@ def of_model(model: Model, theta_i: Floats, theta_r: Floats, dphi: Floats) -> Fl
     ends = [model.brdf(theta_i, 0.0, theta_r, dphi, wavelength_nm=nm) for nm in WAVELENGTHS_NM[[0, -1]].tolist()]
     if np.allclose(ends[0], ends[1], rtol=1e-9, atol=0):
         return np.repeat(ends[0][:, np.newaxis], 3, axis=1)
-    spectra = [model.brdf(theta_i, 0.0, theta_r, dphi, wavelength_nm=nm) for nm in WAVELENGTHS_NM.tolist()]
-    return colour.SRGB.rgb(colour.xyz(np.stack(spectra, axis=-1), WAVELENGTHS_NM))
+    angles = [a[:, np.newaxis] for a in (theta_i, 0.0 * theta_i, theta_r, dphi)]
+    return colour.SRGB.rgb(colour.xyz(model.brdf(*angles, wavelength_nm=WAVELENGTHS_NM), WAVELENGTHS_NM))

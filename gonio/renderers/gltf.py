@@ -2,7 +2,7 @@
 
 `MetallicRoughness` is a metal, `Dielectric` has the extensions for its surface, `Coated` a second lobe over it. A
 metallic between 0 and 1 is a mixture of two samples and is not fitted, nor is sheen, which stands for the fibres of
-cloth. The file is one material and a sphere that shows it; the BRDF reads the specification's text:
+cloth. The file is one material and a sphere that shows it; the BRDF is the specification's (Khronos2021):
 
     alpha = roughness^2; D = GGX; V = G1(L) G1(V) / (4 NL NV), G1 = 2 NL / (NL + sqrt(alpha^2 + (1 - alpha^2) NL^2))
 """
@@ -137,7 +137,7 @@ class Coated(Material):
         return {**self.base.shown(), "KHR_materials_clearcoat": coat}
 
 
-KINDS: tuple[type[Material], ...] = (MetallicRoughness, Dielectric, Coated)
+KINDS: tuple[type[Material], ...] = (Dielectric, MetallicRoughness, Coated)
 
 
 def check(path: Path) -> None:

@@ -50,7 +50,7 @@ def remarks(rows: Rows, filled: Filled) -> list[str]:
             " table's step: its height is the table's, its width that of the step, and its flux is not known"
         )
     else:
-        peak = [s for s in filled.slices if s.line is not None and -s.reach[0] > 0]
+        peak = [s for s in filled.slices if s.line is not None and -s.reach[0] > geometry.AT_MIRROR]
         if peak:
             said.append(
                 "at some incidences the mirror direction lies beyond what was measured: the lobe may be missing"
@@ -80,9 +80,25 @@ def write_mitsuba(rows: Rows, path: Path) -> list[str]:
 
     said = remarks(rows, filled)
     views = _views(filled)
-    data = rgl.sliced(seen, rows.name, nodes=_NODES, incidences=views, remarks="\n".join(said))
+    source, viewer = _vectors(rows)
+    both = np.concatenate([viewer, viewer * [1, -1, 1]]), np.concatenate([source, source * [1, -1, 1]])
+    given = np.broadcast_to(rows.values, (len(rows.values), 3))
+    data = rgl.sliced(
+        seen,
+        rows.name,
+        nodes=_NODES,
+        incidences=views,
+        remarks="\n".join(said),
+        exact=(*both, np.concatenate([given, given])),
+    )
     write_bytes(path, data)
     return said
+
+
+def _vectors(rows: Rows) -> tuple[Floats, Floats]:
+    """Unit vectors (n, 3) toward the source and the detector of what was measured, the detector at the azimuth 0."""
+    theta_i, theta_r, dphi = rows.angles.T
+    return geometry.direction(theta_i, dphi), geometry.direction(theta_r, 0.0 * dphi)
 
 
 def _views(filled: Filled) -> Floats:
@@ -113,7 +129,7 @@ def write_radiance(rows: Rows, path: Path) -> list[str]:
     if filled.channels == 3:
         said.append("Radiance's file holds the luminance of the three channels; colour is for a pattern on it")
     said.append("values are averages over pairs of Klems patches, 10 degrees wide: a narrower lobe is spread over one")
-    frame = klems_xml.averaged(luminance, rows.name)
+    frame = klems_xml.averaged(luminance, rows.name, samples=3)
     frame.attrs["remarks"] = said
     klems_xml.write(frame, path)
     return said

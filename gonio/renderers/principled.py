@@ -144,7 +144,7 @@ def _hemisphere() -> tuple[Floats, Geometry, Floats]:
     return cosines, Geometry(*(np.asarray(p).ravel() for p in parts)), share.ravel()
 
 
-KINDS: tuple[type[Material], ...] = (Metal, Plastic)
+KINDS: tuple[type[Material], ...] = (Plastic, Metal)
 
 _SCRIPT = '''"""Makes the material "{name}" in Blender 4.0 or later: blender --python FILE."""
 

@@ -1,7 +1,7 @@
 """A model, or a table, as the material of another program: its BRDF fitted to ours, and how far off it is.
 
 The fit takes a model over the whole hemisphere, and a table at its own directions: nothing is filled in. It minimises
-the differences of the cube roots of brdf cos(theta_r), which neither the lobe nor the diffuse part rules (Löw 2012
+the differences of the cube roots of brdf cos(theta_r), which neither the lobe nor the diffuse part rules (Low2012
 compares such metrics). Each direction counts alike; those of a model crowd about the mirror direction.
 """
 
@@ -28,6 +28,8 @@ _POLAR, _AZIMUTHS = 24, 10
 """Directions of a model at each of them: half vectors, close together about the mirror direction."""
 _ROUGHNESSES = (0.1, 0.3, 0.6)
 _GRAZING = np.deg2rad(70.0)
+_FLOOR = 0.001 / np.pi
+"""Added to both where they are divided [1/sr]: a thousandth of a white, below which no eye sees a difference."""
 _WORST = 0.1
 """A median off by more is said to be off."""
 
@@ -142,7 +144,7 @@ def _fitted(kind: type[Material], target: Target) -> tuple[Material, float]:
     lower, upper = kind.bounds(grey)
     for roughness in _ROUGHNESSES:
         start = np.clip(kind.start(level, roughness, grey), lower + 1e-6, upper - 1e-6)
-        done = least_squares(residual, start, bounds=(lower, upper), x_scale="jac", max_nfev=60)
+        done = least_squares(residual, start, bounds=(lower, upper), x_scale="jac", tr_solver="lsmr", max_nfev=60)
         found.append((float(done.cost), done.x))
     cost, vector = min(found, key=lambda pair: pair[0])
     return kind.of(vector, grey), float(np.sqrt(2 * cost))
@@ -152,9 +154,8 @@ def _residuals(material: Material, target: Target) -> list[Residual]:
     made = material.brdf(target.geometry)
     out = []
     for words, here in regions(target.geometry).items():
-        seen = here[:, np.newaxis] & (target.values > 0) & (made > 0)
-        if seen.any():
-            logs = np.log(made[seen] / target.values[seen])
+        if here.any():
+            logs = np.log((made[here] + _FLOOR) / (target.values[here] + _FLOOR))
             out.append(
                 Residual(
                     words,

@@ -15,6 +15,7 @@ from gonio_analysis.changes.point_by_point import side
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import observations
+from gonio_analysis.fitting.saving import save as save_fit
 
 from gonio import measurement
 from gonio.errors import ConfigError
@@ -147,6 +148,31 @@ def test_a_saved_fit_is_the_sample_of_another_measurement(name: str, tmp_path: P
     for key, e in second.items():
         # the ideal rig has no noise: what is left is the search's own tolerance, and the mean over pixels
         assert e["value"] == pytest.approx(first[key]["value"], rel=2e-3, abs=1e-4), key
+
+
+@pytest.mark.parametrize(
+    ("name", "truth", "options"),
+    [
+        ("phong", {"k_d": 0.2, "k_s": 0.8, "exponent": 40.0}, {}),
+        (
+            "cook-torrance",
+            {"s": 0.5, "d": 0.5, "slopes": [[0.1, 0.3], [0.4, 0.7]], "ior": "Cu", "diffuse_albedo": 0.2},
+            {"slopes": 2, "ior": "Cu"},
+        ),
+        (
+            "lambert+he-torrance",
+            {"lambert": {"albedo": 0.2}, "he-torrance": {"weight": 0.7, "sigma0_um": 0.3, "tau_um": 1.8, "ior": "Al"}},
+            {"ior": "Al"},
+        ),
+    ],
+)
+def test_a_saved_fit_is_what_was_fitted(
+    name: str, truth: dict[str, Any], options: dict[str, Any], tmp_path: Path
+) -> None:
+    data = observations(measure(build("sum" if "+" in name else name, truth), noise=0.01))
+    result = fit(data, name, **options)
+    save_fit(result, tmp_path / "a.toml", name="a sample", source="a table")
+    np.testing.assert_array_equal(apparent(side(str(tmp_path / "a.toml")).model, data), result.predicted)
 
 
 def test_what_cannot_be_saved_is_told_before_the_fit(table: Path, tmp_path: Path) -> None:
