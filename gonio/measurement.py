@@ -223,6 +223,11 @@ def write_model(model: Model, path: str | Path, *, name: str, format: str | None
     if not np.allclose(values, values[0], rtol=1e-6, atol=0):
         raise DataError(f"{path}: the model depends on the sample's azimuth; {chosen.title} is written isotropic only")
     chosen.write_model(model, name, path)
+    if _goes_back(model):
+        return [
+            "the lobe about the direction of incidence is sampled at the file's directions, which lie close about the "
+            "mirror direction: a narrow one is blurred or lost"
+        ]
     if model.has_spike:
         return ["the specular spike has no width and is not in the file: only the lobe and the diffuse part are"]
     return []
@@ -232,6 +237,13 @@ def is_simulated(frame: pd.DataFrame) -> bool:
     """Whether a simulation made the values: its provenance says so, which copies and conversions keep."""
     provenance = frame.attrs.get("provenance")
     return isinstance(provenance, Mapping) and provenance.get("simulated") is True
+
+
+def _goes_back(model: Model) -> bool:
+    """Whether a model, or a term of a sum, has a lobe about the direction of incidence."""
+    from gonio.models import Retroreflecting, Sum
+
+    return isinstance(model, Retroreflecting) or (isinstance(model, Sum) and any(_goes_back(m) for m, _ in model.terms))
 
 
 def samples(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:

@@ -123,6 +123,9 @@ def page() -> str:
     lines += [_row(f.where, f) for f in oren if not f.numbers]
     lines += ["\n## Reflection at a smooth surface", head.format("equation")]
     lines += [_row(f"{f.paper}, {f.where}", f) for f in formulas(plain.fresnel)]
+    lines += ["\n## Anisotropic facets, retroreflection", head.format("equation")]
+    later = formulas(plain.anisotropic) + formulas(plain.retroreflecting)
+    lines += [_row(f"{f.paper}, {f.where}", f) for f in later]
     return "\n".join(lines) + "\n"
 
 

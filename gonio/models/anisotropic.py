@@ -160,12 +160,15 @@ class AnisotropicFacets(Model):
         a1, a2 = self.alpha_along, self.alpha_across
         v1, v2 = math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi)
         vz = max(math.cos(theta) if theta < HALF_PI else 0.0, 1e-9 * min(a1, a2))  # the limit toward grazing
+        layer = min(max(vz * min(a1, a2), 1e-12), 0.3)
         area_v = math.sqrt(vz * vz + (a1 * v1) ** 2 + (a2 * v2) ** 2)
 
         def rule(boxes: Floats, order: int) -> Floats:
             node, weight = hemispherical.unit_rule(order)
             g = (boxes[:, :1] + (boxes[:, 1:2] - boxes[:, :1]) * node)[:, None, :]
-            share = (boxes[:, 2:3] + (boxes[:, 3:] - boxes[:, 2:3]) * node)[:, :, None]
+            y = (boxes[:, 2:3] + (boxes[:, 3:] - boxes[:, 2:3]) * node)[:, :, None]
+            rest = layer**y  # the share of x that is left, where light leaves near the horizon, on a logarithmic scale
+            share, stretch = (1.0 - rest) / (1.0 - layer), -math.log(layer) * rest / (1.0 - layer)
             e1, e2 = a1 * np.cos(g), a2 * np.sin(g)
             toward, steep = v1 * e1 + v2 * e2, e1 * e1 + e2 * e2
             root = np.sqrt(toward * toward + steep * vz * vz)
@@ -181,12 +184,12 @@ class AnisotropicFacets(Model):
             facet = np.minimum(np.maximum(vm, 0.0) / np.sqrt(mm), 1.0)
             with np.errstate(invalid="ignore"):
                 shown = np.where(lz > 0.0, 2.0 * lz / (lz * area_v + vz * area_l), 0.0)  # G_2/v_z
-            value = reflectance(facet, ior) * shown * vm * 2.0 * sine * last / (2.0 * pi)
+            value = reflectance(facet, ior) * shown * vm * 2.0 * sine * last * stretch / (2.0 * pi)
             area = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
             return np.asarray(area * np.einsum("bij,i,j->b", value, weight, weight))
 
         own = math.atan2(v2 * a2, v1 * a1) % HALF_PI
         quarters = np.unique([*(HALF_PI * np.arange(5.0)), *(own + HALF_PI * np.arange(4.0))])
-        shares = (0.0, 0.5, 0.9, 1.0)
-        boxes = hemispherical.boxes(quarters, shares)
+        steps = np.linspace(0.0, 1.0, 1 + math.ceil(-math.log(layer) / 3.0))
+        boxes = hemispherical.boxes(quarters, steps)
         return hemispherical.adaptive(rule, boxes, tolerance, f"{self.name}: {math.degrees(theta):.6g} deg")

@@ -131,7 +131,8 @@ class Retroreflecting(Model):
             share = shares[part] + (shares[part + 1] - shares[part]) * t * t * (3.0 - 2.0 * t)
             slope = (shares[part + 1] - shares[part]) * 6.0 * t * (1.0 - t)
             turn = (boxes[:, 2:3] + (boxes[:, 3:] - boxes[:, 2:3]) * node)[:, :, None]
-            grown = -np.log1p(-share * c) / e if e else share * c  # ln(1 + x/w^2)
+            with np.errstate(divide="ignore"):  # the last share of a steep tail rounds to 1: the whole sphere
+                grown = -np.log1p(-share * c) / e if e else share * c  # ln(1 + x/w^2)
             x = np.minimum(w2 * np.expm1(grown), 4.0)
             cosine, sine = 1.0 - 0.5 * x, np.sqrt(x * (1.0 - 0.25 * x))  # of the observation angle
             level, swing = cosine * lz, sine * lx

@@ -10,6 +10,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from gonio_analysis.fitting.observations import observations
+from gonio_analysis.selection.choice import Candidate, choose
+
 from gonio.acquisition.run import Run
 from gonio.measurement import read
 from tests.system.conftest import LAMBERT, Command
@@ -123,3 +126,43 @@ def test_a_hidden_zero_offset_is_a_bias_that_the_budget_does_not_know(here: Comm
     expected = math.cos(read_rad - math.radians(1.0)) / math.cos(read_rad)
     assert abs(expected - 1) > 0.02  # the other sign would be on the other side of 1
     assert abs(ratio.median() - expected) < 2e-3  # the finite patch and the renderer's interpolation, 5e-4, and 1.5e-4
+
+
+BRUSHED = """name = "brushed"
+model = "anisotropic"
+[parameters]
+alpha_along = 0.12
+alpha_across = 0.35
+brushing_deg = 15.0
+ior = [1.2, 6.9]
+s = 0.8
+diffuse_albedo = 0.15
+"""
+
+
+def test_a_brushed_sample_at_three_spins_is_described_by_the_anisotropic_model_alone(
+    here: Command, tmp_path: Path
+) -> None:
+    rows = [
+        f"{theta_i},{spin},{theta_r},{(spin + dphi) % 360}"
+        for spin in (0, 45, 90)
+        for theta_i in (20, 45)
+        for dphi, views in ((180, (0, 20, 35, 50, 65)), (120, (15, 40)), (150, (30, 60)), (240, (40,)))
+        for theta_r in views
+    ]
+    (tmp_path / "points.csv").write_text("theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg\n" + "\n".join(rows) + "\n")
+    plan = 'name = "three spins"\nwavelength_nm = [550]\n[[points]]\nfile = "points.csv"\n'
+    table = run(here, tmp_path, "sim-ideal", BRUSHED, plan, 1)
+    assert set(table["phi_i_deg"]) == {0.0, 45.0, 90.0}
+    tried = choose(
+        observations(table), [Candidate(m) for m in ("phong", "cook-torrance", "anisotropic")], ior=1.2 + 6.9j,
+        all_of_them=True,
+    )  # fmt: skip
+    assert tried.named is not None
+    assert tried.named.candidate.model == "anisotropic"
+    assert all(j.rejected for j in tried.judged if j is not tried.named)
+    truth = {"alpha_along": 0.12, "alpha_across": 0.35, "brushing_deg": 15.0, "s": 0.8, "diffuse_albedo": 0.15}
+    for name, value in truth.items():
+        e = tried.named.fit.parameters[name]
+        assert e.u is not None
+        assert abs(e.value - value) < 4 * e.u, name  # by chance once in 16 000

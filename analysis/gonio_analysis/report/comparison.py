@@ -256,7 +256,7 @@ def _conclusion(d: Dataset, best: str | None) -> str:
         else:
             told.append(f"The metric {f.fit.goal.metric} takes no account of uncertainties: nothing is rejected.")
     told.append(verdict.too_bright({name: other.rho_dh for name, other in d.fitted.items()}, best))
-    told.append(verdict.direction_of_its_own(d.symmetries))
+    told.append(verdict.direction_of_its_own(d.symmetries, d.fitted))
     told.append(verdict.disagreement({name: other.metrics for name, other in d.fitted.items()}, best))
     return " ".join(sentence for sentence in told if sentence)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from gonio_analysis.fitting.metrics import DESCRIPTIONS
 from gonio_analysis.report.text import difference, number, with_u
@@ -108,12 +108,13 @@ def reflectances(model: str, found: Sequence[Reflectance]) -> str:
     return f"rho_dh, by angle of incidence: {line}. {too_bright({model: found}, model)}".rstrip()
 
 
-def direction_of_its_own(found: Sequence[SymmetrySummary]) -> str:
-    """The sentence for a sample that is not isotropic; "" where nothing shows it."""
+def direction_of_its_own(found: Sequence[SymmetrySummary], tried: Iterable[str] = ()) -> str:
+    """The sentence for a sample that is not isotropic, with the model to try; "" where nothing shows it."""
     shown = next((s for s in found if s.kind == "azimuth of incidence" and s.broken), None)
     if shown is None:
         return ""
     return (
         f"The sample is anisotropic: at equal θi, θr and φr − φi values change with the azimuth of incidence, typically"
-        f" by {difference(shown.typical)} ({shown.pairs} pairs). No isotropic model can describe that."
+        f" by {difference(shown.typical)} ({shown.pairs} pairs). No isotropic model can describe that"
+        + ("." if any("anisotropic" in name for name in tried) else "; --models anisotropic tries one that has a direction of its own.")
     )

@@ -38,13 +38,15 @@ MANY = 20_000
 """Of more values than this, held-out errors take an even selection, and intervals are not walked out: with so many the
 standard errors are as good."""
 SINGLE = ("lambert", "oren-nayar", "phong", "blinn", "cook-torrance", "he-torrance", "anisotropic", "retroreflecting")
+TAPE = "retroreflecting+cook-torrance"
+"""Under a gloss of some per cent, whose own n + ik no data tell."""
 SUMS = (
     "oren-nayar+phong",
     "oren-nayar+blinn",
     "oren-nayar+cook-torrance",
     "lambert+he-torrance",
     "oren-nayar+he-torrance",
-    "retroreflecting+cook-torrance",
+    TAPE,
 )
 SAME_AZIMUTH_DEG = 2.0
 """Azimuths of incidence nearer than this, or half a turn apart, show one side of a surface with a direction."""
@@ -179,7 +181,7 @@ def candidates(models: Sequence[str], ior: Ior = None) -> list[Candidate]:
     for group in (single, several):
         out += group
         if ior is None:
-            out += [replace(c, free=("k",)) for c in group if parameters.needs_ior(c.model)]
+            out += [replace(c, free=("k",)) for c in group if parameters.needs_ior(c.model) and c.model != TAPE]
     return out
 
 

@@ -1,4 +1,4 @@
-"""Every formula of the four papers once, in numpy, in the papers' order and symbols: the specification of the models.
+"""Every formula of the four papers, and of later models, once, in numpy, in the papers' order and symbols: the specification of the models.
 
 One module a paper. To find an equation, open its paper's module and search for its number, "eq. 25"; equations
 without a number stand under their paper's section and go by their symbol, "Cook1982 R_s". docs/equations.md lists all.
@@ -13,6 +13,24 @@ docstring says so; the formula is the corrected one, and `printed=True` gives th
 
 from __future__ import annotations
 
-from gonio.models.plain import blinn, cook_torrance, fresnel, he_torrance, he_torrance_appendix_a, oren_nayar
+from gonio.models.plain import (
+    anisotropic,
+    blinn,
+    cook_torrance,
+    fresnel,
+    he_torrance,
+    he_torrance_appendix_a,
+    oren_nayar,
+    retroreflecting,
+)
 
-__all__ = ["blinn", "cook_torrance", "fresnel", "he_torrance", "he_torrance_appendix_a", "oren_nayar"]
+__all__ = [
+    "anisotropic",
+    "blinn",
+    "cook_torrance",
+    "fresnel",
+    "he_torrance",
+    "he_torrance_appendix_a",
+    "oren_nayar",
+    "retroreflecting",
+]

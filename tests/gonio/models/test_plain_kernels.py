@@ -17,11 +17,22 @@ import numpy as np
 import pytest
 
 from gonio import models
-from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, geometry
+from gonio.models import (
+    AnisotropicFacets,
+    Blinn,
+    CookTorrance,
+    HeTorrance,
+    Lambert,
+    Model,
+    OrenNayar,
+    Phong,
+    Retroreflecting,
+    geometry,
+)
 from gonio.models import _groove_integral as groove_kernels
 from gonio.models import _htsg_kernels as htsg_kernels
 from gonio.models import blinn as blinn_kernels
-from gonio.models.plain import blinn, cook_torrance, he_torrance, oren_nayar
+from gonio.models.plain import anisotropic, blinn, cook_torrance, he_torrance, oren_nayar, retroreflecting
 from gonio.models.plain import fresnel as plain_fresnel
 from gonio.models.plain.vectors import direction, dot
 from tests.gonio.models import test_plain_blinn, test_plain_he_torrance, test_plain_oren_nayar
@@ -137,7 +148,41 @@ def he(sigma0: float, tau: float, ior: complex, tolerance: float) -> Case:
     return Case(model, plain, loss, 8.0 + tolerance / EPS)  # the series is good to `tolerance` (1 + conditioning)
 
 
+def brushed(ior: complex) -> Case:
+    along, across, azimuth = 0.2, 0.5, math.radians(25.0)
+
+    def plain(at: Angles) -> Any:
+        light, view = direction(at[0], at[1] - azimuth), direction(at[2], at[3] - azimuth)
+        return 0.6 * anisotropic.f_r(light, view, along, across, ior) + 0.4 * 0.8 / PI
+
+    def loss(at: Angles) -> Any:
+        _, _, alpha, lost = facets(at)
+        # dlnD/dalpha = 4 tan cos^2 (1/a^2 - 1)/(cos^2 + sin^2/a^2), at most 2/a with the smaller width
+        return 4.0 * (1.0 + 2.0 / along) * lost + 0.0 * alpha
+
+    return Case(AnisotropicFacets(along, across, 25.0, ior, 0.6, 0.8), plain, loss)
+
+
+def retro(width_deg: float, tail: float, entrance: float) -> Case:
+    w = math.radians(width_deg)
+
+    def plain(at: Angles) -> Any:
+        light, view = direction(at[0], at[1]), direction(at[2], at[3])
+        return 0.3 * retroreflecting.f_r(light, view, w, tail, entrance) + 0.7 * 0.5 / PI
+
+    def loss(at: Angles) -> Any:
+        # |V - L| is uncertain by eps, D by tail/w of it; powers by their logarithms
+        cosines = np.abs(np.log(np.cos(at[0]) * np.cos(at[2])))
+        return tail / w + tail * math.log(4.0 / w**2) + entrance * cosines + tail
+
+    return Case(Retroreflecting(0.3, width_deg, tail, entrance, 0.5), plain, loss)
+
+
 CASES = {
+    "anisotropic": brushed(METAL),
+    "anisotropic real": brushed(GLASS),
+    "retroreflecting": retro(2.0, 1.4, 0.7),
+    "retroreflecting, even in entrance": retro(15.0, 3.0, 0.0),
     "lambert": Case(Lambert(0.5), lambda at: 0.5 / PI + 0.0 * at[0], lambda at: 0.0),
     "cook-torrance beckmann": cook("beckmann", METAL),
     "cook-torrance beckmann real": cook("beckmann", GLASS),
@@ -161,8 +206,15 @@ CASES = {
     "he-torrance rough": he(1.45, 13.2, 1.7, 1e-12),
 }
 
-IN_EVERY_LOOP = ("cook-torrance beckmann", "phong", "oren-nayar functional", "oren-nayar parallel grooves")
-"""Kernels of four, two and three columns, and of both azimuths; those of He and Torrance have loops of their own."""
+IN_EVERY_LOOP = (
+    "anisotropic",
+    "retroreflecting",
+    "cook-torrance beckmann",
+    "phong",
+    "oren-nayar functional",
+    "oren-nayar parallel grooves",
+)
+"""Of both azimuths, of three, four and two columns, and of directions; He and Torrance's have loops of their own."""
 
 ELSEWHERE = {
     **dict.fromkeys(blinn_kernels._HIGHLIGHTS.values(), test_plain_blinn.test_blinn),

@@ -16,7 +16,8 @@ from gonio_analysis.selection.choice import Candidate, Choice, candidates, choos
 from gonio_analysis.selection.misfit_regions import blocks, incidences
 
 from gonio.errors import ConfigError, DataError
-from gonio.models import Lambert, OrenNayar, Phong, Sum, build
+from gonio.measurement import read
+from gonio.models import Lambert, OrenNayar, Phong, Retroreflecting, Sum, build
 from tests.gonio_analysis.synthetic import measure
 
 MATTE = Lambert(0.5)
@@ -154,3 +155,45 @@ def test_intervals_of_a_model_without_absorption_let_k_follow_where_the_data_do_
         if name in alone:  # an end may lie anywhere within `CLOSE` of the rise that it should have
             assert choice.intervals[name].low <= alone[name].low * (1 + 1e-12)
             assert choice.intervals[name].high >= alone[name].high * (1 - 1e-12)
+
+
+def test_models_of_a_direction_are_tried_unasked_only_where_the_directions_tell() -> None:
+    data = observations(measure(MATTE, noise=0.01))  # in plane, at one azimuth
+    tried = [c for c in candidates(["all"]) if c.label in ("lambert", "anisotropic")]
+    choice = choose(data, tried, all_of_them=True)
+    assert set(choice.left_out) == {"anisotropic"}
+    assert "one azimuth" in choice.left_out["anisotropic"]
+    asked = choose(data, candidates(["anisotropic"]), all_of_them=True)
+    assert [j.candidate.model for j in asked.judged] == ["anisotropic"]
+    far = observations(measure(MATTE, noise=0.01, incidences=(60.0,), views=np.arange(-30.0, 31.0, 5.0)))
+    tried = [c for c in candidates(["all"]) if c.label in ("lambert", "retroreflecting")]
+    assert "direction of incidence" in choose(far, tried, all_of_them=True).left_out["retroreflecting"]
+
+
+def test_a_retroreflecting_sample_is_described_by_its_own_model_and_by_no_other() -> None:
+    true = Retroreflecting(0.2, 3.0, 1.6, 0.4, 0.3)
+    table = measure(true, noise=0.01, incidences=(5.0, 30.0, 60.0), views=np.arange(-75.0, 76.0, 2.5))
+    names = ("oren-nayar", "phong", "cook-torrance", "retroreflecting")
+    choice = choose(observations(table), [Candidate(m) for m in names], all_of_them=True)
+    assert choice.named is not None
+    assert choice.named.candidate.model == "retroreflecting"
+    assert all(j.rejected for j in choice.judged if j is not choice.named)
+    for name, value in true.parameters.items():
+        e = choice.named.fit.parameters[name]
+        assert e.u is not None
+        assert abs(e.value - value) < 4 * e.u, name  # by chance once in 16 000
+
+
+def test_the_tape_of_cea_is_nearest_to_the_retroreflecting_model(shared: Callable[[str], Path]) -> None:
+    data = observations(read(shared("cea_retro/retro-3M-jaune.dat")))
+    near = data.take(np.arange(0, len(data), 4))
+    names = ("oren-nayar+phong", "cook-torrance", "retroreflecting", "retroreflecting+cook-torrance")
+    choice = choose(near, [Candidate(m) for m in names], all_of_them=True)
+    order = sorted(choice.judged, key=lambda j: j.aic)
+    assert [j.candidate.model for j in order[:2]] == ["retroreflecting+cook-torrance", "retroreflecting"]
+    # within 3 degrees of retro, where the lobe rises thirtyfold over the base, half of the values are within a quarter
+    result = order[0].fit
+    light, view = near.directions.vectors
+    lobe = np.linalg.norm(light - view, axis=-1) < 0.052
+    assert lobe.sum() > 100
+    assert np.median(np.abs(np.log(result.predicted[lobe] / near.brdf[lobe]))) < 0.25

@@ -99,6 +99,7 @@ def test_anisotropy_is_seen_in_the_azimuth_of_incidence(u_rel: float) -> None:
     assert found.broken
     (facts,) = summarise([examine(brushed, ["lambert"], name="x")], title="", normalise="mirror", command="").datasets
     assert "The sample is anisotropic" in facts.conclusion
+    assert "--models anisotropic" in facts.conclusion
 
 
 def test_a_fit_within_the_bound_reflects_no_more_than_it_receives() -> None:
