@@ -8,7 +8,8 @@ azimuths of the back, seen against its own normal, run the other way.
 
 Each side that light falls on, and each band, becomes a sample named "<product> front Visible", with its reflection and
 its transmission. The frame is that of the lit side: what is transmitted leaves at theta_r = 180 - Theta, with the
-azimuth that it travels with. Bands are broad: there is no wavelength. A value is an average over two patches, which the polar angles of their centres stand for.
+azimuth that it travels with. Bands are broad: there is no wavelength. A value is an average over two patches, which
+the polar angles of their centres stand for.
 """
 
 from __future__ import annotations
