@@ -17,7 +17,7 @@ from gonio_analysis.curves.in_plane import Normalise, curves, labels, norm, sele
 from gonio_analysis.fitting import fit as fitting
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.forward import ByWavelength
-from gonio_analysis.fitting.observations import Observations, observations
+from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.parameters import Ior
 from gonio_analysis.plots import in_plane
 from gonio_analysis.selection.compare import Dataset, Drawn, check_models, examine, theory_angles
@@ -198,5 +198,4 @@ def _side(one: Table | Model, letter: str) -> Side:
     if isinstance(one, Model):
         return Side(f"{letter}: {one.name}", letter, model=one)
     frame, called = _table(one, None)
-    data: Observations = observations(frame, called)
-    return Side(f"{letter}: {called}", called, frame, data)
+    return point_by_point.of_table(f"{letter}: {called}", called, frame)
