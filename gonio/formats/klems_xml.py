@@ -195,16 +195,12 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     basis = _full()
     if (frame["polarisation"] != "unpolarised").any() or (frame["flag"] != "").any():
         raise DataError(f"{path}: a Klems matrix has no room for polarised or flagged rows")
-    groups = (
-        frame.groupby("sample", sort=False) if "sample" in frame.columns else [(frame.attrs.get("sample") or "", frame)]
-    )
+    words = [name for name in ("sample", "side") if name in frame.columns]
+    groups = frame.groupby(words, sort=False) if words else [((), frame)]
     product, blocks = "", []
-    parts = [
-        (name, kind, part)
-        for name, group in groups
-        for kind, part in (group.groupby("side") if "side" in group.columns else [("reflection", group)])
-    ]
-    for name, kind, group in parts:
+    for keys, group in groups:
+        told = dict(zip(words, keys, strict=True))
+        name, kind = told.get("sample", frame.attrs.get("sample") or ""), told.get("side", "reflection")
         match = _NAME.fullmatch(str(name))
         product, side, band = match.groups() if match else (str(name), "front", "Visible")
         turn = 1.0 if side == "front" else -1.0
