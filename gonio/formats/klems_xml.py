@@ -198,8 +198,8 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     words = [name for name in ("sample", "side") if name in frame.columns]
     groups = frame.groupby(words, sort=False) if words else [((), frame)]
     product, blocks = "", []
-    for keys, group in groups:
-        told = dict(zip(words, keys, strict=True))
+    for known, group in groups:
+        told = dict(zip(words, known, strict=True))
         name, kind = told.get("sample", frame.attrs.get("sample") or ""), told.get("side", "reflection")
         match = _NAME.fullmatch(str(name))
         product, side, band = match.groups() if match else (str(name), "front", "Visible")

@@ -49,6 +49,8 @@ def grid(axes: Any, lines: Mapping[str, Sequence[Line]]) -> list[Any]:
             )  # fmt: skip
         ax.set_xlim(-90, 90)
         ax.set_ylim(-reach, reach)
+        ax.set_yticks([-0.8 * reach, 0.0, 0.8 * reach] if reach < 1.0 else [-1.0, 0.0, 1.0])
+        ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
         ax.set_xticks([-60, 0, 60], ["−60°", "0°", "60°"] if i == 3 else ["", "", ""])
         ax.grid(color=FAINT, lw=0.4)
         clean(ax)

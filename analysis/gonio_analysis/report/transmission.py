@@ -26,18 +26,22 @@ def draw(t: Transmitted, reflected: Sequence[Curve], slug: str, *, simulated: bo
     measured = "simulated measurement" if simulated else "measurement"
     above, below = _lines(reflected, True), _lines(t.curves, True)
     order = list(dict.fromkeys(line.label for line in (*above, *below)))
-    halves = "upper half: BRDF; lower half: BTDF" if above else "lower half: BTDF; no reflection was measured"
+    halves = (
+        "BRDF in the upper half, BTDF in the lower one"
+        if above
+        else "BTDF in the lower half, no reflection was measured"
+    )
     caption = (
-        f"In the plane of incidence ({measured}), {halves}. Each curve is divided by its own largest value; the strokes"
-        " on the rim mark the mirror direction above and the straight direction below."
+        f"Both sides: {measured} in the plane of incidence; {halves}. Each curve is divided by its own largest value;"
+        " the strokes on the rim mark the mirror direction above and the straight direction below."
     )
     alt = f"Polar plot of reflection and transmission of {t.name}: {len(above)} curves above, {len(below)} below."
     high = 5.55 + LEGEND_ROW_IN * -(-len(order) // _columns(order))
     on = partial(_on_disc, above=above, below=below, order=order)
     out = [Drawing(f"{slug}-both-sides", "both-sides", "", caption, alt, (5.6, high), on)]
     caption = (
-        f"BTDF in the plane of incidence ({measured}). The angle counts from the normal of the back, positive on the"
-        " side of the straight direction: θr = 180° less its size."
+        f"Transmission: BTDF, {measured} in the plane of incidence. The angle counts from the normal of the back,"
+        " positive on the side of the straight direction; θr is 180° less its size."
     )
     alt = f"Transmission of {t.name} over the angle, {number(float(t.data.brdf.max()))} per steradian at most."
     absolute = _lines(t.curves, False)
@@ -50,7 +54,8 @@ def section(
     t: TransmissionSummary, figures: Sequence[Figure], rho_dh: Sequence[Reflectance] = (), title: str = "Transmission"
 ) -> list[Block]:
     """What was transmitted, in numbers and figures."""
-    rows = [("values used", f"{t.used} of {t.rows}" + (f"; left out: {t.left_out_words}" if t.left_out_words else ""))]
+    rows = [("source", t.source)] if t.source else []
+    rows += [("values used", f"{t.used} of {t.rows}" + (f"; left out: {t.left_out_words}" if t.left_out_words else ""))]
     if t.wavelength_nm is not None:
         rows.append(("wavelength", f"{t.wavelength_nm:g} nm"))
     rows.append(("BTDF", f"{number(t.btdf_min)} to {number(t.btdf_max)} sr⁻¹"))

@@ -33,12 +33,14 @@ class Transmitted:
     curves: list[Curve]
     """The in-plane curves that are drawn."""
     tau_dh: list[Reflectance]
+    source: str = ""
 
     def summary(self) -> TransmissionSummary:
         """As `summary.json` holds it."""
         at = self.data
         return TransmissionSummary(
             name=self.name,
+            source=self.source,
             rows=self.rows,
             used=len(at),
             left_out_words=describe_left_out(at.left_out),
