@@ -231,5 +231,4 @@ def _side(one: Table | Model, letter: str) -> Side:
     if isinstance(one, Model):
         return Side(f"{letter}: {one.name}", letter, model=one)
     frame, called = _table(one, None)
-    data: Observations = observations(frame, called)
-    return Side(f"{letter}: {called}", called, frame, data)
+    return point_by_point.of_table(f"{letter}: {called}", called, frame)

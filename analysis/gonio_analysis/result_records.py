@@ -160,6 +160,8 @@ class TransmissionSummary:
     """What a sample lets through."""
 
     name: str
+    source: str
+    """The file, where its reflection is not on the page; else empty."""
     rows: int
     used: int
     left_out_words: str

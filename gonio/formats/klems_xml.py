@@ -8,7 +8,8 @@ azimuths of the back, seen against its own normal, run the other way.
 
 Each side that light falls on, and each band, becomes a sample named "<product> front Visible", with its reflection and
 its transmission. The frame is that of the lit side: what is transmitted leaves at theta_r = 180 - Theta, with the
-azimuth that it travels with. Bands are broad: there is no wavelength. A value is an average over two patches, which the polar angles of their centres stand for.
+azimuth that it travels with. Bands are broad: there is no wavelength. A value is an average over two patches, which
+the polar angles of their centres stand for.
 """
 
 from __future__ import annotations
@@ -194,16 +195,12 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     basis = _full()
     if (frame["polarisation"] != "unpolarised").any() or (frame["flag"] != "").any():
         raise DataError(f"{path}: a Klems matrix has no room for polarised or flagged rows")
-    groups = (
-        frame.groupby("sample", sort=False) if "sample" in frame.columns else [(frame.attrs.get("sample") or "", frame)]
-    )
+    words = [name for name in ("sample", "side") if name in frame.columns]
+    groups = frame.groupby(words, sort=False) if words else [((), frame)]
     product, blocks = "", []
-    parts = [
-        (name, kind, part)
-        for name, group in groups
-        for kind, part in (group.groupby("side") if "side" in group.columns else [("reflection", group)])
-    ]
-    for name, kind, group in parts:
+    for known, group in groups:
+        told = dict(zip(words, known, strict=True))
+        name, kind = told.get("sample", frame.attrs.get("sample") or ""), told.get("side", "reflection")
         match = _NAME.fullmatch(str(name))
         product, side, band = match.groups() if match else (str(name), "front", "Visible")
         turn = 1.0 if side == "front" else -1.0

@@ -193,7 +193,8 @@ def check_columns(header: list[str], where: str, *, needed: tuple[str, ...] = CO
     for names, what in ((missing, "missing"), (extra, "not known"), (twice, "there twice")):
         if names:
             shown = ", ".join(repr(n if len(n) <= 40 else n[:37] + "...") for n in names[:8])
-            known = f"a measurement table has {', '.join(NEEDED)}, and may have {', '.join(_DEFAULTS)}, side, s_<cause> and m01 to m33"
+            known = f"a measurement table has {', '.join(NEEDED)}, and may have {', '.join(_DEFAULTS)}, side, "
+            known += "s_<cause> and m01 to m33"
             hints = "".join(f"; {hint}" for hint in column_hints(header))
             raise DataError(f"{where}: columns {what}: {shown}{hints}; {known}")
 

@@ -5,8 +5,9 @@ For each sample rotation and angle of incidence a TIS line and a matrix: one row
 there toward the normal and grows counter-clockwise. "PlaneSymmetrical" files stop at azimuth 180; they are not mirrored
 here. Zeros stand for directions below the surface, which are dropped, and for what was not measured, which is flagged
 "not_measured". With `ScatterType` BTDF the grid is about the direction that the light goes on in, straight through the
-sample, azimuth 0 points from there toward the normal of the back, and the rows are transmission. The rotation is taken as the azimuth of incidence. The format states no wavelength (files that we write
-say theirs in a comment), no uncertainty, no solid angle.
+sample, azimuth 0 points from there toward the normal of the back, and the rows are transmission. The rotation is taken
+as the azimuth of incidence. The format states no wavelength (files that we write say theirs in a comment), no
+uncertainty, no solid angle.
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@ For a pixel that looks at the spot x of the sample's plane (docs/architecture.md
 
 with f the BRDF at the spot's own directions, averaged over the cones of lamp and lens. Its lobe is followed on a grid
 of nodes (`nodes`), the specular spike is computed for every pixel that sees the mirror image of the lamp. Around the
-sample lies the holder's plate, matt; the white reference lies beside the sample, or takes its place. From behind, f is the
-sample's BTDF; plate and reference let no light through.
+sample lies the holder's plate, matt; the white reference lies beside the sample, or takes its place. From behind, f
+is the sample's BTDF; plate and reference let no light through.
 """
 
 from __future__ import annotations

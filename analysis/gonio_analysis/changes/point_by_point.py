@@ -58,6 +58,10 @@ class Side:
     table: pd.DataFrame | None = None
     data: Observations | None = None
     model: Any = None
+    through: Side | None = None
+    """The transmission of a table that has both."""
+    behind: bool = False
+    """Whether `table` and `data` are transmission, turned over (`gonio.measurement.turned_over`)."""
 
     @property
     def kind(self) -> str:
@@ -177,7 +181,25 @@ def side(spec: str, how: Reading | None = None) -> Side:
     if len(found) > 1:
         raise ConfigError(f"{spec} holds {len(found)} samples: name one as {spec}:SAMPLE, of: {'; '.join(found)}")
     name, table = next(iter(found.items()))
-    return Side(name, spec, table, observations(table, spec))
+    return of_table(name, spec, table)
+
+
+def of_table(name: str, source: str, table: pd.DataFrame) -> Side:
+    """A side of a comparison from a measurement table: its reflection, and apart from it its transmission."""
+    from gonio import measurement
+
+    through = measurement.transmission(table)
+    if through is None:
+        return Side(name, source, table, observations(table, source))
+    turned = measurement.turned_over(through)
+    if len(through) == len(table):
+        return Side(name, source, turned, observations(turned, source), behind=True)
+    behind = None
+    if (through["flag"].fillna("") == "").any():
+        called = f"{source}, transmission"
+        behind = Side(name, called, turned, observations(turned, called), behind=True)
+    reflected = measurement.reflection(table)
+    return Side(name, source, reflected, observations(reflected, source), through=behind)
 
 
 def change(a: Side, b: Side, *, wavelength_nm: float | None = None, say: Say = silent) -> Change:
@@ -200,7 +222,10 @@ def change(a: Side, b: Side, *, wavelength_nm: float | None = None, say: Say = s
     DataError
         Two measurements share no direction; the message says why.
     """
+    _require_alike(a, b)
+    apart = _through(a, b, wavelength_nm, say)
     a, b, notes = _at_one(a, b, wavelength_nm)
+    notes += apart
     if a.data is not None and b.data is not None:
         found = _measurements(a, b, say)
         return replace(found, notes=(*found.notes, *notes))
@@ -231,6 +256,32 @@ def change(a: Side, b: Side, *, wavelength_nm: float | None = None, say: Say = s
     onto = "B" if a.data is None and b.data is not None else "A"
     of = _Values(values[0], values[1], u_a, u_b, np.zeros(len(at)), onto)
     return _judged(a, b, at, of, covariance, {}, [*at.notes, *notes])
+
+
+def _require_alike(a: Side, b: Side) -> None:
+    """Transmission is compared with transmission, and with nothing else."""
+    if a.behind != b.behind:
+        one, other = (a, b) if a.behind else (b, a)
+        raise DataError(
+            f"{one.source} holds transmission alone, and {other.source} reflection: the two are not the same quantity"
+        )
+
+
+def _through(a: Side, b: Side, wavelength_nm: float | None, say: Say) -> list[str]:
+    """What is said of transmission: compared apart where both sides have it."""
+    if a.behind:
+        return ["Both hold transmission alone: the values are BTDF, theta_r counted from the normal of the back."]
+    if a.through is None or b.through is None:
+        having = [x for x in (a, b) if x.through is not None]
+        return [f"{x.name} holds transmission too, which the other does not: it is left out." for x in having]
+    one, other, _ = _at_one(a.through, b.through, wavelength_nm)
+    try:
+        found = _measurements(one, other, say)
+    except DataError as error:
+        return [f"Transmission could not be compared: {error}."]
+    ratio = found.metrics.get("log_ratio")
+    typical = "" if ratio is None else f", rms of ln(B / A) {ratio:.2g}"
+    return [f"Transmission is compared apart, in {len(found.at)} directions{typical}: {found._conclusion}."]
 
 
 def _at_one(a: Side, b: Side, wavelength_nm: float | None) -> tuple[Side, Side, list[str]]:

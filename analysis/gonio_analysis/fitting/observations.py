@@ -156,8 +156,9 @@ class Observations:
 def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | None = None) -> Observations:
     """The usable rows of a measurement table.
 
-    Left out, and counted by reason: transmission, which no model here describes, flagged rows, polarised rows, values that are not finite or are beyond any mirror,
-    directions at or below the horizon, and rows without an uncertainty in a table that states one elsewhere.
+    Left out, and counted by reason: transmission (which no model here describes), flagged rows, polarised rows, values
+    that are not finite or are beyond any mirror, directions at or below the horizon, and rows without an uncertainty in
+    a table that states one elsewhere.
 
     Parameters
     ----------

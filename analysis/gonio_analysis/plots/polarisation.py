@@ -49,11 +49,13 @@ def grid(axes: Any, lines: Mapping[str, Sequence[Line]]) -> list[Any]:
             )  # fmt: skip
         ax.set_xlim(-90, 90)
         ax.set_ylim(-reach, reach)
+        ax.set_yticks([-0.8 * reach, 0.0, 0.8 * reach] if reach < 1.0 else [-1.0, 0.0, 1.0])
+        ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
         ax.set_xticks([-60, 0, 60], ["−60°", "0°", "60°"] if i == 3 else ["", "", ""])
         ax.grid(color=FAINT, lw=0.4)
         clean(ax)
-        if j > (1 if i == 0 else 0):
-            ax.tick_params(labelleft=False)
+        first = j == (1 if i == 0 else 0)  # of its row: its axis says the scale
+        ax.tick_params(labelleft=first)
         ax.text(0.04, 0.97, name, transform=ax.transAxes, ha="left", va="top", fontsize=7.5, color=INK, zorder=6)
     return artists
 

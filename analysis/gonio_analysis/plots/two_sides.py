@@ -39,9 +39,11 @@ def disc(
     artists: list[Any] = []
     for lines, sign in ((reflected, 1.0), (transmitted, -1.0)):
         for line in lines:
-            look = style(order.index(line.label))
+            place = order.index(line.label)
+            look = style(place)
+            size = max(5.0 - 0.9 * place, 2.0)  # those that coincide show around each other
             x, y = xy(line.angle, np.clip(line.measured, 0.0, RIM))
-            artists += ax.plot(x, sign * y, lw=0.9, ls=(0, (4, 2)), ms=2.6, zorder=4, clip_on=False, **look)
+            artists += ax.plot(x, sign * y, lw=0.9, ls=(0, (4, 2)), ms=size, zorder=4, clip_on=False, **look)
             if line.mirror is not None:
                 x, y = xy(np.array([line.mirror, line.mirror]), np.array([RIM, 1.04 * RIM]))
                 artists += ax.plot(

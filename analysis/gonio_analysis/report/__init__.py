@@ -140,13 +140,13 @@ def _apart(
     """Samples of which transmission alone was measured, and the others."""
     apart, others = [], []
     for one in found:
-        name, _, table, _ = one
+        name, source, table, _ = one
         alone = "side" in table.columns and (table["side"] == "transmission").all()
         through = transmitted(table, name, wavelength_nm, u_rel) if alone else None
         if through is None:
             others.append(one)
         else:
-            apart.append(through)
+            apart.append(replace(through, source=source))
     return apart, others
 
 

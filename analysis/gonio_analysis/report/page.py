@@ -104,7 +104,7 @@ def _header(s: Summary, place: Mapping[str, str], names: Sequence[str], name: st
     blocks: list[Block] = [
         Heading(1, s.title),
         Paragraph(
-            f"BRDF comparison, {s.created[:10]}, gonio {s.versions['gonio']}."
+            f"{'BRDF' if s.datasets else 'BTDF'} comparison, {s.created[:10]}, gonio {s.versions['gonio']}."
             " Uncertainties are standard uncertainties (k = 1).",
             "sub",
         ),

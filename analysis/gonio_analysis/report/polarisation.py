@@ -20,7 +20,7 @@ def draw(p: Polarisation, name: str, slug: str) -> list[Drawing]:
     if not any(p.lines.values()):
         return []
     theory = f" Lines: {p.model}, fitted to the BRDF alone." if p.model else ""
-    caption = f"Mueller matrix over its first element, in the plane of incidence. Marks: measurement.{theory}"
+    caption = f"Mueller matrix: its elements over the first one, in the plane of incidence. Marks: measurement.{theory}"
     alt = f"Grid of the 15 elements of the Mueller matrix of {name} over the angle."
     on = partial(_on_grid, lines=p.lines)
     return [Drawing(f"{slug}-mueller", "mueller", "", caption, alt, (6.4, 6.0), on)]

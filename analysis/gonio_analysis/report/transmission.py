@@ -26,24 +26,27 @@ def draw(t: Transmitted, reflected: Sequence[Curve], slug: str, *, simulated: bo
     measured = "simulated measurement" if simulated else "measurement"
     above, below = _lines(reflected, True), _lines(t.curves, True)
     order = list(dict.fromkeys(line.label for line in (*above, *below)))
-    halves = "upper half: BRDF; lower half: BTDF" if above else "lower half: BTDF; no reflection was measured"
+    halves = (
+        "BRDF in the upper half, BTDF in the lower one"
+        if above
+        else "BTDF in the lower half, no reflection was measured"
+    )
     caption = (
-        f"In the plane of incidence ({measured}), {halves}. Each curve is divided by its own largest value; the strokes"
-        " on the rim mark the mirror direction above and the straight direction below."
+        f"Both sides: {measured} in the plane of incidence; {halves}. Each curve is divided by its own largest value;"
+        " the strokes on the rim mark the mirror direction above and the straight direction below."
     )
     alt = f"Polar plot of reflection and transmission of {t.name}: {len(above)} curves above, {len(below)} below."
-    rows = -(-len(order) // 6)
-    high = 5.55 + LEGEND_ROW_IN * rows
+    high = 5.55 + LEGEND_ROW_IN * -(-len(order) // _columns(order))
     on = partial(_on_disc, above=above, below=below, order=order)
     out = [Drawing(f"{slug}-both-sides", "both-sides", "", caption, alt, (5.6, high), on)]
     caption = (
-        f"BTDF in the plane of incidence ({measured}). The angle counts from the normal of the back, positive on the"
-        " side of the straight direction: θr = 180° less its size."
+        f"Transmission: BTDF, {measured} in the plane of incidence. The angle counts from the normal of the back,"
+        " positive on the side of the straight direction; θr is 180° less its size."
     )
     alt = f"Transmission of {t.name} over the angle, {number(float(t.data.brdf.max()))} per steradian at most."
     absolute = _lines(t.curves, False)
     on = partial(_on_axis, lines=absolute)
-    high = 2.9 + LEGEND_ROW_IN * -(-len(absolute) // 6)
+    high = 2.9 + LEGEND_ROW_IN * -(-len(absolute) // _columns([line.label for line in absolute]))
     return [*out, Drawing(f"{slug}-transmission", "transmission", "", caption, alt, (5.6, high), on)]
 
 
@@ -51,18 +54,15 @@ def section(
     t: TransmissionSummary, figures: Sequence[Figure], rho_dh: Sequence[Reflectance] = (), title: str = "Transmission"
 ) -> list[Block]:
     """What was transmitted, in numbers and figures."""
-    rows = [("values used", f"{t.used} of {t.rows}" + (f"; left out: {t.left_out_words}" if t.left_out_words else ""))]
+    rows = [("source", t.source)] if t.source else []
+    rows += [("values used", f"{t.used} of {t.rows}" + (f"; left out: {t.left_out_words}" if t.left_out_words else ""))]
     if t.wavelength_nm is not None:
         rows.append(("wavelength", f"{t.wavelength_nm:g} nm"))
     rows.append(("BTDF", f"{number(t.btdf_min)} to {number(t.btdf_max)} sr⁻¹"))
     out: list[Block] = [Heading(3, title), facts(rows)]
     known = [r for r in t.tau_dh if r.rho_dh is not None]
     if known:
-        near = [min(rho_dh, key=lambda r, at=one: abs(r.theta_i_deg - at.theta_i_deg), default=None) for one in known]
-        own = [
-            r if r is not None and abs(r.theta_i_deg - k.theta_i_deg) < 0.5 else None
-            for r, k in zip(near, known, strict=True)
-        ]
+        own = [_same_incidence(k, rho_dh) for k in known]
         out.append(
             table(
                 "Directional-hemispherical transmittance tau_dh, integrated over the measured values behind the sample;"
@@ -83,12 +83,16 @@ def section(
         out.append(
             Notes(
                 tuple(
-                    f"tau_dh at {f'θi = {chr(44).join(a)}' if len(a) <= 8 else f'{len(a)} incidences'}: {reason}."
-                    for reason, a in why.items()
+                    f"tau_dh at {'θi = ' + ', '.join(at) if len(at) <= 8 else f'{len(at)} incidences'}: {reason}."
+                    for reason, at in why.items()
                 )
             )
         )
     return [*out, Figures(tuple(figures))] if figures else out
+
+
+def _same_incidence(tau: Reflectance, rho_dh: Sequence[Reflectance]) -> Reflectance | None:
+    return next((r for r in rho_dh if abs(r.theta_i_deg - tau.theta_i_deg) < 0.5), None)
 
 
 def _beside(tau: Reflectance, rho: Reflectance | None) -> tuple[str, str]:
@@ -109,19 +113,25 @@ def _lines(curves: Sequence[Curve], normalised: bool) -> list[Line]:
     return out
 
 
+def _columns(names: list[str]) -> int:
+    """Of a legend that is as wide as the figure."""
+    return 6 if max(map(len, names), default=0) < 10 else 3
+
+
 def _on_disc(figure: Any, *, above: list[Line], below: list[Line], order: list[str]) -> None:
-    room = LEGEND_ROW_IN * -(-len(order) // 6) + 0.1
+    room = LEGEND_ROW_IN * -(-len(order) // _columns(order)) + 0.1
     ax = figure.add_axes((0.01, room / figure.get_figheight(), 0.98, 0.99 - room / figure.get_figheight()))
     words = ("BRDF / its largest value" if above else "(no reflection)", "BTDF / its largest value")
     two_sides.disc(ax, above, below, order, words=words)
-    legend(figure, order, 6)
+    legend(figure, order, _columns(order))
 
 
 def _on_axis(figure: Any, *, lines: list[Line]) -> None:
-    room = LEGEND_ROW_IN * -(-len(lines) // 6) + 0.46
+    names = [line.label for line in lines]
+    room = LEGEND_ROW_IN * -(-len(lines) // _columns(names)) + 0.46
     high = figure.get_figheight()
     ax = figure.subplots()
     figure.subplots_adjust(0.145, room / high, 0.975, 1 - 0.11 / high)
     in_plane.semilog(ax, lines, unit="BTDF [1/sr]")
     ax.set_xlabel("angle from the normal of the back", fontsize=8)
-    legend(figure, [line.label for line in lines], 6)
+    legend(figure, names, _columns(names))

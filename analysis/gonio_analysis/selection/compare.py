@@ -28,8 +28,8 @@ from gonio_analysis.fitting.parameters import Ior
 from gonio_analysis.result_records import Reflectance, RunFacts, SymmetrySummary
 from gonio_analysis.selection import energy
 from gonio_analysis.selection.choice import DECISIVE, Choice, Judged, candidates, choose, deviance
-from gonio_analysis.selection.polarisation import Polarisation, polarisation
 from gonio_analysis.selection.misfit_regions import Region, farthest
+from gonio_analysis.selection.polarisation import Polarisation, polarisation
 from gonio_analysis.selection.symmetry import symmetries
 from gonio_analysis.selection.transmission import Transmitted, transmitted
 

@@ -33,6 +33,7 @@ class Transmitted:
     curves: list[Curve]
     """The in-plane curves that are drawn."""
     tau_dh: list[Reflectance]
+    source: str = ""
     simulated: bool = False
     """Whether a simulation made the values."""
 
@@ -46,6 +47,7 @@ class Transmitted:
         at = self.data
         return TransmissionSummary(
             name=self.name,
+            source=self.source,
             rows=self.rows,
             used=len(at),
             left_out_words=describe_left_out(at.left_out),
@@ -70,4 +72,4 @@ def transmitted(
     every = observations(measurement.turned_over(through), f"{name}, transmission", u_rel)
     at, wavelength = every.nearest(wavelength_nm)
     tau_dh, made = energy.of_table(at), measurement.is_simulated(table)
-    return Transmitted(name, len(through), at, wavelength, selection(curves(at)), tau_dh, made)
+    return Transmitted(name, len(through), at, wavelength, selection(curves(at)), tau_dh, simulated=made)

@@ -13,7 +13,12 @@ from gonio import measurement
 from gonio.errors import DataError
 
 
-def window(side: str = "Front", structure: str = "Columns", data: str = "11 12 13 21 22 23 31 32 33") -> bytes:
+def window(
+    side: str = "Front",
+    kind: str = "Reflection",
+    structure: str = "Columns",
+    data: str = "11 12 13 21 22 23 31 32 33",
+) -> bytes:
     """One patch at the normal and two at 45 degrees, of azimuth 0 and 180."""
     return f"""<?xml version="1.0"?><WindowElement xmlns="http://windows.lbl.gov"><Optical><Layer>
     <Material><Name>Blind</Name></Material>
@@ -21,7 +26,7 @@ def window(side: str = "Front", structure: str = "Columns", data: str = "11 12 1
     <AngleBasisBlock><Theta>0</Theta><nPhis>1</nPhis></AngleBasisBlock>
     <AngleBasisBlock><Theta>45</Theta><nPhis>2</nPhis></AngleBasisBlock></AngleBasis></DataDefinition>
     <WavelengthData><Wavelength unit="Integral">Visible</Wavelength><WavelengthDataBlock>
-    <WavelengthDataDirection>Reflection {side}</WavelengthDataDirection><ColumnAngleBasis>B</ColumnAngleBasis>
+    <WavelengthDataDirection>{kind} {side}</WavelengthDataDirection><ColumnAngleBasis>B</ColumnAngleBasis>
     <RowAngleBasis>B</RowAngleBasis><ScatteringData>{data}</ScatteringData></WavelengthDataBlock></WavelengthData>
     </Layer></Optical></WindowElement>""".encode()
 
@@ -39,6 +44,39 @@ def test_columns_are_incidence_and_the_diagonal_is_the_mirror() -> None:
     assert value(frame, 0, 180, 45, 0) == 21  # normal incidence is the first column
     assert value(measurement.parse(window(structure="Rows"), Path("blind.xml")), 0, 180, 45, 0) == 12
     assert frame["wavelength_nm"].isna().all()
+
+
+def test_transmission_goes_on_behind_the_lit_side() -> None:
+    frame = measurement.parse(window(kind="Transmission"), Path("blind.xml"))
+    assert set(frame["side"]) == {"transmission"}
+    assert frame.attrs["quantity"] == "btdf"
+    # patch 2 in, patch 2 out: straight through, theta_r = 180 - theta_i and phi_r = phi_i + 180
+    assert value(frame, 45, 180, 135, 0) == 22
+    assert value(frame, 0, 180, 180, 0) == 11
+    assert value(frame, 45, 180, 135, 180) == 32
+
+
+def test_both_kinds_of_one_side_are_one_sample(tmp_path: Path) -> None:
+    block = window().partition(b"<WavelengthData>")[2].partition(b"</Layer>")[0]
+    through = block.replace(b"Reflection", b"Transmission").replace(b"11 12", b"81 82")
+    both = window().replace(b"</Layer>", b"<WavelengthData>" + through + b"</Layer>")
+    frame = measurement.parse(both, Path("blind.xml"))
+    assert frame.attrs["samples"] == ["Blind front Visible"]
+    assert frame.attrs["quantity"] == "bsdf"
+    assert value(frame[frame["side"] == "reflection"], 0, 180, 0, 0) == 11
+    assert value(frame[frame["side"] == "transmission"], 0, 180, 180, 0) == 81
+
+
+def test_a_screen_lets_most_light_straight_through(shared: Callable[[str], Path]) -> None:
+    """A woven shade of 5 % openness: the largest BTDF of each incidence is in the direction that the light came in."""
+    frame = measurement.read(shared("klems/2011-SA1.XML"), sample="Satine 5500 5%, White Pearl front Visible")
+    through = frame[frame["side"] == "transmission"]
+    brightest = through.loc[through.groupby(["theta_i_deg", "phi_i_deg"])["brdf"].idxmax()]
+    near = brightest[brightest["theta_i_deg"] <= 60]  # beyond, the weave is closed
+    assert len(near) == 1 + 8 + 16 + 20 + 24 + 24 + 24
+    np.testing.assert_allclose(near["theta_r_deg"], 180 - near["theta_i_deg"])
+    off_normal = near[near["theta_i_deg"] > 0]
+    np.testing.assert_allclose((off_normal["phi_r_deg"] - off_normal["phi_i_deg"]) % 360, 180)
 
 
 @pytest.mark.parametrize(
@@ -66,7 +104,7 @@ def test_damaged_files(survives: Callable[..., None]) -> None:
 
 
 def test_round_trip_of_measured_matrices(shared: Callable[[str], Path], tmp_path: Path) -> None:
-    for name, blocks in (("2011-SA1.XML", 4), ("aerc6216_kf.xml", 1)):
+    for name, blocks in (("2011-SA1.XML", 8), ("aerc6216_kf.xml", 3)):
         frame = measurement.read(shared(f"klems/{name}"))
         assert len(frame) == blocks * 145**2
         measurement.write(frame, tmp_path / "back.xml")
@@ -75,6 +113,7 @@ def test_round_trip_of_measured_matrices(shared: Callable[[str], Path], tmp_path
 
 def test_a_shade_obeys_helmholtz(shared: Callable[[str], Path]) -> None:
     frame = measurement.read(shared("klems/aerc6216_kf.xml"))
+    frame = frame[frame["side"] == "reflection"]
     swapped = frame.rename(columns=lambda c: c.replace("_i_", "_x_").replace("_r_", "_i_").replace("_x_", "_r_"))
     keys = ["theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg"]
     both = frame.merge(swapped, on=keys, suffixes=("", "_swapped"))

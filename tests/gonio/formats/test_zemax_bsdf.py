@@ -56,6 +56,28 @@ def test_radial_zero_is_the_mirror_and_azimuth_zero_points_to_the_normal() -> No
     assert frame.loc[frame["flag"] == "not_measured", "theta_i_deg"].tolist() == [0.0]
 
 
+def test_btdf_is_about_the_straight_direction() -> None:
+    data = FILE.replace("ScatterType\tBRDF", "ScatterType\tBTDF").encode()
+    frame = measurement.parse(data, Path("opal.bsdf"))
+    assert set(frame["side"]) == {"transmission"}
+    assert value(frame, 30, 150, 180) == 8.0  # radial 0: straight through, theta_r = 180 - theta_i
+    assert value(frame, 30, 180, 180) == 2.0  # 30 degrees inward: the normal of the back
+    assert value(frame, 30, 140, 0) == 0.6  # 70 inward: across that normal
+
+
+def test_round_trip_of_transmission(tmp_path: Path) -> None:
+    data = FILE.replace("ScatterType\tBRDF", "ScatterType\tBTDF").encode()
+    frame = measurement.parse(data, Path("opal.bsdf"))
+    measurement.write(frame, tmp_path / "opal.bsdf")
+    again = measurement.read(tmp_path / "opal.bsdf")
+    pd.testing.assert_frame_equal(again, frame)
+    both = pd.concat([frame, frame.assign(theta_r_deg=180 - frame["theta_r_deg"], side="reflection")])
+    both = both.reset_index(drop=True)
+    both.attrs = frame.attrs
+    with pytest.raises(DataError, match="reflection or transmission, and this table has both"):
+        measurement.write(both, tmp_path / "both.bsdf")
+
+
 def test_round_trip(tmp_path: Path) -> None:
     frame = measurement.parse(FILE.encode(), Path("black.bsdf"))
     frame["wavelength_nm"] = 650.0
@@ -75,7 +97,7 @@ def test_a_table_that_is_no_such_grid_is_refused(tmp_path: Path, small: pd.DataF
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("BRDF", "BTDF", 'line 5: ScatterType is "BTDF"'),
+        ("BRDF", "BSDF", 'line 5: ScatterType is "BSDF"'),
         ("\nMonochrome", "\nTristimulusX", 'line 15: "TristimulusX" where Monochrome'),
         ("0\t30\n", "30\t0\n", "line 9: AngleOfIncidence has to grow"),
         ("0\t30\t70", "0\t30", "line 13: 2 angles, and ScatterRadial counts 3"),

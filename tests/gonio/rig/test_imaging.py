@@ -175,12 +175,29 @@ def test_no_light_comes_from_below_the_plane() -> None:
     assert np.all(pixel_map(description, at).cos_theta_i == 0.0)
 
 
-def test_a_camera_below_the_plane_sees_nothing() -> None:
+def test_a_camera_in_the_plane_sees_nothing() -> None:
     description = rig()
-    at = view(description, Pose(light=0.1, camera=math.radians(95.0)))
-    assert not pixel_map(description, at).sees_plane.any()
-    with pytest.raises(ConfigError, match="not above the sample's plane"):
-        roi(description, at)
+    at = view(description, Pose(light=0.1))
+    edge_on = View(at.source_mm, np.array([700.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]))
+    assert not pixel_map(description, edge_on).sees_plane.any()
+    with pytest.raises(ConfigError, match="in the sample's plane"):
+        roi(description, edge_on)
+
+
+def test_a_camera_behind_the_plane_sees_each_spot_where_the_line_of_sight_meets_it() -> None:
+    description = rig()
+    at = view(description, Pose(light=0.4, camera=math.radians(130.0)))
+    seen = pixel_map(description, at)
+    assert seen.sees_plane.all()
+    spots = np.stack([seen.x_mm, seen.y_mm, np.zeros_like(seen.x_mm)], axis=-1)
+    to_camera = at.camera_mm - spots
+    to_camera /= np.linalg.norm(to_camera, axis=-1, keepdims=True)
+    np.testing.assert_allclose(seen.omega_r, to_camera, atol=1e-12)
+    to_source = at.source_mm - spots
+    np.testing.assert_allclose(seen.cos_theta_i, to_source[..., 2] / np.linalg.norm(to_source, axis=-1), rtol=1e-12)
+    region = roi(description, at)
+    centre = np.hypot(seen.x_mm, seen.y_mm)[region.rows, region.cols][region.mask]
+    assert centre.max() <= description.acquisition.roi_radius_mm
 
 
 @pytest.mark.parametrize("pose", POSES)

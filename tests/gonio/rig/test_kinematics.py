@@ -14,7 +14,7 @@ from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.rig import Pose
 from gonio.rig.description import ArmAxis, Arms, Geometry, Holder
-from gonio.rig.kinematics import Unreachable, blocked_cone, directions, reach, separation, view
+from gonio.rig.kinematics import Unreachable, blocked_cone, directions, left_its_side, reach, separation, view
 from tests.gonio.numpy_rig import describe
 
 DEG = math.pi / 180
@@ -185,7 +185,37 @@ def test_separation_agrees_with_the_law_of_cosines(theta_i: float, phi_i: float,
     assert separation(d) == pytest.approx(math.acos(cosine), abs=1e-14)
 
 
-def test_directions_below_the_surface_are_refused() -> None:
-    with pytest.raises(Unreachable, match="theta_r") as caught:
-        reach(FULL, Directions(0.1, 0, 1.6, 0))
+def test_a_source_below_the_surface_is_refused() -> None:
+    with pytest.raises(Unreachable, match="theta_i") as caught:
+        reach(FULL, Directions(1.6, 0, 0.1, 0))
     assert caught.value.flag == "below_horizon"
+
+
+def test_an_arm_that_stops_at_the_horizon_does_not_reach_behind() -> None:
+    stops = describe(arms=Arms(camera=ArmAxis(limits_deg=(-89.0, 89.0))))
+    with pytest.raises(Unreachable, match="camera arm") as caught:
+        reach(stops, Directions.from_degrees(30.0, 0.0, 150.0, 180.0))
+    assert caught.value.flag == "unreachable"
+
+
+BEHIND = describe(
+    arms=Arms(camera=ArmAxis(limits_deg=(-180.0, 180.0))),
+    holder=Holder(axes=("tilt", "spin"), tilt_limits_deg=(-90, 90), spin_limits_deg=(-180, 180)),
+)
+
+
+@given(st.floats(0.02, 1.5), phis, st.floats(1.62, 3.12), phis)
+def test_a_camera_behind_the_sample_sees_from_where_it_was_asked(
+    theta_i: float, phi_i: float, theta_r: float, phi_r: float
+) -> None:
+    asked = Directions(theta_i, phi_i, theta_r, phi_r)
+    found = directions(BEHIND, reach(BEHIND, asked))
+    np.testing.assert_allclose(found.vectors, asked.vectors, atol=1e-12)  # rounding of a few turns
+
+
+def test_a_camera_on_the_other_side_than_asked_is_noticed() -> None:
+    before, behind = Pose(light=0.1, camera=1.5), Pose(light=0.1, camera=1.6)
+    assert left_its_side(BEHIND, before, behind)
+    assert left_its_side(BEHIND, behind, before)
+    assert not left_its_side(BEHIND, behind, behind)
+    assert left_its_side(BEHIND, before, Pose(light=1.6, camera=1.5))
