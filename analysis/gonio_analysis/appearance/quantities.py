@@ -15,7 +15,7 @@ from gonio.config import numbers_in, with_numbers
 from gonio.errors import ArgumentError, ConfigError
 from gonio.typing import Floats
 from gonio_analysis.appearance import sampled, sampled_hemisphere
-from gonio_analysis.appearance.glossmeter import GLOSSMETERS, gloss
+from gonio_analysis.appearance.glossmeter import BOTH_COUNT, GLOSSMETERS, HAZEMETERS, gloss
 from gonio_analysis.appearance.sampled import NotMeasured, Sampled
 from gonio_analysis.curves.in_plane import Curve, curves
 from gonio_analysis.fitting.observations import Observations, observations
@@ -49,6 +49,7 @@ RETRO_GAP_DEG = 1.0
 SMOOTH_TIS = 0.1
 """Largest share of scattered light from which a roughness is stated."""
 HAZE_ABOVE_GU = 70.0
+UNVERIFIED = "through apertures of 0.4° by 3° and a source of 0.44° by 5°, which could not be verified"
 AZIMUTH = "The model depends on the sample's azimuth: the source stands at phi_i = 180 degrees."
 SHARE_OF_U = 0.1
 """Of a standard uncertainty: slopes of a model's quantities are taken over so much. They are straight over it, and its
@@ -110,6 +111,8 @@ def of_table(
     numbers = _Numbers()
     for meter in GLOSSMETERS:
         numbers.put(f"gloss_{meter.angle_deg:g}_gu", partial(sampled.gloss, at, meter))
+    for key, meters in HAZEMETERS.items():
+        numbers.put(key, partial(_sum_of, [partial(sampled.gloss, at, meter) for meter in meters], BOTH_COUNT[key]))
     incidences = sampled_hemisphere.reflectances(at)
     numbers.put("rho_dh_8", lambda: sampled_hemisphere.reflectance_at_8(incidences))
     for theta, rho in incidences.items():
@@ -141,6 +144,11 @@ def of_table(
         return math.sqrt(float((own**2).sum() + (common**2).sum()))
 
     return _assembled(numbers, uncertainty, name, source, "table", wavelength, list(incidences), notes)
+
+
+def _sum_of(parts: Sequence[Callable[[], Sampled]], weight: float) -> Sampled:
+    first, second = (part() for part in parts)
+    return first.plus(second).times(weight)
 
 
 def _nearest_8(incidences: Mapping[float, object]) -> float:
@@ -340,6 +348,9 @@ def _of_model(model: Model, wavelength_nm: float) -> _Numbers:
 
     for meter in GLOSSMETERS:
         numbers.take(f"gloss_{meter.angle_deg:g}_gu", exact(*gloss(model, meter, wavelength_nm)))
+    for key, meters in HAZEMETERS.items():
+        parts = [partial(exact, *gloss(model, meter, wavelength_nm)) for meter in meters]
+        numbers.take(key, _sum_of(parts, BOTH_COUNT[key]))
     theta = np.radians(MODEL_INCIDENCES_DEG)
     every = model.directional_hemispherical(theta, phi_i=math.pi, wavelength_nm=wavelength_nm, tolerance=1e-6)
     for angle, rho in zip(theta, every, strict=True):
@@ -471,6 +482,8 @@ def _assembled(
         gloss_60_gu=named("gloss_60_gu", "GU"),
         gloss_85_gu=named("gloss_85_gu", "GU"),
         haze_gu=quantity(lambda: numbers["gloss_60_gu"].plus(numbers["gloss_20_gu"], -1.0), "GU", haze_note),
+        haze_e430_20=named("haze_e430_20", "HU"),
+        haze_e430_30=quantity(lambda: numbers["haze_e430_30"], "HU", lambda _: UNVERIFIED),
         rho_dh_8=named("rho_dh_8", "1"),
         rho_dh=[
             AtIncidence(**vars(named(f"rho_dh {math.degrees(t)}", "1")), theta_i_deg=round(math.degrees(t), 2))
