@@ -65,8 +65,11 @@ class Glossmeter:
 
     @cached_property
     def reach(self) -> float:
-        """How far a detector in the plane of incidence has to see, from the receiver's axis to either side [rad]."""
-        return math.radians(0.5 * (self.receiver_deg[0] + self.source_deg[0]))
+        """How far from the receiver's axis, to either side, a value in the plane of incidence has to lie [rad].
+
+        A haze is interpolated: half of its distance from the mirror direction counts, too.
+        """
+        return math.radians(0.5 * (self.receiver_deg[0] + self.source_deg[0] + abs(self.offset_deg)))
 
     def source(self, order: int) -> tuple[Floats, Floats]:
         """Directions toward the source (n, 3) and their share of the flux (n,), which add up to 1."""
