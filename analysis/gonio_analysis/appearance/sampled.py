@@ -26,7 +26,7 @@ Rows = npt.NDArray[np.intp]
 Shape = Literal["cosines", "plain", "fresnel", "grooves"]
 SHAPES: tuple[Shape, ...] = ("cosines", "plain", "fresnel", "grooves")
 """What depends on the half vector alone: f cos cos, f, f cos cos over the Fresnel reflectance of glass, or that over
-the shadowing of V-grooves (Cook and Torrance 1982, eq. 15), too. Values out of the plane of incidence say which.
+the shadowing of V-grooves (Cook and Torrance 1982), too. Values out of the plane of incidence say which.
 Without any the first is taken, and the next two say how far the choice matters: where grooves matter, those two do."""
 CLEARLY_BETTER = 0.6
 """Misfit [ln] out of the plane of the shape that is taken in place of the first, over that of the first."""
@@ -435,7 +435,7 @@ class _HalfVector:
         weight = np.asarray(cos_i * cos_r / fresnel.reflectance(np.cos(theta_d), STANDARD_INDEX))
         if self._shape == "fresnel":
             return weight
-        # CookTorrance1982 eq. 15; at grazing incidence both cosines vanish, and the grooves shadow nothing
+        # the G of Cook1982: masking and shadowing of V-grooves
         lit = 2.0 * np.cos(theta_h) * np.minimum(cos_i, cos_r) / np.maximum(np.cos(theta_d), 1e-9)
         return weight / np.clip(lit, 1e-9, 1.0)
 
