@@ -49,7 +49,7 @@ def as_csv(data: bytes, path: Path, needed: Collection[str]) -> tuple[bytes, lis
         if row > first and column in place:
             lines.setdefault(row, [""] * len(place))[place[column]] = _cell(value)
         elif row > first:
-            raise DataError(f"{path}, worksheet {number}, row {row + 1}: a cell in a column without a name")
+            raise DataError(f"{path}, worksheet {number}, row {row + 1}: a cell in a column without a name; the first line names them")
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(header.values())
