@@ -188,3 +188,26 @@ def to_toml(tables: dict[str, Any]) -> str:
     import tomli_w
 
     return tomli_w.dumps(tables)
+
+
+def numbers_in(tables: Any, where: str = "") -> dict[str, float]:
+    """The numbers in nested tables and lists, by the path to each: `tau_um`, `slopes[0][1]`, `phong.k_s`."""
+    if isinstance(tables, dict):
+        inner = [(f"{where}.{key}" if where else str(key), value) for key, value in tables.items()]
+    elif isinstance(tables, list):
+        inner = [(f"{where}[{k}]", value) for k, value in enumerate(tables)]
+    else:
+        is_one = isinstance(tables, int | float) and not isinstance(tables, bool)
+        return {where: float(tables)} if is_one else {}
+    return {name: number for path, value in inner for name, number in numbers_in(value, path).items()}
+
+
+def with_numbers(tables: Any, numbers: dict[str, float], where: str = "") -> Any:
+    """Nested tables and lists with other numbers at some of the paths of `numbers_in`."""
+    if isinstance(tables, dict):
+        return {
+            key: with_numbers(value, numbers, f"{where}.{key}" if where else str(key)) for key, value in tables.items()
+        }
+    if isinstance(tables, list):
+        return [with_numbers(value, numbers, f"{where}[{k}]") for k, value in enumerate(tables)]
+    return numbers.get(where, tables)

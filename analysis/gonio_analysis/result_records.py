@@ -348,6 +348,10 @@ class Appearance:
     gloss_60_gu: Quantity
     gloss_85_gu: Quantity
     haze_gu: Quantity
+    """ASTM D4039: G60 - G20."""
+    haze_e430_20: Quantity
+    haze_e430_30: Quantity
+    """ASTM E430, narrow-angle reflection haze of methods B and A: percent of what the standard glass reflects."""
     rho_dh_8: Quantity
     rho_dh: Sequence[AtIncidence]
     radiance_factor_0_45: Quantity

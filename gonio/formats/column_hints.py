@@ -10,20 +10,25 @@ from collections.abc import Iterator, Sequence
 
 from gonio.formats.reader import COLUMNS
 
-_ANGLE = re.compile(r"(theta|phi|θ|ϑ|φ|ϕ|polar|azimuth)_?(i|in|inc|incident|r|o|out|s|refl|reflected|scattered)")
+_ANGLE = re.compile(
+    r"(theta|tetha|thetha|theat|teta|phi|θ|ϑ|φ|ϕ|polar|azimuth)_?"
+    r"(i|in|inc|incident|incidence|src|source|light|r|o|out|s|refl|reflected|scat|scattered|det|detector|view)"
+)
 """Half and difference angles (theta_h, theta_d) are none of these, and are no measurement table's."""
-_POLAR = ("theta", "θ", "ϑ", "polar")
+_AZIMUTHS = ("phi", "φ", "ϕ", "azimuth")
+_INCIDENT = ("i", "src", "source", "light")
 _UNITS = {
     "": "", "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "rad": "rad", "radian": "rad",
     "radians": "rad", "nm": "nm", "um": "um", "µm": "um", "μm": "um", "micron": "um", "microns": "um",
-    "1/sr": "1/sr", "sr^-1": "1/sr", "sr-1": "1/sr", "per_sr": "1/sr",
+    "1/sr": "1/sr", "sr^-1": "1/sr", "sr-1": "1/sr", "per_sr": "1/sr", "%": "%", "percent": "%", "pct": "%",
 }  # fmt: skip
 _NAMES = {
     "wavelength_nm": {"wavelength", "lambda", "wl", "wvl", "λ"},
     "polarisation": {"polarization", "polarisation", "pol"},
     "sample": {"sample", "sample_name"},
     "brdf": {"brdf", "bsdf", "f_r", "fr", "brdf_value"},
-    "u_brdf": {"u_brdf", "ubrdf", "brdf_u", "brdf_unc", "brdf_uncertainty", "u_f_r", "uncertainty", "unc"},
+    "u_brdf": {"u_brdf", "ubrdf", "brdf_u", "brdf_unc", "brdf_uncertainty", "u_f_r", "uncertainty", "unc",
+               "unc_brdf", "sigma_brdf", "std_brdf", "brdf_std", "u(brdf)"},
     "flag": {"flag", "flags"},
 }  # fmt: skip
 _BY_NAME = {name: column for column, names in _NAMES.items() for name in names}
@@ -61,12 +66,15 @@ def column_hints(header: Sequence[str]) -> list[str]:
 def _nearly(name: str) -> Iterator[tuple[str, str]]:
     """The column that this name is nearly that of, if any, and what to do."""
     word, unit = _word_and_unit(name)
+    if unit == "%" and (word in _FACTOR or _BY_NAME.get(word) == "brdf"):
+        yield "brdf", f"divide {name!r} by 100 pi, if it is a reflectance factor in percent, and name it 'brdf'"
+        return
     if word in _FACTOR and not unit:
         yield "brdf", f"divide {name!r} by pi and name it 'brdf'"
         return
     angle = _ANGLE.fullmatch(word)
     if angle:
-        kind, side = "theta" if angle[1] in _POLAR else "phi", "i" if angle[2].startswith("i") else "r"
+        kind, side = "phi" if angle[1] in _AZIMUTHS else "theta", "i" if angle[2].startswith(_INCIDENT) else "r"
         column = f"{kind}_{side}_deg"
     else:
         near = difflib.get_close_matches(word, _SPELT, n=1, cutoff=0.85)
@@ -74,7 +82,7 @@ def _nearly(name: str) -> Iterator[tuple[str, str]]:
         if found is None:
             return
         column = found
-    if unit and not column.endswith(_ALLOWED[unit]):
+    if unit and (unit not in _ALLOWED or not column.endswith(_ALLOWED[unit])):
         return
     remark = _REMARKS.get(column, "")
     if unit in _CONVERTED:
@@ -89,11 +97,14 @@ _SPELT = {"wavelength": "wavelength_nm", "polarisation": "polarisation", "sample
 
 def _word_and_unit(name: str) -> tuple[str, str]:
     """A column's name without case, blanks and unit; and its unit, as this module writes it."""
-    plain = re.sub(r"[\s\-.]+", "_", re.sub(r"\bsr-1", "1/sr", name.strip().lower()))
+    plain = re.sub(r"[\s\-.]+", "_", re.sub(r"(?<![a-z])sr-1", "1/sr", name.strip().lower()))
     bracketed = re.fullmatch(r"(.*?)_*[\[(]\s*(.*?)\s*[\])]", plain)
     if bracketed and bracketed[2] in _UNITS:
         return bracketed[1].strip("_"), _UNITS[bracketed[2]]
     word, _, unit = plain.rpartition("_")
     if word and unit in _UNITS:
         return word.strip("_"), _UNITS[unit]
+    joined = re.fullmatch(r"(.*[^_])(deg|rad|nm|um)", plain)  # without anything between
+    if joined and (_ANGLE.fullmatch(joined[1]) or joined[1] in _BY_NAME):
+        return joined[1], joined[2]
     return plain.strip("_"), ""

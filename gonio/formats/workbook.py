@@ -34,7 +34,7 @@ def as_csv(data: bytes, path: Path, needed: Collection[str]) -> tuple[bytes, lis
     Raises
     ------
     DataError
-        It is no such workbook, is damaged, or holds nothing; two lines are joined to one by an empty column's name.
+        It is no such workbook, is damaged, or holds nothing; a cell stands in a column without a name.
     """
     sheets = (_xls if data.startswith(_xls.MAGIC) else _xlsx).worksheets(data, path)
     full = [(number, sheet) for number, sheet in enumerate(sheets, start=1) if sheet]
@@ -49,7 +49,8 @@ def as_csv(data: bytes, path: Path, needed: Collection[str]) -> tuple[bytes, lis
         if row > first and column in place:
             lines.setdefault(row, [""] * len(place))[place[column]] = _cell(value)
         elif row > first:
-            raise DataError(f"{path}, worksheet {number}, row {row + 1}: a cell in a column without a name")
+            where = f"{path}, worksheet {number}, row {row + 1}"
+            raise DataError(f"{where}: a cell in a column without a name; the sheet's first line names them")
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(header.values())

@@ -14,13 +14,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from gonio.config import Strict
+from gonio.config import Strict, numbers_in
 from gonio.errors import ConfigError
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 MAX_BANDS = 10_000
+ROUNDED = 1e-5
+"""Of a correlation in a file that a person wrote, with five decimals."""
 
 
 class Geometry(Strict):
@@ -302,6 +304,30 @@ class RigDescription(Strict):
         return self
 
 
+class ParameterUncertainty(Strict):
+    """How well the parameters of a sample are known: standard uncertainties (k = 1), and how they go together."""
+
+    parameters: list[str]
+    """Which numbers of [parameters]: `tau_um`, `slopes[0][1]`, `phong.k_s`. Others are exact."""
+    u: list[NonNegative]
+    correlation: list[list[Annotated[float, Field(ge=-1, le=1)]]]
+    """One row for each of `parameters`."""
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> ParameterUncertainty:
+        import numpy as np
+
+        n = len(self.parameters)
+        if len(set(self.parameters)) < n or len(self.u) != n or [len(row) for row in self.correlation] != [n] * n:
+            raise ValueError(f"{n} parameters, each once, need as many u, and a correlation of {n} rows and columns")
+        matrix = np.array(self.correlation).reshape(n, n)
+        if n and (np.abs(matrix - matrix.T).max() > ROUNDED or np.abs(np.diag(matrix) - 1.0).max() > ROUNDED):
+            raise ValueError("a correlation is symmetric, and 1 on its diagonal")
+        if n and np.linalg.eigvalsh(matrix)[0] < -n * ROUNDED:
+            raise ValueError("no numbers have this correlation: it has a negative eigenvalue")
+        return self
+
+
 class SampleDescription(Strict):
     """A sample for a simulated rig: which model it scatters light by."""
 
@@ -311,3 +337,16 @@ class SampleDescription(Strict):
     diameter_mm: Positive | None = None
     integrate_band: bool = False
     """Render the integral over the band instead of the value at its centre."""
+    uncertainty: ParameterUncertainty | None = None
+    """What `gonio fit --save` knows of the parameters: quantities of appearance have uncertainties from it."""
+
+    @model_validator(mode="after")
+    def _names_are_there(self) -> SampleDescription:
+        known = numbers_in(self.parameters)
+        missing = [name for name in (self.uncertainty.parameters if self.uncertainty else []) if name not in known]
+        if missing:
+            raise ValueError(
+                f'uncertainty.parameters: there is no number "{missing[0]}" in [parameters]; there are'
+                f" {', '.join(known) or 'none'}"
+            )
+        return self

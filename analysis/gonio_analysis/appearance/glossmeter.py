@@ -1,4 +1,4 @@
-"""A glossmeter's beams and apertures (ISO 2813, ASTM D523), and the gloss of a model seen by it.
+"""Beams and apertures of glossmeters (ISO 2813, ASTM D523) and haze meters (ASTM E430), and what they see of a model.
 
 Source and receiver are rectangles in the focal planes of two lenses: every point of one is a direction. The flux is
 the same from every point of the source. See docs/appearance.md.
@@ -29,7 +29,7 @@ EDGES_DEG = (0.0, 0.02, 0.06, 0.2, 0.5, 1.0, 2.0, 4.0, 20.0)
 
 @dataclass(frozen=True)
 class Glossmeter:
-    """One angle of a glossmeter, all in degrees.
+    """One angle of a glossmeter, or one receiver of a haze meter, all in degrees.
 
     Parameters
     ----------
@@ -37,24 +37,43 @@ class Glossmeter:
         Of incidence and of the receiver's axis.
     receiver_deg
         Full angles of the receiver's aperture in the plane of incidence and across it.
+    offset_deg
+        Of the receiver's axis from the mirror direction, away from the normal: not 0 for haze.
+    source_deg
+        Full angles of the source's image.
     """
 
     angle_deg: float
     receiver_deg: tuple[float, float]
+    offset_deg: float = 0.0
+    source_deg: tuple[float, float] = SOURCE_DEG
 
     @property
     def theta(self) -> float:
-        """Angle of incidence and of the receiver's axis [rad]."""
+        """Angle of incidence [rad]."""
         return math.radians(self.angle_deg)
+
+    @property
+    def offset(self) -> float:
+        """Angle of the receiver's axis from the mirror direction [rad]."""
+        return math.radians(self.offset_deg)
+
+    @property
+    def where(self) -> str:
+        """What the receiver looks at."""
+        return f"direction {self.offset_deg:+g}° from the mirror direction" if self.offset else "mirror direction"
 
     @cached_property
     def reach(self) -> float:
-        """How far a detector in the plane of incidence has to see, from the mirror direction to either side [rad]."""
-        return math.radians(0.5 * (self.receiver_deg[0] + SOURCE_DEG[0]))
+        """How far from the receiver's axis, to either side, a value in the plane of incidence has to lie [rad].
+
+        A haze is interpolated: half of its distance from the mirror direction counts, too.
+        """
+        return math.radians(0.5 * (self.receiver_deg[0] + self.source_deg[0] + abs(self.offset_deg)))
 
     def source(self, order: int) -> tuple[Floats, Floats]:
         """Directions toward the source (n, 3) and their share of the flux (n,), which add up to 1."""
-        points, weights = _rectangle(_panels(SOURCE_DEG[0]), _panels(SOURCE_DEG[1]), order)
+        points, weights = _rectangle(_panels(self.source_deg[0]), _panels(self.source_deg[1]), order)
         omega, solid = _directions(points, self.theta, -1.0)
         share = weights * solid
         return omega, share / share.sum()
@@ -74,23 +93,36 @@ class Glossmeter:
             _panels(width, None if about is None else c) for width, c in zip(self.receiver_deg, centre, strict=True)
         )
         points, weights = _rectangle(along, across, order)
-        omega, solid = _directions(points, self.theta, 1.0)
+        omega, solid = _directions(points, self.theta + self.offset, 1.0)
         return omega, weights * solid
 
     @cached_property
     def standard(self) -> float:
-        """Mean reflectance of the standard glass over the source."""
+        """Share of the source's flux that the receiver sees of the standard glass, in the mirror direction.
+
+        The beam reflected by glass is the source's image, cut by the receiver's aperture where that is smaller.
+        """
         omega, share = self.source(16)
-        return float(share @ fresnel.reflectance(omega[:, 2], STANDARD_INDEX))
+        widths = zip(self.receiver_deg, self.source_deg, strict=True)
+        seen = math.prod(min(1.0, math.tan(math.radians(0.5 * r)) / math.tan(math.radians(0.5 * s))) for r, s in widths)
+        return seen * float(share @ fresnel.reflectance(omega[:, 2], STANDARD_INDEX))
 
     def in_focal_plane(self, omega: Floats) -> Floats:
         """Where directions (n, 3) meet the receiver's focal plane: tangents in the plane of incidence, across."""
-        sine, cosine = math.sin(self.theta), math.cos(self.theta)
+        sine, cosine = math.sin(self.theta + self.offset), math.cos(self.theta + self.offset)
         axis = sine * omega[..., 0] + cosine * omega[..., 2]
         return np.stack([cosine * omega[..., 0] - sine * omega[..., 2], omega[..., 1]], axis=-1) / axis[..., None]
 
 
 GLOSSMETERS = (Glossmeter(20.0, (1.80, 3.6)), Glossmeter(60.0, (4.40, 11.7)), Glossmeter(85.0, (4.00, 6.0)))
+HAZEMETERS = {
+    "haze_e430_20": tuple(Glossmeter(20.0, (1.80, 3.6), sign * 1.9) for sign in (-1.0, 1.0)),
+    "haze_e430_30": tuple(Glossmeter(30.0, (0.4, 3.0), sign * 2.0, (0.44, 5.0)) for sign in (-1.0, 1.0)),
+}
+"""Receivers of ASTM E430's narrow-angle reflection haze: method B (18.1 and 21.9 degrees, whose fluxes are added) and
+method A (28 or 32 degrees, whose mean is taken). The angles have a source; of the apertures only the 1.8 degrees have
+(docs/appearance.md)."""
+BOTH_COUNT = {"haze_e430_20": 1.0, "haze_e430_30": 0.5}
 
 
 def gloss(model: Model, meter: Glossmeter, wavelength_nm: float) -> tuple[float, float]:
@@ -106,7 +138,11 @@ def gloss(model: Model, meter: Glossmeter, wavelength_nm: float) -> tuple[float,
 
 def _flux(model: Model, meter: Glossmeter, wavelength_nm: float, source_order: int, receiver_order: int) -> float:
     omega_i, share = meter.source(source_order)
-    spike = float(share @ model.specular_reflectivity(np.arccos(omega_i[:, 2]), wavelength_nm=wavelength_nm))
+    spike = (
+        0.0
+        if meter.offset
+        else float(share @ model.specular_reflectivity(np.arccos(omega_i[:, 2]), wavelength_nm=wavelength_nm))
+    )
     parts = [meter.receiver(receiver_order, about) for about in omega_i * (-1.0, -1.0, 1.0)]
     omega_r = np.concatenate([omega for omega, _ in parts])
     counts = [len(omega) for omega, _ in parts]

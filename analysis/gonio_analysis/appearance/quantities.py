@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gonio import colour
+from gonio import colour, models
+from gonio.config import numbers_in, with_numbers
 from gonio.errors import ArgumentError, ConfigError
 from gonio.measurement import is_simulated
 from gonio.typing import Floats
 from gonio_analysis.appearance import sampled, sampled_hemisphere
-from gonio_analysis.appearance.glossmeter import GLOSSMETERS, gloss
+from gonio_analysis.appearance.glossmeter import BOTH_COUNT, GLOSSMETERS, HAZEMETERS, gloss
 from gonio_analysis.appearance.sampled import NotMeasured, Sampled
 from gonio_analysis.curves.in_plane import Curve, curves
 from gonio_analysis.fitting.observations import Observations, observations
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
     from gonio.measurement import Reading
     from gonio.models import Model
+    from gonio.rig.description import SampleDescription
     from gonio_analysis.fitting.fit import FitResult
 
 DEFAULT_WAVELENGTH_NM = 550.0
@@ -48,6 +50,13 @@ RETRO_GAP_DEG = 1.0
 SMOOTH_TIS = 0.1
 """Largest share of scattered light from which a roughness is stated."""
 HAZE_ABOVE_GU = 70.0
+UNVERIFIED = "through apertures of 0.4° by 3° and a source of 0.44° by 5°, which could not be verified"
+AZIMUTH = "The model depends on the sample's azimuth: the source stands at phi_i = 180 degrees."
+SHARE_OF_U = 0.1
+"""Of a standard uncertainty: slopes of a model's quantities are taken over so much. They are straight over it, and its
+effect is far above the error of the quadratures wherever the uncertainty is."""
+LEAST_VARIANCE = 1e-10
+"""Eigenvalue of a correlation below which parameters determine each other: a sample file's has twelve decimals."""
 FLOP_STEP = 0.5
 """Of L*: the slope of the flop index is taken over so much. At equal lightnesses its tangent is level, and says that
 lightnesses have no part in it."""
@@ -64,12 +73,9 @@ def of(spec: str, *, wavelength_nm: float | None = None, how: Reading | None = N
         From reading it; a file of several samples has to be narrowed to one.
     """
     if spec.endswith(".toml"):
-        from gonio import models
         from gonio.acquisition.measure import load_sample
 
-        sample = load_sample(spec)
-        model = models.build(sample.model, sample.parameters)
-        return of_model(model, name=sample.name, source=spec, wavelength_nm=wavelength_nm)
+        return of_sample(load_sample(spec), source=spec, wavelength_nm=wavelength_nm)
     from gonio import measurement
 
     found = measurement.tables(spec, how)
@@ -106,6 +112,8 @@ def of_table(
     numbers = _Numbers()
     for meter in GLOSSMETERS:
         numbers.put(f"gloss_{meter.angle_deg:g}_gu", partial(sampled.gloss, at, meter))
+    for key, meters in HAZEMETERS.items():
+        numbers.put(key, partial(_sum_of, [partial(sampled.gloss, at, meter) for meter in meters], BOTH_COUNT[key]))
     incidences = sampled_hemisphere.reflectances(at)
     numbers.put("rho_dh_8", lambda: sampled_hemisphere.reflectance_at_8(incidences))
     for theta, rho in incidences.items():
@@ -138,6 +146,11 @@ def of_table(
 
     found = _assembled(numbers, uncertainty, name, source, "table", wavelength, list(incidences), notes)
     return replace(found, simulated=not isinstance(table, Observations) and is_simulated(table))
+
+
+def _sum_of(parts: Sequence[Callable[[], Sampled]], weight: float) -> Sampled:
+    first, second = (part() for part in parts)
+    return first.plus(second).times(weight)
 
 
 def _nearest_8(incidences: Mapping[float, object]) -> float:
@@ -241,8 +254,35 @@ def of_model(model: Model, *, name: str, source: str = "", wavelength_nm: float 
     incidences = [math.radians(t) for t in MODEL_INCIDENCES_DEG]
     notes = ["The sample's parameters are taken as exact: no uncertainty is stated."]
     if model.depends_on_azimuth:
-        notes.append("The model depends on the sample's azimuth: the source stands at phi_i = 180 degrees.")
+        notes.append(AZIMUTH)
     return _assembled(numbers, lambda _: None, name, source, "model", wavelength, incidences, notes)
+
+
+def of_sample(sample: SampleDescription, *, source: str = "", wavelength_nm: float | None = None) -> Appearance:
+    """The quantities of a sample file, with the covariance of its parameters where it states one."""
+    known = sample.uncertainty
+    model = models.build(sample.model, sample.parameters)
+    if known is None or not known.parameters:
+        return of_model(model, name=sample.name, source=source, wavelength_nm=wavelength_nm)
+    wavelength = DEFAULT_WAVELENGTH_NM if wavelength_nm is None else wavelength_nm
+    everything = numbers_in(sample.parameters)
+    centre = np.array([everything[name] for name in known.parameters])
+
+    def moved(point: Floats) -> Model | None:
+        numbers = dict(zip(known.parameters, point.tolist(), strict=True))
+        try:
+            return models.build(sample.model, with_numbers(sample.parameters, numbers))
+        except ArgumentError:
+            return None
+
+    u = np.array(known.u)
+    numbers = _of_model(model, wavelength)
+    notes = ["Uncertainties are those of the sample's parameters, as its file states them."]
+    _propagate(numbers, moved, centre, np.array(known.correlation) * np.outer(u, u), wavelength, notes)
+    if model.depends_on_azimuth:
+        notes.append(AZIMUTH)
+    incidences = [math.radians(t) for t in MODEL_INCIDENCES_DEG]
+    return _assembled(numbers, _length, sample.name, source, "model", wavelength, incidences, notes)
 
 
 def of_fit(fit: FitResult, *, name: str, source: str = "") -> Appearance:
@@ -250,23 +290,56 @@ def of_fit(fit: FitResult, *, name: str, source: str = "") -> Appearance:
     wavelength = DEFAULT_WAVELENGTH_NM if math.isnan(fit.wavelength_nm) else fit.wavelength_nm
     numbers = _of_model(fit.model, wavelength)
     lower, upper = fit.problem.bounds
-    gradients: dict[str, Floats] = {key: np.zeros(len(fit.free)) for key in numbers.values}
-    for k in range(len(fit.free)):
-        step = 1e-3 * max(math.sqrt(max(float(fit.spread[k, k]), 0.0)), 1e-3 * max(abs(float(fit.vector[k])), 1e-3))
-        ends = [np.clip(fit.vector + s * step * np.eye(len(fit.free))[k], lower, upper) for s in (1.0, -1.0)]
-        width = float(ends[0][k] - ends[1][k])
-        ahead, behind = (_of_model(fit.problem.model(end), wavelength).values for end in ends)
+
+    def moved(point: Floats) -> Model | None:
+        inside = bool(np.all((point >= lower) & (point <= upper)))
+        return fit.problem.model(point) if inside else None
+
+    notes = list(fit.notes)
+    _propagate(numbers, moved, fit.vector, fit.spread, wavelength, notes)
+    incidences = [math.radians(t) for t in MODEL_INCIDENCES_DEG]
+    return _assembled(numbers, _length, name, source, "fit", wavelength, incidences, notes)
+
+
+def _propagate(
+    numbers: _Numbers,
+    moved: Callable[[Floats], Model | None],
+    centre: Floats,
+    covariance: Floats,
+    wavelength_nm: float,
+    notes: list[str],
+) -> None:
+    """Give numbers of a model their gradients, in units of the independent directions of a covariance.
+
+    `moved` is the model at a point of the parameters, None where there is none; then the slope is taken on one side.
+    """
+    u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    scale = np.where(u > 0.0, u, 1.0)
+    sizes, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
+    kept = sizes > LEAST_VARIANCE
+    levers = (u[:, None] * directions[:, kept] * np.sqrt(sizes[kept])).T
+    gradients: dict[str, Floats] = {key: np.zeros(len(levers)) for key in numbers.values}
+    for k, lever in enumerate(levers):
+        ends = [(sign, moved(centre + sign * SHARE_OF_U * lever)) for sign in (1.0, -1.0)]
+        sides = [(sign, _of_model(model, wavelength_nm).values) for sign, model in ends if model is not None]
+        if not sides:
+            notes.append("The parameters lie at bounds on both sides: uncertainties are left out.")
+            for key, one in numbers.values.items():
+                numbers.values[key] = replace(one, gradient=np.full(1, np.nan))
+            return
+        if len(sides) < len(ends):
+            sides.append((0.0, numbers.values))
+        (first, ahead), (second, behind) = sides
         for key, gradient in gradients.items():
-            gradient[k] = (ahead[key].value - behind[key].value) / width if width > 0.0 else 0.0
+            if key in ahead and key in behind:
+                gradient[k] = (ahead[key].value - behind[key].value) / (SHARE_OF_U * (first - second))
     for key, gradient in gradients.items():
         numbers.values[key] = replace(numbers.values[key], gradient=gradient)
 
-    def uncertainty(one: Sampled) -> float | None:
-        square = float(one.gradient @ fit.spread @ one.gradient)
-        return math.sqrt(square) if square >= 0.0 else None
 
-    incidences = [math.radians(t) for t in MODEL_INCIDENCES_DEG]
-    return _assembled(numbers, uncertainty, name, source, "fit", wavelength, incidences, list(fit.notes))
+def _length(one: Sampled) -> float | None:
+    """Standard uncertainty of a number whose gradient is by independent variables of variance 1."""
+    return finite(float(np.linalg.norm(one.gradient)))
 
 
 def _of_model(model: Model, wavelength_nm: float) -> _Numbers:
@@ -277,6 +350,9 @@ def _of_model(model: Model, wavelength_nm: float) -> _Numbers:
 
     for meter in GLOSSMETERS:
         numbers.take(f"gloss_{meter.angle_deg:g}_gu", exact(*gloss(model, meter, wavelength_nm)))
+    for key, meters in HAZEMETERS.items():
+        parts = [partial(exact, *gloss(model, meter, wavelength_nm)) for meter in meters]
+        numbers.take(key, _sum_of(parts, BOTH_COUNT[key]))
     theta = np.radians(MODEL_INCIDENCES_DEG)
     every = model.directional_hemispherical(theta, phi_i=math.pi, wavelength_nm=wavelength_nm, tolerance=1e-6)
     for angle, rho in zip(theta, every, strict=True):
@@ -408,6 +484,8 @@ def _assembled(
         gloss_60_gu=named("gloss_60_gu", "GU"),
         gloss_85_gu=named("gloss_85_gu", "GU"),
         haze_gu=quantity(lambda: numbers["gloss_60_gu"].plus(numbers["gloss_20_gu"], -1.0), "GU", haze_note),
+        haze_e430_20=named("haze_e430_20", "HU"),
+        haze_e430_30=quantity(lambda: numbers["haze_e430_30"], "HU", lambda _: UNVERIFIED),
         rho_dh_8=named("rho_dh_8", "1"),
         rho_dh=[
             AtIncidence(**vars(named(f"rho_dh {math.degrees(t)}", "1")), theta_i_deg=round(math.degrees(t), 2))

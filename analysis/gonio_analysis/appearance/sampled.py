@@ -23,10 +23,15 @@ from gonio_analysis.curves.in_plane import Curve, curves
 from gonio_analysis.fitting.observations import Observations
 
 Rows = npt.NDArray[np.intp]
-Shape = Literal["cosines", "plain", "fresnel"]
-SHAPES: tuple[Shape, ...] = ("cosines", "plain", "fresnel")
-"""What depends on the half vector alone: f cos cos, f, or f cos cos over the Fresnel reflectance of glass. The first is
-taken; the others say how far the choice matters."""
+Shape = Literal["cosines", "plain", "fresnel", "grooves"]
+SHAPES: tuple[Shape, ...] = ("cosines", "plain", "fresnel", "grooves")
+"""What depends on the half vector alone: f cos cos, f, f cos cos over the Fresnel reflectance of glass, or that over
+the shadowing of V-grooves (Cook and Torrance 1982), too. Values out of the plane of incidence say which.
+Without any the first is taken, and the next two say how far the choice matters: where grooves matter, those two do."""
+CLEARLY_BETTER = 0.6
+"""Misfit [ln] out of the plane of the shape that is taken in place of the first, over that of the first."""
+NEARLY_AS_GOOD, ANY_MISFIT = 1.5, 0.01
+"""A shape whose misfit is at most so many times the best one's and so much more may be right as well."""
 
 LARGEST_GAP = math.radians(10.0)
 """Between two directions of a curve that a third is interpolated from."""
@@ -175,9 +180,9 @@ def gloss(data: Observations, meter: Glossmeter) -> Sampled:
 
 def _gloss(data: Observations, curve: Curve, meter: Glossmeter) -> Sampled:
     offset = curve.angle - curve.parameter
-    if not np.any(np.abs(offset) <= meter.reach):
+    if not np.any(np.abs(offset - meter.offset) <= meter.reach):
         raise NotMeasured(
-            f"no value within {math.degrees(meter.reach):.1f}° of the mirror direction on the curve at"
+            f"no value within {math.degrees(meter.reach):.1f}° of the {meter.where} on the curve at"
             f" {math.degrees(curve.parameter):.1f}°"
         )
     if not (np.any(np.abs(offset + 0.5 * WING) <= 0.5 * WING) and np.any(np.abs(offset - 0.5 * WING) <= 0.5 * WING)):
@@ -187,26 +192,63 @@ def _gloss(data: Observations, curve: Curve, meter: Glossmeter) -> Sampled:
         )
     response = spike_response(data, curve)
     scale = 100.0 / meter.standard
-    full, beyond = _through(data, curve, meter, response, slice(None))
+    shapes = _shapes(data, curve, response)
+    full, beyond = _through(data, curve, meter, response, slice(None), shapes[0])
     thin = _every_other(curve)
     try:
-        whole, half = (_through(data, curve, meter, response, k, flat=True)[0].value for k in (slice(None), thin))
+        whole, half = (
+            _through(data, curve, meter, response, k, shapes[0], flat=True)[0].value for k in (slice(None), thin)
+        )
         error = abs(whole - half) / 3.0
     except NotMeasured:
         error = math.nan
-    others = [_through(data, curve, meter, response, slice(None), kind)[0].value for kind in SHAPES[1:]]
-    error += max(abs(value - full.value) for value in others) + abs(beyond)
+    others = [_through(data, curve, meter, response, slice(None), kind)[0].value for kind in shapes[1:]]
+    if len(shapes) == 1:  # what the values out of the plane changed is what the plane left open
+        others.append(_through(data, curve, meter, response, slice(None), shapes[0], flat=True)[0].value)
+    error += max((abs(value - full.value) for value in others), default=0.0) + abs(beyond)
     if abs(beyond) > BEYOND * abs(full.value):
         raise NotMeasured(
             f"{100 * abs(beyond / full.value):.0f} % of the flux through the apertures at {meter.angle_deg:g}° comes"
             " from directions beyond the measured ones"
         )
     if error > max(LARGEST_ERROR_GU / scale, LARGEST_ERROR * abs(full.value)):
+        every = [full.value, *others]
+        if len(shapes) < len(SHAPES):
+            every.append(_through(data, curve, meter, response, slice(None), SHAPES[-1])[0].value)
         raise NotMeasured(
-            f"values in one plane do not say enough about the apertures at {meter.angle_deg:g}°:"
-            f" {scale * full.value:.3g} GU, give or take {scale * error:.2g}"
+            f"the measured directions do not say enough about the apertures at {meter.angle_deg:g}°: lobes of several"
+            f" shapes through them have {scale * min(every):.3g} to {scale * max(every):.3g} GU; values out of the"
+            f" plane of incidence within {math.degrees(WINDOW):g}° of the mirror direction may tell"
         )
     return replace(full, error=error).times(scale)
+
+
+def _shapes(data: Observations, curve: Curve, response: Floats) -> tuple[Shape, ...]:
+    """The shape to take first, then those that may be right as well."""
+    rows = _around(data, curve)
+    rows = rows[(np.abs(data.directions.out_of_plane[rows]) > 2.0 * IN_PLANE) & (data.brdf[rows] > 0.0)]
+    if rows.size < 4:
+        return SHAPES[:3]
+    misfits: dict[Shape, float] = {}
+    for shape in SHAPES:
+        lobe = _HalfVector(curve, np.flatnonzero(response == 0.0), slice(None), shape)
+        on_curve, _ = lobe.total(data.directions[rows], np.ones(rows.size), None)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.abs(np.log(data.brdf[rows] / on_curve))
+        misfits[shape] = float(np.median(np.where(np.isfinite(ratio), ratio, LARGEST_LN_RATIO)))
+    ordered = sorted(SHAPES, key=lambda shape: misfits[shape])
+    if misfits[ordered[0]] > CLEARLY_BETTER * misfits[SHAPES[0]]:
+        return SHAPES[:3]
+    worst = NEARLY_AS_GOOD * misfits[ordered[0]] + ANY_MISFIT
+    return tuple(shape for shape in ordered if misfits[shape] <= worst)
+
+
+def _around(data: Observations, curve: Curve) -> Rows:
+    """Rows around the mirror direction at a curve's incidence, where its detector was moved."""
+    d = data.directions
+    turned = np.abs(wrap(d.phi_i - curve.phi_i + math.pi) - math.pi)
+    near = (np.abs(d.theta_i - curve.parameter) <= SAME_ANGLE) & (turned <= SAME_AZIMUTH) & (d.mirror_offset <= WINDOW)
+    return np.flatnonzero(near & (curve.scanned == "theta_r"))
 
 
 def spike_response(data: Observations, curve: Curve) -> Floats:
@@ -266,7 +308,7 @@ def _through(
         np.flatnonzero(response > 0.5 * response.max(initial=0.0)) if response.any() else np.empty(0, dtype=np.intp)
     )
     caught = np.intersect1d(caught, np.arange(response.size)[taken])
-    if caught.size:
+    if caught.size and not meter.offset:
         squares = float((response[caught] ** 2).sum())
         for k in caught:
             own = np.zeros(len(data))
@@ -295,13 +337,7 @@ class _Across:
         from scipy.spatial import Delaunay, QhullError
 
         d = data.directions
-        turned = np.abs(wrap(d.phi_i - curve.phi_i + math.pi) - math.pi)
-        rows = np.flatnonzero(
-            (np.abs(d.theta_i - curve.parameter) <= SAME_ANGLE)
-            & (turned <= SAME_AZIMUTH)
-            & (d.mirror_offset <= WINDOW)
-            & (curve.scanned == "theta_r")
-        )
+        rows = _around(data, curve)
         if rows.size < 4 or not np.any(np.abs(d.out_of_plane[rows]) > 2.0 * IN_PLANE):
             return None
         rows = (
@@ -375,6 +411,7 @@ class _HalfVector:
         weight = self._weight(
             np.full(kept.size, math.cos(curve.parameter)),
             np.cos(curve.angle[kept]),
+            0.5 * (curve.angle[kept] - self._theta),
             0.5 * (curve.angle[kept] + self._theta),
         )
         self._branches = []
@@ -389,13 +426,18 @@ class _HalfVector:
         if max(x.size for x, *_ in self._branches) < 2:
             raise NotMeasured("fewer than two values beside the mirror direction")
 
-    def _weight(self, cos_i: Floats, cos_r: Floats, theta_d: Floats) -> Floats:
+    def _weight(self, cos_i: Floats, cos_r: Floats, theta_h: Floats, theta_d: Floats) -> Floats:
         """What f is multiplied by, so that the product depends on the half vector alone."""
         if self._shape == "plain":
             return np.ones(cos_i.shape)
         if self._shape == "cosines":
             return np.asarray(cos_i * cos_r)
-        return np.asarray(cos_i * cos_r / fresnel.reflectance(np.cos(theta_d), STANDARD_INDEX))
+        weight = np.asarray(cos_i * cos_r / fresnel.reflectance(np.cos(theta_d), STANDARD_INDEX))
+        if self._shape == "fresnel":
+            return weight
+        # the G of Cook1982: masking and shadowing of V-grooves
+        lit = 2.0 * np.cos(theta_h) * np.minimum(cos_i, cos_r) / np.maximum(np.cos(theta_d), 1e-9)
+        return weight / np.clip(lit, 1e-9, 1.0)
 
     def total(self, at: Directions, weights: Floats, gradient: Floats | None) -> tuple[Floats, float]:
         """Weights times f in some directions, and how much of their sum lies beyond the data.
@@ -404,7 +446,7 @@ class _HalfVector:
         """
         theta_h, theta_d = at.half
         x = np.tan(theta_h) ** 2
-        factor = weights / self._weight(np.cos(at.theta_i), np.cos(at.theta_r), theta_d)
+        factor = weights / self._weight(np.cos(at.theta_i), np.cos(at.theta_r), theta_h, theta_d)
         # how far the pair of directions is from the curve's two that have the same theta_h
         along = np.clip(0.5 + (theta_d - self._theta) / (2.0 * np.maximum(theta_h, 1e-9)), 0.0, 1.0)
         reach = [branch[0][-1] if branch[0].size >= 2 else -1.0 for branch in self._branches]

@@ -1,4 +1,4 @@
-"""A fitted model as a sample file, for `gonio measure`, `convert`, `render` and `compare`."""
+"""A fitted model as a sample file, for `gonio measure`, `convert`, `render`, `compare` and `appearance`."""
 
 from __future__ import annotations
 
@@ -7,11 +7,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gonio import disk
-from gonio.config import to_toml
+from gonio.config import numbers_in, to_toml
 from gonio.errors import ConfigError
+from gonio.typing import Floats
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.problem import FitRequest
+
+STEP = 1e-5
+"""Of the search scale, over which arguments are differentiated: they are smooth functions of few operations."""
 
 
 def check_target(path: Path, asked: FitRequest) -> None:
@@ -50,16 +56,55 @@ def save(result: FitResult, path: Path, *, name: str, source: str) -> None:
         It cannot be written, or the fit has values of their own at several wavelengths.
     """
     check_target(path, FitRequest(result.name, each=result.problem.each))
-    problem = result.problem
-    given = {**problem.family.arguments(problem.values(result.vector)), **problem.words}
     model = "sum" if "+" in result.name else result.name
-    tables = {"name": name, "model": model, "parameters": {key: _plain(value) for key, value in given.items()}}
+    tables = {"name": name, "model": model, "parameters": _parameters(result, result.vector)}
+    uncertainty = _uncertainty(result)
+    if uncertainty is not None:
+        tables["uncertainty"] = uncertainty
     at = "" if math.isnan(result.wavelength_nm) else f" at {result.wavelength_nm:g} nm"
     head = " ".join(f"{result.name}, fitted to {source}{at}: {result.verdict}".split())
     try:
         disk.write_whole(path, f"# {head}\n{to_toml(tables)}".encode())
     except OSError as error:
         raise ConfigError(f"--save {path}: cannot be written: {error.strerror or error}") from None
+
+
+def _parameters(result: FitResult, vector: Floats) -> dict[str, Any]:
+    """The constructor's arguments at a point of the search, as TOML has them."""
+    problem = result.problem
+    given = {**problem.family.arguments(problem.values(vector)), **problem.words}
+    return {key: _plain(value) for key, value in given.items()}
+
+
+def _uncertainty(result: FitResult) -> dict[str, Any] | None:
+    """Standard uncertainties and correlation of the arguments that the fit found; None where it states none.
+
+    Arguments follow the fitted parameters to first order; those that do not depend on them are exact, and left out.
+    """
+    if not (result.vector.size and np.all(np.isfinite(result.spread))):
+        return None
+    lower, upper = result.problem.bounds
+    best = numbers_in(_parameters(result, result.vector))
+    slope = np.zeros((len(best), result.vector.size))
+    for k in range(result.vector.size):
+        ends = [result.vector.copy(), result.vector.copy()]
+        for end, sign in zip(ends, (1.0, -1.0), strict=True):
+            end[k] = np.clip(end[k] + sign * STEP, lower[k], upper[k])
+        ahead, behind = (numbers_in(_parameters(result, end)) for end in ends)
+        if ends[0][k] > ends[1][k]:
+            slope[:, k] = [(ahead[name] - behind[name]) / (ends[0][k] - ends[1][k]) for name in best]
+    covariance = slope @ result.spread @ slope.T
+    u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    moving = np.flatnonzero(u > 0.0)
+    if not moving.size:
+        return None
+    correlation = np.clip(covariance[np.ix_(moving, moving)] / np.outer(u[moving], u[moving]), -1.0, 1.0)
+    np.fill_diagonal(correlation, 1.0)
+    return {
+        "parameters": [list(best)[k] for k in moving],
+        "u": [float(f"{u[k]:.6g}") for k in moving],
+        "correlation": np.round(correlation, 12).tolist(),  # strongly correlated parameters need them all
+    }
 
 
 def _plain(value: Any) -> Any:

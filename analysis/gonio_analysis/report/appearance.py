@@ -38,6 +38,8 @@ from gonio_analysis.result_records import Appearance, FigureSummary, Quantity, a
 SOURCES = {
     "gloss": "ISO 2813, ASTM D523",
     "haze": "ASTM D4039",
+    "haze_20": "ASTM E430 method B, ISO 13803",
+    "haze_30": "ASTM E430 method A",
     "reflectance": "integral over the hemisphere",
     "factor": "CIE 15",
     "retro": "CIE e-ILV 17-24-103, -104",
@@ -67,6 +69,8 @@ def listed(a: Appearance) -> list[Listed]:
         for angle, q in ((20, a.gloss_20_gu), (60, a.gloss_60_gu), (85, a.gloss_85_gu))
     ]
     rows.append(("haze, G60 − G20", a.haze_gu, SOURCES["haze"]))
+    rows.append(("haze at 18.1° and 21.9° for 20°", a.haze_e430_20, SOURCES["haze_20"]))
+    rows.append(("haze at 28° and 32° for 30°", a.haze_e430_30, SOURCES["haze_30"]))
     rows.append(("reflectance at 8°", a.rho_dh_8, SOURCES["reflectance"]))
     rows += [(f"ρ_dh at {q.theta_i_deg:g}°", q, SOURCES["reflectance"]) for q in a.rho_dh]
     rows.append(("radiance factor 0:45", a.radiance_factor_0_45, SOURCES["factor"]))

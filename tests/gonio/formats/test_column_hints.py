@@ -40,6 +40,16 @@ def write(path: Path, *header: str) -> Path:
         ("brdf", "f_r"),
         ("u_brdf", "U_BRDF"),
         ("u_brdf", "uncertainty"),
+        ("theta_i_deg", "tetha_i_deg"),
+        ("theta_i_deg", "theta_ideg"),
+        ("theta_i_deg", "theta_source"),
+        ("theta_r_deg", "ThetaR"),
+        ("theta_r_deg", "theta detector [°]"),
+        ("phi_r_deg", "phi_det (degrees)"),
+        ("wavelength_nm", "wavelengthnm"),
+        ("wavelength_nm", "wave_length"),
+        ("brdf", "brdf_sr-1"),
+        ("u_brdf", "sigma_brdf"),
     ],
 )
 def test_the_column_to_rename_is_named(tmp_path: Path, column: str, mine: str) -> None:
@@ -66,6 +76,11 @@ def test_every_column_is_named_at_once_and_the_renamed_table_is_read(tmp_path: P
         ("theta_i_deg", "theta_i_rad", "multiply its radians by 180/pi and name it 'theta_i_deg' (now 'theta_i_rad')"),
         ("wavelength_nm", "lambda [µm]", "multiply its micrometres by 1000 and name it 'wavelength_nm'"),
         ("brdf", "Reflectance factor", "divide 'Reflectance factor' by pi and name it 'brdf'"),
+        ("theta_r_deg", "theta_r(radians)", "multiply its radians by 180/pi and name it 'theta_r_deg'"),
+        ("phi_i_deg", "phiirad", "multiply its radians by 180/pi and name it 'phi_i_deg'"),
+        ("wavelength_nm", "wavelength_micron", "multiply its micrometres by 1000 and name it 'wavelength_nm'"),
+        ("brdf", "reflectance factor (%)", "by 100 pi, if it is a reflectance factor in percent"),
+        ("brdf", "brdf_percent", "by 100 pi, if it is a reflectance factor in percent"),
         ("u_brdf", "U_brdf", "an expanded uncertainty U is divided by its k first"),
     ],
 )
@@ -85,6 +100,8 @@ def test_another_unit_is_not_only_renamed(tmp_path: Path, column: str, mine: str
         ("brdf", "brdf_nm"),
         ("theta_i_deg", "theta_i_nm"),
         ("brdf", "f_cos"),
+        ("brdf", "reflectance [%]"),  # of a hemisphere, perhaps
+        ("theta_i_deg", "theta_i_grad"),
     ],
 )
 def test_what_may_be_another_quantity_gets_no_hint(tmp_path: Path, column: str, mine: str) -> None:

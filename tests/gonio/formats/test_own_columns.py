@@ -235,3 +235,10 @@ def test_fit_compare_and_appearance_take_them(tmp_path: Path, ending: str) -> No
     done = gonio(tmp_path, "fit", table.name, "--model", "lambert", "--columns", "theta_i=inc")
     assert done.returncode == 1
     assert "no column is named for phi_i_deg" in done.stderr
+
+
+def test_a_cell_without_a_column_and_an_empty_workbook_are_told() -> None:
+    with pytest.raises(DataError, match=r"mine\.xlsx, worksheet 1, row 3: a cell in a column without a name"):
+        measurement.parse(xlsx([["title"], [1], [1, 2]]), Path("mine.xlsx"))
+    with pytest.raises(DataError, match="the workbook holds no cells"):
+        measurement.parse(xlsx([[]]), Path("mine.xlsx"))

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from gonio_analysis.appearance.glossmeter import GLOSSMETERS, Glossmeter, gloss
+from gonio_analysis.appearance.glossmeter import GLOSSMETERS, HAZEMETERS, Glossmeter, gloss
 from scipy.integrate import dblquad
 
 from gonio.models import CookTorrance, HeTorrance, Lambert, Model, Phong, Sum, fresnel
@@ -71,6 +71,36 @@ def test_the_stated_error_holds_against_uniform_panels(meter: Glossmeter, model:
     )
     # 160 nodes a side resolve these lobes to 1e-4 of themselves
     assert value == pytest.approx(100.0 * (spike + lobe) / meter.standard, abs=3.0 * error, rel=2e-3)
+
+
+HAZES = [meter for meters in HAZEMETERS.values() for meter in meters]
+
+
+@pytest.mark.parametrize("meter", HAZES, ids=lambda m: f"{m.angle_deg:g}{m.offset_deg:+g}")
+def test_a_smooth_surface_has_no_haze_and_a_lambertian_one_that_of_the_solid_angle(meter: Glossmeter) -> None:
+    assert gloss(smooth(1.567), meter, 550.0)[0] == 0.0
+    axis = math.radians(meter.angle_deg + meter.offset_deg)
+    widths = [math.radians(width) for width in meter.receiver_deg]
+    # a small rectangle: the cosine at its middle, to the square of its width; the image of the source cut as stated
+    seen = math.prod(min(1.0, r / s) for r, s in zip(meter.receiver_deg, meter.source_deg, strict=True))
+    flux = 0.8 / math.pi * widths[0] * widths[1] * math.cos(axis)
+    standard = seen * fresnel.reflectance(math.cos(meter.theta), 1.567)
+    assert gloss(Lambert(0.8), meter, 550.0)[0] == pytest.approx(100.0 * flux / standard, rel=3e-3)
+
+
+@pytest.mark.parametrize("meter", HAZES, ids=lambda m: f"{m.angle_deg:g}{m.offset_deg:+g}")
+def test_haze_of_a_lobe_against_uniform_panels(meter: Glossmeter) -> None:
+    model = HeTorrance(sigma0_um=0.05, tau_um=8.0, ior=1.5)
+    omega_i, share = meter.source(6)
+    omega_r, solid = meter.receiver(80)
+    lobe = sum(
+        w * float((solid * omega_r[:, 2]) @ model.brdf_vectors(np.broadcast_to(i, omega_r.shape), omega_r))
+        for w, i in zip(share, omega_i, strict=True)
+    )
+    value, error = gloss(model, meter, 550.0)
+    # 80 nodes a side resolve a lobe of a degree to 1e-4 of itself
+    assert value == pytest.approx(100.0 * lobe / meter.standard, abs=3.0 * error, rel=1e-3)
+    assert value > 0.1
 
 
 def test_a_sum_has_the_sum_of_the_fluxes() -> None:

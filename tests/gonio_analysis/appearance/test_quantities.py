@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -39,8 +39,8 @@ def swept(*incidences: float) -> Any:
 )
 def test_sampled_and_exact_gloss_agree(model: Model) -> None:
     exact = of_model(model, name="exact")
-    table = of_table(measured(model, swept(*GLOSSY)), name="sampled")
-    for key in ("gloss_20_gu", "gloss_60_gu", "gloss_85_gu", "haze_gu"):
+    table = of_table(measured(model, swept(*GLOSSY, 30.0)), name="sampled")
+    for key in ("gloss_20_gu", "gloss_60_gu", "gloss_85_gu", "haze_gu", "haze_e430_20", "haze_e430_30"):
         assert known(getattr(table, key).value) == pytest.approx(known(getattr(exact, key).value), abs=0.5), key
 
 
@@ -60,10 +60,26 @@ def test_the_error_of_a_gloss_from_one_plane_covers_what_it_assumes() -> None:
     sample = of_table(measured(model, swept(*GLOSSY)), name="sampled")
     for meter, q in zip(GLOSSMETERS, (sample.gloss_20_gu, sample.gloss_60_gu, sample.gloss_85_gu), strict=True):
         if q.value is None:
-            assert "values in one plane do not say enough" in known_words(q.why)
+            assert "the measured directions do not say enough" in known_words(q.why)
         else:
             assert abs(q.value - gloss(model, meter, 550.0)[0]) <= known(q.error) + 0.01
     assert sample.gloss_85_gu.value is None
+
+
+@pytest.mark.parametrize(
+    ("slope", "convention"), [(0.3, "paper"), (0.2, "normalised"), (0.1, "paper")], ids=("rough", "plain", "smooth")
+)
+def test_gloss_at_85_of_facets_is_stated_within_its_error(
+    slope: float, convention: Literal["paper", "normalised"]
+) -> None:
+    model = CookTorrance(s=1, d=0, slopes=((slope, 1.0),), ior=1.5, convention=convention)
+    directions = np.unique(np.vstack([plane(85.0, SIGNED), hemisphere(85.0, 2.5, 5.0, 87.5)]), axis=0)
+    found = of_table(measured(model, directions), name="facets").gloss_85_gu
+    assert abs(known(found.value) - gloss(model, GLOSSMETERS[2], 550.0)[0]) <= known(found.error)
+    assert known(found.error) < 0.07 * known(found.value)  # what depends on the half vector is told from the values
+    flat = of_table(measured(model, plane(85.0, SIGNED)), name="facets").gloss_85_gu
+    assert flat.value is None
+    assert "values out of the plane of incidence within 25° of the mirror direction may tell" in known_words(flat.why)
 
 
 def known_words(text: str | None) -> str:
