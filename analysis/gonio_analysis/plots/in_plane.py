@@ -76,6 +76,17 @@ def kinds(theory: str, measured: str) -> list[Any]:
     ]
 
 
+def pair(first: str, second: str, points: tuple[bool, bool]) -> list[Any]:
+    """What a legend says of two sides: a dashed and a solid line, with markers where values were measured."""
+    from matplotlib.lines import Line2D
+
+    looks = [{"marker": "o", "mfc": face} if one else {} for one, face in zip(points, (INK, "white"), strict=True)]
+    return [
+        Line2D([], [], color=INK, lw=0.9, ls=ls, ms=3.5, label=name, **look)
+        for name, ls, look in zip((first, second), ((0, (4, 2)), "-"), looks, strict=True)
+    ]
+
+
 def radius_of(lines: Sequence[Line], most: float = 2.5) -> float:
     """A round radius that shows every curve whole, unless one is larger than `most`: that one is cut at the rim."""
     tops = [max(_top(x.theory), _top(x.measured)) for x in lines]
@@ -200,7 +211,7 @@ def semilog(ax: Any, lines: Sequence[Line], *, unit: str = "BRDF [1/sr]") -> lis
     if positive:
         measured = [line.measured[line.measured > 0] for line in lines if np.any(line.measured > 0)]
         low = min(float(np.min(v)) for v in (measured or positive))
-        log_axis(ax, low, max(float(np.max(v)) for v in positive))
+        log_axis(ax, low, min(max(float(np.max(v)) for v in positive), ceiling(lines)))
     else:
         ax.set_yscale("log")
     angle_axis(ax)
@@ -237,6 +248,17 @@ def overlay(ax: Any, line: Line, theory: Sequence[tuple[Floats, Floats]]) -> tup
     every = np.concatenate([y, *(v[(v > 0) & np.isfinite(v)] for _, v in theory)])
     least = float(y.min()) if y.size else float(every.min()) if every.size else np.nan
     return least, float(every.max()) if every.size else np.nan
+
+
+def ceiling(lines: Sequence[Line]) -> float:
+    """How high a logarithmic panel reaches for theory: measured values keep two thirds of it. Infinite without any."""
+    every = [line.measured[line.measured > 0] for line in lines]
+    values = np.concatenate(every) if every else np.empty(0)
+    if not values.size:
+        return np.inf
+    low, high = float(values.min()), float(values.max())
+    with np.errstate(over="ignore"):
+        return float(high * max(np.sqrt(high / low), 1.5))
 
 
 def log_axis(ax: Any, low: float, high: float) -> None:

@@ -20,7 +20,7 @@ from gonio_analysis.changes.resampling import FARTHEST
 from gonio_analysis.curves.in_plane import Rows
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.plots.in_plane import FAINT, INK, angle_axis, style
+from gonio_analysis.plots.in_plane import FAINT, INK, angle_axis, log_axis, style
 
 FEWEST = 4
 """Values that make a slice."""
@@ -99,6 +99,44 @@ def plane_map(
     ax.set_ylim(-0.6, levels.size - 0.4)
     ax.set_ylabel(y_label)
     _bar(ax, cells[0], label)
+    return artists
+
+
+def both(ax: Any, lines: Sequence[Line], points: tuple[bool, bool]) -> list[Any]:
+    """Curves of A (dashed, `measured` of the lines) and of B (solid, their `theory`) on a logarithmic axis.
+
+    Parameters
+    ----------
+    ax
+        Axes.
+    lines
+        The curves [1/sr]; what is not above 0 is left out.
+    points
+        Whether A and B were measured: filled and hollow markers stand for values, and a model is a line alone.
+    """
+    artists: list[Any] = []
+    ends: list[Floats] = []
+    for k, line in enumerate(lines):
+        colour, marker = style(k)["color"], style(k)["marker"]
+        sides = ((line.angle, line.measured, line.u), (line.theory_angle, line.theory, None))
+        for (angle, value, u), measured, stroke, face in zip(
+            sides, points, ((0, (4, 2)), "-"), (colour, "white"), strict=True
+        ):
+            shown = (value > 0) & np.isfinite(value)
+            x, y = np.degrees(angle[shown]), value[shown]
+            look = {"marker": marker, "ms": 3.0, "mfc": face, "mew": 0.8} if measured else {}
+            artists += ax.plot(x, y, color=colour, ls=stroke, lw=0.7 if measured else 1.3, zorder=3, **look)
+            if u is not None and np.any(u > 0):
+                bar = np.nan_to_num(u[shown])
+                below = np.minimum(bar, 0.999 * y)
+                artists.append(ax.errorbar(x, y, yerr=[below, bar], ls="none", elinewidth=0.8, color=colour, zorder=2))
+            if measured or not any(points):
+                ends.append(y)
+    every = np.concatenate(ends) if ends else np.empty(0)
+    if every.size:
+        log_axis(ax, float(every.min()), float(every.max()))
+    angle_axis(ax)
+    ax.set_ylabel("BRDF [1/sr]")
     return artists
 
 
@@ -252,7 +290,9 @@ def _hemisphere(ax: Any) -> None:
         ax.plot(
             ring * np.cos(turn), ring * np.sin(turn), color=INK if edge else FAINT, lw=0.9 if edge else 0.5, zorder=2
         )
-        ax.text(0, ring - 2, f"{ring}°", fontsize=6, color="#5a6472", ha="center", va="top", zorder=6)
+        # below, where measurements of one half have nothing, and on a patch of their own where they have
+        patch = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}
+        ax.text(0, 2 - ring, f"{ring}°", fontsize=6, color=INK, ha="center", va="bottom", zorder=6, bbox=patch)
     for k in range(4):
         c, s = 90 * np.cos(k * np.pi / 4), 90 * np.sin(k * np.pi / 4)
         ax.plot([-c, c], [-s, s], color=FAINT, lw=0.5, zorder=2)

@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from gonio import shown
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.parameters import Ior
 from gonio_analysis.report import detail, figures, files, html, page, pdf, tables, viewer
@@ -98,21 +97,11 @@ def make(
                 for dataset in parallel.each(_examined, jobs, dask=dask):
                     datasets.append(dataset)
                     progress(f"{dataset.name}: fitted ({len(datasets)} of {len(jobs)})")
-            title = _title(datasets)
+            title = names[0] if len(names) == 1 else " and ".join(names) if len(names) == 2 else f"{len(names)} samples"
             write(
                 datasets, stage.work, title=title, normalise=normalise, command=command, hands=hands, progress=progress
             )
     return Path(out) / "index.html"
-
-
-def _title(datasets: Sequence[Dataset]) -> str:
-    """Heading of the page; samples whose values are simulated are marked."""
-    if len(datasets) <= 2:
-        return " and ".join(d.title for d in datasets)
-    simulated = sum(d.simulated for d in datasets)
-    if 0 < simulated < len(datasets):
-        return f"{len(datasets)} samples, {simulated} of them simulated"
-    return shown.marked(f"{len(datasets)} samples", simulated > 0)
 
 
 def _examined(job: Callable[[], Dataset]) -> Dataset:
