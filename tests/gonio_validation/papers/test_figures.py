@@ -320,8 +320,8 @@ def test_oren_nayar_s_curves_bend_where_the_model_does_alone(figure: int) -> Non
     for curve in dict.fromkeys(row[0] for row in panel.rows):
         x, y = np.array([(row[2], row[3]) for row in panel.rows if row[0] == curve]).T
         turn = np.sort(np.abs(np.diff(np.diff(y) / np.diff(x))))[::-1]
-        # beside the model's own corners (retro, and two of Torrance and Sparrow's mask, each within two steps) a segment
-        # of a curve that is drawn smoothly leaves its neighbour's slope by little of what the slope is anywhere
+        # beside the model's own corners (retro, and two of Torrance and Sparrow's mask, each within two steps) each
+        # segment of a curve that is drawn smoothly has nearly its neighbour's slope: 5 % of the steepest
         assert turn[6] < 0.05 * np.abs(np.diff(y) / np.diff(x)).max()
 
 
@@ -336,7 +336,8 @@ def test_light_comes_from_the_right_as_in_print(build: Any, figure: int) -> None
     (key,) = drawing.legends
     foot = min(box.y0 for box in [ax.get_tightbbox(), *(text.get_window_extent() for text in ax.texts)])
     assert 0 <= foot - key.get_window_extent().y1 < 0.3 * drawing.dpi  # inches
-    assert all(text.get_window_extent().x1 <= drawing.bbox.x1 for text in [*ax.get_xticklabels(), *ax.texts])
+    ticks = ax.get_xticklabels() if ax.axison else []
+    assert all(text.get_window_extent().x1 <= drawing.bbox.x1 for text in [*ticks, *ax.texts])
     assert all(one.get_marker() in ("", "None", None) for one in ax.get_lines())  # nothing was measured
 
 
