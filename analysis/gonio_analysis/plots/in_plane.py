@@ -27,6 +27,8 @@ STROKES: tuple[Stroke, ...] = (
     (0, (7, 1.8, 1.6, 1.8, 1.6, 1.8)),
 )
 INK, FAINT = "#222222", "#c9ced6"
+CHORD = float(np.radians(3.0))
+"""Longest straight piece of a line around a half-disc."""
 
 
 class Style(TypedDict):
@@ -146,7 +148,7 @@ def polar(
             shown = np.maximum(line.measured, 0.0)
             x, y = xy(line.angle, shown)
             inside = shown <= rim * 1.0001
-            artists += ax.plot(x, y, color=look["color"], lw=0.9, ls=(0, (4, 2)), zorder=4)
+            artists += ax.plot(*xy(*_around(line.angle, shown)), color=look["color"], lw=0.9, ls=(0, (4, 2)), zorder=4)
             artists[-1].set_clip_path(clip)
             artists += ax.plot(
                 x[inside],
@@ -408,8 +410,10 @@ def _half_disc(ax: Any, rim: float, label: str, *, retro_right: bool) -> None:
         ax.add_collection(paths, autolim=False)
         paths.set_clip_on(False)
     for degrees in range(-90, 91, 30):
-        tx, ty = xy(np.radians([degrees]), np.array([rim * 1.075]))
-        ax.text(tx[0], ty[0], f"{degrees}°".replace("-", "−"), ha="center", va="center", fontsize=7, color=INK)
+        upright = degrees % 90 == 0
+        tx, ty = xy(np.radians([degrees]), np.array([rim * (1.075 if upright else 1.045)]))
+        ha = "center" if upright else "left" if (degrees > 0) != retro_right else "right"
+        ax.text(tx[0], ty[0], f"{degrees}°".replace("-", "−"), ha=ha, va="center", fontsize=7, color=INK)
     for t in ticks:
         for side in (-1, 1) if t else (1,):
             ax.text(side * t, -0.03 * rim, f"{t:.3g}", ha="center", va="top", fontsize=7, color=INK)
@@ -417,6 +421,16 @@ def _half_disc(ax: Any, rim: float, label: str, *, retro_right: bool) -> None:
     for x, words, ha in ((-rim, "retro side", sides[0]), (rim, "mirror side", sides[1])):
         ax.text(x, -0.12 * rim, words, ha=ha, va="top", fontsize=7, color="#5a6472")
     ax.text(0, -0.12 * rim, label, ha="center", va="top", fontsize=7.5, color=INK)
+
+
+def _around(angle: Floats, radius: Floats) -> tuple[Floats, Floats]:
+    """The line through values, even in angle: between values far apart a straight one would cut through the disc."""
+    gaps = np.diff(angle)
+    if not np.any(gaps > 2 * CHORD):
+        return angle, radius
+    between = [np.linspace(a, a + gap, int(gap / CHORD) + 1)[:-1] for a, gap in zip(angle[:-1], gaps, strict=True)]
+    every = np.concatenate([*between, angle[-1:]])
+    return every, np.interp(every, angle, radius)
 
 
 def _radial_bars(ax: Any, line: Line, clip: Any, colour: str) -> list[Any]:

@@ -26,6 +26,8 @@ FEWEST = 4
 """Values that make a slice."""
 FAR = 1.5
 """Largest measured value in a drawing of a lobe, in largest values of the model."""
+PATCH = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}
+"""Behind words that stand on a drawing."""
 Marks = npt.NDArray[np.bool_]
 SEQUENTIAL, DIVERGING = "viridis", "RdBu_r"
 """Colour maps that readers with any colour vision can tell; signs are told by markers, too, for print in grey."""
@@ -249,7 +251,7 @@ def lobe(ax: Any, brdf: Any, *, measured: tuple[Floats, Floats, Floats] | None =
     reach = max(0.3, *(float(np.abs(a).max(initial=0.0)) for a in (x, y, *points[:2])))
     artists += ax.plot(reach * np.cos(turn), reach * np.sin(turn), 0 * turn, color=FAINT, lw=0.7)
     artists += ax.plot([-reach, reach], [0, 0], [0, 0], color=FAINT, lw=0.7)
-    ax.text(reach, 0, 0, "mirror side", fontsize=7, color="#5a6472", ha="right", va="top")
+    ax.text(reach, 0, 0, "mirror side", fontsize=7, color=INK, ha="right", va="top", bbox=PATCH, zorder=9)
     ax.set_axis_off()
     high = max(0.2, float(z.max()), float(points[2].max(initial=0.0)))
     tall = high / (2 * reach)
@@ -291,8 +293,7 @@ def _hemisphere(ax: Any) -> None:
             ring * np.cos(turn), ring * np.sin(turn), color=INK if edge else FAINT, lw=0.9 if edge else 0.5, zorder=2
         )
         # below, where measurements of one half have nothing, and on a patch of their own where they have
-        patch = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}
-        ax.text(0, 2 - ring, f"{ring}°", fontsize=6, color=INK, ha="center", va="bottom", zorder=6, bbox=patch)
+        ax.text(0, 2 - ring, f"{ring}°", fontsize=6, color=INK, ha="center", va="bottom", zorder=6, bbox=PATCH)
     for k in range(4):
         c, s = 90 * np.cos(k * np.pi / 4), 90 * np.sin(k * np.pi / 4)
         ax.plot([-c, c], [-s, s], color=FAINT, lw=0.5, zorder=2)

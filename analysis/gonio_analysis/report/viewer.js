@@ -226,8 +226,8 @@
         const [x, y] = xy(a, R);
         svg(picture, "line", { x1: cx, y1: cy, x2: x, y2: y, stroke: a % 90 ? FAINT : a ? INK : FAINT, "stroke-width": Math.abs(a) === 90 ? 1 : 0.6 });
         if (a % 30 === 0) {
-          const [tx, ty] = xy(a, R + (Math.abs(a) === 90 ? 19 : 14));
-          svg(picture, "text", { x: tx, y: ty + 4, "text-anchor": "middle", fill: INK, "font-size": 11 }, degrees(a));
+          const [tx, ty] = xy(a, R + (Math.abs(a) === 90 ? 19 : a ? 9 : 14));
+          svg(picture, "text", { x: tx, y: ty + 4, "text-anchor": a % 90 === 0 ? "middle" : a < 0 ? "end" : "start", fill: INK, "font-size": 11 }, degrees(a));
         }
       }
       for (const [anchor, x, text] of [["start", cx - R, "retro side"], ["end", cx + R, "mirror side"]]) {

@@ -54,7 +54,7 @@ def test_half_disc_has_the_retro_side_left_and_the_mirror_side_right() -> None:
     ax = axes()
     angle = np.radians([-60.0, 60.0])
     artists = in_plane.polar(ax, [Line("", np.empty(0), np.empty(0), angle, np.array([0.2, 1.0]), np.full(2, np.nan))])
-    x, y = artists[0].get_data()
+    x, y = artists[1].get_data()  # the markers; the line between them has more points
     # a sine and a product: some roundings
     np.testing.assert_allclose(x, [-0.2 * np.sin(np.radians(60)), np.sin(np.radians(60))], rtol=1e-14)
     np.testing.assert_allclose(y, [0.1, 0.5], rtol=1e-14)
@@ -168,3 +168,23 @@ def test_an_overlay_has_every_model_and_the_values() -> None:
     assert len({(one.get_color(), one.is_dashed()) for one in models}) == 2
     (points,) = [one for one in ax.get_lines() if one.get_marker() == "."]
     assert np.size(points.get_xdata()) == np.count_nonzero(line().measured > 0)
+
+
+def test_a_line_between_values_far_apart_goes_around_the_disc() -> None:
+    angle = np.radians([-40.0, 40.0])
+    artists = in_plane.polar(axes(), [Line("", np.empty(0), np.empty(0), angle, np.ones(2), np.full(2, np.nan))])
+    # a chord of 3 degrees dips by 1 - cos(1.5 degrees) below the circle; one of 80 degrees by 0.23
+    assert np.hypot(*artists[0].get_data()).min() == pytest.approx(1.0, abs=1e-12)
+    assert np.degrees(np.diff(np.arctan2(*artists[0].get_data()))).max() < 3.2
+
+
+def test_angles_around_the_half_disc_do_not_stand_on_its_rim() -> None:
+    figure = Figure(figsize=(5.6, 3.4))
+    ax = figure.add_axes((0.01, 0.1, 0.98, 0.89))
+    in_plane.polar(ax, [line()], radius=1.0)
+    figure.canvas.draw()
+    turn = np.radians(np.linspace(-90.0, 90.0, 1441))
+    rim = ax.transData.transform(np.stack(in_plane.xy(turn, np.ones(turn.size)), axis=1))
+    labels = [text.get_window_extent() for text in ax.texts if text.get_text() in ("−60°", "−30°", "30°", "60°")]
+    assert len(labels) == 4
+    assert not any(box.contains(*point) for box in labels for point in rim)
