@@ -82,7 +82,9 @@ def pair(first: str, second: str, points: tuple[bool, bool]) -> list[Any]:
     """What a legend says of two sides: a dashed and a solid line, with markers where values were measured."""
     from matplotlib.lines import Line2D
 
-    looks = [{"marker": "o", "mfc": face} if one else {} for one, face in zip(points, (INK, "white"), strict=True)]
+    looks: list[dict[str, Any]] = [
+        {"marker": "o", "mfc": face} if one else {} for one, face in zip(points, (INK, "white"), strict=True)
+    ]
     return [
         Line2D([], [], color=INK, lw=0.9, ls=ls, ms=3.5, label=name, **look)
         for name, ls, look in zip((first, second), ((0, (4, 2)), "-"), looks, strict=True)

@@ -82,7 +82,8 @@ def test_legends_stand_near_their_axes_and_overprint_nothing(gloss: Dataset, kin
         figure = Figure(figsize=one.inches)
         one.on(figure)
         figure.canvas.draw()
-        lowest = min(ax.get_tightbbox().y0 for ax in figure.axes if ax.axison or ax.texts)
+        boxes = [ax.get_tightbbox() for ax in figure.axes if ax.axison or ax.texts]
+        lowest = min(box.y0 for box in boxes if box is not None)
         keys = [key.get_window_extent() for key in figure.legends]
         assert max(key.y1 for key in keys) <= lowest
         assert lowest - max(key.y1 for key in keys) < 0.3 * figure.dpi  # inches
