@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from gonio import measurement
 from tests.system.conftest import HANGS_S, Command, command_line, environment
 
 
@@ -83,6 +84,12 @@ def test_report_renders_without_errors(quick_demo: tuple[Path, str], tmp_path: P
     assert not [
         line for line in done.stderr.splitlines() if "CONSOLE" in line and ("rror" in line or "Refused" in line)
     ]
+
+
+def test_a_copy_of_the_table_says_that_it_is_simulated(quick_demo: tuple[Path, str], tmp_path: Path) -> None:
+    folder, _ = quick_demo
+    measurement.write(measurement.read(folder / "out" / "run" / "brdf.csv"), tmp_path / "copy.csv")
+    assert measurement.is_simulated(measurement.read(tmp_path / "copy.csv"))
 
 
 def test_help_names_every_command(gonio: Command) -> None:

@@ -27,6 +27,8 @@ STROKES: tuple[Stroke, ...] = (
     (0, (7, 1.8, 1.6, 1.8, 1.6, 1.8)),
 )
 INK, FAINT = "#222222", "#c9ced6"
+CHORD = float(np.radians(3.0))
+"""Longest straight piece of a line around a half-disc."""
 
 
 class Style(TypedDict):
@@ -73,6 +75,19 @@ def kinds(theory: str, measured: str) -> list[Any]:
     return [
         Line2D([], [], color=INK, lw=1.4, label=theory),
         Line2D([], [], color=INK, lw=0.9, ls=(0, (4, 2)), marker=".", ms=4, label=measured),
+    ]
+
+
+def pair(first: str, second: str, points: tuple[bool, bool]) -> list[Any]:
+    """What a legend says of two sides: a dashed and a solid line, with markers where values were measured."""
+    from matplotlib.lines import Line2D
+
+    looks: list[dict[str, Any]] = [
+        {"marker": "o", "mfc": face} if one else {} for one, face in zip(points, (INK, "white"), strict=True)
+    ]
+    return [
+        Line2D([], [], color=INK, lw=0.9, ls=ls, ms=3.5, label=name, **look)
+        for name, ls, look in zip((first, second), ((0, (4, 2)), "-"), looks, strict=True)
     ]
 
 
@@ -135,7 +150,7 @@ def polar(
             shown = np.maximum(line.measured, 0.0)
             x, y = xy(line.angle, shown)
             inside = shown <= rim * 1.0001
-            artists += ax.plot(x, y, color=look["color"], lw=0.9, ls=(0, (4, 2)), zorder=4)
+            artists += ax.plot(*xy(*_around(line.angle, shown)), color=look["color"], lw=0.9, ls=(0, (4, 2)), zorder=4)
             artists[-1].set_clip_path(clip)
             artists += ax.plot(
                 x[inside],
@@ -202,7 +217,7 @@ def semilog(ax: Any, lines: Sequence[Line], *, unit: str = "BRDF [1/sr]") -> lis
     if positive:
         measured = [line.measured[line.measured > 0] for line in lines if np.any(line.measured > 0)]
         low = min(float(np.min(v)) for v in (measured or positive))
-        log_axis(ax, low, max(float(np.max(v)) for v in positive))
+        log_axis(ax, low, min(max(float(np.max(v)) for v in positive), ceiling(lines)))
     else:
         ax.set_yscale("log")
     angle_axis(ax)
@@ -239,6 +254,17 @@ def overlay(ax: Any, line: Line, theory: Sequence[tuple[Floats, Floats]]) -> tup
     every = np.concatenate([y, *(v[(v > 0) & np.isfinite(v)] for _, v in theory)])
     least = float(y.min()) if y.size else float(every.min()) if every.size else np.nan
     return least, float(every.max()) if every.size else np.nan
+
+
+def ceiling(lines: Sequence[Line]) -> float:
+    """How high a logarithmic panel reaches for theory: measured values keep two thirds of it. Infinite without any."""
+    every = [line.measured[line.measured > 0] for line in lines]
+    values = np.concatenate(every) if every else np.empty(0)
+    if not values.size:
+        return np.inf
+    low, high = float(values.min()), float(values.max())
+    with np.errstate(over="ignore"):
+        return float(high * max(np.sqrt(high / low), 1.5))
 
 
 def log_axis(ax: Any, low: float, high: float) -> None:
@@ -388,8 +414,10 @@ def _half_disc(ax: Any, rim: float, label: str, *, retro_right: bool) -> None:
         ax.add_collection(paths, autolim=False)
         paths.set_clip_on(False)
     for degrees in range(-90, 91, 30):
-        tx, ty = xy(np.radians([degrees]), np.array([rim * 1.075]))
-        ax.text(tx[0], ty[0], f"{degrees}°".replace("-", "−"), ha="center", va="center", fontsize=7, color=INK)
+        upright = degrees % 90 == 0
+        tx, ty = xy(np.radians([degrees]), np.array([rim * (1.075 if upright else 1.045)]))
+        ha = "center" if upright else "left" if (degrees > 0) != retro_right else "right"
+        ax.text(tx[0], ty[0], f"{degrees}°".replace("-", "−"), ha=ha, va="center", fontsize=7, color=INK)
     for t in ticks:
         for side in (-1, 1) if t else (1,):
             ax.text(side * t, -0.03 * rim, f"{t:.3g}", ha="center", va="top", fontsize=7, color=INK)
@@ -397,6 +425,16 @@ def _half_disc(ax: Any, rim: float, label: str, *, retro_right: bool) -> None:
     for x, words, ha in ((-rim, "retro side", sides[0]), (rim, "mirror side", sides[1])):
         ax.text(x, -0.12 * rim, words, ha=ha, va="top", fontsize=7, color="#5a6472")
     ax.text(0, -0.12 * rim, label, ha="center", va="top", fontsize=7.5, color=INK)
+
+
+def _around(angle: Floats, radius: Floats) -> tuple[Floats, Floats]:
+    """The line through values, even in angle: between values far apart a straight one would cut through the disc."""
+    gaps = np.diff(angle)
+    if not np.any(gaps > 2 * CHORD):
+        return angle, radius
+    between = [np.linspace(a, a + gap, int(gap / CHORD) + 1)[:-1] for a, gap in zip(angle[:-1], gaps, strict=True)]
+    every = np.concatenate([*between, angle[-1:]])
+    return every, np.interp(every, angle, radius)
 
 
 def _radial_bars(ax: Any, line: Line, clip: Any, colour: str) -> list[Any]:

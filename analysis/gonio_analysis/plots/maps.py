@@ -20,12 +20,14 @@ from gonio_analysis.changes.resampling import FARTHEST
 from gonio_analysis.curves.in_plane import Rows
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.plots.in_plane import FAINT, INK, angle_axis, style
+from gonio_analysis.plots.in_plane import FAINT, INK, angle_axis, log_axis, style
 
 FEWEST = 4
 """Values that make a slice."""
 FAR = 1.5
 """Largest measured value in a drawing of a lobe, in largest values of the model."""
+PATCH = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}
+"""Behind words that stand on a drawing."""
 Marks = npt.NDArray[np.bool_]
 SEQUENTIAL, DIVERGING = "viridis", "RdBu_r"
 """Colour maps that readers with any colour vision can tell; signs are told by markers, too, for print in grey."""
@@ -99,6 +101,44 @@ def plane_map(
     ax.set_ylim(-0.6, levels.size - 0.4)
     ax.set_ylabel(y_label)
     _bar(ax, cells[0], label)
+    return artists
+
+
+def both(ax: Any, lines: Sequence[Line], points: tuple[bool, bool]) -> list[Any]:
+    """Curves of A (dashed, `measured` of the lines) and of B (solid, their `theory`) on a logarithmic axis.
+
+    Parameters
+    ----------
+    ax
+        Axes.
+    lines
+        The curves [1/sr]; what is not above 0 is left out.
+    points
+        Whether A and B were measured: filled and hollow markers stand for values, and a model is a line alone.
+    """
+    artists: list[Any] = []
+    ends: list[Floats] = []
+    for k, line in enumerate(lines):
+        colour, marker = style(k)["color"], style(k)["marker"]
+        sides = ((line.angle, line.measured, line.u), (line.theory_angle, line.theory, None))
+        for (angle, value, u), measured, stroke, face in zip(
+            sides, points, ((0, (4, 2)), "-"), (colour, "white"), strict=True
+        ):
+            shown = (value > 0) & np.isfinite(value)
+            x, y = np.degrees(angle[shown]), value[shown]
+            look = {"marker": marker, "ms": 3.0, "mfc": face, "mew": 0.8} if measured else {}
+            artists += ax.plot(x, y, color=colour, ls=stroke, lw=0.7 if measured else 1.3, zorder=3, **look)
+            if u is not None and np.any(u > 0):
+                bar = np.nan_to_num(u[shown])
+                below = np.minimum(bar, 0.999 * y)
+                artists.append(ax.errorbar(x, y, yerr=[below, bar], ls="none", elinewidth=0.8, color=colour, zorder=2))
+            if measured or not any(points):
+                ends.append(y)
+    every = np.concatenate(ends) if ends else np.empty(0)
+    if every.size:
+        log_axis(ax, float(every.min()), float(every.max()))
+    angle_axis(ax)
+    ax.set_ylabel("BRDF [1/sr]")
     return artists
 
 
@@ -211,7 +251,7 @@ def lobe(ax: Any, brdf: Any, *, measured: tuple[Floats, Floats, Floats] | None =
     reach = max(0.3, *(float(np.abs(a).max(initial=0.0)) for a in (x, y, *points[:2])))
     artists += ax.plot(reach * np.cos(turn), reach * np.sin(turn), 0 * turn, color=FAINT, lw=0.7)
     artists += ax.plot([-reach, reach], [0, 0], [0, 0], color=FAINT, lw=0.7)
-    ax.text(reach, 0, 0, "mirror side", fontsize=7, color="#5a6472", ha="right", va="top")
+    ax.text(reach, 0, 0, "mirror side", fontsize=7, color=INK, ha="right", va="top", bbox=PATCH, zorder=9)
     ax.set_axis_off()
     high = max(0.2, float(z.max()), float(points[2].max(initial=0.0)))
     tall = high / (2 * reach)
@@ -252,7 +292,8 @@ def _hemisphere(ax: Any) -> None:
         ax.plot(
             ring * np.cos(turn), ring * np.sin(turn), color=INK if edge else FAINT, lw=0.9 if edge else 0.5, zorder=2
         )
-        ax.text(0, ring - 2, f"{ring}°", fontsize=6, color="#5a6472", ha="center", va="top", zorder=6)
+        # below, where measurements of one half have nothing, and on a patch of their own where they have
+        ax.text(0, 2 - ring, f"{ring}°", fontsize=6, color=INK, ha="center", va="bottom", zorder=6, bbox=PATCH)
     for k in range(4):
         c, s = 90 * np.cos(k * np.pi / 4), 90 * np.sin(k * np.pi / 4)
         ax.plot([-c, c], [-s, s], color=FAINT, lw=0.5, zorder=2)

@@ -8,7 +8,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from gonio import shown
 from gonio.measurement import Reading
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.parameters import Ior
@@ -120,7 +119,8 @@ def make(
                 for dataset in parallel.each(_examined, jobs, dask=dask):
                     datasets.append(dataset)
                     progress(f"{dataset.name}: fitted ({len(datasets)} of {len(jobs)})")
-            title = _title(datasets, apart)
+            every = names + [t.name for t in apart]
+            title = every[0] if len(every) == 1 else " and ".join(every) if len(every) == 2 else f"{len(every)} samples"
             write(
                 datasets,
                 stage.work,
@@ -148,17 +148,6 @@ def _apart(
         else:
             apart.append(replace(through, source=source))
     return apart, others
-
-
-def _title(datasets: Sequence[Dataset], apart: Sequence[Transmitted]) -> str:
-    """Heading of the page; samples whose values are simulated are marked."""
-    every = [d.title for d in datasets] + [t.title for t in apart]
-    if len(every) <= 2:
-        return " and ".join(every)
-    simulated = sum(d.simulated for d in datasets) + sum(t.simulated for t in apart)
-    if 0 < simulated < len(every):
-        return f"{len(every)} samples, {simulated} of them simulated"
-    return shown.marked(f"{len(every)} samples", simulated > 0)
 
 
 def _examined(job: Callable[[], Dataset]) -> Dataset:

@@ -16,7 +16,7 @@ from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots import in_plane, maps, thinning
 from gonio_analysis.report.detail import DISC_PT
-from gonio_analysis.report.figures import PANEL_PT, Drawing
+from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, Drawing, key
 
 MOST_DISCS = 4
 MOST_DRAWN = 2400
@@ -48,16 +48,22 @@ def _values(c: Change, at: Observations, drawn: list[Curve], where: str) -> Draw
         solid = at.rows[k.rows]
         every.append(Line(label, k.angle, c.value_b[solid], curve.angle, c.value_a[rows], c.u_a[rows]))
     lines = thinning.on_logarithm(every, PANEL_PT, 0.7 * PANEL_PT, MOST_DRAWN)
-    caption = f"In the plane of incidence{where}: markers and dashes {c.a.title}; solid lines {c.b.title}."
+    points = (c.a.kind == "measurement", c.b.kind == "measurement")
+    filled, hollow = (", filled markers" * points[0], ", hollow markers" * points[1])
+    caption = f"In the plane of incidence{where}: {c.a.title} (dashed{filled}) and {c.b.title} (solid{hollow})."
     caption += thinning.words(thinning.measured(lines), thinning.measured(every))
-    return Drawing("values", "values", "", caption, caption, (5.6, 4.4), partial(_on_values, lines=lines))
+    names = (f"A: {c.a.title}", f"B: {c.b.title}")
+    on = partial(_on_values, lines=lines, points=points, names=names)
+    return Drawing("values", "values", "", caption, caption, (5.6, 4.4), on)
 
 
-def _on_values(figure: Any, *, lines: list[Line]) -> None:
-    ax = figure.add_axes((0.135, 0.17, 0.84, 0.805))
-    in_plane.semilog(ax, lines)
+def _on_values(figure: Any, *, lines: list[Line], points: tuple[bool, bool], names: tuple[str, str]) -> None:
+    columns = _columns(lines)
+    below = (0.45 + LEGEND_ROW_IN * (-(-len(lines) // columns) + 1)) / figure.get_figheight()
+    ax = figure.add_axes((0.135, below, 0.83, 0.975 - below))
+    maps.both(ax, lines, points)
     ax.set_xlabel("θr: retro side negative, mirror side positive")
-    _legend(figure, lines)
+    _legend(figure, lines, in_plane.pair(*names, points))
 
 
 def _changes(c: Change, at: Observations, drawn: list[Curve], where: str) -> Drawing:
@@ -179,12 +185,13 @@ def _on_disc(
     maps.change_map(ax, theta_r, dphi, value, label=label, top=top, marked=marked)
 
 
-def _legend(figure: Any, lines: Sequence[Line]) -> None:
+def _columns(lines: Sequence[Line]) -> int:
+    """Of the legend."""
+    return min(len(lines), 6 if max(len(line.label) for line in lines) < 12 else 3)
+
+
+def _legend(figure: Any, lines: Sequence[Line], kinds: Sequence[Any] = ()) -> None:
     from matplotlib.lines import Line2D
 
     handles = [Line2D([], [], lw=1.5, ms=3.5, label=line.label, **in_plane.style(k)) for k, line in enumerate(lines)]
-    columns = min(len(handles), 6 if len(lines[0].label) < 12 else 3)
-    figure.legend(
-        handles=handles, loc="lower center", ncol=columns, fontsize=7.5, frameon=False, handlelength=1.6,
-        columnspacing=1.1, borderpad=0.1,
-    )  # fmt: skip
+    key(figure, handles, _columns(lines), kinds)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
+from gonio import shown
 from gonio.geometry import AT_MIRROR, IN_PLANE
 from gonio_analysis.appearance.quantities import of_table
 from gonio_analysis.curves.in_plane import NORM_WORDS
@@ -59,7 +60,7 @@ def summarise(datasets: Sequence[Dataset], *, title: str, normalise: str, comman
         slugs.append(base if base not in slugs else f"{base}-{len(slugs) + 1}")
     models = list(dict.fromkeys(m for d in datasets for m in [*d.fitted, *d.skipped]))
     return Summary(
-        title=title,
+        title=_title(title, datasets),
         **stamp(command),
         normalise=normalise,
         models=models,
@@ -69,6 +70,18 @@ def summarise(datasets: Sequence[Dataset], *, title: str, normalise: str, comman
         metrics={k: MetricSummary(label, meaning) for k, (label, meaning) in DESCRIPTIONS.items()},
         datasets=[_dataset(d, slug) for d, slug in zip(datasets, slugs, strict=True)],
     )
+
+
+def _title(title: str, datasets: Sequence[Dataset]) -> str:
+    """The heading, in which samples whose values are simulated are marked."""
+    if len(datasets) <= 1:
+        return shown.marked(title, any(d.simulated for d in datasets))
+    if len(datasets) == 2 and title == " and ".join(d.name for d in datasets):
+        return " and ".join(d.title for d in datasets)
+    simulated = sum(d.simulated for d in datasets)
+    if 0 < simulated < len(datasets):
+        return f"{title}, {simulated} of them simulated"
+    return shown.marked(title, simulated > 0)
 
 
 class Stamp(TypedDict):

@@ -6,7 +6,7 @@ import hashlib
 import io
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -243,6 +243,7 @@ def _absolute(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int
         what = f"absolute in-plane BRDF of a {measurement(d)}{bars(d)} (dashed), and theory (solid)"
         caption = f"{_named(names)}: {what}. Below: {kind}"
         caption += "; grey: values that belong to no curve shown." if rest.size else "."
+        caption += _above(lines)
     else:
         caption = f"{_named(names)}: {measurement(d)} without an in-plane curve, so residuals alone: {kind}."
     drawn = thinning.measured(low) + some.size
@@ -259,6 +260,15 @@ def _absolute(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int
     )  # fmt: skip
     high = (3.57 if lines else 1.6) + 0.46 + LEGEND_ROW_IN * legend.rows
     return Drawing(f"{facts.slug}-absolute-{slug(model)}", "absolute", model, caption, alt, (5.6, high), on)
+
+
+def _above(lines: Sequence[Line]) -> str:
+    """A sentence on theory that leaves a logarithmic panel; "" where none does."""
+    ceiling = in_plane.ceiling(lines)
+    cut = {line.label: _top(line.theory) for line in lines if _top(line.theory) > 1.5 * ceiling}
+    if not cut:
+        return ""
+    return " Theory leaves the panel: " + ", ".join(f"{k} to {number(v, 2)} sr⁻¹" for k, v in cut.items()) + "."
 
 
 def _on_two_panels(
@@ -294,6 +304,7 @@ def _overlay(d: Dataset, groups: Sequence[Sequence[str]], facts: DatasetSummary,
     drawn = sum(line.measured.size for line, _ in panels)
     caption = (
         f"All models: absolute in-plane BRDF, a panel for each curve. Points{bars(d)}: {measurement(d)}; lines: theory."
+        + _above([replace(line, theory=np.concatenate([v for _, v in theory])) for line, theory in panels])
         + thinning.words(drawn, sum(c.curve.angle.size for c in first))
     )
     columns = max(1, min(len(names), int(96 / (max(map(len, names)) + 9))))
@@ -318,7 +329,8 @@ def _on_overlay(
         ax.set_title(line.label, fontsize=7.5, loc="left", pad=2, color=in_plane.INK)
     ends = np.array([pair for pair in limits if np.isfinite(pair).all()])
     if ends.size:
-        in_plane.log_axis(axes[0, 0], float(ends[:, 0].min()), float(ends[:, 1].max()))
+        top = in_plane.ceiling([line for line, _ in panels])
+        in_plane.log_axis(axes[0, 0], float(ends[:, 0].min()), min(float(ends[:, 1].max()), top))
     for ax in axes[:, 0]:
         ax.set_ylabel("BRDF [1/sr]")
     for ax in axes.ravel()[len(panels) :]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Sequence, Set
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -70,12 +71,13 @@ def _lines_of(text: Text) -> str:
 
 def _set(sheet: _Sheet, blocks: Sequence[Block]) -> None:
     """What is printed of blocks, in their order."""
-    for block in blocks:
+    for block, after in zip_longest(blocks, blocks[1:]):
         match block:
             case Group():
                 _set(sheet, block.blocks)
             case Heading():
-                sheet.text(f"h{block.level}", _lines_of(block.text))
+                beside = [f.png for f in after.figures[:2]] if isinstance(after, Figures) else []
+                sheet.text(f"h{block.level}", _lines_of(block.text), beside)
             case Paragraph():
                 sheet.text("p", _lines_of(block.text))
             case Footer():
@@ -118,6 +120,14 @@ def _words() -> Any:
     return Words()
 
 
+def _tall(png: bytes) -> float:
+    """Height of a figure in its column."""
+    from PIL import Image
+
+    wide, high = Image.open(io.BytesIO(png)).size
+    return (INNER - COLUMN_GAP) / 2 * high / wide
+
+
 class _Sheet:
     """Pages that fill from the top; lengths are points, `y` counts down from the upper edge."""
 
@@ -155,14 +165,15 @@ class _Sheet:
 
     # --- pieces -----------------------------------------------------------------------------------------------------
 
-    def text(self, kind: str, content: str) -> None:
-        """A heading, a paragraph or an item of a list."""
+    def text(self, kind: str, content: str, beside: Sequence[bytes] = ()) -> None:
+        """A heading, a paragraph or an item of a list; a heading stays on the page of the figures that follow it."""
         size = TEXTS[kind]
         heading = kind in ("h1", "h2", "h3")
         indent = 4 * MM if kind == "li" else 0.0
         lines = self._wrap(content, size, INNER - indent, "bold" if heading else "normal")
         self.y += {"h1": 0.0, "h2": 5 * MM, "h3": 3.2 * MM}.get(kind, 0.0)
-        self._need(len(lines) * size * LEADING + (24 * MM if heading and kind != "h1" else 0.0))
+        room = max((_tall(png) for png in beside), default=0.0) + 24 * MM
+        self._need(len(lines) * size * LEADING + (room if heading and kind != "h1" else 0.0))
         if kind == "li":
             self._put(MARGIN + 1.2 * MM, self.y, "•", size)
         for line in lines:

@@ -198,11 +198,16 @@
     }
 
     polar(picture, lines, width, height) {
-      const cx = width / 2, R = width / 2 - 36, cy = R + 24, clip = `${this.root.id}-clip`;
+      const cx = width / 2, R = width / 2 - 36, clip = `${this.root.id}-clip`;
       const tops = lines.map((l) => Math.max(0, ...l.points.map((p) => p.value))).filter((t) => t > 0);
       const most = this.norm === "none" ? Infinity : 2.5;
       const fit = tops.filter((t) => t <= most);
       const rim = this.norm === "none" ? roundUp(Math.max(1e-12, ...tops)) : roundUp(Math.max(fit.length < tops.length ? 1.2 : 1, ...fit));
+      const cut = lines.filter((l) => l.points.some((p) => p.value > rim * 1.001)).slice(0, 6);
+      const above = width < 640 ? 13 * cut.length : 0; // no room beside the half-disc: the notes stand above it
+      const cy = R + 24 + above;
+      picture.setAttribute("viewBox", `0 0 ${width} ${height + above}`);
+      picture.setAttribute("height", height + above);
       const xy = (angle, r) => [cx + r * Math.sin(angle * RAD), cy - r * Math.cos(angle * RAD)];
       const define = svg(svg(picture, "defs"), "clipPath", { id: clip });
       svg(define, "path", { d: `M${cx - R - 1} ${cy + 1}A${R + 1} ${R + 1} 0 0 1 ${cx + R + 1} ${cy + 1}Z` });
@@ -221,8 +226,8 @@
         const [x, y] = xy(a, R);
         svg(picture, "line", { x1: cx, y1: cy, x2: x, y2: y, stroke: a % 90 ? FAINT : a ? INK : FAINT, "stroke-width": Math.abs(a) === 90 ? 1 : 0.6 });
         if (a % 30 === 0) {
-          const [tx, ty] = xy(a, R + (Math.abs(a) === 90 ? 19 : 14));
-          svg(picture, "text", { x: tx, y: ty + 4, "text-anchor": "middle", fill: INK, "font-size": 11 }, degrees(a));
+          const [tx, ty] = xy(a, R + (Math.abs(a) === 90 ? 19 : a ? 9 : 14));
+          svg(picture, "text", { x: tx, y: ty + 4, "text-anchor": a % 90 === 0 ? "middle" : a < 0 ? "end" : "start", fill: INK, "font-size": 11 }, degrees(a));
         }
       }
       for (const [anchor, x, text] of [["start", cx - R, "retro side"], ["end", cx + R, "mirror side"]]) {
@@ -239,8 +244,7 @@
       }
       this.curves(group, lines, (angle, value) => xy(angle, (R * Math.max(0, value)) / rim));
       this.spots = this.spots.filter((s) => Math.hypot(s.x - cx, s.y - cy) <= R + 1.5);
-      const cut = lines.filter((l) => l.points.some((p) => p.value > rim * 1.001));
-      cut.slice(0, 6).forEach((l, k) => {
+      cut.forEach((l, k) => {
         const top = Math.max(...l.points.map((p) => p.value));
         svg(picture, "text", { x: 2, y: 12 + 13 * k, fill: COLOURS[l.look % 6], "font-size": 11 }, `${l.curve.label} ${l.name} to ${digits(top, 3)}`);
       });

@@ -104,6 +104,7 @@ def test_the_table_is_a_valid_measurement_table_in_the_plan_s_order(tmp_path: Pa
     measurement.write(table, tmp_path / "brdf.csv")
     back = measurement.read(tmp_path / "brdf.csv")
     pd.testing.assert_frame_equal(back, table, check_exact=True)
+    assert not measurement.is_simulated(back)  # this run's frames count as a camera's: it names no sample
     assert back.attrs["source_solid_angle_sr"] == pytest.approx(  # 1 - cos cancels in the expectation: 1e-9
         2 * math.pi * (1 - math.cos(math.radians(0.5))), rel=1e-9
     )

@@ -54,7 +54,7 @@ def test_half_disc_has_the_retro_side_left_and_the_mirror_side_right() -> None:
     ax = axes()
     angle = np.radians([-60.0, 60.0])
     artists = in_plane.polar(ax, [Line("", np.empty(0), np.empty(0), angle, np.array([0.2, 1.0]), np.full(2, np.nan))])
-    x, y = artists[0].get_data()
+    x, y = artists[1].get_data()  # the markers; the line between them has more points
     # a sine and a product: some roundings
     np.testing.assert_allclose(x, [-0.2 * np.sin(np.radians(60)), np.sin(np.radians(60))], rtol=1e-14)
     np.testing.assert_allclose(y, [0.1, 0.5], rtol=1e-14)
@@ -110,3 +110,82 @@ def test_any_number_that_a_table_may_hold_can_be_drawn(size: float) -> None:
     low, high = ax.get_ylim()
     assert 0 < low <= value.min()
     assert value.max() <= high < np.inf
+
+
+def alone(label: str, top: float = 1.0) -> Line:
+    angle = np.radians(np.linspace(-80, 80, 33))
+    nothing = np.empty(0)
+    return Line(label, angle, top * np.cos(angle) ** 2, nothing, nothing, nothing, 0.5)
+
+
+@pytest.mark.parametrize("draw", [in_plane.polar, in_plane.semilog, lambda ax, x: in_plane.linear(ax, x, y_label="f")])
+def test_theory_wears_no_markers_and_without_values_dashes_of_its_own(draw: Any) -> None:
+    ax = axes()
+    draw(ax, [alone("a"), alone("b")])
+    curves = [one for one in ax.get_lines() if np.size(one.get_xdata()) == 33]
+    assert [one.get_marker() for one in curves] == ["None", "None"]
+    assert [one.is_dashed() for one in curves] == [False, True]
+    ax = axes()
+    draw(ax, [line("a"), alone("b")])  # dashes are those of the measurement
+    theory = [one for one in ax.get_lines() if one.get_label() in ("a", "b")]
+    assert [one.is_dashed() for one in theory] == [False, False]
+
+
+def test_a_half_disc_whose_light_comes_from_the_right() -> None:
+    figure = Figure(figsize=(5.6, 3.2))
+    ax = figure.add_axes((0.01, 0.01, 0.98, 0.98))
+    lines = [line(f"θi = {k}5°", 40.0 + k) for k in range(1, 7)]
+    in_plane.polar(ax, lines, radius=2.5, radius_label="intensity", retro_right=True, called="simulated")
+    figure.canvas.draw()
+    boxes = {text.get_text(): text.get_window_extent() for text in ax.texts}
+    assert boxes["retro side"].x0 > boxes["mirror side"].x1
+    assert boxes["−60°"].x0 > boxes["60°"].x1
+    assert any("simulated to" in words for words in boxes)
+    every = [text.get_window_extent() for text in ax.texts]
+    assert not [(a, b) for k, a in enumerate(every) for b in every[k + 1 :] if a.overlaps(b)]
+    assert all(box.x0 >= 0 and box.x1 <= figure.bbox.x1 and box.y0 >= 0 and box.y1 <= figure.bbox.y1 for box in every)
+
+
+def test_theory_beyond_the_measured_angles_does_not_press_the_values_flat() -> None:
+    angle = np.radians([-60.0, 0.0, 60.0])
+    measured = np.array([0.3, 0.3, 0.5])
+    one = Line("x", np.radians([0.0, 60.0, 89.0]), np.array([0.3, 0.5, 30.0]), angle, measured, np.full(3, np.nan))
+    ax = axes()
+    in_plane.semilog(ax, [one])
+    low, high = np.log(ax.get_ylim())
+    assert (np.log(0.5) - np.log(0.3)) / (high - low) > 0.2  # 0.09 where the axis reaches to 30
+    assert low < np.log(0.3)
+    assert high > np.log(0.5)
+
+
+def test_an_overlay_has_every_model_and_the_values() -> None:
+    ax = axes()
+    angle = np.radians([-30.0, 0.0, 30.0])
+    ends = in_plane.overlay(ax, line(), [(angle, np.full(3, 0.1)), (angle, np.array([0.1, 9.0, np.inf]))])
+    assert ends[0] == line().measured[line().measured > 0].min()
+    assert ends[1] == 9.0
+    models = [one for one in ax.get_lines() if np.size(one.get_xdata()) == 3]
+    assert [one.get_marker() for one in models] == ["None", "None"]
+    assert len({(one.get_color(), one.is_dashed()) for one in models}) == 2
+    (points,) = [one for one in ax.get_lines() if one.get_marker() == "."]
+    assert np.size(points.get_xdata()) == np.count_nonzero(line().measured > 0)
+
+
+def test_a_line_between_values_far_apart_goes_around_the_disc() -> None:
+    angle = np.radians([-40.0, 40.0])
+    artists = in_plane.polar(axes(), [Line("", np.empty(0), np.empty(0), angle, np.ones(2), np.full(2, np.nan))])
+    # a chord of 3 degrees dips by 1 - cos(1.5 degrees) below the circle; one of 80 degrees by 0.23
+    assert np.hypot(*artists[0].get_data()).min() == pytest.approx(1.0, abs=1e-12)
+    assert np.degrees(np.diff(np.arctan2(*artists[0].get_data()))).max() < 3.2
+
+
+def test_angles_around_the_half_disc_do_not_stand_on_its_rim() -> None:
+    figure = Figure(figsize=(5.6, 3.4))
+    ax = figure.add_axes((0.01, 0.1, 0.98, 0.89))
+    in_plane.polar(ax, [line()], radius=1.0)
+    figure.canvas.draw()
+    turn = np.radians(np.linspace(-90.0, 90.0, 1441))
+    rim = ax.transData.transform(np.stack(in_plane.xy(turn, np.ones(turn.size)), axis=1))
+    labels = [text.get_window_extent() for text in ax.texts if text.get_text() in ("−60°", "−30°", "30°", "60°")]
+    assert len(labels) == 4
+    assert not any(box.contains(*point) for box in labels for point in rim)

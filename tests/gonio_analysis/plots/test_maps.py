@@ -127,3 +127,27 @@ def test_a_lobe_s_points_lie_inside_its_box_and_far_ones_are_left_out() -> None:
         assert limits[0] - 1e-12 <= points.min()  # a rounding
         assert points.max() <= limits[1] + 1e-12
     assert maps.beyond(mesh, value).tolist() == [False, False, True]
+
+
+def test_two_sides_are_both_whole_and_a_model_has_no_markers() -> None:
+    angle = np.radians([-10.0, 0.0, 10.0])
+    a, b = np.array([1.0, 2.0, 1.0]), np.array([1e-4, 2.0, 300.0])
+    line = Line("θi = 10°", angle, b, angle, a, np.full(3, 0.1))
+    ax = axes()
+    first, _, second = maps.both(ax, [line], (True, True))
+    assert (first.get_marker(), second.get_marker()) == ("o", "o")
+    assert second.get_markerfacecolor() == "white"
+    assert ax.get_ylim()[0] < 1e-4
+    assert ax.get_ylim()[1] > 300.0
+    _, _, second = maps.both(axes(), [line], (True, False))
+    assert second.get_marker() == "None"
+    assert not second.is_dashed()
+
+
+def test_angles_on_a_hemisphere_stand_on_a_patch_of_their_own() -> None:
+    ax = axes()
+    data = observations(hemisphere(GLOSS))
+    maps.heat_map(ax, data.directions.theta_r, data.directions.phi_r, data.brdf, label="f")
+    rings = [text for text in ax.texts if text.get_text() in ("30°", "60°", "90°")]
+    assert len(rings) == 3
+    assert all(text.get_bbox_patch() is not None and text.get_position()[1] < 0 for text in rings)

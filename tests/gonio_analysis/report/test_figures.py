@@ -6,10 +6,16 @@ import re
 from pathlib import Path
 
 import numpy as np
-from gonio_analysis.report import make
+import pytest
+from gonio_analysis.report import figures, make
+from gonio_analysis.report.comparison import summarise
+from gonio_analysis.selection.compare import Dataset, examine
+from matplotlib.figure import Figure
 
 from gonio import measurement
 from gonio.formats.reader import table
+from gonio.models import build
+from tests.gonio_analysis.synthetic import measure
 
 
 def test_random_directions_leave_no_empty_panel(tmp_path: Path) -> None:
@@ -30,3 +36,56 @@ def test_random_directions_leave_no_empty_panel(tmp_path: Path) -> None:
     html = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
     assert "residuals alone" in html
     assert "with error bars" not in html
+
+
+@pytest.fixture(scope="module")
+def gloss() -> Dataset:
+    table = measure(build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30}), noise=0.01, name="gloss")
+    return examine(table, ["lambert", "oren-nayar", "phong"], name="gloss")
+
+
+def test_models_that_coincide_are_drawn_once_and_both_named(gloss: Dataset) -> None:
+    groups = figures.coinciding(gloss)
+    assert sorted(name for group in groups for name in group) == sorted(gloss.fitted)
+    for group in groups:
+        first = gloss.fitted[group[0]]
+        for name in group[1:]:
+            np.testing.assert_allclose(gloss.fitted[name].fit.predicted, first.fit.predicted, rtol=figures.SAME_CURVE)
+    # a forward lobe leaves Oren and Nayar's backscatter nothing: sigma is 0, which is Lambert's surface
+    assert groups == [["lambert", "oren-nayar"], ["phong"]]
+    facts = summarise([gloss], title="x", normalise="mirror", command="").datasets[0]
+    drawn = [d for d in figures.draw(gloss, facts, 500) if d.kind == "polar"]
+    assert len(drawn) == len(groups)
+    assert "which coincide" in drawn[0].caption
+    assert all(name in drawn[0].caption for name in groups[0])
+
+
+def test_all_models_stand_together_on_every_curve(gloss: Dataset) -> None:
+    facts = summarise([gloss], title="x", normalise="mirror", command="").datasets[0]
+    (overlay,) = [one for one in figures.draw(gloss, facts, 500) if one.kind == "overlay"]
+    svg = overlay.rendered().svg
+    for words in ("θi = 10°", "θi = 30°", "θi = 60°", "lambert = oren-nayar", "phong", "measurement"):
+        assert f">{words}<" in svg
+    figure = Figure(figsize=overlay.inches)
+    overlay.on(figure)
+    panels = [ax for ax in figure.axes if ax.axison]
+    assert len(panels) == len(gloss.curves)
+    for ax in panels:
+        assert sum(line.get_linestyle() != "None" for line in ax.get_lines()) == 2
+
+
+@pytest.mark.parametrize("kind", ["polar", "absolute", "overlay"])
+def test_legends_stand_near_their_axes_and_overprint_nothing(gloss: Dataset, kind: str) -> None:
+    facts = summarise([gloss], title="x", normalise="mirror", command="").datasets[0]
+    drawings = [one for one in figures.draw(gloss, facts, 500) if one.kind == kind]
+    for one in drawings:
+        figure = Figure(figsize=one.inches)
+        one.on(figure)
+        figure.canvas.draw()
+        boxes = [ax.get_tightbbox() for ax in figure.axes if ax.axison or ax.texts]
+        lowest = min(box.y0 for box in boxes if box is not None)
+        keys = [key.get_window_extent() for key in figure.legends]
+        assert max(key.y1 for key in keys) <= lowest
+        assert lowest - max(key.y1 for key in keys) < 0.3 * figure.dpi  # inches
+        assert not keys[0].overlaps(keys[1])
+        assert all(key.x0 >= 0 and key.x1 <= figure.bbox.x1 and key.y0 >= 0 for key in keys)

@@ -105,3 +105,24 @@ def test_lines_keep_within_their_width(tmp_path: Path) -> None:
         assert all(sheet._measure(line, 8.0, "normal") <= 90.0 for line in lines)
         assert "".join(lines).replace(" ", "") == text.replace(" ", "")
         sheet.close()
+
+
+def test_a_heading_stands_on_the_page_of_its_figures(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    placed: dict[str, int] = {}
+    text, figures = pdf._Sheet.text, pdf._Sheet.figures
+
+    def heading(sheet: pdf._Sheet, kind: str, content: str, *more: object) -> None:
+        text(sheet, kind, content, *more)  # type: ignore[arg-type]
+        placed[content] = sheet._number
+
+    def pair(sheet: pdf._Sheet, shown: list[tuple[bytes, str]]) -> None:
+        figures(sheet, shown)
+        placed["figures"] = sheet._number
+
+    monkeypatch.setattr(pdf._Sheet, "text", heading)
+    monkeypatch.setattr(pdf._Sheet, "figures", pair)
+    tall = Figure("f", "polar", "", "caption", "", "<svg></svg>", png((80, 80)))
+    for lines in range(40, 60):  # wherever on the page it comes to stand
+        blocks = [Paragraph(f"line {k}", "note") for k in range(lines)]
+        pdf.write(tmp_path / "t.pdf", [Page("t", (*blocks, Heading(3, "Heading"), Figures((tall,))))])
+        assert placed["Heading"] == placed["figures"], lines

@@ -7,6 +7,7 @@ import json
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from gonio_validation.papers import (
 )
 from gonio_validation.papers.figure import Claim, agreed
 from gonio_validation.papers.panels import Trace, trace_panel
+from matplotlib.figure import Figure
 
 from gonio.errors import ConfigError
 from gonio.models import Lambert
@@ -309,6 +311,35 @@ def test_page_states_parameters_verdicts_and_every_curve(tmp_path: Path) -> None
         for ending in ("svg", "png"):
             assert (page.parent / "figures" / f"htsg-10-{panel['name']}.{ending}").stat().st_size > 1000
     assert (page.parent / "simulated" / "rig.toml").is_file()
+
+
+@pytest.mark.parametrize("figure", [6, 10, 11])
+def test_oren_nayar_s_curves_bend_where_the_model_does_alone(figure: int) -> None:
+    page = oren_nayar.build(figure, lambda _: None)
+    panel = page.panels[0]
+    for curve in dict.fromkeys(row[0] for row in panel.rows):
+        x, y = np.array([(row[2], row[3]) for row in panel.rows if row[0] == curve]).T
+        turn = np.sort(np.abs(np.diff(np.diff(y) / np.diff(x))))[::-1]
+        # beside the model's own corners (retro, and two of Torrance and Sparrow's mask, each within two steps) each
+        # segment of a curve that is drawn smoothly has nearly its neighbour's slope: 5 % of the steepest
+        assert turn[6] < 0.05 * np.abs(np.diff(y) / np.diff(x)).max()
+
+
+@pytest.mark.parametrize(("build", "figure"), [(oren_nayar.build, 5), (oren_nayar.build, 8), (blinn.build, 5)])
+def test_light_comes_from_the_right_as_in_print(build: Any, figure: int) -> None:
+    panel = build(figure, lambda _: None).panels[0]
+    drawing = Figure(figsize=panel.inches)
+    panel.draw(drawing)
+    (ax,) = drawing.axes
+    assert ax.get_xlim()[0] > ax.get_xlim()[1]  # positive angles, the mirror side, on the left
+    drawing.canvas.draw()
+    (key,) = drawing.legends
+    boxes = [ax.get_tightbbox(), *(text.get_window_extent() for text in ax.texts)]
+    foot = min(box.y0 for box in boxes if box is not None)
+    assert 0 <= foot - key.get_window_extent().y1 < 0.3 * drawing.dpi  # inches
+    ticks = ax.get_xticklabels() if ax.axison else []
+    assert all(text.get_window_extent().x1 <= drawing.bbox.x1 for text in [*ticks, *ax.texts])
+    assert all(one.get_marker() in ("", "None", None) for one in ax.get_lines())  # nothing was measured
 
 
 def test_labels_keep_their_digits() -> None:
