@@ -278,7 +278,13 @@ def _blinn(ior: Ior) -> Family:
 
     return Family(
         "blinn",
-        (Parameter("k_d", 0.0, 1.0), Parameter("k_s", 0.0, 1e4), Parameter("c", 0.001, 1.0, "log", geometry=True), _N, _K),
+        (
+            Parameter("k_d", 0.0, 1.0),
+            Parameter("k_s", 0.0, 1e4),
+            Parameter("c", 0.001, 1.0, "log", geometry=True),
+            _N,
+            _K,
+        ),
         free,
         fixed,
         lambda v: {"k_d": v["k_d"], "k_s": v["k_s"], "c": v["c"], "ior": _ior_argument(v, ior)},

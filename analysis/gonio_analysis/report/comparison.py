@@ -23,14 +23,12 @@ from gonio_analysis.report import verdict
 from gonio_analysis.report.text import difference, slug
 from gonio_analysis.result_records import (
     Appearance,
-    AtWavelength,
     CurveSummary,
     DatasetSummary,
     MeasuredValue,
     MetricSummary,
     ModelSummary,
     Summary,
-    Value,
     finite,
 )
 from gonio_analysis.selection.choice import SIGNIFICANCE
@@ -181,15 +179,7 @@ def _fitted(f: Fitted) -> ModelSummary:
         rho_dh=f.rho_dh,
         reflects_too_much=verdict.reflects_too_much(f.rho_dh),
         curves=[_curve(drawn) for drawn in f.drawn],
-        series=[
-            AtWavelength(
-                r.wavelength_nm,
-                len(r.data),
-                finite(r.reduced_chi_square),
-                {n: Value(finite(e.value), finite(e.u)) for n, e in r.parameters.items()},
-            )
-            for r in f.series
-        ],
+        series=[r.at_wavelength() for r in f.series],
     )
 
 
