@@ -205,13 +205,16 @@ def _curve(drawn: Drawn) -> CurveSummary:
 
 
 def _best(d: Dataset) -> str | None:
-    """The nearest model: by chi-square where there is one, else by the metric of the fits."""
+    """The nearest model: by chi-square where there is one, else by AIC, as the choice among models says it."""
+    aic = {j.candidate.label: j.aic for j in d.choice.judged}
 
-    def rank(f: Fitted) -> tuple[float, float]:
+    def rank(name: str) -> tuple[float, float]:
+        f = d.fitted[name]
         chi = f.fit.reduced_chi_square
-        return (chi if chi is not None else 0.0, verdict.order(f.metrics, f.fit.goal.metric))
+        own = aic.get(name, math.inf) if chi is None else chi
+        return (own, verdict.order(f.metrics, f.fit.goal.metric))
 
-    return min(d.fitted, key=lambda name: rank(d.fitted[name])) if d.fitted else None
+    return min(d.fitted, key=rank) if d.fitted else None
 
 
 def _conclusion(d: Dataset, best: str | None) -> str:
