@@ -14,12 +14,12 @@ from gonio.models import Lambert, Model, Sum
 from gonio_analysis.changes import point_by_point
 from gonio_analysis.changes.point_by_point import Change, Side
 from gonio_analysis.curves.in_plane import Normalise, curves, labels, norm, selection
-from gonio_analysis.fitting import fit as fitting
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.forward import ByWavelength
 from gonio_analysis.fitting.observations import Observations, check_u_rel, observations
 from gonio_analysis.fitting.parameters import Ior
-from gonio_analysis.fitting.problem import check_metric
+from gonio_analysis.fitting.problem import FitRequest, check_metric
+from gonio_analysis.fitting.spectrum import fit_table
 from gonio_analysis.plots import in_plane
 from gonio_analysis.selection.compare import Dataset, Drawn, check_models, examine, theory_angles
 
@@ -31,7 +31,7 @@ Table: TypeAlias = "pd.DataFrame | str | Path"
 
 
 def fit(table: Table, model: str | type[Model] | Model, *, name: str | None = None, **options: Any) -> FitResult:
-    """Fit one model to a table, at one wavelength or at all together.
+    """Fit one model to a table: at one wavelength, with the geometry of the surface shared by all that it has.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def fit(table: Table, model: str | type[Model] | Model, *, name: str | None = No
         Too few usable values.
     """
     frame, called = _table(table, name)
-    return fitting.fit(frame, _model_name(model), name=called, **options)
+    return fit_table(frame, FitRequest(_model_name(model), **options), name=called)[0]
 
 
 def compare(

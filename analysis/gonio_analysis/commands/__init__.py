@@ -27,6 +27,7 @@ IOR_HELP = "Optical constants: a material (Al) or n + ik (0.77+6.08j); without t
 METRIC_HELP = "What fits make small: log, weighted, ngan, cube-root or relative; otherwise weighted, or log without u."
 U_REL_HELP = "Relative uncertainty to ASSUME where the table states none (0.03)."
 ENERGY_HELP = "Fit with the bound rho_dh <= 1 at the table's incidences."
+SEPARATE_HELP = "Fit each wavelength alone: no geometry is shared."
 WAVELENGTH_HELP = "Wavelength [nm] of a table with several, or the effective one of a broad band."
 
 
@@ -86,6 +87,7 @@ def fit(
         list[str] | None,
         typer.Option(metavar="NAME", help="With --joint: a value at each wavelength.", show_default=False),
     ] = None,
+    separate: Annotated[bool, typer.Option("--separate", help=SEPARATE_HELP)] = False,
     save: Annotated[
         Path | None,
         typer.Option(help="Write the fitted model as a sample file (.toml).", metavar="SAMPLE", show_default=False),
@@ -101,9 +103,9 @@ def fit(
     from gonio.cli import console
     from gonio_analysis import result_records
     from gonio_analysis.fitting import parameters, saving
-    from gonio_analysis.fitting.fit import fit as run_fit
     from gonio_analysis.fitting.observations import together
     from gonio_analysis.fitting.problem import FitRequest
+    from gonio_analysis.fitting.spectrum import fit_table
     from gonio_analysis.report.verdict import reflectances
     from gonio_analysis.selection.energy import of_model
 
@@ -130,11 +132,12 @@ def fit(
         u_rel=u_rel,
         energy=energy,
         searches=searches,
+        separate=separate,
     )
     if save is not None:
         saving.check_target(save, asked)
     several = dict(zip(_short(tables), (data for _, data, _ in read), strict=True))
-    result = run_fit(together(several), asked, name=" + ".join(tables), say=console.note)
+    result, *others = fit_table(together(several), asked, name=" + ".join(tables), say=console.note)
     rho_dh = of_model(result)
     if save is not None:
         source = " + ".join(map(shown.marked, tables, simulated))
@@ -149,6 +152,9 @@ def fit(
         out = {**result.to_json(), "sample": name, "table": tables if more else table}
         out["simulated"] = simulated if more else simulated[0]
         out["rho_dh"] = result_records.as_json(rho_dh)
+        if others:
+            series = sorted([result, *others], key=lambda r: r.wavelength_nm)
+            out["series"] = result_records.as_json([r.at_wavelength() for r in series])
         if intervals:
             out["intervals"] = {n: result_records.as_json(i.summary()) for n, i in walked.items()}
         print(json.dumps(out, indent=1, ensure_ascii=False))
@@ -202,6 +208,7 @@ def compare(
     metric: Annotated[str | None, typer.Option(help=METRIC_HELP, show_default=False)] = None,
     u_rel: Annotated[float | None, typer.Option(help=U_REL_HELP, show_default=False)] = None,
     energy: Annotated[bool, typer.Option("--energy", help=ENERGY_HELP)] = False,
+    separate: Annotated[bool, typer.Option("--separate", help=SEPARATE_HELP)] = False,
     dask: Annotated[
         str | None,
         typer.Option(metavar="ADDRESS", help="Fit on the Dask cluster of this scheduler.", show_default=False),
@@ -223,6 +230,7 @@ def compare(
             "metric": metric,
             "u-rel": u_rel,
             "energy": energy or None,
+            "separate": separate or None,
         }
         unused = [name for name, value in fitting.items() if value is not None]
         page = _change(measurements, out, wavelength_nm, unused, how)
@@ -238,6 +246,7 @@ def compare(
             metric=metric,
             u_rel=u_rel,
             energy=energy,
+            separate=separate,
             how=how,
         )
     remember(measurements, how)
@@ -256,6 +265,7 @@ def report(
     metric: Annotated[str | None, typer.Option(help=METRIC_HELP, show_default=False)] = None,
     u_rel: Annotated[float | None, typer.Option(help=U_REL_HELP, show_default=False)] = None,
     energy: Annotated[bool, typer.Option("--energy", help=ENERGY_HELP)] = False,
+    separate: Annotated[bool, typer.Option("--separate", help=SEPARATE_HELP)] = False,
 ) -> None:
     """Write the report of one run."""
     from gonio.errors import ConfigError
@@ -265,7 +275,16 @@ def report(
     out = out or run / "report"
     print(
         _report(
-            [str(run)], out, _names(models), normalise, ior, wavelength_nm, metric=metric, u_rel=u_rel, energy=energy
+            [str(run)],
+            out,
+            _names(models),
+            normalise,
+            ior,
+            wavelength_nm,
+            metric=metric,
+            u_rel=u_rel,
+            energy=energy,
+            separate=separate,
         )
     )
 
@@ -413,6 +432,7 @@ def _report(
     metric: str | None = None,
     u_rel: float | None = None,
     energy: bool = False,
+    separate: bool = False,
     how: Reading | None = None,
 ) -> Path:
     from gonio.acquisition.run import command_line
@@ -435,6 +455,7 @@ def _report(
         metric=metric,
         u_rel=u_rel,
         bound_energy=energy,
+        separate=separate,
         dask=dask,
         how=how,
         command=command_line(),

@@ -34,7 +34,15 @@ from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observati
 from gonio_analysis.fitting.parameters import Family, Values
 from gonio_analysis.fitting.problem import STARTS, Bound, FitRequest, Problem, pose, together
 from gonio_analysis.fitting.search import STEP, covariance, refine, search, search_from, settle
-from gonio_analysis.result_records import FitSummary, ParameterSummary, SharedGeometry, as_json, finite
+from gonio_analysis.result_records import (
+    AtWavelength,
+    FitSummary,
+    ParameterSummary,
+    SharedGeometry,
+    Value,
+    as_json,
+    finite,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -226,6 +234,15 @@ class FitResult:
             notes=list(self.notes),
             wall_s=self.wall_s,
             shared=self.shared,
+        )
+
+    def at_wavelength(self) -> AtWavelength:
+        """Its parameters as a line of a series over wavelengths."""
+        return AtWavelength(
+            self.wavelength_nm,
+            len(self.data),
+            finite(self.reduced_chi_square),
+            {n: Value(finite(e.value), finite(e.u)) for n, e in self.parameters.items()},
         )
 
     def to_json(self) -> dict[str, Any]:

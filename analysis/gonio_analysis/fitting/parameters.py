@@ -310,7 +310,7 @@ def _cook_torrance(slopes: int, ior: Ior) -> Family:
 
     def starts(data: Observations) -> list[Values]:
         diffuse, _ = _levels(data)
-        grid = product((0.03, 0.08, 0.15, 0.25, 0.4, 0.7), (0.03, 0.2, 0.7), (1.5, 3.0, 20.0))
+        grid = product((0.005, 0.03, 0.08, 0.15, 0.25, 0.4, 0.7), (0.03, 0.2, 0.7), (1.5, 3.0, 20.0))
         out = [{"s": s, "m": m, "diffuse_albedo": min(diffuse / (1 - s), 1.0), "ior": n} for m, s, n in grid]
         if slopes == 1:
             return out
@@ -322,7 +322,7 @@ def _cook_torrance(slopes: int, ior: Ior) -> Family:
         ]
 
     width = [
-        Parameter(n, 0.0, 1.0, geometry=True) if n == "w_1" else Parameter(n, 0.005, 3.0, "log", geometry=True)
+        Parameter(n, 0.0, 1.0, geometry=True) if n == "w_1" else Parameter(n, 0.0005, 3.0, "log", geometry=True)
         for n in names
     ]
     return Family(

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from gonio.cli.pace import Pace, Say, silent
 from gonio.errors import DataError
@@ -34,6 +35,8 @@ from gonio_analysis.result_records import SharedGeometry
 if TYPE_CHECKING:
     import pandas as pd
 
+    from gonio.instrument import Rules
+
 MOST_WAVELENGTHS = 40
 """Wavelengths that are fitted together, evenly taken of more."""
 MOST_VALUES = 200_000
@@ -42,6 +45,7 @@ TRIALS = 60
 DISFAVOURED = 10.0
 """What a geometry of its own has to gain in AIC at one wavelength before sharing is called into question."""
 
+Rows = npt.NDArray[np.intp]
 Evaluated = tuple[Floats, Floats]
 """Residuals (m,) and their derivatives (m, p)."""
 
@@ -82,7 +86,9 @@ def fit_table(
     return sorted(fits, key=lambda r: r.wavelength_nm != first.wavelength_nm)
 
 
-def fit_shared(data: Observations, first: FitResult, *, name: str = "the table", say: Say = silent) -> list[FitResult]:
+def fit_shared(
+    data: Observations, first: FitResult, *, name: str = "the table", label: str = "", say: Say = silent
+) -> list[FitResult]:
     """Fits at all wavelengths of a table with one geometry, ascending.
 
     Parameters
@@ -91,8 +97,8 @@ def fit_shared(data: Observations, first: FitResult, *, name: str = "the table",
         Usable values at all wavelengths.
     first
         A fit of one wavelength alone, whose request counts for all and whose wavelength is among those that come out.
-    name
-        What messages call the table.
+    name, label
+        What messages call the table, and the model.
     say
         Called with a line now and then.
 
@@ -115,10 +121,12 @@ def fit_shared(data: Observations, first: FitResult, *, name: str = "the table",
     every = -(-sum(len(one) for one in whole.values()) // MOST_VALUES)
     taken = {w: one.take(np.arange(0, len(one), every)) if every > 1 else one for w, one in whole.items()}
     task = _Task(problem, common, taken)
-    starts = [first]
+    starts: list[FitResult | None] = [first]
     if problem.family.needs_wavelength:  # one wavelength alone may prefer a valley that the others refute
         starts += [_alone(taken[w], asked, name) for w in (min(taken), max(taken)) if w != first.wavelength_nm]
-    pace = Pace(f"{name}: {first.name}, {len(whole)} wavelengths together, trial points", TRIALS, say, at_most=True)
+    pace = Pace(
+        f"{name}: {label or first.name}, {len(whole)} wavelengths together, trial points", TRIALS, say, at_most=True
+    )
     vector = min((task.begin(s) for s in starts if s is not None), key=lambda found: found[1])[0]
     vector = task.solve(vector, quick=True, step=pace.step)
     if not task.simple:
@@ -170,17 +178,17 @@ class _Block:
     data: Observations
     goal: Objective
     """Of the independent part of the covariance."""
-    index: Floats
+    index: Rows
     """Where the parameters of `problem` stand among all."""
     common: Floats
     """d(residual)/d(cause), (n, causes)."""
-    rules: list[object] | None = None
+    rules: list[Rules | None] | None = None
 
     def evaluate(self, x: Floats, causes: Floats, *, quick: bool, full: bool = False) -> Evaluated:
         """Residuals and derivatives by its own parameters and the causes, in triangular form."""
         predicted = self.predicted(x, quick=quick)
         if full:
-            columns = derivatives(self.problem, self.data, x, rules=self.rules)  # type: ignore[arg-type]
+            columns = derivatives(self.problem, self.data, x, rules=self.rules)
         else:
             near = predicted if quick else apparent(self.problem.model(x), self.data, quick=True)
             columns = one_sided(self.problem, self.data, x, near)
@@ -190,12 +198,12 @@ class _Block:
         residual = self.goal.residual(predicted) + self.common @ causes
         rows = np.column_stack([self.goal.jacobian(predicted, columns), self.common, residual])
         if rows.shape[0] > rows.shape[1]:
-            rows = np.linalg.qr(rows, mode="r")
+            rows = np.asarray(np.linalg.qr(rows, mode="r"))
         return rows[:, -1], rows[:, :-1]
 
     def predicted(self, x: Floats, *, quick: bool) -> Floats:
         """The model [1/sr]."""
-        return apparent(self.problem.model(x), self.data, quick=quick, rules=self.rules)  # type: ignore[arg-type]
+        return apparent(self.problem.model(x), self.data, quick=quick, rules=self.rules)
 
 
 class _Task:
@@ -244,11 +252,11 @@ class _Task:
                 columns = [names.index(c) for c in goal.weights.causes]
                 common[:, columns] = goal.weights.common / goal.weights.random[:, None]
             rules = averaging(b.problem.model(x), b.data)
-            out.blocks.append(replace(b, common=common, rules=rules))  # type: ignore[arg-type]
+            out.blocks.append(replace(b, common=common, rules=rules))
         return out
 
     def begin(self, start: FitResult) -> tuple[Floats, float]:
-        """Every wavelength's own parameters with the geometry of a fit, from its own wavelength outward; and the sum."""
+        """Every wavelength's own parameters with the geometry of a fit, from its wavelength outward; and the sum."""
         near = dict.fromkeys((b.wavelength_nm for b in self.blocks), start.vector)
         out, total = np.empty(self._size), 0.0
         order = sorted(self.blocks, key=lambda b: abs(b.wavelength_nm - start.wavelength_nm))

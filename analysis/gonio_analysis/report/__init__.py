@@ -50,6 +50,7 @@ def make(
     metric: str | None = None,
     u_rel: float | None = None,
     bound_energy: bool = False,
+    separate: bool = False,
     dask: str | None = None,
     how: Reading | None = None,
     command: str = "",
@@ -63,7 +64,7 @@ def make(
         Tables, RUN folders, or `FILE:SAMPLE`.
     out
         Folder of the report; an earlier report there is replaced.
-    models, normalise, ior, wavelength_nm, metric, u_rel, bound_energy
+    models, normalise, ior, wavelength_nm, metric, u_rel, bound_energy, separate
         See `gonio_analysis.selection.compare.examine`.
     dask
         Address of a Dask scheduler to fit the samples on; by default several samples share the processors here.
@@ -105,6 +106,7 @@ def make(
             metric=metric,
             u_rel=u_rel,
             bound_energy=bound_energy,
+            separate=separate,
         )
         jobs = [
             partial(examined, table, name=name, source=source, run=run)

@@ -24,14 +24,12 @@ from gonio_analysis.report import verdict
 from gonio_analysis.report.text import difference, slug
 from gonio_analysis.result_records import (
     Appearance,
-    AtWavelength,
     CurveSummary,
     DatasetSummary,
     MeasuredValue,
     MetricSummary,
     ModelSummary,
     Summary,
-    Value,
     finite,
 )
 from gonio_analysis.selection.choice import SIGNIFICANCE
@@ -199,15 +197,7 @@ def _fitted(f: Fitted) -> ModelSummary:
         rho_dh=f.rho_dh,
         reflects_too_much=verdict.reflects_too_much(f.rho_dh),
         curves=[_curve(drawn) for drawn in f.drawn],
-        series=[
-            AtWavelength(
-                r.wavelength_nm,
-                len(r.data),
-                finite(r.reduced_chi_square),
-                {n: Value(finite(e.value), finite(e.u)) for n, e in r.parameters.items()},
-            )
-            for r in f.series
-        ],
+        series=[r.at_wavelength() for r in f.series],
     )
 
 
@@ -233,13 +223,16 @@ def _curve(drawn: Drawn) -> CurveSummary:
 
 
 def _best(d: Dataset) -> str | None:
-    """The nearest model: by chi-square where there is one, else by the metric of the fits."""
+    """The nearest model: by chi-square where there is one, else by AIC, as the choice among models says it."""
+    aic = {j.candidate.label: j.aic for j in d.choice.judged}
 
-    def rank(f: Fitted) -> tuple[float, float]:
+    def rank(name: str) -> tuple[float, float]:
+        f = d.fitted[name]
         chi = f.fit.reduced_chi_square
-        return (chi if chi is not None else 0.0, verdict.order(f.metrics, f.fit.goal.metric))
+        own = aic.get(name, math.inf) if chi is None else chi
+        return (own, verdict.order(f.metrics, f.fit.goal.metric))
 
-    return min(d.fitted, key=lambda name: rank(d.fitted[name])) if d.fitted else None
+    return min(d.fitted, key=rank) if d.fitted else None
 
 
 def _conclusion(d: Dataset, best: str | None) -> str:

@@ -10,13 +10,15 @@ from gonio_analysis.report.text import glued, number, with_u
 from gonio_analysis.result_records import CandidateSummary, ChoiceSummary
 
 
-def section(choice: ChoiceSummary) -> list[Block]:
+def section(choice: ChoiceSummary, alone_nm: float | None = None) -> list[Block]:
     """The section; nothing where one model alone was tried.
 
     Parameters
     ----------
     choice
         As `gonio_analysis.selection.choice.Choice.summary` has it.
+    alone_nm
+        The wavelength that it was made at, where the models shown afterwards share the geometry of several.
     """
     tried = choice.candidates
     if len(tried) < 2:
@@ -39,6 +41,13 @@ def section(choice: ChoiceSummary) -> list[Block]:
     ]
     marks = ["best" if c.label == choice.named else "" for c in tried]
     out: list[Block] = [Heading(3, "Which model"), Paragraph(glued(choice.words))]
+    if alone_nm is not None:
+        out.append(
+            Paragraph(
+                f"The choice is made at {alone_nm:g} nm alone, and so are the numbers of this section. The models below"
+                " are fitted to all wavelengths together, with one geometry."
+            )
+        )
     out.append(
         table(
             "From the simplest up. AIC and BIC are differences to the lowest; the held-out error is the mean squared"

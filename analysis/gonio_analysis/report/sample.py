@@ -51,7 +51,8 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
     out += [lead(d.conclusion), Heading(3, what), _facts(d)]
     if d.notes:
         out.append(notes(d.notes))
-    out += model_choice.section(d.choice)
+    shared = any(f.shared is not None for f in d.models.values())
+    out += model_choice.section(d.choice, d.wavelength_nm if shared else None)
     values = "Simulated values" if d.simulated else "Measured values"
     out += [Heading(3, "Models"), _models(d)] if d.models else [Heading(3, values), _values(d)]
     if d.skipped:
@@ -291,6 +292,8 @@ def _parameters(d: DatasetSummary) -> list[Block]:
 def _value(d: DatasetSummary, model: str, parameter: str, e: ParameterSummary) -> str:
     """value ± u; the interval alone where a standard error would contradict it."""
     i = d.choice.intervals.get(parameter) if model == d.choice.named else None
+    if d.models[model].shared is not None:
+        i = None  # the interval is of the choice, at one wavelength alone
     if i is not None and i.linear is False:
         ends = f"{number(i.low)} to {number(i.high)}"
         return f"{number(e.value)} ({100 * i.level:g} % interval {ends})"

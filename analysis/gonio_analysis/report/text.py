@@ -82,10 +82,10 @@ def slug(name: str) -> str:
 
 
 def difference(rms_of_logarithm: float | None) -> str:
-    """A typical relative difference: in percent, or as a factor where percent would mislead."""
+    """A typical relative difference: in percent, or as a factor where percent would mislead (of ln 0.2 it is 1.22)."""
     if rms_of_logarithm is None:
         return "–"
-    if rms_of_logarithm < 0.3:
+    if rms_of_logarithm < 0.2:
         return percent(rms_of_logarithm)
     factor = math.exp(min(rms_of_logarithm, 230.0))
     return f"factor {number(factor, 2) if factor < 1000 else _scientific(factor, 2)}"

@@ -25,6 +25,7 @@ from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.parameters import Ior
+from gonio_analysis.fitting.spectrum import MOST_WAVELENGTHS, fit_shared, shares
 from gonio_analysis.result_records import Reflectance, RunFacts, SymmetrySummary
 from gonio_analysis.selection import energy
 from gonio_analysis.selection.choice import DECISIVE, Choice, Judged, candidates, choose, deviance
@@ -40,8 +41,6 @@ MOST_ANGLES = 1000
 """Measured angles of one curve at which theory is evaluated too."""
 JUMP = 3.0
 """Factor between neighbouring wavelengths that no geometry, and no index but at a resonance, changes by."""
-MOST_WAVELENGTHS = 40
-"""Parameters are tabulated over the wavelengths of a table that has at most this many."""
 
 
 @dataclass(frozen=True)
@@ -157,6 +156,7 @@ def examine(
     metric: str | None = None,
     u_rel: float | None = None,
     bound_energy: bool = False,
+    separate: bool = False,
     run: RunFacts | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Dataset:
@@ -178,6 +178,9 @@ def examine(
     metric, u_rel, bound_energy
         What fits make small, the relative uncertainty to assume where none is stated, and whether rho_dh is bound to 1:
         see `FitRequest`.
+    separate
+        Fit each wavelength alone. Otherwise the models that are shown share the geometry of the surface among all
+        wavelengths (`gonio_analysis.fitting.spectrum`); the choice among models is made at the one that is reported.
     progress
         Called with a line before each fit.
 
@@ -204,11 +207,12 @@ def examine(
         all_of_them=not every,
         progress=progress,
     )
-    fitted = {
-        j.candidate.label: _fitted(j.fit, shown, normalise, _series(j, data, known, name, progress))
-        for j in choice.judged
-        if not every or choice.shows(j)
-    }
+    fitted = {}
+    for j in choice.judged:
+        if every and not choice.shows(j):
+            continue
+        result, series = _over_wavelengths(j, data, known, name, separate, progress)
+        fitted[j.candidate.label] = _fitted(result, shown, normalise, series)
     skipped = {} if every else choice.left_out
     return Dataset(
         name,
@@ -267,6 +271,25 @@ def _fitted(result: FitResult, shown: list[Curve], normalise: Normalise, series:
             )
         )
     return Fitted(result, numbers, drawn, series, farthest(result), energy.of_model(result))
+
+
+def _over_wavelengths(
+    judged: Judged,
+    data: Observations,
+    known: list[float],
+    name: str,
+    separate: bool,
+    progress: Callable[[str], None],
+) -> tuple[FitResult, list[FitResult]]:
+    """The fit at the wavelength of the report, and those at all: of one geometry, or each alone."""
+    asked = judged.fit.problem.asked
+    assert asked is not None
+    if shares(replace(asked, separate=separate), data) and not math.isnan(judged.fit.wavelength_nm):
+        fits = fit_shared(data, judged.fit, name=name, label=judged.candidate.label, say=progress)
+        own = next((f for f in fits if f.wavelength_nm == judged.fit.wavelength_nm), None)
+        if own is not None:
+            return own, fits if len(fits) > 1 and len(known) <= MOST_WAVELENGTHS else []
+    return judged.fit, _series(judged, data, known, name, progress)
 
 
 def _series(

@@ -16,6 +16,8 @@ from gonio_analysis.fitting.surrogate import Rows
 from gonio_analysis.result_records import RegionSummary
 
 FOLDS = 5
+RANGE = float(np.radians(15.0))
+"""Widest range of angles of incidence in a region, where a source was moved in steps too small to tell apart."""
 FEWEST = 3
 """Values of a region that `farthest` may name."""
 
@@ -39,7 +41,7 @@ class Region:
 
 
 def incidences(data: Observations) -> list[tuple[float, Rows]]:
-    """The angles of incidence [rad], ascending, and the values measured at each."""
+    """The angles of incidence [rad], ascending, and the values measured at each; those in small steps are one."""
     theta_i = data.directions.theta_i
     order = np.argsort(theta_i)
     cuts = np.flatnonzero(np.diff(theta_i[order]) > SAME_INCIDENCE) + 1
@@ -84,10 +86,10 @@ def _ratio(result: FitResult, here: Rows, u: Floats) -> float | None:
 
 def _regions(data: Observations) -> list[tuple[str, Rows]]:
     """Every region that holds a value, in words, and the values."""
-    along, in_plane = data.directions.along, data.directions.in_plane
+    along, in_plane, every = data.directions.along, data.directions.in_plane, data.directions.theta_i
     found = []
-    for theta_i, rows in incidences(data):
-        flat = in_plane[rows]
+    for where, rows in _ranges(data):
+        flat, theta_i = in_plane[rows], every[rows]
         mirror = np.abs(along[rows] - theta_i) < AROUND_MIRROR
         zones = {
             "on the retro side": flat & ~mirror & (along[rows] < 0),
@@ -96,10 +98,29 @@ def _regions(data: Observations) -> list[tuple[str, Rows]]:
             "beyond the mirror direction": flat & ~mirror & (along[rows] >= theta_i),
             "out of plane": ~flat,
         }
-        found += [
-            (f"θi = {math.degrees(theta_i):.0f}°, {words}", rows[zone]) for words, zone in zones.items() if zone.any()
-        ]
+        found += [(f"θi = {where}, {words}", rows[zone]) for words, zone in zones.items() if zone.any()]
     return found
+
+
+def _ranges(data: Observations) -> list[tuple[str, Rows]]:
+    """Angles of incidence in words, and the values measured at each; where they stand close, ranges of them."""
+    theta_i, out = data.directions.theta_i, []
+    for middle, rows in incidences(data):
+        low, high = float(theta_i[rows].min()), float(theta_i[rows].max())
+        if high - low <= SAME_INCIDENCE:
+            out.append((f"{math.degrees(middle):.0f}°", rows))
+            continue
+        edges = np.linspace(low, high, math.ceil((high - low) / RANGE) + 1)
+        for part in (rows[here] for here in _between(theta_i[rows], edges)):
+            ends = np.degrees([theta_i[part].min(), theta_i[part].max()])
+            out.append((f"{ends[0]:.0f}° to {ends[1]:.0f}°", part))
+    return out
+
+
+def _between(values: Floats, edges: Floats) -> list[Rows]:
+    number = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2)
+    found = (np.flatnonzero(number == k) for k in range(edges.size - 1))
+    return [rows for rows in found if rows.size]
 
 
 def blocks(data: Observations) -> tuple[list[Rows], str]:

@@ -148,7 +148,7 @@ def test_a_series_that_starts_in_another_valley_is_brought_back(monkeypatch: pyt
         return replace(found, parameters=lost)
 
     monkeypatch.setattr("gonio_analysis.selection.compare.fit", astray)
-    series = examine(table, ["phong"], name="x").fitted["phong"].series
+    series = examine(table, ["phong"], name="x", separate=True).fitted["phong"].series
     assert [round(r.parameters["exponent"].value, -1) for r in series] == [40.0] * 3
 
 

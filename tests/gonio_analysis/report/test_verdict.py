@@ -171,3 +171,14 @@ def test_ngan_s_nickel_comes_out_by_ngan_s_metric() -> None:
     by = {m: fit(frame, "cook-torrance", metric=m).parameters["m"].value for m in ("ngan", "log")}
     assert by["ngan"] == pytest.approx(0.04256, rel=0.1)
     assert by["log"] > 2 * 0.04256
+
+
+def test_the_headline_and_the_choice_name_the_same_model_as_the_nearest() -> None:
+    """Phong's lobe takes up some scatter of a matte sample; AIC counts its parameters, a bare metric does not."""
+    facts = headline(bare(build("lambert", {"albedo": 0.5}), noise=0.2), "lambert", "oren-nayar", "phong")
+    aic = {c.label: c.aic or math.inf for c in facts.choice.candidates}
+    logs = {name: f.metrics["log_ratio"] or math.inf for name, f in facts.models.items()}
+    assert min(aic, key=aic.__getitem__) != min(logs, key=logs.__getitem__)  # else there is nothing to tell apart
+    assert facts.best == min(aic, key=aic.__getitem__)
+    assert facts.choice.words.startswith(f"{facts.best} comes nearest")
+    assert facts.conclusion.startswith(f"{facts.best} is the nearest")

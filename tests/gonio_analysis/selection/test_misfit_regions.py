@@ -10,7 +10,7 @@ import pytest
 from gonio_analysis.curves.in_plane import curves
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.observations import observations
-from gonio_analysis.selection.misfit_regions import worst
+from gonio_analysis.selection.misfit_regions import farthest, worst
 
 from gonio.formats.reader import table
 
@@ -54,3 +54,25 @@ def test_the_share_and_the_ratio_of_a_region() -> None:
     assert found.excess == pytest.approx(5 * 25 - 5, rel=1e-12)  # whitened squares less their number
     assert found.share == pytest.approx(1.0, rel=1e-12)  # nothing else is off by more than its uncertainty
     assert found.ratio == pytest.approx(0.35 / 0.3, rel=1e-12)
+
+
+def test_a_source_that_moves_in_small_steps_has_ranges_and_each_value_its_own_mirror_direction() -> None:
+    """The detector stands at 45 degrees, and the model lacks the lobe: it is too low where theta_i is near 45."""
+    theta_i = np.arange(1.0, 90.0)
+    frame = table(
+        theta_i_deg=theta_i,
+        phi_i_deg=0.0,
+        theta_r_deg=np.tile([45.0, 10.0], (theta_i.size, 1)).T.ravel()[: theta_i.size],
+        phi_r_deg=180.0,
+        wavelength_nm=550.0,
+        brdf=np.where(np.abs(theta_i - 45.0) < 8, 3.0, 0.3),
+        attrs={"source_solid_angle_sr": 0.0, "receiver_solid_angle_sr": 0.0},
+    )
+    data = observations(frame)
+    found = farthest(cast(FitResult, SimpleNamespace(data=data, predicted=np.full(theta_i.size, 0.3))))
+    assert found is not None
+    assert found.ratio == pytest.approx(0.1, rel=1e-12)
+    low, high = (float(x.strip("°")) for x in found.words.removeprefix("θi = ").split(",")[0].split(" to "))
+    assert high - low <= 15
+    assert 30 <= low < high <= 60
+    assert found.words.endswith("around the mirror direction")
