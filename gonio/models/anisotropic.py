@@ -173,9 +173,7 @@ class AnisotropicFacets(Model):
             toward, steep = v1 * e1 + v2 * e2, e1 * e1 + e2 * e2
             root = np.sqrt(toward * toward + steep * vz * vz)
             # the last x: tan x = (toward + root)/(steep v_z), without cancellation
-            last = np.where(
-                toward > 0.0, np.arctan2(toward + root, steep * vz), np.arctan2(vz, root + np.abs(toward))
-            )
+            last = np.where(toward > 0.0, np.arctan2(toward + root, steep * vz), np.arctan2(vz, root + np.abs(toward)))
             x = last * share
             sine, cosine = np.sin(x), np.cos(x)
             m1, m2 = sine * e1, sine * e2  # a vector along the facet's normal, with cosine as its z

@@ -140,7 +140,9 @@ class Retroreflecting(Model):
                 horizon = np.arccos(np.fmin(np.fmax(-level / swing, -1.0), 1.0))
             rest = (1.0 - turn) ** 4  # V_z may enter with a broken power at the horizon
             vz = np.maximum(level + swing * np.cos(horizon * (1.0 - rest)), 0.0)
-            value = vz * (lz * vz) ** self.entrance / (lz + vz - lz * vz) * slope * (4.0 * (1.0 - turn) ** 3) * horizon / pi
+            value = (
+                vz * (lz * vz) ** self.entrance / (lz + vz - lz * vz) * slope * (4.0 * (1.0 - turn) ** 3) * horizon / pi
+            )
             area = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
             return np.asarray(area * np.einsum("bij,i,j->b", value, weight, weight))
 

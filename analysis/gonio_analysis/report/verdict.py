@@ -116,5 +116,9 @@ def direction_of_its_own(found: Sequence[SymmetrySummary], tried: Iterable[str] 
     return (
         f"The sample is anisotropic: at equal θi, θr and φr − φi values change with the azimuth of incidence, typically"
         f" by {difference(shown.typical)} ({shown.pairs} pairs). No isotropic model can describe that"
-        + ("." if any("anisotropic" in name for name in tried) else "; --models anisotropic tries one that has a direction of its own.")
+        + (
+            "."
+            if any("anisotropic" in name for name in tried)
+            else "; --models anisotropic tries one that has a direction of its own."
+        )
     )

@@ -120,9 +120,7 @@ def test_it_is_the_same_by_angles_vectors_and_a_checked_geometry() -> None:
     model = AnisotropicFacets(0.2, 0.5, 30.0, METAL, 0.9, 0.3)
     by_angle = model.brdf(*at)
     np.testing.assert_allclose(model.at(geometry(*at)), by_angle, rtol=1e-13)  # sines by another library
-    vectors = [
-        np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], 1) for t, p in (at[:2], at[2:])
-    ]
+    vectors = [np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], 1) for t, p in (at[:2], at[2:])]
     np.testing.assert_allclose(model.brdf_vectors(*vectors), by_angle, rtol=1e-13)
     single = [v.astype(np.float32) for v in vectors]
     double = model.brdf_vectors(*(v.astype(np.float64) for v in single))

@@ -19,9 +19,7 @@ PI = math.pi
 EPS = float(np.finfo(float).eps)
 polar = st.floats(0.0, 1.57)
 azimuths = st.floats(-6.3, 6.3)
-lobes = st.builds(
-    Retroreflecting, st.floats(0.0, 1.0), st.floats(0.1, 60.0), st.floats(0.5, 10.0), st.floats(0.0, 5.0)
-)
+lobes = st.builds(Retroreflecting, st.floats(0.0, 1.0), st.floats(0.1, 60.0), st.floats(0.5, 10.0), st.floats(0.0, 5.0))
 
 
 def exact(at: tuple[float, float, float, float], w_deg: float, tail: float, entrance: float) -> Any:
@@ -41,11 +39,13 @@ def exact(at: tuple[float, float, float, float], w_deg: float, tail: float, entr
         return shape(x) / whole * (a * b) ** entrance / (a + b - a * b)
 
 
-@pytest.mark.parametrize(("w", "tail", "entrance"), [(2.0, 1.5, 0.0), (0.05, 1.0, 0.7), (20.0, 6.0, 2.0), (1.0, 0.6, 1)])
+@pytest.mark.parametrize(
+    ("w", "tail", "entrance"), [(2.0, 1.5, 0.0), (0.05, 1.0, 0.7), (20.0, 6.0, 2.0), (1.0, 0.6, 1)]
+)
 @pytest.mark.parametrize(
     "at", [(0.7, 0.3, 0.7, 0.3), (0.7, 0.3, 0.7001, 0.3), (0.2, 0.0, 1.3, 2.0), (1.57, 0.0, 1.0, 0.1), (0, 0, 0, 0)]
 )
-def test_the_kernel_in_50_digits(at: tuple[float, ...], w: float, tail: float, entrance: float) -> None:
+def test_the_kernel_in_50_digits(at: tuple[float, float, float, float], w: float, tail: float, entrance: float) -> None:
     got = float(Retroreflecting(1.0, w, tail, entrance).brdf(*at))
     # |V - L| is uncertain by eps, D by tail/w of it; and the powers by their logarithms
     moved = tail / math.radians(w) + 30.0 * tail + entrance * (8.0 + 1.0 / math.cos(max(at[0], at[2])))
@@ -104,7 +104,9 @@ def test_through_cones(width_deg: float, rel: float) -> None:
     x, y = np.sqrt(1.0 - z * z) * np.cos(turn), np.sqrt(1.0 - z * z) * np.sin(turn)
     sides = []
     for k, t in enumerate((theta, theta + 0.2 * half)):
-        sides.append(np.stack([x[k] * math.cos(t) + z[k] * math.sin(t), y[k], z[k] * math.cos(t) - x[k] * math.sin(t)], 1))
+        sides.append(
+            np.stack([x[k] * math.cos(t) + z[k] * math.sin(t), y[k], z[k] * math.cos(t) - x[k] * math.sin(t)], 1)
+        )
     values = lobe.brdf_vectors(*sides)
     drawn, spread = float(values.mean()), float(values.std()) / math.sqrt(n)
     assert abs(got - drawn) < rel * drawn + 4.0 * spread  # by chance once in 16 000
