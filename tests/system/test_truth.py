@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.selection.choice import Candidate, choose
 
@@ -165,4 +164,5 @@ def test_a_brushed_sample_at_three_spins_is_described_by_the_anisotropic_model_a
     for name, value in truth.items():
         e = tried.named.fit.parameters[name]
         assert e.u is not None
-        assert abs(e.value - value) < 4 * e.u, name  # by chance once in 16 000
+        # by chance once in 16 000; and the simulated light is averaged over the cones to 1e-5
+        assert abs(e.value - value) < 4 * e.u + 1e-4 * value, name

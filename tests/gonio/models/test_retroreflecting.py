@@ -45,7 +45,7 @@ def exact(at: tuple[float, float, float, float], w_deg: float, tail: float, entr
 @pytest.mark.parametrize(
     "at", [(0.7, 0.3, 0.7, 0.3), (0.7, 0.3, 0.7001, 0.3), (0.2, 0.0, 1.3, 2.0), (1.57, 0.0, 1.0, 0.1), (0, 0, 0, 0)]
 )
-def test_the_kernel_in_50_digits(at: tuple[float, ...], w: float, tail: float, entrance: float) -> None:
+def test_the_kernel_in_50_digits(at: tuple[float, float, float, float], w: float, tail: float, entrance: float) -> None:
     got = float(Retroreflecting(1.0, w, tail, entrance).brdf(*at))
     # |V - L| is uncertain by eps, D by tail/w of it; and the powers by their logarithms
     moved = tail / math.radians(w) + 30.0 * tail + entrance * (8.0 + 1.0 / math.cos(max(at[0], at[2])))

@@ -19,6 +19,7 @@ from gonio.errors import ConfigError, DataError
 from gonio.measurement import read
 from gonio.models import Lambert, OrenNayar, Phong, Retroreflecting, Sum, build
 from tests.gonio_analysis.synthetic import measure
+from tests.places import measured
 
 MATTE = Lambert(0.5)
 PAINT = build("cook-torrance", {"s": 0.1, "d": 0.9, "slopes": ((0.25, 1.0),), "diffuse_albedo": 0.4, "ior": 1.5})
@@ -184,8 +185,8 @@ def test_a_retroreflecting_sample_is_described_by_its_own_model_and_by_no_other(
         assert abs(e.value - value) < 4 * e.u, name  # by chance once in 16 000
 
 
-def test_the_tape_of_cea_is_nearest_to_the_retroreflecting_model(shared: Callable[[str], Path]) -> None:
-    data = observations(read(shared("cea_retro/retro-3M-jaune.dat")))
+def test_the_tape_of_cea_is_nearest_to_the_retroreflecting_model() -> None:
+    data = observations(read(measured("brdf/cea_retro/retro-3M-jaune.dat")))
     near = data.take(np.arange(0, len(data), 4))
     names = ("oren-nayar+phong", "cook-torrance", "retroreflecting", "retroreflecting+cook-torrance")
     choice = choose(near, [Candidate(m) for m in names], all_of_them=True)
@@ -195,5 +196,5 @@ def test_the_tape_of_cea_is_nearest_to_the_retroreflecting_model(shared: Callabl
     result = order[0].fit
     light, view = near.directions.vectors
     lobe = np.linalg.norm(light - view, axis=-1) < 0.052
-    assert lobe.sum() > 100
+    assert lobe.sum() > 50
     assert np.median(np.abs(np.log(result.predicted[lobe] / near.brdf[lobe]))) < 0.25
