@@ -432,7 +432,7 @@ def _around(angle: Floats, radius: Floats) -> tuple[Floats, Floats]:
     gaps = np.diff(angle)
     if not np.any(gaps > 2 * CHORD):
         return angle, radius
-    between = [np.linspace(a, a + gap, int(gap / CHORD) + 1)[:-1] for a, gap in zip(angle[:-1], gaps, strict=True)]
+    between = [np.linspace(a, a + gap, int(gap / CHORD) + 2)[:-1] for a, gap in zip(angle[:-1], gaps, strict=True)]
     every = np.concatenate([*between, angle[-1:]])
     return every, np.interp(every, angle, radius)
 

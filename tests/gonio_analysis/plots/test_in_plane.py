@@ -189,3 +189,12 @@ def test_angles_around_the_half_disc_do_not_stand_on_its_rim() -> None:
     labels = [text.get_window_extent() for text in ax.texts if text.get_text() in ("−60°", "−30°", "30°", "60°")]
     assert len(labels) == 4
     assert not any(box.contains(*point) for box in labels for point in rim)
+
+
+def test_a_line_goes_through_every_value_that_it_joins() -> None:
+    angle = np.radians([-80.0, -20.0, -19.0, -18.5, 0.0, 2.0, 80.0])  # dense, sparse, and between
+    value = np.array([0.1, 0.5, 0.9, 0.2, 0.3, 0.8, 0.1])
+    artists = in_plane.polar(axes(), [Line("", np.empty(0), np.empty(0), angle, value, np.full(7, np.nan))])
+    drawn = np.stack(artists[0].get_data(), axis=1)
+    for point in np.stack(in_plane.xy(angle, value), axis=1):
+        assert np.hypot(*(drawn - point).T).min() < 1e-14  # a rounding of the sum of an angle and a step
