@@ -46,7 +46,7 @@ def measured_like(model: Model, *, by_solid_angle: bool = False) -> pd.DataFrame
     if by_solid_angle:
         rows = np.sort(rng.choice(solid.size, size=4 * solid.size, p=solid / solid.sum()))
         angles = (angles[0][rows], angles[1][rows], angles[2][rows], angles[3][rows])
-    f = model.brdf(*np.radians(angles))
+    f = np.asarray(model.brdf(*np.radians(angles)))
     return table(
         theta_i_deg=angles[0], phi_i_deg=angles[1], theta_r_deg=angles[2], phi_r_deg=angles[3], wavelength_nm=550.0,
         brdf=f * (1 + NOISE * rng.normal(size=f.size)),
