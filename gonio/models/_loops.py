@@ -3,7 +3,8 @@
 A kernel maps the components of two unit vectors and a tuple of constants to a BRDF. The loops run over vectors, over
 angles, and over columns of numbers made of the directions before. They check arguments in the pass that evaluates
 them, and return 1 where one is wrong, else 0. Every loop that turns arguments into vectors does it by `unit_vectors`
-or by `vectors_of_angles` and its like; a kernel that needs several passes over a block (`_htsg_kernels`) brings loops of its own.
+or by `vectors_of_angles` and its like; a kernel that needs several passes over a block (`_htsg_kernels`) brings loops
+of its own.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ def retroreflecting(apart2, product, total, constants):  # type: ignore[no-untyp
 
 @dataclass(frozen=True, repr=False)
 class Retroreflecting(Model):
-    """A lobe about the direction of incidence over a diffuse base: returned R + (1 - returned) diffuse_albedo/pi [1/sr].
+    """A lobe about the direction of incidence over a diffuse base: returned R + (1 - returned) albedo/pi [1/sr].
 
     R = D (cos_i cos_r)^entrance / (cos_i + cos_r - cos_i cos_r). D is a function of the observation angle d between the
     two directions: (1 + (2 sin(d/2)/w)^2)^-tail, of integral 1 over all directions (the shape of Burley 2012, about the

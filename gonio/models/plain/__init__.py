@@ -1,4 +1,4 @@
-"""Every formula of the four papers, and of later models, once, in numpy, in the papers' order and symbols: the specification of the models.
+"""Every formula of the papers once, in numpy, in their order and symbols: the specification of the models.
 
 One module a paper. To find an equation, open its paper's module and search for its number, "eq. 25"; equations
 without a number stand under their paper's section and go by their symbol, "Cook1982 R_s". docs/equations.md lists all.
