@@ -179,7 +179,7 @@ class ByHand(Protocol):
         """
 
     def hold(self) -> None:
-        """On leaving, the arms stay where they stand and hold, instead of parking. The lamp is darkened all the same."""
+        """On leaving, the arms stay where they stand and hold, instead of parking; the lamp is darkened as ever."""
 
     def jog(self, goals: Mapping[str, float]) -> dict[str, float]:
         """Drive some axes [rad] as `ArmsDevice.move` does, and leave the others; the readback of those that moved."""
