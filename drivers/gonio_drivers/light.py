@@ -44,6 +44,7 @@ class SerialLight:
 
     def __init__(self, description: RigDescription, light: settings.Light) -> None:
         self._light = light
+        self._usual = light.level
         self._dialect = dialect(light.dialect)
         self._bands = description.bands.all()
         self._warm_up_s = description.lamp.warm_up_s
@@ -173,9 +174,9 @@ class SerialLight:
         time.sleep(self._light.settle_s)
         raise LampReset("the lamp went dark, or lost its settings, by itself")
 
-    def dim(self, level: float) -> None:
-        """Shine at another level (above 0, at most 1) than the rig file's, from the next `on`."""
-        self._light = self._light.model_copy(update={"level": level})
+    def dim(self, level: float | None) -> None:
+        """Shine at another level (above 0, at most 1) than the rig file's, from the next `on`; None: the file's."""
+        self._light = self._light.model_copy(update={"level": self._usual if level is None else level})
 
     def state(self) -> tuple[bool, float]:
         """Whether the controller says that it is lit (a channel of several is enough), and its level from 0 to 1."""

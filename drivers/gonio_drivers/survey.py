@@ -7,6 +7,7 @@ restart when their port is opened, and are dark then.)
 from __future__ import annotations
 
 import math
+import statistics
 
 from gonio.errors import GonioError
 from gonio.rig import Health, Reading
@@ -19,6 +20,8 @@ from gonio_drivers.light import SerialLight
 CURRENT_UNIT_MA = {"xl330": 1.0, "xc330": 1.0}
 """By the first part of the model's name; 2.69 mA for the others (ROBOTIS e-Manual, "Present Current(126)")."""
 USUAL_UNIT_MA = 2.69
+LOOKS = 5
+"""Readings that an angle is the mean of: encoders flicker by a count."""
 LAMP, CAMERA = "lamp", "frames"
 
 
@@ -73,11 +76,12 @@ def _asked(joint: Joint) -> list[Reading]:
     block = joint.bus.read(joint.id, address, size)
     value = {n: table[n].decode(block, address) for n in joints.REPORTED if n in table}
     highest, lowest = joint.get("Max Voltage Limit") / 10, joint.get("Min Voltage Limit") / 10
+    places = [joint.get("Present Position") for _ in range(LOOKS)]
     error = joint.get("Hardware Error Status")
     hottest = joint.get("Temperature Limit") or joint.max_temperature_c
     volts = Reading(name, "voltage", value["Present Input Voltage"] / 10, "V", (lowest, highest) if highest else None)
     return [
-        _angle(joint, value["Present Position"]),
+        _angle(joint, statistics.fmean(places)),
         Reading(name, "temperature", value["Present Temperature"], "C", (-math.inf, hottest)),
         _current(joint, value.get("Present Current", value.get("Present Load", 0))),
         volts,

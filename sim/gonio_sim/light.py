@@ -16,9 +16,9 @@ class SimulatedLight:
         self.level = 1.0
         """Output while it is on, as a fraction of its largest."""
 
-    def dim(self, level: float) -> None:
-        """Shine at another level (above 0, at most 1), from the next `on`."""
-        self.level = level
+    def dim(self, level: float | None) -> None:
+        """Shine at another level (above 0, at most 1), from the next `on`; None: the largest."""
+        self.level = 1.0 if level is None else level
 
     def select(self, band: Band) -> None:
         """Put a band of the rig into the beam."""
