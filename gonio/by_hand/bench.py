@@ -190,6 +190,14 @@ class Bench:
         pose, limits = self.arms.read(), self.description.limits_deg()
         return Health(tuple(Reading(n, "angle", math.degrees(getattr(pose, n)), "deg", limits[n]) for n in limits))
 
+    def read_arms(self) -> Health:
+        """As `read`, of the axes alone; before the rig is entered, or after it was left."""
+        if not hasattr(self._rig, "survey"):
+            return self.read()
+        with self._naming():
+            found: Health = self._rig.survey("arms")
+        return found
+
     def pose(self) -> Pose | None:
         """Where all axes stand [rad]; None where one of them does not say so."""
         if self._open and (not self._only or "arms" in self._only):
@@ -226,7 +234,7 @@ class Bench:
         if not 0 <= level <= 1:
             raise ArgumentError(f"level = {level:g}: the lamp's level is a fraction from 0 to 1")
         if wavelength_nm is not None:
-            self._band = self.description.bands.containing(wavelength_nm)
+            self.choose_band(wavelength_nm)
         if not level:
             self.light.off()
             return
@@ -236,6 +244,10 @@ class Bench:
             raise ConfigError(f'the lamp of rig "{self.description.name}" has no levels: it can be on or off')
         self.light.select(self.band)
         self.light.on()
+
+    def choose_band(self, wavelength_nm: float) -> None:
+        """The band that contains a wavelength [nm] is the one that `lamp` lights from now on."""
+        self._band = self.description.bands.containing(wavelength_nm)
 
     @property
     def band(self) -> Band:

@@ -9,7 +9,7 @@ from typing import Any
 from gonio.config import parse, read_toml
 from gonio.disk import write_whole
 from gonio.errors import ConfigError, DataError
-from gonio.rig.description import RigDescription
+from gonio.rig.description import Axis, RigDescription
 
 Values = Mapping[tuple[str, ...], Any]
 """By the path of a key, as ("arms", "light", "zero_offset_deg"); None takes a key out."""
@@ -41,6 +41,34 @@ def with_values(path: str | Path, values: Values) -> str:
             del table[key]
     parse(RigDescription, document.unwrap(), path)
     return tomlkit.dumps(document)
+
+
+def zero_values(
+    description: RigDescription, axis: str, *, read_deg: float, true_deg: float
+) -> tuple[dict[tuple[str, ...], Any], float]:
+    """What to write into a rig file so that an axis that reads one angle is said to stand at another one [deg].
+
+    Returns
+    -------
+    values, offset
+        For `write_values`; and the new zero offset [deg].
+    """
+    known = description.axes()[axis]
+    taken_out = known.zero_offset_deg if known.zero_offset_known else 0.0
+    offset = round(read_deg + taken_out - true_deg, 4)
+    if axis in ("tilt", "spin"):
+        table: tuple[str, ...] = ("holder",)
+        key = f"{axis}_zero_offset_deg" if len(description.holder.axes) > 1 else "zero_offset_deg"
+        if len(description.holder.axes) == 1:  # one of its own would go before the common one
+            return {(*table, key): offset, (*table, f"{axis}_zero_offset_deg"): None} | _said(known, table), offset
+    else:
+        table, key = ("arms", axis), "zero_offset_deg"
+    return {(*table, key): offset} | _said(known, table), offset
+
+
+def _said(axis: Axis, table: tuple[str, ...]) -> dict[tuple[str, ...], Any]:
+    """An offset that nobody knew is known now."""
+    return {} if axis.zero_offset_known else {(*table, "zero_offset_known"): True}
 
 
 def write_values(path: str | Path, values: Values, *, out: Path | None = None) -> Path | None:
