@@ -101,9 +101,9 @@ def scan(
     DataFrame
         A row an angle: `angle_deg` (the encoder's readback), `asked_deg`, `signal_dn_per_s`, `u_signal_dn_per_s`
         (standard uncertainty: scatter of the frames or the noise of camera and lamp, whichever is more, and the dark
-        signal's), `exposure_s`, `frames`, `pixels`, `saturated` (fraction of the patch), `patch` ("sample",
-        or "centre" of the frame where the camera does not look down on the sample) and `flag` ("saturated" or ""). `attrs` hold the axis,
-        where the others stood, and the band.
+        signal's), `exposure_s`, `frames`, `pixels`, `saturated` (fraction of the patch), `patch` and `flag`.
+        `patch` is "sample", or "centre" (of the frame) where the camera does not look down on the sample; `flag` is
+        "saturated" or "". `attrs` hold the axis, where the others stood, and the band.
 
     Raises
     ------

@@ -65,8 +65,8 @@ def move(
     if moved.branch:
         console.show(moved.branch)
     for name, angle in moved.landed.items():
-        asked = math.degrees(moved.asked[name])
-        console.show(f"{name} {math.degrees(angle):.3f} deg (asked for {asked + 0.0:g})")
+        asked = round(math.degrees(moved.asked[name]), 6) + 0.0
+        console.show(f"{name} {math.degrees(angle):.3f} deg (asked for {asked:g})")
     if bench.repeatable:
         return
     if bench.can_hold:
@@ -313,9 +313,9 @@ def scan(
             console.note(f"{file}, {picture.name}: {len(taken[0])} of {len(angles)} angles")
     good = taken[0][taken[0]["flag"] == ""]
     if len(good):
-        signal, angle = good["signal_dn_per_s"].to_numpy(), good["angle_deg"].to_numpy()
-        top = int(signal.argmax())
-        console.show(f"largest signal {signal[top]:.5g} DN/s at {axis} {angle[top]:.3f} deg")
+        signals, places = good["signal_dn_per_s"].to_numpy(), good["angle_deg"].to_numpy()
+        top = int(signals.argmax())
+        console.show(f"largest signal {signals[top]:.5g} DN/s at {axis} {places[top]:.3f} deg")
     if len(good) < len(taken[0]):
         console.show(f"{len(taken[0]) - len(good)} angles saturated")
     console.note("the lamp is dark" + ("; the axes hold, until gonio rig park" if bench.can_hold else ""))
