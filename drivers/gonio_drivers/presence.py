@@ -16,19 +16,18 @@ def leave_out(bus: Bus, joints: dict[str, Joint]) -> dict[str, DeviceError]:
     DeviceError
         None of them answers; the message says what is found instead.
     """
-    heard = bus.discover(rounds=1)
     absent: dict[str, DeviceError] = {}
     for name, joint in joints.items():
         try:
-            joint.identify_model()  # also of one that was not heard: its answer to all may have been lost
+            joint.identify_model()
         except dynamixel.BusError as failure:
+            if not absent and joint is next(iter(joints.values())) and not bus.discover(rounds=1):
+                joint.identify()  # nobody is there: a longer search, and a better message
             absent[name] = DeviceError(f"{joint.key}.id = {joint.id}: {failure}")
         except DeviceError as failure:
             absent[name] = failure
     if len(absent) == len(joints):
-        if heard:
-            raise DeviceError("no servo of the rig file can be used: " + "; ".join(map(str, absent.values())))
-        next(iter(joints.values())).identify()  # a longer search, and a better message
+        raise DeviceError("no servo of the rig file can be used: " + "; ".join(map(str, absent.values())))
     for name in absent:
         del joints[name]
     return absent

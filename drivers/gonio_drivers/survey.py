@@ -54,16 +54,15 @@ def of_arms(arms: ServoArms) -> Health:
     silent: dict[str, str] = {}
     try:
         with arms.bus:
-            everybody = arms.bus.discover(rounds=1)
             for name, joint in arms.joints.items():
                 try:
-                    if not everybody:  # the message says what answers instead, if anything does
-                        joint.identify()
                     found += _asked(joint)
+                except dynamixel.BusError as failure:
+                    if not found and not silent and not arms.bus.discover(rounds=1):
+                        joint.identify()  # nobody is there: the message says what answers instead, if anything does
+                    silent[name] = str(failure)
                 except GonioError as failure:
                     silent[name] = str(failure)
-                    if not everybody and not found:
-                        return Health((), dict.fromkeys(arms.joints, str(failure)))
     except GonioError as failure:
         return Health((), dict.fromkeys(arms.joints, str(failure)))
     return Health(tuple(found), silent)

@@ -45,7 +45,7 @@ class Moved:
     landed: dict[str, float]
     """What the encoders read there [rad]."""
     branch: str = ""
-    """Of a move by directions: which way of reaching them was taken, and what became of the other ones."""
+    """Of a move by directions: which way of reaching them was taken, and on further lines what of the others."""
 
 
 class Bench:
@@ -64,6 +64,8 @@ class Bench:
     def __init__(self, rig: Rig, source: str = "", only: Sequence[Device] = ()) -> None:
         self._rig, self._source, self._open = rig, source, False
         self._band: Band | None = None
+        self.entered = False
+        """Its devices were open, now or before."""
         self._only = frozenset(only) if hasattr(rig, "only") else frozenset()
         if self._only:
             rig.only(*only)  # type: ignore[attr-defined]
@@ -110,7 +112,7 @@ class Bench:
     def __enter__(self) -> Self:
         with self._naming():
             self._rig.__enter__()
-        self._open = True
+        self._open = self.entered = True
         return self
 
     def __exit__(
@@ -157,19 +159,22 @@ class Bench:
         DeviceError
             An axis does not land; every axis has been stopped.
         """
-        branch = ""
-        if any(name in DIRECTIONS for name in angles):
-            pose, branch = self._reached(angles)
-            goals = {name: float(getattr(pose, name)) for name in self.description.axes()}
-        else:
-            goals = {name: float(angle) for name, angle in angles.items()}
-            self.check(goals)
+        goals, branch = self.goals(**angles)
         if hasattr(self._rig, "jog"):
             landed: dict[str, float] = self._rig.jog(goals)
         else:
             pose = self.arms.move(replace(self.arms.read(), **goals))
             landed = {name: getattr(pose, name) for name in goals}
         return Moved(goals, landed, branch)
+
+    def goals(self, **angles: float) -> tuple[dict[str, float], str]:
+        """Where `move` would drive the axes [rad], and by which branch; nothing has to be open; errors of `move`."""
+        if any(name in DIRECTIONS for name in angles):
+            pose, branch = self._reached(angles)
+            return {name: float(getattr(pose, name)) for name in self.description.axes()}, branch
+        goals = {name: float(angle) for name, angle in angles.items()}
+        self.check(goals)
+        return goals, ""
 
     def read(self) -> Health:
         """What every device says of itself: those that are open, or, before the rig is entered, each that is there.
@@ -329,8 +334,7 @@ class Bench:
                     others.append(f"{self._said(verdict)} would do too")
             else:
                 others.append(f"{self._said(pose)} is out of reach: {verdict}")
-        tail = "; ".join(dict.fromkeys(others)) or "there is no other"
-        return f"taken: {self._said(taken)}; {tail}"
+        return "\n".join([f"taken: {self._said(taken)}", *(dict.fromkeys(others) or ["there is no other way"])])
 
     def _said(self, pose: Pose) -> str:
         return ", ".join(

@@ -143,7 +143,7 @@ def scan(
             shots = [bench.camera.capture(metered.exposure_s) for _ in range(frames)]
             if metered.level_per_s > 0:
                 expected = metered.level_per_s
-            row = {"angle_deg": math.degrees(landed), "asked_deg": math.degrees(angle)}
+            row = {"angle_deg": math.degrees(landed), "asked_deg": round(math.degrees(angle), 9)}
             rows.append(row | _signal(description, shots, roi, dark) | {"patch": where})
             table = pd.DataFrame(rows)
             table["flag"] = np.where(table["saturated"] > 0, "saturated", "")

@@ -56,6 +56,7 @@ def move(
 
     wanted = _angles(goals)
     bench = _bench(rig, "arms")
+    bench.goals(**wanted)  # whatever is wrong with them is said before anything is opened
     if bench.repeatable:
         console.note("a simulated rig exists for the length of one command, and starts parked")
     with _told_where(bench), bench:
@@ -63,7 +64,7 @@ def move(
             bench.hold()
         moved = bench.move(**wanted)
     if moved.branch:
-        console.show(moved.branch)
+        print(moved.branch)
     for name, angle in moved.landed.items():
         asked = round(math.degrees(moved.asked[name]), 6) + 0.0
         console.show(f"{name} {math.degrees(angle):.3f} deg (asked for {asked:g})")
@@ -292,6 +293,8 @@ def scan(
     bench = _bench(rig, "arms", "light", "camera", sample=sample, seed=seed)
     for angle in angles:
         bench.check({axis: angle})
+    if others:
+        bench.goals(**others)
     if wavelength is not None:
         bench.choose_band(wavelength)
     taken: list[pd.DataFrame] = []
@@ -551,7 +554,8 @@ def _told_where(bench: Bench, device: str = "arms") -> Iterator[None]:
     except (KeyboardInterrupt, Interrupted):
         raise Interrupted(f"interrupted; {_where(bench)}") from None
     except DeviceError:
-        console.note(_where(bench))
+        if bench.entered:
+            console.note(_where(bench))
         raise
 
 

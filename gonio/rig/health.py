@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+LANDING_DEG = 0.25
+"""An axis that was sent to its limit stands within this of it: a servo's backlash, as its maker advertises it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Reading:
@@ -21,10 +24,11 @@ class Reading:
 
     @property
     def good(self) -> bool:
-        """Whether a number lies within its limits; what has none is good."""
+        """Whether a number lies within its limits; what has none is good. An axis may have landed just beyond one."""
         if self.limit is None or isinstance(self.value, str):
             return True
-        return self.limit[0] <= self.value <= self.limit[1]
+        beyond = LANDING_DEG if self.unit == "deg" else 0.0
+        return self.limit[0] - beyond <= self.value <= self.limit[1] + beyond
 
 
 @dataclass(frozen=True, slots=True)
