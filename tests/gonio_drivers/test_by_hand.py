@@ -286,7 +286,7 @@ def test_a_frame_needs_the_camera_alone(twins: Twins, tmp_path: Path, name: str)
     if name.endswith(".dng"):
         from gonio.rig.dng import read_raw
 
-        mosaic = read_raw(tmp_path / name).mosaic
+        mosaic: Any = read_raw(tmp_path / name).mosaic
     else:
         import cv2
 
@@ -328,7 +328,7 @@ def test_a_scan_that_is_cut_short_keeps_what_it_has(twins: Twins, tmp_path: Path
             twins.servos["light"].restart()
         return real(exposure_s)
 
-    twins.camera._expose = failing  # type: ignore[method-assign]
+    twins.camera._expose = failing
     rig = written(twins, tmp_path)
     done = run(tmp_path, "rig", "scan", "light", "--from", "0", "--to", "20", "--step", "5", "--rig", rig)
     assert done.returncode == 3
