@@ -75,6 +75,7 @@ def _asked(joint: Joint) -> list[Reading]:
     block = joint.bus.read(joint.id, address, size)
     value = {n: table[n].decode(block, address) for n in joints.REPORTED if n in table}
     highest, lowest = joint.get("Max Voltage Limit") / 10, joint.get("Min Voltage Limit") / 10
+    moving = bool(value["Moving"]) or bool(value["Moving Status"] & joints.PROFILE_ONGOING)
     places = [joint.get("Present Position") for _ in range(LOOKS)]
     error = joint.get("Hardware Error Status")
     hottest = joint.get("Temperature Limit") or joint.max_temperature_c
@@ -84,6 +85,7 @@ def _asked(joint: Joint) -> list[Reading]:
         Reading(name, "temperature", value["Present Temperature"], "C", (-math.inf, hottest)),
         _current(joint, value.get("Present Current", value.get("Present Load", 0))),
         volts,
+        Reading(name, "motion", "moves" if moving else "still"),
         Reading(name, "torque", "holds" if joint.get("Torque Enable") == 1 else "off"),
         Reading(name, "error", dynamixel.hardware_error(error) if error else "none"),
     ]

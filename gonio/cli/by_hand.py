@@ -33,6 +33,8 @@ SampleOption = Annotated[Path | None, typer.Option(help="What a simulated rig lo
 WavelengthOption = Annotated[
     float | None, typer.Option("--wavelength", help="The band that contains it [nm].", show_default=False)
 ]
+AT_REST_S = 4.0
+"""A stopped axis stands still by then."""
 LOOK_S = 1.0
 """How often a lamp that is lit is looked at."""
 
@@ -210,6 +212,7 @@ def read(
 def _said(quantity: str, value: float | str, unit: str) -> str:
     if isinstance(value, str):
         return {"torque": f"torque {value}", "error": f"error: {value}"}.get(quantity, value)
+    value = round(value, 9) + 0.0  # no -0
     digits = {"deg": ".2f", "V": ".1f", "C": ".0f", "mA": ".0f"}.get(unit, ".4g")
     named = "" if unit else f"{quantity} "
     return f"{named}{value:{digits}} {unit}".strip()
@@ -321,7 +324,8 @@ def scan(
         console.show(f"largest signal {signals[top]:.5g} DN/s at {axis} {places[top]:.3f} deg")
     if len(good) < len(taken[0]):
         console.show(f"{len(taken[0]) - len(good)} angles saturated")
-    console.note("the lamp is dark" + ("; the axes hold, until gonio rig park" if bench.can_hold else ""))
+    holds = bench.can_hold and not bench.repeatable
+    console.note("the lamp is dark" + ("; the axes hold, until gonio rig park" if holds else ""))
 
 
 @contextlib.contextmanager
@@ -562,13 +566,28 @@ def _told_where(bench: Bench, device: str = "arms") -> Iterator[None]:
 def _where(bench: Bench) -> str:
     if not hasattr(bench, "survey"):
         return "where the axes stand is not known: look at them"
-    health = bench.read_arms()
+    health, before, end = bench.read_arms(), None, time.monotonic() + AT_REST_S
+    while time.monotonic() < end and (_moves(health) or _angles_of(health) != before):
+        before = _angles_of(health)  # a servo that was stopped at speed overshoots, and comes back
+        time.sleep(LOOK_S / 10)
+        health = bench.read_arms()
     said = []
     for name in bench.description.axes():
         angle, torque = health.of(name, "angle"), health.of(name, "torque")
         if isinstance(angle, float):
             held = "" if torque is None else ", holds" if torque == "holds" else ", torque off"
+            held += ", and moves still" if health.of(name, "motion") == "moves" else ""
             said.append(f"{name} {angle:.2f} deg{held}")
         else:
             said.append(f"{name} not known ({health.silent.get(name, 'no answer')})")
     return "the axes stand now: " + "; ".join(said)
+
+
+def _moves(health: Health) -> bool:
+    return any(r.quantity == "motion" and r.value == "moves" for r in health.readings)
+
+
+def _angles_of(health: Health) -> dict[str, int]:
+    """Angles in tenths of a degree, so that a flickering encoder stands still."""
+    found = (r for r in health.readings if r.quantity == "angle")
+    return {r.device: round(10 * float(r.value)) for r in found}
