@@ -50,6 +50,8 @@ class SerialLight:
         self._warm_up_s = description.lamp.warm_up_s
         self._line = LampLine(light.port, self._dialect)
         self._guard: Guard | None = None
+        self.limit_s = 0.0
+        """The guard darkens the lamp so long after it was opened, even if this program stands still; 0: never."""
         self._channel = light.channel
         self._band: Band | None = None
         self._lit_since: float | None = None
@@ -68,7 +70,7 @@ class SerialLight:
         try:
             self._wake()
             self.off()
-            self._guard = Guard(self._light.port, self._baud, self._orders_to_darken())
+            self._guard = Guard(self._light.port, self._baud, self._orders_to_darken(), self.limit_s)
             try:
                 self._guard.start()
             except OSError as error:

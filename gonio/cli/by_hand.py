@@ -33,6 +33,8 @@ SampleOption = Annotated[Path | None, typer.Option(help="What a simulated rig lo
 WavelengthOption = Annotated[
     float | None, typer.Option("--wavelength", help="The band that contains it [nm].", show_default=False)
 ]
+OVERDUE_S = 10.0
+"""A lamp is late by so much where the command that should have darkened it stands still; opening it is in that."""
 AT_REST_S = 4.0
 """A stopped axis stands still by then."""
 LOOK_S = 1.0
@@ -144,6 +146,8 @@ def lamp(
     if not math.isfinite(seconds):
         raise ConfigError(f"--for {seconds:g}: must be a number of seconds")
     bench = _bench(rig, "light")
+    if hasattr(bench.light, "limit_s"):
+        bench.light.limit_s = seconds + OVERDUE_S
     with _told_dark():
         with bench:
             end = time.monotonic() + seconds

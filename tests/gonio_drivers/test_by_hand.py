@@ -272,6 +272,25 @@ def test_the_lamp_is_dark_however_its_command_ends(twins: Twins, tmp_path: Path,
         assert "interrupted; the lamp is dark" in said
 
 
+def test_the_lamp_goes_dark_in_time_though_its_command_stands_still(twins: Twins, tmp_path: Path) -> None:
+    program = "from gonio.cli import by_hand, main; by_hand.OVERDUE_S = 2.0; main()"
+    command = [sys.executable, "-c", program, "rig", "lamp", "on", "--for", "0.5"]
+    with subprocess.Popen(
+        [*command, "--rig", str(written(twins, tmp_path))], stderr=subprocess.PIPE, text=True
+    ) as child:
+        assert child.stderr is not None
+        while "lamp lit" not in (line := child.stderr.readline()):
+            assert line, "it ended"
+        child.send_signal(signal.SIGSTOP)
+        end = time.monotonic() + LONGEST_S
+        while twins.lamp.shine.lit:
+            assert time.monotonic() < end
+        child.send_signal(signal.SIGCONT)
+        said = child.stderr.read()
+    assert "lamp dark" in said
+    assert not twins.lamp.shine.lit
+
+
 # ---- frames, scans, zeros ----
 
 
