@@ -13,7 +13,7 @@ import logging
 import math
 import statistics
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from types import TracebackType
 from typing import NoReturn, Self
@@ -21,7 +21,7 @@ from typing import NoReturn, Self
 from gonio.errors import ConfigError, DeviceError, Disturbed
 from gonio.rig import Pose, Target
 from gonio.rig.description import RigDescription
-from gonio_drivers import joints, settings, watchdog
+from gonio_drivers import joints, presence, settings, watchdog
 from gonio_drivers.arrival import LARGEST_CORRECTION_DEG, STILL_COUNTS
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.joints import Joint
@@ -77,17 +77,33 @@ class ServoArms:
         """An axis has failed: nothing moves any more until the rig is opened again."""
         self.stopped = False
         """Somebody has called `stop` since the last move."""
+        self.partial = False
+        """Open those axes whose servos answer and are well; without it, all or none."""
+        self.holds = self._servos.on_exit == "hold"
+        """The torque stays on when this is left."""
+        self.absent: dict[str, DeviceError] = {}
+        """Axes that could not be opened (`partial`), and why; they are missing from `joints`."""
+        self._all = dict(self.joints)
 
     # ---- opening and leaving ----
 
     def __enter__(self) -> Self:
         self.bus.__enter__()
         try:
-            for joint in self.joints.values():
+            self.joints.clear()
+            self.joints.update(self._all)
+            self.absent = presence.leave_out(self.bus, self.joints) if self.partial else {}
+            for joint in self.joints.values() if not self.partial else ():
                 joint.identify()
-            for joint in self.joints.values():
-                joint.prepare(self._servos.acceleration_deg_per_s2, self._approach_deg)
-            self.read()
+            for name, joint in list(self.joints.items()):
+                try:
+                    joint.prepare(self._servos.acceleration_deg_per_s2, self._approach_deg)
+                except DeviceError as failure:
+                    if not self.partial or len(self.joints) == 1:
+                        raise
+                    self.absent[name] = failure
+                    del self.joints[name]
+            self._readback()
         except BaseException as error:
             self.__exit__(type(error), error, error.__traceback__)
             raise
@@ -97,7 +113,7 @@ class ServoArms:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            failures = self._let_go() if self._servos.on_exit == "torque-off" else []
+            failures = [] if self.holds else self._let_go()
         finally:
             self.bus.__exit__(kind, error, trace)
         if failures and error is None and not self.faulted:
@@ -128,7 +144,24 @@ class ServoArms:
         DeviceError
             An axis does not land, or a servo is unwell; every axis has been stopped.
         """
+        self._require_all()
         return self._move(self._checked(goal))
+
+    def jog(self, goals: Mapping[str, float]) -> dict[str, float]:
+        """Drive some axes [rad], and leave the others where they are; the readback of those [rad]; errors of `move`."""
+        for name in goals:
+            if name in self.absent:
+                raise DeviceError(f"axis {name} cannot be moved: {self.absent[name]}")
+            if name not in AXES or name not in self.joints:
+                known = ", ".join(n for n in self._all if n in AXES)
+                raise ConfigError(f"the rig has no axis {name}; it has {known}")
+        landed = self._move(self._checked(Pose(**goals), tuple(goals)))
+        return {name: float(getattr(landed, name)) for name in goals}
+
+    def _require_all(self) -> None:
+        """Raise where an axis is absent: what it would be said to read, or to do, would not be true."""
+        for name, failure in self.absent.items():
+            raise DeviceError(f"axis {name} is missing: {failure}")
 
     def _move(self, goals: Mapping[str, float]) -> Pose:
         if self.faulted:
@@ -149,6 +182,7 @@ class ServoArms:
 
     def read(self) -> Pose:
         """The encoders' readback, now [rad]; `last` keeps it with its time."""
+        self._require_all()
         return self._readback().pose
 
     def stop(self) -> None:
@@ -189,10 +223,21 @@ class ServoArms:
                 self._motion.send(here)
 
     def park(self) -> None:
-        """Drive to the rest position."""
-        goals = {"light": self.joints["light"].limits_deg[0], "camera": self.joints["camera"].limits_deg[1]}
-        goals |= {n: j.servo.park_deg for n, j in self.joints.items() if j.servo.park_deg is not None}
-        self.move(Pose(**{name: math.radians(angle) for name, angle in goals.items()}))
+        """Drive every axis that is there to its rest position.
+
+        Raises
+        ------
+        DeviceError
+            As of `move`; or axes are absent, and the others have been parked.
+        """
+        goals = dict.fromkeys((name for name in self._all if name in AXES), 0.0)
+        goals |= {"light": self._all["light"].limits_deg[0], "camera": self._all["camera"].limits_deg[1]}
+        goals |= {n: j.servo.park_deg for n, j in self._all.items() if n in AXES and j.servo.park_deg is not None}
+        self.jog({name: math.radians(angle) for name, angle in goals.items() if name in self.joints})
+        if self.absent:
+            parked = ", ".join(name for name in goals if name in self.joints) or "no axis"
+            why = "; ".join(f"{name}: {failure}" for name, failure in self.absent.items())
+            raise DeviceError(f"parked: {parked}; not parked, and where it stands is not known: {why}")
 
     def change(self, target: Target) -> None:
         """Put sample or white reference into the beam, by the servo of the changer."""
@@ -254,10 +299,10 @@ class ServoArms:
 
     # ---- moving ----
 
-    def _checked(self, goal: Pose) -> dict[str, float]:
+    def _checked(self, goal: Pose, names: Sequence[str] = AXES) -> dict[str, float]:
         """Goals [deg] by axis, or `ConfigError`."""
         out = {}
-        for name in AXES:
+        for name in names:
             angle = math.degrees(getattr(goal, name))
             if not math.isfinite(angle):
                 raise ConfigError(f"{name} = {angle}: a goal must be a finite angle")

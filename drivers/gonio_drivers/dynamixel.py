@@ -46,6 +46,8 @@ QUIET_S = 0.060
 TRIES = 4
 ENOUGH = 3
 """Sync reads without any answer, of servos that answer one by one, after which no more are asked."""
+LONGEST = 16_384
+"""Bytes; the answers of all servos that a bus can have are fewer."""
 BABBLE_S = 1.0
 """A line that does not fall silent for this long never does."""
 BAUD_RATES = (57_600, 1_000_000, 115_200, 2_000_000, 3_000_000, 4_000_000, 9_600)
@@ -149,6 +151,29 @@ class Bus:
         """Change a servo's control table."""
         request = address.to_bytes(2, "little") + data
         self._repeat(identity, lambda: self._transact(identity, INST_WRITE, request, 0))
+
+    def overhear(self, identity: int, instruction: int, parameters: bytes = b"", *, listen_s: float) -> bytes:
+        """Everything that comes over the line after one request, whoever sends it, for at least `listen_s`.
+
+        For what answers of one servo cannot tell: whether two answer to one id.
+        """
+        length = len(parameters) + 3
+        request = [0, 0, 0, 0, identity, length & 0xFF, length >> 8, instruction, *parameters, 0, 0]
+        heard = b""
+        with self._lock:
+            try:
+                self._calm(0.0)
+                self._packets.txPacket(self._port, request)
+                end = time.monotonic() + listen_s
+                while more := self._port.readPort(1024) or time.monotonic() < end:
+                    heard += more if isinstance(more, bytes) else b""
+                    if len(heard) > LONGEST:
+                        break
+            except ports.FAILURES as error:
+                raise ports.lost(self.port, error, f"{self.key}.port") from None
+            finally:
+                self._port.is_using = False
+        return heard
 
     # ---- several servos ----
 

@@ -3,6 +3,9 @@
 The guard is a small process beside the program that lights the lamp. It waits at a pipe: a byte says that the lamp was
 left in order, and the end of the pipe without one says that the program is dead. Then it sends the commands that darken
 the lamp, unless another program has the port by now: that one darkens it by itself.
+
+It can be given a time as well, for a program that may stand still (SIGSTOP, a debugger, a swapped-out computer): when
+that is over it darkens the lamp over the head of the program, whose port it is still.
 """
 
 from __future__ import annotations
@@ -10,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import select
 import subprocess
 import sys
 import termios
@@ -32,10 +36,14 @@ class Guard:
         Where the lamp is.
     orders
         The commands that darken it, as they go over the line.
+    limit_s
+        Darken it after so long, whatever the program does; 0 for no limit.
     """
 
-    def __init__(self, port: str, baud: int, orders: list[bytes]) -> None:
-        self._command = [sys.executable, "-I", "-S", __file__, port, str(baud), *(order.hex() for order in orders)]
+    def __init__(self, port: str, baud: int, orders: list[bytes], limit_s: float = 0.0) -> None:
+        self._command = [
+            sys.executable, "-I", "-S", __file__, port, str(baud), str(limit_s), *(order.hex() for order in orders)
+        ]  # fmt: skip
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
@@ -70,9 +78,9 @@ def _locked(line: int) -> bool:
             time.sleep(POLL_S)
 
 
-def _darken(port: str, baud: int, orders: list[bytes]) -> None:
+def _darken(port: str, baud: int, orders: list[bytes], *, alone: bool) -> None:
     line = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-    if not _locked(line):
+    if alone and not _locked(line):
         return
     tty.setraw(line)
     state = termios.tcgetattr(line)
@@ -86,5 +94,9 @@ def _darken(port: str, baud: int, orders: list[bytes]) -> None:
 
 
 if __name__ == "__main__":
+    to_darken = sys.argv[1], int(sys.argv[2]), [bytes.fromhex(order) for order in sys.argv[4:]]
+    limit_s = float(sys.argv[3])
+    if limit_s > 0 and not select.select([sys.stdin], [], [], limit_s)[0]:
+        _darken(*to_darken, alone=False)
     if not sys.stdin.buffer.read(1):
-        _darken(sys.argv[1], int(sys.argv[2]), [bytes.fromhex(order) for order in sys.argv[3:]])
+        _darken(*to_darken, alone=True)

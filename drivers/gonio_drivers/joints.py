@@ -25,6 +25,8 @@ POSITION_MODE = 3
 SHADOW, LAST_ID, NO_ID = "Secondary(Shadow) ID", 252, 255
 PROFILE_ONGOING = 0x02
 """Bit of the Moving Status."""
+HELD_DEG = 2.0
+"""A servo that holds stands this close to its goal, corrections for friction included."""
 HOT_MARGIN_C = 3
 """Stop this far below the temperature at which the servo would let go by itself."""
 
@@ -109,9 +111,13 @@ class Joint:
     def identify(self) -> None:
         """Raise `DeviceError` where no servo with this id answers, or one of another model than the file says."""
         try:
-            number, _ = self.bus.ping(self.id)
+            self.identify_model()
         except dynamixel.BusError:
             raise DeviceError(self._who_is_there()) from None
+
+    def identify_model(self) -> None:
+        """The same without a search for what answers instead: raises `BusError` where nothing answers."""
+        number, _ = self.bus.ping(self.id)
         found = control_table.models().get(number, f"model number {number}")
         if found != self.servo.model.lower():
             raise DeviceError(
@@ -171,8 +177,9 @@ class Joint:
                 f"axis {self.name} stands at count {position}, outside the servo's limits, {self.count_limits[0]} "
                 f"to {self.count_limits[1]}; turn it by hand to where it may stand, then try again"
             )
-        self._clear_watchdog()
-        self.write("Goal Position", position)  # goal = present, so that torque moves nothing
+        released = self._clear_watchdog()
+        if released or not self._holds(position):
+            self.write("Goal Position", position)  # goal = present, so that torque moves nothing
         self.write("Torque Enable", 1)
         if self.get("Torque Enable") != 1:
             raise DeviceError(f"axis {self.name}: servo id {self.id} does not take its torque")
@@ -195,8 +202,17 @@ class Joint:
         start = self.table["Profile Acceleration"].address
         return {n: self.table[n].decode(block, start) for n in ("Profile Acceleration", "Profile Velocity")}
 
-    def _clear_watchdog(self) -> None:
-        """One that has run out bars every goal, and tells of a program that died; old firmware has none."""
+    def _holds(self, position: int) -> bool:
+        """Whether the servo stands and holds: a load keeps it off its goal, and a new goal there would let it sag."""
+        if self.get("Torque Enable") != 1 or self.get("Moving") or self.get("Moving Status") & PROFILE_ONGOING:
+            return False
+        return self.distance_deg(self.get("Goal Position"), position) <= HELD_DEG
+
+    def _clear_watchdog(self) -> bool:
+        """One that has run out bars every goal, and tells of a program that died; old firmware has none.
+
+        True where it had run out.
+        """
         found = watchdog.OFF
         try:
             found = self.get(watchdog.ITEM)
@@ -216,6 +232,7 @@ class Joint:
                 "axis %s: servo id %d had stopped by itself, because a program died or its cable was pulled in the "
                 "middle of a move; released", self.name, self.id,
             )  # fmt: skip
+        return found == watchdog.RUN_OUT
 
     def check_reach(self, approach_deg: float) -> None:
         """The axis's limits, with the way of approach, must lie within the servo's limits."""

@@ -11,24 +11,26 @@ import logging
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from types import FrameType, TracebackType
 from typing import Any, Self
 
 from gonio.config import Strict, parse
-from gonio.errors import DeviceError, GonioError, Interrupted
-from gonio.rig import Frame, Step, Target, ask_for
+from gonio.errors import ArgumentError, DeviceError, GonioError, Interrupted
+from gonio.rig import Device, Frame, Health, Step, Target, ask_for
 from gonio.rig.description import RigDescription, SampleDescription
-from gonio_drivers import cameras, diagnosis
+from gonio_drivers import cameras, diagnosis, survey
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.light import LampReset, SerialLight
+from gonio_drivers.service import ServoService
 from gonio_drivers.settings import Devices
 
 log = logging.getLogger("gonio.devices")
 
 RETAKES = 3
+ALL: tuple[Device, ...] = ("light", "arms", "camera")
 ENDING = (
     signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM, signal.SIGVTALRM,
     signal.SIGPROF, signal.SIGXCPU,
@@ -42,6 +44,8 @@ class GuardedCamera:
     def __init__(
         self, camera: cameras.OpenableCamera, light: SerialLight, arms: ServoArms, clock: Callable[[], float]
     ) -> None:
+        self.watched: frozenset[str] = frozenset(ALL)
+        """The devices beside it that are open, and looked at after each frame."""
         self._camera = camera
         self._clock = clock
         self._light = light
@@ -58,9 +62,11 @@ class GuardedCamera:
         for _ in range(RETAKES):
             begun = self._clock()
             frame = self._camera.capture(exposure_s)
-            self._arms.still()
+            if "arms" in self.watched:
+                self._arms.still()
             try:
-                self._light.check()
+                if "light" in self.watched:
+                    self._light.check()
             except LampReset as reset:
                 log.warning("%s during an exposure; the frame is taken again", reset)
                 continue
@@ -88,8 +94,12 @@ class LabRig:
         self._camera = cameras.build(description, devices.camera)
         self._clock_starts = time.time() - time.monotonic()
         self.camera = GuardedCamera(self._camera, self.light, self.arms, self.time_s)
+        self._camera_driver = str(devices.camera.get("driver"))
         self._confirm = confirm
         self._target: Target = "sample"
+        self._opened: frozenset[str] = frozenset(ALL)
+        self._holds_on_exit = self.arms.holds
+        self._stays = False
         self._stack = contextlib.ExitStack()
 
     def begin(self, step: Step) -> None:
@@ -108,16 +118,52 @@ class LabRig:
         """Seconds since 1970, so that the sittings of one run share a clock; it does not jump within a sitting."""
         return self._clock_starts + time.monotonic()
 
+    # ---- ByHand ----
+
+    def only(self, *devices: Device) -> None:
+        """Called before the rig is entered: what is not named is neither opened nor needed, and stays as it is."""
+        for name in devices:
+            if name not in ALL:
+                raise ArgumentError(f'devices: there is no "{name}"; there are {", ".join(ALL)}')
+        self._opened = self.camera.watched = frozenset(devices)
+        self.arms.partial = "arms" in devices
+
+    def hold(self) -> None:
+        """On leaving, the arms stay where they stand and hold, instead of parking; the lamp is darkened as ever."""
+        self._stays = self.arms.holds = True
+
+    def jog(self, goals: Mapping[str, float]) -> dict[str, float]:
+        """Drive some axes [rad] and leave the others; the readback of those that moved [rad]."""
+        return self.arms.jog(goals)
+
+    def health(self) -> Health:
+        """What servos and lamp say of themselves now, as far as they are open."""
+        health = survey.of_open_arms(self.arms) if "arms" in self._opened else Health()
+        return health + survey.of_open_light(self.light) if "light" in self._opened else health
+
+    def survey(self, *devices: Device) -> Health:
+        """What the devices say that nobody has opened; nothing is changed by it."""
+        health = Health()
+        for name in devices or ALL:
+            if name == "arms":
+                health += survey.of_arms(self.arms)
+            elif name == "light":
+                health += survey.of_light(self.light)
+            elif name == "camera":
+                health += survey.of_camera(self._camera, self._camera_driver)
+        return health
+
     def diagnose(self, *, move: bool) -> list[tuple[str, str, bool]]:
         """What `gonio rig check` reports of the devices: what, what was found, whether that is good."""
         return diagnosis.rows(self.arms, self.light, move=move)
 
     def __enter__(self) -> Self:
+        self._stays, self.arms.holds = False, self._holds_on_exit
         with contextlib.ExitStack() as stack:
             stack.enter_context(_signals())
-            stack.enter_context(self.light)
-            stack.enter_context(self.arms)
-            stack.enter_context(self._camera)
+            for name, device in (("light", self.light), ("arms", self.arms), ("camera", self._camera)):
+                if name in self._opened:
+                    stack.enter_context(device)
             self._stack = stack.pop_all()
         return self
 
@@ -127,11 +173,12 @@ class LabRig:
         failure: GonioError | None = None
         try:  # whatever interrupts this, the stack still darkens the lamp and takes the torque off
             try:
-                self.light.off()
+                if "light" in self._opened:
+                    self.light.off()
             except GonioError as dark:
                 failure = dark
             stopped = self.arms.stopped and not isinstance(error, DeviceError)  # by somebody, and not after a failure
-            if not self.arms.faulted and not stopped:
+            if not self.arms.faulted and not stopped and not self._stays and "arms" in self._opened:
                 self.arms.park()
         except Interrupted:
             raise Interrupted(
@@ -190,8 +237,8 @@ class _File(Strict):
 
 
 @dataclass(frozen=True, slots=True)
-class LabPlugin:
-    """The entry point `lab` of the group `gonio.rigs`."""
+class LabPlugin(ServoService):
+    """The entry point `lab` of the group `gonio.rigs`, with work on single servos."""
 
     @property
     def toml(self) -> str:

@@ -7,9 +7,11 @@ only when its controller says so. It is darkened when the port is opened, when i
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import re
 import time
+from collections.abc import Iterator
 from types import TracebackType
 from typing import Self
 
@@ -42,11 +44,14 @@ class SerialLight:
 
     def __init__(self, description: RigDescription, light: settings.Light) -> None:
         self._light = light
+        self._usual = light.level
         self._dialect = dialect(light.dialect)
         self._bands = description.bands.all()
         self._warm_up_s = description.lamp.warm_up_s
         self._line = LampLine(light.port, self._dialect)
         self._guard: Guard | None = None
+        self.limit_s = 0.0
+        """The guard darkens the lamp so long after it was opened, even if this program stands still; 0: never."""
         self._channel = light.channel
         self._band: Band | None = None
         self._lit_since: float | None = None
@@ -61,13 +66,11 @@ class SerialLight:
                 raise ConfigError(f'devices.light.channels."{name}": the rig has no such band; it has {known}')
 
     def __enter__(self) -> Self:
-        ports.require_free(self._light.port, "devices.light.port")
-        baud = int(self._light.baud or self._dialect.baud)
-        self._line.open(baud)
+        self._open()
         try:
             self._wake()
             self.off()
-            self._guard = Guard(self._light.port, baud, self._orders_to_darken())
+            self._guard = Guard(self._light.port, self._baud, self._orders_to_darken(), self.limit_s)
             try:
                 self._guard.start()
             except OSError as error:
@@ -86,6 +89,16 @@ class SerialLight:
             dark = True
         finally:
             self._close(in_order=dark)
+
+    @contextlib.contextmanager
+    def looked_at(self) -> Iterator[None]:
+        """Opened to be asked, and left as it is: nothing is lit or darkened, and nobody guards it."""
+        self._open()
+        try:
+            self._wake()
+            yield
+        finally:
+            self._line.close()
 
     # ---- LightDevice ----
 
@@ -163,6 +176,21 @@ class SerialLight:
         time.sleep(self._light.settle_s)
         raise LampReset("the lamp went dark, or lost its settings, by itself")
 
+    def dim(self, level: float | None) -> None:
+        """Shine at another level (above 0, at most 1) than the rig file's, from the next `on`; None: the file's."""
+        self._light = self._light.model_copy(update={"level": self._usual if level is None else level})
+
+    def state(self) -> tuple[bool, float]:
+        """Whether the controller says that it is lit (a channel of several is enough), and its level from 0 to 1."""
+        d = self._dialect
+        lit = False
+        for channel in self._channels_to_darken():
+            answer = self._line.ask(d.state.format(channel=channel), f"{d.state_on}|{d.state_off}")
+            if not re.fullmatch(f"{d.state_on}|{d.state_off}", answer):
+                raise DeviceError(f'the lamp on {self._light.port} says of its state: "{answer}"; is it lit or dark?')
+            lit = lit or re.fullmatch(d.state_on, answer) is not None
+        return lit, self._line.number(d.get.format(channel=self._channel), d.got) / d.full_scale
+
     def monitor(self) -> float | None:
         """Reading of the monitor photodiode in its own unit; None where the controller has none."""
         d = self._dialect
@@ -174,6 +202,14 @@ class SerialLight:
         return f"{self.identity or self._dialect.name} on {self._light.port}"
 
     # ---- inside ----
+
+    @property
+    def _baud(self) -> int:
+        return int(self._light.baud or self._dialect.baud)
+
+    def _open(self) -> None:
+        ports.require_free(self._light.port, "devices.light.port")
+        self._line.open(self._baud)
 
     def _wake(self) -> None:
         d = self._dialect

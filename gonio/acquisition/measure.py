@@ -97,31 +97,6 @@ def find_rig(name: str) -> RigChoice:
     return RigChoice(plugin, parse(RigDescription, tomllib.loads(plugin.toml), f'rig file of "{name}"'), name)
 
 
-def open_rig(
-    name: str, *, sample: str | Path | SampleDescription | None = None, seed: int = 0, confirm: bool = False
-) -> Rig:
-    """A rig by its name or its rig file, built and not yet entered: `with open_rig("sim", sample="s.toml") as rig:`.
-
-    Parameters
-    ----------
-    name
-        "sim", "sim-ideal", another entry point, or the path of a rig file.
-    sample
-        Of a simulated rig: a sample file, or what it holds.
-    seed
-        Of a simulated rig's noise.
-    confirm
-        Ask somebody before sample and reference are taken as swapped.
-
-    Raises
-    ------
-    ConfigError
-        There is no such rig, file or sample, or one of them is wrong.
-    """
-    described = load_sample(sample) if isinstance(sample, (str, Path)) else sample
-    return find_rig(name).open(sample=described, seed=seed, confirm=confirm)
-
-
 def load_sample(path: str | Path) -> SampleDescription:
     """Read a sample file, and check that its model takes its parameters.
 

@@ -1,4 +1,4 @@
-"""`gonio rig list | show | check | park`."""
+"""`gonio rig list | show | check`; what a person does with single devices is in `by_hand.py`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from gonio.acquisition.measure import RigChoice
     from gonio.rig import Rig
 
-app = typer.Typer(help="List, show, check and park rigs.", no_args_is_help=True)
+app = typer.Typer(help="List, show and check rigs, and work on them by hand.", no_args_is_help=True)
 
 Row = tuple[str, str, bool]
 LITTLE_DEG = 2.0
@@ -75,20 +75,6 @@ def check(
         raise DeviceError(
             f'rig "{choice.description.name}": {len(bad)} of {len(rows)} checks are bad: {"; ".join(bad)}'
         )
-
-
-@app.command()
-def park(
-    rig: Annotated[str, typer.Option(help="A rig's name, or a rig file.", show_default=False)],
-) -> None:
-    """Darken the lamp, and drive every axis to its rest position."""
-    from gonio.acquisition.measure import find_rig
-    from gonio.cli import console
-
-    choice = find_rig(rig)
-    with _interruptible(), choice.naming(), choice.open():
-        pass  # leaving a rig parks it
-    console.note(f"{choice.description.name}: lamp dark, arms parked")
 
 
 @contextlib.contextmanager

@@ -1,14 +1,19 @@
 """What a goniometer is: its description, the protocols of its devices, its geometry and its raw frames."""
 
+from gonio.rig.health import Health, Reading
 from gonio.rig.prompt import PROMPTS, ask_for
 from gonio.rig.protocols import (
     ArmsDevice,
+    ByHand,
     CameraDevice,
+    Device,
+    FoundServo,
     Frame,
     LightDevice,
     Pose,
     Rig,
     RigPlugin,
+    RigService,
     Step,
     Target,
 )
@@ -16,12 +21,18 @@ from gonio.rig.protocols import (
 __all__ = [
     "PROMPTS",
     "ArmsDevice",
+    "ByHand",
     "CameraDevice",
+    "Device",
+    "FoundServo",
     "Frame",
+    "Health",
     "LightDevice",
     "Pose",
+    "Reading",
     "Rig",
     "RigPlugin",
+    "RigService",
     "Step",
     "Target",
     "ask_for",

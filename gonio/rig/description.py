@@ -75,8 +75,16 @@ class Holder(Axis):
     axes: tuple[Literal["tilt", "spin"], ...] = ()
     tilt_limits_deg: tuple[float, float] = (-80.0, 80.0)
     spin_limits_deg: tuple[float, float] = (-180.0, 180.0)
+    tilt_zero_offset_deg: float | None = None
+    """Instead of `zero_offset_deg`, which is that of both axes."""
+    spin_zero_offset_deg: float | None = None
     sample_diameter_mm: Positive = 20.0
     holder_albedo: Fraction = 0.03
+
+    def of(self, name: str) -> Holder:
+        """The holder as one of its axes, "tilt" or "spin", has it."""
+        own: float | None = getattr(self, f"{name}_zero_offset_deg")
+        return self if own is None else self.model_copy(update={"zero_offset_deg": own})
 
     @model_validator(mode="after")
     def _sound(self) -> Holder:
@@ -280,10 +288,10 @@ class RigDescription(Strict):
         """The axes that this rig has, by the name of their field in a `gonio.rig.protocols.Pose`, in the order of
         those fields.
 
-        Tilt and spin are both `holder`.
+        Tilt and spin are both `holder`, each with its own zero where it has one.
         """
         out: dict[str, Axis] = {"light": self.arms.light, "camera": self.arms.camera}
-        out |= {name: self.holder for name in ("tilt", "spin") if name in self.holder.axes}
+        out |= {name: self.holder.of(name) for name in ("tilt", "spin") if name in self.holder.axes}
         if self.arms.azimuth is not None:
             out["azimuth"] = self.arms.azimuth
         return out

@@ -257,6 +257,13 @@ def patch_extent(description: RigDescription, view: View, target: Target = "samp
     return float(columns.min()), float(columns.max()), float(rows.min()), float(rows.max())
 
 
+def outline(description: RigDescription, view: View, target: Target = "sample") -> tuple[Floats, Floats]:
+    """Columns and rows (fractional) of the edge of the patch around a target, once round."""
+    (x, y), radius = _centre(description, target), description.acquisition.roi_radius_mm
+    turn = np.linspace(0.0, 2 * np.pi, 65)
+    return _project(description, view, x + radius * np.cos(turn), y + radius * np.sin(turn))
+
+
 def frame_holds(description: RigDescription, extent: tuple[float, ...]) -> bool:
     """Whether the frame holds a `patch_extent` whole."""
     left, right, top, bottom = extent

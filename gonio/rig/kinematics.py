@@ -136,18 +136,34 @@ def reach(description: RigDescription, d: Directions) -> Pose:
     if apart < cone - AT_LIMIT:
         cause = f"the bodies of source and detector block {math.degrees(cone):.1f} deg around retro"
         raise Unreachable("blocked", f"source and detector are {math.degrees(apart):.1f} deg apart: {cause}", cause)
-    poses = _with_azimuth(description, one) if description.arms.azimuth is not None else _with_holder(description, one)
     fitting: list[Pose] = []
     failed: list[Unreachable] = []
-    for pose in poses:
-        try:
-            fitting.append(_inside_limits(description, pose))
-        except Unreachable as error:
-            failed.append(error)
+    for _, verdict in branches(description, d):
+        if isinstance(verdict, Pose):
+            fitting.append(verdict)
+        else:
+            failed.append(verdict)
     if not fitting:
         reasons, causes = (list(dict.fromkeys(each)) for each in (map(str, failed), (e.cause for e in failed)))
         raise Unreachable("unreachable", "; or ".join(reasons), "; or ".join(causes))
     return min(fitting, key=_preference)
+
+
+def branches(description: RigDescription, d: Directions) -> list[tuple[Pose, Pose | Unreachable]]:
+    """Every pose that would show the sample from given directions; with each, itself inside all limits, or why not.
+
+    Whether light and camera hide each other is not looked at here; raises `Unreachable` where the rig has no axis for
+    the directions.
+    """
+    one = d.floats
+    poses = _with_azimuth(description, one) if description.arms.azimuth is not None else _with_holder(description, one)
+    out: list[tuple[Pose, Pose | Unreachable]] = []
+    for pose in poses:
+        try:
+            out.append((pose, _inside_limits(description, pose)))
+        except Unreachable as error:
+            out.append((pose, error))
+    return out
 
 
 def _preference(pose: Pose) -> tuple[float, bool, bool, float]:

@@ -7,6 +7,7 @@ arms.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -16,8 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.rig.description import Band, RigDescription, SampleDescription
+from gonio.rig.health import Health
 
 Target = Literal["sample", "reference"]
+Device = Literal["arms", "light", "camera"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,3 +164,67 @@ class RigPlugin(Protocol):
 
         Raises `ConfigError` for a description that this rig cannot be built from.
         """
+
+
+class ByHand(Protocol):
+    """What a rig may offer beside `Rig`, so that a person can work on one device while others are missing.
+
+    Every method is optional by itself, and is looked for by its name. Without `only` a rig opens everything.
+    """
+
+    def only(self, *devices: Device) -> None:
+        """Called before the rig is entered: what is not named is neither opened nor needed, and stays as it is.
+
+        Of the arms those axes are opened whose servos answer; the others stand in `health().silent`.
+        """
+
+    def hold(self) -> None:
+        """On leaving, the arms stay where they stand and hold, instead of parking; the lamp is darkened as ever."""
+
+    def jog(self, goals: Mapping[str, float]) -> dict[str, float]:
+        """Drive some axes [rad] as `ArmsDevice.move` does, and leave the others; the readback of those that moved."""
+
+    def health(self) -> Health:
+        """What the devices that are open say of themselves, now."""
+
+    def survey(self, *devices: Device) -> Health:
+        """The same without being entered: each device is opened, asked and closed, and nothing is changed by it.
+
+        No torque comes or goes, and a lamp that shines goes on. A device that is missing or mute stands in `silent`
+        and raises nothing. Without `devices`, all.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class FoundServo:
+    """A servo that answers on a port."""
+
+    port: str
+    baud: int
+    id: int
+    model: str
+    firmware: int
+    alone: bool = True
+    """False where two servos answer to this id, or its answers are damaged as theirs would be."""
+
+
+class RigService(Protocol):
+    """What a rig's plugin may offer beside `open`: work on servos before the rig can be opened, or that opening spoils.
+
+    It is found by its methods; a plugin without them has no such devices.
+    """
+
+    def ports(self, description: RigDescription | None = None) -> list[str]:
+        """The serial ports that a rig file's servos hang at; without one, all that this computer has."""
+
+    def servos(self, port: str, say: Callable[[str], None]) -> list[FoundServo]:
+        """Every servo that answers on a port, at every line speed; nothing is changed. `say` hears how far it is."""
+
+    def assign(self, servo: FoundServo, *, identity: int | None = None, baud: int | None = None) -> FoundServo:
+        """Give a servo another id or line speed, for good; as it answers now. Its torque goes off.
+
+        Raises `DeviceError` where two servos answer to its id, the new one is taken, or it does not take it.
+        """
+
+    def reboot(self, description: RigDescription, axes: Sequence[str] = ()) -> dict[str, str]:
+        """Restart the servos of axes (of all, without `axes`); by axis, "" or why it failed. Their torque goes off."""

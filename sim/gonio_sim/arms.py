@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 
 from gonio.errors import ConfigError
 from gonio.rig import Pose
@@ -98,6 +98,27 @@ class SimulatedArms:
         self._drive(wanted)
         return self.read()
 
+    def jog(self, goals: Mapping[str, float]) -> Pose:
+        """Drive some axes from below, and leave the others where they stand; what all encoders read then.
+
+        Raises
+        ------
+        ConfigError
+            The rig has no such axis, or a goal [rad] is beyond a limit; nothing has moved.
+        """
+        self._world.require_open("arms")
+        for name in goals:
+            if name not in self._axes:
+                known = ", ".join(self._axes)
+                raise ConfigError(f'the rig "{self._world.description.name}" has no axis {name}; it has {known}')
+        wanted = self._checked(replace(self._inside(), **goals))
+        self._drive({name: wanted[name] for name in goals})
+        return self.read()
+
+    def _inside(self) -> Pose:
+        """A pose that no limit forbids."""
+        return Pose(**{name: limits[0] for name, limits in self._limits.items()})
+
     def read(self) -> Pose:
         """What the encoders read, now."""
         self._world.require_open("arms")
@@ -113,6 +134,8 @@ class SimulatedArms:
     def _drive(self, goals: Mapping[str, float]) -> None:
         durations = []
         for number, (name, axis) in enumerate(self._axes.items()):
+            if name not in goals:
+                continue
             durations.append((abs(goals[name] - axis.reading) + 2.0 * self._approach) / axis.speed)
             within = self._world.uniform(Stream.LANDING, self._world.step, self._moves, number)
             axis.land(goals[name], self._approach, within)

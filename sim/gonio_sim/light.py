@@ -13,6 +13,12 @@ class SimulatedLight:
     def __init__(self, world: World) -> None:
         self._world = world
         self._bands = world.description.bands.all()
+        self.level = 1.0
+        """Output while it is on, as a fraction of its largest."""
+
+    def dim(self, level: float | None) -> None:
+        """Shine at another level (above 0, at most 1), from the next `on`; None: the largest."""
+        self.level = 1.0 if level is None else level
 
     def select(self, band: Band) -> None:
         """Put a band of the rig into the beam."""
@@ -26,7 +32,7 @@ class SimulatedLight:
     def on(self) -> None:
         """Light up; the simulated lamp settles at once."""
         self._world.require_open("lamp")
-        self._world.lamp_on = True
+        self._world.lamp_on, self._world.brightness = True, self.level
 
     def off(self) -> None:
         """Darken; allowed at any time."""

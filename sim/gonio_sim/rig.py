@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from types import TracebackType
 from typing import Self
 
-from gonio.rig import Step, Target, ask_for
+from gonio.rig import Device, Health, Reading, Step, Target, ask_for
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio_sim.arms import SimulatedArms
 from gonio_sim.camera import SimulatedCamera
@@ -43,6 +45,7 @@ class SimulatedRig:
         self.light = SimulatedLight(self.world)
         self.camera = SimulatedCamera(self.world, Renderer(self.world))
         self._confirm = confirm
+        self._stays = False
 
     def begin(self, step: Step) -> None:
         """Stand at rest, with the clock and the random numbers of the step."""
@@ -57,19 +60,50 @@ class SimulatedRig:
             ask_for(target)
         self.world.target = target
 
+    # ---- ByHand: nothing is ever missing here, and nothing outlives the process ----
+
+    def only(self, *devices: Device) -> None:
+        """Everything is there, and opens with the rest."""
+
+    def hold(self) -> None:
+        """On leaving, the arms stay where they stand."""
+        self._stays = True
+
+    def jog(self, goals: Mapping[str, float]) -> dict[str, float]:
+        """Drive some axes [rad], and leave the others; the readback of those that moved."""
+        landed = self.arms.jog(goals)
+        return {name: getattr(landed, name) for name in goals}
+
+    def health(self) -> Health:
+        """Angles and lamp; simulated servos have neither temperature nor current."""
+        pose, limits = self.arms.read(), self.description.limits_deg()
+        angles = [Reading(n, "angle", math.degrees(getattr(pose, n)), "deg", limits[n]) for n in limits]
+        lamp = Reading("lamp", "state", "lit" if self.world.lamp_on else "dark")
+        level = Reading("lamp", "level", self.light.level, "", (0.0, 1.0))
+        return Health((*angles, lamp, level, Reading("frames", "state", "ready (simulated)")))
+
+    def survey(self, *devices: Device) -> Health:
+        """The same before the rig is entered: it stands as it was made, or left."""
+        was_open, self.world.open = self.world.open, True
+        try:
+            return self.health()
+        finally:
+            self.world.open = was_open
+
     def time_s(self) -> float:
         """Seconds of simulated time since the lamp was lit for the run."""
         return self.world.now_s()
 
     def __enter__(self) -> Self:
-        self.world.open, self.world.lamp_on = True, False
+        self.world.open, self.world.lamp_on, self._stays = True, False, False
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.light.off()
-        self.arms.park()
+        if not self._stays:
+            self.arms.park()
         self.camera.close()
         self.world.open = False
 

@@ -63,6 +63,8 @@ class World:
         self.seed = seed
         self.open = False
         self.lamp_on = False
+        self.brightness = 1.0
+        """Of the lamp, relative to the level that the rig file means."""
         self.band: Band | None = None
         self.target: Target = "sample"
         self.pose = Pose()
@@ -113,7 +115,7 @@ class World:
         lamp = self.description.lamp
         drift = 1.0 + lamp.drift_per_hour * self.now_s() / 3600.0
         noise = lamp.noise * self.normal(Stream.LAMP, self.step, self.frame) if lamp.noise else 0.0
-        return max(0.0, drift * (1.0 + noise))
+        return max(0.0, drift * (1.0 + noise)) * self.brightness
 
     def normal(self, stream: Stream, *address: int) -> float:
         """A standard normal number, the same at every call with the same address."""

@@ -86,8 +86,6 @@ class WireWorld(World):
     def __init__(self, description: RigDescription, sample: SampleDescription | None, seed: int, clock: Clock) -> None:
         super().__init__(description, sample, seed)
         self._clock = clock
-        self.brightness = 1.0
-        """Of the lamp, relative to the level that the rig file asks for."""
 
     def now_s(self) -> float:
         """Seconds on the twins' clock."""
@@ -95,10 +93,6 @@ class WireWorld(World):
 
     def spend(self, seconds: float) -> None:
         """Time passes without help."""
-
-    def lamp_level(self) -> float:
-        """Relative output of the lamp."""
-        return super().lamp_level() * self.brightness
 
 
 @dataclass(slots=True)

@@ -1,0 +1,217 @@
+"""Work on single servos, before a rig can be opened: who is there, other ids and line speeds, restarts.
+
+Two servos with one id answer at once. Their answers come one after the other, or damage each other; what only looks
+like one servo must not be given an id. Servos are therefore told apart by a block that no two of them agree in (clock,
+position, temperature), and by every byte that comes over the line.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+
+from dynamixel_sdk import INST_PING, INST_READ, INST_REBOOT, INST_WRITE
+
+from gonio.config import parse
+from gonio.errors import ConfigError, DeviceError, GonioError
+from gonio.rig import FoundServo
+from gonio.rig.description import RigDescription
+from gonio_drivers import control_table, dynamixel, ports, settings
+from gonio_drivers.dynamixel import Bus
+from gonio_drivers.sdk import HEADER, Packets
+
+BROADCAST = 254
+LAST_ID = 252
+EVERYBODY_S = 0.85
+"""Servos answer a broadcast ping in turn, 3 ms for each of 253 ids."""
+ONE_S = 0.06
+"""Of one servo, behind an adapter with a latency of 16 ms on a busy computer."""
+LOOKS = 3
+RESTART_S = 3.0
+CODES = {9_600: 0, 57_600: 1, 115_200: 2, 1_000_000: 3, 2_000_000: 4, 3_000_000: 5, 4_000_000: 6}
+"""Values of the item Baud Rate (ROBOTIS e-Manual, "Baud Rate(8)")."""
+TELLING = 120, 27
+"""Address and size of Realtime Tick to Present Temperature, in every model of the X series."""
+
+
+class ServoService:
+    """The protocol `gonio.rig.RigService`, for Dynamixel servos."""
+
+    __slots__ = ()
+
+    def ports(self, description: RigDescription | None = None) -> list[str]:
+        """The port of a rig file's servos; without one, all that this computer has."""
+        return ports.present() if description is None else [_servos(description).port]
+
+    def servos(self, port: str, say: Callable[[str], None]) -> list[FoundServo]:
+        """Every servo that answers on a port, at every line speed."""
+        found: list[FoundServo] = []
+        for baud in dynamixel.BAUD_RATES:
+            say(f"asking at {baud} baud")
+            with Bus(port, baud, key="devices.servos") as bus:
+                found += _at(bus)
+        return found
+
+    def assign(self, servo: FoundServo, *, identity: int | None = None, baud: int | None = None) -> FoundServo:
+        """Give a servo another id or line speed, for good; as it answers now.
+
+        Raises
+        ------
+        ConfigError
+            There is no such id or line speed.
+        DeviceError
+            It is not alone with its id, the new id is taken, or the servo does not keep it.
+        """
+        new_id = servo.id if identity is None else identity
+        new_baud = servo.baud if baud is None else baud
+        if not 0 <= new_id <= LAST_ID:
+            raise ConfigError(f"id {new_id}: ids are 0 to {LAST_ID}")
+        if new_baud not in CODES:
+            raise ConfigError(f"baud {new_baud}: servos have {', '.join(map(str, sorted(CODES)))}")
+        with Bus(servo.port, servo.baud) as bus:
+            table = control_table.of_model(servo.model)  # another series keeps its id elsewhere
+            _require_alone(bus, servo.id)
+            if new_id != servo.id and bus.overhear(new_id, INST_PING, listen_s=ONE_S):
+                raise DeviceError(f"id {new_id} is taken: a servo answers to it on {bus.port} at {bus.baud} baud")
+            _write(bus, servo.id, table["Torque Enable"].address, 0)  # or its EEPROM is locked
+            if new_id != servo.id:
+                _write(bus, servo.id, table["ID"].address, new_id)
+                _require_moved(bus, servo.id, new_id)
+            if new_baud != servo.baud:
+                _write(bus, new_id, table["Baud Rate"].address, CODES[new_baud])
+                bus.set_baud(new_baud)
+            try:
+                number, firmware = bus.ping(new_id)
+            except dynamixel.BusError as failure:
+                raise DeviceError(f"servo id {new_id} does not answer at {new_baud} baud: {failure}") from None
+        return FoundServo(servo.port, new_baud, new_id, _model(number), firmware)
+
+    def reboot(self, description: RigDescription, axes: Sequence[str] = ()) -> dict[str, str]:
+        """Restart the servos of axes (of all, without `axes`); by axis, "" or why it failed. Their torque goes off."""
+        servos = _servos(description)
+        there: dict[str, settings.ServoAxis] = {str(name): axis for name, axis in servos.axes.items()}
+        if servos.changer is not None:
+            there["changer"] = servos.changer
+        for name in axes:
+            if name not in there:
+                raise ConfigError(f"the rig has no servo of an axis {name}; it has {', '.join(there)}")
+        out: dict[str, str] = {}
+        with Bus(servos.port, servos.baud) as bus:
+            for name in axes or there:
+                try:
+                    _restart(bus, there[name].id)
+                    out[name] = ""
+                except GonioError as failure:
+                    out[name] = str(failure)
+        return out
+
+
+def _servos(description: RigDescription) -> settings.Servos:
+    """The servos' table alone: nothing else of the rig file has to be right for them."""
+    table = description.devices.get("servos")
+    if not isinstance(table, dict):
+        raise ConfigError(f'rig "{description.name}": the table devices.servos is missing')
+    return parse(settings.Servos, table, f'rig "{description.name}": devices.servos')
+
+
+def _at(bus: Bus) -> list[FoundServo]:
+    """The servos at the line speed of a bus."""
+    said: dict[int, bytes] = {}
+    stray = False
+    for _ in range(2):  # what is lost or damaged in one round is heard in another
+        heard = bus.overhear(BROADCAST, INST_PING, listen_s=EVERYBODY_S)
+        if not heard:
+            break
+        packets = list(_packets(heard))
+        said |= {packet[4]: packet for packet in packets}
+        stray = sum(map(len, packets)) < len(heard)
+    # damaged in the last round too: ids that two have damage each other's answers, and may never be heard whole
+    for identity in range(LAST_ID + 1) if stray else ():
+        if identity not in said and (heard := bus.overhear(identity, INST_PING, listen_s=ONE_S / 2)):
+            said[identity] = next(_packets(heard), b"")
+    out = []
+    for identity, packet in sorted(said.items()):
+        model = _model(packet[9] | packet[10] << 8) if len(packet) >= 14 else "not understood"
+        firmware = packet[11] if len(packet) >= 14 else 0
+        out.append(FoundServo(bus.port, bus.baud, identity, model, firmware, alone=_alone(bus, identity)))
+    return out
+
+
+def _alone(bus: Bus, identity: int) -> bool:
+    """Whether one servo, and not two, answers to an id."""
+    address, size = TELLING
+    request = address.to_bytes(2, "little") + size.to_bytes(2, "little")
+    clean = 0
+    for _ in range(LOOKS):
+        heard = bus.overhear(identity, INST_READ, request, listen_s=ONE_S)
+        packets = [packet for packet in _packets(heard) if packet[4] == identity]
+        if len(packets) > 1:
+            return False
+        clean += len(packets) == 1 and len(packets[0]) == len(heard)
+    if clean:
+        return True
+    return len(bus.overhear(identity, INST_PING, listen_s=ONE_S)) == 14  # it answers nothing but pings
+
+
+def _require_alone(bus: Bus, identity: int) -> None:
+    if not bus.overhear(identity, INST_PING, listen_s=ONE_S):
+        raise DeviceError(f"no servo with id {identity} answers on {bus.port} at {bus.baud} baud")
+    if not _alone(bus, identity):
+        raise DeviceError(
+            f"two servos answer to id {identity} on {bus.port} at {bus.baud} baud, or their answers are damaged: "
+            "connect one at a time"
+        )
+
+
+def _require_moved(bus: Bus, old: int, new: int) -> None:
+    try:
+        bus.ping(new)
+    except dynamixel.BusError:
+        still = " it is the old one still" if bus.overhear(old, INST_PING, listen_s=ONE_S) else ""
+        raise DeviceError(f"servo id {old} does not take the id {new};{still or ' it answers to neither'}") from None
+    if bus.overhear(old, INST_PING, listen_s=ONE_S):
+        raise DeviceError(f"a servo answers to id {new} now, and one to id {old} still: there were two with that id")
+
+
+def _write(bus: Bus, identity: int, address: int, value: int) -> None:
+    """One byte, written once: the answer may come under the new id, or at the new speed, or not at all."""
+    heard = bus.overhear(identity, INST_WRITE, address.to_bytes(2, "little") + bytes([value]), listen_s=ONE_S)
+    for packet in _packets(heard):
+        if packet[4] == identity and (error := packet[8] & 0x7F):
+            what = dynamixel.ERRORS.get(error, f"error number {error}")
+            raise DeviceError(f"servo id {identity} on {bus.port} refuses {value} at address {address}: {what}")
+
+
+def _restart(bus: Bus, identity: int) -> None:
+    bus.ping(identity)
+    bus.overhear(identity, INST_REBOOT, listen_s=ONE_S)
+    end = time.monotonic() + RESTART_S
+    while True:
+        over = time.monotonic() > end
+        try:
+            bus.ping(identity)
+            break
+        except dynamixel.BusError as failure:
+            if over:
+                raise DeviceError(f"it does not come back after its restart: {failure}") from None
+    (error,) = bus.read(identity, 70, 1)
+    if error:
+        raise DeviceError(f"restarted, and reports again: {dynamixel.hardware_error(error)}; remove the cause")
+
+
+def _packets(data: bytes) -> Iterator[bytes]:
+    """The whole and undamaged status packets in what was heard."""
+    at = data.find(HEADER)
+    while at >= 0:
+        end = at + 7 + (data[at + 5] | data[at + 6] << 8) if at + 7 <= len(data) else len(data) + 1
+        packet = data[at:end]
+        good = len(packet) >= 11 and end <= len(data) and packet[7] == 0x55
+        if good and Packets().updateCRC(0, list(packet), len(packet) - 2) == packet[-2] | packet[-1] << 8:
+            yield packet
+            at = data.find(HEADER, end)
+        else:
+            at = data.find(HEADER, at + 1)
+
+
+def _model(number: int) -> str:
+    return control_table.models().get(number, f"model number {number}")

@@ -1,0 +1,131 @@
+"""What the laboratory's devices say of themselves, as `gonio.rig.Health`: open ones, and ones that nobody has opened.
+
+A survey changes nothing: no torque comes or goes, no lamp is lit or darkened, no frame is taken. (Some lamp controllers
+restart when their port is opened, and are dark then.)
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+
+from gonio.errors import GonioError
+from gonio.rig import Health, Reading
+from gonio_drivers import dynamixel, joints
+from gonio_drivers.arms import ServoArms
+from gonio_drivers.cameras import OpenableCamera
+from gonio_drivers.joints import Joint
+from gonio_drivers.light import SerialLight
+
+CURRENT_UNIT_MA = {"xl330": 1.0, "xc330": 1.0}
+"""By the first part of the model's name; 2.69 mA for the others (ROBOTIS e-Manual, "Present Current(126)")."""
+USUAL_UNIT_MA = 2.69
+LOOKS = 5
+"""Readings that an angle is the mean of: encoders flicker by a count."""
+LAMP, CAMERA = "lamp", "frames"
+
+
+def of_open_arms(arms: ServoArms) -> Health:
+    """Angles, temperatures, currents and voltages of servos that are open; one reading of the bus.
+
+    Raises
+    ------
+    DeviceError
+        A servo does not answer, or is unwell.
+    """
+    reports = joints.reports(arms.bus, arms.joints.values())
+    found: list[Reading] = []
+    for name, report in reports.items():
+        joint = arms.joints[name]
+        assert joint.health is not None
+        low, high = joint.voltage_limits_v
+        found += [
+            _angle(joint, report.position),
+            Reading(name, "temperature", joint.health.temperature_c, "C", (-math.inf, joint.max_temperature_c)),
+            _current(joint, joint.health.current),
+            Reading(name, "voltage", joint.health.voltage_v, "V", (low, high)),
+        ]
+    return Health(tuple(found), {name: str(failure) for name, failure in arms.absent.items()})
+
+
+def of_arms(arms: ServoArms) -> Health:
+    """The same of servos that nobody has opened, each by itself; and whether they hold, and what error they show."""
+    found: list[Reading] = []
+    silent: dict[str, str] = {}
+    try:
+        with arms.bus:
+            for name, joint in arms.joints.items():
+                try:
+                    found += _asked(joint)
+                except dynamixel.BusError as failure:
+                    if not found and not silent and not arms.bus.discover(rounds=1):
+                        joint.identify()  # nobody is there: the message says what answers instead, if anything does
+                    silent[name] = str(failure)
+                except GonioError as failure:
+                    silent[name] = str(failure)
+    except GonioError as failure:
+        return Health((), dict.fromkeys(arms.joints, str(failure)))
+    return Health(tuple(found), silent)
+
+
+def _asked(joint: Joint) -> list[Reading]:
+    joint.identify_model()
+    table, name = joint.table, joint.name
+    address, size = joints.span(table)
+    block = joint.bus.read(joint.id, address, size)
+    value = {n: table[n].decode(block, address) for n in joints.REPORTED if n in table}
+    highest, lowest = joint.get("Max Voltage Limit") / 10, joint.get("Min Voltage Limit") / 10
+    moving = bool(value["Moving"]) or bool(value["Moving Status"] & joints.PROFILE_ONGOING)
+    places = [joint.get("Present Position") for _ in range(LOOKS)]
+    error = joint.get("Hardware Error Status")
+    hottest = joint.get("Temperature Limit") or joint.max_temperature_c
+    volts = Reading(name, "voltage", value["Present Input Voltage"] / 10, "V", (lowest, highest) if highest else None)
+    return [
+        _angle(joint, statistics.fmean(places)),
+        Reading(name, "temperature", value["Present Temperature"], "C", (-math.inf, hottest)),
+        _current(joint, value.get("Present Current", value.get("Present Load", 0))),
+        volts,
+        Reading(name, "motion", "moves" if moving else "still"),
+        Reading(name, "torque", "holds" if joint.get("Torque Enable") == 1 else "off"),
+        Reading(name, "error", dynamixel.hardware_error(error) if error else "none"),
+    ]
+
+
+def _angle(joint: Joint, count: float) -> Reading:
+    return Reading(joint.name, "angle", joint.to_deg(count), "deg", joint.limits_deg)
+
+
+def _current(joint: Joint, value: int) -> Reading:
+    if "Present Current" not in joint.table:  # an estimate from the motor's drive, in 0.1 %
+        return Reading(joint.name, "load", value / 10, "%", (-100.0, 100.0))
+    unit = CURRENT_UNIT_MA.get(joint.servo.model.lower().partition("-")[0], USUAL_UNIT_MA)
+    most = joint.full_current * unit if joint.full_current else math.inf
+    return Reading(joint.name, "current", value * unit, "mA", (-most, most) if math.isfinite(most) else None)
+
+
+def of_open_light(light: SerialLight) -> Health:
+    """Whether the lamp is lit, at which level, and what its monitor reads."""
+    lit, level = light.state()
+    found = [Reading(LAMP, "state", "lit" if lit else "dark"), Reading(LAMP, "level", level, "", (0.0, 1.0))]
+    monitor = light.monitor()
+    if monitor is not None:
+        found.append(Reading(LAMP, "monitor", monitor))
+    return Health(tuple(found))
+
+
+def of_light(light: SerialLight) -> Health:
+    """The same of a lamp that nobody has opened; it goes on as it is."""
+    try:
+        with light.looked_at():
+            return of_open_light(light)
+    except GonioError as failure:
+        return Health((), {LAMP: str(failure)})
+
+
+def of_camera(camera: OpenableCamera, driver: str) -> Health:
+    """Whether the camera opens; no frame is taken."""
+    try:
+        with camera:
+            return Health((Reading(CAMERA, "state", f'ready (driver "{driver}")'),))
+    except GonioError as failure:
+        return Health((), {CAMERA: str(failure)})

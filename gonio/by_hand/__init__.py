@@ -1,0 +1,1 @@
+"""A person's hands on a rig: one device at a time, whatever the others do."""

@@ -1,0 +1,259 @@
+"""A signal against the angle of one axis: for finding zeros, mirrors and lobes by hand.
+
+At each angle the mean of the patch that a measurement of the sample would use, with the dark signal taken off, divided
+by the exposure. Every angle has an exposure of its own unless one is given, so a mirror's peak and what is around it
+are both in scale.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.acquisition import exposure
+from gonio.disk import write_whole
+from gonio.errors import ArgumentError, ConfigError, DataError
+from gonio.rig import Frame, Pose, imaging, kinematics
+from gonio.rig.description import RigDescription
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+    from gonio.by_hand.bench import Bench
+
+DARK_FRAMES = 4
+LONGEST = 8.0
+"""The longest exposure of a scan, in exposures of a matt white surface: a scan must come to an end."""
+MOST_POINTS = 10_000
+
+
+def angles_between(start: float, stop: float, step: float) -> list[float]:
+    """The angles from `start` to `stop`, both included where a whole number of steps lies between, in any unit.
+
+    Raises
+    ------
+    ArgumentError
+        The step is 0 or no number, or leads to too many angles.
+    """
+    if not all(map(math.isfinite, (start, stop, step))) or step == 0:
+        raise ArgumentError(f"step = {step:g}, from {start:g} to {stop:g}: must be finite, and the step not 0")
+    count = math.floor(abs(stop - start) / abs(step) + 1e-6) + 1
+    if count > MOST_POINTS:
+        raise ArgumentError(f"step = {step:g}: {count} angles; at most {MOST_POINTS}")
+    return [start + k * math.copysign(step, stop - start) for k in range(count)]
+
+
+@dataclass(frozen=True, slots=True)
+class _Dark:
+    """Mean dark frames at one or two exposures, and between them the dark signal of any pixel."""
+
+    short_s: float
+    short: npt.NDArray[np.float64]
+    long_s: float
+    long: npt.NDArray[np.float64]
+    frames: int
+
+    def of(self, exposure_s: float) -> npt.NDArray[np.float64]:
+        """The dark mosaic [DN] for an exposure [s]."""
+        if self.long_s == self.short_s:
+            return self.short
+        part = (exposure_s - self.short_s) / (self.long_s - self.short_s)
+        mixed: npt.NDArray[np.float64] = self.short + part * (self.long - self.short)
+        return mixed
+
+
+def scan(
+    bench: Bench,
+    axis: str,
+    angles: Sequence[float],
+    *,
+    frames: int = 2,
+    exposure_s: float | None = None,
+    told: Callable[[pd.DataFrame, int], None] | None = None,
+) -> pd.DataFrame:
+    """Scan one axis of a rig that is open, the others standing where they are; the lamp is dark before and after.
+
+    Parameters
+    ----------
+    bench
+        Open, with arms, light and camera.
+    axis
+        As in `Bench.move`.
+    angles
+        Goals [rad], in the order in which they are gone to.
+    frames
+        At each angle.
+    exposure_s
+        For all angles; without it every angle is metered, within `LONGEST` exposures of a matt white surface.
+    told
+        Hears the table so far, and how many angles there will be.
+
+    Returns
+    -------
+    DataFrame
+        A row an angle: `angle_deg` (the encoder's readback), `asked_deg`, `signal_dn_per_s`, `u_signal_dn_per_s`
+        (standard uncertainty: scatter of the frames or the noise of camera and lamp, whichever is more, and the dark
+        signal's), `exposure_s`, `frames`, `pixels`, `saturated` (fraction of the patch), `patch` and `flag`.
+        `patch` is "sample", or "centre" (of the frame) where the camera does not look down on the sample; `flag` is
+        "saturated" or "". `attrs` hold the axis, where the others stood, and the band.
+
+    Raises
+    ------
+    ConfigError
+        An angle is beyond a limit; nothing has moved. An exposure that the camera does not have.
+    DeviceError
+        A device fails; what was measured so far was told.
+    """
+    import pandas as pd
+
+    description = bench.description
+    if not len(angles):
+        raise ArgumentError("angles: there are none to go to")
+    if frames < 1:
+        raise ArgumentError(f"frames = {frames}: must be at least 1")
+    for angle in angles:
+        bench.check({axis: float(angle)})
+    if exposure_s is not None:
+        description.camera.require_exposure(exposure_s)
+    bounded = _bounded(description, exposure_s)
+    rows: list[dict[str, object]] = []
+    attrs: dict[Hashable | None, object] = {"axis": axis, "rig": description.name, "band": bench.band.name}
+    try:
+        bench.lamp(False)
+        bench.move(**{axis: float(angles[0])})
+        dark = _darks(bench, bounded)
+        bench.lamp(True, wavelength_nm=bench.band.centre_nm)
+        expected = exposure.expected_level_per_s(description, Pose(), 1.0)
+        for angle in angles:
+            landed = bench.move(**{axis: float(angle)}).landed[axis]
+            pose = bench.pose()
+            if pose is not None:
+                others = {n: round(math.degrees(getattr(pose, n)), 3) for n in description.axes() if n != axis}
+                attrs.setdefault("others_deg", others)
+            roi, where = _patch(description, pose)
+            metered = exposure.meter(bounded, bench.camera.capture, roi.of, expected)
+            shots = [bench.camera.capture(metered.exposure_s) for _ in range(frames)]
+            if metered.level_per_s > 0:
+                expected = metered.level_per_s
+            row = {"angle_deg": math.degrees(landed), "asked_deg": round(math.degrees(angle), 9)}
+            rows.append(row | _signal(description, shots, roi, dark) | {"patch": where})
+            table = pd.DataFrame(rows)
+            table["flag"] = np.where(table["saturated"] > 0, "saturated", "")
+            table.attrs = attrs
+            if told is not None:
+                told(table, len(angles))
+    finally:
+        bench.light.off()
+    return table
+
+
+def _bounded(description: RigDescription, exposure_s: float | None) -> RigDescription:
+    """The rig with the exposures that a scan may have."""
+    shortest, longest = description.camera.exposure_limits_s
+    if exposure_s is not None:
+        shortest, longest = exposure_s, exposure_s
+    else:
+        white = exposure.expected_exposure_s(description, Pose(), 1.0)
+        longest = min(longest, max(LONGEST * white, 2 * shortest))
+    camera = description.camera.model_copy(update={"exposure_limits_s": (shortest, longest)})
+    return description.model_copy(update={"camera": camera})
+
+
+def _darks(bench: Bench, bounded: RigDescription) -> _Dark:
+    means = []
+    for exposure_s in bounded.camera.exposure_limits_s:
+        shots = [bench.camera.capture(exposure_s) for _ in range(DARK_FRAMES)]
+        means.append((shots[0].exposure_s, np.mean([shot.mosaic for shot in shots], axis=0)))
+        if bounded.camera.exposure_limits_s[0] == bounded.camera.exposure_limits_s[1]:
+            means *= 2
+            break
+    (short_s, short), (long_s, long) = means
+    return _Dark(short_s, short, long_s, long, DARK_FRAMES)
+
+
+def _patch(description: RigDescription, pose: Pose | None) -> tuple[imaging.Roi, str]:
+    """The patch of the sample; of the frame's centre, as large as it is seen from above, where there is none."""
+    if pose is not None:
+        with contextlib.suppress(ConfigError):
+            return imaging.roi(description, kinematics.view(description, pose)), "sample"
+    return imaging.roi(description, kinematics.view(description, Pose())), "centre"
+
+
+def _signal(description: RigDescription, shots: list[Frame], roi: imaging.Roi, dark: _Dark) -> dict[str, object]:
+    """Signal and its standard uncertainty [DN/s] of a patch, from frames of one exposure."""
+    camera = description.camera
+    exposure_s = shots[0].exposure_s
+    off = np.asarray(roi.of(dark.of(exposure_s)), float)
+    means = np.array([float(np.mean(np.asarray(roi.of(shot.mosaic), float) - off)) for shot in shots])
+    electrons = max(float(means.mean()), 0.0) * camera.electrons_per_dn + camera.dark_current_e_per_s * exposure_s
+    pixel_dn = math.hypot(math.sqrt(electrons + camera.read_noise_e**2) / camera.electrons_per_dn, 1 / math.sqrt(12))
+    dark_dn = math.hypot(
+        math.sqrt(camera.dark_current_e_per_s * exposure_s + camera.read_noise_e**2) / camera.electrons_per_dn,
+        1 / math.sqrt(12),
+    )
+    noise = math.hypot(pixel_dn / math.sqrt(roi.count), float(means.mean()) * description.lamp.noise)
+    noise /= math.sqrt(len(shots))
+    scatter = float(means.std(ddof=1)) / math.sqrt(len(shots)) if len(shots) > 1 else 0.0
+    u = math.hypot(max(noise, scatter), dark_dn / math.sqrt(dark.frames * roi.count))
+    full = [np.asarray(roi.of(s.mosaic), float) - s.black_level_dn for s in shots]
+    bright = [f >= exposure.SATURATED * exposure.full_scale_dn(camera, s) for f, s in zip(full, shots, strict=True)]
+    return {
+        "signal_dn_per_s": float(means.mean()) / exposure_s,
+        "u_signal_dn_per_s": u / exposure_s,
+        "exposure_s": exposure_s,
+        "frames": len(shots),
+        "pixels": roi.count,
+        "saturated": float(np.mean(bright)),
+    }
+
+
+def plot(table: pd.DataFrame, ax: Axes) -> None:
+    """Draw a scan on axes that are given."""
+    good = table["flag"] == ""
+    for rows, colour, label in ((good, "tab:blue", "standard uncertainty"), (~good, "tab:red", "saturated")):
+        if rows.any():
+            part = table[rows]
+            ax.errorbar(part["angle_deg"], part["signal_dn_per_s"], part["u_signal_dn_per_s"], fmt=".", color=colour,
+                        ecolor="0.6", label=label)  # fmt: skip
+    others = table.attrs.get("others_deg", {})
+    stood = ", ".join(f"{name} {angle:g}" for name, angle in others.items())
+    ax.set(
+        xlabel=f"{table.attrs['axis']} [deg], as read",
+        ylabel="signal of the patch, dark subtracted [DN/s]",
+        title=f"{table.attrs['rig']}, {table.attrs['band']}" + (f"; {stood} deg" if stood else ""),
+    )
+    ax.grid(alpha=0.3)
+    ax.legend(fontsize="small")
+
+
+def write(table: pd.DataFrame, file: Path) -> Path:
+    """Write a scan as a CSV, and its plot beside it; the plot's name.
+
+    Raises
+    ------
+    DataError
+        They cannot be written.
+    """
+    from io import BytesIO
+
+    from matplotlib.figure import Figure
+
+    picture = file.with_suffix(".png")
+    figure = Figure(figsize=(7.5, 4.8), layout="constrained")
+    plot(table, figure.subplots())
+    drawn = BytesIO()
+    figure.savefig(drawn, format="png", dpi=110)
+    try:
+        write_whole(file, table.to_csv(index=False).encode())
+        write_whole(picture, drawn.getvalue())
+    except OSError as error:
+        raise DataError(f"{error.filename or file}: cannot be written: {error.strerror}") from None
+    return picture

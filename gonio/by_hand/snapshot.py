@@ -1,0 +1,153 @@
+"""One frame, what is in it, and a picture of it with the outline of the patch that a measurement would use."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.acquisition import exposure
+from gonio.disk import write_whole
+from gonio.errors import ConfigError, DataError
+from gonio.rig import Frame, Pose, dng, imaging, kinematics
+from gonio.rig.description import Camera, RigDescription
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from gonio.by_hand.bench import Bench
+
+SUFFIXES = (".dng", ".tif", ".tiff", ".png")
+BINS = 256
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """A frame and where it was taken from."""
+
+    frame: Frame
+    camera: Camera
+    pose: Pose | None
+    """Where the axes stood [rad]; None where that is not known."""
+    patch: imaging.Roi | None
+    """The pixels that a measurement of the sample would use, from that pose."""
+    outline: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None
+    """Columns and rows of its edge."""
+    without: str
+    """Why there is no patch; "" where there is one."""
+    files: tuple[Path, ...] = ()
+    """What was written: the frame, and the picture of it."""
+
+    def numbers(self) -> dict[str, float]:
+        """What is in the frame: levels [DN], fractions of full scale and of pixels; of the patch where there is one."""
+        out = {"exposure_s": self.frame.exposure_s} | self._of("", self.frame.mosaic)
+        if self.patch is not None:
+            out |= {"patch_pixels": float(self.patch.count)} | self._of("patch_", self.patch.of(self.frame.mosaic))
+        return out
+
+    def _of(self, prefix: str, pixels: npt.NDArray[Any]) -> dict[str, float]:
+        full = exposure.full_scale_dn(self.camera, self.frame)
+        levels = (np.asarray(pixels, dtype=np.float64) - self.frame.black_level_dn) / full
+        return {
+            f"{prefix}mean_dn": float(pixels.mean()),
+            f"{prefix}median_dn": float(np.median(pixels)),
+            f"{prefix}max_dn": float(pixels.max()),
+            f"{prefix}brightest_level": float(levels.max()),
+            f"{prefix}saturated_fraction": float((levels >= exposure.SATURATED).mean()),
+        }
+
+    def draw(self) -> Figure:
+        """The frame in grey with the outline of the patch, and its histogram."""
+        from matplotlib.figure import Figure
+
+        frame, numbers = self.frame, self.numbers()
+        figure = Figure(figsize=(11, 4.6), layout="constrained")
+        left, right = figure.subplots(1, 2, width_ratios=(1.5, 1))
+        top = max(float(np.percentile(frame.mosaic, 99.9)), frame.black_level_dn + 1.0)
+        picture = left.imshow(frame.mosaic, cmap="gray", vmin=frame.black_level_dn, vmax=top, interpolation="nearest")
+        figure.colorbar(picture, ax=left, label="DN", shrink=0.8)
+        if self.outline is not None:
+            left.plot(*self.outline, color="tab:red", lw=1.2, label="patch of the sample, as predicted")
+            left.legend(loc="lower left", fontsize="small")
+        left.set_xlim(-0.5, frame.mosaic.shape[1] - 0.5)
+        left.set_ylim(frame.mosaic.shape[0] - 0.5, -0.5)
+        left.set(xlabel="column", ylabel="row", title=f"{frame.exposure_s:.4g} s")
+        edges = np.linspace(0.0, frame.white_level_dn + 1.0, BINS + 1)
+        right.hist(frame.mosaic.ravel(), edges, histtype="stepfilled", color="0.7", label="all pixels")
+        if self.patch is not None:
+            pixels = self.patch.of(frame.mosaic)
+            right.hist(pixels, edges, histtype="step", color="tab:red", label="patch")
+        right.axvline(frame.black_level_dn, color="0.2", lw=0.8, ls=":", label="black level")
+        full = frame.black_level_dn + exposure.SATURATED * exposure.full_scale_dn(self.camera, frame)
+        right.axvline(full, color="tab:orange", lw=0.8, ls="--", label="saturated from here")
+        saturated = 100 * numbers["saturated_fraction"]
+        right.set(yscale="log", xlabel="DN", ylabel="pixels", title=f"{saturated:.3g} % of the pixels saturated")
+        right.legend(fontsize="small")
+        return figure
+
+
+def require_free(file: Path) -> tuple[Path, Path]:
+    """The names of a frame and of its picture; raises `ConfigError` where one is taken, or says no format."""
+    if file.suffix.lower() not in SUFFIXES:
+        raise ConfigError(f"{file}: a frame is written as {', '.join(SUFFIXES)}; the name must end so")
+    names = file, file.with_name(f"{file.stem}-view.png")
+    for name in names:
+        if name.exists():
+            raise ConfigError(f"{name}: is there already; name another file")
+    if not file.absolute().parent.is_dir():
+        raise ConfigError(f"{file}: there is no folder {file.parent}")
+    return names
+
+
+def take(bench: Bench, file: Path | None, *, exposure_s: float | None) -> Snapshot:
+    """See `Bench.snap`."""
+    names = require_free(file) if file is not None else None
+    description, pose = bench.description, bench.pose()
+    if exposure_s is None:
+        exposure_s = exposure.expected_exposure_s(description, pose or Pose(), 1.0)
+    description.camera.require_exposure(exposure_s)
+    frame = bench.camera.capture(exposure_s)
+    patch, outline, without = _patch(description, pose, frame)
+    shot = Snapshot(frame, description.camera, pose, patch, outline, without, names or ())
+    if names is not None:
+        _write(shot, *names)
+    return shot
+
+
+def _patch(
+    description: RigDescription, pose: Pose | None, frame: Frame
+) -> tuple[imaging.Roi | None, tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None, str]:
+    if pose is None:
+        return None, None, "the arms do not say where they stand"
+    camera = description.camera
+    if frame.mosaic.shape != (camera.height, camera.width):
+        height, width = frame.mosaic.shape
+        return None, None, f"the frame has {width} x {height} pixels, and the rig file {camera.width} x {camera.height}"
+    try:
+        view = kinematics.view(description, pose)
+        return imaging.roi(description, view), imaging.outline(description, view), ""
+    except ConfigError as error:
+        return None, None, str(error)
+
+
+def _write(shot: Snapshot, file: Path, picture: Path) -> None:
+    try:
+        if file.suffix.lower() == ".dng":
+            dng.write_dng(shot.frame, file)
+        else:
+            import cv2
+
+            good, data = cv2.imencode(file.suffix.lower(), shot.frame.mosaic)
+            if not good:
+                raise DataError(f"{file}: the frame cannot be written as {file.suffix}")
+            write_whole(file, data.tobytes())
+        from io import BytesIO
+
+        drawn = BytesIO()
+        shot.draw().savefig(drawn, format="png", dpi=110)
+        write_whole(picture, drawn.getvalue())
+    except OSError as error:
+        raise DataError(f"{error.filename or file}: cannot be written: {error.strerror}") from None

@@ -1,0 +1,135 @@
+"""Hands on rigs: simulated ones, and a stranger's whose driver offers nothing beside the protocols."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gonio
+from gonio.by_hand.bench import Bench
+from gonio.errors import ConfigError
+from gonio.rig import Health, Pose, Reading
+from gonio.rig.description import SampleDescription
+from tests.command_line import gonio as run
+from tests.gonio.numpy_rig import NumpyRig, describe
+
+MATT = SampleDescription(name="matt", model="lambert", parameters={"albedo": 0.5})
+
+
+def test_directions_in_and_out_of_plane_are_those_of_the_kinematics() -> None:
+    from gonio.rig import kinematics
+
+    with gonio.open_rig("sim-ideal", sample=MATT) as rig:
+        for asked in (
+            {"theta_i": 0.5, "theta_r": 0.7},
+            {"theta_i": 0.5, "theta_r": -0.9},
+            {"theta_i": 0.5, "phi_i": 0.2, "theta_r": 0.7, "phi_r": 1.5},
+        ):
+            moved = rig.move(**asked)
+            seen = kinematics.directions(rig.description, rig.arms.read())
+            phi_i = asked.get("phi_i", 0.0)
+            phi_r = asked.get("phi_r", phi_i + (math.pi if asked["theta_r"] > 0 else 0.0))
+            assert float(seen.theta_i) == pytest.approx(asked["theta_i"], abs=1e-9)
+            assert float(seen.theta_r) == pytest.approx(abs(asked["theta_r"]), abs=1e-9)
+            apart = float(seen.phi_r - seen.phi_i) - (phi_r - phi_i)
+            assert math.remainder(apart, math.tau) == pytest.approx(0, abs=1e-9)
+            assert moved.branch.startswith("taken: light ")
+
+
+def test_axes_that_are_not_named_stay_where_they_are() -> None:
+    with gonio.open_rig("sim", sample=MATT) as rig:
+        rig.move(light=0.3, camera=-0.4)
+        before = rig.arms.read()
+        moved = rig.move(tilt=0.1)
+        after = rig.arms.read()
+    assert list(moved.landed) == ["tilt"]
+    assert (after.light, after.camera, after.spin) == (before.light, before.camera, before.spin)
+
+
+def test_the_lamps_level_is_seen_by_the_camera() -> None:
+    with gonio.open_rig("sim-ideal", sample=MATT) as rig:
+        rig.move(theta_i=0.0, theta_r=0.7)
+        bright = {}
+        for level in (0.0, 0.25, 1.0):
+            rig.lamp(level, wavelength_nm=500)
+            bright[level] = rig.snap(exposure_s=0.1).numbers()["patch_mean_dn"]
+        with pytest.raises(ConfigError, match="a fraction from 0 to 1"):
+            rig.lamp(1.5)
+    assert bright[1.0] - bright[0.0] == pytest.approx(4 * (bright[0.25] - bright[0.0]), rel=1e-3)  # whole DN
+
+
+def test_a_scan_over_a_mirror_direction_finds_it() -> None:
+    """The peak of an ideal rig lies at the mirror angle, and far from it the signal falls by orders of magnitude."""
+    sample = SampleDescription(
+        name="alu", model="he-torrance", parameters={"sigma0_um": 0.05, "tau_um": 3, "ior": "Al"}
+    )
+    heard: list[int] = []
+    with gonio.open_rig("sim-ideal", sample=sample) as rig:
+        rig.move(light=math.radians(30))
+        angles = [math.radians(a) for a in (-36.0, -31.0, -30.0, -29.0)]
+        table = rig.scan("camera", angles, frames=1, told=lambda t, total: heard.append(len(t)))
+        assert rig.read().of("lamp", "state") == "dark"
+    assert heard == [1, 2, 3, 4]
+    assert table["signal_dn_per_s"].idxmax() == 2
+    assert table["signal_dn_per_s"][2] > 100 * table["signal_dn_per_s"][0]
+    assert table.attrs["others_deg"]["light"] == 30
+    assert (table["flag"] == "").all()
+    assert np.isfinite(table["u_signal_dn_per_s"]).all()
+
+
+def test_a_strangers_rig_is_worked_on_by_the_protocols_alone(tmp_path: Path) -> None:
+    bench = Bench(NumpyRig(describe()), only=["arms"])
+    assert bench.description.name == "bench of numpy"
+    with bench:
+        assert not bench.can_hold
+        with pytest.raises(ConfigError, match="has no `hold`"):
+            bench.hold()
+        moved = bench.move(light=0.3)
+        assert moved.landed == {"light": 0.3}
+        assert bench.move(camera=-0.3).landed == {"camera": -0.3}
+        assert bench.arms.read() == Pose(light=0.3, camera=-0.3)
+        assert bench.read().of("light", "angle") == pytest.approx(math.degrees(0.3))
+        with pytest.raises(ConfigError, match="has no levels"):
+            bench.lamp(0.5)
+        bench.lamp(True)
+        assert bench.snap(tmp_path / "a.png", exposure_s=0.01).patch is not None
+        bench.lamp(False)
+
+
+def test_reading_a_simulated_rig_opens_nothing() -> None:
+    rig = gonio.open_rig("sim")
+    assert rig.read().of("light", "angle") == pytest.approx(-89, abs=0.1)  # an encoder step of 0.088 deg
+    assert not rig.world.open
+
+
+def test_a_number_beyond_its_limits_is_not_good() -> None:
+    assert not Reading("light", "temperature", 90.0, "C", (0.0, 80.0)).good
+    assert Reading("light", "angle", -88.04, "deg", (-88.0, 88.0)).good
+    assert not Reading("light", "angle", -88.4, "deg", (-88.0, 88.0)).good
+    assert Health((Reading("lamp", "state", "lit"),)).of("lamp", "level") is None
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (["read"], 0, "light"),
+        (["move", "light=20"], 0, "exists for the length of one command, and starts parked"),
+        (["lamp", "0.5", "--for", "0"], 0, "lamp dark"),
+        (["lamp", "maybe"], 2, "say on, off, or a level from 0 to 1"),
+        (["dark"], 0, "lamp dark"),
+        (["park"], 0, "lamp dark, arms parked"),
+        (["snap", "a.jpg"], 2, "a frame is written as .dng, .tif, .tiff, .png"),
+        (["snap", "no/a.png"], 2, "there is no folder no"),
+        (["scan", "light", "--from", "0", "--to", "5", "--step", "0"], 2, "step = 0"),
+        (["scan", "light", "--from", "0", "--to", "95", "--step", "5"], 2, "outside this axis's limits"),
+        (["set-zero", "light"], 2, "is no rig file to write into"),
+        (["ids"], 2, "has no servos"),
+        (["reboot"], 2, "has no servos"),
+    ],
+)
+def test_commands_on_a_simulated_rig(tmp_path: Path, words: list[str], code: int, message: str) -> None:
+    done = run(tmp_path, "rig", *words, "--rig", "sim")
+    assert (done.returncode, message in done.stdout + done.stderr) == (code, True), done.stdout + done.stderr

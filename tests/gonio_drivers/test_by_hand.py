@@ -1,0 +1,470 @@
+"""Work by hand on a laboratory rig, over the twins: every device missing or mute in turn, and what is left standing."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from gonio_drivers import folder_camera, service
+from gonio_drivers.lab import LAB, LabRig
+from gonio_sim.wire.servo import Servo
+from gonio_sim.wire.twins import Twins, rig_file
+
+import gonio
+from gonio.by_hand import scan
+from gonio.by_hand.bench import Bench
+from gonio.errors import ConfigError
+from gonio.rig import FoundServo
+from tests.command_line import gonio as run
+from tests.gonio_drivers.conftest import be_patient
+from tests.gonio_drivers.test_lab import LONGEST_S, SAMPLE, SCALE, small
+
+LANDED_DEG = 0.15
+"""The rig file's tolerance of a landing."""
+PARKED = {"light": -88.0, "camera": 88.0, "tilt": 0.0, "spin": 0.0}
+
+
+@pytest.fixture
+def twins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Twins]:
+    monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
+    monkeypatch.setattr(folder_camera, "RELEASE_S", LONGEST_S)
+    with Twins(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
+        be_patient(served.peers["servos"], served.faults, monkeypatch)
+        yield served
+
+
+def written(twins: Twins, tmp_path: Path, **missing: str) -> Path:
+    """The rig file, with the ports of some devices where nothing is plugged in."""
+    description = twins.description
+    devices: dict[str, Any] = {name: dict(table) for name, table in description.devices.items()}
+    for device in missing:
+        if device == "camera":
+            devices["camera"]["folder"] = str(tmp_path / "nothing")
+        else:
+            devices["servos" if device == "arms" else "light"]["port"] = str(tmp_path / f"no-{device}")
+    path = tmp_path / "my.toml"
+    path.write_text(rig_file(description.model_copy(update={"devices": devices})))
+    return path
+
+
+def angle(twins: Twins, name: str) -> float:
+    """Where a shaft stands, as an angle of its axis [deg]."""
+    return math.degrees(twins.followers[name].encoder())
+
+
+def bench(twins: Twins, *only: Any) -> Bench:
+    return Bench(LAB.open(twins.description, sample=None, seed=0, confirm=False), "", only)
+
+
+# ---- any device missing or mute: park, dark and read of the others work ----
+
+
+@pytest.mark.parametrize("missing", ["arms", "light", "camera"])
+def test_a_device_that_is_not_plugged_in_leaves_the_others_usable(twins: Twins, tmp_path: Path, missing: str) -> None:
+    rig = written(twins, tmp_path, **{missing: ""})
+    twins.lamp.shine.lit = missing != "light"
+    silent = {"arms": "light", "light": "lamp", "camera": "frames"}[missing]
+
+    done = run(tmp_path, "rig", "read", "--json", "--rig", rig)
+    said = json.loads(done.stdout)
+    assert done.returncode == 3
+    assert silent in said["silent"]
+    assert {"light", "lamp", "frames"} - {silent} <= set(said["devices"])
+    assert said["devices"].get("lamp", {}).get("state", {}).get("value") == (None if missing == "light" else "lit")
+    assert twins.lamp.shine.lit == (missing != "light"), "reading darkens nothing"
+
+    done = run(tmp_path, "rig", "dark", "--rig", rig)
+    assert done.returncode == (3 if missing == "light" else 0), done.stderr
+    assert not twins.lamp.shine.lit
+
+    twins.lamp.shine.lit = missing != "light"
+    done = run(tmp_path, "rig", "park", "--rig", rig)
+    assert done.returncode == (0 if missing == "camera" else 3), done.stderr
+    assert "Traceback" not in done.stderr
+    assert not twins.lamp.shine.lit
+    if missing != "arms":
+        assert angle(twins, "light") == pytest.approx(PARKED["light"], abs=LANDED_DEG)
+        assert "arms parked" in done.stderr
+    if missing == "light":
+        assert "the lamp could not be darkened" in done.stderr
+        assert "no-light" in done.stderr
+
+
+@pytest.mark.parametrize("mute", ["light", "camera", "changer"])
+def test_a_mute_servo_is_named_and_the_others_are_read_moved_and_parked(
+    twins: Twins, tmp_path: Path, mute: str
+) -> None:
+    rig = written(twins, tmp_path)
+    twins.servos[mute].lose_power()
+    others = [name for name in PARKED if name != mute]
+
+    done = run(tmp_path, "rig", "read", "--json", "--rig", rig)
+    said = json.loads(done.stdout)
+    assert (done.returncode, list(said["silent"])) == (3, [mute])
+    assert f"id = {twins.servos[mute].id}" in said["silent"][mute] or "servo id" in said["silent"][mute]
+    for name in others:
+        assert said["devices"][name]["angle"]["value"] == pytest.approx(angle(twins, name), abs=0.1)
+
+    done = run(tmp_path, "rig", "move", "tilt=5", "--rig", rig)
+    assert done.returncode == 0, done.stderr
+    assert angle(twins, "tilt") == pytest.approx(5, abs=LANDED_DEG)
+
+    if mute in PARKED:
+        before = angle(twins, mute)
+        done = run(tmp_path, "rig", "move", f"{mute}=5", "--rig", rig)
+        assert done.returncode == 3
+        assert f"axis {mute} cannot be moved" in done.stderr
+        assert angle(twins, mute) == before
+
+    done = run(tmp_path, "rig", "park", "--rig", rig)
+    assert (done.returncode, mute in done.stderr) == (3, True), done.stderr
+    assert "lamp dark" in done.stderr
+    for name in others:
+        assert angle(twins, name) == pytest.approx(PARKED[name], abs=LANDED_DEG)
+
+
+def test_with_the_servos_power_off_the_lamp_is_darkened_and_the_arms_are_said_to_be_missing(
+    twins: Twins, tmp_path: Path
+) -> None:
+    for servo in twins.servos.values():
+        servo.lose_power()
+    twins.lamp.shine.lit = True
+    done = run(tmp_path, "rig", "park", "--rig", written(twins, tmp_path))
+    assert done.returncode == 3
+    assert "lamp dark; the arms: " in done.stderr
+    assert "is the servo power on" in done.stderr
+    assert not twins.lamp.shine.lit
+
+
+def test_a_mute_lamp_does_not_keep_the_arms_from_parking(twins: Twins, tmp_path: Path) -> None:
+    twins.inject("lamp-silent", times=10_000)
+    done = run(tmp_path, "rig", "park", "--rig", written(twins, tmp_path))
+    assert done.returncode == 3
+    assert "arms parked" in done.stderr
+    assert "the lamp could not be darkened" in done.stderr
+    assert angle(twins, "camera") == pytest.approx(PARKED["camera"], abs=LANDED_DEG)
+
+
+# ---- arms stay where a person has put them ----
+
+
+def test_moved_axes_hold_and_are_taken_over_without_a_jerk(twins: Twins, tmp_path: Path) -> None:
+    rig = written(twins, tmp_path)
+    camera = angle(twins, "camera")
+    done = run(tmp_path, "rig", "move", "light=-20", "--rig", rig)
+    assert done.returncode == 0, done.stderr
+    assert "hold with torque on; gonio rig park ends that" in done.stderr
+    assert angle(twins, "light") == pytest.approx(-20, abs=LANDED_DEG)
+    assert angle(twins, "camera") == camera
+    assert all(servo.torque and servo.get("Bus Watchdog") == 0 for servo in twins.servos.values())
+
+    goals = {name: servo.get("Goal Position") for name, servo in twins.servos.items()}
+    stood = {name: servo.shaft()[0] for name, servo in twins.servos.items()}
+    with bench(twins, "arms") as rig_:
+        assert {n: s.get("Goal Position") for n, s in twins.servos.items()} == goals, (
+            "a load would sag by the difference"
+        )
+        assert {n: s.shaft()[0] for n, s in twins.servos.items()} == stood
+        rig_.hold()
+    assert all(servo.torque for servo in twins.servos.values())
+
+    assert run(tmp_path, "rig", "park", "--rig", rig).returncode == 0
+    assert not any(servo.torque for servo in twins.servos.values())
+
+
+def test_directions_are_reached_and_the_branch_is_told(twins: Twins, tmp_path: Path) -> None:
+    done = run(tmp_path, "rig", "move", "theta_i=30", "theta_r=45", "--rig", written(twins, tmp_path))
+    assert done.returncode == 0, done.stderr
+    assert "taken: light 30.00, camera -45.00" in done.stdout
+    assert "is out of reach: -180.00 deg is outside the limits" in done.stdout
+    assert angle(twins, "camera") == pytest.approx(-45, abs=LANDED_DEG)
+
+
+@pytest.mark.parametrize(
+    ("goals", "message"),
+    [
+        (["light=95"], "light = 95 deg is outside this axis's limits, -88 to 88 deg"),
+        (["azimuth=1"], "has no axis azimuth; it has light, camera, tilt, spin"),
+        (["light"], '"light": write AXIS=DEG'),
+        (["light=nan"], "must be a finite angle"),
+        (["light=1", "light=2"], "light is given twice"),
+        (["theta_i=30"], "theta_r is missing"),
+        (["theta_i=30", "theta_r=40", "light=1"], "give either axes or directions"),
+        (["theta_i=30", "theta_r=-30"], "block 3.2 deg around retro"),
+    ],
+)
+def test_a_wrong_goal_is_refused_before_anything_is_opened(
+    twins: Twins, tmp_path: Path, goals: list[str], message: str
+) -> None:
+    done = run(tmp_path, "rig", "move", *goals, "--rig", written(twins, tmp_path))
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert not any(servo.torque for servo in twins.servos.values())
+
+
+COMMAND = [sys.executable, "-c", "from gonio.cli import main; main()"]
+
+
+def test_ctrl_c_stops_every_axis_and_says_where_it_stands(tmp_path: Path) -> None:
+    with Twins(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=1.0) as twins:
+        rig = written(twins, tmp_path)
+        command = [*COMMAND, "rig", "move", "light=40", "camera=80", "--rig", str(rig)]
+        with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as child:
+            while not all(twins.servos[name].moves() for name in ("light", "camera")):
+                assert child.poll() is None
+                time.sleep(0.005)
+            child.send_signal(signal.SIGINT)
+            _, said = child.communicate()
+        assert child.returncode == 130, said
+        assert not any(servo.moves() for servo in twins.servos.values())
+        assert all(twins.servos[name].torque for name in ("light", "camera"))
+        for name in ("light", "camera"):
+            (told,) = re.findall(rf"{name} (-?[0-9.]+) deg, holds", said)
+            assert float(told) == pytest.approx(angle(twins, name), abs=0.1)  # a count, and its rounding
+        assert angle(twins, "light") < 39
+
+
+# ---- the lamp ----
+
+
+def test_the_lamp_shines_for_its_time_and_is_dark_then(twins: Twins, tmp_path: Path) -> None:
+    levels = []
+    real = twins.lamp.command
+
+    def command(line: str) -> str | None:
+        answer = real(line)
+        levels.append(twins.lamp.shine.level if twins.lamp.shine.lit else 0.0)
+        return answer
+
+    twins.lamp.command = command  # type: ignore[method-assign]
+    done = run(tmp_path, "rig", "lamp", "0.25", "--for", "0.05", "--rig", written(twins, tmp_path))
+    assert done.returncode == 0, done.stderr
+    assert max(levels) == 0.25
+    assert not twins.lamp.shine.lit
+    assert "lamp lit at level 0.25, band 550 nm; dark in 0.05 s" in done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_the_lamp_is_dark_however_its_command_ends(twins: Twins, tmp_path: Path, number: signal.Signals) -> None:
+    command = [*COMMAND, "rig", "lamp", "on", "--for", "1000", "--rig", str(written(twins, tmp_path))]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as child:
+        assert child.stderr is not None
+        while "lamp lit" not in (line := child.stderr.readline()):
+            assert line, "it ended"
+        assert twins.lamp.shine.lit
+        child.send_signal(number)
+        said = child.stderr.read()
+    assert child.returncode == (130 if number != signal.SIGKILL else -signal.SIGKILL), said
+    end = time.monotonic() + LONGEST_S
+    while twins.lamp.shine.lit:
+        assert time.monotonic() < end
+    if number != signal.SIGKILL:
+        assert "interrupted; the lamp is dark" in said
+
+
+def test_the_lamp_goes_dark_in_time_though_its_command_stands_still(twins: Twins, tmp_path: Path) -> None:
+    program = "from gonio.cli import by_hand, main; by_hand.OVERDUE_S = 2.0; main()"
+    command = [sys.executable, "-c", program, "rig", "lamp", "on", "--for", "0.5"]
+    with subprocess.Popen(
+        [*command, "--rig", str(written(twins, tmp_path))], stderr=subprocess.PIPE, text=True
+    ) as child:
+        assert child.stderr is not None
+        while "lamp lit" not in (line := child.stderr.readline()):
+            assert line, "it ended"
+        child.send_signal(signal.SIGSTOP)
+        end = time.monotonic() + LONGEST_S
+        while twins.lamp.shine.lit:
+            assert time.monotonic() < end
+        child.send_signal(signal.SIGCONT)
+        said = child.stderr.read()
+    assert "lamp dark" in said
+    assert not twins.lamp.shine.lit
+
+
+# ---- frames, scans, zeros ----
+
+
+@pytest.mark.parametrize("name", ["shot.dng", "shot.tif"])
+def test_a_frame_needs_the_camera_alone(twins: Twins, tmp_path: Path, name: str) -> None:
+    rig = written(twins, tmp_path, arms="", light="")
+    twins.lamp.shine.lit = True
+    done = run(tmp_path, "rig", "snap", name, "--exposure", "0.01", "--json", "--rig", rig)
+    assert done.returncode == 0, done.stderr
+    assert "no patch of the sample is drawn: the arms do not say where they stand" in done.stderr
+    numbers = json.loads(done.stdout)
+    if name.endswith(".dng"):
+        from gonio.rig.dng import read_raw
+
+        mosaic: Any = read_raw(tmp_path / name).mosaic
+    else:
+        import cv2
+
+        mosaic = cv2.imread(str(tmp_path / name), cv2.IMREAD_UNCHANGED)
+    assert (mosaic.shape, mosaic.dtype) == ((48, 64), np.uint16)
+    assert numbers["mean_dn"] == pytest.approx(mosaic.mean())
+    assert (tmp_path / "shot-view.png").stat().st_size > 1000
+    again = run(tmp_path, "rig", "snap", name, "--rig", rig)
+    assert again.returncode == 2
+    assert "is there already" in again.stderr
+
+
+def test_a_scan_is_a_lamberts_cosine_and_ends_dark_and_holding(twins: Twins, tmp_path: Path) -> None:
+    rig = written(twins, tmp_path)
+    arguments = ["--from", "-30", "--to", "30", "--step", "30", "--at", "camera=75", "--frames", "3"]
+    done = run(tmp_path, "rig", "scan", "light", *arguments, "--rig", rig)
+    assert done.returncode == 0, done.stderr
+    import pandas as pd
+
+    table = pd.read_csv(tmp_path / "scan-light.csv")
+    assert (tmp_path / "scan-light.png").exists()
+    assert list(table["asked_deg"]) == [-30, 0, 30]
+    signal_, u = table["signal_dn_per_s"], table["u_signal_dn_per_s"]
+    ratio = signal_ / signal_[1] / np.cos(np.radians(table["angle_deg"]))
+    # lamp noise of 0.8 % a frame, drift of 0.5 % an hour and the arms' play: five standard uncertainties of the ratio
+    u_ratio = np.hypot(u / signal_, u[1] / signal_[1])
+    assert (np.abs(ratio - 1)[[0, 2]] < 5 * np.maximum(u_ratio, 0.005)[[0, 2]]).all()
+    assert not twins.lamp.shine.lit
+    assert twins.servos["light"].torque
+
+
+def test_a_scan_that_is_cut_short_keeps_what_it_has(twins: Twins, tmp_path: Path) -> None:
+    seen: list[int] = []
+    real = twins.camera._expose
+
+    def failing(exposure_s: float) -> Any:
+        seen.append(1)
+        if len(seen) == 16:
+            twins.servos["light"].restart()
+        return real(exposure_s)
+
+    twins.camera._expose = failing
+    rig = written(twins, tmp_path)
+    done = run(tmp_path, "rig", "scan", "light", "--from", "0", "--to", "20", "--step", "5", "--rig", rig)
+    assert done.returncode == 3
+    assert "of 5 angles" in done.stderr
+    assert (tmp_path / "scan-light.csv").exists()
+    assert "the axes stand now: " in done.stderr
+    assert not twins.lamp.shine.lit
+
+
+def test_a_zero_is_written_with_comments_and_a_backup(twins: Twins, tmp_path: Path) -> None:
+    rig = written(twins, tmp_path)
+    text = rig.read_text().replace("[arms.light]", "# the long arm\n[arms.light]")
+    rig.write_text(text)
+    true = angle(twins, "light")
+    done = run(tmp_path, "rig", "set-zero", "light", "--at", f"{true + 0.5:.3f}", "--rig", rig)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "my.toml.bak").read_text() == text
+    assert "# the long arm\n[arms.light]" in rig.read_text()
+    said = json.loads(run(tmp_path, "rig", "read", "--json", "--rig", rig).stdout)
+    assert said["devices"]["light"]["angle"]["value"] == pytest.approx(true + 0.5, abs=0.05)  # half a count
+    tilt = angle(twins, "tilt")
+    done = run(tmp_path, "rig", "set-zero", "tilt", "--at", "3", "--out", tmp_path / "copy.toml", "--rig", rig)
+    assert done.returncode == 0, done.stderr
+    said = json.loads(run(tmp_path, "rig", "read", "--json", "--rig", tmp_path / "copy.toml").stdout)
+    assert said["devices"]["tilt"]["angle"]["value"] == pytest.approx(3, abs=0.05)
+    assert said["devices"]["spin"]["angle"]["value"] == pytest.approx(angle(twins, "spin"), abs=0.1)
+    assert tilt == angle(twins, "tilt")
+    assert not any(servo.torque for servo in twins.servos.values()), "reading an angle changes nothing"
+
+
+# ---- servos ----
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The twins answer a broadcast ping at once; real ones take turns."""
+    monkeypatch.setattr(service, "EVERYBODY_S", 0.3)
+
+
+def add(twins: Twins, identity: int, baud: int = 1_000_000) -> Servo:
+    like = twins.servos["light"]
+    servo = Servo(identity, like._clock, model="xm430-w350", baud=baud, position=1234.0)
+    twins.bus.servos.append(servo)
+    return servo
+
+
+def listed(done: subprocess.CompletedProcess[str]) -> list[str]:
+    return [line for line in done.stdout.splitlines() if line[:1].isdigit()]
+
+
+@pytest.mark.usefixtures("quick")
+def test_servos_are_found_at_every_speed_and_given_ids_and_speeds(twins: Twins, tmp_path: Path) -> None:
+    rig = written(twins, tmp_path)
+    new = add(twins, 1, baud=57_600)
+    done = run(tmp_path, "rig", "ids", "--rig", rig)
+    assert done.returncode == 0, done.stderr
+    assert [line.split()[:2] for line in listed(done)] == [
+        ["1", "57600"], *([str(k), "1000000"] for k in range(1, 6))
+    ]  # fmt: skip
+    done = run(tmp_path, "rig", "ids", "--set-id", "1", "9", "--yes", "--rig", rig)
+    assert done.returncode == 3
+    assert "more than one servo answers to id 1" in done.stderr
+    assert new.id == 1
+    found = FoundServo(str(twins.description.devices["servos"]["port"]), 57_600, 1, "xm430-w350", 46)
+    assert LAB.assign(found, identity=9, baud=1_000_000).id == 9
+    assert (new.id, new.baud, new.torque) == (9, 1_000_000, False)
+    done = run(tmp_path, "rig", "ids", "--set-id", "9", "10", "--rig", rig)
+    assert done.returncode == 2
+    assert "no terminal to confirm" in done.stderr
+    assert new.id == 9
+
+
+@pytest.mark.usefixtures("quick")
+def test_two_servos_with_one_id_are_told_and_not_touched(twins: Twins, tmp_path: Path) -> None:
+    twin = add(twins, 2)
+    rig = written(twins, tmp_path)
+    done = run(tmp_path, "rig", "ids", "--set-id", "2", "9", "--yes", "--rig", rig)
+    assert done.returncode == 3
+    assert "two servos with this id" in done.stdout
+    assert "more than one servo answers to id 2" in done.stderr
+    assert (twin.id, twins.servos["camera"].id) == (2, 2)
+
+
+def test_a_servo_restarts_and_one_that_is_mute_is_named(twins: Twins, tmp_path: Path) -> None:
+    rig = written(twins, tmp_path)
+    with bench(twins, "arms") as held:
+        held.hold()
+    twins.servos["spin"].lose_power()
+    done = run(tmp_path, "rig", "reboot", "--rig", rig)
+    assert done.returncode == 3
+    assert "tilt: restarted, torque off" in done.stdout
+    assert "not restarted, or unwell: spin" in done.stderr
+    assert not any(servo.torque for servo in twins.servos.values())
+
+
+# ---- Python ----
+
+
+def test_the_same_from_python(twins: Twins, tmp_path: Path) -> None:
+    with gonio.open_rig(str(written(twins, tmp_path))) as rig:
+        assert isinstance(rig._rig, LabRig)
+        moved = rig.move(theta_i=math.radians(20), theta_r=math.radians(40))
+        assert math.degrees(moved.landed["camera"]) == pytest.approx(-40, abs=LANDED_DEG)
+        rig.lamp(0.5, wavelength_nm=500)
+        assert twins.lamp.shine.level == 0.5
+        shot = rig.snap(exposure_s=0.01)
+        assert shot.patch is not None
+        assert rig.read().of("lamp", "state") == "lit"
+        with pytest.raises(ConfigError, match="outside this axis's limits"):
+            rig.move(camera=2.0)
+    assert twins.quiet
+    assert angle(twins, "camera") == pytest.approx(PARKED["camera"], abs=LANDED_DEG)
+
+
+def test_angles_of_a_scan() -> None:
+    assert scan.angles_between(0, 1, 0.25) == [0, 0.25, 0.5, 0.75, 1]
+    assert scan.angles_between(10, 4, 3) == [10, 7, 4]
+    assert scan.angles_between(0, 1, 0.3) == pytest.approx([0, 0.3, 0.6, 0.9])
+    with pytest.raises(ConfigError, match="step = 0"):
+        scan.angles_between(0, 1, 0)
