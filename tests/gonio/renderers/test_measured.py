@@ -240,5 +240,5 @@ def test_radiances_file_holds_averages_over_patches(tmp_path: Path) -> None:
 def test_options_that_do_not_belong_are_refused(tmp_path: Path) -> None:
     measurement.write(sampled(GLOSSY, [30], 10), tmp_path / "t.csv")
     with pytest.raises(ConfigError, match="--wavelength-nm 550"):
-        convert(str(tmp_path / "t.csv"), tmp_path / "o.astm", None, None, None, 550.0)
+        convert(str(tmp_path / "t.csv"), tmp_path / "o.astm", None, None, wavelength_nm=550.0)
     assert json.loads((tmp_path / "t.meta.json").read_text())["sample"] == "glossy"
