@@ -91,8 +91,8 @@ def park(rig: RigOption) -> None:
     for device, text in (("light", "lamp dark"), ("arms", "arms parked")):
         try:
             bench = _bench(rig, device)  # type: ignore[arg-type]
-            with _told_where(bench, device), bench:
-                pass  # entering darkens, and leaving parks
+            with _told_where(bench, device):
+                _leave_in_order(bench, device)
             done.append(text)
         except DeviceError as failure:
             failures.append(f"{'the lamp could not be darkened' if device == 'light' else 'the arms'}: {failure}")
@@ -106,6 +106,24 @@ def park(rig: RigOption) -> None:
     if failures:
         raise DeviceError(f"{name}: {'; '.join([*done, *failures])}")
     console.note(f"{name}: {', '.join(done)}")
+
+
+def _leave_in_order(bench: Bench, device: str) -> None:
+    """Entering darkens, and leaving parks; arms that are stopped on the way hold, and do not fall."""
+    from gonio.errors import DeviceError, Interrupted
+
+    failure: DeviceError | None = None
+    with bench:
+        if device == "arms" and bench.can_hold:
+            try:
+                bench.arms.park()
+            except DeviceError as stuck:
+                failure = stuck  # what can be parked is; leaving says the same where it fails again
+            except (KeyboardInterrupt, Interrupted):
+                bench.hold()
+                raise
+    if failure is not None:
+        raise failure
 
 
 # ---- lamp ----

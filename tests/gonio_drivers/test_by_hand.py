@@ -133,6 +133,32 @@ def test_a_mute_servo_is_named_and_the_others_are_read_moved_and_parked(
         assert angle(twins, name) == pytest.approx(PARKED[name], abs=LANDED_DEG)
 
 
+def test_a_servo_in_alarm_is_read_and_named_and_the_others_are_parked(twins: Twins, tmp_path: Path) -> None:
+    rig = written(twins, tmp_path)
+    twins.servos["camera"].temperature_c = 90
+    done = run(tmp_path, "rig", "read", "--rig", rig)
+    assert done.returncode == 0, done.stderr
+    (line,) = [line for line in done.stdout.splitlines() if line.startswith("camera")]
+    assert "90 C" in line
+    assert "overheated" in line
+    assert "BAD" in line
+    done = run(tmp_path, "rig", "park", "--rig", rig)
+    assert done.returncode == 3
+    assert "parked: light, tilt, spin; not parked" in done.stderr
+    assert "overheated" in done.stderr
+    assert angle(twins, "light") == pytest.approx(PARKED["light"], abs=LANDED_DEG)
+
+
+def test_an_axis_that_is_stuck_stops_all_and_everybodys_place_is_told(twins: Twins, tmp_path: Path) -> None:
+    rig = written(twins, tmp_path)
+    twins.servos["light"].block()
+    done = run(tmp_path, "rig", "move", "light=20", "camera=60", "--rig", rig)
+    assert done.returncode == 3
+    assert re.search("axis light.*(it is stuck|overloaded)", done.stderr)
+    (told,) = re.findall(r"the axes stand now: .*camera (-?[0-9.]+) deg, holds", done.stderr)
+    assert float(told) == pytest.approx(angle(twins, "camera"), abs=0.1)  # a count, and its rounding
+
+
 def test_with_the_servos_power_off_the_lamp_is_darkened_and_the_arms_are_said_to_be_missing(
     twins: Twins, tmp_path: Path
 ) -> None:
@@ -232,6 +258,21 @@ def test_ctrl_c_stops_every_axis_and_says_where_it_stands(tmp_path: Path) -> Non
             (told,) = re.findall(rf"{name} (-?[0-9.]+) deg, holds", said)
             assert float(told) == pytest.approx(angle(twins, name), abs=0.1)  # a count, and its rounding
         assert angle(twins, "light") < 39
+
+
+def test_ctrl_c_on_the_way_to_rest_stops_and_holds(tmp_path: Path) -> None:
+    with Twins(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=1.0) as twins:
+        command = [*COMMAND, "rig", "park", "--rig", str(written(twins, tmp_path))]
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as child:
+            while not twins.servos["camera"].moves():
+                assert child.poll() is None
+                time.sleep(0.005)
+            child.send_signal(signal.SIGINT)
+            _, said = child.communicate()
+        assert child.returncode == 130, said
+        assert re.search(r"camera [0-9.]+ deg, holds", said)
+        assert twins.servos["camera"].torque
+        assert angle(twins, "camera") < 87
 
 
 # ---- the lamp ----
