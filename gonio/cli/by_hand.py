@@ -404,7 +404,7 @@ def bench_of(rig: str, *only: Device, sample: Path | None = None, seed: int = 0)
 
     choice = choice_of(rig)
     described = load_sample(sample) if sample is not None else None
-    return Bench(choice.open(sample=described, seed=seed), choice.source, only)
+    return Bench(choice.open(sample=described, seed=seed, by_hand=True), choice.source, only)
 
 
 def _angles(texts: list[str]) -> dict[str, float]:

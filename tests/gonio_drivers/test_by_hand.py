@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gonio_drivers import folder_camera, service
+from gonio_drivers import dynamixel, folder_camera, service
 from gonio_drivers.lab import LAB, LabRig
 from gonio_sim.wire.servo import Servo
 from gonio_sim.wire.twins import Twins, rig_file
@@ -100,6 +100,19 @@ def test_a_device_that_is_not_plugged_in_leaves_the_others_usable(twins: Twins, 
         assert "no-light" in done.stderr
 
 
+def test_a_camera_that_is_not_calibrated_yet_stops_nobody_else(twins: Twins, tmp_path: Path) -> None:
+    rig = written(twins, tmp_path)
+    devices = dict(twins.description.devices) | {"camera": {"driver": "uvc"}}
+    rig.write_text(rig_file(twins.description.model_copy(update={"devices": devices})))
+    done = run(tmp_path, "rig", "read", "--json", "--rig", rig)
+    assert done.returncode == 3
+    assert "devices.camera.response is missing" in json.loads(done.stdout)["silent"]["frames"]
+    for words in (["dark"], ["move", "tilt=2"], ["park"]):
+        assert run(tmp_path, "rig", *words, "--rig", rig).returncode == 0
+    done = run(tmp_path, "rig", "snap", "a.png", "--exposure", "0.01", "--rig", rig)
+    assert (done.returncode, "devices.camera.response is missing" in done.stderr) == (2, True)
+
+
 @pytest.mark.parametrize("mute", ["light", "camera", "changer"])
 def test_a_mute_servo_is_named_and_the_others_are_read_moved_and_parked(
     twins: Twins, tmp_path: Path, mute: str
@@ -159,6 +172,7 @@ def test_an_axis_that_is_stuck_stops_all_and_everybodys_place_is_told(twins: Twi
     assert float(told) == pytest.approx(angle(twins, "camera"), abs=0.1)  # a count, and its rounding
 
 
+@pytest.mark.usefixtures("quick")
 def test_with_the_servos_power_off_the_lamp_is_darkened_and_the_arms_are_said_to_be_missing(
     twins: Twins, tmp_path: Path
 ) -> None:
@@ -424,8 +438,9 @@ def test_a_zero_is_written_with_comments_and_a_backup(twins: Twins, tmp_path: Pa
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The twins answer a broadcast ping at once; real ones take turns."""
+    """The twins answer a broadcast ping at once, where real ones take turns; and two line speeds are enough."""
     monkeypatch.setattr(service, "EVERYBODY_S", 0.3)
+    monkeypatch.setattr(dynamixel, "BAUD_RATES", (57_600, 1_000_000))
 
 
 def add(twins: Twins, identity: int, baud: int = 1_000_000) -> Servo:
