@@ -48,6 +48,25 @@ def build(description: RigDescription, table: dict[str, Any]) -> OpenableCamera:
     return camera
 
 
+class Unbuilt:
+    """A camera that could not be made, for whoever does not need it: it says why when it is opened."""
+
+    def __init__(self, error: ConfigError) -> None:
+        self._error = error
+
+    def __enter__(self) -> Self:
+        raise self._error
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """It was never open."""
+
+    def capture(self, exposure_s: float) -> Frame:
+        """Raises what went wrong."""
+        raise self._error
+
+
 def folder(description: RigDescription, table: dict[str, Any]) -> OpenableCamera:
     """RAW files from a watched folder."""
     from gonio_drivers.folder_camera import FolderCamera

@@ -78,7 +78,7 @@ def _locked(line: int) -> bool:
             time.sleep(POLL_S)
 
 
-def _darken(port: str, baud: int, orders: list[bytes], *, alone: bool) -> None:
+def _darken(port: str, baud: int, orders: list[bytes], *, alone: bool = True) -> None:
     line = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     if alone and not _locked(line):
         return
@@ -99,4 +99,4 @@ if __name__ == "__main__":
     if limit_s > 0 and not select.select([sys.stdin], [], [], limit_s)[0]:
         _darken(*to_darken, alone=False)
     if not sys.stdin.buffer.read(1):
-        _darken(*to_darken, alone=True)
+        _darken(*to_darken)

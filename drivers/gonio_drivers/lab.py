@@ -18,7 +18,7 @@ from types import FrameType, TracebackType
 from typing import Any, Self
 
 from gonio.config import Strict, parse
-from gonio.errors import ArgumentError, DeviceError, GonioError, Interrupted
+from gonio.errors import ArgumentError, ConfigError, DeviceError, GonioError, Interrupted
 from gonio.rig import Device, Frame, Health, Step, Target, ask_for
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio_drivers import cameras, diagnosis, survey
@@ -83,15 +83,23 @@ class LabRig:
         The rig file, and its table `[devices]`.
     confirm
         Ask on the terminal when sample and reference have to be swapped by hand.
+    lenient
+        A camera that cannot be made is an error where it is opened, and not before.
     """
 
     repeatable = False
 
-    def __init__(self, description: RigDescription, devices: Devices, *, confirm: bool) -> None:
+    def __init__(self, description: RigDescription, devices: Devices, *, confirm: bool, lenient: bool = False) -> None:
         self.description = description
         self.light = SerialLight(description, devices.light)
         self.arms = ServoArms(description, devices.servos)
-        self._camera = cameras.build(description, devices.camera)
+        self._camera: cameras.OpenableCamera
+        try:
+            self._camera = cameras.build(description, devices.camera)
+        except ConfigError as error:
+            if not lenient:
+                raise
+            self._camera = cameras.Unbuilt(error)
         self._clock_starts = time.time() - time.monotonic()
         self.camera = GuardedCamera(self._camera, self.light, self.arms, self.time_s)
         self._camera_driver = str(devices.camera.get("driver"))
@@ -257,6 +265,11 @@ class LabPlugin(ServoService):
         """
         table = parse(_File, {"devices": description.devices}, f'rig "{description.name}"')
         return LabRig(description, table.devices, confirm=confirm)
+
+    def open_by_hand(self, description: RigDescription, *, confirm: bool) -> LabRig:
+        """The same for work by hand: a camera that cannot be made yet (an uncalibrated one) stops nobody else."""
+        table = parse(_File, {"devices": description.devices}, f'rig "{description.name}"')
+        return LabRig(description, table.devices, confirm=confirm, lenient=True)
 
 
 LAB = LabPlugin()

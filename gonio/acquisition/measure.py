@@ -36,9 +36,17 @@ class RigChoice:
     description: RigDescription
     source: str
 
-    def open(self, *, sample: SampleDescription | None = None, seed: int = 0, confirm: bool = False) -> Rig:
-        """The rig, built but not entered; see `RigPlugin.open`. Messages name the rig file."""
+    def open(
+        self, *, sample: SampleDescription | None = None, seed: int = 0, confirm: bool = False, by_hand: bool = False
+    ) -> Rig:
+        """The rig, built but not entered; see `RigPlugin.open`. Messages name the rig file.
+
+        For work `by_hand` a plugin may have a method `open_by_hand(description, confirm=)`, which refuses less.
+        """
         try:
+            if by_hand and hasattr(self.plugin, "open_by_hand"):
+                rig: Rig = self.plugin.open_by_hand(self.description, confirm=confirm)
+                return rig
             return self.plugin.open(self.description, sample=sample, seed=seed, confirm=confirm)
         except ConfigError as error:
             if Path(self.source).is_file():

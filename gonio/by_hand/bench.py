@@ -372,4 +372,5 @@ def open_rig(
     """
     described = load_sample(sample) if isinstance(sample, (str, Path)) else sample
     choice = find_rig(name)
-    return Bench(choice.open(sample=described, seed=seed, confirm=confirm), choice.source, only)
+    rig = choice.open(sample=described, seed=seed, confirm=confirm, by_hand=bool(only))
+    return Bench(rig, choice.source, only)

@@ -1,4 +1,4 @@
-"""`gonio rig move | read | lamp | snap | scan | set-zero | ids | reboot | park | dark`: one device at a time.
+"""`gonio rig move | read | lamp | snap | scan | park | dark`: one device at a time.
 
 Each command opens the devices that it names and no other, and tells how it left them.
 """
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from gonio.acquisition.measure import RigChoice
     from gonio.by_hand.bench import Bench
-    from gonio.rig import Device, FoundServo, Health
+    from gonio.rig import Device, Health
 
 __all__ = ["app"]
 
@@ -59,7 +59,7 @@ def move(
     from gonio.cli import console
 
     wanted = _angles(goals)
-    bench = _bench(rig, "arms")
+    bench = bench_of(rig, "arms")
     bench.goals(**wanted)  # whatever is wrong with them is said before anything is opened
     if bench.repeatable:
         console.note("a simulated rig exists for the length of one command, and starts parked")
@@ -86,13 +86,13 @@ def park(rig: RigOption) -> None:
     from gonio.cli import console
     from gonio.errors import DeviceError, GonioError
 
-    name = _choice(rig).description.name
+    name = choice_of(rig).description.name
     done, failures = [], []
     for device, text in (("light", "lamp dark"), ("arms", "arms parked")):
         try:
-            bench = _bench(rig, device)  # type: ignore[arg-type]
-            with _told_where(bench, device), bench:
-                pass  # entering darkens, and leaving parks
+            bench = bench_of(rig, device)  # type: ignore[arg-type]
+            with _told_where(bench, device):
+                _leave_in_order(bench, device)
             done.append(text)
         except DeviceError as failure:
             failures.append(f"{'the lamp could not be darkened' if device == 'light' else 'the arms'}: {failure}")
@@ -108,6 +108,24 @@ def park(rig: RigOption) -> None:
     console.note(f"{name}: {', '.join(done)}")
 
 
+def _leave_in_order(bench: Bench, device: str) -> None:
+    """Entering darkens, and leaving parks; arms that are stopped on the way hold, and do not fall."""
+    from gonio.errors import DeviceError, Interrupted
+
+    failure: DeviceError | None = None
+    with bench:
+        if device == "arms" and bench.can_hold:
+            try:
+                bench.arms.park()
+            except DeviceError as stuck:
+                failure = stuck  # what can be parked is; leaving says the same where it fails again
+            except (KeyboardInterrupt, Interrupted):
+                bench.hold()
+                raise
+    if failure is not None:
+        raise failure
+
+
 # ---- lamp ----
 
 
@@ -116,7 +134,7 @@ def dark(rig: RigOption) -> None:
     """Darken the lamp; needs nothing else."""
     from gonio.cli import console
 
-    bench = _bench(rig, "light")
+    bench = bench_of(rig, "light")
     with _told_dark(), bench:
         bench.lamp(False)
     console.note(f"{bench.description.name}: lamp dark" + ("" if hasattr(bench, "only") else ", arms parked"))
@@ -145,7 +163,7 @@ def lamp(
         return dark(rig)
     if not math.isfinite(seconds):
         raise ConfigError(f"--for {seconds:g}: must be a number of seconds")
-    bench = _bench(rig, "light")
+    bench = bench_of(rig, "light")
     if hasattr(bench.light, "limit_s"):
         bench.light.limit_s = seconds + OVERDUE_S
     with _told_dark():
@@ -193,7 +211,7 @@ def read(
     from gonio.cli import console
     from gonio.errors import DeviceError
 
-    bench = _bench(rig)
+    bench = bench_of(rig)
     if not hasattr(bench, "survey"):
         console.note("this rig's driver has no `survey`: it is opened for this, and parks when it is left")
     health = bench.read()
@@ -251,7 +269,7 @@ def snap(
 
     require_free(file)
     devices: tuple[Device, ...] = ("camera", "light") if lit else ("camera",)
-    bench = _bench(rig, *devices, sample=sample)
+    bench = bench_of(rig, *devices, sample=sample)
     with _told_dark() if lit else contextlib.nullcontext(), bench:
         if bench.can_hold:
             bench.hold()
@@ -297,7 +315,7 @@ def scan(
     file = _scan_file(axis, out)
     angles = [math.radians(angle) for angle in angles_between(start, stop, step)]
     others = _angles(at or [])
-    bench = _bench(rig, "arms", "light", "camera", sample=sample, seed=seed)
+    bench = bench_of(rig, "arms", "light", "camera", sample=sample, seed=seed)
     for angle in angles:
         bench.check({axis: angle})
     if others:
@@ -366,130 +384,10 @@ def _scan_file(axis: str, out: Path | None) -> Path:
     return file
 
 
-# ---- zeros ----
-
-
-@app.command("set-zero")
-def set_zero(
-    axis: Annotated[str, typer.Argument(help="light, camera, tilt, spin or azimuth.", show_default=False)],
-    rig: RigOption,
-    at: Annotated[float, typer.Option(help="Where the axis truly stands now [deg].")] = 0.0,
-    out: Annotated[
-        Path | None, typer.Option(help="Write a changed copy, and leave the rig file as it is.", show_default=False)
-    ] = None,
-) -> None:
-    """Write an axis's zero into the rig file: it stands at this angle now. The file as it was is kept as .bak."""
-    from gonio.by_hand.rig_file import write_values, zero_values
-    from gonio.cli import console
-    from gonio.errors import ConfigError, DeviceError
-
-    if not Path(rig).is_file():
-        raise ConfigError(f'"{rig}" is no rig file to write into: gonio rig show {rig} > my.toml, then --rig my.toml')
-    if not math.isfinite(at):
-        raise ConfigError(f"--at {at:g}: must be a finite angle")
-    bench = _bench(rig, "arms")
-    bench.check({axis: 0.5 * math.radians(sum(bench.description.limits_deg().get(axis, (0.0, 0.0))))})
-    health = bench.read_arms()
-    read = health.of(axis, "angle")
-    if not isinstance(read, float):
-        raise DeviceError(f"axis {axis}: {health.silent.get(axis, 'its angle is not known')}")
-    values, offset = zero_values(bench.description, axis, read_deg=read, true_deg=at)
-    kept = write_values(rig, values, out=out)
-    console.show(
-        f"{axis} reads {read:.3f} deg and stands at {at:g} deg: zero_offset_deg = {offset:.3f} in {out or rig}"
-        + (f" (as it was: {kept})" if kept else "")
-    )
-
-
-# ---- servos ----
-
-
-@app.command()
-def ids(
-    rig: RigOption,
-    port: Annotated[
-        str | None, typer.Option(help="Another port than the rig file's.", show_default=False)
-    ] = None,
-    set_id: Annotated[
-        tuple[int, int] | None, typer.Option(metavar="OLD NEW", help="Give a servo another id.", show_default=False)
-    ] = None,
-    set_baud: Annotated[
-        tuple[int, int] | None,
-        typer.Option(metavar="ID BAUD", help="Give a servo another line speed.", show_default=False),
-    ] = None,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask for no confirmation.")] = False,
-) -> None:  # fmt: skip
-    """List the servos on a port, at every line speed; or give one another id or speed, for good."""
-    from gonio.cli import console
-    from gonio.errors import DeviceError
-
-    choice = _choice(rig)
-    service: Any = _service(choice, "servos")
-    where = port or service.ports(choice.description)[0]
-    with choice.naming():
-        found: list[FoundServo] = service.servos(where, console.note)
-    table = console.table("id", "baud", "model", "firmware", "", title=where)
-    for servo in found:
-        remark = "" if servo.alone else "two servos with this id, or damaged answers: connect one at a time"
-        table.add_row(str(servo.id), str(servo.baud), servo.model, str(servo.firmware), remark)
-    console.show(table)
-    if not found:
-        raise DeviceError(f"no servo answers on {where} at any line speed; is its power on, and the cable in?")
-    if set_id is not None:
-        found = _assigned(service, found, set_id[0], yes, identity=set_id[1])
-    if set_baud is not None:
-        _assigned(service, found, set_baud[0], yes, baud=set_baud[1])
-
-
-def _assigned(service: Any, found: list[FoundServo], old: int, yes: bool, **new: int) -> list[FoundServo]:
-    """One of the servos that were found, changed."""
-    from gonio.cli import console
-    from gonio.errors import ConfigError, DeviceError
-
-    mine = [servo for servo in found if servo.id == old]
-    if not mine:
-        raise DeviceError(f"no servo with id {old} was found; there are {', '.join(str(s.id) for s in found)}")
-    if len(mine) > 1 or not mine[0].alone:
-        raise DeviceError(f"more than one servo answers to id {old}: connect the one that is meant, alone")
-    servo, identity = mine[0], new.get("identity")
-    if identity is not None and any(other.id == identity for other in found if other != servo):
-        raise DeviceError(f"id {identity} is taken by another servo on this port")
-    what = f"id {identity}" if identity is not None else f"{new['baud']} baud"
-    said = f"servo id {servo.id} ({servo.model}, {servo.baud} baud) becomes {what}, for good; its torque goes off"
-    if not yes:
-        if not (sys.stdin is not None and sys.stdin.isatty()):
-            raise ConfigError(f"{said}: there is no terminal to confirm it; --yes asks for none")
-        if not typer.confirm(f"{said}. Go on?", err=True):
-            raise ConfigError("nothing was changed")
-    changed: FoundServo = service.assign(servo, **new)
-    console.show(f"servo id {changed.id} ({changed.model}) answers at {changed.baud} baud")
-    return [changed if other == servo else other for other in found]
-
-
-@app.command()
-def reboot(
-    rig: RigOption,
-    axes: Annotated[list[str] | None, typer.Argument(metavar="[AXIS]...", show_default=False)] = None,
-) -> None:
-    """Restart servos (all, or those of some axes), as after an overload. Their torque goes off: support the arms."""
-    from gonio.cli import console
-    from gonio.errors import DeviceError
-
-    choice = _choice(rig)
-    service: Any = _service(choice, "reboot")
-    with choice.naming():
-        done: dict[str, str] = service.reboot(choice.description, axes or ())
-    for name, failure in done.items():
-        console.show(f"{name}: {failure or 'restarted, torque off'}")
-    bad = [name for name, failure in done.items() if failure]
-    if bad:
-        raise DeviceError(f"{choice.description.name}: not restarted, or unwell: {', '.join(bad)}")
-
-
 # ---- inside ----
 
 
-def _choice(rig: str) -> RigChoice:
+def choice_of(rig: str) -> RigChoice:
     """The rig; a lamp is used by hand without its warm-up."""
     from gonio.acquisition.measure import find_rig
 
@@ -499,22 +397,14 @@ def _choice(rig: str) -> RigChoice:
     return replace(choice, description=description.model_copy(update={"lamp": cold}))
 
 
-def _bench(rig: str, *only: Device, sample: Path | None = None, seed: int = 0) -> Bench:
+def bench_of(rig: str, *only: Device, sample: Path | None = None, seed: int = 0) -> Bench:
+    """The rig with those devices to open (all, without names), and not entered yet."""
     from gonio.acquisition.measure import load_sample
     from gonio.by_hand.bench import Bench
 
-    choice = _choice(rig)
+    choice = choice_of(rig)
     described = load_sample(sample) if sample is not None else None
-    return Bench(choice.open(sample=described, seed=seed), choice.source, only)
-
-
-def _service(choice: RigChoice, method: str) -> object:
-    """The plugin, where it has a service for servos."""
-    from gonio.errors import ConfigError
-
-    if not hasattr(choice.plugin, method):
-        raise ConfigError(f'the rig "{choice.source}" has no servos that can be reached by this')
-    return choice.plugin
+    return Bench(choice.open(sample=described, seed=seed, by_hand=True), choice.source, only)
 
 
 def _angles(texts: list[str]) -> dict[str, float]:

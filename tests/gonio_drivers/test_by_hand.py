@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gonio_drivers import folder_camera, service
+from gonio_drivers import dynamixel, folder_camera, service
 from gonio_drivers.lab import LAB, LabRig
 from gonio_sim.wire.servo import Servo
 from gonio_sim.wire.twins import Twins, rig_file
@@ -100,6 +100,19 @@ def test_a_device_that_is_not_plugged_in_leaves_the_others_usable(twins: Twins, 
         assert "no-light" in done.stderr
 
 
+def test_a_camera_that_is_not_calibrated_yet_stops_nobody_else(twins: Twins, tmp_path: Path) -> None:
+    rig = written(twins, tmp_path)
+    devices = dict(twins.description.devices) | {"camera": {"driver": "uvc"}}
+    rig.write_text(rig_file(twins.description.model_copy(update={"devices": devices})))
+    done = run(tmp_path, "rig", "read", "--json", "--rig", rig)
+    assert done.returncode == 3
+    assert "devices.camera.response is missing" in json.loads(done.stdout)["silent"]["frames"]
+    for words in (["dark"], ["move", "tilt=2"], ["park"]):
+        assert run(tmp_path, "rig", *words, "--rig", rig).returncode == 0
+    done = run(tmp_path, "rig", "snap", "a.png", "--exposure", "0.01", "--rig", rig)
+    assert (done.returncode, "devices.camera.response is missing" in done.stderr) == (2, True)
+
+
 @pytest.mark.parametrize("mute", ["light", "camera", "changer"])
 def test_a_mute_servo_is_named_and_the_others_are_read_moved_and_parked(
     twins: Twins, tmp_path: Path, mute: str
@@ -133,6 +146,33 @@ def test_a_mute_servo_is_named_and_the_others_are_read_moved_and_parked(
         assert angle(twins, name) == pytest.approx(PARKED[name], abs=LANDED_DEG)
 
 
+def test_a_servo_in_alarm_is_read_and_named_and_the_others_are_parked(twins: Twins, tmp_path: Path) -> None:
+    rig = written(twins, tmp_path)
+    twins.servos["camera"].temperature_c = 90
+    done = run(tmp_path, "rig", "read", "--rig", rig)
+    assert done.returncode == 0, done.stderr
+    (line,) = [line for line in done.stdout.splitlines() if line.startswith("camera")]
+    assert "90 C" in line
+    assert "overheated" in line
+    assert "BAD" in line
+    done = run(tmp_path, "rig", "park", "--rig", rig)
+    assert done.returncode == 3
+    assert "parked: light, tilt, spin; not parked" in done.stderr
+    assert "overheated" in done.stderr
+    assert angle(twins, "light") == pytest.approx(PARKED["light"], abs=LANDED_DEG)
+
+
+def test_an_axis_that_is_stuck_stops_all_and_everybodys_place_is_told(twins: Twins, tmp_path: Path) -> None:
+    rig = written(twins, tmp_path)
+    twins.servos["light"].block()
+    done = run(tmp_path, "rig", "move", "light=20", "camera=60", "--rig", rig)
+    assert done.returncode == 3
+    assert re.search("axis light.*(it is stuck|overloaded)", done.stderr)
+    (told,) = re.findall(r"the axes stand now: .*camera (-?[0-9.]+) deg, holds", done.stderr)
+    assert float(told) == pytest.approx(angle(twins, "camera"), abs=0.1)  # a count, and its rounding
+
+
+@pytest.mark.usefixtures("quick")
 def test_with_the_servos_power_off_the_lamp_is_darkened_and_the_arms_are_said_to_be_missing(
     twins: Twins, tmp_path: Path
 ) -> None:
@@ -232,6 +272,21 @@ def test_ctrl_c_stops_every_axis_and_says_where_it_stands(tmp_path: Path) -> Non
             (told,) = re.findall(rf"{name} (-?[0-9.]+) deg, holds", said)
             assert float(told) == pytest.approx(angle(twins, name), abs=0.1)  # a count, and its rounding
         assert angle(twins, "light") < 39
+
+
+def test_ctrl_c_on_the_way_to_rest_stops_and_holds(tmp_path: Path) -> None:
+    with Twins(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=1.0) as twins:
+        command = [*COMMAND, "rig", "park", "--rig", str(written(twins, tmp_path))]
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as child:
+            while not twins.servos["camera"].moves():
+                assert child.poll() is None
+                time.sleep(0.005)
+            child.send_signal(signal.SIGINT)
+            _, said = child.communicate()
+        assert child.returncode == 130, said
+        assert re.search(r"camera [0-9.]+ deg, holds", said)
+        assert twins.servos["camera"].torque
+        assert angle(twins, "camera") < 87
 
 
 # ---- the lamp ----
@@ -383,8 +438,9 @@ def test_a_zero_is_written_with_comments_and_a_backup(twins: Twins, tmp_path: Pa
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The twins answer a broadcast ping at once; real ones take turns."""
+    """The twins answer a broadcast ping at once, where real ones take turns; and two line speeds are enough."""
     monkeypatch.setattr(service, "EVERYBODY_S", 0.3)
+    monkeypatch.setattr(dynamixel, "BAUD_RATES", (57_600, 1_000_000))
 
 
 def add(twins: Twins, identity: int, baud: int = 1_000_000) -> Servo:
