@@ -252,7 +252,7 @@ def of_model(model: Model, *, name: str, source: str = "", wavelength_nm: float 
     wavelength = DEFAULT_WAVELENGTH_NM if wavelength_nm is None else wavelength_nm
     numbers = _of_model(model, wavelength)
     incidences = [math.radians(t) for t in MODEL_INCIDENCES_DEG]
-    notes = ["The sample's parameters are taken as exact: no uncertainty is stated.", *_grey(numbers)]
+    notes = ["The sample's parameters are taken as exact: no uncertainty is stated.", *_colourless(numbers)]
     if model.depends_on_azimuth:
         notes.append(AZIMUTH)
     return _assembled(numbers, lambda _: None, name, source, "model", wavelength, incidences, notes)
@@ -277,7 +277,7 @@ def of_sample(sample: SampleDescription, *, source: str = "", wavelength_nm: flo
 
     u = np.array(known.u)
     numbers = _of_model(model, wavelength)
-    notes = ["Uncertainties are those of the sample's parameters, as its file states them.", *_grey(numbers)]
+    notes = ["Uncertainties are those of the sample's parameters, as its file states them.", *_colourless(numbers)]
     _propagate(numbers, moved, centre, np.array(known.correlation) * np.outer(u, u), wavelength, notes)
     if model.depends_on_azimuth:
         notes.append(AZIMUTH)
@@ -385,7 +385,7 @@ def _of_model(model: Model, wavelength_nm: float) -> _Numbers:
     return numbers
 
 
-def _grey(numbers: _Numbers) -> list[str]:
+def _colourless(numbers: _Numbers) -> list[str]:
     """A remark where a model has the same value at every wavelength, as one that was fitted at a single one."""
     tints = [value.value for key, value in numbers.values.items() if key[:2] in ("a ", "b ")]
     if not tints or any(tints):
