@@ -252,7 +252,7 @@ def of_model(model: Model, *, name: str, source: str = "", wavelength_nm: float 
     wavelength = DEFAULT_WAVELENGTH_NM if wavelength_nm is None else wavelength_nm
     numbers = _of_model(model, wavelength)
     incidences = [math.radians(t) for t in MODEL_INCIDENCES_DEG]
-    notes = ["The sample's parameters are taken as exact: no uncertainty is stated."]
+    notes = ["The sample's parameters are taken as exact: no uncertainty is stated.", *_colourless(numbers)]
     if model.depends_on_azimuth:
         notes.append(AZIMUTH)
     return _assembled(numbers, lambda _: None, name, source, "model", wavelength, incidences, notes)
@@ -277,7 +277,7 @@ def of_sample(sample: SampleDescription, *, source: str = "", wavelength_nm: flo
 
     u = np.array(known.u)
     numbers = _of_model(model, wavelength)
-    notes = ["Uncertainties are those of the sample's parameters, as its file states them."]
+    notes = ["Uncertainties are those of the sample's parameters, as its file states them.", *_colourless(numbers)]
     _propagate(numbers, moved, centre, np.array(known.correlation) * np.outer(u, u), wavelength, notes)
     if model.depends_on_azimuth:
         notes.append(AZIMUTH)
@@ -381,8 +381,16 @@ def _of_model(model: Model, wavelength_nm: float) -> _Numbers:
                 numbers.take(f"{letter} {key}", NotMeasured(str(error)))
             continue
         for letter, value in zip("Lab", colour.lab(xyz), strict=True):
-            numbers.take(f"{letter} {key}", exact(value))
+            numbers.take(f"{letter} {key}", exact(round(value, 9)))  # the rounding of sums over a grey spectrum is none
     return numbers
+
+
+def _colourless(numbers: _Numbers) -> list[str]:
+    """A remark where a model has the same value at every wavelength, as one that was fitted at a single one."""
+    tints = [value.value for key, value in numbers.values.items() if key[:2] in ("a ", "b ")]
+    if not tints or any(tints):
+        return []
+    return ["The model is the same at every wavelength: its colours are those of a grey, not of a measured spectrum."]
 
 
 # --- what all have in common -----------------------------------------------------------------------------------------

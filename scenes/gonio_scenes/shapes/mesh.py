@@ -171,6 +171,8 @@ def _parsed(kind: str, data: bytes) -> Parts:
     )
     parts = list(read["geometry"].values()) if "geometry" in read else [read]
     parts = [part for part in parts if part.get("faces") is not None and len(part["faces"])]
+    if not parts and kind == "stl":  # where its reader can guess an encoding, anything is a text without triangles
+        raise ValueError("it is damaged, or cut short, or has no triangles")
     if not parts:
         return np.empty((0, 3)), np.empty((0, 3), np.int64), None, None
     vertices = [np.asarray(part["vertices"], np.float64) for part in parts]

@@ -18,8 +18,9 @@ from tests.gonio_analysis.appearance.simulated import hemisphere, measured, name
 from tests.gonio_analysis.synthetic import known
 
 RUNS = int(os.environ.get("GONIO_PULLS", "60"))
-SCATTER = 3.0 / math.sqrt(2.0 * RUNS)
-"""What a standard deviation of so many draws differs from the true one by, three times: the largest of thirty."""
+SCATTER = 4.0 / math.sqrt(2.0 * RUNS)
+"""Four standard deviations of a standard deviation of so many draws: 138 values are looked at, of which one lies beyond
+three in a third of all sets of draws, and beyond four in one of a hundred."""
 SIGNED = np.arange(-87.5, 87.6, 2.5)
 HALF = np.concatenate([np.arange(-75.0, 0.0, 15.0), SIGNED[SIGNED >= 0.0]])
 WAVES = tuple(np.arange(420.0, 681.0, 20.0))

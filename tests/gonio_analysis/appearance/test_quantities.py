@@ -223,3 +223,11 @@ def test_a_sum_of_spike_and_base_keeps_the_spike() -> None:
     assert known(sample.rho_dh_8.value) == pytest.approx(
         0.25 + glass.specular_reflectivity(math.radians(8.0)), rel=1e-6
     )
+
+
+def test_a_model_without_colour_is_grey_and_said_to_be() -> None:
+    grey = of_model(CookTorrance(s=0.5, d=0.5, slopes=((0.2, 1.0),), ior=1.5, diffuse_albedo=0.3), name="grey")
+    assert {q.value for key, q in named(grey) if key[:2] in ("a ", "b ")} == {0.0}
+    assert any("same at every wavelength" in note for note in grey.notes)
+    tinted = of_model(HeTorrance(sigma0_um=0.3, tau_um=1.5, ior=lambda nm: 1.3 + 0.001 * (nm - 400.0)), name="tinted")
+    assert not any("same at every wavelength" in note for note in tinted.notes)
