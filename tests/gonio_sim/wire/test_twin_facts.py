@@ -128,7 +128,7 @@ Build = Callable[..., Bench]
 
 
 def rows() -> list[tuple[str, str, str, str, str]]:
-    found = re.findall(r"(?m)^\| (\d+) \| (.+?) \| (.+?) \| ([MSR]) \| `(\w+)` \|$", PAGE.read_text())
+    found = re.findall(r"(?m)^\| (\d+) \| (.+?) \| (.+?) \| ([MR]) \| `(\w+)` \|$", PAGE.read_text())
     return [tuple(row) for row in found]
 
 
