@@ -48,6 +48,7 @@ LIMITED = (("Goal Velocity", "Velocity Limit"), ("Goal Current", "Current Limit"
 VOLTAGE, OVERHEATING, ENCODER, SHOCK, OVERLOAD = 0x01, 0x04, 0x08, 0x10, 0x20
 """Bits of the Hardware Error Status and of Shutdown."""
 AMBIENT_C = 34
+VOLTAGES = ("Min Voltage Limit", "Max Voltage Limit")
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +143,11 @@ class Servo:
         self._watch(time.monotonic())
         return self._clock() < self._path.end_s or abs(self._path.at(self._clock())[1]) > 0
 
+    def turn(self, counts: float) -> None:
+        """Somebody turns the shaft, which has no torque."""
+        self._path = motion.rest(self._clock(), self.shaft()[0] + counts)
+        self._aim = self._path.at(self._clock())[0]
+
     def block(self) -> None:
         """Something holds the shaft from now on."""
         self._blocked_at = self.shaft()[0]
@@ -153,11 +159,6 @@ class Servo:
             self._blocked_at = self._stalled_since = None
             if self.torque:
                 self._drive()
-
-    def turn(self, counts: float) -> None:
-        """Somebody turns the shaft, which has no torque."""
-        self._path = motion.rest(self._clock(), self.shaft()[0] + counts)
-        self._aim = self._path.at(self._clock())[0]
 
     def lose_power(self) -> None:
         """Drop out of the bus."""
@@ -482,7 +483,8 @@ class Servo:
         error = self.get("Hardware Error Status") | self.damage
         if self.temperature_c > self.get("Temperature Limit"):
             error |= OVERHEATING
-        if not self.get("Min Voltage Limit") <= self.supply_dv <= self.get("Max Voltage Limit"):
+        lowest, highest = (self.get(name) for name in VOLTAGES)
+        if not lowest <= self.supply_dv <= highest:
             error |= VOLTAGE
         if self._pushes():
             self._stalled_since = now if self._stalled_since is None else self._stalled_since
