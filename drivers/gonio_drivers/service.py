@@ -141,15 +141,18 @@ def _alone(bus: Bus, identity: int) -> bool:
     """Whether one servo, and not two, answers to an id."""
     address, size = TELLING
     request = address.to_bytes(2, "little") + size.to_bytes(2, "little")
-    clean = 0
+    clean, damaged = 0, False
     for _ in range(LOOKS):
         heard = bus.overhear(identity, INST_READ, request, listen_s=ONE_S)
         packets = [packet for packet in _packets(heard) if packet[4] == identity]
         if len(packets) > 1:
             return False
-        clean += len(packets) == 1 and len(packets[0]) == len(heard)
-    if clean:
-        return True
+        if packets and len(packets[0]) == len(heard):
+            clean += 1
+        else:
+            damaged = damaged or bool(heard)
+    if clean or damaged:  # two that talk at once damage every answer but those in which they agree, as to a ping
+        return bool(clean)
     return len(bus.overhear(identity, INST_PING, listen_s=ONE_S)) == 14  # it answers nothing but pings
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 
 from gonio_sim.wire import protocol2 as p2
 from gonio_sim.wire.faults import Faults
@@ -11,12 +13,29 @@ from gonio_sim.wire.registers import Refused
 from gonio_sim.wire.servo import Servo
 
 Send = Callable[[bytes], None]
+ById = dict[int, list[Servo]]
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A status packet that a servo has to say."""
+
+    servo: Servo
+    status: bytes
+    delay_s: float
+    """From the end of the instruction packet."""
+
+    @property
+    def length_s(self) -> float:
+        """How long it is on the line."""
+        return len(self.status) * p2.BITS / self.servo.baud
 
 
 class ServoBus:
     """Hears every packet, lets each servo that is meant act, and returns their status packets in order.
 
-    Only servos whose line speed is that of the other side hear anything.
+    Only servos whose line speed is that of the other side hear anything. Status packets take the time that their bytes
+    need on the line. Servos with the same id talk at the same time and damage each other's bytes.
     """
 
     def __init__(self, servos: Iterable[Servo], faults: Faults | None = None) -> None:
@@ -26,7 +45,7 @@ class ServoBus:
 
     def receive(self, data: bytes, baud: int, send: Send) -> None:
         """Take bytes from the line."""
-        for packet in self._reader.feed(data):
+        for packet in self._reader.feed(data, time.monotonic()):
             if packet.instruction != p2.STATUS:
                 self._instruct(packet, [s for s in self.servos if s.answers and s.baud == baud], send)
 
@@ -40,9 +59,7 @@ class ServoBus:
         for servo in present:
             servo.heard(wall)
         if not packet.crc_ok:
-            for servo in present:
-                if servo.id == packet.id:
-                    self._reply(servo, p2.CRC_ERROR, b"", send, level=2)
+            self._say([_answer(s, p2.CRC_ERROR) for s in present if s.id == packet.id and _level(s) >= 2], send)
             return
         several = {
             p2.SYNC_READ: self._sync_read, p2.FAST_SYNC_READ: self._fast_sync_read, p2.SYNC_WRITE: self._sync_write,
@@ -50,31 +67,39 @@ class ServoBus:
         }.get(packet.instruction)  # fmt: skip
         if several is not None:
             if packet.id == p2.BROADCAST:
-                several(packet.parameters, {s.id: s for s in present}, send)
+                several(packet.parameters, _by_id(present), send)
             return
-        for servo in sorted(present, key=lambda s: s.id):
-            if packet.id in (servo.id, p2.BROADCAST, servo.get("Secondary(Shadow) ID")):
-                self._single(packet, servo, send)
+        meant = [s for s in present if packet.id in (s.id, p2.BROADCAST, s.get("Secondary(Shadow) ID"))]
+        for servos in _by_id(meant).values():  # in the order of their ids
+            done = [self._single(packet, servo) for servo in servos]
+            self._say([answer for answer, _ in done if answer is not None], send)
+            for _, after in done:
+                after()
 
-    def _single(self, packet: p2.Packet, servo: Servo, send: Send) -> None:
-        broadcast = packet.id != servo.id  # a shadow ID is obeyed, and not answered, as a broadcast is
+    def _single(self, packet: p2.Packet, servo: Servo) -> tuple[Answer | None, Callable[[], None]]:
+        """Let a servo act; what it says, and what it does when that is said."""
+        others = packet.id != servo.id  # a secondary ID is obeyed, and not answered, as a broadcast is
+        everybody = packet.id == p2.BROADCAST
         data = packet.parameters
-        error, answer, level, after = 0, b"", 2, None
+        error, data_out, level, after = 0, b"", 2, _nothing
         identity = servo.id
         try:
             if packet.instruction == p2.PING:
-                answer, level = servo.ping(), 0
+                data_out, level = servo.ping(), 0
             elif packet.instruction == p2.READ:
                 level = 1
                 if len(data) != 4:
                     raise Refused(p2.LENGTH_ERROR)
-                if broadcast:
-                    return
-                answer = servo.read(_word(data, 0), _word(data, 2))
-            elif packet.instruction in (p2.WRITE, p2.REG_WRITE):
+                if not others:
+                    data_out = servo.read(_word(data, 0), _word(data, 2))
+            elif packet.instruction == p2.WRITE:
                 if len(data) < 3:
                     raise Refused(p2.LENGTH_ERROR)
-                (servo.write if packet.instruction == p2.WRITE else servo.register)(_word(data, 0), data[2:])
+                servo.write(_word(data, 0), data[2:], as_group=others and not everybody)
+            elif packet.instruction == p2.REG_WRITE:
+                if len(data) < 3:
+                    raise Refused(p2.LENGTH_ERROR)
+                servo.register(_word(data, 0), data[2:])
             elif packet.instruction == p2.ACTION:
                 servo.action()
             elif packet.instruction == p2.REBOOT:
@@ -82,105 +107,161 @@ class ServoBus:
             elif packet.instruction == p2.FACTORY_RESET:
                 if len(data) != 1:
                     raise Refused(p2.LENGTH_ERROR)
-                if broadcast and data[0] == 0xFF:  # not activated (X series, firmware 42 and later)
-                    return
-                servo.reset(data[0])
+                if not (everybody and data[0] == 0xFF):  # that is not carried out (X series, firmware 42 and later)
+                    servo.reset(data[0])
             elif packet.instruction == p2.CLEAR:
-                if data != bytes([0x01, 0x44, 0x58, 0x4C, 0x22]):
-                    raise Refused(p2.RANGE_ERROR)
+                _require(data, {b"\x01DXL\x22"})
                 servo.clear_turns()
+            elif packet.instruction == p2.BACKUP:
+                _require(data, {b"\x01CTRL", b"\x02CTRL"})
+                if data[0] == 1:
+                    servo.back_up()
+                else:
+                    servo.restore()
+                    after = servo.restart
             else:
                 raise Refused(p2.INSTRUCTION_ERROR)
         except Refused as refusal:
             error = refusal.error
-        if not broadcast or (packet.instruction == p2.PING and packet.id == p2.BROADCAST):
-            self._reply(servo, error, answer, send, level=level, identity=identity)
-        if after is not None:
-            after()
+        silent = others and not (everybody and packet.instruction == p2.PING)
+        if silent or _level(servo) < level:
+            return None, after
+        return _answer(servo, error, data_out, identity), after
 
-    def _reply(
-        self, servo: Servo, error: int, data: bytes, send: Send, *, level: int, identity: int | None = None
-    ) -> None:
-        if servo.get("Status Return Level") < level:
+    def _say(self, answers: list[Answer], send: Send) -> None:
+        """Put the answers of servos with one id on the line."""
+        if not answers:
             return
-        time.sleep(servo.get("Return Delay Time") * 2e-6)
-        status = p2.status(servo.id if identity is None else identity, error | servo.error, data)
-        for delay_s, chunk in self.faults.on_status(servo, status):
+        first = min(answers, key=lambda answer: answer.delay_s)
+        status = first.status if len(answers) == 1 else _collided(answers)
+        time.sleep(first.delay_s + first.length_s)
+        for delay_s, chunk in self.faults.on_status(first.servo, status):
             if delay_s:
                 time.sleep(delay_s)
             send(chunk)
 
     # ---- several servos ----
 
-    def _sync_read(self, data: bytes, present: dict[int, Servo], send: Send) -> None:
-        for identity in data[4:]:
-            if not self._read_one(present.get(identity), _word(data, 0), _word(data, 2), send):
+    def _sync_read(self, data: bytes, present: ById, send: Send) -> None:
+        self._in_turn([(identity, _word(data, 0), _word(data, 2)) for identity in data[4:]], present, send)
+
+    def _bulk_read(self, data: bytes, present: ById, send: Send) -> None:
+        self._in_turn(_bulk(data), present, send)
+
+    def _in_turn(self, wanted: list[tuple[int, int, int]], present: ById, send: Send) -> None:
+        """One status packet after the other; where one is silent, the next waits for it for ever."""
+        for identity, address, length in _once(wanted):
+            servos = [servo for servo in present.get(identity, []) if _level(servo) >= 1]
+            if not servos:
                 return
+            self._say([_read(servo, address, length) for servo in servos], send)
 
-    def _bulk_read(self, data: bytes, present: dict[int, Servo], send: Send) -> None:
-        for k in range(0, len(data) - 4, 5):
-            if not self._read_one(present.get(data[k]), _word(data, k + 1), _word(data, k + 3), send):
-                return
-
-    def _read_one(self, servo: Servo | None, address: int, length: int, send: Send) -> bool:
-        """One servo's turn; False where it is silent, because the next one waits for it."""
-        if servo is None or servo.get("Status Return Level") < 1:
-            return False
-        try:
-            error, answer = 0, servo.read(address, length)
-        except Refused as refusal:
-            error, answer = refusal.error, b""
-        self._reply(servo, error, answer, send, level=1)
-        return True
-
-    def _fast_sync_read(self, data: bytes, present: dict[int, Servo], send: Send) -> None:
+    def _fast_sync_read(self, data: bytes, present: ById, send: Send) -> None:
         self._fast([(identity, _word(data, 0), _word(data, 2)) for identity in data[4:]], present, send)
 
-    def _fast_bulk_read(self, data: bytes, present: dict[int, Servo], send: Send) -> None:
-        wanted = [(data[k], _word(data, k + 1), _word(data, k + 3)) for k in range(0, len(data) - 4, 5)]
-        self._fast(wanted, present, send)
+    def _fast_bulk_read(self, data: bytes, present: ById, send: Send) -> None:
+        self._fast(_bulk(data), present, send)
 
-    def _fast(self, wanted: list[tuple[int, int, int]], present: dict[int, Servo], send: Send) -> None:
+    def _fast(self, wanted: list[tuple[int, int, int]], present: ById, send: Send) -> None:
         """One status packet that the servos write one after the other, each closing its part with the CRC so far."""
         length = 1 + sum(4 + size for _, _, size in wanted)
         out = p2.HEADER + bytes([0, p2.BROADCAST]) + length.to_bytes(2, "little") + bytes([p2.STATUS])
-        last: Servo | None = None
-        for identity, address, size in wanted:
-            servo = present.get(identity)
-            if servo is None or servo.get("Status Return Level") < 1:
+        said: list[Answer] = []
+        for identity, address, size in _once(wanted):
+            servo = next((s for s in present.get(identity, []) if _level(s) >= 1), None)
+            if servo is None:
                 break
             try:
                 out += bytes([servo.error, identity]) + servo.read(address, size)
             except Refused as refusal:
                 out += bytes([servo.error | refusal.error, identity]) + bytes(size)
             out += p2.crc16(out).to_bytes(2, "little")
-            last = servo
-        if last is not None:
-            time.sleep(last.get("Return Delay Time") * 2e-6)
-            for delay_s, chunk in self.faults.on_status(last, out):
-                if delay_s:
-                    time.sleep(delay_s)
-                send(chunk)
+            said = [Answer(servo, out, _delay_s(servo))]
+        self._say(said, send)
 
-    def _sync_write(self, data: bytes, present: dict[int, Servo], send: Send) -> None:
+    def _sync_write(self, data: bytes, present: ById, send: Send) -> None:
         address, length = _word(data, 0), _word(data, 2)
         for k in range(4, len(data) - length, 1 + length):
-            self._write_one(present.get(data[k]), address, data[k + 1 : k + 1 + length])
+            _write(present.get(data[k], []), address, data[k + 1 : k + 1 + length])
 
-    def _bulk_write(self, data: bytes, present: dict[int, Servo], send: Send) -> None:
-        k = 0
+    def _bulk_write(self, data: bytes, present: ById, send: Send) -> None:
+        k, written = 0, set()
         while k + 5 <= len(data):
             length = _word(data, k + 3)
-            self._write_one(present.get(data[k]), _word(data, k + 1), data[k + 5 : k + 5 + length])
+            if data[k] not in written:
+                _write(present.get(data[k], []), _word(data, k + 1), data[k + 5 : k + 5 + length])
+            written.add(data[k])
             k += 5 + length
 
-    @staticmethod
-    def _write_one(servo: Servo | None, address: int, data: bytes) -> None:
-        if servo is not None:
-            try:
-                servo.write(address, data)
-            except Refused:
-                return  # nobody is told: a write to several servos has no status packet
+
+def _nothing() -> None:
+    """What most servos do after their answer."""
+
+
+def _level(servo: Servo) -> int:
+    return servo.get("Status Return Level")
+
+
+def _delay_s(servo: Servo) -> float:
+    return servo.get("Return Delay Time") * 2e-6
+
+
+def _answer(servo: Servo, error: int, data: bytes = b"", identity: int | None = None) -> Answer:
+    status = p2.status(servo.id if identity is None else identity, error | servo.error, data)
+    return Answer(servo, status, _delay_s(servo))
+
+
+def _read(servo: Servo, address: int, length: int) -> Answer:
+    try:
+        return _answer(servo, 0, servo.read(address, length))
+    except Refused as refusal:
+        return _answer(servo, refusal.error)
+
+
+def _write(servos: list[Servo], address: int, data: bytes) -> None:
+    for servo in servos:
+        with contextlib.suppress(Refused):  # nobody is told: a write to several servos has no status packet
+            servo.write(address, data)
+
+
+def _by_id(servos: Iterable[Servo]) -> ById:
+    out: ById = {}
+    for servo in sorted(servos, key=lambda s: s.id):
+        out.setdefault(servo.id, []).append(servo)
+    return out
+
+
+def _once(wanted: list[tuple[int, int, int]]) -> Iterator[tuple[int, int, int]]:
+    """A servo answers where its id comes first; where it comes again nobody does."""
+    seen = set()
+    for identity, address, length in wanted:
+        if identity in seen:
+            return
+        seen.add(identity)
+        yield identity, address, length
+
+
+def _bulk(data: bytes) -> list[tuple[int, int, int]]:
+    return [(data[k], _word(data, k + 1), _word(data, k + 3)) for k in range(0, len(data) - 4, 5)]
+
+
+def _require(data: bytes, known: set[bytes]) -> None:
+    if len(data) != 5:
+        raise Refused(p2.LENGTH_ERROR)
+    if data not in known:
+        raise Refused(p2.RANGE_ERROR)
+
+
+def _collided(answers: list[Answer]) -> bytes:
+    """What the line makes of packets that overlap: low wins, bit by bit; later ones begin some bytes later."""
+    start = min(answer.delay_s for answer in answers)
+    out = bytearray()
+    for answer in answers:
+        at = round((answer.delay_s - start) * answer.servo.baud / p2.BITS)
+        out += b"\xff" * (at + len(answer.status) - len(out))
+        for k, byte in enumerate(answer.status):
+            out[at + k] &= byte
+    return bytes(out)
 
 
 def _word(data: bytes, at: int) -> int:

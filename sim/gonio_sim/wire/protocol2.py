@@ -13,6 +13,7 @@ BROADCAST = 0xFE
 STATUS = 0x55
 
 PING, READ, WRITE, REG_WRITE, ACTION, FACTORY_RESET, REBOOT, CLEAR = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x08, 0x10
+BACKUP = 0x20
 SYNC_READ, SYNC_WRITE, FAST_SYNC_READ, BULK_READ, BULK_WRITE, FAST_BULK_READ = 0x82, 0x83, 0x8A, 0x92, 0x93, 0x9A
 
 RESULT_FAIL, INSTRUCTION_ERROR, CRC_ERROR, RANGE_ERROR, LENGTH_ERROR, LIMIT_ERROR, ACCESS_ERROR = range(1, 8)
@@ -20,6 +21,10 @@ ALERT = 0x80
 
 LONGEST = 1024
 """Longest packet that a device takes [bytes]; a header that announces more is not a header."""
+LONGEST_GAP_S = 0.0015
+"""Between two bytes of an instruction packet; after a longer one a device waits for the next header."""
+BITS = 10
+"""Of a byte on the line: start, eight, stop."""
 
 
 def _table() -> tuple[int, ...]:
@@ -78,9 +83,17 @@ class Reader:
 
     def __init__(self) -> None:
         self._bytes = bytearray()
+        self._last_s = 0.0
 
-    def feed(self, data: bytes) -> Iterator[Packet]:
-        """Packets that are complete after `data`; one with a wrong CRC comes with `crc_ok` False."""
+    def feed(self, data: bytes, now_s: float | None = None) -> Iterator[Packet]:
+        """Packets that are complete after `data`; one with a wrong CRC comes with `crc_ok` False.
+
+        With a time `now_s` [s], the beginning of a packet is dropped where the rest is too long in coming.
+        """
+        if now_s is not None:
+            if now_s - self._last_s > LONGEST_GAP_S:
+                self._bytes.clear()
+            self._last_s = now_s
         self._bytes += data
         while (packet := self._next()) is not None:
             yield packet

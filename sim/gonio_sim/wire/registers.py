@@ -29,6 +29,12 @@ class Registers:
     def __init__(self, table: tables.Table) -> None:
         self.table = table
         self._bytes = bytearray(table.size)
+        self._at = {item.address: item for item in table.items.values()}
+        self._pointers = {
+            item.address: table.items[name.replace("Data", "Address")].address
+            for name, item in table.items.items()
+            if name.startswith("Indirect Data")
+        }
         for name, value in table.factory.items():
             self.put(name, value)
 
@@ -61,31 +67,25 @@ class Registers:
 
     def _indirect(self, address: int) -> int:
         """Where an indirect data byte points to; any other address is itself."""
-        for first, table, data in ((1, 168, 224), (29, 578, 634)):
-            if data <= address < data + 28 and f"Indirect Data {first}" in self.table.items:
-                return int.from_bytes(self._bytes[table + 2 * (address - data) :][:2], "little")
-        return address
-
-    def follow(self, address: int, data: bytes) -> int:
-        """The address that a write to indirect data means: the run of bytes must be contiguous behind it."""
-        target = self._indirect(address)
-        if any(self._indirect(address + k) != target + k for k in range(len(data))):
-            raise Refused(p2.ACCESS_ERROR)
-        return target
+        pointer = self._pointers.get(address)
+        return address if pointer is None else int.from_bytes(self._bytes[pointer : pointer + 2], "little")
 
     def items(self, address: int, data: bytes) -> list[tuple[tables.Item, int]]:
-        """The items that a write covers, each wholly and each writable, with the values that they are to take."""
-        at = {item.address: item for item in self.table.items.values()}
+        """The items that a write covers, each wholly and each writable, with the values that they are to take.
+
+        Indirect data may mean items that are not adjacent, in any order; the bytes of each are together.
+        """
+        meant = [self._indirect(address + k) for k in range(len(data))]
         out, position = [], 0
         if not data:
             raise Refused(p2.LENGTH_ERROR)
         while position < len(data):
-            item = at.get(address + position)
+            item = self._at.get(meant[position])
             if item is None or not item.writable:
                 raise Refused(p2.ACCESS_ERROR)
-            if position + item.size > len(data):
+            end = position + item.size
+            if meant[position:end] != list(range(item.address, item.address + item.size)):
                 raise Refused(p2.LENGTH_ERROR)
-            raw = data[position : position + item.size]
-            out.append((item, int.from_bytes(raw, "little", signed=item.signed)))
-            position += item.size
+            out.append((item, int.from_bytes(data[position:end], "little", signed=item.signed)))
+            position = end
         return out

@@ -21,10 +21,32 @@ NO_LOAD = 1.0e6
 STALL_TO_OVERLOAD_S = 2.0
 BOOT_S = 0.5
 WATCHDOG_UNIT_S = 0.020
-POSITION_MODES = (3, 4, 5)
+CURRENT, VELOCITY, POSITION, EXTENDED, CURRENT_POSITION, PWM = 0, 1, 3, 4, 5, 16
+POSITION_MODES = (POSITION, EXTENDED, CURRENT_POSITION)
+GOALS = {
+    CURRENT: "Goal Current", VELOCITY: "Goal Velocity", POSITION: "Goal Position", EXTENDED: "Goal Position",
+    CURRENT_POSITION: "Goal Position", PWM: "Goal PWM",
+}  # fmt: skip
+"""The item that moves the shaft, by operating mode."""
+REVERSE, FOLLOWER, TIME_BASED, TORQUE_BY_GOAL = 0x01, 0x02, 0x04, 0x08
+"""Bits of the Drive Mode."""
+TORQUE_AT_START, RAM_RESTORE = 0x01, 0x02
+"""Bits of the Startup Configuration."""
+STEP, RECTANGULAR, TRIANGULAR, TRAPEZOIDAL = 0x00, 0x10, 0x20, 0x30
+FOLLOWING_ERROR, UNDER_WAY, IN_POSITION = 0x08, 0x02, 0x01
+"""Bits of the Moving Status."""
+VALID_OFFSET = 1024
+"""Largest homing offset that counts in Position mode."""
+IN_POSITION_COUNTS = 20
+GAINS = (
+    "Velocity I Gain", "Velocity P Gain", "Position D Gain", "Position I Gain", "Position P Gain",
+    "Feedforward 2nd Gain", "Feedforward 1st Gain",
+)  # fmt: skip
+PROFILE = ("Profile Acceleration", "Profile Velocity")
 LIMITED = (("Goal Velocity", "Velocity Limit"), ("Goal Current", "Current Limit"), ("Goal PWM", "PWM Limit"))
 
-VOLTAGE, OVERHEATING, OVERLOAD = 0x01, 0x04, 0x20
+VOLTAGE, OVERHEATING, ENCODER, SHOCK, OVERLOAD = 0x01, 0x04, 0x08, 0x10, 0x20
+"""Bits of the Hardware Error Status and of Shutdown."""
 AMBIENT_C = 34
 VOLTAGES = ("Min Voltage Limit", "Max Voltage Limit")
 
@@ -77,11 +99,17 @@ class Servo:
         self._stalled_since: float | None = None
         self._back_at: float | None = None
         self._heard_s = time.monotonic()
+        self._booted_s = clock()
+        self._forgotten = 0.0
+        self._profile_type = STEP
+        self._backup: dict[str, int] = {}
         self.leaving: Callable[[], None] = lambda: None
         """Called before the shaft sets out for a new goal: what hangs on it has followed until now."""
         self.powered = True
         self.temperature_c = AMBIENT_C
         self.supply_dv = self.table.supply_dv
+        self.damage = 0
+        """Bits of the hardware error that nothing else here causes: the encoder's 0x08, an electrical shock's 0x10."""
         self._power_up()
 
     # ---- what the bench sees and does ----
@@ -104,7 +132,7 @@ class Servo:
         return self.powered and (self._back_at is None or self._clock() >= self._back_at)
 
     def shaft(self) -> tuple[float, float]:
-        """Position [counts] and velocity [counts/s] of the shaft, now."""
+        """Position [counts], with every turn that the servo may have forgotten, and velocity [counts/s], now."""
         self._watch(time.monotonic())
         if self._blocked_at is not None:
             return self._blocked_at, 0.0
@@ -114,6 +142,11 @@ class Servo:
         """Whether the shaft turns now, or would turn if nothing blocked it."""
         self._watch(time.monotonic())
         return self._clock() < self._path.end_s or abs(self._path.at(self._clock())[1]) > 0
+
+    def turn(self, counts: float) -> None:
+        """Somebody turns the shaft, which has no torque."""
+        self._path = motion.rest(self._clock(), self.shaft()[0] + counts)
+        self._aim = self._path.at(self._clock())[0]
 
     def block(self) -> None:
         """Something holds the shaft from now on."""
@@ -133,8 +166,9 @@ class Servo:
         self.powered = False
 
     def restart(self) -> None:
-        """Boot: RAM falls back to its defaults, torque is off, and nothing answers for half a second."""
+        """Boot: RAM falls back to its defaults, whole turns are forgotten, and nothing answers for half a second."""
         self._release()
+        self.powered = True
         self._power_up()
         self._back_at = self._clock() + BOOT_S
 
@@ -159,18 +193,17 @@ class Servo:
         self._refresh()
         return self.registers.read(address, length)
 
-    def write(self, address: int, data: bytes) -> None:
-        """Change the control table, all of it or (with `Refused`) nothing."""
-        pairs = self.registers.items(self.registers.follow(address, data), data)
-        for item, value in pairs:
-            self._check(item, value)
+    def write(self, address: int, data: bytes, *, as_group: bool = False) -> None:
+        """Change the control table, all of it or (with `Refused`) nothing; as one of a group, by the secondary id."""
+        pairs = self._checked(address, data)
+        if as_group and any(item.address < tables.EEPROM_END for item, _ in pairs):
+            raise Refused(p2.ACCESS_ERROR)
         for item, value in pairs:
             self._set(item.name, value)
 
     def register(self, address: int, data: bytes) -> None:
         """Keep a write for `action`."""
-        for item, value in self.registers.items(address, data):
-            self._check(item, value)
+        self._checked(address, data)
         self._registered = (address, data)
         self.registers.put("Registered Instruction", 1)
 
@@ -198,11 +231,23 @@ class Servo:
 
     def clear_turns(self) -> None:
         """Forget whole turns; only at rest."""
-        position, velocity = self.shaft()
-        if velocity != 0:
+        if self.shaft()[1] != 0:
             raise Refused(p2.RESULT_FAIL)
-        self._path = motion.rest(self._clock(), position % tables.COUNTS)
-        self._aim = position % tables.COUNTS
+        self._forget_turns()
+        self._goal_here()
+
+    def back_up(self) -> None:
+        """Keep the EEPROM, the gains, the profile and the indirect addresses."""
+        if self.torque:
+            raise Refused(p2.RESULT_FAIL)
+        self._backup = {name: self.get(name) for name, item in self.table.items.items() if _kept(item)}
+        self.registers.put("Backup Ready", 1)
+
+    def restore(self) -> None:
+        """Take the EEPROM from the backup; a reboot is due after it."""
+        if self.torque or not self._backup:
+            raise Refused(p2.RESULT_FAIL)
+        self._put_back(ram=False)
 
     def heard(self, wall_s: float) -> None:
         """Called for every instruction packet on the bus, for whomever it is: silence is counted from there."""
@@ -218,7 +263,10 @@ class Servo:
             position = self._path.at(now)[0] if self._blocked_at is None else self._blocked_at
             self._path = motion.rest(now, position)
             self._aim = position
-            self.registers.put("Goal Position", round(self._shown(position)) + self._offset)
+            for name in PROFILE:
+                self.registers.put(name, 0)
+            self._profile_type = STEP
+            self._goal_here()
 
     # ---- memory ----
 
@@ -229,99 +277,192 @@ class Servo:
         for goal, limit in LIMITED:
             if goal in self.table.items and limit in self.table.items:
                 self.registers.put(goal, self.get(limit))
+        if self.get("Operating Mode") == VELOCITY:
+            self.registers.put("Goal Velocity", 0)
+        startup = self.get("Startup Configuration")
+        if startup & RAM_RESTORE:
+            self._put_back(ram=True)
         self.registers.put("Hardware Error Status", 0)
         self.registers.put("Registered Instruction", 0)
         self._registered = None
         self._stalled_since = None
-        position = self.shaft()[0] % tables.COUNTS  # whole turns are forgotten
+        self._profile_type = STEP
+        self._booted_s = self._clock()
+        position = self.shaft()[0]
         self._path = motion.rest(self._clock(), position)
         self._aim = position
-        self.registers.put("Goal Position", round(self._shown(position)) + self._offset)
+        self._forget_turns()
+        self._goal_here()
+        if startup & TORQUE_AT_START:
+            self.registers.put("Torque Enable", 1)
+
+    def _put_back(self, *, ram: bool) -> None:
+        for name, value in self._backup.items():
+            if (self.table.items[name].address >= tables.EEPROM_END) is ram:
+                self.registers.put(name, value)
 
     @property
     def _offset(self) -> int:
         offset = self.get("Homing Offset")
-        return max(-1024, min(1024, offset)) if self.get("Operating Mode") == 3 else offset
+        invalid = self.get("Operating Mode") == POSITION and abs(offset) > VALID_OFFSET
+        return 0 if invalid else offset
 
     def _shown(self, count: float) -> float:
-        """Between the shaft's count and the table's, either way: reverse mode (drive mode, bit 0) counts downward."""
-        return tables.COUNTS - 1 - count if self.get("Drive Mode") & 1 else count
+        """Between the servo's count and the table's, either way: reverse mode (drive mode, bit 0) counts downward."""
+        return tables.COUNTS - 1 - count if self.get("Drive Mode") & REVERSE else count
 
     def _turned(self, velocity: float) -> float:
-        return -velocity if self.get("Drive Mode") & 1 else velocity
+        return -velocity if self.get("Drive Mode") & REVERSE else velocity
+
+    def _said(self, position: float) -> int:
+        """What the table says of a position of the shaft."""
+        return round(self._shown(position - self._forgotten)) + self._offset
+
+    def _forget_turns(self) -> None:
+        """The count is within one turn from now on, wherever the shaft is."""
+        turns = math.floor((self.shaft()[0] + 0.5) / tables.COUNTS)
+        self._forgotten = float(turns * tables.COUNTS)
+
+    def _goal_here(self) -> None:
+        self.registers.put("Goal Position", self._said(self.shaft()[0]))
+
+    def _checked(self, address: int, data: bytes) -> list[tuple[tables.Item, int]]:
+        pairs = self.registers.items(address, data)
+        for item, value in pairs:
+            self._check(item, value)
+        return pairs
 
     def _check(self, item: tables.Item, value: int) -> None:
         name = item.name
         if item.address < tables.EEPROM_END and self.torque:
             raise Refused(p2.ACCESS_ERROR)
-        low, high = tables.RANGES.get(name, (-(1 << 31), 1 << 32))
-        if name == "Current Limit":
-            high = self.table.factory.get(name, high)
-        if name in VOLTAGES:
-            low, high = (self.table.factory[limit] for limit in VOLTAGES)
-        if name == "Operating Mode" and value not in tables.MODES:
+        low, high = self.table.ranges.get(name, (-(1 << 31), 1 << 32))
+        if name in PROFILE and self.get("Drive Mode") & TIME_BASED:
+            high = tables.LONGEST_MS
+        if name == "Operating Mode" and value not in self.table.modes:
+            raise Refused(p2.RANGE_ERROR)
+        if name == "Drive Mode" and value & ~self.table.drive_bits:
             raise Refused(p2.RANGE_ERROR)
         if not low <= value <= high:
             raise Refused(p2.RANGE_ERROR)
         limits = self.get("Min Position Limit"), self.get("Max Position Limit")
-        if name == "Goal Position" and self.get("Operating Mode") == 3 and not limits[0] <= value <= limits[1]:
+        if name == "Goal Position" and self.get("Operating Mode") == POSITION and not limits[0] <= value <= limits[1]:
             raise Refused(p2.LIMIT_ERROR)
         for goal, limit in LIMITED:
             if name == goal and abs(value) > self.get(limit):
                 raise Refused(p2.LIMIT_ERROR)
-        if name in ("Goal Position", "Goal Velocity", "Goal Current", "Goal PWM") and self.get("Bus Watchdog") == -1:
+        if name in GOALS.values() and self.get("Bus Watchdog") == -1:
             raise Refused(p2.RANGE_ERROR)  # read-only until the watchdog is cleared
         if name == "Torque Enable" and value == 1 and self._shut_down():
             raise Refused(p2.RESULT_FAIL)
 
     def _set(self, name: str, value: int) -> None:
-        before = self.torque
-        if name == "Bus Watchdog" and value != 0 and self.get(name) == -1:
+        before = self.get(name)
+        if name == "Bus Watchdog" and value != 0 and before == -1:
             return  # only 0 clears its error
         self.registers.put(name, value)
-        if name == "Torque Enable" and bool(value) != before:
+        if name == "Torque Enable" and value != before:
             if value:
+                self._hold()
                 self._drive()
             else:
                 self._release()
-        elif name in ("Goal Position", "Goal Velocity") and self.torque:
-            self._drive()
-        elif name in ("Operating Mode", "Drive Mode"):
-            self.registers.put("Goal Position", round(self._shown(self.shaft()[0])) + self._offset)
+        elif name == GOALS[self.get("Operating Mode")]:
+            if not self.torque and self.get("Drive Mode") & TORQUE_BY_GOAL and not self._shut_down():
+                self._hold()
+            if self.torque:
+                self._drive()
+        elif name == "Operating Mode" and value != before:
+            self._change_mode(value)
+        elif name == "Drive Mode":
+            self._goal_here()
+
+    def _hold(self) -> None:
+        """Torque on; in Position mode the count comes back within one turn."""
+        self.registers.put("Torque Enable", 1)
+        if self.get("Operating Mode") == POSITION:
+            self._forget_turns()
+
+    def _change_mode(self, mode: int) -> None:
+        """Another mode takes its own gains; profile and goals are those of the start."""
+        for name in GAINS:
+            self.registers.put(name, self.table.factory.get(name, 0))
+        for name in PROFILE:
+            self.registers.put(name, 0)
+        for goal, limit in LIMITED:
+            if goal != "Goal Velocity" and goal in self.table.items:
+                self.registers.put(goal, self.get(limit))
+        self.registers.put("Goal Velocity", 0 if mode == VELOCITY else self.get("Velocity Limit"))
+        self._profile_type = STEP
+        if mode in (POSITION, EXTENDED):
+            self._forget_turns()
+        self._goal_here()
 
     # ---- shaft ----
 
+    def _top(self) -> float:
+        """How fast the motor turns at all [counts/s]: its speed without load, in proportion to the PWM it may have."""
+        return self.table.factory["Velocity Limit"] * tables.RPM * abs(self.get("Goal PWM")) / tables.FULL_PWM
+
     def _limits(self, way: float = 0.0) -> tuple[float, float]:
         """Speed and acceleration of the profile; a time-based one (drive mode, bit 2) depends on the way."""
+        time_based, mode = self.get("Drive Mode") & TIME_BASED, self.get("Operating Mode")
+        fastest = self._top()
+        if mode in POSITION_MODES and self.get("Profile Velocity") == 0:  # no profile
+            return fastest, NO_LOAD
         whole, rise = self.get("Profile Velocity") / 1000, self.get("Profile Acceleration") / 1000
-        if self.get("Drive Mode") & 4 and whole > 0 and way != 0:
+        if time_based and mode == VELOCITY:
+            return fastest, abs(self.get("Goal Velocity")) * tables.RPM / rise if rise > 0 else NO_LOAD
+        if time_based and way != 0:
             rise = min(rise, whole / 2)
             speed = abs(way) / (whole - rise)
             return speed, speed / rise if rise > 0 else NO_LOAD
-        fastest = self.get("Velocity Limit") * tables.RPM
-        speed = self.get("Profile Velocity") * tables.RPM or fastest
         acceleration = self.get("Profile Acceleration") * tables.RPM2 or NO_LOAD
-        return min(speed, fastest), acceleration
+        return min(self.get("Profile Velocity") * tables.RPM, fastest), acceleration
 
     def _drive(self) -> None:
         """Make for what the goal registers say."""
+        if self.get("Drive Mode") & FOLLOWER:  # another servo's cable drives the motor, which is not there
+            return
         self.leaving()
         now = self._clock()
         position, velocity = self._path.at(now)
         mode = self.get("Operating Mode")
-        goal = self._shown(float(self.get("Goal Position") - self._offset))
-        speed, acceleration = self._limits(goal - position)
         if mode in POSITION_MODES:
-            self._aim = goal
-            short = self.mechanics.short_counts if self.get("Position I Gain") == 0 else 0.0
-            if abs(goal - position) <= short and velocity == 0:
-                self._path = motion.rest(now, position)
-            else:
-                there = goal - math.copysign(short, goal - position) + self.mechanics.within()
-                self._path = motion.to_position(now, position, velocity, there, speed, acceleration)
-        elif mode == 1:
-            wanted = self._turned(self.get("Goal Velocity") * tables.RPM)
-            self._path = motion.to_speed(now, position, velocity, wanted, acceleration)
+            self._go_to(self._forgotten + self._shown(float(self.get("Goal Position") - self._offset)))
+            return
+        if mode == VELOCITY:
+            wanted, acceleration = self.get("Goal Velocity") * tables.RPM, max(1.0, self._limits()[1])
+            self._profile_type = TRAPEZOIDAL if self.get("Profile Acceleration") else STEP
+        elif mode == PWM:
+            wanted, acceleration = math.copysign(self._top(), self.get("Goal PWM")), NO_LOAD
+        else:  # a current that nothing works against
+            current = self.get("Goal Current")
+            wanted = math.copysign(self._top(), current) if current else 0.0
+            acceleration = NO_LOAD * abs(current) / self.table.factory["Current Limit"] or NO_LOAD
+        self._path = motion.to_speed(now, position, velocity, self._turned(wanted), acceleration)
+
+    def _go_to(self, goal: float) -> None:
+        now = self._clock()
+        position, velocity = self._path.at(now)
+        speed, acceleration = self._limits(goal - position)
+        self._aim = goal
+        short = self.mechanics.short_counts if self.get("Position I Gain") == 0 else 0.0
+        if speed <= 0 or (abs(goal - position) <= short and velocity == 0):
+            self._path = motion.rest(now, position)
+        else:
+            there = goal - math.copysign(short, goal - position) + self.mechanics.within()
+            self._path = motion.to_position(now, position, velocity, there, speed, acceleration)
+        self._profile_type = self._shape(speed)
+
+    def _shape(self, speed: float) -> int:
+        """Type of the profile to a goal, as the Moving Status names it."""
+        if self.get("Profile Velocity") == 0:
+            return STEP
+        if self.get("Profile Acceleration") == 0:
+            return RECTANGULAR
+        peak = max(abs(phase.velocity) for phase in self._path.phases)
+        return TRAPEZOIDAL if peak > 0.999 * speed else TRIANGULAR  # rounding of the ways of single phases
 
     def _halt(self) -> None:
         position, _ = self.shaft()
@@ -339,10 +480,11 @@ class Servo:
     def _look(self) -> None:
         """Bring the hardware-error byte up to date."""
         now = self._clock()
-        error = self.get("Hardware Error Status")
+        error = self.get("Hardware Error Status") | self.damage
         if self.temperature_c > self.get("Temperature Limit"):
             error |= OVERHEATING
-        if not self.get("Min Voltage Limit") <= self.supply_dv <= self.get("Max Voltage Limit"):
+        lowest, highest = (self.get(name) for name in VOLTAGES)
+        if not lowest <= self.supply_dv <= highest:
             error |= VOLTAGE
         if self._pushes():
             self._stalled_since = now if self._stalled_since is None else self._stalled_since
@@ -368,17 +510,24 @@ class Servo:
         planned, planned_velocity = self._path.at(now)
         flicker = self.mechanics.noise_counts * math.sin(1e3 * now) if velocity == 0 else 0.0
         units = round(self._turned(velocity) / tables.RPM)
-        self.registers.put("Present Position", round(self._shown(position + flicker)) + self._offset)
+        in_position_mode = self.get("Operating Mode") in POSITION_MODES
+        ended = now >= self._path.end_s
+        profiled = in_position_mode and not ended and self._profile_type != STEP
+        fast = abs(units) > self.get("Moving Threshold")
+        state = self._profile_type | (UNDER_WAY if profiled else 0)
+        if in_position_mode:
+            state |= FOLLOWING_ERROR if self._pushes() else 0
+            state |= IN_POSITION if ended and abs(position - self._aim) < IN_POSITION_COUNTS else 0
+        self.registers.put("Present Position", self._said(position + flicker))
         self.registers.put("Present Velocity", units)
-        self.registers.put("Moving", int(abs(units) > self.get("Moving Threshold")))
-        underway = now < self._path.end_s
-        arrived = not underway and abs(position - self._aim) < 20
-        self.registers.put("Moving Status", int(arrived) | int(underway) << 1 | 0x30)
+        self.registers.put("Moving", int(fast or profiled))
+        self.registers.put("Moving Status", state)
         self.registers.put("Velocity Trajectory", round(self._turned(planned_velocity) / tables.RPM))
-        self.registers.put("Position Trajectory", round(self._shown(planned)) + self._offset)
+        arrived = in_position_mode and ended and self.torque
+        self.registers.put("Position Trajectory", self._said(self._aim if arrived else planned))
         self.registers.put("Present Input Voltage", self.supply_dv)
         self.registers.put("Present Temperature", self.temperature_c)
-        self.registers.put("Realtime Tick", int(now * 1000) % 32768)
+        self.registers.put("Realtime Tick", int((now - self._booted_s) * 1000) % 32768)
         load = "Present Current" if "Present Current" in self.table.items else "Present Load"
         effort = 0
         if self.torque:
@@ -386,5 +535,15 @@ class Servo:
             error = self._turned(self._aim - position)
             light = round(20 * math.tanh(error / 20)) + units // 8
             effort = int(math.copysign(full, error)) if self._pushes() else light
+        if self.torque and self.get("Operating Mode") == CURRENT:
+            effort = self.get("Goal Current")
         self.registers.put(load, effort)
-        self.registers.put("Present PWM", round(effort / 2))
+        as_told = self.torque and self.get("Operating Mode") == PWM
+        self.registers.put("Present PWM", self.get("Goal PWM") if as_told else round(effort / 2))
+
+
+def _kept(item: tables.Item) -> bool:
+    """Whether a backup holds it."""
+    if item.address < tables.EEPROM_END:
+        return item.writable
+    return item.name in GAINS + PROFILE or item.name.startswith("Indirect Address")
