@@ -18,7 +18,8 @@ from typing import Self
 from gonio.config import Strict, parse
 from gonio.errors import ArgumentError, DeviceError, GonioError, Interrupted
 from gonio.rig import Device, Frame, Health, Step, Target, ask_for
-from gonio.rig.description import RigDescription, SampleDescription
+from gonio.rig.description import Camera, RigDescription, SampleDescription
+from gonio.rig.imaging import require_frame
 from gonio.rig.whereabouts import axes_stand
 from gonio_drivers import cameras, diagnosis, signals, survey
 from gonio_drivers.arms import ServoArms
@@ -36,10 +37,18 @@ class GuardedCamera:
     """The camera of a laboratory rig: a frame counts only if lamp and arms were as they should be when it was over."""
 
     def __init__(
-        self, camera: cameras.OpenableCamera, light: SerialLight, arms: ServoArms, clock: Callable[[], float]
+        self,
+        description: Camera,
+        camera: cameras.OpenableCamera,
+        light: SerialLight,
+        arms: ServoArms,
+        clock: Callable[[], float],
     ) -> None:
         self.watched: frozenset[str] = frozenset(ALL)
         """The devices beside it that are open, and looked at after each frame."""
+        self._description = description
+        self._bits = 0
+        """Of its frames so far; 0 before the first."""
         self._camera = camera
         self._clock = clock
         self._light = light
@@ -56,6 +65,11 @@ class GuardedCamera:
         for _ in range(RETAKES):
             begun = self._clock()
             frame = self._camera.capture(exposure_s)
+            require_frame(self._description, frame, "camera")
+            bits = round(frame.white_level_dn).bit_length()
+            if self._bits not in (0, bits):
+                raise DeviceError(f"camera: a frame has {bits} bits, and the ones before it had {self._bits}")
+            self._bits = bits
             if "arms" in self.watched:
                 self._arms.still()
             try:
@@ -87,7 +101,7 @@ class LabRig:
         self.arms = ServoArms(description, devices.servos)
         self._camera = cameras.build(description, devices.camera)
         self._clock_starts = time.time() - time.monotonic()
-        self.camera = GuardedCamera(self._camera, self.light, self.arms, self.time_s)
+        self.camera = GuardedCamera(description.camera, self._camera, self.light, self.arms, self.time_s)
         self._camera_driver = str(devices.camera.get("driver"))
         self._confirm = confirm
         self._target: Target = "sample"

@@ -28,7 +28,7 @@ from gonio.acquisition.stop import Stop
 from gonio.errors import DeviceError, Disturbed, Interrupted
 from gonio.rig import Frame, Pose, Rig, Step, Target
 from gonio.rig.description import Band
-from gonio.rig.imaging import Roi, roi
+from gonio.rig.imaging import Roi, require_frame, roi
 from gonio.rig.kinematics import View, left_its_side, view
 
 log = logging.getLogger("gonio.devices")
@@ -233,6 +233,7 @@ class _Session:
     def _capture(self, exposure_s: float) -> Frame:
         """A frame, later than the one before it; raises `DeviceError` where its time does not say so."""
         frame, last_s = self._rig.camera.capture(exposure_s), self._last_s
+        require_frame(self._description.camera, frame, f'the camera of the rig "{self._description.name}"')
         sound = isinstance(frame.time_s, Real) and 0.0 <= frame.time_s < math.inf
         if sound and frame.time_s > last_s:
             self._last_s, self._resumed = float(frame.time_s), False
