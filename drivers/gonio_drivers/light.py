@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from types import TracebackType
 from typing import Self
 
-from gonio.errors import ConfigError, DeviceError, GonioError
+from gonio.errors import ConfigError, DeviceError, GonioError, Interrupted
 from gonio.rig.description import Band, RigDescription
 from gonio_drivers import ports, settings
 from gonio_drivers.dialect import dialect
@@ -79,7 +79,8 @@ class SerialLight:
             except OSError as error:
                 log.warning("lamp on %s: nothing darkens it after a kill -9: %s", self._light.port, error)
         except BaseException as error:
-            if not isinstance(error, GonioError):  # a lamp that was found lit is darkened, whoever interrupts this
+            if isinstance(error, Interrupted) or not isinstance(error, GonioError):
+                # a lamp that was found lit is darkened, whoever interrupts this
                 with contextlib.suppress(GonioError):
                     self.off()
             self._close(in_order=self.known_dark)

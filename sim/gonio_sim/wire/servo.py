@@ -281,6 +281,8 @@ class Servo:
         self.registers.put(name, value)
         if name == "Torque Enable" and bool(value) != before:
             if value:
+                if self.get("Operating Mode") == 3:  # turns are counted without torque only
+                    self._path = motion.rest(self._clock(), self.shaft()[0] % tables.COUNTS)
                 self._drive()
             else:
                 self._release()
