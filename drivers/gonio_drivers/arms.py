@@ -4,7 +4,7 @@ Policy. Nothing turns when the rig is opened: every servo's goal is set to where
 with a profile velocity and acceleration. Every axis arrives from below, so that backlash lies on one side. A move ends
 when every axis has *landed*: the servo reports no motion, stands within the tolerance, and has stood still for the
 settle time. An axis that friction stops short gets a corrected goal. What does not land stops every axis. The encoder's
-readback is what is returned, never the goal.
+readback is what is returned, never the goal: the mean of several readings, since encoders flicker.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import NoReturn, Self
 from gonio.errors import ConfigError, DeviceError, Disturbed
 from gonio.rig import Pose, Target
 from gonio.rig.description import RigDescription
-from gonio_drivers import joints, presence, settings, watchdog
+from gonio_drivers import joints, presence, settings, signals, watchdog
 from gonio_drivers.arrival import LARGEST_CORRECTION_DEG, STILL_COUNTS
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.joints import Joint
@@ -31,7 +31,7 @@ log = logging.getLogger("gonio.devices")
 
 AXES = tuple(field.name for field in fields(Pose))
 LOOKS, SECOND_LOOKS = 5, 9
-"""Readings that tell where an axis has landed, and whether it has left that place."""
+"""Readings whose mean tells where an axis stands, and whether it has left the place where it landed."""
 ROUNDING = 1e-9
 
 
@@ -41,7 +41,9 @@ class Reading:
 
     pose: Pose
     time_s: float
-    counts: Mapping[str, int] = field(default_factory=dict)
+    counts: Mapping[str, float] = field(default_factory=dict)
+    spread: Pose = field(default_factory=Pose)
+    """Of several readings, the largest less the smallest [rad]."""
 
 
 class ServoArms:
@@ -81,6 +83,8 @@ class ServoArms:
         """Open those axes whose servos answer and are well; without it, all or none."""
         self.holds = self._servos.on_exit == "hold"
         """The torque stays on when this is left."""
+        self.as_found = False
+        """Every servo is left with its torque on or off as it was found when this was entered."""
         self.absent: dict[str, DeviceError] = {}
         """Axes that could not be opened (`partial`), and why; they are missing from `joints`."""
         self._all = dict(self.joints)
@@ -113,7 +117,7 @@ class ServoArms:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            failures = [] if self.holds else self._let_go()
+            failures = self._let_go() if self.as_found or not self.holds else []
         finally:
             self.bus.__exit__(kind, error, trace)
         if failures and error is None and not self.faulted:
@@ -122,10 +126,10 @@ class ServoArms:
             log.error("while leaving: %s", said)
 
     def _let_go(self) -> list[DeviceError]:
-        """Take the torque from every servo that has been prepared; what failed."""
+        """Take the torque from every servo that has been prepared (that had none, for `as_found`); what failed."""
         failures = []
         for joint in self.joints.values():
-            if joint.profile:
+            if joint.profile and not (self.as_found and joint.held):
                 try:
                     joint.write("Torque Enable", 0)
                 except DeviceError as failure:
@@ -169,9 +173,10 @@ class ServoArms:
         self.stopped = False
         try:
             self._motion.approach(goals)
-            for name, count in self._places(LOOKS).items():
+            read = self._readback(LOOKS)
+            for name, count in read.counts.items():
                 self.joints[name].stood_at = count
-            return self._readback().pose
+            return read.pose
         except DeviceError:
             self.stop()
             self.faulted = True
@@ -181,12 +186,25 @@ class ServoArms:
             raise
 
     def read(self) -> Pose:
-        """The encoders' readback, now [rad]; `last` keeps it with its time."""
+        """The encoders' readback, now [rad]: the mean of several readings; `last` keeps it with its time."""
         self._require_all()
-        return self._readback().pose
+        return self._readback(LOOKS).pose
+
+    def look(self) -> Reading:
+        """One reading of every servo, as it is."""
+        return self._readback()
+
+    @property
+    def spread(self) -> Pose:
+        """By how much the readings differ whose mean `move` or `read` gave last: largest less smallest [rad]."""
+        return self.last.spread if self.last is not None else Pose()
 
     def stop(self) -> None:
         """Stop every axis where it is: hold what answers, and take the torque from what does not. Never raises."""
+        with signals.undisturbed():
+            self._stop()
+
+    def _stop(self) -> None:
         self.stopped = True
         silent = []
         try:
@@ -258,13 +276,14 @@ class ServoArms:
         """
         reports = joints.reports(self.bus, self.joints.values())
         for name, report in reports.items():
-            joint = self.joints[name]
-            if report.profile != joint.profile:
-                self._fail(f"axis {name}: servo id {joint.id} has restarted by itself; all axes are stopped")
+            try:
+                self.joints[name].keep_profile(report.profile)
+            except DeviceError as failure:
+                self._fail(str(failure))
         disturbed = ""
         places: Mapping[str, float] = {name: report.position for name, report in reports.items()}
         if self._strayed(places):  # or is it the encoder that flickers?
-            places = self._places(SECOND_LOOKS)
+            places = self._readback(SECOND_LOOKS).counts
         for name, place in self._strayed(places).items():
             joint = self.joints[name]
             assert joint.stood_at is not None
@@ -286,11 +305,6 @@ class ServoArms:
         """Those of these counts that are elsewhere than where their axes landed."""
         landed = {name: joint.stood_at for name, joint in self.joints.items() if joint.stood_at is not None}
         return {n: place for n, place in places.items() if n in landed and abs(place - landed[n]) > STILL_COUNTS}
-
-    def _places(self, looks: int) -> dict[str, float]:
-        """Where the axes stand: the mean of several readings [counts]."""
-        seen = [joints.reports(self.bus, self.joints.values()) for _ in range(looks)]
-        return {name: statistics.fmean(reports[name].position for reports in seen) for name in seen[0]}
 
     def _fail(self, message: str) -> NoReturn:
         self.stop()
@@ -319,12 +333,14 @@ class ServoArms:
 
     # ---- reading ----
 
-    def _readback(self) -> Reading:
+    def _readback(self, looks: int = 1) -> Reading:
+        """Where the axes stand: the mean of several readings."""
         before = time.monotonic()
-        reports = joints.reports(self.bus, self.joints.values())
+        seen = [joints.reports(self.bus, self.joints.values()) for _ in range(looks)]
         after = time.monotonic()
-        counts = {name: report.position for name, report in reports.items()}
+        places = {name: [reports[name].position for reports in seen] for name in seen[0]}
+        counts = {name: statistics.fmean(place) for name, place in places.items()}
         axes = {name: math.radians(self.joints[name].to_deg(count)) for name, count in counts.items() if name in AXES}
-        pose = Pose(**axes)
-        self.last = Reading(pose, (before + after) / 2, counts)
+        spread = {n: math.radians(self.joints[n].distance_deg(max(places[n]), min(places[n]))) for n in axes}
+        self.last = Reading(Pose(**axes), (before + after) / 2, counts, Pose(**spread))
         return self.last

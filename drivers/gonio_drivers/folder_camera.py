@@ -27,6 +27,7 @@ from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.rig import Frame
 from gonio.rig.description import RigDescription
 from gonio.rig.dng import read_raw
+from gonio.rig.imaging import require_raw
 from gonio_drivers import ports, settings
 
 log = logging.getLogger("gonio.devices")
@@ -59,7 +60,6 @@ class FolderCamera:
         self._camera = camera
         self._folder = Path(camera.folder).expanduser()
         self._description = description.camera
-        self._shape = description.camera.height, description.camera.width
         self._release: serial.Serial | None = None
         self._seen: set[tuple[Path, int]] = set()
         self._known: deque[str] = deque(maxlen=REMEMBERED)
@@ -162,11 +162,7 @@ class FolderCamera:
         path, frame = self._take(exposure_s + self._camera.timeout_s)
         if isinstance(frame, DataError):
             raise BadFile(str(frame))
-        if frame.mosaic.shape != self._shape:
-            raise DeviceError(
-                f"{path}: the frame has {frame.mosaic.shape[1]} x {frame.mosaic.shape[0]} pixels; the rig file says "
-                f"camera.width = {self._shape[1]}, camera.height = {self._shape[0]}"
-            )
+        require_raw(self._description, frame, str(path))
         deviation = frame.exposure_s / exposure_s - 1
         if abs(deviation) > self._camera.exposure_tolerance:
             raise BadFile(f"{path}: was exposed {frame.exposure_s:g} s, and {exposure_s:g} s were asked")

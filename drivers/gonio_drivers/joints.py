@@ -68,6 +68,8 @@ class Joint:
     speed_deg_per_s: float = 0.0
     """Of the axis, with that profile."""
     has_watchdog: bool = True
+    held: bool = False
+    """It had its torque when it was opened."""
     health: Health | None = None
     stood_at: float | None = None
     """Count that was read where it landed; the mean of several, since encoders flicker."""
@@ -142,6 +144,7 @@ class Joint:
         """Bring the servo into the state that moves rely on; it does not turn meanwhile."""
         level = self.table["Status Return Level"]
         self.bus.write_all(level.address, {self.id: b"\x02"})  # before any question: it may answer nothing but pings
+        self.held = self.get("Torque Enable") == 1
         self.complain()
         wanted = {"Operating Mode": POSITION_MODE, "Drive Mode": 0, "Homing Offset": 0}
         if self.servo.current_limit is not None:
@@ -169,20 +172,56 @@ class Joint:
         acceleration = max(1, int(acceleration_deg_per_s2 * gear / ACCELERATION_UNIT_DEG_S2))
         self.profile = self.table["Profile Acceleration"].encode(acceleration)
         self.profile += self.table["Profile Velocity"].encode(speed)
+        self.send_profile()  # before the watchdog is cleared, and after it, since running out sets the profile to 0
+        released = self._clear_watchdog()
         self.send_profile()
         self._require_profile()
-        position = self.get("Present Position")
+        position = self.position_at_torque_on()
         if not self.count_limits[0] <= position <= self.count_limits[1]:
             raise DeviceError(
                 f"axis {self.name} stands at count {position}, outside the servo's limits, {self.count_limits[0]} "
                 f"to {self.count_limits[1]}; turn it by hand to where it may stand, then try again"
             )
-        released = self._clear_watchdog()
         if released or not self._holds(position):
             self.write("Goal Position", position)  # goal = present, so that torque moves nothing
         self.write("Torque Enable", 1)
         if self.get("Torque Enable") != 1:
             raise DeviceError(f"axis {self.name}: servo id {self.id} does not take its torque")
+        if self.distance_deg(now := self.get("Present Position"), position) > HELD_DEG:
+            self.write("Torque Enable", 0)
+            raise DeviceError(
+                f"axis {self.name}: servo id {self.id} stood at count {position}, and reads {now} with its torque on; "
+                "turn it by hand to where it may stand, then try again"
+            )
+
+    def position_at_torque_on(self) -> int:
+        """Where the servo stands [counts]: without torque it counts turns on, and comes back within one with it.
+
+        ROBOTIS e-Manual, "Present Position(132)": continuous while torque is off, in whatever mode; an absolute
+        position within one turn once torque comes on in Position mode.
+        """
+        position = self.get("Present Position")
+        turns_count = self.get("Operating Mode") == POSITION_MODE and self.get("Torque Enable") != 1
+        return position % COUNTS if turns_count else position
+
+    def keep_profile(self, seen: bytes) -> None:
+        """Give the profile again where it was lost: a watchdog that runs out sets it to 0, and so does a restart.
+
+        Raises
+        ------
+        DeviceError
+            The servo has restarted: it has let go of its torque.
+        """
+        if seen == self.profile:
+            return
+        if self.get("Torque Enable") != 1:
+            raise DeviceError(
+                f"axis {self.name}: servo id {self.id} has lost its settings and its torque: it has restarted by "
+                "itself (power dip?); all axes are stopped"
+            )
+        log.warning("axis %s: servo id %d had lost its profile; given again", self.name, self.id)
+        self.send_profile()
+        self._require_profile()
 
     def send_profile(self) -> None:
         """Give the servo its acceleration and velocity."""
@@ -218,7 +257,7 @@ class Joint:
             found = self.get(watchdog.ITEM)
             self.write(watchdog.ITEM, watchdog.OFF)
             self.write(watchdog.ITEM, watchdog.UNITS)
-            self.has_watchdog = self.get(watchdog.ITEM) == watchdog.UNITS
+            self.has_watchdog = self.get(watchdog.ITEM) in (watchdog.UNITS, watchdog.RUN_OUT)
             self.write(watchdog.ITEM, watchdog.OFF)
         except (dynamixel.Refusal, dynamixel.BusError):  # one that has gone silent altogether shows at the next step
             self.has_watchdog = False

@@ -8,20 +8,20 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib.resources import files
-from types import FrameType, TracebackType
-from typing import Any, Self
+from types import TracebackType
+from typing import Self
 
 from gonio.config import Strict, parse
 from gonio.errors import ArgumentError, ConfigError, DeviceError, GonioError, Interrupted
 from gonio.rig import Device, Frame, Health, Step, Target, ask_for
-from gonio.rig.description import RigDescription, SampleDescription
-from gonio_drivers import cameras, diagnosis, survey
+from gonio.rig.description import Camera, RigDescription, SampleDescription
+from gonio.rig.imaging import require_frame
+from gonio.rig.whereabouts import axes_stand
+from gonio_drivers import cameras, diagnosis, signals, survey
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.light import LampReset, SerialLight
 from gonio_drivers.service import ServoService
@@ -31,21 +31,24 @@ log = logging.getLogger("gonio.devices")
 
 RETAKES = 3
 ALL: tuple[Device, ...] = ("light", "arms", "camera")
-ENDING = (
-    signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM, signal.SIGVTALRM,
-    signal.SIGPROF, signal.SIGXCPU,
-)  # fmt: skip
-"""Signals that would end the process with the lamp lit; Ctrl-C is an exception in Python already."""
 
 
 class GuardedCamera:
     """The camera of a laboratory rig: a frame counts only if lamp and arms were as they should be when it was over."""
 
     def __init__(
-        self, camera: cameras.OpenableCamera, light: SerialLight, arms: ServoArms, clock: Callable[[], float]
+        self,
+        description: Camera,
+        camera: cameras.OpenableCamera,
+        light: SerialLight,
+        arms: ServoArms,
+        clock: Callable[[], float],
     ) -> None:
         self.watched: frozenset[str] = frozenset(ALL)
         """The devices beside it that are open, and looked at after each frame."""
+        self._description = description
+        self._bits = 0
+        """Of its frames so far; 0 before the first."""
         self._camera = camera
         self._clock = clock
         self._light = light
@@ -62,6 +65,11 @@ class GuardedCamera:
         for _ in range(RETAKES):
             begun = self._clock()
             frame = self._camera.capture(exposure_s)
+            require_frame(self._description, frame, "camera")
+            bits = round(frame.white_level_dn).bit_length()
+            if self._bits not in (0, bits):
+                raise DeviceError(f"camera: a frame has {bits} bits, and the ones before it had {self._bits}")
+            self._bits = bits
             if "arms" in self.watched:
                 self._arms.still()
             try:
@@ -101,13 +109,13 @@ class LabRig:
                 raise
             self._camera = cameras.Unbuilt(error)
         self._clock_starts = time.time() - time.monotonic()
-        self.camera = GuardedCamera(self._camera, self.light, self.arms, self.time_s)
+        self.camera = GuardedCamera(description.camera, self._camera, self.light, self.arms, self.time_s)
         self._camera_driver = str(devices.camera.get("driver"))
         self._confirm = confirm
         self._target: Target = "sample"
         self._opened: frozenset[str] = frozenset(ALL)
         self._holds_on_exit = self.arms.holds
-        self._stays = False
+        self._stays = self._parked = self._as_found = False
         self._stack = contextlib.ExitStack()
 
     def begin(self, step: Step) -> None:
@@ -140,6 +148,23 @@ class LabRig:
         """On leaving, the arms stay where they stand and hold, instead of parking; the lamp is darkened as ever."""
         self._stays = self.arms.holds = True
 
+    def leave_as_found(self) -> None:
+        """Called before the rig is entered: on leaving no axis parks, and each holds or is free as it was found."""
+        self._as_found = True
+
+    def left(self) -> str:
+        """After it was left: whether the lamp is dark, where every axis stands and whether it holds, as read back."""
+        said = []
+        if "arms" in self._opened:
+            said.append("arms parked" if self._parked else "axes stopped" if self.arms.stopped else "arms not parked")
+        if "light" in self._opened:
+            dark = self.light.known_dark
+            said.append("lamp dark" if dark else "whether the lamp is dark is not known: look at it")
+        where = ""
+        if "arms" in self._opened:
+            where = "; " + axes_stand(lambda: self.survey("arms"), self.description.axes())
+        return ", ".join(said) + where
+
     def jog(self, goals: Mapping[str, float]) -> dict[str, float]:
         """Drive some axes [rad] and leave the others; the readback of those that moved [rad]."""
         return self.arms.jog(goals)
@@ -166,13 +191,16 @@ class LabRig:
         return diagnosis.rows(self.arms, self.light, move=move)
 
     def __enter__(self) -> Self:
-        self._stays, self.arms.holds = False, self._holds_on_exit
+        self._stays = self._parked = False
+        self.arms.holds = self._holds_on_exit
+        self.arms.as_found = True  # where a device cannot be opened, nobody's arms are let fall for it
         with contextlib.ExitStack() as stack:
-            stack.enter_context(_signals())
+            stack.enter_context(signals.heard())
             for name, device in (("light", self.light), ("arms", self.arms), ("camera", self._camera)):
                 if name in self._opened:
                     stack.enter_context(device)
             self._stack = stack.pop_all()
+        self.arms.as_found = self._as_found
         return self
 
     def __exit__(
@@ -186,56 +214,21 @@ class LabRig:
             except GonioError as dark:
                 failure = dark
             stopped = self.arms.stopped and not isinstance(error, DeviceError)  # by somebody, and not after a failure
-            if not self.arms.faulted and not stopped and not self._stays and "arms" in self._opened:
+            stays = self._stays or self._as_found
+            if not self.arms.faulted and not stopped and not stays and "arms" in self._opened:
                 self.arms.park()
+                self._parked = True
         except Interrupted:
-            raise Interrupted(
-                "stopped at once, on the way to the rest position; axes stopped, lamp dark; go on with --resume"
-            ) from None
+            raise Interrupted("stopped at once, on the way to the rest position") from None
         except GonioError as stuck:
             failure = failure or stuck
         finally:
-            with _undisturbed():
+            with signals.undisturbed():
                 self._stack.__exit__(kind, error, trace)
         if failure is not None:
             if error is None or isinstance(error, Interrupted):  # nobody may be told that the arms are parked
                 raise failure
             log.error("while leaving: %s", failure)
-
-
-@contextlib.contextmanager
-def _signals() -> Any:
-    """While nobody else listens, signals that would end the process leave the rig in order: lamp dark, arms parked."""
-
-    def leave(number: int, frame: FrameType | None) -> None:
-        for other in mine:  # once: a second one must not disturb the parking
-            signal.signal(other, signal.SIG_IGN)
-        raise Interrupted(f"stopped by {signal.Signals(number).name}")
-
-    mine: list[signal.Signals] = []
-    if threading.current_thread() is threading.main_thread():
-        mine = [n for n in ENDING if signal.getsignal(n) is signal.SIG_DFL]
-    for number in mine:
-        signal.signal(number, leave)
-    try:
-        yield
-    finally:
-        for number in mine:
-            signal.signal(number, signal.SIG_DFL)
-
-
-@contextlib.contextmanager
-def _undisturbed() -> Iterator[None]:
-    """For the moment that it takes to darken and to close the ports, Ctrl-C and its like are not heard."""
-    before: dict[signal.Signals, Any] = {}
-    if threading.current_thread() is threading.main_thread():
-        before = {n: signal.signal(n, signal.SIG_IGN) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            if signal.getsignal(number) is signal.SIG_IGN:  # nobody has changed it since
-                signal.signal(number, handler)
 
 
 class _File(Strict):

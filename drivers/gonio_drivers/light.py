@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from types import TracebackType
 from typing import Self
 
-from gonio.errors import ConfigError, DeviceError
+from gonio.errors import ConfigError, DeviceError, GonioError, Interrupted
 from gonio.rig.description import Band, RigDescription
 from gonio_drivers import ports, settings
 from gonio_drivers.dialect import dialect
@@ -60,12 +60,15 @@ class SerialLight:
         self.identity = ""
         self.lit = False
         """Whether the lamp is meant to shine."""
+        self.known_dark = False
+        """Its controller has said that it is dark, and nothing has lit it since."""
         for name in light.channels:
             if name not in {band.name for band in self._bands}:
                 known = ", ".join(band.name for band in self._bands[:8])
                 raise ConfigError(f'devices.light.channels."{name}": the rig has no such band; it has {known}')
 
     def __enter__(self) -> Self:
+        self.known_dark = False
         self._open()
         try:
             self._wake()
@@ -75,8 +78,12 @@ class SerialLight:
                 self._guard.start()
             except OSError as error:
                 log.warning("lamp on %s: nothing darkens it after a kill -9: %s", self._light.port, error)
-        except BaseException:
-            self._close(in_order=False)
+        except BaseException as error:
+            if isinstance(error, Interrupted) or not isinstance(error, GonioError):
+                # a lamp that was found lit is darkened, whoever interrupts this
+                with contextlib.suppress(GonioError):
+                    self.off()
+            self._close(in_order=self.known_dark)
             raise
         return self
 
@@ -146,9 +153,11 @@ class SerialLight:
         DeviceError
             The controller does not say that the lamp is dark.
         """
-        self.lit, self._lit_since = False, None
+        self.lit = self.known_dark = False
+        self._lit_since = None
         try:
             self._off()
+            self.known_dark = True
         except DeviceError as failure:
             raise DeviceError(f"{failure}; the lamp may still be lit: switch it off by hand") from None
 
@@ -242,7 +251,7 @@ class SerialLight:
         self._line.drain_errors()
 
     def _shine(self) -> None:
-        d = self._dialect
+        d, self.known_dark = self._dialect, False
         value = self._light.level * d.full_scale
         command = d.set.format(value=value, channel=self._channel)
         self._set(command, d.get.format(channel=self._channel), d.got, value, d.resolution)

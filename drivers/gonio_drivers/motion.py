@@ -48,6 +48,8 @@ class Motion:
         """To a point below each goal, where that is needed, and from there up to the goals."""
         finals = {name: self._joints[name].to_count(angle) for name, angle in goals.items()}
         reports = joints.reports(self._bus, self._joints.values())
+        for name, report in reports.items():
+            self._joints[name].keep_profile(report.profile)
         below: dict[str, float] = {}
         ups: dict[str, float] = {}
         for name, final in finals.items():
@@ -67,7 +69,9 @@ class Motion:
             self._land(below, exact=False)
         if ups:
             self._land(ups, exact=True)
-        if watchdog.call_off(moving):  # at the very end: an axis that is released may give way a little
+        if run_out := watchdog.call_off(moving):  # at the very end: an axis that is released may give way a little
+            for joint in run_out:
+                joint.send_profile()
             self._land(ups, exact=True)
         for name, final in ups.items():
             self._joints[name].landed_at = final
@@ -109,12 +113,8 @@ class Motion:
         changed = report.profile != joint.profile or report.goal != landing.sent
         if changed and self._release(joint, landing, now):
             return
-        if report.profile != joint.profile:
-            raise DeviceError(
-                f"axis {joint.name}: servo id {joint.id} has lost its settings: it has restarted (power dip?); "
-                "all axes are stopped"
-            )
-        if report.goal != landing.sent:
+        joint.keep_profile(report.profile)
+        if changed:
             self._send_again(joint, landing)
             return
         verdict = landing.look(report, now)

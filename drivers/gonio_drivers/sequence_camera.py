@@ -14,6 +14,7 @@ from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.rig import Frame
 from gonio.rig.description import RigDescription
 from gonio.rig.dng import read_raw
+from gonio.rig.imaging import require_raw
 from gonio_drivers import settings
 
 RAW = (".dng", ".cr2", ".nef", ".arw")
@@ -57,7 +58,7 @@ class SequenceCamera:
         ConfigError
             The exposure is outside the limits of the rig file.
         DeviceError
-            The sequence has ended, or the next frame has another size or was exposed otherwise.
+            The sequence has ended, or the next frame has another size, pattern or bits, or was exposed otherwise.
         DataError
             The next file is damaged.
         """
@@ -67,11 +68,7 @@ class SequenceCamera:
         if path is None:
             raise DeviceError(f"{self._folder}: the image sequence has ended")
         frame = read_raw(path) if path.suffix.lower() in RAW else self._image(path, exposure_s)
-        if frame.mosaic.shape != (camera.height, camera.width):
-            raise DeviceError(
-                f"{path}: the frame has {frame.mosaic.shape[1]} x {frame.mosaic.shape[0]} pixels; the rig file says "
-                f"camera.width = {camera.width}, camera.height = {camera.height}"
-            )
+        require_raw(camera, frame, str(path))
         if abs(frame.exposure_s / exposure_s - 1) > EXPOSURE_TOLERANCE:
             raise DeviceError(f"{path}: was exposed {frame.exposure_s:g} s, and {exposure_s:g} s were asked")
         return frame
@@ -85,6 +82,8 @@ class SequenceCamera:
         if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
             raise DataError(f"{path}: has shape {image.shape} of {image.dtype}; a linear frame is grey, 8 or 16 bit")
         camera = self._description
+        if image.dtype == np.uint8 and camera.bits > 8:
+            raise DeviceError(f"{path}: the image has 8 bits; the rig file says camera.bits = {camera.bits}")
         return Frame(
             image.astype(np.uint16),
             exposure_s,

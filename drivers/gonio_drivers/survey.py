@@ -76,7 +76,7 @@ def _asked(joint: Joint) -> list[Reading]:
     value = {n: table[n].decode(block, address) for n in joints.REPORTED if n in table}
     highest, lowest = joint.get("Max Voltage Limit") / 10, joint.get("Min Voltage Limit") / 10
     moving = bool(value["Moving"]) or bool(value["Moving Status"] & joints.PROFILE_ONGOING)
-    places = [joint.get("Present Position") for _ in range(LOOKS)]
+    places = [joint.position_at_torque_on() for _ in range(LOOKS)]
     error = joint.get("Hardware Error Status")
     hottest = joint.get("Temperature Limit") or joint.max_temperature_c
     volts = Reading(name, "voltage", value["Present Input Voltage"] / 10, "V", (lowest, highest) if highest else None)

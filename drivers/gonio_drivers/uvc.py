@@ -48,7 +48,7 @@ class UvcCamera:
         self._description = description.camera
         self._open = capture
         self._capture: Any = None
-        self._exposure_s = 0.0
+        self._dtype: np.dtype[Any] | None = None
         if camera.response is None:
             raise ConfigError(
                 "devices.camera.response is missing: a video camera is not linear until its response was calibrated "
@@ -69,6 +69,7 @@ class UvcCamera:
             )
         self._require("width", cv2.CAP_PROP_FRAME_WIDTH, self._description.width)
         self._require("height", cv2.CAP_PROP_FRAME_HEIGHT, self._description.height)
+        self._dtype = None
         self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)  # Y16 would become 8 bit
         self._require("automatic white balance", cv2.CAP_PROP_AUTO_WB, 0)
         if self._camera.gain is not None:
@@ -128,7 +129,12 @@ class UvcCamera:
                     f"the video camera {self._camera.device} gives only old frames, or its time stamps lag"
                 )
         # unconverted YUYV has its luminance first; a converted frame is blue, green, red, and green is nearest to it
-        grey = image if image.ndim == 2 else image[..., 0 if image.shape[2] == 2 else 1]
+        image = np.asarray(image)
+        channels = image.shape[2] if image.ndim == 3 else 0
+        grey = image[..., 1 if channels > 2 else 0] if channels else np.atleast_2d(image)
+        if self._dtype is not None and grey.dtype != self._dtype:
+            raise DeviceError(f"the video camera gives {grey.dtype} instead of {self._dtype}: its format has changed")
+        self._dtype = grey.dtype
         if grey.shape != (self._description.height, self._description.width):
             raise DeviceError(
                 f"the video camera gives {grey.shape[1]} x {grey.shape[0]} pixels; the rig file says "

@@ -28,7 +28,7 @@ from gonio.acquisition.stop import Stop
 from gonio.errors import DeviceError, Disturbed, Interrupted
 from gonio.rig import Frame, Pose, Rig, Step, Target
 from gonio.rig.description import Band
-from gonio.rig.imaging import Roi, roi
+from gonio.rig.imaging import Roi, require_frame, roi
 from gonio.rig.kinematics import View, left_its_side, view
 
 log = logging.getLogger("gonio.devices")
@@ -76,12 +76,9 @@ def measure(rig: Rig, run: Run, steps: Sequence[Step], progress: Progress, stop:
     try:
         _take_all(rig, run, left, progress, stop)
     except Interrupted as error:
-        now = "arms parked"
         if stop.requested > 1:
             rig.arms.stop()
-            now = "axes stopped"
-        where = f"after {len(run.steps())} of {len(done) + len(left)} steps"
-        raise Interrupted(f"{error} {where}; {now}, lamp dark; go on with --resume") from None
+        raise Interrupted(f"{error} after {len(run.steps())} of {len(done) + len(left)} steps") from None
     run.append({"event": "end", "steps": len(run.steps())})
 
 
@@ -117,6 +114,8 @@ class _Readback:
 
     pose: Pose
     time_s: float
+    spread: Pose | None = None
+    """Of the readings that `pose` is the mean of, where the rig tells [rad]."""
 
 
 @dataclass(slots=True)
@@ -211,7 +210,7 @@ class _Session:
     def _exposed(self, step: Step, target: Target) -> _Taken:
         """Move, and take the frames of every band; raises `Disturbed` where an axis did not stand still meanwhile."""
         pose = self._rig.arms.move(step.pose)
-        readback = _Readback(pose, self._rig.time_s())
+        readback = _Readback(pose, self._rig.time_s(), getattr(self._rig.arms, "spread", None))
         seen = view(self._description, pose)
         if left_its_side(self._description, step.pose, pose):
             return self._taken(step, step.pose, readback, None, "below_horizon", 0.0)
@@ -224,7 +223,8 @@ class _Session:
         after = self._rig.arms.read()
         later = _Readback(after, self._rig.time_s())
         self._require_still(pose, after)
-        return self._taken(step, step.pose, readback, files, "", brightest, later, levels)
+        flag = "unsteady" if step.kind == "point" and self._unsteady(step, readback.spread) else ""
+        return self._taken(step, step.pose, readback, files, flag, brightest, later, levels)
 
     def _frames(self, step: Step) -> int:
         """How many equal frames a step has in a band."""
@@ -233,6 +233,7 @@ class _Session:
     def _capture(self, exposure_s: float) -> Frame:
         """A frame, later than the one before it; raises `DeviceError` where its time does not say so."""
         frame, last_s = self._rig.camera.capture(exposure_s), self._last_s
+        require_frame(self._description.camera, frame, f'the camera of the rig "{self._description.name}"')
         sound = isinstance(frame.time_s, Real) and 0.0 <= frame.time_s < math.inf
         if sound and frame.time_s > last_s:
             self._last_s, self._resumed = float(frame.time_s), False
@@ -254,6 +255,18 @@ class _Session:
             "drift of the lamp cannot be told from times that do not grow. In the rig's driver, give each Frame the "
             "rig's time_s() at the start of its exposure, from a clock that never goes back (time.monotonic)"
         )
+
+    def _unsteady(self, step: Step, spread: Pose | None) -> bool:
+        """Whether an encoder does not tell where its axis stands: its readings at rest lie too far apart."""
+        for name, axis in self._description.axes().items() if spread is not None else ():
+            apart_deg = math.degrees(getattr(spread, name))
+            if apart_deg > max(MOVED_STEPS * axis.encoder_step_deg, MOVED_DEG):
+                log.warning(
+                    'step %d: the readings of axis %s at rest lie %.2f deg apart; it is flagged "unsteady"',
+                    step.index, name, apart_deg,
+                )  # fmt: skip
+                return True
+        return False
 
     def _require_still(self, before: Pose, after: Pose) -> None:
         for name, axis in self._description.axes().items():
@@ -333,6 +346,7 @@ class _Session:
             frames=frames,
             pose_after=after.pose if after is not None else None,
             pose_after_time_s=after.time_s if after is not None else None,
+            pose_spread=readback.spread,
             level_per_s=levels_per_s,
         )
         if files is not None:

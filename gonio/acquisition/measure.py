@@ -14,7 +14,7 @@ from gonio import plugins
 from gonio.acquisition.plan import Assessed, Plan
 from gonio.acquisition.schedule import schedule
 from gonio.config import load, parse
-from gonio.errors import ConfigError, DeviceError
+from gonio.errors import ConfigError, DeviceError, GonioError, Interrupted
 from gonio.rig.description import RigDescription, SampleDescription
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from gonio.acquisition.progress import Progress
     from gonio.acquisition.run import Run
+    from gonio.acquisition.stop import Stop
     from gonio.rig import Pose, Rig, RigPlugin, Step, Target
 
 SHOWN = 20
@@ -183,19 +184,36 @@ def carry_out(
     _check_patches(rig, sample)
     steps: Sequence[Step] = [] if begun_before else rig.schedule(plan, request.points)
     device = _open(rig, out, sample, seed, resume, yes)
-    with Stop(progress, last=last) as stop, contextlib.ExitStack() as stack:
-        if begun_before:
-            run = stack.enter_context(Run.resume(out, request))
-            _say_what_was_found(run, progress)
-            steps = going_on(plan, rig.description, run.points.flags)
-            with rig.naming():
-                stack.enter_context(device)
-        else:
-            with rig.naming():
-                stack.enter_context(device)
-            run = stack.enter_context(Run.create(out, request))
-        measure(device, run, steps, progress, stop)
+    with Stop(progress, last=last) as stop:
+        entered = False
+        try:
+            with contextlib.ExitStack() as stack:
+                if begun_before:
+                    run = stack.enter_context(Run.resume(out, request))
+                    _say_what_was_found(run, progress)
+                    steps = going_on(plan, rig.description, run.points.flags)
+                with rig.naming():
+                    stack.enter_context(device)
+                entered = True
+                if not begun_before:
+                    run = stack.enter_context(Run.create(out, request))
+                measure(device, run, steps, progress, stop)
+        except GonioError as error:
+            if entered or isinstance(error, Interrupted):
+                with stop.held():
+                    error.args = (_with_state(error, device, stop, entered=entered),)
+            raise
     return run
+
+
+def _with_state(error: GonioError, device: Rig, stop: Stop, *, entered: bool) -> str:
+    """A message, with what is true of the rig now that it has been left."""
+    from gonio.rig.whereabouts import left
+
+    promised = f"{'axes stopped' if stop.requested > 1 else 'arms parked'}, lamp dark"
+    stopped = isinstance(error, Interrupted)
+    state = left(device, promised if stopped and entered else "")
+    return "; ".join(filter(None, (str(error), state, "go on with --resume" if stopped else "")))
 
 
 def _say_what_was_found(run: Run, progress: Progress) -> None:

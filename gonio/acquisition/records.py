@@ -91,11 +91,13 @@ class StepRecord:
     pose_time_s: float | None
     """None in runs from before it was kept."""
     flag: str
-    """"" or why the step has no frames."""
+    """"" or why the step counts for nothing: it has no frames, or none that tell of its pose ("unsteady")."""
     frames: tuple[FrameRecord, ...]
     pose_after: Pose | None = None
     """What the encoders read after the frames."""
     pose_after_time_s: float | None = None
+    pose_spread: Pose | None = None
+    """Largest less smallest of the readings whose mean `pose` is; None where the rig does not tell."""
     level_per_s: Mapping[str, float] | None = None
     """By band: the brightest used pixel, as a fraction of full scale, for an exposure of one second."""
 
@@ -114,6 +116,8 @@ class StepRecord:
             out["pose_time_s"] = self.pose_time_s
         if self.pose_after is not None:
             out |= {"pose_after": asdict(self.pose_after), "pose_after_time_s": self.pose_after_time_s}
+        if self.pose_spread is not None:
+            out["pose_spread"] = asdict(self.pose_spread)
         if self.level_per_s is not None:
             out["level_per_s"] = dict(self.level_per_s)
         return out | {"flag": self.flag, "frames": [frame.to_json() for frame in self.frames]}
@@ -125,7 +129,7 @@ class StepRecord:
 
     @classmethod
     def _of(cls, values: Mapping[str, Any]) -> Self:
-        after = values.get("pose_after")
+        after, spread = values.get("pose_after"), values.get("pose_spread")
         return cls(
             values["step"],
             sys.intern(values["kind"]),  # type: ignore[arg-type]
@@ -138,6 +142,7 @@ class StepRecord:
             tuple(map(FrameRecord._of, values["frames"])),
             None if after is None else Pose(**after),
             values.get("pose_after_time_s"),
+            None if spread is None else Pose(**spread),
             values.get("level_per_s"),
         )
 

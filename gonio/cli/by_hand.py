@@ -35,8 +35,6 @@ WavelengthOption = Annotated[
 ]
 OVERDUE_S = 10.0
 """A lamp is late by so much where the command that should have darkened it stands still; opening it is in that."""
-AT_REST_S = 4.0
-"""A stopped axis stands still by then."""
 LOOK_S = 1.0
 """How often a lamp that is lit is looked at."""
 
@@ -135,7 +133,7 @@ def dark(rig: RigOption) -> None:
     from gonio.cli import console
 
     bench = bench_of(rig, "light")
-    with _told_dark(), bench:
+    with _told_dark(bench), bench:
         bench.lamp(False)
     console.note(f"{bench.description.name}: lamp dark" + ("" if hasattr(bench, "only") else ", arms parked"))
 
@@ -166,7 +164,7 @@ def lamp(
     bench = bench_of(rig, "light")
     if hasattr(bench.light, "limit_s"):
         bench.light.limit_s = seconds + OVERDUE_S
-    with _told_dark():
+    with _told_dark(bench):
         with bench:
             end = time.monotonic() + seconds
             bench.lamp(wanted, wavelength_nm=wavelength)
@@ -270,7 +268,7 @@ def snap(
     require_free(file)
     devices: tuple[Device, ...] = ("camera", "light") if lit else ("camera",)
     bench = bench_of(rig, *devices, sample=sample)
-    with _told_dark() if lit else contextlib.nullcontext(), bench:
+    with _told_dark(bench) if lit else contextlib.nullcontext(), bench:
         if bench.can_hold:
             bench.hold()
         if lit:
@@ -427,14 +425,16 @@ def _angles(texts: list[str]) -> dict[str, float]:
 
 
 @contextlib.contextmanager
-def _told_dark() -> Iterator[None]:
+def _told_dark(bench: Bench) -> Iterator[None]:
     """A command that lights nothing for longer: a lamp that could not be darkened has raised an error of its own."""
     from gonio.errors import Interrupted
 
     try:
         yield
     except (KeyboardInterrupt, Interrupted):
-        raise Interrupted("interrupted; the lamp is dark") from None
+        dark = getattr(bench.light, "known_dark", True)
+        now = "the lamp is dark" if dark else "whether the lamp is dark is not known: look at it"
+        raise Interrupted(f"interrupted; {now}") from None
 
 
 @contextlib.contextmanager
@@ -444,7 +444,7 @@ def _told_where(bench: Bench, device: str = "arms") -> Iterator[None]:
     from gonio.errors import DeviceError, Interrupted
 
     if device != "arms":
-        with _told_dark():
+        with _told_dark(bench):
             yield
         return
     try:
@@ -458,30 +458,11 @@ def _told_where(bench: Bench, device: str = "arms") -> Iterator[None]:
 
 
 def _where(bench: Bench) -> str:
+    from gonio.rig.whereabouts import axes_stand
+
+    if bench.entered and hasattr(bench, "left"):
+        said: str = bench.left()
+        return said
     if not hasattr(bench, "survey"):
         return "where the axes stand is not known: look at them"
-    health, before, end = bench.read_arms(), None, time.monotonic() + AT_REST_S
-    while time.monotonic() < end and (_moves(health) or _angles_of(health) != before):
-        before = _angles_of(health)  # a servo that was stopped at speed overshoots, and comes back
-        time.sleep(LOOK_S / 10)
-        health = bench.read_arms()
-    said = []
-    for name in bench.description.axes():
-        angle, torque = health.of(name, "angle"), health.of(name, "torque")
-        if isinstance(angle, float):
-            held = "" if torque is None else ", holds" if torque == "holds" else ", torque off"
-            held += ", and moves still" if health.of(name, "motion") == "moves" else ""
-            said.append(f"{name} {angle:.2f} deg{held}")
-        else:
-            said.append(f"{name} not known ({health.silent.get(name, 'no answer')})")
-    return "the axes stand now: " + "; ".join(said)
-
-
-def _moves(health: Health) -> bool:
-    return any(r.quantity == "motion" and r.value == "moves" for r in health.readings)
-
-
-def _angles_of(health: Health) -> dict[str, int]:
-    """Angles in tenths of a degree, so that a flickering encoder stands still."""
-    found = (r for r in health.readings if r.quantity == "angle")
-    return {r.device: round(10 * float(r.value)) for r in found}
+    return axes_stand(bench.read_arms, bench.description.axes())

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -64,8 +62,7 @@ def check(
     from gonio.errors import DeviceError
 
     choice = find_rig(rig)
-    with _interruptible():
-        rows = checks(choice, move=move)
+    rows = checks(choice, move=move)
     table = console.table("check", "found", "verdict", title=choice.description.name)
     for what, found, good in rows:
         table.add_row(what, found, "good" if good else Text("BAD", style="bold red"))
@@ -77,23 +74,16 @@ def check(
         )
 
 
-@contextlib.contextmanager
-def _interruptible() -> Iterator[None]:
-    """Say what Ctrl-C has done; a rig that could not be left in order raises an error of its own instead."""
-    from gonio.errors import Interrupted
-
-    try:
-        yield
-    except KeyboardInterrupt:
-        raise Interrupted("interrupted; the lamp is dark, and every axis stands still") from None
-
-
 def checks(choice: RigChoice, *, move: bool = True) -> list[Row]:
     """What is checked, what was found, and whether that is good; stops at the first device that fails."""
-    from gonio.errors import DeviceError
+    from gonio.errors import DeviceError, Interrupted
+    from gonio.rig.whereabouts import left
 
-    rig = choice.open()
+    rig: Any = choice.open()
     rows: list[Row] = []
+    can_leave = hasattr(rig, "leave_as_found")
+    if not move and can_leave:
+        rig.leave_as_found()
     try:
         with choice.naming(), rig:
             rows.append(("devices open, lamp dark", "yes", True))
@@ -101,11 +91,15 @@ def checks(choice: RigChoice, *, move: bool = True) -> list[Row]:
                 rows.extend(rig.diagnose(move=move))
             if move:
                 _check_devices(rig, rows)
-            else:
+            elif not can_leave:
                 rig.arms.stop()  # a rig whose arms were stopped does not park them
         rows.append(("arms parked, lamp dark" if move else "lamp dark", "yes", True))
+    except (KeyboardInterrupt, Interrupted) as stop:
+        said = str(stop) or "interrupted"
+        raise Interrupted(f"{said}; {left(rig, 'the lamp is dark, and every axis stands still')}") from None
     except DeviceError as error:
-        rows.append(("device", str(error), False))
+        state = left(rig, "") if rows else ""
+        rows.append(("device", f"{error}; {state}" if state else str(error), False))
     return rows
 
 

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import numpy.typing as npt
 
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, DeviceError
 from gonio.rig.description import Camera, RigDescription
-from gonio.rig.protocols import Target
+from gonio.rig.protocols import Frame, Target
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -195,6 +195,42 @@ class Roi:
         cut = [r.mask[top - r.rows.start : bottom - r.rows.start, left - r.cols.start : right - r.cols.start]
                for r in (self, other)]  # fmt: skip
         return int(np.count_nonzero(cut[0] & cut[1]))
+
+
+def require_frame(camera: Camera, frame: Frame, source: str) -> None:
+    """Raise `DeviceError` where a frame is not of the size that the rig file gives the camera, or no plane of counts.
+
+    `source` begins the message: a file, or the camera.
+    """
+    mosaic = np.asarray(frame.mosaic)
+    if mosaic.ndim != 2:
+        raise DeviceError(
+            f"{source}: the frame has {mosaic.ndim} dimensions, {mosaic.shape}; a raw frame is one plane of "
+            f"{camera.height} rows of {camera.width} pixels (is it a colour picture?)"
+        )
+    if mosaic.shape != (camera.height, camera.width):
+        raise DeviceError(
+            f"{source}: the frame has {mosaic.shape[1]} x {mosaic.shape[0]} pixels; the rig file says "
+            f"camera.width = {camera.width}, camera.height = {camera.height}"
+        )
+    if not np.issubdtype(mosaic.dtype, np.integer):
+        raise DeviceError(f"{source}: the frame holds {mosaic.dtype}; a raw frame holds whole numbers [DN]")
+
+
+def require_raw(camera: Camera, frame: Frame, source: str) -> None:
+    """As `require_frame`; and its pattern must be that of the rig file, and no pixel brighter than it says."""
+    require_frame(camera, frame, source)
+    if frame.pattern != camera.pattern:
+        raise DeviceError(
+            f'{source}: the frame has the colour pattern "{frame.pattern}"; the rig file says '
+            f'camera.pattern = "{camera.pattern}"'
+        )
+    top = int(frame.mosaic.max())
+    if top > frame.white_level_dn:
+        raise DeviceError(
+            f"{source}: a pixel holds {top} DN, above the highest value, {frame.white_level_dn:g}; the rig file says "
+            f"camera.bits = {camera.bits}"
+        )
 
 
 def roi(description: RigDescription, view: View, target: Target = "sample", channel: Channel = "mono") -> Roi:

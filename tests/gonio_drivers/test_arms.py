@@ -429,6 +429,74 @@ def test_a_program_that_is_held_up_in_mid_move_sends_the_servos_on(
     assert {servo.get("Bus Watchdog") for servo in line.servos.values()} == {0}
 
 
+def test_a_watchdog_that_runs_out_at_the_end_of_a_move_is_no_restart(
+    arms: ServoArms, line: Line, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    real = watchdog.call_off
+
+    def late(moving: Any) -> Any:
+        if not late.calls:  # type: ignore[attr-defined]
+            for servo in line.servos.values():
+                run_out(servo)
+        late.calls.append(1)  # type: ignore[attr-defined]
+        return real(moving)
+
+    late.calls = []  # type: ignore[attr-defined]
+    monkeypatch.setattr(watchdog, "call_off", late)
+    assert degrees(arms.move(pose(10, 20, 30))) == pytest.approx((10, 20, 30), abs=TOLERANCE_DEG)
+    assert {servo.get("Profile Velocity") for servo in line.servos.values()} == {21}
+    assert degrees(arms.move(pose(12, 22, 32))) == pytest.approx((12, 22, 32), abs=TOLERANCE_DEG)
+    arms.still()
+
+
+def run_out(servo: Servo) -> None:
+    """The bus watchdog expires: the profile is 0 then (ROBOTIS e-Manual, "Bus Watchdog(98)")."""
+    if servo.get("Bus Watchdog") > 0:
+        for name, value in (("Bus Watchdog", -1), ("Profile Velocity", 0), ("Profile Acceleration", 0)):
+            servo.registers.put(name, value)
+
+
+def test_a_profile_that_was_lost_is_given_again_before_anything_moves(arms: ServoArms, line: Line) -> None:
+    arms.move(pose(10, 20, 30))
+    line.servos[2].registers.put("Profile Velocity", 0)
+    arms.still()
+    assert line.servos[2].get("Profile Velocity") == 21
+    line.servos[2].registers.put("Profile Velocity", 0)
+    fastest: list[int] = []
+    line.servos[2].leaving = lambda: fastest.append(line.servos[2].get("Profile Velocity"))
+    arms.move(pose(10, 30, 30))
+    assert set(fastest) == {21}
+
+
+def test_a_servo_that_has_restarted_is_an_error_wherever_that_shows(arms: ServoArms, line: Line) -> None:
+    arms.move(pose(10, 20, 30))
+    line.servos[2].restart()
+    line.servos[2]._back_at = None
+    with pytest.raises(DeviceError, match=r"servo id 2 .*has restarted by itself"):
+        arms.still()
+    assert arms.faulted
+
+
+def test_a_watchdog_found_run_out_at_opening_costs_no_profile(line: Line) -> None:
+    for servo in line.servos.values():
+        servo.registers.put("Bus Watchdog", 25)
+        run_out(servo)
+    with ServoArms(describe(), servos(line.port)) as arms:
+        assert {servo.get("Profile Velocity") for servo in line.servos.values()} == {21}
+        arms.move(pose(10, 20, 30))
+
+
+def test_a_pose_is_the_mean_of_several_readings_and_their_spread_is_told(arms: ServoArms, line: Line) -> None:
+    arms.move(pose(10, 20, 30))
+    steady = arms.read()
+    assert math.degrees(arms.spread.camera) <= 2 * COUNT_DEG  # quantisation
+    put, jitter = line.servos[2].registers.put, itertools.cycle((-5, 0, 5, 3, -3))
+    line.servos[2].registers.put = lambda n, v: put(n, v + next(jitter) if n == "Present Position" else v)  # type: ignore[method-assign,assignment]
+    assert arms.read().camera == pytest.approx(steady.camera, abs=1e-9)  # the jitter's mean is 0
+    assert math.degrees(arms.spread.camera) == pytest.approx(10 * COUNT_DEG)
+    assert math.degrees(arms.spread.light) <= COUNT_DEG
+
+
 def test_a_servo_that_stops_again_and_again_is_an_error_that_says_why(
     arms: ServoArms, line: Line, monkeypatch: pytest.MonkeyPatch
 ) -> None:

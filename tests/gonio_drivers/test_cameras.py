@@ -27,6 +27,7 @@ from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.rig import Frame
 from gonio.rig.description import Band, Bands, Camera, RigDescription
 from gonio.rig.dng import read_raw, write_dng
+from gonio.rig.imaging import require_frame
 
 SIZE = (48, 64)
 DESCRIPTION = RigDescription(
@@ -344,6 +345,26 @@ def test_time_stamps_of_another_clock_make_no_queued_frame_fresh(
         assert camera.capture(0.006).mosaic[0, 0] > 0  # those in the queue are black
 
 
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        (np.zeros((SIZE[0], 10), np.uint8), "gives 10 x 48 pixels; the rig file says 64 x 48"),
+        (np.zeros(SIZE, np.uint16), "gives uint16 instead of uint8: its format has changed"),
+        (np.zeros(700, np.uint8), "gives 700 x 1 pixels.*a compressed format"),
+        (np.zeros((0, 0), np.uint8), "gives 0 x 0 pixels"),
+    ],
+)
+def test_a_video_camera_that_changes_its_frames_in_a_run_is_an_error(
+    response: str, changed: np.ndarray, message: str
+) -> None:
+    kind = [images(0.006)]
+    with video(VideoStandIn(lambda exposure_s: kind[0]), response) as camera:
+        camera.capture(0.006)
+        kind[0] = changed
+        with pytest.raises(DeviceError, match=message):
+            camera.capture(0.006)
+
+
 def test_the_luminance_of_a_frame_that_is_not_converted_is_used(response: str) -> None:
     yuyv = VideoStandIn(lambda exposure_s: np.dstack([images(exposure_s), np.full(SIZE, 128, np.uint8)]))
     with video(yuyv, response) as camera, video(VideoStandIn(images), response) as grey:
@@ -418,10 +439,13 @@ def test_without_pypylon_the_message_says_what_to_install(monkeypatch: pytest.Mo
 # ---- sequence ----
 
 
+DEEP = DESCRIPTION.model_copy(update={"camera": DESCRIPTION.camera.model_copy(update={"bits": 16})})
+
+
 def test_a_sequence_keeps_16_bits_and_ends(tmp_path: Path) -> None:
     for k in range(2):
         cv2.imwrite(str(tmp_path / f"{k}.png"), np.full(SIZE, 40_000 + k, np.uint16))
-    with cameras.build(DESCRIPTION, {"driver": "sequence", "folder": str(tmp_path)}) as camera:
+    with cameras.build(DEEP, {"driver": "sequence", "folder": str(tmp_path)}) as camera:
         assert [number(camera.capture(0.01)) for _ in range(2)] == [40_000, 40_001]
         with pytest.raises(DeviceError, match="has ended"):
             camera.capture(0.01)
@@ -448,3 +472,45 @@ def test_a_damaged_or_empty_sequence(tmp_path: Path) -> None:
     (tmp_path / "a.png").write_bytes(b"no image")
     with camera, pytest.raises(DataError, match="no image that OpenCV reads"):
         camera.capture(0.01)
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        (np.full(SIZE, 200, np.uint8), r"a\.png: the image has 8 bits; the rig file says camera\.bits = 12"),
+        (
+            np.full(SIZE, 5000, np.uint16),
+            r"a\.png: a pixel holds 5000 DN, above the highest value, 4095;.*camera\.bits",
+        ),
+        (np.full((*SIZE, 3), 200, np.uint16), r"a\.png: has shape \(48, 64, 3\).*a linear frame is grey"),
+        (np.full(SIZE[::-1], 200, np.uint16), r"a\.png: the frame has 48 x 64 pixels"),
+    ],
+)
+def test_an_image_of_another_kind_is_no_frame(tmp_path: Path, image: np.ndarray, message: str) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), image)
+    camera = cameras.build(DESCRIPTION, {"driver": "sequence", "folder": str(tmp_path)})
+    with camera, pytest.raises((DeviceError, DataError), match=message):
+        camera.capture(0.01)
+
+
+def test_a_raw_file_of_another_pattern_is_no_frame(tmp_path: Path) -> None:
+    write_dng(Frame(np.full(SIZE, 7, np.uint16), 0.01, 64.0, 4095.0, "GBRG", time_s=0.0), tmp_path / "a.dng")
+    camera = cameras.build(DESCRIPTION, {"driver": "sequence", "folder": str(tmp_path)})
+    with (
+        camera,
+        pytest.raises(DeviceError, match=r'a\.dng: the frame has the colour pattern "GBRG"; the rig file says'),
+    ):
+        camera.capture(0.01)
+
+
+@pytest.mark.parametrize(
+    "mosaic",
+    [
+        np.zeros((0, 0), np.uint16), np.zeros(SIZE[0] * SIZE[1], np.uint16), np.zeros((*SIZE, 3), np.uint16),
+        np.zeros((SIZE[0], 8), np.uint16), np.zeros(SIZE, np.float32),
+    ],
+)  # fmt: skip
+def test_no_camera_gets_a_frame_of_another_kind_into_a_run(mosaic: np.ndarray) -> None:
+    frame = Frame(mosaic, 0.01, 64.0, 4095.0, "RGGB", time_s=0.0)
+    with pytest.raises(DeviceError, match=r"mine: (the frame has|the frame holds float32)"):
+        require_frame(DESCRIPTION.camera, frame, "mine")

@@ -29,7 +29,6 @@ from gonio.acquisition.measure import RigChoice, carry_out, find_rig
 from gonio.acquisition.plan import load_plan
 from gonio.acquisition.progress import Silent
 from gonio.acquisition.run import Run
-from gonio.cli import rigs
 from gonio.cli.rigs import checks
 from gonio.config import parse, to_toml
 from gonio.errors import ConfigError, DeviceError, Interrupted
@@ -244,16 +243,6 @@ def test_nobody_is_told_that_arms_are_parked_that_are_not(twins: Twins, tmp_path
         measure(twins, tmp_path, Jams(1))
     twins.servos["camera"].unblock()
     assert twins.quiet
-
-
-def test_ctrl_c_in_a_check_says_what_it_has_done(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
-    def pressed(choice: RigChoice, *, move: bool) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(rigs, "checks", pressed)
-    monkeypatch.setattr("gonio.acquisition.measure.find_rig", lambda rig: RigChoice(LAB, twins.description, rig))
-    with pytest.raises(Interrupted, match="the lamp is dark"):
-        rigs.check("twin")
 
 
 def test_two_stop_every_axis_at_once_and_darken(twins: Twins, tmp_path: Path) -> None:

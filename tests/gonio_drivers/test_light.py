@@ -146,7 +146,7 @@ def test_the_guard_waits_for_a_port_that_the_dead_program_still_holds(
     unlocks = SimpleNamespace(monotonic=time.monotonic, sleep=lambda _: fcntl.flock(dead, fcntl.LOCK_UN))
     monkeypatch.setattr(guard, "time", unlocks)
     lamp.twin.shine.lit = True
-    guard._darken(lamp.port, lamp.twin.bauds[0], lamp.driver()._orders_to_darken())
+    guard._darken(lamp.port, lamp.twin.bauds[0], lamp.driver()._orders_to_darken(), alone=True)
     end = time.monotonic() + PATIENCE_S
     while lamp.twin.shine.lit:
         assert time.monotonic() < end

@@ -20,7 +20,7 @@ from gonio.acquisition.run import Run
 from gonio.config import to_toml
 from gonio.errors import ConfigError, DataError, DeviceError, GonioError, Interrupted
 from gonio.reduction import brdf
-from gonio.rig import Frame
+from gonio.rig import Frame, Pose
 from gonio.rig.description import Holder, Reference, RigDescription
 from gonio.rig.dng import read_raw, write_dng
 from tests.gonio.numpy_rig import PLAN, SAMPLE, NumpyRig, Plugin, describe
@@ -145,6 +145,28 @@ def test_a_step_during_which_an_arm_never_stands_still_is_flagged(measure: Measu
     assert list(table["flag"])[:4] == ["", "", "blocked", "blocked"]
     assert set(table["flag"][table["flag"] != "blocked"]) == {"", "moved"}
     assert (table["flag"] == "moved").sum() == 2  # in both bands
+
+
+def test_a_pose_whose_readings_scatter_is_recorded_and_flagged(
+    measure: Measure, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    visits: list[str] = []
+
+    def spread(arms: object) -> Pose:
+        visits.append("")
+        return Pose(camera=math.radians(0.44 if len(visits) in (1, 3) else 0.005))  # a visit to the reference; a point
+
+    monkeypatch.setattr(NumpyRig, "spread", property(spread), raising=False)
+    run = measure("run")
+    assert [step.flag for step in run.steps()] == ["", "", "", "unsteady", *[""] * 5]
+    taken = run.steps()[3]
+    assert taken.pose_spread == Pose(camera=math.radians(0.44))
+    assert len(taken.frames) == 6
+    (remark,) = (event["message"] for event in run.events() if event["event"] == "remark")
+    assert remark == 'step 3: the readings of axis camera at rest lie 0.44 deg apart; it is flagged "unsteady"'
+    table = brdf.reduce(run)
+    assert set(table["flag"]) == {"", "blocked", "unsteady"}
+    assert table["brdf"][table["flag"] == "unsteady"].isna().all()
 
 
 def test_one_seed_gives_one_run(measure: Measure) -> None:

@@ -1,0 +1,56 @@
+"""Signals while devices are open: what would end the process leaves the rig in order first."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Iterator
+from types import FrameType
+from typing import Any
+
+from gonio.errors import Interrupted
+
+ENDING = (
+    signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM, signal.SIGVTALRM,
+    signal.SIGPROF, signal.SIGXCPU, signal.SIGABRT, signal.SIGIO, signal.SIGPWR,
+)  # fmt: skip
+"""Signals that would end the process with the lamp lit; Ctrl-C is an exception in Python already."""
+
+
+@contextlib.contextmanager
+def heard() -> Iterator[None]:
+    """While nobody else listens, signals that would end the process leave the rig in order.
+
+    The lamp is darkened, and the arms park; where they are on their way they stop at once instead.
+    """
+
+    def leave(number: int, frame: FrameType | None) -> None:
+        for other in mine:  # once: a second one must not disturb the parking
+            signal.signal(other, signal.SIG_IGN)
+        raise Interrupted(f"stopped by {signal.Signals(number).name}")
+
+    mine: list[signal.Signals] = []
+    if threading.current_thread() is threading.main_thread():
+        mine = [n for n in ENDING if signal.getsignal(n) is signal.SIG_DFL]
+    for number in mine:
+        signal.signal(number, leave)
+    try:
+        yield
+    finally:
+        for number in mine:
+            signal.signal(number, signal.SIG_DFL)
+
+
+@contextlib.contextmanager
+def undisturbed() -> Iterator[None]:
+    """For the moment that it takes to stop, to darken and to close the ports, Ctrl-C and its like are not heard."""
+    before: dict[signal.Signals, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {n: signal.signal(n, signal.SIG_IGN) for n in (signal.SIGINT, *ENDING)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            if signal.getsignal(number) is signal.SIG_IGN:  # nobody has changed it since
+                signal.signal(number, handler)
