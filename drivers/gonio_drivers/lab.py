@@ -18,10 +18,10 @@ from types import FrameType, TracebackType
 from typing import Any, Self
 
 from gonio.config import Strict, parse
-from gonio.errors import ArgumentError, DeviceError, GonioError, Interrupted
+from gonio.errors import ArgumentError, ConfigError, DeviceError, GonioError, Interrupted
 from gonio.rig import Device, Frame, Health, Step, Target, ask_for
 from gonio.rig.description import RigDescription, SampleDescription
-from gonio_drivers import cameras, diagnosis, survey
+from gonio_drivers import cameras, diagnosis, interlock, survey
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.light import LampReset, SerialLight
 from gonio_drivers.service import ServoService
@@ -46,6 +46,8 @@ class GuardedCamera:
     ) -> None:
         self.watched: frozenset[str] = frozenset(ALL)
         """The devices beside it that are open, and looked at after each frame."""
+        self.allowed: Callable[[], None] = lambda: None
+        """Called before and after each frame; raises where nothing may go on."""
         self._camera = camera
         self._clock = clock
         self._light = light
@@ -60,8 +62,10 @@ class GuardedCamera:
             The camera fails, an axis has moved by itself, or the lamp does not stay as it is meant to be.
         """
         for _ in range(RETAKES):
+            self.allowed()
             begun = self._clock()
             frame = self._camera.capture(exposure_s)
+            self.allowed()
             if "arms" in self.watched:
                 self._arms.still()
             try:
@@ -94,6 +98,10 @@ class LabRig:
         self._camera = cameras.build(description, devices.camera)
         self._clock_starts = time.time() - time.monotonic()
         self.camera = GuardedCamera(self._camera, self.light, self.arms, self.time_s)
+        self.interlock: interlock.Interlock | None = None
+        if devices.interlock is not None:
+            self.interlock = interlock.build(devices.interlock, self.arms.joints, self.light.darken_at_once)
+            self.light.allowed = self.arms.allowed = self.camera.allowed = self.interlock.require
         self._camera_driver = str(devices.camera.get("driver"))
         self._confirm = confirm
         self._target: Target = "sample"
@@ -137,9 +145,15 @@ class LabRig:
         return self.arms.jog(goals)
 
     def health(self) -> Health:
-        """What servos and lamp say of themselves now, as far as they are open."""
-        health = survey.of_open_arms(self.arms) if "arms" in self._opened else Health()
-        return health + survey.of_open_light(self.light) if "light" in self._opened else health
+        """What servos and lamp say of themselves now, as far as they are open; and the strain since the last time."""
+        if self.interlock is not None:
+            self.interlock.require()
+        health = Health()
+        if "arms" in self._opened:
+            health += survey.of_open_arms(self.arms) + survey.strain(self.arms)
+        if "light" in self._opened:
+            health += survey.of_open_light(self.light)
+        return health
 
     def survey(self, *devices: Device) -> Health:
         """What the devices say that nobody has opened; nothing is changed by it."""
@@ -162,10 +176,35 @@ class LabRig:
         with contextlib.ExitStack() as stack:
             stack.enter_context(_signals())
             for name, device in (("light", self.light), ("arms", self.arms), ("camera", self._camera)):
+                if name == "arms":
+                    self._guard_by_serial_line(stack)
                 if name in self._opened:
                     stack.enter_context(device)
+                if name == "arms":
+                    self._guard_by_servo(stack)
             self._stack = stack.pop_all()
         return self
+
+    def _guard_by_serial_line(self, stack: contextlib.ExitStack) -> None:
+        """Before any torque comes on. Without arms, to darken a lamp is allowed whatever the contact says."""
+        if self.interlock is None or self._opened <= {"camera"}:
+            return
+        if not self.interlock.on_the_bus:
+            stack.enter_context(self.interlock)
+        if "arms" in self._opened:
+            self.interlock.latch.require()
+            if not self.interlock.on_the_bus:
+                self.interlock.require()
+
+    def _guard_by_servo(self, stack: contextlib.ExitStack) -> None:
+        """The bus must be open; nothing has moved yet."""
+        if self.interlock is None or self._opened <= {"camera"} or not self.interlock.on_the_bus:
+            return
+        if "arms" not in self._opened:
+            stack.enter_context(self.arms.bus)
+        stack.enter_context(self.interlock)
+        if "arms" in self._opened:
+            self.interlock.require()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -178,7 +217,8 @@ class LabRig:
             except GonioError as dark:
                 failure = dark
             stopped = self.arms.stopped and not isinstance(error, DeviceError)  # by somebody, and not after a failure
-            if not self.arms.faulted and not stopped and not self._stays and "arms" in self._opened:
+            tripped = self.interlock is not None and self.interlock.tripped  # then nothing moves, not to park either
+            if not (self.arms.faulted or stopped or self._stays or tripped) and "arms" in self._opened:
                 self.arms.park()
         except Interrupted:
             raise Interrupted(
@@ -255,8 +295,27 @@ class LabPlugin(ServoService):
         ConfigError
             A key of `[devices]` is wrong.
         """
-        table = parse(_File, {"devices": description.devices}, f'rig "{description.name}"')
-        return LabRig(description, table.devices, confirm=confirm)
+        return LabRig(description, _devices(description), confirm=confirm)
+
+    def acknowledge(self, description: RigDescription) -> str:
+        """A person says that the cause of an emergency stop is removed; which one that was, "" where there was none.
+
+        Raises
+        ------
+        ConfigError
+            The rig file has no interlock.
+        DeviceError
+            Its contact is open still, or cannot be read.
+        """
+        rig = LabRig(description, _devices(description), confirm=False)
+        if rig.interlock is None:
+            raise ConfigError("devices.interlock is missing: the rig has no interlock that could have stopped it")
+        with rig.arms.bus if rig.interlock.on_the_bus else contextlib.nullcontext():
+            return rig.interlock.acknowledge()
+
+
+def _devices(description: RigDescription) -> Devices:
+    return parse(_File, {"devices": description.devices}, f'rig "{description.name}"').devices
 
 
 LAB = LabPlugin()

@@ -1,5 +1,7 @@
 """`gonio rig move | read | lamp | snap | scan | set-zero | ids | reboot | park | dark`: one device at a time.
 
+And `acknowledge`, after an emergency stop.
+
 Each command opens the devices that it names and no other, and tells how it left them.
 """
 
@@ -106,6 +108,21 @@ def park(rig: RigOption) -> None:
     if failures:
         raise DeviceError(f"{name}: {'; '.join([*done, *failures])}")
     console.note(f"{name}: {', '.join(done)}")
+
+
+@app.command()
+def acknowledge(rig: RigOption) -> None:
+    """After an emergency stop: you have removed its cause. Nothing moves or lights up before."""
+    from gonio.cli import console
+    from gonio.errors import ConfigError
+
+    choice = _choice(rig)
+    said = getattr(choice.plugin, "acknowledge", None)
+    if said is None:
+        raise ConfigError(f'{rig}: the driver of rig = "{choice.description.rig}" has no interlock')
+    with choice.naming():
+        was = said(choice.description)
+    console.note(f"acknowledged: {was}" if was else "there was nothing to acknowledge; the contact is closed")
 
 
 # ---- lamp ----

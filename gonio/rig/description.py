@@ -299,8 +299,9 @@ class Suspender(Strict):
         return self
 
     def concerns(self, reading: Reading) -> bool:
-        """Whether a reading is one that the rule is about."""
-        return reading.quantity == self.quantity and self.device in (None, reading.device)
+        """Whether a reading is one that the rule is about: its quantity, or the extreme of it since the last step."""
+        extreme = f"{self.quantity}_max" if self.above is not None else f"{self.quantity}_min"
+        return reading.quantity in (self.quantity, extreme) and self.device in (None, reading.device)
 
     def breaks(self, value: float | str, back: float = 0.0) -> bool:
         """Whether a value is beyond the threshold, drawn nearer by `back`; what is no number where one is needed is."""

@@ -26,6 +26,8 @@ LIMITED = (("Goal Velocity", "Velocity Limit"), ("Goal Current", "Current Limit"
 
 VOLTAGE, OVERHEATING, OVERLOAD = 0x01, 0x04, 0x20
 AMBIENT_C = 34
+PULL_DOWN = 3
+"""External Port Mode: a digital input, 0 where nothing is connected."""
 VOLTAGES = ("Min Voltage Limit", "Max Voltage Limit")
 
 
@@ -81,6 +83,10 @@ class Servo:
         """Called before the shaft sets out for a new goal: what hangs on it has followed until now."""
         self.powered = True
         self.temperature_c = AMBIENT_C
+        self.contacts: set[int] = set()
+        """External ports at which a contact is closed."""
+        self._suffers: dict[str, float] = {}
+        """Until when it suffers from what [s]."""
         self.supply_dv = self.table.supply_dv
         self._power_up()
 
@@ -126,6 +132,19 @@ class Servo:
             self._blocked_at = self._stalled_since = None
             if self.torque:
                 self._drive()
+
+    def suffer(self, fault: str, seconds: float) -> None:
+        """Be hot, have a sagging supply, or an open contact, for a while."""
+        self._suffers[fault] = self._clock() + seconds
+
+    def _suffering(self, fault: str) -> bool:
+        return self._clock() < self._suffers.get(fault, -math.inf)
+
+    def _heat_c(self) -> int:
+        return self.get("Temperature Limit") - 10 if self._suffering("hot") else self.temperature_c
+
+    def _supply_dv(self) -> int:
+        return self.get("Min Voltage Limit") + 5 if self._suffering("sag") else self.supply_dv
 
     def lose_power(self) -> None:
         """Drop out of the bus."""
@@ -376,8 +395,12 @@ class Servo:
         self.registers.put("Moving Status", int(arrived) | int(underway) << 1 | 0x30)
         self.registers.put("Velocity Trajectory", round(self._turned(planned_velocity) / tables.RPM))
         self.registers.put("Position Trajectory", round(self._shown(planned)) + self._offset)
-        self.registers.put("Present Input Voltage", self.supply_dv)
-        self.registers.put("Present Temperature", self.temperature_c)
+        self.registers.put("Present Input Voltage", self._supply_dv())
+        self.registers.put("Present Temperature", self._heat_c())
+        for port in range(1, 4):
+            if f"External Port Data {port}" in self.table.items and self.get(f"External Port Mode {port}") == PULL_DOWN:
+                closed = port in self.contacts and not self._suffering("estop")
+                self.registers.put(f"External Port Data {port}", int(closed))
         self.registers.put("Realtime Tick", int(now * 1000) % 32768)
         load = "Present Current" if "Present Current" in self.table.items else "Present Load"
         effort = 0
