@@ -384,6 +384,36 @@ class SampleFacts:
 
 
 @dataclass(frozen=True)
+class HealthSummary:
+    """One quantity of one device over a run: its extremes, and enough values to draw it."""
+
+    device: str
+    quantity: str
+    unit: str
+    steps: int
+    """At which it was read."""
+    lowest: float
+    lowest_h: float
+    """When, in hours from the run's first step."""
+    median: float
+    highest: float
+    highest_h: float
+    time_h: list[float]
+    value: list[float]
+    """Of every stretch of the run the lowest and the highest one."""
+
+
+@dataclass(frozen=True)
+class PauseSummary:
+    """A time for which a run waited."""
+
+    message: str
+    begun_h: float
+    waited_s: float | None
+    """None where the run ended meanwhile."""
+
+
+@dataclass(frozen=True)
 class RunFacts:
     """What a run's own record says of how its table was made."""
 
@@ -404,6 +434,9 @@ class RunFacts:
     lens_half_angle_deg: float
     reference: str
     sample: SampleFacts | None
+    health: list[HealthSummary] = field(default_factory=list)
+    """Empty for runs from before it was kept, and on rigs that read nothing."""
+    pauses: list[PauseSummary] = field(default_factory=list)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import logging
 import math
 import statistics
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from types import TracebackType
 from typing import NoReturn, Self
@@ -88,6 +88,15 @@ class ServoArms:
         self.absent: dict[str, DeviceError] = {}
         """Axes that could not be opened (`partial`), and why; they are missing from `joints`."""
         self._all = dict(self.joints)
+
+    @property
+    def allowed(self) -> Callable[[], None]:
+        """Called before axes move, and at every look while they do; raises where nothing may move."""
+        return self._motion.allowed
+
+    @allowed.setter
+    def allowed(self, require: Callable[[], None]) -> None:
+        self._motion.allowed = require
 
     # ---- opening and leaving ----
 
@@ -172,6 +181,7 @@ class ServoArms:
             raise DeviceError("the arms have been stopped after a failure; open the rig again")
         self.stopped = False
         try:
+            self.allowed()
             self._motion.approach(goals)
             read = self._readback(LOOKS)
             for name, count in read.counts.items():

@@ -60,9 +60,14 @@ class Dialect(Strict):
     """Ask a monitor photodiode; its reading is proportional to the output."""
     monitor_got: str = r"([-+.\deE]+)"
 
+    lock: str | None = None
+    """Ask whether the source is in lock, or stabilised."""
+    lock_good: str = "1|LOCKED"
+    lock_lost: str = "0|UNLOCKED"
+
     @field_validator(
         "banner", "identity", "state_on", "state_off", "got", "acknowledge", "refuse", "no_error", "selected_got",
-        "monitor_got",
+        "monitor_got", "lock_good", "lock_lost",
     )  # fmt: skip
     @classmethod
     def _pattern(cls, pattern: str | None) -> str | None:
@@ -80,7 +85,7 @@ class Dialect(Strict):
             raise ValueError("needs a group, in round brackets, around the number")
         return pattern
 
-    @field_validator("on", "off", "state", "set", "get", "select", "monitor")
+    @field_validator("on", "off", "state", "set", "get", "select", "monitor", "lock")
     @classmethod
     def _template(cls, command: str | None, info: ValidationInfo) -> str | None:
         fills = FILLS.get(str(info.field_name), ("channel",))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig.description import Axis, RigDescription
@@ -71,8 +71,12 @@ class Joint:
     held: bool = False
     """It had its torque when it was opened."""
     health: Health | None = None
+    strained: list[Health] = field(default_factory=list)
+    """The reports of the highest current and of the lowest voltage since somebody emptied this list."""
     stood_at: float | None = None
     """Count that was read where it landed; the mean of several, since encoders flicker."""
+    also: dict[str, int] = field(default_factory=dict)
+    """What `prepare` sets beside the rest, by item."""
     landed_at: float | None = None
     """Goal [counts] that the axis stands at, reached from below; None where it may have been moved since."""
 
@@ -146,7 +150,7 @@ class Joint:
         self.bus.write_all(level.address, {self.id: b"\x02"})  # before any question: it may answer nothing but pings
         self.held = self.get("Torque Enable") == 1
         self.complain()
-        wanted = {"Operating Mode": POSITION_MODE, "Drive Mode": 0, "Homing Offset": 0}
+        wanted = {"Operating Mode": POSITION_MODE, "Drive Mode": 0, "Homing Offset": 0} | self.also
         if self.servo.current_limit is not None:
             wanted["Current Limit"] = self.servo.current_limit
         if self.get(SHADOW) <= LAST_ID:  # it would obey what is meant for another servo
@@ -369,6 +373,10 @@ def reports(bus: Bus, joints: Iterable[Joint]) -> dict[str, Report]:
         value = {n: joint.table[n].decode(block, start) for n in joint.table if n in REPORTED}
         current = value.get("Present Current", value.get("Present Load", 0))
         joint.health = Health(value["Present Temperature"], value["Present Input Voltage"] / 10, current)
+        joint.strained[:] = [
+            max((*joint.strained, joint.health), key=lambda h: abs(h.current)),
+            min((*joint.strained, joint.health), key=lambda h: h.voltage_v),
+        ]
         profile = block[: len(joint.profile)]
         under_way = bool(value["Moving Status"] & PROFILE_ONGOING)
         out[joint.name] = Report(

@@ -21,7 +21,7 @@ from gonio.rig import Device, Frame, Health, Step, Target, ask_for
 from gonio.rig.description import Camera, RigDescription, SampleDescription
 from gonio.rig.imaging import require_frame
 from gonio.rig.whereabouts import axes_stand
-from gonio_drivers import cameras, diagnosis, signals, survey
+from gonio_drivers import cameras, diagnosis, interlock, signals, survey
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.light import LampReset, SerialLight
 from gonio_drivers.service import ServoService
@@ -49,6 +49,8 @@ class GuardedCamera:
         self._description = description
         self._bits = 0
         """Of its frames so far; 0 before the first."""
+        self.allowed: Callable[[], None] = lambda: None
+        """Called before and after each frame; raises where nothing may go on."""
         self._camera = camera
         self._clock = clock
         self._light = light
@@ -63,8 +65,10 @@ class GuardedCamera:
             The camera fails, an axis has moved by itself, or the lamp does not stay as it is meant to be.
         """
         for _ in range(RETAKES):
+            self.allowed()
             begun = self._clock()
             frame = self._camera.capture(exposure_s)
+            self.allowed()
             require_frame(self._description, frame, "camera")
             bits = round(frame.white_level_dn).bit_length()
             if self._bits not in (0, bits):
@@ -110,6 +114,10 @@ class LabRig:
             self._camera = cameras.Unbuilt(error)
         self._clock_starts = time.time() - time.monotonic()
         self.camera = GuardedCamera(description.camera, self._camera, self.light, self.arms, self.time_s)
+        self.interlock: interlock.Interlock | None = None
+        if devices.interlock is not None:
+            self.interlock = interlock.build(devices.interlock, self.arms.joints, self.light.darken_at_once)
+            self.light.allowed = self.arms.allowed = self.camera.allowed = self.interlock.require
         self._camera_driver = str(devices.camera.get("driver"))
         self._confirm = confirm
         self._target: Target = "sample"
@@ -170,9 +178,15 @@ class LabRig:
         return self.arms.jog(goals)
 
     def health(self) -> Health:
-        """What servos and lamp say of themselves now, as far as they are open."""
-        health = survey.of_open_arms(self.arms) if "arms" in self._opened else Health()
-        return health + survey.of_open_light(self.light) if "light" in self._opened else health
+        """What servos and lamp say of themselves now, as far as they are open; and the strain since the last time."""
+        if self.interlock is not None:
+            self.interlock.require()
+        health = Health()
+        if "arms" in self._opened:
+            health += survey.of_open_arms(self.arms) + survey.strain(self.arms)
+        if "light" in self._opened:
+            health += survey.of_open_light(self.light)
+        return health
 
     def survey(self, *devices: Device) -> Health:
         """What the devices say that nobody has opened; nothing is changed by it."""
@@ -197,11 +211,36 @@ class LabRig:
         with contextlib.ExitStack() as stack:
             stack.enter_context(signals.heard())
             for name, device in (("light", self.light), ("arms", self.arms), ("camera", self._camera)):
+                if name == "arms":
+                    self._guard_by_serial_line(stack)
                 if name in self._opened:
                     stack.enter_context(device)
+                if name == "arms":
+                    self._guard_by_servo(stack)
             self._stack = stack.pop_all()
         self.arms.as_found = self._as_found
         return self
+
+    def _guard_by_serial_line(self, stack: contextlib.ExitStack) -> None:
+        """Before any torque comes on. Without arms, to darken a lamp is allowed whatever the contact says."""
+        if self.interlock is None or self._opened <= {"camera"}:
+            return
+        if not self.interlock.on_the_bus:
+            stack.enter_context(self.interlock)
+        if "arms" in self._opened:
+            self.interlock.latch.require()
+            if not self.interlock.on_the_bus:
+                self.interlock.require()
+
+    def _guard_by_servo(self, stack: contextlib.ExitStack) -> None:
+        """The bus must be open; nothing has moved yet."""
+        if self.interlock is None or self._opened <= {"camera"} or not self.interlock.on_the_bus:
+            return
+        if "arms" not in self._opened:
+            stack.enter_context(self.arms.bus)
+        stack.enter_context(self.interlock)
+        if "arms" in self._opened:
+            self.interlock.require()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -215,7 +254,8 @@ class LabRig:
                 failure = dark
             stopped = self.arms.stopped and not isinstance(error, DeviceError)  # by somebody, and not after a failure
             stays = self._stays or self._as_found
-            if not self.arms.faulted and not stopped and not stays and "arms" in self._opened:
+            tripped = self.interlock is not None and self.interlock.tripped  # then nothing moves, not to park either
+            if not (self.arms.faulted or stopped or stays or tripped) and "arms" in self._opened:
                 self.arms.park()
                 self._parked = True
         except Interrupted:
@@ -256,13 +296,31 @@ class LabPlugin(ServoService):
         ConfigError
             A key of `[devices]` is wrong.
         """
-        table = parse(_File, {"devices": description.devices}, f'rig "{description.name}"')
-        return LabRig(description, table.devices, confirm=confirm)
+        return LabRig(description, _devices(description), confirm=confirm)
 
     def open_by_hand(self, description: RigDescription, *, confirm: bool) -> LabRig:
         """The same for work by hand: a camera that cannot be made yet (an uncalibrated one) stops nobody else."""
-        table = parse(_File, {"devices": description.devices}, f'rig "{description.name}"')
-        return LabRig(description, table.devices, confirm=confirm, lenient=True)
+        return LabRig(description, _devices(description), confirm=confirm, lenient=True)
+
+    def acknowledge(self, description: RigDescription) -> str:
+        """A person says that the cause of an emergency stop is removed; which one that was, "" where there was none.
+
+        Raises
+        ------
+        ConfigError
+            The rig file has no interlock.
+        DeviceError
+            Its contact is open still, or cannot be read.
+        """
+        rig = LabRig(description, _devices(description), confirm=False)
+        if rig.interlock is None:
+            raise ConfigError("devices.interlock is missing: the rig has no interlock that could have stopped it")
+        with rig.arms.bus if rig.interlock.on_the_bus else contextlib.nullcontext():
+            return rig.interlock.acknowledge()
+
+
+def _devices(description: RigDescription) -> Devices:
+    return parse(_File, {"devices": description.devices}, f'rig "{description.name}"').devices
 
 
 LAB = LabPlugin()

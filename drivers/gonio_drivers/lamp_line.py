@@ -5,10 +5,12 @@ What an answer means is the driver's affair (`gonio_drivers.light`).
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import re
 import time
 from collections import deque
+from collections.abc import Sequence
 
 import serial
 
@@ -141,6 +143,14 @@ class LampLine:
             ports.send(self._port, (command + self._dialect.send_ending).encode())
         except ports.FAILURES as error:
             raise ports.lost(self._name, error, "devices.light.port") from None
+
+    def shout(self, orders: Sequence[bytes]) -> None:
+        """Write whole orders at once, from whatever thread; what is answered to them nobody awaits. Never raises."""
+        port = self._port
+        if port is not None:
+            with contextlib.suppress(*ports.FAILURES, TypeError, ValueError):  # it may be closed meanwhile
+                for order in orders:
+                    ports.send(port, order)
 
     def reply(self, good: str) -> str:
         """The line that is `good`; where none comes in time, the first one that may be meant as the answer.

@@ -11,7 +11,7 @@ import contextlib
 import logging
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
 
@@ -62,6 +62,8 @@ class SerialLight:
         """Whether the lamp is meant to shine."""
         self.known_dark = False
         """Its controller has said that it is dark, and nothing has lit it since."""
+        self.allowed: Callable[[], None] = lambda: None
+        """Called before the lamp lights up; raises where it may not."""
         for name in light.channels:
             if name not in {band.name for band in self._bands}:
                 known = ", ".join(band.name for band in self._bands[:8])
@@ -250,7 +252,20 @@ class SerialLight:
             )
         self._line.drain_errors()
 
+    def darken_at_once(self) -> None:
+        """Send what darkens the lamp, from whatever thread, and wait for nothing; `off` sees that it is dark."""
+        self._line.shout(self._orders_to_darken())
+
+    def locked(self) -> bool | None:
+        """Whether the source says that it is in lock; None where its dialect has no such question."""
+        d = self._dialect
+        if d.lock is None:
+            return None
+        answer = self._line.ask(d.lock.format(channel=self._channel), f"{d.lock_good}|{d.lock_lost}")
+        return re.fullmatch(d.lock_good, answer) is not None
+
     def _shine(self) -> None:
+        self.allowed()
         d, self.known_dark = self._dialect, False
         value = self._light.level * d.full_scale
         command = d.set.format(value=value, channel=self._channel)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from gonio.errors import DeviceError
 from gonio_drivers import joints, settings, watchdog
@@ -43,6 +43,8 @@ class Motion:
 
     def __init__(self, bus: Bus, joints: Mapping[str, Joint], servos: settings.Servos, approach_deg: float) -> None:
         self._bus, self._joints, self._servos, self._approach_deg = bus, joints, servos, approach_deg
+        self.allowed: Callable[[], None] = lambda: None
+        """Called at every look while axes move; raises where nothing may move any more."""
 
     def approach(self, goals: Mapping[str, float]) -> None:
         """To a point below each goal, where that is needed, and from there up to the goals."""
@@ -91,6 +93,7 @@ class Motion:
         now = start
         while not all(landing.done for landing in landings.values()):
             time.sleep(POLL_S)
+            self.allowed()
             reports = joints.reports(self._bus, self._joints.values())
             before_s, now = now, time.monotonic()
             if now - before_s > watchdog.PERIOD_S:  # this program was held up, and the servos may have stopped

@@ -130,6 +130,24 @@ class SequenceCamera(Strict):
     folder: str
 
 
+class Interlock(Strict):
+    """A contact that has to be closed, or the lamp is dark and nothing moves."""
+
+    port: str = ""
+    """A serial port, whose line is asserted while the contact is closed."""
+    line: Literal["CTS", "DSR", "DCD", "RI"] = "CTS"
+    axis: AxisName | None = None
+    """Instead of a port: the servo of this axis has an external port, which reads 1 while the contact is closed."""
+    input: Annotated[int, Field(ge=1, le=3)] = 1
+    """Which external port of that servo."""
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Interlock:
+        if bool(self.port) == (self.axis is not None):
+            raise ValueError("needs either port (a serial line) or axis (a servo's external port)")
+        return self
+
+
 class Devices(Strict):
     """The whole table; what stands under `camera` is checked by the camera's driver."""
 
@@ -137,11 +155,16 @@ class Devices(Strict):
     light: Light
     camera: dict[str, Any]
     """`driver` ("folder", "uvc", "sequence", or an entry point of the group `gonio.cameras`) and that driver's keys."""
+    interlock: Interlock | None = None
 
     @model_validator(mode="after")
     def _one_device_a_port(self) -> Devices:
         if Path(self.servos.port).resolve() == Path(self.light.port).resolve():
             raise ValueError(f'servos.port and light.port are the same port, "{self.light.port}"')
+        if self.interlock is not None and self.interlock.port:
+            for name, port in (("servos.port", self.servos.port), ("light.port", self.light.port)):
+                if Path(self.interlock.port).resolve() == Path(port).resolve():
+                    raise ValueError(f'{name} and interlock.port are the same port, "{port}"')
         return self
 
 

@@ -48,6 +48,24 @@ def of_open_arms(arms: ServoArms) -> Health:
     return Health(tuple(found), {name: str(failure) for name, failure in arms.absent.items()})
 
 
+def strain(arms: ServoArms) -> Health:
+    """The highest current and the lowest voltage in all reports of open servos since this was last asked.
+
+    At rest the one is small and the other good: it is on the way that a supply sags.
+    """
+    found: list[Reading] = []
+    for name, joint in arms.joints.items():
+        if joint.strained:
+            current, voltage = joint.strained
+            most = _current(joint, abs(current.current))
+            found += [
+                Reading(name, f"{most.quantity}_max", most.value, most.unit),
+                Reading(name, "voltage_min", voltage.voltage_v, "V"),
+            ]
+        joint.strained.clear()
+    return Health(tuple(found))
+
+
 def of_arms(arms: ServoArms) -> Health:
     """The same of servos that nobody has opened, each by itself; and whether they hold, and what error they show."""
     found: list[Reading] = []
@@ -110,6 +128,9 @@ def of_open_light(light: SerialLight) -> Health:
     monitor = light.monitor()
     if monitor is not None:
         found.append(Reading(LAMP, "monitor", monitor))
+    locked = light.locked()
+    if locked is not None:
+        found.append(Reading(LAMP, "lock", "locked" if locked else "lost"))
     return Health(tuple(found))
 
 

@@ -14,6 +14,7 @@ import datetime
 import fcntl
 import json
 import os
+import threading
 import zlib
 from array import array
 from collections.abc import Iterator, Sequence
@@ -204,6 +205,8 @@ class Journal:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._file = _lock(path)
+        self._one_at_a_time = threading.Lock()
+        """A driver's thread may have something to remark while a step is written."""
         try:
             self._starts, good = _scan(path)
             self._file.truncate(good)
@@ -220,6 +223,10 @@ class Journal:
         DataError
             The disk is full or fails; a part of a line that was written is cut off.
         """
+        with self._one_at_a_time:
+            return self._append(event)
+
+    def _append(self, event: Event) -> Event:
         event = {"n": len(self._starts), **event, "wall": now()}
         line, before = encode(event), os.fstat(self._file.fileno()).st_size
         try:

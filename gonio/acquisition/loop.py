@@ -7,6 +7,7 @@ parked; a step is in the journal if, and only if, all of its frames are on the d
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
 import math
 from bisect import bisect_left
@@ -25,8 +26,9 @@ from gonio.acquisition.progress import Live, Progress
 from gonio.acquisition.records import FrameFile, StepRecord
 from gonio.acquisition.run import Run
 from gonio.acquisition.stop import Stop
+from gonio.acquisition.suspending import Cause, Suspended, Watch
 from gonio.errors import DeviceError, Disturbed, Interrupted
-from gonio.rig import Frame, Pose, Rig, Step, Target
+from gonio.rig import Frame, Pose, Reading, Rig, Step, Target
 from gonio.rig.description import Band
 from gonio.rig.imaging import Roi, require_frame, roi
 from gonio.rig.kinematics import View, left_its_side, view
@@ -71,21 +73,27 @@ def measure(rig: Rig, run: Run, steps: Sequence[Step], progress: Progress, stop:
         return
     if done and not rig.repeatable:
         left = _fresh(steps, done) + left
+    watch = Watch(rig)
     run.append({"event": "session", "gonio": __version__, "steps": len(steps), "left": len(left)})
     progress.start(len(done) + len(left), len(done))
     try:
-        _take_all(rig, run, left, progress, stop)
+        _take_all(rig, run, left, _Visits(steps, [*done, *(step.index for step in left)]), watch, progress, stop)
     except Interrupted as error:
         if stop.requested > 1:
             rig.arms.stop()
-        raise Interrupted(f"{error} after {len(run.steps())} of {len(done) + len(left)} steps") from None
+        taken = run.steps().numbers
+        where = f"after {len(taken)} of {len(done.union(taken, (step.index for step in left)))} steps"
+        raise Interrupted(f"{error} {where}") from None
     run.append({"event": "end", "steps": len(run.steps())})
 
 
-def _take_all(rig: Rig, run: Run, left: list[Step], progress: Progress, stop: Stop) -> None:
+def _take_all(
+    rig: Rig, run: Run, left: list[Step], visits: _Visits, watch: Watch, progress: Progress, stop: Stop
+) -> None:
     """Take steps; whatever ends that early, those that were taken whole are in the journal, and what it was."""
-    with _Session(rig, run, progress) as session, _remarks(run, progress):
+    with _Session(rig, run, visits, watch, progress, stop) as session, _remarks(run, progress):
         try:
+            session.begin(left[0])
             for step in left:
                 if stop.requested:
                     raise Interrupted("stopped")
@@ -106,6 +114,18 @@ def _fresh(steps: Sequence[Step], done: set[int]) -> list[Step]:
     number = max(len(steps), max(done) + 1)
     again = [step for step in (steps[0], steps[1]) if step.index in done]
     return [Step(number + k, step.kind, pose=step.pose) for k, step in enumerate(again)]
+
+
+class _Visits:
+    """Visits to the reference beyond the schedule, numbered after it and after all that was taken."""
+
+    def __init__(self, steps: Sequence[Step], taken: Sequence[int]) -> None:
+        self._pose = steps[1].pose
+        self._numbers = itertools.count(max(len(steps), max(taken, default=0) + 1))
+
+    def another(self) -> Step:
+        """One more."""
+        return Step(next(self._numbers), "reference", pose=self._pose)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,8 +151,9 @@ class _Taken:
 class _Session:
     """One sitting at the rig: the state of lamp and target, and the frames that wait for the disk."""
 
-    def __init__(self, rig: Rig, run: Run, progress: Progress) -> None:
+    def __init__(self, rig: Rig, run: Run, visits: _Visits, watch: Watch, progress: Progress, stop: Stop) -> None:
         self._rig, self._run, self._progress = rig, run, progress
+        self._visits, self._watch, self._stop = visits, watch, stop
         self._description = rig.description
         self._lit = False
         self._target: Target | None = None
@@ -159,10 +180,16 @@ class _Session:
     ) -> None:
         self._store.close()
 
+    def begin(self, step: Step) -> None:
+        """Before the first step: wait where a rule is broken already."""
+        if self._description.suspend:
+            causes = self._watch.broken(self._watch.readings(), lit=False)
+            if causes:
+                self._wait(step, causes)
+
     def take(self, step: Step) -> None:
         """Take a step; journal the one before it, whose frames were being written meanwhile."""
-        self._rig.begin(step)
-        taken = self._dark(step) if step.kind == "dark" else self._lit_step(step)
+        taken = self._undisturbed(step)
         if step.kind == "reference" and not taken.record.flag:
             self._reference = min(self._reference or taken.record, taken.record, key=lambda record: record.step)
         if step.kind == "point" and taken.record.frames:
@@ -170,6 +197,47 @@ class _Session:
         self._pending.append(taken)
         while len(self._pending) > 1:
             self._write(self._pending.popleft())
+
+    def _undisturbed(self, step: Step) -> _Taken:
+        """A step during which no rule of `[suspend]` was broken; one that was is waited for, and the step taken again.
+
+        What happened to the lamp meanwhile nobody knows: on a laboratory rig a point is preceded by a visit to the
+        reference then, unless that would need a person.
+        """
+        while True:
+            before_s, resumed = self._last_s, self._resumed
+            try:
+                self._rig.begin(step)
+                return self._dark(step) if step.kind == "dark" else self._lit_step(step)
+            except Suspended as suspended:
+                self._wait(step, suspended.causes)
+            if self._rig.repeatable:
+                self._last_s, self._resumed = before_s, resumed
+            elif step.kind == "point" and self._description.reference.how != "swap":
+                self.take(self._visits.another())
+
+    def _wait(self, step: Step, causes: Sequence[Cause]) -> None:
+        self.finish()
+        clock, say = self._rig.time_s, self._progress
+        self._watch.wait(causes, step, self._look, self._darken, self._run, say, self._stop, clock)
+
+    def _look(self) -> tuple[Sequence[Reading], bool]:
+        """What is read now, and whether the lamp is meant to shine; room light is looked at with the lamp off."""
+        if self._watch.room_light:
+            self._darken()
+        return self._watch.readings(self._capture if self._watch.room_light else None), self._lit
+
+    def _health(self) -> tuple[Reading, ...]:
+        """What is read at the end of a step; raises `Suspended` where a rule is broken."""
+        lit = self._lit
+        readings = self._watch.readings()
+        if self._watch.room_light:  # the others are of the lamp as it was
+            self._darken()
+            readings = (*readings, self._watch.room(self._capture))
+        causes = self._watch.broken(readings, lit=lit)
+        if causes:
+            raise Suspended(causes)
+        return readings
 
     def finish(self) -> None:
         """Journal every step that has been taken whole."""
@@ -348,6 +416,7 @@ class _Session:
             pose_after_time_s=after.time_s if after is not None else None,
             pose_spread=readback.spread,
             level_per_s=levels_per_s,
+            health=self._health(),
         )
         if files is not None:
             files.close(record)

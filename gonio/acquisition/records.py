@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, Self, TypeVar
 
 from gonio.errors import DataError
+from gonio.rig.health import Reading
 from gonio.rig.protocols import Pose
 
 Json = dict[str, Any]
@@ -100,6 +101,8 @@ class StepRecord:
     """Largest less smallest of the readings whose mean `pose` is; None where the rig does not tell."""
     level_per_s: Mapping[str, float] | None = None
     """By band: the brightest used pixel, as a fraction of full scale, for an exposure of one second."""
+    health: tuple[Reading, ...] = ()
+    """What was read of the rig's devices after the frames, without limits; empty in runs from before it was kept."""
 
     def to_json(self) -> Json:
         """As it stands in the journal, without the line's number, time and checksum."""
@@ -120,6 +123,8 @@ class StepRecord:
             out["pose_spread"] = asdict(self.pose_spread)
         if self.level_per_s is not None:
             out["level_per_s"] = dict(self.level_per_s)
+        if self.health:
+            out["health"] = [[r.device, r.quantity, r.value, r.unit] for r in self.health]
         return out | {"flag": self.flag, "frames": [frame.to_json() for frame in self.frames]}
 
     @classmethod
@@ -144,6 +149,10 @@ class StepRecord:
             values.get("pose_after_time_s"),
             None if spread is None else Pose(**spread),
             values.get("level_per_s"),
+            tuple(
+                Reading(sys.intern(d), sys.intern(q), value, sys.intern(u))
+                for d, q, value, u in values.get("health", ())
+            ),
         )
 
 

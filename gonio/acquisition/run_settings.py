@@ -101,7 +101,8 @@ def differences(was: Settings, now: Settings) -> list[str]:
 
 
 def _comparable(description: RigDescription) -> RigDescription:
-    """Of the rig's reference table the content counts, not where it lies."""
+    """Of the rig's reference table the content counts, not where it lies; what pauses a run may change."""
+    description = description.model_copy(update={"suspend": {}})
     table = description.reference.table
     if table is not None:
         with contextlib.suppress(OSError):

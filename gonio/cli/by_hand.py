@@ -1,5 +1,7 @@
 """`gonio rig move | read | lamp | snap | scan | park | dark`: one device at a time.
 
+And `acknowledge`, after an emergency stop.
+
 Each command opens the devices that it names and no other, and tells how it left them.
 """
 
@@ -122,6 +124,21 @@ def _leave_in_order(bench: Bench, device: str) -> None:
                 raise
     if failure is not None:
         raise failure
+
+
+@app.command()
+def acknowledge(rig: RigOption) -> None:
+    """After an emergency stop: you have removed its cause. Nothing moves or lights up before."""
+    from gonio.cli import console
+    from gonio.errors import ConfigError
+
+    choice = choice_of(rig)
+    said = getattr(choice.plugin, "acknowledge", None)
+    if said is None:
+        raise ConfigError(f'{rig}: the driver of rig = "{choice.description.rig}" has no interlock')
+    with choice.naming():
+        was = said(choice.description)
+    console.note(f"acknowledged: {was}" if was else "there was nothing to acknowledge; the contact is closed")
 
 
 # ---- lamp ----

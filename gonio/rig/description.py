@@ -16,6 +16,7 @@ from pydantic import Field, model_validator
 
 from gonio.config import Strict, numbers_in
 from gonio.errors import ConfigError
+from gonio.rig.health import Reading
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -267,6 +268,62 @@ class Acquisition(Strict):
     dark_frames: Annotated[int, Field(ge=1)] = 8
 
 
+ROOM_LIGHT = "room_light"
+"""A quantity that is measured by a frame with the lamp off [DN/s]: its mean over the black level, by its exposure."""
+
+
+class Suspender(Strict):
+    """A rule that pauses a run: a quantity of the rig's health beyond a threshold, and how it has to come back."""
+
+    quantity: str
+    """"temperature", "current", "load", "voltage", "monitor", "lock", or what else the rig reads; or "room_light"."""
+    device: str | None = None
+    """"light", "camera", "lamp", ...; None for every device that has the quantity."""
+    above: float | None = None
+    below: float | None = None
+    unless: str | None = None
+    """For a quantity that is a word: the only one that is good, as "locked"."""
+    hysteresis: NonNegative = 0.0
+    """How far behind the threshold the quantity has to come back before the run goes on."""
+    longest_s: Positive = 1800.0
+    """How long the run waits at most; then it ends, and can be resumed."""
+    dark: bool = False
+    """The lamp is dark while the run waits."""
+
+    @model_validator(mode="after")
+    def _one_threshold(self) -> Suspender:
+        if [self.above, self.below, self.unless].count(None) != 2:
+            raise ValueError("needs one of above, below and unless")
+        if self.dark and (self.device == "lamp" or self.quantity in ("monitor", "lock")):
+            raise ValueError("dark = true: how the lamp shines cannot be seen in the dark; leave the key out")
+        return self
+
+    def concerns(self, reading: Reading) -> bool:
+        """Whether a reading is one that the rule is about: its quantity, or the extreme of it since the last step."""
+        extreme = f"{self.quantity}_max" if self.above is not None else f"{self.quantity}_min"
+        return reading.quantity in (self.quantity, extreme) and self.device in (None, reading.device)
+
+    def breaks(self, value: float | str, back: float = 0.0) -> bool:
+        """Whether a value is beyond the threshold, drawn nearer by `back`; what is no number where one is needed is."""
+        if self.unless is not None:
+            return value != self.unless
+        if isinstance(value, str):
+            return True
+        return not (value <= self.above - back if self.above is not None else value >= (self.below or 0.0) + back)
+
+    def badness(self, reading: Reading) -> float:
+        """The larger, the further beyond the threshold."""
+        if isinstance(reading.value, str):
+            return float("inf")
+        return reading.value if self.above is not None else -reading.value
+
+    def words(self, back: float = 0.0) -> str:
+        """The threshold in words."""
+        if self.unless is not None:
+            return f'anything but "{self.unless}"'
+        return f"above {self.above - back:g}" if self.above is not None else f"below {(self.below or 0.0) + back:g}"
+
+
 class RigDescription(Strict):
     """A whole rig file."""
 
@@ -281,6 +338,8 @@ class RigDescription(Strict):
     reference: Reference = Reference()
     bands: Bands
     acquisition: Acquisition = Acquisition()
+    suspend: dict[str, Suspender] = Field(default_factory=dict)
+    """What pauses a run, by a name of the user's (`gonio.acquisition.suspending`)."""
     devices: dict[str, Any] = Field(default_factory=dict)
     """Ports, ids and dialects: checked by the rig's own driver."""
 

@@ -142,6 +142,9 @@ class SimulatedCamera:
         world.require_open("camera")
         camera.require_exposure(exposure_s)
         rate = self._renderer.rate(self._lit_band()) if world.lamp_on else None
+        if world.ambient_e_per_s:
+            room = np.float32(world.ambient_e_per_s)
+            rate = np.full((camera.height, camera.width), room, np.float32) if rate is None else rate + room
         mosaic = self._sensor.read_out(
             rate, exposure_s, world.lamp_level(), world.key(Stream.SENSOR, world.step, world.frame)
         )

@@ -65,6 +65,8 @@ class World:
         self.lamp_on = False
         self.brightness = 1.0
         """Of the lamp, relative to the level that the rig file means."""
+        self.ambient_e_per_s = 0.0
+        """Photo-electrons a second that light in the room adds to every pixel."""
         self.band: Band | None = None
         self.target: Target = "sample"
         self.pose = Pose()

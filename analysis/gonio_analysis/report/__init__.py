@@ -15,6 +15,7 @@ from gonio_analysis.report import (
     detail,
     figures,
     files,
+    health,
     html,
     page,
     pdf,
@@ -223,13 +224,13 @@ def _most_values(datasets: Sequence[Dataset]) -> int:
 
 
 def _other_sides(d: Dataset, facts: DatasetSummary) -> list[Drawing]:
-    """The figures of transmission and of polarisation, where they were measured."""
+    """The figures of transmission, of polarisation and of the rig's health, where they were measured."""
     out: list[Drawing] = []
     if d.transmitted is not None:
         out += transmission.draw(d.transmitted, d.curves, facts.slug, simulated=d.simulated)
     if d.polarisation is not None:
         out += polarisation.draw(d.polarisation, d.name, facts.slug)
-    return out
+    return out + health.draw(facts.run, facts.slug)
 
 
 def _distinct(names: Sequence[str], sources: Sequence[str]) -> list[str]:

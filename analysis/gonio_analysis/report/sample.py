@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from gonio import geometry
 from gonio.formats.reader import TableBand
-from gonio_analysis.report import appearance, blocks, model_choice, polarisation, transmission
+from gonio_analysis.report import appearance, blocks, health, model_choice, polarisation, transmission
 from gonio_analysis.report.blocks import (
     MOST_ROWS,
     Block,
@@ -100,6 +100,7 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
         )
     if "series" in by:
         out += [Heading(3, "Parameters over wavelength"), Figures(by["series"])]
+    out += health.section(d.run, by.get(health.KIND, ()))
     return blocks.section(out, d.slug)
 
 

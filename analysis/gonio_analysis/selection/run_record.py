@@ -2,11 +2,26 @@
 
 from __future__ import annotations
 
+import json
+import re
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from gonio_analysis.result_records import RunFacts, SampleFacts
+import numpy as np
+
+from gonio_analysis.result_records import HealthSummary, PauseSummary, RunFacts, SampleFacts
+
+if TYPE_CHECKING:
+    from gonio.acquisition.run import Run
 
 REFERENCE = {"beside": "beside the sample", "axis": "brought by an axis", "swap": "swapped with the sample by hand"}
+STRETCHES = 120
+"""Of a run, of each of which the lowest and the highest value of a quantity are kept."""
+PAUSE = re.compile(rb'\{"n":\d+,"event":"(suspended|continued)"')
+"""How the lines of a journal begin that tell of a pause; a long run's others are not parsed for it."""
+SETTINGS = ("level",)
+"""Quantities that say what was asked for, and nothing of health."""
 
 
 def run_facts(path: Path) -> RunFacts | None:
@@ -23,6 +38,7 @@ def run_facts(path: Path) -> RunFacts | None:
     plan = run.plan
     cannot = plan["flag"].astype(str)
     rig = settings.rig
+    health, pauses = _health(run)
     return RunFacts(
         folder=str(folder),
         plan=settings.run.plan,
@@ -43,4 +59,47 @@ def run_facts(path: Path) -> RunFacts | None:
         sample=None
         if settings.sample is None
         else SampleFacts(settings.sample.name, settings.sample.model, dict(settings.sample.parameters)),
+        health=health,
+        pauses=pauses,
     )
+
+
+def _health(run: Run) -> tuple[list[HealthSummary], list[PauseSummary]]:
+    """What the devices of a run were like from step to step, and for what it waited."""
+    series: dict[tuple[str, str, str], tuple[list[float], list[float]]] = {}
+    first_s = None
+    for step in run.steps():
+        first_s = step.time_s if first_s is None else min(first_s, step.time_s)
+        for r in step.health:
+            if not isinstance(r.value, str) and r.quantity not in SETTINGS:
+                times, values = series.setdefault((r.device, r.quantity, r.unit), ([], []))
+                times.append(step.time_s)
+                values.append(r.value)
+    if first_s is None:
+        return [], []
+    pauses: list[PauseSummary] = []
+    events = run.events()
+    for line in events.lines(range(len(events))):
+        if not PAUSE.match(line):
+            continue
+        event = json.loads(line)
+        if event["event"] == "suspended":
+            pauses.append(PauseSummary(event["message"], (event["time_s"] - first_s) / 3600, None))
+        elif pauses and pauses[-1].waited_s is None:
+            pauses[-1] = replace(pauses[-1], waited_s=event["waited_s"])
+    return [_summary(*key, first_s, *found) for key, found in series.items()], pauses
+
+
+def _summary(
+    device: str, quantity: str, unit: str, first_s: float, times: list[float], values: list[float]
+) -> HealthSummary:
+    order = np.argsort(times, kind="stable")
+    time_h, value = (np.asarray(times)[order] - first_s) / 3600, np.asarray(values)[order]
+    low, high = int(np.argmin(value)), int(np.argmax(value))
+    parts = np.array_split(np.arange(value.size), min(STRETCHES, value.size))
+    kept = np.unique([part[f(value[part])] for part in parts for f in (np.argmin, np.argmax)] + [0, value.size - 1])
+    return HealthSummary(
+        device, quantity, unit, int(value.size),
+        float(value[low]), float(time_h[low]), float(np.median(value)), float(value[high]), float(time_h[high]),
+        [round(float(t), 6) for t in time_h[kept]], [float(f"{v:.6g}") for v in value[kept]],
+    )  # fmt: skip

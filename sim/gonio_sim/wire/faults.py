@@ -19,7 +19,16 @@ WIRE = ("silence", "late-reply", "corrupt-crc", "truncated-packet", "noise")
 SERVO = ("stall", "overheat", "dropout", "reboot", "voltage-alarm")
 LAMP = ("lamp-nak", "lamp-silent", "lamp-reset")
 CAMERA = ("file-late", "file-truncated", "wrong-exposure", "file-duplicate", "file-missing")
-NAMES = WIRE + SERVO + LAMP + CAMERA
+HEALTH = ("hot", "sag", "estop")
+"""Of a servo, for a while: near its temperature limit, near its lowest voltage, the contact at its port open."""
+LIGHT = ("unlock", "room-light")
+"""The source out of lock, and light in the room, for a while."""
+NAMES = WIRE + SERVO + LAMP + CAMERA + HEALTH + LIGHT
+
+LASTS_S = 60.0
+"""How long what passes by itself lasts, on the twin's clock."""
+LOCK_QUESTIONS = 3
+"""So many questions hear that the source is out of lock."""
 
 LATE_S = 0.100
 """A late reply comes after the SDK has given up (34 ms), and after a patient driver has (84 ms)."""
@@ -74,6 +83,8 @@ class Faults:
 
     def on_status(self, servo: Servo, status: bytes) -> list[tuple[float, bytes]]:
         """What a status packet becomes on the wire: delays [s] and bytes."""
+        if (passing := self.take(*HEALTH, servo=servo.id)) is not None:
+            servo.suffer(passing, LASTS_S)
         fault = self.take(*SERVO, *WIRE, servo=servo.id)
         if fault == "silence":
             return []

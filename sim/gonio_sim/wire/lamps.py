@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from gonio.rig.description import Band
-from gonio_sim.wire.faults import LAMP, Faults
+from gonio_sim.wire.faults import LAMP, LOCK_QUESTIONS, Faults
 
 Send = Callable[[bytes], None]
 RESET_S = 0.3
@@ -97,13 +97,14 @@ class Lamp:
 
 
 class ScpiLamp(Lamp):
-    """`OUTPut`, `SOURce:LEVel` [%], `SOURce:WAVelength` [nm], `SYSTem:ERRor?`, `MEASure:POWer?`."""
+    """`OUTPut`, `SOURce:LEVel` [%], `SOURce:WAVelength` [nm], `SYSTem:ERRor?`, `MEASure:POWer?`, `SOURce:LOCK?`."""
 
     bauds = (9600, 115_200)
 
     def __init__(self, *arguments: object, **keywords: object) -> None:
         super().__init__(*arguments, **keywords)  # type: ignore[arg-type]
         self._errors: list[str] = []
+        self._unlocked = 0
 
     def refuse(self, line: str, send: Send) -> None:
         """The error goes into the queue; a query gets no answer, as SCPI has it."""
@@ -151,6 +152,11 @@ class ScpiLamp(Lamp):
             if abs(near.centre_nm - nm) > near.fwhm_nm / 2:
                 raise ValueError
             shine.band = near
+        elif short == "SOUR:LOCK" and query:
+            if self.faults.take("unlock"):
+                self._unlocked = LOCK_QUESTIONS
+            self._unlocked -= self._unlocked > 0
+            return str(int(not self._unlocked))
         elif short == "MEAS:POW" and query:
             return f"{1e-3 * shine.level * shine.lit:.6e}"
         else:

@@ -48,6 +48,8 @@ LIMITED = (("Goal Velocity", "Velocity Limit"), ("Goal Current", "Current Limit"
 VOLTAGE, OVERHEATING, ENCODER, SHOCK, OVERLOAD = 0x01, 0x04, 0x08, 0x10, 0x20
 """Bits of the Hardware Error Status and of Shutdown."""
 AMBIENT_C = 34
+PULL_DOWN = 3
+"""External Port Mode: a digital input, 0 where nothing is connected."""
 VOLTAGES = ("Min Voltage Limit", "Max Voltage Limit")
 
 
@@ -107,6 +109,10 @@ class Servo:
         """Called before the shaft sets out for a new goal: what hangs on it has followed until now."""
         self.powered = True
         self.temperature_c = AMBIENT_C
+        self.contacts: set[int] = set()
+        """External ports at which a contact is closed."""
+        self._suffers: dict[str, float] = {}
+        """Until when it suffers from what [s]."""
         self.supply_dv = self.table.supply_dv
         self.damage = 0
         """Bits of the hardware error that nothing else here causes: the encoder's 0x08, an electrical shock's 0x10."""
@@ -159,6 +165,19 @@ class Servo:
             self._blocked_at = self._stalled_since = None
             if self.torque:
                 self._drive()
+
+    def suffer(self, fault: str, seconds: float) -> None:
+        """Be hot, have a sagging supply, or an open contact, for a while."""
+        self._suffers[fault] = self._clock() + seconds
+
+    def _suffering(self, fault: str) -> bool:
+        return self._clock() < self._suffers.get(fault, -math.inf)
+
+    def _heat_c(self) -> int:
+        return self.get("Temperature Limit") - 10 if self._suffering("hot") else self.temperature_c
+
+    def _supply_dv(self) -> int:
+        return self.get("Min Voltage Limit") + 5 if self._suffering("sag") else self.supply_dv
 
     def lose_power(self) -> None:
         """Drop out of the bus."""
@@ -525,8 +544,12 @@ class Servo:
         self.registers.put("Velocity Trajectory", round(self._turned(planned_velocity) / tables.RPM))
         arrived = in_position_mode and ended and self.torque
         self.registers.put("Position Trajectory", self._said(self._aim if arrived else planned))
-        self.registers.put("Present Input Voltage", self.supply_dv)
-        self.registers.put("Present Temperature", self.temperature_c)
+        self.registers.put("Present Input Voltage", self._supply_dv())
+        self.registers.put("Present Temperature", self._heat_c())
+        for port in range(1, 4):
+            if f"External Port Data {port}" in self.table.items and self.get(f"External Port Mode {port}") == PULL_DOWN:
+                closed = port in self.contacts and not self._suffering("estop")
+                self.registers.put(f"External Port Data {port}", int(closed))
         self.registers.put("Realtime Tick", int((now - self._booted_s) * 1000) % 32768)
         load = "Present Current" if "Present Current" in self.table.items else "Present Load"
         effort = 0

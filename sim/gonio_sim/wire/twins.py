@@ -38,6 +38,8 @@ COUNTS = 4096
 START_DEG = {"light": -40.0, "camera": 40.0}
 """Where the arms hang when the power comes."""
 TARGET_FILE = "target"
+ROOM = 0.05
+"""Light in the room, against a white sample under the lamp."""
 
 
 class _Loose(BaseModel):
@@ -74,10 +76,16 @@ class _Camera(_Loose):
     driver: str
 
 
+class _Contact(_Loose):
+    axis: str | None = None
+    input: int = 1
+
+
 class _Devices(_Loose):
     servos: _Servos
     light: _Light
     camera: _Camera
+    interlock: _Contact | None = None
 
 
 class WireWorld(World):
@@ -161,7 +169,8 @@ class Twins:
         self._folder = folder
         self.scale = scale
         self.faults = Faults()
-        clock = scaled_clock(scale)
+        self._clock = clock = scaled_clock(scale)
+        self._bright_until_s = -math.inf
         self.world = WireWorld(description, sample, seed, clock)
         self._render = SimulatedCamera(self.world, Renderer(self.world))
         self._looking = threading.Lock()
@@ -187,6 +196,9 @@ class Twins:
                 )  # fmt: skip
                 self.followers[name] = follower
                 self.servos[name].leaving = follower.follow
+        contact = self._devices.interlock
+        if contact is not None and contact.axis in self.servos:
+            self.servos[contact.axis].contacts.add(contact.input)
         self.bus = ServoBus(self.servos.values(), self.faults)
         self.lamp: Lamp = LAMPS[self._devices.light.dialect](description.bands.all(), self._shine, self.faults)
         self.camera = TetheredCamera(self._expose, folder / "frames", scale=scale, faults=self.faults)
@@ -261,7 +273,8 @@ class Twins:
             raise ConfigError(f'the fault "{fault}" needs a tethered camera; devices.camera.driver = "{self.driver}"')
         if axis is not None and axis not in self.servos:
             raise ConfigError(f'the bench has no axis "{axis}"; it has {", ".join(self.servos)}')
-        servo = None if axis is None or fault in fault_names.LAMP + fault_names.CAMERA else self.servos[axis].id
+        others = fault_names.LAMP + fault_names.CAMERA + fault_names.LIGHT
+        servo = None if axis is None or fault in others else self.servos[axis].id
         self.faults.arm(fault, servo=servo, times=times, skip=skip)
 
     @property
@@ -292,6 +305,10 @@ class Twins:
         with self._looking:
             self.world.target = self._target()
             self.world.pose = Pose(**{name: follower.true() for name, follower in self.followers.items()})
+            if self.faults.take("room-light"):
+                self._bright_until_s = self._clock() + fault_names.LASTS_S
+            room = ROOM * self.world.description.camera.responsivity_e_per_s
+            self.world.ambient_e_per_s = room if self._clock() < self._bright_until_s else 0.0
             return self._render.capture(exposure_s)
 
     def _target(self) -> Target:

@@ -1,0 +1,129 @@
+"""The health of a run: temperatures, currents and voltages against time, and for what the run waited."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+from gonio_analysis.plots.in_plane import COLOURS, FAINT, clean
+from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, Paragraph, table
+from gonio_analysis.report.figures import LEGEND_ROW_IN, Drawing, Figure, key
+from gonio_analysis.report.text import number
+from gonio_analysis.result_records import HealthSummary, PauseSummary, RunFacts
+
+KIND = "health"
+PANEL_IN = 1.35
+FOOT_IN = 0.5
+WORDS = {
+    "current_max": "highest current", "voltage_min": "lowest voltage", "load_max": "highest load",
+    "room_light": "room light",
+}  # fmt: skip
+BETTER = {"current": "current_max", "load": "load_max", "voltage": "voltage_min"}
+"""What is drawn instead, where both were read: the extreme of every poll since the step before."""
+UNITS = {"C": "°C"}
+MOST_PAUSES = 20
+"""That are told one by one."""
+
+
+def draw(run: RunFacts | None, slug: str) -> list[Drawing]:
+    """The figure of a run; none where nothing was read."""
+    panels = _panels(run)
+    if run is None or not panels:
+        return []
+    devices = list(dict.fromkeys(h.device for group in panels for h in group))
+    long = max(h.steps for group in panels for h in group)
+    drawn = max(len(h.value) for group in panels for h in group)
+    caption = "Health of the run: " + ", ".join(_words(group[0]) for group in panels) + " at every step, against time."
+    if long > drawn:
+        caption += f" Of {long} steps those are drawn that are lowest or highest among their neighbours."
+    if run.pauses:
+        caption += " Grey: the run waited."
+    alt = " ".join(f"{h.device} {_words(h)}: {_range(h)}." for group in panels for h in group)
+    size = (5.6, PANEL_IN * len(panels) + FOOT_IN + LEGEND_ROW_IN)
+    on = partial(_on_panels, panels=panels, pauses=run.pauses, devices=devices)
+    return [Drawing(f"{slug}-health", KIND, "", caption, alt, size, on)]
+
+
+def section(run: RunFacts | None, figures: Sequence[Figure]) -> list[Block]:
+    """The extremes in words and the figure; nothing where nothing was read."""
+    if run is None or not (run.health or run.pauses):
+        return []
+    out: list[Block] = [Heading(3, "The health of the run")]
+    out.append(Paragraph(_extremes(run)))
+    if run.pauses:
+        out.append(Notes(tuple(map(_pause, run.pauses[:MOST_PAUSES]))))
+    if run.health:
+        rows = [
+            [h.device, _words(h), _with_unit(h.lowest, h), _with_unit(h.median, h), _with_unit(h.highest, h),
+             f"{h.highest_h:.2f} h"]
+            for h in run.health
+        ]  # fmt: skip
+        head = ["device", "quantity", "lowest", "median", "highest", "highest after"]
+        out.append(table("Read after the frames of every step.", head, rows, right=(2, 3, 4, 5)))
+    return [*out, Figures(tuple(figures))] if figures else out
+
+
+def _panels(run: RunFacts | None) -> list[list[HealthSummary]]:
+    """Series by quantity: those of one panel."""
+    out: dict[str, list[HealthSummary]] = {}
+    for h in run.health if run is not None else []:
+        out.setdefault(h.quantity, []).append(h)
+    return [group for quantity, group in out.items() if BETTER.get(quantity) not in out]
+
+
+def _extremes(run: RunFacts) -> str:
+    said = []
+    for quantity, hottest in (("temperature", True), ("current_max", True), ("load_max", True), ("voltage_min", False)):
+        found = [h for h in run.health if h.quantity == quantity]
+        if found and hottest:
+            h = max(found, key=lambda one: one.highest)
+            said.append(f"The highest {_words(h).removeprefix('highest ')} was {_with_unit(h.highest, h)}, of the"
+                        f" {h.device} servo, {h.highest_h:.2f} h after the start.")  # fmt: skip
+        elif found:
+            h = min(found, key=lambda one: one.lowest)
+            said.append(f"The lowest {_words(h).removeprefix('lowest ')} was {_with_unit(h.lowest, h)}, of the"
+                        f" {h.device} servo, {h.lowest_h:.2f} h after the start.")  # fmt: skip
+    waited = sum(p.waited_s or 0.0 for p in run.pauses)
+    pauses = f"{len(run.pauses)} time" + "s" * (len(run.pauses) != 1)
+    said.append(f"It waited {pauses}, {number(waited / 60, 2)} min together." if run.pauses else "It never waited.")
+    return " ".join(said)
+
+
+def _pause(p: PauseSummary) -> str:
+    how_long = "the run ended meanwhile" if p.waited_s is None else f"waited {p.waited_s:.0f} s"
+    return f"{p.begun_h:.2f} h after the start: {p.message}; {how_long}."
+
+
+def _words(h: HealthSummary) -> str:
+    return WORDS.get(h.quantity, h.quantity)
+
+
+def _with_unit(value: float, h: HealthSummary) -> str:
+    return f"{value:.4g} {UNITS.get(h.unit, h.unit)}".strip()
+
+
+def _range(h: HealthSummary) -> str:
+    return f"{_with_unit(h.lowest, h)} to {_with_unit(h.highest, h)}"
+
+
+def _on_panels(
+    figure: Any, *, panels: list[list[HealthSummary]], pauses: list[PauseSummary], devices: list[str]
+) -> None:
+    from matplotlib.lines import Line2D
+
+    high = PANEL_IN * len(panels) + FOOT_IN + LEGEND_ROW_IN
+    axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    figure.subplots_adjust(0.13, (FOOT_IN + LEGEND_ROW_IN) / high, 0.975, 1 - 0.08 / high, hspace=0.14)
+    colour = {device: COLOURS[k % len(COLOURS)] for k, device in enumerate(devices)}
+    for ax, group in zip(axes, panels, strict=True):
+        clean(ax)
+        for h in group:
+            ax.plot(h.time_h, h.value, lw=0.9, color=colour[h.device])
+        for p in pauses:
+            ax.axvspan(p.begun_h, p.begun_h + (p.waited_s or 0.0) / 3600, color=FAINT, lw=0.5)
+        unit = f" [{UNITS.get(group[0].unit, group[0].unit)}]" if group[0].unit else ""
+        ax.set_ylabel(_words(group[0]) + unit, fontsize=7.5)
+        ax.tick_params(labelsize=7.5)
+    axes[-1].set_xlabel("time from the first step [h]", fontsize=8)
+    key(figure, [Line2D([], [], color=colour[d], lw=1.2, label=d) for d in devices], min(len(devices), 6))

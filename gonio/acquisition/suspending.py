@@ -1,0 +1,215 @@
+"""The health of a rig at every step, and what `[suspend]` in the rig file makes of it: the run waits, and goes on."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gonio.acquisition import exposure
+from gonio.acquisition.progress import Progress
+from gonio.acquisition.run import Run
+from gonio.acquisition.stop import Stop
+from gonio.errors import ConfigError, DeviceError, Interrupted
+from gonio.rig import Frame, Health, Pose, Reading, Rig, Step
+from gonio.rig.description import ROOM_LIGHT
+
+LOOK_S = 2.0
+"""Between two looks while the run waits."""
+NAP_S = 0.1
+"""Ctrl-C is heard so soon meanwhile."""
+LAMP = "lamp"
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """A rule that is broken, and by which reading."""
+
+    rule: str
+    reading: Reading
+    limit: str
+
+    def __str__(self) -> str:
+        r = self.reading
+        value = r.value if isinstance(r.value, str) else f"{r.value:.4g} {r.unit}".strip()
+        return f"suspend.{self.rule}: {r.device} {r.quantity} is {value}, and {self.limit} pauses the run"
+
+
+class Suspended(Exception):
+    """A step was exposed while a rule was broken: it counts for nothing."""
+
+    def __init__(self, causes: Sequence[Cause]) -> None:
+        super().__init__("; ".join(map(str, causes)))
+        self.causes = list(causes)
+
+
+class Watch:
+    """Reads the health of a rig, and judges it by the rules of its file.
+
+    Parameters
+    ----------
+    rig
+        Entered. It may offer `health()`; without one nothing is read but the light in the room.
+
+    Raises
+    ------
+    ConfigError
+        A rule is about a quantity that the rig does not read.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        self._description = rig.description
+        self._rules = rig.description.suspend
+        self._ask: Callable[[], Health] | None = getattr(rig, "health", None)
+        self._room_s = exposure.expected_exposure_s(rig.description, Pose(), 1.0)
+        if any(rule.quantity != ROOM_LIGHT for rule in self._rules.values()):
+            there = self._read()
+            for name, rule in self._rules.items():
+                if rule.quantity != ROOM_LIGHT and not any(map(rule.concerns, there)):
+                    known = ", ".join(sorted({f'"{r.device}" {r.quantity}' for r in there})) or "nothing"
+                    device = f' of device = "{rule.device}"' if rule.device else ""
+                    raise ConfigError(
+                        f'suspend.{name}: quantity = "{rule.quantity}"{device} is not read on the rig '
+                        f'"{self._description.name}"; read are {known}, "frames" {ROOM_LIGHT}'
+                    )
+
+    @property
+    def room_light(self) -> bool:
+        """Whether a rule asks for frames with the lamp off."""
+        return any(rule.quantity == ROOM_LIGHT for rule in self._rules.values())
+
+    def readings(self, capture: Callable[[float], Frame] | None = None) -> tuple[Reading, ...]:
+        """What a journal keeps: numbers that are finite, and words; no angles, which it has as poses.
+
+        `capture` takes a frame with the lamp off, where a rule is about the light in the room.
+        """
+        found = self._read()
+        return (*found, self.room(capture)) if capture is not None else found
+
+    def _read(self) -> tuple[Reading, ...]:
+        if self._ask is None:
+            return ()
+        return tuple(_plain(r) for r in self._ask().readings if r.quantity != "angle")
+
+    def room(self, capture: Callable[[float], Frame]) -> Reading:
+        """The light in the room, by a frame that is taken with the lamp off."""
+        frame = capture(self._room_s)
+        dn = float(np.mean(frame.mosaic)) - frame.black_level_dn
+        return Reading("frames", ROOM_LIGHT, dn / frame.exposure_s, "DN/s")
+
+    def broken(self, readings: Sequence[Reading], *, lit: bool, waiting: Sequence[str] = ()) -> list[Cause]:
+        """Which rules these readings break, by the worst reading of each.
+
+        Parameters
+        ----------
+        readings
+            What was read.
+        lit
+            Whether the lamp is meant to shine: a dark one says nothing of how it shines.
+        waiting
+            Rules that are waited for: their quantities have to come back by the hysteresis.
+
+        Raises
+        ------
+        DeviceError
+            A rule's quantity was not read.
+        """
+        out = []
+        for name, rule in self._rules.items():
+            seen = [r for r in readings if rule.concerns(r)]
+            if not lit and (not seen or all(r.device == LAMP for r in seen)):
+                continue
+            if not seen and rule.quantity == ROOM_LIGHT:
+                continue
+            if not seen:
+                raise DeviceError(f'suspend.{name}: the rig says nothing of "{rule.quantity}" any more')
+            back = rule.hysteresis if name in waiting else 0.0
+            found = [r for r in seen if rule.breaks(r.value, back)]
+            if found:
+                out.append(Cause(name, max(found, key=rule.badness), rule.words(back)))
+        return out
+
+    def wait(
+        self,
+        causes: Sequence[Cause],
+        step: Step,
+        look: Callable[[], tuple[Sequence[Reading], bool]],
+        darken: Callable[[], None],
+        run: Run,
+        progress: Progress,
+        stop: Stop,
+        time_s: Callable[[], float],
+    ) -> None:
+        """Wait until no rule is broken; the journal has what happened.
+
+        Parameters
+        ----------
+        causes, step
+            What is broken, and the step that is taken again afterwards.
+        look
+            What is read now, and whether the lamp is meant to shine.
+        darken
+            Darkens the lamp, where a rule asks for it.
+        run, progress, stop, time_s
+            Who is told, who may end the wait, and the rig's clock.
+
+        Raises
+        ------
+        Interrupted
+            The user asked to stop.
+        DeviceError
+            A rule is broken for longer than it allows, or a device fails.
+        """
+        begun = time.monotonic()
+        since: dict[str, float] = {}
+        while causes:
+            new = [cause for cause in causes if cause.rule not in since]
+            now = time.monotonic()
+            since = {cause.rule: since.get(cause.rule, now) for cause in causes}
+            for cause in new:
+                run.append(
+                    {"event": "suspended", "step": step.index, "rule": cause.rule, "message": str(cause)}
+                    | {"time_s": float(time_s())}
+                )
+                longest = self._rules[cause.rule].longest_s
+                progress.say(f"waiting, at most {_duration(longest)}: {cause}; Ctrl-C ends the run, to be resumed")
+            if any(self._rules[name].dark for name in since):
+                darken()
+            for _ in _naps(LOOK_S):
+                if stop.requested:
+                    raise Interrupted(f"stopped while waiting ({causes[0]}),")
+            for cause in causes:
+                rule = self._rules[cause.rule]
+                if time.monotonic() - since[cause.rule] > rule.longest_s:
+                    raise DeviceError(
+                        f"{cause}; that has not ended within suspend.{cause.rule}.longest_s = {rule.longest_s:g} s; "
+                        "remove the cause, then go on with --resume"
+                    )
+            readings, lit = look()
+            causes = self.broken(readings, lit=lit, waiting=tuple(since))
+        waited = time.monotonic() - begun
+        run.append({"event": "continued", "step": step.index, "waited_s": round(waited, 1), "time_s": float(time_s())})
+        progress.say(f"going on after {_duration(waited)}; step {step.index} is taken again")
+
+
+def _plain(r: Reading) -> Reading:
+    """A reading as JSON can hold it: a number that is none becomes a word."""
+    if isinstance(r.value, str):
+        return Reading(r.device, r.quantity, r.value, r.unit)
+    value = float(r.value)
+    return Reading(r.device, r.quantity, value if math.isfinite(value) else str(value), r.unit)
+
+
+def _naps(seconds: float) -> Iterator[None]:
+    end = time.monotonic() + seconds
+    yield
+    while (left := end - time.monotonic()) > 0:
+        time.sleep(min(NAP_S, left))
+        yield
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"

@@ -1,0 +1,325 @@
+"""The health of a laboratory rig over its twins: journalled, waited for; an interlock that stops it at once."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import pytest
+from gonio_drivers.interlock import Interlock, Latch, SerialLine, Tripped
+from gonio_drivers.lab import LAB
+from gonio_sim.wire import faults, motion, tether
+from gonio_sim.wire.twins import Twins, rig_file
+from typer.testing import CliRunner
+
+from gonio.acquisition import suspending
+from gonio.acquisition.measure import RigChoice, carry_out
+from gonio.acquisition.plan import load_plan
+from gonio.acquisition.progress import Live, Silent
+from gonio.acquisition.run import Run
+from gonio.cli.by_hand import app
+from gonio.errors import ConfigError, DeviceError
+from gonio.rig import Pose
+from gonio.rig.description import RigDescription
+from tests.gonio_drivers.conftest import be_patient
+from tests.gonio_drivers.test_lab import PLAN, SAMPLE, SCALE, assert_true, small
+
+PASSES_S = 50.0
+"""On the twin's clock; a second here: longer than a step."""
+CONTACT = {"axis": "light", "input": 2}
+
+
+def described(rules: dict[str, Any] | None = None, contact: dict[str, Any] | None = None) -> RigDescription:
+    """The small rig, with rules and an interlock."""
+    description = small()
+    devices = {name: dict(table) for name, table in description.devices.items()}
+    if contact is not None:
+        axes = {name: dict(axis) for name, axis in devices["servos"]["axes"].items()}
+        axes["light"]["model"] = "xm540-w270"  # the 430 series has no external ports
+        axes["light"].pop("current_limit", None)
+        devices["servos"]["axes"], devices["interlock"] = axes, contact
+    tables = description.model_dump() | {"devices": devices, "suspend": rules or {}}
+    return RigDescription.model_validate(tables)
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
+    monkeypatch.setattr(tether, "FILE_LATE_S", 0.5)
+    monkeypatch.setattr(suspending, "LOOK_S", 0.02)
+    monkeypatch.setattr(faults, "LASTS_S", PASSES_S)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+Serve = Callable[[RigDescription], Twins]
+
+
+@pytest.fixture
+def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Serve]:
+    served = []
+
+    def go(description: RigDescription) -> Twins:
+        twins = Twins(description, SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE)
+        served.append(twins)
+        twins.__enter__()
+        be_patient(twins.peers["servos"], twins.faults, monkeypatch)
+        return twins
+
+    yield go
+    for twins in served:
+        twins.__exit__(None, None, None)
+
+
+def measure(
+    twins: Twins, tmp_path: Path, *, resume: bool = False, progress: Any = None, rig: RigDescription | None = None
+) -> Run:
+    plan = tmp_path / "plan.toml"
+    plan.write_text(PLAN)
+    choice = RigChoice(LAB, rig or twins.description, "twin")
+    return carry_out(load_plan(plan), choice, tmp_path / "run", progress=progress or Silent(), resume=resume)
+
+
+def said(run: Run, kind: str) -> list[str]:
+    return [event["message"] for event in run.events() if event["event"] == kind]
+
+
+# ---- the journal ----
+
+
+def test_every_step_holds_temperature_current_and_voltage_of_every_servo(serve: Serve, tmp_path: Path) -> None:
+    run = measure(serve(described()), tmp_path)
+    for step in run.steps():
+        seen = {(r.device, r.quantity): (r.value, r.unit) for r in step.health}
+        for axis in run.description.axes():
+            assert seen[axis, "temperature"] == (34.0, "C")
+            assert seen[axis, "voltage"] == (12.0, "V")
+            assert seen[axis, "current"][1] == "mA"
+        assert seen["lamp", "state"][0] == ("dark" if step.kind == "dark" else "lit")
+        assert isinstance(seen["lamp", "monitor"][0], float)
+
+
+# ---- waiting ----
+
+
+@pytest.mark.parametrize(
+    ("fault", "rule"),
+    [
+        ("hot", {"quantity": "temperature", "above": 60.0, "hysteresis": 2.0, "dark": True}),
+        ("room-light", {"quantity": "room_light", "above": 100.0}),
+    ],
+)
+def test_a_fault_that_passes_pauses_the_run_and_nothing_is_wrong_in_the_table(
+    serve: Serve, tmp_path: Path, fault: str, rule: dict[str, Any]
+) -> None:
+    twins = serve(described({"watched": rule}))
+    twins.inject(fault, skip=12 if fault == "room-light" else 150)
+    run = measure(twins, tmp_path)
+    assert twins.faults.fired == [fault]
+    kinds = [event["event"] for event in run.events()]
+    assert kinds.count("suspended") == kinds.count("continued") == 1
+    assert_true(run, points=4)
+    assert twins.quiet
+
+
+def test_a_supply_that_sags_on_the_way_alone_is_seen(
+    serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every poll reads the voltage: the lowest of them counts, not that at rest."""
+    monkeypatch.setattr(faults, "LASTS_S", 1.0)  # 20 ms here: a poll or two
+    twins = serve(described({"sag": {"quantity": "voltage", "below": 11.0}}))
+    twins.inject("sag", axis="camera", skip=100)
+    run = measure(twins, tmp_path)
+    assert "camera voltage_min is 10 V, and below 11 pauses the run" in said(run, "suspended")[0]
+    assert_true(run, points=4)
+
+
+def test_a_lamp_out_of_lock_pauses_the_run(serve: Serve, tmp_path: Path) -> None:
+    twins = serve(described({"lock": {"quantity": "lock", "unless": "locked"}}))
+    shipped = (files("gonio_drivers") / "dialects" / "scpi.toml").read_text()
+    dialect = tmp_path / "locked.toml"
+    dialect.write_text(shipped + 'lock = "SOUR:LOCK?"\n')
+    rig = twins.description
+    rig = rig.model_copy(update={"devices": rig.devices | {"light": rig.devices["light"] | {"dialect": str(dialect)}}})
+    twins.inject("unlock", skip=4)
+    run = measure(twins, tmp_path, rig=rig)
+    assert [text.partition(",")[0] for text in said(run, "suspended")] == ["suspend.lock: lamp lock is lost"]
+    assert_true(run, points=4)
+    assert {(r.value) for s in run.steps() for r in s.health if r.quantity == "lock"} == {"locked"}
+
+
+# ---- interlock ----
+
+
+def test_an_open_contact_at_a_servo_stops_everything_until_a_person_says_so(serve: Serve, tmp_path: Path) -> None:
+    twins = serve(described(contact=CONTACT))
+    twins.inject("estop", axis="light", skip=400)
+    with pytest.raises(Tripped, match="emergency stop: the contact at external port 2 of axis light .* is open"):
+        measure(twins, tmp_path)
+    assert twins.quiet
+    assert not twins.lamp.shine.lit
+    run = Run.open(tmp_path / "run")
+    assert "emergency stop" in said(run, "device_error")[0]
+    time.sleep(PASSES_S / SCALE)  # the contact is closed again by then, and that is not enough
+    with pytest.raises(Tripped, match="not acknowledged yet: the contact at external port 2"):
+        measure(twins, tmp_path, resume=True)
+    path = tmp_path / "rig.toml"
+    path.write_text(rig_file(twins.description))
+    told = CliRunner().invoke(app, ["acknowledge", "--rig", str(path)])
+    assert told.exit_code == 0, told.output
+    assert_true(measure(twins, tmp_path, resume=True), points=4)
+
+
+def test_while_the_contact_is_open_nothing_moves_and_no_lamp_lights_up(serve: Serve, tmp_path: Path) -> None:
+    twins = serve(described(contact=CONTACT))
+    twins.servos["light"].contacts.clear()
+    rig = LAB.open(twins.description, sample=None, seed=0, confirm=False)
+    before = {name: servo.shaft()[0] for name, servo in twins.servos.items()}
+    with pytest.raises(Tripped), rig:
+        raise AssertionError("it was opened")
+    light = LAB.open(twins.description, sample=None, seed=0, confirm=False)
+    light.only("light")
+    with light, pytest.raises(Tripped):  # to darken is always allowed
+        light.light.on()
+    assert {name: servo.shaft()[0] for name, servo in twins.servos.items()} == before
+    path = tmp_path / "rig.toml"
+    path.write_text(rig_file(twins.description))
+    assert CliRunner().invoke(app, ["acknowledge", "--rig", str(path)]).exit_code != 0
+
+
+def test_a_stop_in_mid_move_comes_at_once(serve: Serve) -> None:
+    """From the contact to the dark lamp, and to arms at rest: each within 0.2 s of wall time, as it is documented."""
+    twins = serve(described(contact=CONTACT))
+    dark_s: list[float] = []
+    opened_s: list[float] = []
+    changed = twins.lamp._changed
+
+    def shine(now: Any) -> None:
+        if opened_s and not now.lit and not dark_s:
+            dark_s.append(time.monotonic())
+        changed(now)
+
+    twins.lamp._changed = shine
+    rig = LAB.open(twins.description, sample=None, seed=0, confirm=False)
+
+    def cut() -> None:
+        opened_s.append(time.monotonic())
+        twins.servos["light"].contacts.clear()
+
+    with pytest.raises(Tripped), rig:
+        rig.light.on()
+        for servo in twins.servos.values():
+            servo._limits = lambda way=0.0: (30.0, 1e6)  # type: ignore[method-assign] # counts/s: half a minute
+        cutter = threading.Timer(0.2, cut)
+        cutter.start()
+        try:
+            rig.arms.move(Pose(light=0.0, camera=0.2))
+        finally:
+            stopped_s = time.monotonic()
+            cutter.join()
+            assert not any(servo.moves() for servo in twins.servos.values())
+    assert dark_s[0] - opened_s[0] < 0.2
+    assert stopped_s - opened_s[0] < 0.2
+    assert twins.quiet
+
+
+def test_a_servo_without_external_ports_is_refused(serve: Serve) -> None:
+    description = described()
+    devices = description.devices | {"interlock": {"axis": "camera"}}
+    with pytest.raises(ConfigError, match="has no external port"):
+        LAB.open(description.model_copy(update={"devices": devices}), sample=None, seed=0, confirm=False)
+
+
+# ---- a serial line ----
+
+
+class Line:
+    """A contact by a script."""
+
+    name, period_s = "a line", 0.001
+
+    def __init__(self) -> None:
+        self.state: bool | DeviceError = True
+
+    def open(self) -> None: ...
+
+    def closed(self) -> bool:
+        if isinstance(self.state, DeviceError):
+            raise self.state
+        return self.state
+
+    def close(self) -> None: ...
+
+
+@pytest.mark.parametrize("state", [False, DeviceError("the port went away")])
+def test_an_open_or_lost_contact_darkens_at_once_and_is_kept(tmp_path: Path, state: bool | DeviceError) -> None:
+    line, dark, latch = Line(), threading.Event(), Latch(tmp_path / "state" / "stop.json")
+    with Interlock(line, dark.set, latch) as guard:
+        guard.require()
+        line.state = state
+        assert dark.wait(10.0)
+        line.state = True  # closing it again changes nothing
+        with pytest.raises(Tripped, match="emergency stop"):
+            guard.require()
+    with Interlock(line, dark.set, latch) as again, pytest.raises(Tripped, match="not acknowledged yet"):
+        again.require()
+    assert "a line" in again.acknowledge()
+    with Interlock(line, dark.set, latch) as fresh:
+        fresh.require()
+
+
+def test_modem_lines_of_a_serial_port_are_read() -> None:
+    """pyserial's loop joins RTS to CTS and DTR to DSR, as a closed contact does."""
+    for name, drives in (("CTS", "rts"), ("DSR", "dtr")):
+        line = SerialLine("loop://", name)
+        line.open()
+        assert line.closed()
+        setattr(line._port, drives, False)
+        assert not line.closed()
+        line.close()
+        with pytest.raises(DeviceError, match="not open"):
+            line.closed()
+
+
+def test_a_port_without_modem_lines_is_refused() -> None:
+    master, slave = os.openpty()
+    try:
+        with pytest.raises(DeviceError, match=r'devices.interlock.port = ".*": .*modem lines'):
+            SerialLine(os.ttyname(slave), "CTS").open()
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
+# ---- after the supply was cut ----
+
+
+class CutsSupply(Silent):
+    """Somebody who switches the servos' supply off after some steps."""
+
+    def __init__(self, twins: Twins, steps: int) -> None:
+        self.twins, self.left = twins, steps
+
+    def step(self, live: Live) -> None:
+        self.left -= 1
+        if self.left == 0:
+            for servo in self.twins.servos.values():
+                servo.lose_power()
+
+
+def test_after_a_cut_supply_the_arms_have_fallen_and_the_run_goes_on(serve: Serve, tmp_path: Path) -> None:
+    twins = serve(described())
+    with pytest.raises(DeviceError):
+        measure(twins, tmp_path, progress=CutsSupply(twins, 3))
+    assert not twins.lamp.shine.lit
+    for servo in twins.servos.values():
+        servo.powered = True
+        servo._path = motion.rest(servo._clock(), servo.shaft()[0] - 250)  # counts: 22 deg, with no torque to hold it
+        servo.restart()
+    run = measure(twins, tmp_path, resume=True)
+    assert_true(run, points=4)
+    assert twins.quiet
