@@ -14,10 +14,12 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from importlib.resources import files
+from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
 
 from gonio.config import Strict, parse
+from gonio.disk import write_whole
 from gonio.errors import ArgumentError, DeviceError, GonioError, Interrupted
 from gonio.rig import Device, Frame, Health, Step, Target, ask_for
 from gonio.rig.description import RigDescription, SampleDescription
@@ -96,6 +98,7 @@ class LabRig:
         self.camera = GuardedCamera(self._camera, self.light, self.arms, self.time_s)
         self._camera_driver = str(devices.camera.get("driver"))
         self._confirm = confirm
+        self._target_file = devices.target_file
         self._target: Target = "sample"
         self._opened: frozenset[str] = frozenset(ALL)
         self._holds_on_exit = self.arms.holds
@@ -113,6 +116,23 @@ class LabRig:
         elif how == "swap" and self._confirm and target != self._target:
             ask_for(target)
         self._target = target
+
+    def put(self, what: str) -> bool:
+        """Have a mirror, nothing ("empty") or the sample put into the holder; False where only a person can do it.
+
+        Raises
+        ------
+        DeviceError
+            `devices.target_file` cannot be written.
+        """
+        if self._target_file is None:
+            return False
+        path = Path(self._target_file)
+        try:
+            write_whole(path, f"{what}\n".encode())
+        except OSError as error:
+            raise DeviceError(f'devices.target_file = "{path}": cannot be written: {error.strerror}') from None
+        return True
 
     def time_s(self) -> float:
         """Seconds since 1970, so that the sittings of one run share a clock; it does not jump within a sitting."""

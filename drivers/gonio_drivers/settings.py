@@ -137,6 +137,9 @@ class Devices(Strict):
     light: Light
     camera: dict[str, Any]
     """`driver` ("folder", "uvc", "sequence", or an entry point of the group `gonio.cameras`) and that driver's keys."""
+    target_file: str | None = None
+    """A file that takes a word for what has to lie in the holder: "mirror", "empty" or "sample". Twins and robots read
+    it; `gonio rig align` then asks nobody."""
 
     @model_validator(mode="after")
     def _one_device_a_port(self) -> Devices:

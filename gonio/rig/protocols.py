@@ -194,6 +194,12 @@ class ByHand(Protocol):
         and raises nothing. Without `devices`, all.
         """
 
+    def put(self, what: str) -> bool:
+        """Have a "mirror", nothing ("empty") or the "sample" put into the holder, for an alignment.
+
+        False where only a person can do that, who is then asked.
+        """
+
 
 @dataclass(frozen=True, slots=True)
 class FoundServo:

@@ -9,12 +9,16 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
+from typing import Literal
 
 import numpy as np
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose, Target
 from gonio.rig.description import Band, RigDescription, SampleDescription
+
+InHolder = Target | Literal["mirror", "empty"]
+"""What may lie in the beam: beside what a measurement needs, what an alignment does."""
 
 FRAMES_S = 10.0
 """What a step is given for its frames, beyond the longest move [s]."""
@@ -66,7 +70,7 @@ class World:
         self.brightness = 1.0
         """Of the lamp, relative to the level that the rig file means."""
         self.band: Band | None = None
-        self.target: Target = "sample"
+        self.target: InHolder = "sample"
         self.pose = Pose()
         """True positions of the axes [rad]."""
         self.zero_error = {
