@@ -77,7 +77,10 @@ class Zero:
     offset_deg: float
     """What the encoder shows where the axis stands at 0."""
     parts: dict[str, float]
-    """Standard uncertainties by cause: scans, encoder step, backlash, departures."""
+    """Standard uncertainties by cause: scans, encoder step, backlash, linearity.
+
+    Scans at a few angles do not show all of an encoder's errors: they are bounded by a whole step at least (rectangular).
+    """
 
     @property
     def u_deg(self) -> float:
@@ -222,7 +225,7 @@ def align(table: pd.DataFrame, description: RigDescription) -> Alignment:
                 "scans": math.sqrt(covariance[index, index]),
                 "encoder step": known[name].encoder_step_deg / math.sqrt(12.0),
                 "backlash": _play_deg(description, name),
-                "departures": spread / math.sqrt(2.0),
+                "linearity": max(spread / math.sqrt(2.0), known[name].encoder_step_deg / math.sqrt(3.0)),
             }
             zeros[name] = Zero(float(solution[index]), parts)
     return Alignment(zeros, axes, covariance, rank, departure, _open(description, scans, zeros, y, own), scans, peaks)
@@ -327,7 +330,7 @@ def draw(table: pd.DataFrame, alignment: Alignment) -> Figure:
         )
     for panel in panels.values():
         if panel.lines:
-            panel.legend(fontsize="x-small", loc="lower center", ncols=2)
+            panel.legend(fontsize="x-small", loc="upper left", handletextpad=0.2)
         else:
             panel.text(0.5, 0.5, "not scanned", ha="center", transform=panel.transAxes)
     left = figure.add_subplot(grid[1, :])

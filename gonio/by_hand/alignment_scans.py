@@ -104,7 +104,7 @@ class Scans:
     def facing(self) -> list[float]:
         """Angles of the light arm [deg] at which the camera can be scanned over the lamp; empty where there is none."""
         room = 1.5 * self._half["camera"] + 0.5
-        wanted = [sign * (90.0 + d) for d in (0.0, -2.0, 2.0, -4.0, 4.0) for sign in (1.0, -1.0)]
+        wanted = [sign * (90.0 + d) for d in (0.0, -2.0, 2.0, 1.0, -1.0) for sign in (1.0, -1.0)]
         wanted += [a for a in range(-80, 81, 20)]
         return [a for a in wanted if self._fits("light", a, 0.0) and self._fits("camera", _face(a), room)][:4]
 
@@ -150,8 +150,8 @@ class Scans:
             else "is the holder empty, and nothing between the arms"
         )
         raise DeviceError(
-            f"{there} was not found with the camera arm within {self._search_deg:g} deg of {guess:g} deg: {remedy}; does "
-            'the lamp shine ("gonio rig lamp on"); a coarser zero of an axis is set by "gonio rig set-zero", and '
+            f"{there} was not found with the camera arm within {self._search_deg:g} deg of {guess:g} deg: {remedy}; "
+            'does the lamp shine ("gonio rig lamp on"); a coarser zero of an axis is set by "gonio rig set-zero", and '
             "--search looks farther"
         )
 
@@ -247,17 +247,15 @@ class Scans:
                 self._keep(holder, axis, rows)
                 self._half[axis] = half
                 over = "mirror" if holder == "mirror" else "lamp"
-                self._say(
-                    f"{axis} over the {over}, light at {self._read('light'):.1f} deg: centre at {found.centre:.3f} deg, "
-                    f"u = {found.u:.3f} deg"
-                )
+                where = f"{axis} over the {over}, light at {self._read('light'):.1f} deg"
+                self._say(f"{where}: centre at {found.centre:.3f} deg, u = {found.u:.3f} deg")
                 self._go(**{axis: found.centre})
                 return replace(found, centre=found.centre + self._offset(axis))
         raise DeviceError(
-            f"the scan of {axis} around {centre:.2f} deg shows no spot that rises and falls in the middle of the frame: "
+            f"the scan of {axis} around {centre:.2f} deg shows no spot that rises and falls in the frame's middle: "
             + (
-                "is that a mirror, and not the sample; does the reflection pass above or below the frame's middle (shim "
-                "the mirror; gonio rig snap shows it); is the frame flooded by other light"
+                "is that a mirror, and not the sample; does the reflection pass above or below the middle (shim the "
+                "mirror; gonio rig snap shows it); is the frame flooded by other light"
                 if holder == "mirror"
                 else "is the holder empty; is the lamp as high as the lens (gonio rig snap shows it)"
             )
