@@ -23,7 +23,7 @@ from gonio.disk import write_whole
 from gonio.errors import ArgumentError, DeviceError, GonioError, Interrupted
 from gonio.rig import Device, Frame, Health, Step, Target, ask_for
 from gonio.rig.description import RigDescription, SampleDescription
-from gonio_drivers import cameras, diagnosis, survey
+from gonio_drivers import cameras, diagnosis, discovery, survey
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.light import LampReset, SerialLight
 from gonio_drivers.service import ServoService
@@ -98,7 +98,7 @@ class LabRig:
         self.camera = GuardedCamera(self._camera, self.light, self.arms, self.time_s)
         self._camera_driver = str(devices.camera.get("driver"))
         self._confirm = confirm
-        self._target_file = devices.target_file
+        self._target_file = devices.holder.target_file if devices.holder else None
         self._target: Target = "sample"
         self._opened: frozenset[str] = frozenset(ALL)
         self._holds_on_exit = self.arms.holds
@@ -123,7 +123,7 @@ class LabRig:
         Raises
         ------
         DeviceError
-            `devices.target_file` cannot be written.
+            `devices.holder.target_file` cannot be written.
         """
         if self._target_file is None:
             return False
@@ -131,7 +131,7 @@ class LabRig:
         try:
             write_whole(path, f"{what}\n".encode())
         except OSError as error:
-            raise DeviceError(f'devices.target_file = "{path}": cannot be written: {error.strerror}') from None
+            raise DeviceError(f'devices.holder.target_file = "{path}": cannot be written: {error.strerror}') from None
         return True
 
     def time_s(self) -> float:
@@ -258,7 +258,12 @@ class _File(Strict):
 
 @dataclass(frozen=True, slots=True)
 class LabPlugin(ServoService):
-    """The entry point `lab` of the group `gonio.rigs`, with work on single servos."""
+    """The entry point `lab` of the group `gonio.rigs`, with work on single servos, and a look at unknown ports."""
+
+    lamp_on = staticmethod(discovery.lamp_on)
+    is_release = staticmethod(discovery.is_release)
+    wiggle = staticmethod(discovery.wiggle)
+    count_of = staticmethod(discovery.count_of)
 
     @property
     def toml(self) -> str:

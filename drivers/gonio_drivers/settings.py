@@ -130,6 +130,13 @@ class SequenceCamera(Strict):
     folder: str
 
 
+class ServedHolder(Strict):
+    """Somebody who changes what lies in the holder and is no person: a robot, or the twins."""
+
+    target_file: str
+    """Takes a word for what has to lie there: "mirror", "empty" or "sample". `gonio rig align` then asks nobody."""
+
+
 class Devices(Strict):
     """The whole table; what stands under `camera` is checked by the camera's driver."""
 
@@ -137,9 +144,7 @@ class Devices(Strict):
     light: Light
     camera: dict[str, Any]
     """`driver` ("folder", "uvc", "sequence", or an entry point of the group `gonio.cameras`) and that driver's keys."""
-    target_file: str | None = None
-    """A file that takes a word for what has to lie in the holder: "mirror", "empty" or "sample". Twins and robots read
-    it; `gonio rig align` then asks nobody."""
+    holder: ServedHolder | None = None
 
     @model_validator(mode="after")
     def _one_device_a_port(self) -> Devices:

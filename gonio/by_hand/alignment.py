@@ -62,7 +62,7 @@ class Peak:
     @property
     def fwhm(self) -> float:
         """Its full width at half height [deg]."""
-        return 2.0 * self.width * math.log(2.0) ** (1.0 / self.power)
+        return 2.0 * self.width * float(math.log(2.0) ** (1.0 / self.power))
 
     def at(self, x: Floats) -> Floats:
         """The fitted signal at angles [deg]."""
@@ -79,7 +79,7 @@ class Zero:
     parts: dict[str, float]
     """Standard uncertainties by cause: scans, encoder step, backlash, linearity.
 
-    Scans at a few angles do not show all of an encoder's errors: they are bounded by a whole step at least (rectangular).
+    Scans at a few angles do not show all errors of an encoder: a whole step, at least, is their bound (rectangular).
     """
 
     @property
@@ -190,7 +190,8 @@ def align(table: pd.DataFrame, description: RigDescription) -> Alignment:
         if holder not in HOLDERS or axis not in axes:
             raise DataError(f'scan {number}: holder = "{holder}", axis = "{axis}": no such scan of this rig')
         x = scan[f"{axis}_encoder_deg"].to_numpy(float)
-        found = peak(x, *(scan[c].to_numpy(float) for c in ("signal", "u_signal")), known[axis].encoder_step_deg)
+        signal, u_signal = scan["signal"].to_numpy(float), scan["u_signal"].to_numpy(float)
+        found = peak(x, signal, u_signal, known[axis].encoder_step_deg)
         if found is None:
             raise DataError(f"scan {number} ({axis}, holder {holder}) shows no spot: take it again")
         at = float(scan["light_encoder_deg"].mean())
@@ -208,7 +209,7 @@ def align(table: pd.DataFrame, description: RigDescription) -> Alignment:
         variances.append(found.u**2 + steps**2)
         about.append({"scan": number, "holder": holder, "axis": axis, "at_deg": at, "centre_deg": found.centre,
                       "u_deg": found.u, "fwhm_deg": found.fwhm})  # fmt: skip
-        peaks[int(number)] = found  # type: ignore[call-overload]
+        peaks[int(str(number))] = found
     if not rows:
         raise DataError("the file of scans holds none")
     design, y, own = np.array(rows), np.array(values), np.array(variances)
@@ -218,6 +219,7 @@ def align(table: pd.DataFrame, description: RigDescription) -> Alignment:
     rank = int(np.linalg.matrix_rank(design))
     determined = np.diag(np.linalg.pinv(design) @ design) > 1 - 1e-9
     spread = departure * math.sqrt(freedom / (freedom - 2) if freedom >= FEW else FEW)
+    spread = max(spread, float(scans["residual_deg"].abs().max()))  # of two encoders
     zeros = {}
     for index, name in enumerate(axes):
         if determined[index]:
@@ -318,7 +320,7 @@ def draw(table: pd.DataFrame, alignment: Alignment) -> Figure:
         )
         panel.grid(alpha=0.3)
     for number, scan in table.groupby("scan", sort=True):
-        found = alignment.peaks[int(number)]  # type: ignore[call-overload]
+        found = alignment.peaks[int(str(number))]
         axis, panel = str(scan["axis"].iloc[0]), panels[str(scan["holder"].iloc[0])]
         x = scan[f"{axis}_encoder_deg"].to_numpy(float)
         at = float(scan["light_encoder_deg"].mean())

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from gonio.by_hand.bench import Bench
 
 MIRROR_LIGHT_DEG = (30.0, -30.0, 45.0, -45.0, 60.0, -60.0)
+STRAIGHT = 4
+"""Scans over the lamp itself."""
 POINTS = 19
 FRAMES = 2
 ATTEMPTS = 7
@@ -92,21 +94,38 @@ class Scans:
         self._go(light=angles[0])
         self._find("empty", _face(angles[0]), None)
         self._coarse("camera")
-        self._meter()
-        found = self._fine("empty", "camera")
-        difference = found.centre - self._encoder("light")
-        for angle in angles[1:] if len(angles) > 1 else angles:
+        difference = self._encoder("camera") - self._encoder("light")
+
+        def camera_at(light: float) -> float:
+            """Where the lamp will be, as read, with the light arm at an angle as read."""
+            turn = 360.0 * round((_face(light) - light - difference) / 360.0)
+            return light + self._offset("light") + difference + turn - self._offset("camera")
+
+        room = 1.2 * self._half["camera"]
+        angles = [a for a in self._facing_light() if self._fits("camera", camera_at(a), room)][:STRAIGHT]
+        if not angles:
+            raise ConfigError(
+                f"camera - light = {difference:.1f} deg where they face each other: {self.why_not_facing()}"
+            )
+        for number, angle in enumerate(angles if len(angles) > 1 else 2 * angles):
             self._go(light=angle)
-            turn = 360.0 * round((_face(angle) - angle - difference) / 360.0)
-            self._go(camera=self._encoder("light") + difference + turn - self._offset("camera"))
-            self._fine("empty", "camera")
+            self._go(camera=camera_at(angle))
+            if number == 0:
+                self._meter()
+            found = self._fine("empty", "camera")
+            if number == 0:
+                difference = found.centre - self._encoder("light")
 
     def facing(self) -> list[float]:
         """Angles of the light arm [deg] at which the camera can be scanned over the lamp; empty where there is none."""
         room = 1.5 * self._half["camera"] + 0.5
-        wanted = [sign * (90.0 + d) for d in (0.0, -2.0, 2.0, 1.0, -1.0) for sign in (1.0, -1.0)]
-        wanted += [a for a in range(-80, 81, 20)]
-        return [a for a in wanted if self._fits("light", a, 0.0) and self._fits("camera", _face(a), room)][:4]
+        return [a for a in self._facing_light() if self._fits("camera", _face(a), room)]
+
+    def _facing_light(self) -> list[float]:
+        """Angles of the light arm that may do, the best first."""
+        wanted = [sign * (90.0 + d) for d in (0.0, -2.0, 2.0, 1.0, -1.0, -3.0, 3.0) for sign in (1.0, -1.0)]
+        wanted += [float(a) for a in range(-80, 81, 20)]
+        return [a for a in wanted if self._fits("light", a, 0.0)]
 
     def why_not_facing(self) -> str:
         """What keeps the arms from facing each other, in words."""
@@ -195,7 +214,7 @@ class Scans:
         exposure_s, levels = self._exposure_s or shortest, iter(DIMMED if hasattr(self._bench.light, "dim") else ())
         for _ in range(24):
             frame = self._bench.camera.capture(exposure_s)
-            used = frame.mosaic if whole else self._roi.of(frame.mosaic)
+            used = np.asarray(frame.mosaic if whole else self._roi.of(frame.mosaic), float)
             level = float(np.percentile(used, 99.5)) - frame.black_level_dn
             level /= exposure.full_scale_dn(camera, frame)
             if level >= 0.9:

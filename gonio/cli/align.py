@@ -37,7 +37,7 @@ def align(
     search: Annotated[float, typer.Option(min=1, max=30, help="How far to look for the lamp [deg].")] = 5.0,
     again: Annotated[
         list[Path] | None,
-        typer.Option("--from", help="Scans of an earlier alignment: fit them again; moves nothing.", show_default=False),
+        typer.Option("--from", help="Scans of an earlier alignment: fit these; moves nothing.", show_default=False),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of a simulated rig.")] = 0,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nobody: what has to lie in the holder does.")] = False,

@@ -203,7 +203,7 @@ def build() -> typer.Typer:
     import typer
 
     from gonio import plugins
-    from gonio.cli import align, measuring, options, plans, runs, tables
+    from gonio.cli import align, measuring, new_rig, options, plans, runs, tables
 
     points = plugins.available("gonio.commands")
 
@@ -236,7 +236,8 @@ def build() -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     )
     app.callback()(options.options)
-    app.add_typer(align.app, name="rig")  # by_hand and rigs have theirs in the same one
+    assert align.app is new_rig.app  # the commands of by_hand and rigs are in it too
+    app.add_typer(align.app, name="rig")
     app.add_typer(plans.app, name="plan")
     app.command()(measuring.measure)
     app.command()(measuring.reduce)

@@ -180,7 +180,9 @@ class Renderer:
         )
         seen = pixel_map(description, view(description, Pose()))
         weight = seen.falloff * (description.geometry.light_distance_mm / away) ** 2
-        rate = np.minimum(math.pi * camera.responsivity_e_per_s * weight * shared, BRIGHTEST).astype(np.float32)
+        rate: Floats32 = np.minimum(math.pi * camera.responsivity_e_per_s * weight * shared, BRIGHTEST).astype(
+            np.float32
+        )
         if band.channel != "mono":
             rate[~of_channel(camera.pattern, band.channel, seen.rows, seen.cols)] = 0.0
         return rate

@@ -223,10 +223,10 @@ class Twins:
     def description(self) -> RigDescription:
         """The rig file with its cables plugged into the twins, and with waits that suit their clock."""
         original = self.world.description
-        devices = {n: dict(table) if isinstance(table, dict) else table for n, table in original.devices.items()}
+        devices = {name: dict(table) for name, table in original.devices.items()}
         devices["servos"]["port"] = str(self._folder / "servos")
         devices["light"]["port"] = str(self._folder / "lamp")
-        devices["target_file"] = str(self._folder / TARGET_FILE)
+        devices["holder"] = {"target_file": str(self._folder / TARGET_FILE)}
         devices["light"]["settle_s"] = devices["light"].get("settle_s", 0.5) / self.scale
         devices["servos"]["settle_s"] = max(0.03, devices["servos"].get("settle_s", 0.1) / self.scale)
         if self.replays:
