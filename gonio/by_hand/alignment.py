@@ -41,6 +41,8 @@ COLUMNS = (
 frame [DN/s]; `u_signal` its standard uncertainty; `lamp_level` is NaN for the rig file's own; `clipped`: the fraction
 of the patch that was saturated."""
 FEWEST = 7
+FLANK = 6
+"""So many points on the flanks of a spot tell where its edges are."""
 FLAT = 1.3
 """A scan whose highest signal is less than this times its lowest shows no spot."""
 FEW = 3
@@ -157,6 +159,11 @@ def peak(x: Floats, signal: Floats, u_signal: Floats, step_deg: float) -> Peak |
         u = math.sqrt(float(np.linalg.pinv(found.jac.T @ found.jac)[0, 0]) * misfit)
     except np.linalg.LinAlgError:
         return None
+    shape = form(start) - start[4]
+    flank = int(np.count_nonzero((shape > 0.05 * start[3]) & (shape < 0.95 * start[3])))
+    known_steps = step_deg / math.sqrt(12.0 * max(flank, 1))
+    unseen = spacing / math.sqrt(24.0) * max(0.0, 1.0 - flank / FLANK)  # two edges, anywhere between two points
+    u = max(u, math.hypot(known_steps, unseen))
     centre, width, power, height, background = (float(v) for v in start)
     span = high - low
     return Peak(centre, u, width, power, height * span, background * span + low)

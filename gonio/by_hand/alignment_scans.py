@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 MIRROR_LIGHT_DEG = (30.0, -30.0, 45.0, -45.0, 60.0, -60.0)
 STRAIGHT = 4
 """Scans over the lamp itself."""
-POINTS = 19
+POINTS = 15
 FRAMES = 2
 ATTEMPTS = 7
 BRIGHT = 0.3

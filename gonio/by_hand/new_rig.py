@@ -47,9 +47,7 @@ class Person:
             try:
                 answer = self.ask(shown).strip() or (default or "")
             except EOFError:
-                raise ConfigError(
-                    f"{key}: there was no answer; nothing is written (--answers FILE gives all)"
-                ) from None
+                raise ConfigError(f"{key}: no answer came; nothing is written (--answers FILE gives all)") from None
             try:
                 return check(answer)
             except ValueError as error:
