@@ -12,16 +12,18 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib.resources import files
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 from gonio.config import Strict, parse
+from gonio.disk import write_whole
 from gonio.errors import ArgumentError, ConfigError, DeviceError, GonioError, Interrupted
 from gonio.rig import Device, Frame, Health, Step, Target, ask_for
 from gonio.rig.description import Camera, RigDescription, SampleDescription
 from gonio.rig.imaging import require_frame
 from gonio.rig.whereabouts import axes_stand
-from gonio_drivers import cameras, diagnosis, interlock, signals, survey
+from gonio_drivers import cameras, diagnosis, discovery, interlock, signals, survey
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.light import LampReset, SerialLight
 from gonio_drivers.service import ServoService
@@ -120,6 +122,7 @@ class LabRig:
             self.light.allowed = self.arms.allowed = self.camera.allowed = self.interlock.require
         self._camera_driver = str(devices.camera.get("driver"))
         self._confirm = confirm
+        self._target_file = devices.holder.target_file if devices.holder else None
         self._target: Target = "sample"
         self._opened: frozenset[str] = frozenset(ALL)
         self._holds_on_exit = self.arms.holds
@@ -137,6 +140,23 @@ class LabRig:
         elif how == "swap" and self._confirm and target != self._target:
             ask_for(target)
         self._target = target
+
+    def put(self, what: str) -> bool:
+        """Have a mirror, nothing ("empty") or the sample put into the holder; False where only a person can do it.
+
+        Raises
+        ------
+        DeviceError
+            `devices.holder.target_file` cannot be written.
+        """
+        if self._target_file is None:
+            return False
+        path = Path(self._target_file)
+        try:
+            write_whole(path, f"{what}\n".encode())
+        except OSError as error:
+            raise DeviceError(f'devices.holder.target_file = "{path}": cannot be written: {error.strerror}') from None
+        return True
 
     def time_s(self) -> float:
         """Seconds since 1970, so that the sittings of one run share a clock; it does not jump within a sitting."""
@@ -279,7 +299,12 @@ class _File(Strict):
 
 @dataclass(frozen=True, slots=True)
 class LabPlugin(ServoService):
-    """The entry point `lab` of the group `gonio.rigs`, with work on single servos."""
+    """The entry point `lab` of the group `gonio.rigs`, with work on single servos, and a look at unknown ports."""
+
+    lamp_on = staticmethod(discovery.lamp_on)
+    is_release = staticmethod(discovery.is_release)
+    wiggle = staticmethod(discovery.wiggle)
+    count_of = staticmethod(discovery.count_of)
 
     @property
     def toml(self) -> str:

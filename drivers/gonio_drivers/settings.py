@@ -148,6 +148,13 @@ class Interlock(Strict):
         return self
 
 
+class ServedHolder(Strict):
+    """Somebody who changes what lies in the holder and is no person: a robot, or the twins."""
+
+    target_file: str
+    """Takes a word for what has to lie there: "mirror", "empty" or "sample". `gonio rig align` then asks nobody."""
+
+
 class Devices(Strict):
     """The whole table; what stands under `camera` is checked by the camera's driver."""
 
@@ -156,6 +163,7 @@ class Devices(Strict):
     camera: dict[str, Any]
     """`driver` ("folder", "uvc", "sequence", or an entry point of the group `gonio.cameras`) and that driver's keys."""
     interlock: Interlock | None = None
+    holder: ServedHolder | None = None
 
     @model_validator(mode="after")
     def _one_device_a_port(self) -> Devices:

@@ -203,7 +203,7 @@ def build() -> typer.Typer:
     import typer
 
     from gonio import plugins
-    from gonio.cli import measuring, options, plans, runs, servos, tables
+    from gonio.cli import align, by_hand, measuring, new_rig, options, plans, rigs, runs, servos, tables
 
     points = plugins.available("gonio.commands")
 
@@ -236,7 +236,8 @@ def build() -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     )
     app.callback()(options.options)
-    app.add_typer(servos.app, name="rig")  # with the commands of by_hand.py and rigs.py
+    assert by_hand.app is servos.app is align.app is new_rig.app is rigs.app  # all put their commands into one
+    app.add_typer(rigs.app, name="rig")
     app.add_typer(plans.app, name="plan")
     app.command()(measuring.measure)
     app.command()(measuring.reduce)

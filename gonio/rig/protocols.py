@@ -194,6 +194,12 @@ class ByHand(Protocol):
         and raises nothing. Without `devices`, all.
         """
 
+    def put(self, what: str) -> bool:
+        """Have a "mirror", nothing ("empty") or the "sample" put into the holder, for an alignment.
+
+        False where only a person can do that, who is then asked.
+        """
+
 
 @dataclass(frozen=True, slots=True)
 class FoundServo:
@@ -228,3 +234,19 @@ class RigService(Protocol):
 
     def reboot(self, description: RigDescription, axes: Sequence[str] = ()) -> dict[str, str]:
         """Restart the servos of axes (of all, without `axes`); by axis, "" or why it failed. Their torque goes off."""
+
+
+class RigDiscovery(Protocol):
+    """What a rig's plugin may offer beside `RigService`, for `gonio rig new`: a look at unknown ports."""
+
+    def lamp_on(self, port: str) -> tuple[str, str] | None:
+        """Dialect and name of the lamp at a port, asked for nothing else; None where there is none."""
+
+    def is_release(self, port: str) -> bool:
+        """Whether a camera's release box hangs at a port; nothing is exposed."""
+
+    def wiggle(self, servo: FoundServo) -> None:
+        """Turn a servo a little toward growing counts and back, so that a person sees which axis it turns."""
+
+    def count_of(self, servo: FoundServo) -> int:
+        """Where a servo stands, as its count within one turn."""

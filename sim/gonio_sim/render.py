@@ -23,12 +23,12 @@ import numpy.typing as npt
 
 from gonio import geometry
 from gonio.errors import ConfigError
-from gonio.rig import Pose, Target
+from gonio.rig import Pose
 from gonio.rig.description import Band, SampleDescription
-from gonio.rig.imaging import PixelMap, of_channel, pixel_map
+from gonio.rig.imaging import PixelMap, image_distance_mm, of_channel, pixel_map
 from gonio.rig.kinematics import View, directions, view
 from gonio.typing import Floats
-from gonio_sim.world import World
+from gonio_sim.world import InHolder, World
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -89,7 +89,7 @@ class Renderer:
         self._spike_reach = 2.0 * math.sin(0.5 * cones)
         # averaged over the cones, a lobe has no detail much finer than they are
         self._finest_mm = cones / self._turn / DETAIL
-        self._scenes: dict[tuple[Pose, Band, Target], Floats32] = {}
+        self._scenes: dict[tuple[Pose, Band, InHolder], Floats32] = {}
 
     def rate(self, band: Band) -> Floats32:
         """Expected electrons a second of every pixel with a fresh lamp, shape (height, width)."""
@@ -100,13 +100,15 @@ class Renderer:
             self._scenes[key] = self._render(*key)
         return self._scenes[key]
 
-    def _render(self, pose: Pose, band: Band, target: Target) -> Floats32:
+    def _render(self, pose: Pose, band: Band, target: InHolder) -> Floats32:
         from gonio_sim.adaptive_grid import electrons_per_s
 
         description = self._world.description
+        if target == "empty":
+            return self._straight_through(pose, band)
         scene = view(description, pose)
         behind = scene.camera_mm[2] < 0.0
-        if scene.camera_mm[2] == 0.0 or (behind and target == "reference"):
+        if scene.camera_mm[2] == 0.0 or (behind and target in ("reference", "mirror")):
             return np.zeros((description.camera.height, description.camera.width), np.float32)
         seen = pixel_map(description, scene)
         brdf = np.full(seen.weight.shape, 0.0 if behind else description.holder.holder_albedo / math.pi)
@@ -120,7 +122,7 @@ class Renderer:
             rate[~of_channel(description.camera.pattern, band.channel, seen.rows, seen.cols)] = 0.0
         return rate
 
-    def _discs(self, band: Band, target: Target) -> Iterator[Disc]:
+    def _discs(self, band: Band, target: InHolder) -> Iterator[Disc]:
         """The round surfaces in view."""
         description, sample = self._world.description, self._world.sample
         reference = description.reference
@@ -128,6 +130,9 @@ class Renderer:
             yield Disc(reference.offset_mm, reference.diameter_mm / 2, self._reference(band))
         elif target == "reference":
             yield Disc((0.0, 0.0), reference.diameter_mm / 2, self._reference(band))
+            return
+        if target == "mirror":
+            yield Disc((0.0, 0.0), description.holder.sample_diameter_mm / 2, self._mirror(band))
             return
         if sample is None:
             raise ConfigError(
@@ -149,6 +154,38 @@ class Renderer:
             brdf[covered] = sum(share * model.btdf(*at.angles, wavelength_nm=wave) for wave, share in waves)
 
         yield Disc((0.0, 0.0), (sample.diameter_mm or description.holder.sample_diameter_mm) / 2, paint)
+
+    def _straight_through(self, pose: Pose, band: Band) -> Floats32:
+        """The holder is empty: pixels whose line of sight meets the lamp see it, blurred by the lens's pupil.
+
+        The lens is focused on the sample's place. From a spot there the lamp and the pupil are caps, as with a mirror.
+        """
+        description = self._world.description
+        still = view(
+            description, Pose(light=pose.light, camera=pose.camera, azimuth=pose.azimuth)
+        )  # in the lab's frame
+        camera, eye, lamp = description.camera, still.camera_mm, still.source_mm
+        distance = description.geometry.camera_distance_mm
+        scale = 1e-3 * camera.pixel_um / image_distance_mm(description)
+        u = (np.arange(camera.width) - 0.5 * (camera.width - 1)) * scale
+        v = (np.arange(camera.height) - 0.5 * (camera.height - 1)) * scale
+        across = u[None, :, None] * still.image_x + v[:, None, None] * still.image_y
+        sight = across - eye / np.linalg.norm(eye)
+        to_lamp = lamp - distance * across  # from where the line of sight crosses the plane in focus
+        away = np.linalg.norm(to_lamp, axis=-1)
+        sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
+        apart = np.linalg.norm(to_lamp / away[..., None] - sight, axis=-1)
+        shared = _shared_disc(
+            apart, *(math.radians(h) for h in (description.lamp.half_angle_deg, camera.lens_half_angle_deg))
+        )
+        seen = pixel_map(description, view(description, Pose()))
+        weight = seen.falloff * (description.geometry.light_distance_mm / away) ** 2
+        rate: Floats32 = np.minimum(math.pi * camera.responsivity_e_per_s * weight * shared, BRIGHTEST).astype(
+            np.float32
+        )
+        if band.channel != "mono":
+            rate[~of_channel(camera.pattern, band.channel, seen.rows, seen.cols)] = 0.0
+        return rate
 
     def _reference(self, band: Band) -> Callable[[PixelMap, View, Disc, Floats], None]:
         """The white reference: its certificate times its true error; a table is read at the centre of the frame."""
@@ -199,20 +236,59 @@ class Renderer:
 
             grid = sample_function(lobes, -radius, -radius, 2 * radius, self._finest_mm)
             grid.paint(seen.x_mm, seen.y_mm, disc.centre, radius, brdf)
-            if not model.has_spike:
-                return
-            reach = self._spike_reach
-            if _apart(scene, np.zeros(1), np.zeros(1))[0] > reach + radius * self._turn:
-                return  # no spot of the sample shows the lamp's mirror image to the lens
-            rows, cols = np.nonzero(disc.covers(seen))
-            near = _apart(scene, seen.x_mm[rows, cols], seen.y_mm[rows, cols]) <= reach
-            rows, cols = rows[near], cols[near]
-            at = _directions_at(scene, seen.x_mm[rows, cols], seen.y_mm[rows, cols])
-            for wave, share in waves:
-                spike = instrument.apparent_spike(model, *at.angles, wavelength_nm=wave, spike="exact", **self._cones)
-                brdf[rows, cols] += share * spike
+            if model.has_spike:
+                self._paint_spike(model, waves, seen, scene, disc, brdf)
 
         return paint
+
+    def _mirror(self, band: Band) -> Callable[[PixelMap, View, Disc, Floats], None]:
+        """A front-surface mirror, perfectly smooth aluminium, which shows the lamp and nothing else."""
+        from gonio import models
+
+        mirror = models.build("he-torrance", {"sigma0_um": 0.0, "tau_um": 1.0, "ior": "Al"})
+
+        def paint(seen: PixelMap, scene: View, disc: Disc, brdf: Floats) -> None:
+            brdf[disc.covers(seen)] = 0.0
+            self._paint_spike(mirror, [(band.centre_nm, 1.0)], seen, scene, disc, brdf)
+
+        return paint
+
+    def _paint_spike(
+        self, model: Model, waves: list[tuple[float, float]], seen: PixelMap, scene: View, disc: Disc,
+        brdf: Floats,
+    ) -> None:  # fmt: skip
+        """Add the mirror image of the lamp, pixel by pixel where it is seen."""
+        from gonio import instrument
+
+        reach = self._spike_reach
+        if _apart(scene, np.zeros(1), np.zeros(1))[0] > reach + disc.radius * self._turn:
+            return  # no spot of the disc shows the lamp's mirror image to the lens
+        rows, cols = np.nonzero(disc.covers(seen))
+        near = _apart(scene, seen.x_mm[rows, cols], seen.y_mm[rows, cols]) <= reach
+        rows, cols = rows[near], cols[near]
+        at = _directions_at(scene, seen.x_mm[rows, cols], seen.y_mm[rows, cols])
+        for wave, share in waves:
+            spike = instrument.apparent_spike(model, *at.angles, wavelength_nm=wave, spike="exact", **self._cones)
+            brdf[rows, cols] += share * spike
+
+
+def _shared_disc(apart: Floats, lamp: float, pupil: float) -> Floats:
+    """Solid angle that two small caps [rad] share over the product of both [1/sr]; like `spherical_caps.overlap_area`.
+
+    In the limit of one direction it is 1 over the other's solid angle inside it; two directions see nothing.
+    """
+    small, large = sorted((lamp, pupil))
+    if large == 0.0:
+        return np.zeros(apart.shape)
+    if small == 0.0:
+        return np.where(apart <= large, 1.0 / (math.pi * large**2), 0.0)
+    d = np.clip(apart, large - small + 1e-12, large + small)
+    at_a = np.arccos(np.clip((d**2 + small**2 - large**2) / (2.0 * d * small), -1.0, 1.0))
+    at_b = np.arccos(np.clip((d**2 + large**2 - small**2) / (2.0 * d * large), -1.0, 1.0))
+    lens = small**2 * (at_a - 0.5 * np.sin(2.0 * at_a)) + large**2 * (at_b - 0.5 * np.sin(2.0 * at_b))
+    lens = np.where(apart <= large - small, math.pi * small**2, lens)
+    out: Floats = np.where(apart < large + small, lens, 0.0) / (math.pi * small**2 * math.pi * large**2)
+    return out
 
 
 def _apart(scene: View, x: Floats, y: Floats) -> Floats:

@@ -15,7 +15,7 @@ from gonio_sim.arms import SimulatedArms
 from gonio_sim.camera import SimulatedCamera
 from gonio_sim.light import SimulatedLight
 from gonio_sim.render import Renderer
-from gonio_sim.world import World
+from gonio_sim.world import InHolder, World
 
 
 class SimulatedRig:
@@ -59,6 +59,11 @@ class SimulatedRig:
         if self.description.reference.how == "swap" and self._confirm:
             ask_for(target)
         self.world.target = target
+
+    def put(self, what: InHolder) -> bool:
+        """A mirror or nothing into the holder, or the sample back: nobody has to do it."""
+        self.world.target = what
+        return True
 
     # ---- ByHand: nothing is ever missing here, and nothing outlives the process ----
 

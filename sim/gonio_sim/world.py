@@ -9,12 +9,16 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
+from typing import Literal
 
 import numpy as np
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose, Target
 from gonio.rig.description import Band, RigDescription, SampleDescription
+
+InHolder = Target | Literal["mirror", "empty"]
+"""What may lie in the beam: beside what a measurement needs, what an alignment does."""
 
 FRAMES_S = 10.0
 """What a step is given for its frames, beyond the longest move [s]."""
@@ -68,7 +72,7 @@ class World:
         self.ambient_e_per_s = 0.0
         """Photo-electrons a second that light in the room adds to every pixel."""
         self.band: Band | None = None
-        self.target: Target = "sample"
+        self.target: InHolder = "sample"
         self.pose = Pose()
         """True positions of the axes [rad]."""
         self.zero_error = {

@@ -233,7 +233,7 @@ def test_directions_are_reached_and_the_branch_is_told(twins: Twins, tmp_path: P
 @pytest.mark.parametrize(
     ("goals", "message"),
     [
-        (["light=95"], "light = 95 deg is outside this axis's limits, -88 to 88 deg"),
+        (["light=97"], "light = 97 deg is outside this axis's limits, -95 to 95 deg"),
         (["azimuth=1"], "has no axis azimuth; it has light, camera, tilt, spin"),
         (["light"], '"light": write AXIS=DEG'),
         (["light=nan"], "must be a finite angle"),

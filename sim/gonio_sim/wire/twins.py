@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from gonio.config import to_toml
 from gonio.errors import ConfigError
-from gonio.rig import Frame, Pose, Target
+from gonio.rig import Frame, Pose
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.dng import encode_dng
 from gonio_sim.camera import SimulatedCamera
@@ -32,7 +32,7 @@ from gonio_sim.wire.lamps import LAMPS, Lamp, Shine
 from gonio_sim.wire.peer import Clock, Device, SerialPeer, scaled_clock
 from gonio_sim.wire.servo import Mechanics, Servo
 from gonio_sim.wire.tether import TetheredCamera
-from gonio_sim.world import World
+from gonio_sim.world import InHolder, World
 
 COUNTS = 4096
 START_DEG = {"light": -40.0, "camera": 40.0}
@@ -238,6 +238,7 @@ class Twins:
         devices = {name: dict(table) for name, table in original.devices.items()}
         devices["servos"]["port"] = str(self._folder / "servos")
         devices["light"]["port"] = str(self._folder / "lamp")
+        devices["holder"] = {"target_file": str(self._folder / TARGET_FILE)}
         devices["light"]["settle_s"] = devices["light"].get("settle_s", 0.5) / self.scale
         devices["servos"]["settle_s"] = max(0.03, devices["servos"].get("settle_s", 0.1) / self.scale)
         if self.replays:
@@ -285,7 +286,7 @@ class Twins:
     def _warm_up(self) -> None:
         """Load the compiled code of dark frames, and of what may lie under the lamp: no frame is late for it."""
         world = self.world
-        targets: list[Target] = ["reference"] if world.sample is None else ["reference", "sample"]
+        targets: list[InHolder] = ["reference"] if world.sample is None else ["reference", "sample"]
         world.pose = Pose(**{name: follower.true() for name, follower in self.followers.items()})
         world.band = world.description.bands.all()[0]
         for world.target in targets:
@@ -311,14 +312,17 @@ class Twins:
             self.world.ambient_e_per_s = room if self._clock() < self._bright_until_s else 0.0
             return self._render.capture(exposure_s)
 
-    def _target(self) -> Target:
-        """What lies in the beam: where the changer stands, or what a person has written into the file `target`."""
-        changer = self._devices.servos.changer
+    def _target(self) -> InHolder:
+        """What lies in the beam: what a person has written into the file `target`, or where the changer stands."""
+        changer, said = self._devices.servos.changer, ""
+        with contextlib.suppress(OSError):
+            said = (self._folder / TARGET_FILE).read_text().strip()
+        if said == "mirror":
+            return "mirror"
+        if said == "empty":
+            return "empty"
         if changer is None:
-            with contextlib.suppress(OSError):
-                if (self._folder / TARGET_FILE).read_text().strip() == "reference":
-                    return "reference"
-            return "sample"
+            return "reference" if said == "reference" else "sample"
         per_turn = changer.direction * changer.gear_ratio
         at = (self.servos["changer"].shaft()[0] - changer.zero_count) / COUNTS / per_turn * 360
         return "reference" if abs(at - changer.reference_deg) < abs(at - changer.sample_deg) else "sample"

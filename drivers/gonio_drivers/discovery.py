@@ -1,0 +1,134 @@
+"""What hangs at a port that nobody has described yet: which lamp, and which servo turns which axis.
+
+Nothing here lights anything. A lamp is only asked for its name, in each shipped dialect in turn.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import time
+
+import serial
+
+from gonio.errors import DeviceError
+from gonio.rig import FoundServo
+from gonio_drivers import control_table, ports
+from gonio_drivers.dialect import DIALECTS, Dialect, dialect
+from gonio_drivers.dynamixel import Bus
+
+POSITION_MODE = 3
+WIGGLE_COUNTS = 34
+"""3 degrees: enough to see, and too little to hit anything."""
+SLOW = 25
+"""Profile velocity in 0.229 rpm: 34 degrees a second at most."""
+GENTLE = 10
+MOVED_S = 2.0
+LISTEN_S = 0.3
+RELEASE_BAUD = 115_200
+
+
+def lamp_on(port: str) -> tuple[str, str] | None:
+    """Dialect and name of the lamp at a port; None where none of the shipped dialects is spoken.
+
+    Raises
+    ------
+    DeviceError
+        The port cannot be opened.
+    """
+    for name in DIALECTS:
+        spoken = dialect(name)
+        try:
+            with serial.Serial(port, int(spoken.baud), timeout=LISTEN_S, exclusive=True) as line:
+                answer = _name(line, spoken)
+        except (*ports.FAILURES, ValueError) as error:
+            raise ports.unopened(port, error, "devices.light.port") from None
+        if answer is not None:
+            return name, answer
+    return None
+
+
+def _name(line: serial.Serial, spoken: Dialect) -> str | None:
+    """What a controller calls itself in a dialect; one that restarts when it is opened says first that it has."""
+    heard = ""
+    end = time.monotonic() + (spoken.banner_s if spoken.banner else 0.0)
+    while spoken.banner and time.monotonic() < end:
+        part = str(line.read(256), "ascii", "replace")
+        heard += part
+        if any(re.fullmatch(spoken.banner, text.strip()) for text in re.split(r"[\r\n]+", heard)):
+            break
+        if not part and not heard.strip() and end - time.monotonic() < spoken.banner_s - 4 * LISTEN_S:
+            break  # it says nothing: no restart, or no such controller
+    for _ in range(2):  # what another dialect left in its buffer may spoil the first
+        line.reset_input_buffer()
+        ports.send(line, (spoken.identify + spoken.send_ending).encode())
+        heard, end = "", time.monotonic() + 2 * LISTEN_S
+        while time.monotonic() < end:
+            heard += str(line.read(line.in_waiting or 1), "ascii", "replace")
+            for text in re.split(r"[\r\n]+", heard)[:-1]:
+                known = text.strip().removeprefix((spoken.prompt or "").strip()).strip()
+                if re.fullmatch(spoken.identity, known) and known != spoken.identify:
+                    return known
+    return None
+
+
+def is_release(port: str) -> bool:
+    """Whether a release box answers a line that it does not know, and so makes no exposure."""
+    try:
+        with serial.Serial(port, RELEASE_BAUD, timeout=LISTEN_S, exclusive=True) as line:
+            for _ in range(2):
+                line.reset_input_buffer()
+                ports.send(line, b"\n?\n")
+                if b"ERR" in line.read_until(b"\n") + line.read_until(b"\n"):
+                    return True
+    except (*ports.FAILURES, ValueError) as error:
+        raise ports.unopened(port, error, "devices.camera.trigger.port") from None
+    return False
+
+
+def count_of(servo: FoundServo) -> int:
+    """Where a servo stands, as its count within one turn."""
+    place = control_table.of_model(servo.model)["Present Position"]
+    with Bus(servo.port, servo.baud) as bus:
+        return place.decode(bus.read(servo.id, place.address, place.size), place.address) % 4096
+
+
+def wiggle(servo: FoundServo) -> None:
+    """Turn a servo by 3 degrees toward growing counts and back, slowly; then its torque is as it was before.
+
+    Raises
+    ------
+    DeviceError
+        It does not answer, or does not move; its torque is off then.
+    """
+    table = control_table.of_model(servo.model)
+    with Bus(servo.port, servo.baud) as bus:
+
+        def get(name: str) -> int:
+            item = table[name]
+            return item.decode(bus.read(servo.id, item.address, item.size), item.address)
+
+        def put(name: str, value: int) -> None:
+            bus.write(servo.id, table[name].address, table[name].encode(value))
+
+        held = get("Torque Enable")
+        if get("Operating Mode") != POSITION_MODE:
+            put("Torque Enable", 0)
+            put("Operating Mode", POSITION_MODE)
+        here = get("Present Position")
+        put("Goal Position", here)
+        put("Profile Velocity", SLOW)  # after the mode, which resets it
+        put("Profile Acceleration", GENTLE)
+        try:
+            put("Torque Enable", 1)
+            put("Goal Position", here)
+            for goal in (here + WIGGLE_COUNTS, here):
+                put("Goal Position", goal)
+                end = time.monotonic() + MOVED_S
+                while abs(get("Present Position") - goal) > WIGGLE_COUNTS / 3:
+                    if time.monotonic() > end:
+                        raise DeviceError(f"servo id {servo.id} does not turn: is something in its way")
+        finally:
+            if not held:
+                with contextlib.suppress(DeviceError):
+                    put("Torque Enable", 0)

@@ -1,0 +1,56 @@
+"""What hangs at unknown ports, over the twins: nothing lights, and a servo that was wiggled stands where it stood."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from gonio_drivers import discovery, folder_camera
+from gonio_sim.wire.faults import Faults
+from gonio_sim.wire.lamps import LAMPS, Shine
+from gonio_sim.wire.peer import SerialPeer
+from gonio_sim.wire.twins import Twins
+
+from gonio.rig import FoundServo
+from tests.gonio_drivers.conftest import be_patient
+from tests.gonio_drivers.test_lab import LONGEST_S, SAMPLE, SCALE, small
+
+
+@pytest.fixture
+def twins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Twins]:
+    monkeypatch.setattr(folder_camera, "RELEASE_S", LONGEST_S)
+    with Twins(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
+        be_patient(served.peers["servos"], served.faults, monkeypatch)
+        yield served
+
+
+@pytest.mark.parametrize("dialect", ["scpi", "mightex", "arduino"])
+def test_a_lamps_dialect_is_found_and_nothing_lights(dialect: str, tmp_path: Path) -> None:
+    lit: list[bool] = []
+
+    def shine(state: Shine) -> None:
+        lit.append(state.lit)
+
+    lamp = LAMPS[dialect](small().bands.all(), shine, Faults())
+    with SerialPeer(lamp, tmp_path / "lamp", tells_opening=lamp.resets_on_open):
+        found = discovery.lamp_on(str(tmp_path / "lamp"))
+    assert found is not None
+    assert found[0] == dialect
+    assert not any(lit)
+
+
+def test_a_release_box_is_known_without_an_exposure(twins: Twins, tmp_path: Path) -> None:
+    assert discovery.is_release(twins.peers["release"].port)
+    assert not discovery.is_release(twins.peers["lamp"].port)
+    assert not list((tmp_path / "twin" / "frames").iterdir())
+
+
+def test_a_wiggle_comes_back_and_leaves_the_torque_as_it_was(twins: Twins) -> None:
+    servo = twins.servos["camera"]
+    before, moved = servo.shaft()[0], []
+    servo.leaving = lambda: moved.append(servo.shaft()[0])
+    discovery.wiggle(FoundServo(twins.peers["servos"].port, servo.baud, servo.id, "xm430-w350", 46))
+    assert abs(servo.shaft()[0] - before) < discovery.WIGGLE_COUNTS / 3 + 1
+    assert max(moved) - before > discovery.WIGGLE_COUNTS / 2
+    assert not servo.torque
