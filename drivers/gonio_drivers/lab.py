@@ -26,6 +26,7 @@ from gonio_drivers.arms import ServoArms
 from gonio_drivers.light import LampReset, SerialLight
 from gonio_drivers.service import ServoService
 from gonio_drivers.settings import Devices
+from gonio_drivers.stages import StageArms
 
 log = logging.getLogger("gonio.devices")
 
@@ -42,7 +43,7 @@ class GuardedCamera:
     """The camera of a laboratory rig: a frame counts only if lamp and arms were as they should be when it was over."""
 
     def __init__(
-        self, camera: cameras.OpenableCamera, light: SerialLight, arms: ServoArms, clock: Callable[[], float]
+        self, camera: cameras.OpenableCamera, light: SerialLight, arms: ServoArms | StageArms, clock: Callable[[], float]
     ) -> None:
         self.watched: frozenset[str] = frozenset(ALL)
         """The devices beside it that are open, and looked at after each frame."""
@@ -90,7 +91,7 @@ class LabRig:
     def __init__(self, description: RigDescription, devices: Devices, *, confirm: bool) -> None:
         self.description = description
         self.light = SerialLight(description, devices.light)
-        self.arms = ServoArms(description, devices.servos)
+        self.arms = _arms(description, devices)
         self._camera = cameras.build(description, devices.camera)
         self._clock_starts = time.time() - time.monotonic()
         self.camera = GuardedCamera(self._camera, self.light, self.arms, self.time_s)
@@ -193,6 +194,13 @@ class LabRig:
             if error is None or isinstance(error, Interrupted):  # nobody may be told that the arms are parked
                 raise failure
             log.error("while leaving: %s", failure)
+
+
+def _arms(description: RigDescription, devices: Devices) -> ServoArms | StageArms:
+    if devices.stages is not None:
+        return StageArms(description, devices.stages)
+    assert devices.servos is not None  # as `Devices` has it
+    return ServoArms(description, devices.servos)
 
 
 @contextlib.contextmanager
