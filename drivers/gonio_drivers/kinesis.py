@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import struct
+import time
 import warnings
 from collections.abc import Callable
 from types import TracebackType
@@ -80,6 +81,7 @@ class KinesisStage:
         ports.require_free(port, f"{self._key}.port")
         failure: Exception | None = None
         for _ in range(2):  # the first answer may be the rest of another program's
+            begun = time.monotonic()
             try:
                 with warnings.catch_warnings():  # of stages that it does not know: asked for below
                     warnings.simplefilter("ignore")
@@ -90,8 +92,8 @@ class KinesisStage:
             except self._failures as caught:
                 self._close()
                 failure = caught
-                if _number(caught) is not None:
-                    break
+                if _number(caught) is not None or time.monotonic() - begun > ANSWER_S:
+                    break  # there is no port, or nobody says anything: pylablib waits for 3 s
             except BaseException:
                 self._close()
                 raise

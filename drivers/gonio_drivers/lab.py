@@ -43,7 +43,11 @@ class GuardedCamera:
     """The camera of a laboratory rig: a frame counts only if lamp and arms were as they should be when it was over."""
 
     def __init__(
-        self, camera: cameras.OpenableCamera, light: SerialLight, arms: ServoArms | StageArms, clock: Callable[[], float]
+        self,
+        camera: cameras.OpenableCamera,
+        light: SerialLight,
+        arms: ServoArms | StageArms,
+        clock: Callable[[], float],
     ) -> None:
         self.watched: frozenset[str] = frozenset(ALL)
         """The devices beside it that are open, and looked at after each frame."""

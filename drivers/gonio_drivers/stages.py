@@ -44,7 +44,8 @@ TRIES = 3
 SLOWEST = 3.0
 """A way may take this many times what the speed of the rig file needs."""
 SPARE_S = 10.0
-TURN_DEG = 360.0
+HOMING_S = 180.0
+"""A turn at 2 deg/s: stages look for their home at a speed of their own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,11 +258,11 @@ class StageArms:
         said = joint.state()
         if said.moving:
             raise DeviceError(f"axis {joint.name}: {joint.stage} is turning already; end what moves it, then try again")
-        joint.stage.prepare(joint.speed_deg_per_s, self._settings.acceleration_deg_per_s2)
         if not said.homed and joint.stage.axis.home == "on-opening":
             self._home(joint)
             said = joint.state()
         joint.require_home(said)
+        joint.stage.prepare(joint.speed_deg_per_s, self._settings.acceleration_deg_per_s2)
 
     def _home(self, joint: Joint) -> None:
         log.warning("axis %s looks for its home", joint.name)
@@ -272,7 +273,7 @@ class StageArms:
             while not (said := joint.state()).homed or said.moving:
                 now = time.monotonic()
                 idle = now if said.moving else idle
-                if now - idle > STALL_S or now - begun > SLOWEST * TURN_DEG / joint.speed_deg_per_s + SPARE_S:
+                if now - idle > STALL_S or now - begun > HOMING_S:
                     raise DeviceError(f"axis {joint.name}: {joint.stage} does not find its home")
                 time.sleep(POLL_S)
         except BaseException:
@@ -401,7 +402,9 @@ class StageArms:
                 raise ConfigError(f"{name} = {angle}: a goal must be a finite angle")
             if name not in self._all:
                 if abs(angle) > ROUNDING_DEG:
-                    raise ConfigError(f"{name} = {angle:g} deg: the rig has no such axis; it has {', '.join(self._all)}")
+                    raise ConfigError(
+                        f"{name} = {angle:g} deg: the rig has no such axis; it has {', '.join(self._all)}"
+                    )
                 continue
             lower, upper = self._all[name].limits_deg
             if not lower - ROUNDING_DEG <= angle <= upper + ROUNDING_DEG:

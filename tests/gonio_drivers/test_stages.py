@@ -45,7 +45,9 @@ def on_stages(**changes: dict[str, Any]) -> RigDescription:
     devices = tables["devices"]
     devices["camera"]["timeout_s"] = 60.0
     del devices["servos"]
-    axes: dict[str, dict[str, Any]] = {name: {"port": f"{PORT}{k}", "serial": 55000001 + k} for k, name in enumerate(AXES)}
+    axes: dict[str, dict[str, Any]] = {
+        name: {"port": f"{PORT}{k}", "serial": 55000001 + k} for k, name in enumerate(AXES)
+    }
     axes["camera"] |= {"direction": -1, "zero_deg": 180.0}
     devices["stages"] = {"driver": "thorlabs", "axes": axes}
     for name, table in changes.items():
@@ -161,7 +163,9 @@ def test_a_stage_without_home_is_refused_unless_it_may_look_for_it(twins: Twins,
             assert math.degrees(arms.read().tilt) == pytest.approx(0.0, abs=TOLERANCE_DEG)
             assert stage.homed
         return
-    with pytest.raises(DeviceError, match=r'axis tilt: .* has not found its home .* devices.stages.axes.tilt.home = "on-'):
+    with pytest.raises(
+        DeviceError, match=r'axis tilt: .* has not found its home .* devices.stages.axes.tilt.home = "on-'
+    ):
         arms_of(twins).__enter__()
     assert stage.shaft() == pytest.approx(1.0 * COUNTS_PER_DEG)
 
@@ -210,7 +214,9 @@ def test_a_fault_of_the_controller_stops_all_axes(twins: Twins, bit: int) -> Non
     stage = twins.stages["spin"]
     with arms_of(twins) as arms:
         thread = when(stage.moves, lambda: setattr(stage, "faults", bit))
-        with pytest.raises(DeviceError, match="axis spin: Thorlabs K10CR1 55000004 on .* reports: (its motor does|too hot)"):
+        with pytest.raises(
+            DeviceError, match="axis spin: Thorlabs K10CR1 55000004 on .* reports: (its motor does|too hot)"
+        ):
             arms.move(pose(light=-20, camera=45, spin=90))
         thread.join()
         assert not any(twin.moves() for twin in twins.stages.values())
@@ -259,7 +265,11 @@ def test_another_controller_at_the_port_is_named(twins: Twins) -> None:
 @pytest.mark.parametrize(
     ("keys", "error", "message"),
     [
-        ({"port": "/dev/no-such"}, DeviceError, r'devices.stages.axes.light.port = "/dev/no-such": there is no such port'),
+        (
+            {"port": "/dev/no-such"},
+            DeviceError,
+            r'devices.stages.axes.light.port = "/dev/no-such": there is no such port',
+        ),
         ({"sereal": 1}, ConfigError, 'unknown key sereal; did you mean "serial"'),
         ({"home": "always"}, ConfigError, "home = 'always'"),
         ({"stage": "K10CR1", "counts_per_deg": 3.0}, ConfigError, "give stage or counts_per_deg, and not both"),
@@ -293,7 +303,12 @@ def written(twins: Twins, tmp_path: Path) -> Path:
     return path
 
 
-def test_read_move_and_park_by_hand_with_one_stage_mute(twins: Twins, tmp_path: Path) -> None:
+def test_read_move_and_park_by_hand_with_one_stage_mute(
+    twins: Twins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from pylablib.devices.Thorlabs.kinesis import KinesisDevice
+
+    monkeypatch.setattr(KinesisDevice.__init__, "__defaults__", (0.3, 1, False))  # pylablib waits for 3 s
     rig = written(twins, tmp_path)
     twins.stages["tilt"].mute = True
     done = run(tmp_path, "rig", "read", "--rig", str(rig), "--json")
@@ -312,9 +327,14 @@ def test_read_move_and_park_by_hand_with_one_stage_mute(twins: Twins, tmp_path: 
 def test_stop_never_raises_and_says_what_did_not_answer(
     twins: Twins, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A stop is sent whether or not anybody answers; a port that went away is another matter."""
+    def gone(**_: Any) -> None:
+        raise OSError(5, "Input/output error")
+
     with arms_of(twins) as arms:
-        monkeypatch.setattr(arms.joints["light"].stage, "_motor", None)
+        monkeypatch.setattr(arms.joints["light"].stage._motor, "stop", gone)  # type: ignore[attr-defined]
         arms.stop()
-    assert any(text.startswith("stopping light: ") for text in caplog.messages)
-    assert arms.stopped
+        assert arms.stopped
+    assert any(
+        text.startswith("stopping light: devices.stages.axes.light.port") and "went away" in text
+        for text in caplog.messages
+    )
