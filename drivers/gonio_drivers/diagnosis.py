@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from gonio.rig import Pose
-from gonio_drivers.stages import StageArms
+from gonio_drivers.stage_arms import StageArms
 
 if TYPE_CHECKING:
     from gonio_drivers.arms import ServoArms

@@ -141,8 +141,8 @@ class GenICamCamera:
                 left = end - time.monotonic()
                 if left <= 0:
                     said = f"{incomplete} frames with parts missing" if incomplete else "no frame"
-                    raise DeviceError(f"the {self._who} gives {said} within {self._settings.timeout_s:g} s; check cable, "
-                                      "network and power")  # fmt: skip
+                    within = f"within {self._settings.timeout_s:g} s"
+                    raise DeviceError(f"the {self._who} gives {said} {within}; check cable, network and power")
                 buffer = self._camera.try_fetch(timeout=left, is_raw=True)  # `fetch` waits for ever for a whole frame
                 arrived = time.monotonic()
                 if buffer is None:  # the time is over, or it had parts missing

@@ -16,7 +16,7 @@ from gonio_drivers.arms import ServoArms
 from gonio_drivers.cameras import OpenableCamera
 from gonio_drivers.joints import Joint
 from gonio_drivers.light import SerialLight
-from gonio_drivers.stages import StageArms
+from gonio_drivers.stage_arms import StageArms
 
 CURRENT_UNIT_MA = {"xl330": 1.0, "xc330": 1.0}
 """By the first part of the model's name; 2.69 mA for the others (ROBOTIS e-Manual, "Present Current(126)")."""

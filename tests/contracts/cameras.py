@@ -100,7 +100,7 @@ def basler(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Eye]:
 
 
 def genicam(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Eye]:
-    """The twin of a GenICam camera behind harvesters: a frame from before waits in its queue when the lamp is switched."""
+    """The twin of a GenICam camera behind harvesters: a frame from before waits whenever the lamp is switched."""
     core = pytest.importorskip("harvesters.core", reason="harvesters is not installed (the extra genicam)")
     from gonio_sim.wire.genicam import GenICamTwin
 

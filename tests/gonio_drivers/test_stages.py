@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from gonio_drivers import stages
+from gonio_drivers import stage_arms
 from gonio_drivers.lab import LAB, LabRig
-from gonio_drivers.stages import StageArms
+from gonio_drivers.stage_arms import StageArms
 from gonio_sim.wire.kinesis import COUNTS_PER_DEG
 from gonio_sim.wire.twins import Twins, rig_file
 
@@ -171,7 +171,7 @@ def test_a_stage_without_home_is_refused_unless_it_may_look_for_it(twins: Twins,
 
 
 def test_a_stage_that_does_not_turn_stops_all_axes(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stages, "IDLE_S", 0.05)
+    monkeypatch.setattr(stage_arms, "IDLE_S", 0.05)
     with arms_of(twins) as arms:
         twins.stages["camera"].stalled = True
         with pytest.raises(DeviceError, match=r"axis camera stands at 40.00 deg, \+\d\d.\d\d deg from its goal"):
@@ -182,9 +182,10 @@ def test_a_stage_that_does_not_turn_stops_all_axes(twins: Twins, monkeypatch: py
 
 
 def test_a_command_that_was_lost_is_given_again(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stages, "IDLE_S", 0.05)
+    monkeypatch.setattr(stage_arms, "IDLE_S", 0.05)
     stage = twins.stages["light"]
-    turn, lost = stage._turn, []
+    turn = stage._turn
+    lost: list[float] = []
 
     def once(goal: float, ending: int) -> None:
         if lost:
@@ -203,7 +204,7 @@ def test_a_stage_that_was_switched_off_in_mid_move_is_not_believed(twins: Twins)
     stage = twins.stages["light"]
     with arms_of(twins) as arms:
         thread = when(lambda: stage.moves() and angle(twins, "light") > -30, stage.restart)
-        with pytest.raises(DeviceError, match="axis light: .* has not found its home"):
+        with pytest.raises(DeviceError, match=r"axis light: .* has not found its home"):
             arms.move(pose(light=60, camera=45))
         thread.join()
         assert not any(twin.moves() for twin in twins.stages.values())
@@ -215,7 +216,7 @@ def test_a_fault_of_the_controller_stops_all_axes(twins: Twins, bit: int) -> Non
     with arms_of(twins) as arms:
         thread = when(stage.moves, lambda: setattr(stage, "faults", bit))
         with pytest.raises(
-            DeviceError, match="axis spin: Thorlabs K10CR1 55000004 on .* reports: (its motor does|too hot)"
+            DeviceError, match=r"axis spin: Thorlabs K10CR1 55000004 on .* reports: (its motor does|too hot)"
         ):
             arms.move(pose(light=-20, camera=45, spin=90))
         thread.join()
@@ -241,13 +242,13 @@ def test_an_axis_that_was_pushed_disturbs_the_frame(twins: Twins) -> None:
         arms.move(pose(light=-20, camera=45))
         arms.still()
         twins.stages["camera"].push(3 * COUNTS_PER_DEG)
-        with pytest.raises(DeviceError, match="axis camera has moved by itself, .*; all axes are stopped"):
+        with pytest.raises(DeviceError, match=r"axis camera has moved by itself, .*; all axes are stopped"):
             arms.still()
 
 
 def test_an_interrupted_move_stops_every_axis(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
     with arms_of(twins) as arms:
-        monkeypatch.setattr(stages.time, "sleep", lambda seconds: (_ for _ in ()).throw(KeyboardInterrupt))
+        monkeypatch.setattr(time, "sleep", lambda seconds: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             arms.move(pose(light=60, camera=-45))
         monkeypatch.undo()
@@ -258,7 +259,7 @@ def test_an_interrupted_move_stops_every_axis(twins: Twins, monkeypatch: pytest.
 
 
 def test_another_controller_at_the_port_is_named(twins: Twins) -> None:
-    with pytest.raises(DeviceError, match="axes.light.serial = 55000009, but the controller on .* is 55000001"):
+    with pytest.raises(DeviceError, match=r"axes.light.serial = 55000009, but the controller on .* is 55000001"):
         arms_of(twins, light={"serial": 55000009}).__enter__()
 
 
@@ -287,9 +288,9 @@ def test_a_rig_has_servos_or_stages() -> None:
     for wrong in (devices, {k: v for k, v in both.devices.items() if k != "stages"}):
         with pytest.raises(ConfigError, match=r"give one of the tables devices.servos and devices.stages"):
             LAB.open(both.model_copy(update={"devices": wrong}), sample=None, seed=0, confirm=False)
-    with pytest.raises(ConfigError, match='reference.how = "axis" needs a changer'):
+    with pytest.raises(ConfigError, match=r'reference.how = "axis" needs a changer'):
         LAB.open(on_stages(reference={"how": "axis"}), sample=None, seed=0, confirm=False)
-    twice = both.devices | {"stages": {"driver": "thorlabs", "axes": dict.fromkeys(AXES, {"port": PORT})}}
+    twice = both.devices | {"stages": {"driver": "thorlabs", "axes": {name: {"port": PORT} for name in AXES}}}
     with pytest.raises(ConfigError, match=r"stages.axes.light.port and stages.axes.camera.port are the same port"):
         LAB.open(both.model_copy(update={"devices": twice}), sample=None, seed=0, confirm=False)
 

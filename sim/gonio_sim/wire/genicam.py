@@ -1,4 +1,4 @@
-"""A GenICam camera behind harvesters: a real GenApi node map, and a stream that misbehaves as a sensor that runs freely.
+"""A GenICam camera behind harvesters: a real GenApi node map, and a stream with the faults of real ones.
 
 It stands in for `harvesters.core.Harvester`. Frames from before the stream was started wait in its queue, and frames
 may come with parts missing, which harvesters throws away.
@@ -50,7 +50,8 @@ def described(formats: tuple[str, ...], shortest_us: float = 10.0, without: tupl
         f'{name}Guid="00000000-0000-0000-0000-00000000000{k}" ' for k, name in enumerate(("Product", "Version"))
     )
     return (
-        f'<RegisterDescription ModelName="Twin" VendorName="gonio" ToolTip="" StandardNameSpace="None" {versions}{guids}'
+        '<RegisterDescription ModelName="Twin" VendorName="gonio" ToolTip="" StandardNameSpace="None" '
+        f"{versions}{guids}"
         f'xmlns="{NAMESPACE}"><Category Name="Root">{features}</Category>{"".join(kept.values())}</RegisterDescription>'
     )
 
