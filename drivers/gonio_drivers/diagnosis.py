@@ -9,11 +9,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from gonio.rig import Pose
+from gonio_drivers.stage_arms import StageArms
 
 if TYPE_CHECKING:
     from gonio_drivers.arms import ServoArms
     from gonio_drivers.joints import Joint
     from gonio_drivers.light import SerialLight
+    from gonio_drivers.stages import Joint as StageJoint
 
 Row = tuple[str, str, bool]
 
@@ -25,10 +27,13 @@ NOISE_DEG = 0.1
 STEP_DEG = 3.0
 
 
-def rows(arms: ServoArms, light: SerialLight, *, move: bool) -> list[Row]:
+def rows(arms: ServoArms | StageArms, light: SerialLight, *, move: bool) -> list[Row]:
     """Servos (version, temperature, voltage), bus latency, readback noise, repeatability (where it may move), lamp."""
-    out = [_servo(arms, joint) for joint in arms.joints.values()]
-    out += _bus(arms)
+    if isinstance(arms, StageArms):
+        out = [_stage(arms, name) for name in arms.joints]
+    else:
+        out = [_servo(arms, joint) for joint in arms.joints.values()]
+        out += _bus(arms)
     if move:
         out += _repeatability(arms)
     light.check()
@@ -36,6 +41,13 @@ def rows(arms: ServoArms, light: SerialLight, *, move: bool) -> list[Row]:
     monitor = "" if reading is None else f", monitor {reading:g}"
     out.append(("lamp", f"{light}, dark{monitor}", not light.lit))
     return out
+
+
+def _stage(arms: StageArms, name: str) -> Row:
+    joint = arms.joints[name]
+    said = joint.stage.state()
+    home = "home found" if said.homed else "home not found"
+    return f"{name} stage", f"{joint.stage}, {home}, error: {said.fault or 'none'}", not said.fault
 
 
 def _servo(arms: ServoArms, joint: Joint) -> Row:
@@ -74,7 +86,7 @@ def _bus(arms: ServoArms) -> list[Row]:
     ]
 
 
-def _repeatability(arms: ServoArms) -> list[Row]:
+def _repeatability(arms: ServoArms | StageArms) -> list[Row]:
     """Spread of landings on the same goal, away from it and back."""
     here = arms.read()
     landed: dict[str, list[float]] = {name: [] for name in _axes(here, arms)}
@@ -88,7 +100,7 @@ def _repeatability(arms: ServoArms) -> list[Row]:
     return [("repeatability", f"{LANDINGS} landings within {worst:.3f} deg", worst <= 0.2)]
 
 
-def here_inside(here: Pose, arms: ServoArms) -> Pose:
+def here_inside(here: Pose, arms: ServoArms | StageArms) -> Pose:
     """A pose that was read, moved into the limits where the reading lies a little outside."""
     inside = {}
     for name in _axes(here, arms):
@@ -97,11 +109,11 @@ def here_inside(here: Pose, arms: ServoArms) -> Pose:
     return replace(here, **inside)
 
 
-def _axes(here: Pose, arms: ServoArms) -> list[str]:
+def _axes(here: Pose, arms: ServoArms | StageArms) -> list[str]:
     return [name for name in arms.joints if hasattr(here, name)]
 
 
-def _aside(angle: float, joint: Joint) -> float:
+def _aside(angle: float, joint: Joint | StageJoint) -> float:
     """A little away from an angle, toward the middle of the axis's range [rad]."""
     middle = sum(joint.limits_deg) / 2
     at = math.degrees(angle)

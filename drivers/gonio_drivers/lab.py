@@ -28,6 +28,7 @@ from gonio_drivers.arms import ServoArms
 from gonio_drivers.light import LampReset, SerialLight
 from gonio_drivers.service import ServoService
 from gonio_drivers.settings import Devices
+from gonio_drivers.stage_arms import StageArms
 
 log = logging.getLogger("gonio.devices")
 
@@ -43,7 +44,7 @@ class GuardedCamera:
         description: Camera,
         camera: cameras.OpenableCamera,
         light: SerialLight,
-        arms: ServoArms,
+        arms: ServoArms | StageArms,
         clock: Callable[[], float],
     ) -> None:
         self.watched: frozenset[str] = frozenset(ALL)
@@ -106,7 +107,7 @@ class LabRig:
     def __init__(self, description: RigDescription, devices: Devices, *, confirm: bool, lenient: bool = False) -> None:
         self.description = description
         self.light = SerialLight(description, devices.light)
-        self.arms = ServoArms(description, devices.servos)
+        self.arms = _arms(description, devices)
         self._camera: cameras.OpenableCamera
         try:
             self._camera = cameras.build(description, devices.camera)
@@ -118,7 +119,8 @@ class LabRig:
         self.camera = GuardedCamera(description.camera, self._camera, self.light, self.arms, self.time_s)
         self.interlock: interlock.Interlock | None = None
         if devices.interlock is not None:
-            self.interlock = interlock.build(devices.interlock, self.arms.joints, self.light.darken_at_once)
+            servos = self.arms.joints if isinstance(self.arms, ServoArms) else {}
+            self.interlock = interlock.build(devices.interlock, servos, self.light.darken_at_once)
             self.light.allowed = self.arms.allowed = self.camera.allowed = self.interlock.require
         self._camera_driver = str(devices.camera.get("driver"))
         self._confirm = confirm
@@ -289,6 +291,13 @@ class LabRig:
             if error is None or isinstance(error, Interrupted):  # nobody may be told that the arms are parked
                 raise failure
             log.error("while leaving: %s", failure)
+
+
+def _arms(description: RigDescription, devices: Devices) -> ServoArms | StageArms:
+    if devices.stages is not None:
+        return StageArms(description, devices.stages)
+    assert devices.servos is not None  # as `Devices` has it
+    return ServoArms(description, devices.servos)
 
 
 class _File(Strict):

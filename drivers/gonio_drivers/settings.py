@@ -63,6 +63,33 @@ class Servos(Strict):
         return self
 
 
+class StageAxis(Strict):
+    """How a motorised stage is built in: what the table of an axis has with every driver."""
+
+    direction: Literal[1, -1] = 1
+    """1: the axis turns toward positive angles when the stage's readout grows."""
+    zero_deg: float = 0.0
+    """Readout that is called 0 deg; what remains is `zero_offset_deg` of the axis."""
+    park_deg: float | None = None
+    """Where the axis rests; by default light on its lower limit, camera on its upper limit, the others at 0."""
+    home: Literal["never", "on-opening"] = "never"
+    """Whether a stage that has no home may look for it when the rig is opened: it may turn once round for that."""
+
+
+class Stages(Strict):
+    """The motorised stages of all axes."""
+
+    driver: str
+    """Its name: "thorlabs", or an entry point of the group `gonio.stages`."""
+    axes: dict[AxisName, dict[str, Any]]
+    """The keys of `StageAxis`, and the driver's own."""
+    acceleration_deg_per_s2: Positive = 20.0
+    tolerance_deg: Positive = 0.05
+    """A landing is good within this distance of the goal."""
+    settle_s: NonNegative = 0.1
+    """How long an axis must stand still before it has landed."""
+
+
 class Light(Strict):
     """A lamp controller on a serial port."""
 
@@ -158,7 +185,10 @@ class ServedHolder(Strict):
 class Devices(Strict):
     """The whole table; what stands under `camera` is checked by the camera's driver."""
 
-    servos: Servos
+    servos: Servos | None = None
+    """Dynamixel servos; or"""
+    stages: Stages | None = None
+    """motorised stages. One of the two."""
     light: Light
     camera: dict[str, Any]
     """`driver` ("folder", "uvc", "sequence", or an entry point of the group `gonio.cameras`) and that driver's keys."""
@@ -166,13 +196,32 @@ class Devices(Strict):
     holder: ServedHolder | None = None
 
     @model_validator(mode="after")
+    def _one_kind_of_arms(self) -> Devices:
+        if (self.servos is None) == (self.stages is None):
+            raise ValueError("a rig needs arms: give one of the tables devices.servos and devices.stages")
+        return self
+
+    @model_validator(mode="after")
     def _one_device_a_port(self) -> Devices:
-        if Path(self.servos.port).resolve() == Path(self.light.port).resolve():
-            raise ValueError(f'servos.port and light.port are the same port, "{self.light.port}"')
+        ports = {"light.port": self.light.port}
+        if self.servos is not None:
+            ports = {"servos.port": self.servos.port} | ports
+        if self.stages is not None:
+            tables = self.stages.axes.items()
+            ports = {f"stages.axes.{n}.port": t["port"] for n, t in tables if isinstance(t.get("port"), str)} | ports
         if self.interlock is not None and self.interlock.port:
-            for name, port in (("servos.port", self.servos.port), ("light.port", self.light.port)):
-                if Path(self.interlock.port).resolve() == Path(port).resolve():
-                    raise ValueError(f'{name} and interlock.port are the same port, "{port}"')
+            ports["interlock.port"] = self.interlock.port
+        seen: dict[Path, str] = {}
+        for key, port in ports.items():
+            other = seen.setdefault(Path(port).resolve(), key)
+            if other != key:
+                raise ValueError(f'{other} and {key} are the same port, "{port}"')
+        return self
+
+    @model_validator(mode="after")
+    def _a_servo_has_the_contact(self) -> Devices:
+        if self.interlock is not None and self.interlock.axis is not None and self.servos is None:
+            raise ValueError("interlock.axis names a servo, and the rig has stages; give interlock.port")
         return self
 
 
@@ -190,3 +239,16 @@ def check_axes(servos: Servos, description: RigDescription) -> None:
     for name in servos.axes:
         if name not in known:
             raise ConfigError(f"devices.servos.axes.{name}: the rig has no axis {name}; it has {', '.join(known)}")
+
+
+def check_stages(stages: Stages, description: RigDescription) -> None:
+    """Raise `ConfigError` where stages and axes of the rig do not belong together."""
+    known = description.axes()
+    for name in known:
+        if name not in stages.axes:
+            raise ConfigError(f"devices.stages.axes.{name} is missing: the rig has this axis, and no stage turns it")
+    for name in stages.axes:
+        if name not in known:
+            raise ConfigError(f"devices.stages.axes.{name}: the rig has no axis {name}; it has {', '.join(known)}")
+    if description.reference.how == "axis":
+        raise ConfigError('reference.how = "axis" needs a changer, which devices.stages does not have; take "swap"')

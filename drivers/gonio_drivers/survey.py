@@ -16,6 +16,7 @@ from gonio_drivers.arms import ServoArms
 from gonio_drivers.cameras import OpenableCamera
 from gonio_drivers.joints import Joint
 from gonio_drivers.light import SerialLight
+from gonio_drivers.stage_arms import StageArms
 
 CURRENT_UNIT_MA = {"xl330": 1.0, "xc330": 1.0}
 """By the first part of the model's name; 2.69 mA for the others (ROBOTIS e-Manual, "Present Current(126)")."""
@@ -25,7 +26,7 @@ LOOKS = 5
 LAMP, CAMERA = "lamp", "frames"
 
 
-def of_open_arms(arms: ServoArms) -> Health:
+def of_open_arms(arms: ServoArms | StageArms) -> Health:
     """Angles, temperatures, currents and voltages of servos that are open; one reading of the bus.
 
     Raises
@@ -33,6 +34,8 @@ def of_open_arms(arms: ServoArms) -> Health:
     DeviceError
         A servo does not answer, or is unwell.
     """
+    if isinstance(arms, StageArms):
+        return arms.health()
     reports = joints.reports(arms.bus, arms.joints.values())
     found: list[Reading] = []
     for name, report in reports.items():
@@ -48,12 +51,14 @@ def of_open_arms(arms: ServoArms) -> Health:
     return Health(tuple(found), {name: str(failure) for name, failure in arms.absent.items()})
 
 
-def strain(arms: ServoArms) -> Health:
+def strain(arms: ServoArms | StageArms) -> Health:
     """The highest current and the lowest voltage in all reports of open servos since this was last asked.
 
     At rest the one is small and the other good: it is on the way that a supply sags.
     """
     found: list[Reading] = []
+    if isinstance(arms, StageArms):  # their controllers tell no currents
+        return Health(())
     for name, joint in arms.joints.items():
         if joint.strained:
             current, voltage = joint.strained
@@ -66,8 +71,10 @@ def strain(arms: ServoArms) -> Health:
     return Health(tuple(found))
 
 
-def of_arms(arms: ServoArms) -> Health:
+def of_arms(arms: ServoArms | StageArms) -> Health:
     """The same of servos that nobody has opened, each by itself; and whether they hold, and what error they show."""
+    if isinstance(arms, StageArms):
+        return arms.survey()
     found: list[Reading] = []
     silent: dict[str, str] = {}
     try:

@@ -16,7 +16,7 @@ from gonio_sim.wire.uvc import VideoStandIn
 from gonio.rig import CameraDevice, LightDevice
 from gonio.rig.description import Band, Bands, Camera, RigDescription
 
-NAMES = ("sequence", "uvc", "basler")
+NAMES = ("sequence", "uvc", "basler", "genicam")
 DESCRIPTION = RigDescription(
     rig="lab",
     name="bench",
@@ -59,7 +59,7 @@ def switch(light: LightDevice) -> Callable[[bool], None]:
 
 def opened(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Eye]:
     """A camera of the laboratory, without a laboratory."""
-    yield from {"sequence": sequence, "uvc": uvc, "basler": basler}[name](folder, monkeypatch)
+    yield from {"sequence": sequence, "uvc": uvc, "basler": basler, "genicam": genicam}[name](folder, monkeypatch)
 
 
 def sequence(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Eye]:
@@ -97,3 +97,23 @@ def basler(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Eye]:
     monkeypatch.setenv("PYLON_CAMEMU", "1")
     with build(DESCRIPTION, {"driver": "basler"}) as camera:
         yield Eye(camera, DESCRIPTION, time.monotonic, None)
+
+
+def genicam(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Eye]:
+    """The twin of a GenICam camera behind harvesters: a frame from before waits whenever the lamp is switched."""
+    core = pytest.importorskip("harvesters.core", reason="harvesters is not installed (the extra genicam)")
+    from gonio_sim.wire.genicam import GenICamTwin
+
+    lit = False
+    twin = GenICamTwin(lambda exposure_s: np.full(SIZE, 16 * (LIT if lit else DARK), np.uint16))
+    producer = folder / "maker.cti"
+    producer.touch()
+
+    def lamp(on: bool) -> None:
+        nonlocal lit
+        twin.fall_behind()
+        lit = on
+
+    monkeypatch.setattr(core, "Harvester", twin)
+    with build(DESCRIPTION, {"driver": "genicam", "producer": str(producer)}) as camera:
+        yield Eye(camera, DESCRIPTION, time.monotonic, lamp)

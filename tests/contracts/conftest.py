@@ -16,7 +16,7 @@ from tests.contracts import cameras, rigs
 from tests.contracts.cameras import Eye
 from tests.contracts.rigs import Case
 
-RIGS = ("sim", "sim-ideal", "lab-scpi", "stranger")
+RIGS = ("sim", "sim-ideal", "lab-scpi", "stages", "stranger")
 LIGHTS = ("sim", "lab-scpi", "lab-mightex", "lab-arduino", "stranger")
 TRIED = {
     "test_rig": RIGS,

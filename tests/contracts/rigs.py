@@ -23,6 +23,7 @@ from gonio.rig import Rig, RigPlugin
 from gonio.rig.description import RigDescription, SampleDescription
 from tests.gonio_drivers.conftest import be_patient
 from tests.gonio_drivers.test_lab import small
+from tests.gonio_drivers.test_stages import on_stages
 from tests.places import ROOT
 
 SAMPLE = SampleDescription(name="matt", model="lambert", parameters={"albedo": 0.5})
@@ -90,6 +91,8 @@ def opened(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator
     """The rig of a name: "sim", "sim-ideal", "stranger", or "lab-" and the language of its lamp."""
     if name == "stranger":
         yield stranger(folder, monkeypatch)
+    elif name == "stages":
+        yield from staged(folder, monkeypatch)
     elif name.startswith("lab-"):
         yield from twins(name, folder, monkeypatch)
     else:
@@ -135,6 +138,15 @@ def twins(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[
     with Twins(described, SAMPLE, 3, folder=folder / "twin", scale=50.0) as bench:
         be_patient(bench.peers["servos"], bench.faults, monkeypatch)
         yield Case(name, LAB, bench.description, None, lambda: bench.world.lamp_on)
+
+
+def staged(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Case]:
+    """The laboratory's lamp and camera, with axes of Thorlabs stages through the unmodified pylablib."""
+    pytest.importorskip("pylablib", reason="pylablib is not installed (the extra thorlabs)")
+    monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)
+    monkeypatch.setattr(tether, "FILE_LATE_S", 0.5)
+    with Twins(on_stages(), SAMPLE, 3, folder=folder / "twin", scale=50.0) as bench:
+        yield Case("stages", LAB, bench.description, None, lambda: bench.world.lamp_on)
 
 
 def stranger(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Case:

@@ -28,6 +28,7 @@ from gonio_sim.render import Renderer
 from gonio_sim.wire import faults as fault_names
 from gonio_sim.wire.bus import ServoBus
 from gonio_sim.wire.faults import Faults
+from gonio_sim.wire.kinesis import COUNTS_PER_DEG, KinesisTwin
 from gonio_sim.wire.lamps import LAMPS, Lamp, Shine
 from gonio_sim.wire.peer import Clock, Device, SerialPeer, scaled_clock
 from gonio_sim.wire.servo import Mechanics, Servo
@@ -67,6 +68,17 @@ class _Servos(_Loose):
     changer: _Changer | None = None
 
 
+class _StageAxis(_Loose):
+    direction: Literal[1, -1] = 1
+    zero_deg: float = 0.0
+    serial: int = 55000001
+
+
+class _Stages(_Loose):
+    driver: Literal["thorlabs"]
+    axes: dict[str, _StageAxis]
+
+
 class _Light(_Loose):
     dialect: str = "scpi"
     level: float = 1.0
@@ -82,7 +94,8 @@ class _Contact(_Loose):
 
 
 class _Devices(_Loose):
-    servos: _Servos
+    servos: _Servos = _Servos(axes={})
+    stages: _Stages | None = None
     light: _Light
     camera: _Camera
     interlock: _Contact | None = None
@@ -129,6 +142,18 @@ class Follower:
         """Where the arm is [rad]."""
         self.follow()
         return self.arm - self.offset - self.zero_error
+
+
+@dataclass(slots=True)
+class StageFollower(Follower):
+    """The arm on a motorised stage."""
+
+    servo: KinesisTwin  # type: ignore[assignment]
+    built: _StageAxis  # type: ignore[assignment]
+
+    def encoder(self) -> float:
+        """Angle of the axis that the stage stands at [rad]."""
+        return math.radians((self.servo.shaft() / COUNTS_PER_DEG - self.built.zero_deg) * self.built.direction)
 
 
 class Twins:
@@ -199,6 +224,16 @@ class Twins:
         contact = self._devices.interlock
         if contact is not None and contact.axis in self.servos:
             self.servos[contact.axis].contacts.add(contact.input)
+        self.stages: dict[str, KinesisTwin] = {}
+        for name, stage in self._devices.stages.axes.items() if self._devices.stages is not None else ():
+            readout = stage.zero_deg + START_DEG.get(name, 1.0) * stage.direction
+            twin = self.stages[name] = KinesisTwin(clock, position=readout * COUNTS_PER_DEG, serial=stage.serial)
+            body = known[name]
+            arm = self.followers[name] = StageFollower(
+                twin, stage, math.radians(body.backlash_deg), math.radians(body.zero_offset_deg),
+                float(self.world.zero_error[name]),
+            )  # fmt: skip
+            twin.leaving = arm.follow
         self.bus = ServoBus(self.servos.values(), self.faults)
         self.lamp: Lamp = LAMPS[self._devices.light.dialect](description.bands.all(), self._shine, self.faults)
         self.camera = TetheredCamera(self._expose, folder / "frames", scale=scale, faults=self.faults)
@@ -215,6 +250,7 @@ class Twins:
         self._warm_up()
         with contextlib.ExitStack() as stack:
             devices: dict[str, Device] = {"servos": self.bus, "lamp": self.lamp, "release": self.camera}
+            devices |= {f"stage-{name}": stage for name, stage in self.stages.items()}
             for name, device in devices.items():
                 tells = name == "lamp" and self.lamp.resets_on_open
                 peer = SerialPeer(device, self._folder / name, tells_opening=tells)
@@ -236,11 +272,17 @@ class Twins:
         """The rig file with its cables plugged into the twins, and with waits that suit their clock."""
         original = self.world.description
         devices = {name: dict(table) for name, table in original.devices.items()}
-        devices["servos"]["port"] = str(self._folder / "servos")
+        if self._devices.stages is not None:
+            ports = {name: {"port": str(self._folder / f"stage-{name}")} for name in self.stages}
+            axes = devices["stages"]["axes"]
+            devices["stages"]["axes"] = {name: dict(axis) | ports[name] for name, axis in axes.items()}
+        arms = devices["servos" if "servos" in devices else "stages"]
+        arms["settle_s"] = max(0.03, arms.get("settle_s", 0.1) / self.scale)
+        if "servos" in devices:
+            devices["servos"]["port"] = str(self._folder / "servos")
         devices["light"]["port"] = str(self._folder / "lamp")
         devices["holder"] = {"target_file": str(self._folder / TARGET_FILE)}
         devices["light"]["settle_s"] = devices["light"].get("settle_s", 0.5) / self.scale
-        devices["servos"]["settle_s"] = max(0.03, devices["servos"].get("settle_s", 0.1) / self.scale)
         if self.replays:
             devices["camera"]["folder"] = str(Path(devices["camera"]["folder"]).expanduser().absolute())
         else:
@@ -281,7 +323,8 @@ class Twins:
     @property
     def quiet(self) -> bool:
         """Whether nothing turns and the lamp is dark."""
-        return not self.lamp.shine.lit and not any(servo.powered and servo.moves() for servo in self.servos.values())
+        turning = any(servo.powered and servo.moves() for servo in self.servos.values())
+        return not (self.lamp.shine.lit or turning or any(stage.moves() for stage in self.stages.values()))
 
     def _warm_up(self) -> None:
         """Load the compiled code of dark frames, and of what may lie under the lamp: no frame is late for it."""
@@ -339,9 +382,11 @@ def _parsed(description: RigDescription) -> _Devices:
         raise ConfigError(
             f'devices.light.dialect = "{devices.light.dialect}" has no twin; twins speak {", ".join(LAMPS)}'
         )
-    missing = [name for name in description.axes() if name not in devices.servos.axes]
+    kind, arms = ("servo", devices.servos) if devices.stages is None else ("stage", devices.stages)
+    missing = [name for name in description.axes() if name not in arms.axes]
     if missing:
-        raise ConfigError(f"devices.servos.axes.{missing[0]} is missing: the rig has this axis, and no servo turns it")
+        key = f"devices.{kind}s.axes.{missing[0]}"
+        raise ConfigError(f"{key} is missing: the rig has this axis, and no {kind} turns it")
     return devices
 
 

@@ -1,0 +1,332 @@
+"""GenICam cameras through harvesters: an optional extra (`pip install gonio[genicam]`).
+
+Any camera that follows the standard (GigE Vision, USB3 Vision, CoaXPress), of any maker, through a GenTL producer: the
+file that ends with .cti and comes with a maker's software. The camera stands still until it is asked: the stream is
+started for one frame, and stopped after it, with every automatic function off.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.config import Strict, parse
+from gonio.errors import ConfigError, DeviceError
+from gonio.rig import Frame
+from gonio.rig.description import NonNegative, Positive, RigDescription
+
+OFF = {
+    "AcquisitionFrameRateEnable": False, "ExposureAuto": "Off", "GainAuto": "Off", "BlackLevelAuto": "Off",
+    "BalanceWhiteAuto": "Off", "GammaEnable": False, "LUTEnable": False, "ReverseX": False, "ReverseY": False,
+    "TriggerMode": "Off", "ExposureMode": "Timed",
+}  # fmt: skip
+"""What a camera that has the feature must have it at: linear values, timed by us alone (names of the SFNC)."""
+SINGLE = {"AcquisitionMode": ("SingleFrame", "Continuous")}
+EXPOSURES = ("ExposureTime", "ExposureTimeAbs")
+"""In microseconds; the second in cameras from before the SFNC 2.0."""
+GAINS, BLACKS = ("Gain", "GainRaw"), ("BlackLevel", "BlackLevelRaw")
+BASES = {"RGGB": "BayerRG", "BGGR": "BayerBG", "GRBG": "BayerGR", "GBRG": "BayerGB", "mono": "Mono"}
+EXPOSURE_TOLERANCE = 0.05
+"""A camera counts in lines; the reduction takes what the camera says."""
+READ_BACK = 1e-3
+PATHS = "GENICAM_GENTL64_PATH"
+"""Folders of producers, as makers' software sets it."""
+
+
+class Settings(Strict):
+    """The keys of `[devices.camera]` beside `driver = "genicam"`."""
+
+    producer: str | None = None
+    """The GenTL producer, a .cti file; without it those in the folders of GENICAM_GENTL64_PATH."""
+    serial: str | None = None
+    """Serial number; without it the only camera there is."""
+    pixel_format: str | None = None
+    """As "Mono12p"; without it the first that the camera has of those with the rig file's pattern and bits."""
+    gain: NonNegative | None = None
+    """In the camera's own unit; None leaves it."""
+    black_level: NonNegative | None = None
+    """The camera's own setting; None leaves it. What comes out of it is `camera.black_level_dn`."""
+    timeout_s: Positive = 5.0
+    """How long after the end of the exposure a frame may take."""
+
+
+class GenICamCamera:
+    """A GenICam camera, as a `CameraDevice`."""
+
+    def __init__(self, description: RigDescription, settings: Settings) -> None:
+        self._settings = settings
+        self._description = description.camera
+        self._harvester: Any = None
+        self._camera: Any = None
+        self._format = ""
+        self._failures: tuple[type[Exception], ...] = ()
+        self._who = "GenICam camera"
+        if settings.pixel_format is not None and settings.pixel_format not in self._formats():
+            raise ConfigError(
+                f'devices.camera.pixel_format = "{settings.pixel_format}" does not fit camera.pattern = '
+                f'"{self._description.pattern}" and camera.bits = {self._description.bits}: these have '
+                f"{', '.join(self._formats())}"
+            )
+
+    def __enter__(self) -> Self:
+        try:
+            from genicam import genapi, gentl
+            from harvesters.core import Harvester
+        except ImportError:
+            raise ConfigError(
+                'devices.camera.driver = "genicam" needs harvesters: pip install "gonio[genicam]"'
+            ) from None
+        self._failures = (genapi.GenericException, gentl.GenericException, ValueError, OSError)
+        self._harvester = Harvester()
+        try:
+            for path in self._producers():
+                self._harvester.add_file(str(path))
+            self._harvester.update()
+            self._camera = self._harvester.create(self._chosen())
+            self._set_up()
+        except self._failures as error:
+            self.__exit__(None, None, None)
+            raise DeviceError(f"the {self._who} does not open: {error}") from None
+        except BaseException:
+            self.__exit__(None, None, None)
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        camera, self._camera = self._camera, None
+        harvester, self._harvester = self._harvester, None
+        with contextlib.suppress(*self._failures):
+            if camera is not None:
+                camera.destroy()
+        with contextlib.suppress(*self._failures):
+            if harvester is not None:
+                harvester.reset()
+
+    def capture(self, exposure_s: float) -> Frame:
+        """One frame that was exposed wholly after this call; its exposure is what the camera says."""
+        if self._camera is None:
+            raise DeviceError("the GenICam camera is not open: enter the rig first")
+        self._description.require_exposure(exposure_s)
+        try:
+            feature = self._feature(*EXPOSURES)
+            feature.value = type(feature.value)(1e6 * exposure_s)
+            actual = float(feature.value) * 1e-6
+            if abs(actual / exposure_s - 1) > EXPOSURE_TOLERANCE:
+                raise DeviceError(f"the {self._who} exposes {actual:g} s where {exposure_s:g} s were asked")
+            begun = time.monotonic()
+            mosaic = self._fresh(actual, begun)
+        except self._failures as error:
+            raise DeviceError(f"the {self._who} gives no frame: {error}") from None
+        camera = self._description
+        return Frame(mosaic, actual, camera.black_level_dn, camera.white_level_dn, camera.pattern, time_s=begun)
+
+    # ---- inside ----
+
+    def _fresh(self, exposure_s: float, begun: float) -> npt.NDArray[np.uint16]:
+        """The first whole frame that came late enough to have begun after the call."""
+        end = begun + 2 * exposure_s + self._settings.timeout_s
+        incomplete = 0
+        self._camera.start()
+        try:
+            while True:
+                left = end - time.monotonic()
+                if left <= 0:
+                    said = f"{incomplete} frames with parts missing" if incomplete else "no frame"
+                    within = f"within {self._settings.timeout_s:g} s"
+                    raise DeviceError(f"the {self._who} gives {said} {within}; check cable, network and power")
+                buffer = self._camera.try_fetch(timeout=left, is_raw=True)  # `fetch` waits for ever for a whole frame
+                arrived = time.monotonic()
+                if buffer is None:  # the time is over, or it had parts missing
+                    incomplete += arrived < end
+                    continue
+                try:
+                    if arrived - exposure_s < begun:
+                        continue
+                    return self._mosaic(buffer)
+                finally:
+                    buffer.parent.queue_buffer(buffer)
+        finally:
+            self._camera.stop()
+
+    def _mosaic(self, buffer: Any) -> npt.NDArray[np.uint16]:
+        camera = self._description
+        if (buffer.height, buffer.width) != (camera.height, camera.width):
+            raise DeviceError(
+                f"the {self._who} gives {buffer.width} x {buffer.height} pixels; the rig file says {camera.width} x "
+                f"{camera.height}"
+            )
+        data = np.frombuffer(buffer.raw_buffer, np.uint8, offset=buffer.image_offset)
+        line = row_bytes(self._format, camera.width) + buffer.padding_x
+        if data.size < line * camera.height:
+            raise DeviceError(f"the {self._who} gives {data.size} bytes, fewer than {camera.height} lines of {line}")
+        lines = data[: line * camera.height].reshape(camera.height, line)
+        mosaic = unpack(lines[:, : line - buffer.padding_x], self._format, camera.width)
+        if mosaic.max() > camera.white_level_dn:
+            raise DeviceError(
+                f"the {self._who} gives values up to {mosaic.max()}, beyond the {camera.bits} bits of {self._format}"
+            )
+        return mosaic
+
+    def _producers(self) -> list[Path]:
+        if self._settings.producer is not None:
+            path = Path(self._settings.producer).expanduser()
+            if not path.is_file():
+                raise ConfigError(f'devices.camera.producer = "{path}": there is no such file')
+            return [path]
+        folders = [Path(folder) for folder in os.environ.get(PATHS, "").split(os.pathsep) if folder]
+        found = sorted(path for folder in folders for path in folder.glob("*.cti"))
+        if not found:
+            raise ConfigError(
+                "devices.camera.producer is missing: name the .cti file of the maker's software, or set "
+                f"{PATHS} to its folder"
+            )
+        return found
+
+    def _chosen(self) -> dict[str, str]:
+        """What harvesters finds the camera by."""
+        listed = self._harvester.device_info_list
+        serials = [str(device.serial_number) for device in listed]
+        found = ", ".join(f'"{s}" ({device.model})' for s, device in zip(serials, listed, strict=True)) or "none"
+        wanted = self._settings.serial
+        if wanted is None and len(serials) != 1:
+            what = "there is no GenICam camera" if not serials else f"there are several GenICam cameras, {found}"
+            remedy = "check cable, network and power" if not serials else "name one"
+            raise DeviceError(f"devices.camera.serial is missing, and {what}: {remedy}")
+        if wanted is not None and serials.count(wanted) != 1:
+            raise DeviceError(f'devices.camera.serial = "{wanted}": no such GenICam camera; found: {found}')
+        device = listed[0 if wanted is None else serials.index(wanted)]
+        self._who = f"GenICam camera {device.model} {device.serial_number}"
+        return {"serial_number": str(device.serial_number)}
+
+    def _set_up(self) -> None:
+        """Size and format of the rig file, and nothing automatic; what the camera does not take is an error."""
+        camera, nodes = self._description, self._camera.remote_device.node_map
+        for name, value in OFF.items():
+            if self._has(name) and self._readable(name) and getattr(nodes, name).value != value:
+                self._set(name, value)
+        for name, choices in SINGLE.items():
+            if self._has(name):
+                self._set(name, next((c for c in choices if c in getattr(nodes, name).symbolics), choices[-1]))
+        formats = nodes.PixelFormat.symbolics if self._has("PixelFormat") else ()
+        wanted = [self._settings.pixel_format] if self._settings.pixel_format else self._formats()
+        chosen = next((name for name in wanted if name in formats), None)
+        if chosen is None:
+            raise DeviceError(
+                f"the {self._who} has none of the formats {', '.join(wanted)} (camera.pattern, camera.bits); it has "
+                f"{', '.join(formats) or 'none'}"
+            )
+        self._format = chosen
+        row_bytes(chosen, camera.width)
+        self._set("PixelFormat", chosen)
+        for name in ("OffsetX", "OffsetY"):
+            if self._has(name):
+                self._set(name, 0)
+        self._set("Width", camera.width)
+        self._set("Height", camera.height)
+        for names, asked in ((GAINS, self._settings.gain), (BLACKS, self._settings.black_level)):
+            if asked is not None:
+                feature = self._feature(*names)
+                feature.value = type(feature.value)(asked)
+                if abs(feature.value - asked) > READ_BACK * max(1.0, asked):
+                    raise DeviceError(
+                        f"the {self._who} does not take {names[0]} = {asked:g}: it says {feature.value:g}"
+                    )
+        self._feature(*EXPOSURES)
+
+    def _formats(self) -> list[str]:
+        """The pixel formats that have the rig file's pattern and bits, the simplest first (PFNC, and GigE Vision)."""
+        name = f"{BASES[self._description.pattern]}{self._description.bits}"
+        return [name] if self._description.bits in (8, 16) else [name, f"{name}p", f"{name}Packed"]
+
+    def _has(self, name: str) -> bool:
+        return bool(self._camera.remote_device.node_map.has_node(name))
+
+    def _readable(self, name: str) -> bool:
+        from genicam.genapi import EAccessMode
+
+        mode = getattr(self._camera.remote_device.node_map, name).get_access_mode()
+        return mode in (EAccessMode.RO, EAccessMode.RW)
+
+    def _set(self, name: str, value: Any) -> None:
+        """Set a feature, and read it back."""
+        from genicam.genapi import GenericException
+
+        node = getattr(self._camera.remote_device.node_map, name)
+        try:
+            if node.value != value:
+                node.value = value
+        except GenericException as error:
+            raise DeviceError(f"the {self._who} does not take {name} = {value}: {error}") from None
+        if node.value != value:
+            raise DeviceError(f"the {self._who} does not take {name} = {value}: it stays at {node.value}")
+
+    def _feature(self, *names: str) -> Any:
+        """The first of these that the camera has, to be set."""
+        from genicam.genapi import EAccessMode
+
+        for name in names:
+            if self._has(name):
+                node = getattr(self._camera.remote_device.node_map, name)
+                if node.get_access_mode() == EAccessMode.RW:
+                    return node
+        raise DeviceError(f"the {self._who} has no feature {' or '.join(names)} that can be set")
+
+
+def row_bytes(name: str, width: int) -> int:
+    """Bytes of a line of `width` pixels in a pixel format.
+
+    Raises
+    ------
+    ConfigError
+        The line would end within a byte.
+    """
+    bits = _bits(name)
+    if name.endswith("Packed"):
+        bits = 12  # two pixels in three bytes, whatever they have
+    elif not name.endswith("p"):
+        bits = 8 if bits == 8 else 16
+    if width * bits % 8:
+        raise ConfigError(f"camera.width = {width}: a line of {name} ends within a byte; take a multiple of 4 pixels")
+    return width * bits // 8
+
+
+def unpack(lines: npt.NDArray[np.uint8], name: str, width: int) -> npt.NDArray[np.uint16]:
+    """Values of pixels from the bytes of lines, shape (height, bytes), in a pixel format: shape (height, width) [DN].
+
+    "Mono12p" has its pixels' bits one after the other, lowest first (PFNC 2.0); "Mono12Packed" and "Mono10Packed" have
+    the high bits of two pixels around a byte with their low bits (GigE Vision 1.2).
+    """
+    bits, height = _bits(name), lines.shape[0]
+    if name.endswith("Packed"):
+        low = bits - 8
+        first, both, second = (lines[:, k::3].astype(np.uint16) for k in range(3))
+        mask = (1 << low) - 1
+        pairs = np.stack([first << low | both & mask, second << low | both >> 4 & mask], axis=-1)
+        return pairs.reshape(height, width)
+    if name.endswith("p"):
+        ones = np.unpackbits(np.ascontiguousarray(lines), axis=1, bitorder="little").reshape(height, width, bits)
+        values: npt.NDArray[np.uint16] = (ones.astype(np.uint16) << np.arange(bits, dtype=np.uint16)).sum(
+            axis=-1, dtype=np.uint16
+        )
+        return values
+    if bits == 8:
+        return lines.astype(np.uint16)
+    return np.ascontiguousarray(lines).view("<u2").astype(np.uint16)
+
+
+def _bits(name: str) -> int:
+    return int("".join(c for c in name if c.isdigit()))
+
+
+def genicam(description: RigDescription, table: dict[str, Any]) -> GenICamCamera:
+    """The entry point `genicam` of the group `gonio.cameras`."""
+    return GenICamCamera(description, parse(Settings, table, "[devices.camera]"))

@@ -1,0 +1,404 @@
+"""The axes of a goniometer, turned by motorised stages whose controllers plan the motion themselves.
+
+Policy, for the stages of all drivers. Nothing turns when the rig is opened, unless the rig file lets a stage look for
+its home. Every axis arrives from below, so that backlash lies on one side, and never beyond a limit. A move ends when
+every axis stands still within the tolerance; what does not land stops every axis. The readback is what is returned,
+never the goal.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import statistics
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from types import TracebackType
+from typing import NoReturn, Self
+
+from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError
+from gonio.rig import Health, Pose, Reading, Target
+from gonio.rig.description import RigDescription
+from gonio_drivers import settings, stages
+from gonio_drivers.stages import Joint
+
+log = logging.getLogger("gonio.devices")
+
+AXES = tuple(field.name for field in fields(Pose))
+ROUNDING_DEG = 1e-6
+STILL_DEG = 0.01
+"""Readings this close, or two steps of the encoder, are the same place."""
+FAR_DEG = 2.0
+"""An axis that is this far from where it landed was not just pushed a little."""
+LOOKS = 5
+"""Readings that tell where an axis stands."""
+POLL_S = 0.01
+IDLE_S = 0.5
+"""A stage that has not started by then has not heard."""
+STALL_S = 3.0
+"""A stage that says that it moves, and does not turn for this long, is stuck."""
+TRIES = 3
+SLOWEST = 3.0
+"""A way may take this many times what the speed of the rig file needs."""
+SPARE_S = 10.0
+HOMING_S = 180.0
+"""A turn at 2 deg/s: stages look for their home at a speed of their own."""
+
+
+@dataclass(slots=True)
+class Way:
+    """How far an axis has come on its way."""
+
+    goal_deg: float
+    since_s: float
+    """When it last moved, or said so."""
+    turned_s: float
+    """When it was last seen at another place."""
+    at_deg: float = math.nan
+    tries: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """Positions of the axes and when they were read, in seconds of `time.monotonic`."""
+
+    pose: Pose
+    time_s: float
+    angles_deg: Mapping[str, float] = field(default_factory=dict)
+
+
+class StageArms:
+    """All axes of a rig, as an `ArmsDevice`.
+
+    Parameters
+    ----------
+    description
+        The rig: limits, zero offsets, speeds, the way of approach.
+    table
+        Which stage turns which axis.
+
+    Raises
+    ------
+    ConfigError
+        Stages and axes do not belong together, or a key of a stage is wrong.
+    """
+
+    def __init__(self, description: RigDescription, table: settings.Stages) -> None:
+        settings.check_stages(table, description)
+        self._settings = table
+        self._approach_deg = description.acquisition.approach_deg
+        limits = description.limits_deg()
+        self._all: dict[str, Joint] = {}
+        for name, axis in description.axes().items():
+            stage = stages.build(table.driver, table.axes[name], f"devices.stages.axes.{name}")  # type: ignore[index]
+            offset = axis.zero_offset_deg if axis.zero_offset_known else 0.0
+            still = max(STILL_DEG, 2 * axis.encoder_step_deg)
+            self._all[name] = Joint(name, stage, limits[name], axis.speed_deg_per_s, offset, still)
+        self.joints: dict[str, Joint] = {}
+        """The axes that are open."""
+        self.last: Where | None = None
+        self.faulted = False
+        """An axis has failed: nothing moves any more until the rig is opened again."""
+        self.stopped = False
+        """Somebody has called `stop` since the last move."""
+        self.partial = False
+        """Open those axes whose stages answer and are well; without it, all or none."""
+        self.holds = True
+        """A stage holds by its gear and its motor, whether its port is open or not."""
+        self.as_found = False
+        """Leave stages as they were found: these hold in any case."""
+        self.allowed: Callable[[], None] = lambda: None
+        """Called before and during every motion; raises where nothing may move."""
+        self.absent: dict[str, DeviceError] = {}
+        """Axes that could not be opened (`partial`), and why; they are missing from `joints`."""
+        self._warned: set[str] = set()
+        self._stack = contextlib.ExitStack()
+
+    # ---- opening and leaving ----
+
+    def __enter__(self) -> Self:
+        self.faulted = False
+        self.absent, self.joints = {}, {}
+        with contextlib.ExitStack() as stack:
+            for name, joint in self._all.items():
+                try:
+                    with contextlib.ExitStack() as one:
+                        one.enter_context(joint.stage)
+                        self._prepare(joint)
+                        stack.push(one.pop_all())
+                    self.joints[name] = joint
+                except DeviceError as failure:
+                    if not self.partial:
+                        raise
+                    self.absent[name] = failure
+            if not self.joints:
+                raise DeviceError("no stage of the rig file can be used: " + "; ".join(map(str, self.absent.values())))
+            self._readback()
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
+        self.joints = {}
+
+    def _prepare(self, joint: Joint) -> None:
+        """See that a stage is well and stands still, give it its speed, and let it find its home where it may."""
+        joint.stood_at = None
+        said = joint.state()
+        if said.moving:
+            raise DeviceError(f"axis {joint.name}: {joint.stage} is turning already; end what moves it, then try again")
+        if not said.homed and joint.stage.axis.home == "on-opening":
+            self._home(joint)
+            said = joint.state()
+        joint.require_home(said)
+        joint.stage.prepare(joint.speed_deg_per_s, self._settings.acceleration_deg_per_s2)
+
+    def _home(self, joint: Joint) -> None:
+        log.warning("axis %s looks for its home", joint.name)
+        begun = time.monotonic()
+        idle = begun
+        try:
+            joint.stage.home()
+            while not (said := joint.state()).homed or said.moving:
+                now = time.monotonic()
+                idle = now if said.moving else idle
+                if now - idle > STALL_S or now - begun > HOMING_S:
+                    raise DeviceError(f"axis {joint.name}: {joint.stage} does not find its home")
+                time.sleep(POLL_S)
+        except BaseException:
+            self._halt(joint)
+            raise
+
+    # ---- ArmsDevice ----
+
+    def move(self, goal: Pose) -> Pose:
+        """Drive every axis to `goal`, from below, wait until all have landed; the readback [rad].
+
+        Raises
+        ------
+        ConfigError
+            A goal is beyond a limit, or the rig has no such axis; nothing has moved.
+        DeviceError
+            An axis does not land, or a stage is unwell; every axis has been stopped.
+        """
+        self._require_all()
+        return self._move(self._checked(goal))
+
+    def jog(self, goals: Mapping[str, float]) -> dict[str, float]:
+        """Drive some axes [rad], and leave the others where they are; the readback of those [rad]; errors of `move`."""
+        for name in goals:
+            if name in self.absent:
+                raise DeviceError(f"axis {name} cannot be moved: {self.absent[name]}")
+            if name not in self._all:
+                raise ConfigError(f"the rig has no axis {name}; it has {', '.join(self._all)}")
+        landed = self._move(self._checked(Pose(**goals), tuple(goals)))
+        return {name: float(getattr(landed, name)) for name in goals}
+
+    def read(self) -> Pose:
+        """The readback, now [rad]; `last` keeps it with its time."""
+        self._require_all()
+        return self._readback().pose
+
+    def stop(self) -> None:
+        """Stop every axis where it is. Never raises."""
+        self.stopped = True
+        for joint in self.joints.values():
+            joint.stood_at = None
+            self._halt(joint)
+
+    def park(self) -> None:
+        """Drive every axis that is there to its rest position.
+
+        Raises
+        ------
+        DeviceError
+            As of `move`; or axes are absent, and the others have been parked.
+        """
+        goals = dict.fromkeys(self._all, 0.0)
+        goals |= {"light": self._all["light"].limits_deg[0], "camera": self._all["camera"].limits_deg[1]}
+        goals |= {n: j.stage.axis.park_deg for n, j in self._all.items() if j.stage.axis.park_deg is not None}
+        self._move({name: angle for name, angle in goals.items() if name in self.joints}, parking=True)
+        if self.absent:
+            parked = ", ".join(name for name in goals if name in self.joints)
+            why = "; ".join(f"{name}: {failure}" for name, failure in self.absent.items())
+            raise DeviceError(f"parked: {parked}; not parked, and where it stands is not known: {why}")
+
+    def change(self, target: Target) -> None:
+        """Refused: no stage changes the sample."""
+        raise ConfigError('reference.how = "axis" needs a changer, which devices.stages does not have')
+
+    def still(self) -> None:
+        """Raise where an axis has left the place where it landed.
+
+        Raises
+        ------
+        Disturbed
+            It was moved by a little; another `move` brings it back.
+        DeviceError
+            It is far from its place, or its stage is unwell or was switched off; every axis has been stopped.
+        """
+        disturbed = ""
+        for name, joint in self.joints.items():
+            try:
+                here = joint.angle_deg()
+            except DeviceError as failure:
+                self._fail(str(failure))
+            if joint.stood_at is None or abs(here - joint.stood_at) <= joint.still_deg:
+                continue
+            disturbed = f"axis {name} has moved by itself, from {joint.stood_at:.3f} to {here:.3f} deg"
+            if abs(here - joint.stood_at) > FAR_DEG:
+                self._fail(f"{disturbed}; all axes are stopped")
+            joint.stood_at = None
+        if disturbed:
+            raise Disturbed(disturbed)
+
+    # ---- what they say of themselves ----
+
+    def health(self) -> Health:
+        """Angles and states of the axes that are open; `DeviceError` where a stage does not answer."""
+        found: list[Reading] = []
+        for joint in self.joints.values():
+            found += stages.readings(joint, joint.stage.state())
+        return Health(tuple(found), {name: str(failure) for name, failure in self.absent.items()})
+
+    def survey(self) -> Health:
+        """The same of stages that nobody has opened, each by itself; nothing turns."""
+        found: list[Reading] = []
+        silent: dict[str, str] = {}
+        for name, joint in self._all.items():
+            try:
+                with joint.stage:
+                    found += stages.readings(joint, joint.stage.state())
+            except GonioError as failure:
+                silent[name] = str(failure)
+        return Health(tuple(found), silent)
+
+    # ---- inside ----
+
+    def _require_all(self) -> None:
+        """Raise where an axis is absent: what it would be said to read, or to do, would not be true."""
+        for name, failure in self.absent.items():
+            raise DeviceError(f"axis {name} is missing: {failure}")
+        if not self.joints:
+            raise DeviceError("the arms are not open: enter the rig first")
+
+    def _checked(self, goal: Pose, names: Sequence[str] = AXES) -> dict[str, float]:
+        """Goals [deg] by axis, or `ConfigError`."""
+        out = {}
+        for name in names:
+            angle = math.degrees(getattr(goal, name))
+            if not math.isfinite(angle):
+                raise ConfigError(f"{name} = {angle}: a goal must be a finite angle")
+            if name not in self._all:
+                if abs(angle) > ROUNDING_DEG:
+                    raise ConfigError(
+                        f"{name} = {angle:g} deg: the rig has no such axis; it has {', '.join(self._all)}"
+                    )
+                continue
+            lower, upper = self._all[name].limits_deg
+            if not lower - ROUNDING_DEG <= angle <= upper + ROUNDING_DEG:
+                raise ConfigError(f"{name} = {angle:g} deg is outside this axis's limits, {lower:g} to {upper:g} deg")
+            out[name] = min(max(angle, lower), upper)
+        return out
+
+    def _move(self, goals: Mapping[str, float], *, parking: bool = False) -> Pose:
+        if self.faulted:
+            raise DeviceError("the arms have been stopped after a failure; open the rig again")
+        self.stopped = False
+        try:
+            self.allowed()
+            below = {}
+            for name, goal in goals.items():
+                joint = self.joints[name]
+                joint.stood_at = None
+                start = max(goal - self._approach_deg, joint.limits_deg[0])  # a limit is not crossed on the way either
+                if start > goal - self._approach_deg + ROUNDING_DEG and name not in self._warned and not parking:
+                    self._warned.add(name)
+                    log.warning(
+                        "axis %s: there are no %g deg below %g deg inside its limits to arrive from; the play of its "
+                        "gear may lie on the other side there", name, self._approach_deg, goal,
+                    )  # fmt: skip
+                if joint.angle_deg() > start + joint.still_deg:
+                    below[name] = start
+            tolerance = self._settings.tolerance_deg
+            self._arrive(below, max(tolerance, self._approach_deg / 2))
+            self._arrive(goals, tolerance)
+            for name in goals:
+                joint = self.joints[name]
+                joint.stood_at = statistics.fmean(joint.angle_deg() for _ in range(LOOKS))
+            return self._readback().pose
+        except DeviceError:
+            self.stop()
+            self.faulted = True
+            raise
+        except BaseException:
+            self.stop()
+            raise
+
+    def _arrive(self, goals: Mapping[str, float], within_deg: float) -> None:
+        """Drive axes to goals [deg], all at once; return when each stands still within a distance of its goal."""
+        begun = time.monotonic()
+        ways = {name: Way(goal, begun, begun) for name, goal in goals.items()}
+        longest = 0.0
+        for name, goal in goals.items():
+            joint = self.joints[name]
+            longest = max(longest, abs(goal - joint.angle_deg()) / joint.speed_deg_per_s)
+            joint.stage.go(joint.to_readout(goal))
+        while ways:
+            self.allowed()
+            for name, way in list(ways.items()):
+                if self._landed(self.joints[name], way, within_deg):
+                    del ways[name]
+            if ways and time.monotonic() - begun > SLOWEST * longest + SPARE_S:
+                raise DeviceError(f"axis {next(iter(ways))} does not come to rest; all axes are stopped")
+            if ways:
+                time.sleep(POLL_S)
+
+    def _landed(self, joint: Joint, way: Way, within_deg: float) -> bool:
+        said = joint.state()
+        joint.require_home(said)
+        here, now = joint.to_deg(said.position_deg), time.monotonic()
+        if not abs(here - way.at_deg) <= joint.still_deg:
+            way.at_deg, way.turned_s, way.since_s = here, now, now
+        if said.moving:
+            way.since_s = now
+            if now - way.turned_s > STALL_S:
+                raise DeviceError(f"axis {joint.name} is stuck at {here:.2f} deg, on its way to {way.goal_deg:g} deg")
+            return False
+        if abs(here - way.goal_deg) <= within_deg:
+            return now - way.since_s >= self._settings.settle_s
+        if now - way.since_s < max(IDLE_S, self._settings.settle_s):
+            return False
+        if way.tries == TRIES:
+            raise DeviceError(
+                f"axis {joint.name} stands at {here:.2f} deg, {here - way.goal_deg:+.2f} deg from its goal, and does "
+                f"not go on ({joint.stage}); is something in its way?"
+            )
+        way.tries += 1
+        way.since_s = way.turned_s = now
+        log.warning("axis %s rests %+.2f deg from its goal; it is sent again", joint.name, here - way.goal_deg)
+        joint.stage.go(joint.to_readout(way.goal_deg))
+        return False
+
+    def _readback(self) -> Where:
+        before = time.monotonic()
+        angles = {name: joint.angle_deg() for name, joint in self.joints.items()}
+        pose = Pose(**{name: math.radians(angle) for name, angle in angles.items()})
+        self.last = Where(pose, (before + time.monotonic()) / 2, angles)
+        return self.last
+
+    @staticmethod
+    def _halt(joint: Joint) -> None:
+        try:
+            joint.stage.stop()
+        except GonioError as failure:
+            log.error("stopping %s: %s", joint.name, failure)
+
+    def _fail(self, message: str) -> NoReturn:
+        self.stop()
+        self.faulted = True
+        raise DeviceError(message)

@@ -1,0 +1,140 @@
+"""Motorised stages by name: entry points of the group `gonio.stages`, ours and a stranger's alike.
+
+An entry point names a callable `(table, key) -> stage`: the table of one axis in the rig file, and its name for
+messages. What it returns speaks for one axis, in degrees of the stage's own readout; it touches no device before it is
+entered. docs/writing_a_driver.md shows one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+from gonio import plugins
+from gonio.errors import DeviceError
+from gonio.rig import Reading
+from gonio_drivers import settings
+
+
+@dataclass(frozen=True, slots=True)
+class StageState:
+    """What a stage says of itself."""
+
+    position_deg: float
+    """In the stage's own readout, counted from its home."""
+    moving: bool
+    homed: bool
+    """Its readout means something: it has found its home since it was switched on."""
+    fault: str = ""
+    """What it complains of, in words; "" where it is well."""
+
+
+class Stage(Protocol):
+    """One motorised axis, as the context in which it is open. Every method raises `DeviceError` where it fails.
+
+    Angles are those of the stage's readout [deg]. A driver may have an attribute `absolute = True`: it needs no home.
+    """
+
+    @property
+    def axis(self) -> settings.StageAxis:
+        """Its table of the rig file."""
+
+    def __enter__(self) -> Self:
+        """Open the line and see who is there; nothing turns."""
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+    def prepare(self, speed_deg_per_s: float, acceleration_deg_per_s2: float) -> None:
+        """Set the motion's profile, and see that the stage has taken it; nothing turns."""
+
+    def state(self) -> StageState:
+        """What it says now; an answer to an earlier question is not good enough."""
+
+    def go(self, position_deg: float) -> None:
+        """Start a move to a readout, and return at once."""
+
+    def home(self) -> None:
+        """Start the search for home, and return at once."""
+
+    def stop(self) -> None:
+        """Come to rest at once, whatever it is doing."""
+
+
+def build(driver: str, table: dict[str, Any], key: str) -> Stage:
+    """The stage that a table of the rig file describes; `key` is its name, for messages.
+
+    Raises
+    ------
+    ConfigError
+        There is no such driver, or one of its keys is wrong.
+    """
+    stage: Stage = plugins.load("gonio.stages", driver)(table, key)
+    return stage
+
+
+@dataclass(slots=True)
+class Joint:
+    """An axis of the rig and its stage: angles, and what the stage's readout is there."""
+
+    name: str
+    stage: Stage
+    limits_deg: tuple[float, float]
+    speed_deg_per_s: float
+    offset_deg: float
+    """What the encoder reads at the true zero, as far as it is known."""
+    still_deg: float
+    stood_at: float | None = None
+    """Where it landed [deg]; None where nobody knows."""
+
+    @property
+    def key(self) -> str:
+        """The table of the rig file that describes it."""
+        return f"devices.stages.axes.{self.name}"
+
+    def to_deg(self, readout_deg: float) -> float:
+        """Angle of the axis, with the zero offset taken out."""
+        return (readout_deg - self.stage.axis.zero_deg) * self.stage.axis.direction - self.offset_deg
+
+    def to_readout(self, angle_deg: float) -> float:
+        """What the stage shows at an angle of the axis."""
+        return self.stage.axis.zero_deg + (angle_deg + self.offset_deg) * self.stage.axis.direction
+
+    def state(self) -> StageState:
+        """What the stage says, where it is well; `DeviceError` where it is not."""
+        said = self.stage.state()
+        if said.fault:
+            raise DeviceError(f"axis {self.name}: {self.stage} reports: {said.fault}; remove the cause")
+        if not math.isfinite(said.position_deg):
+            raise DeviceError(f"axis {self.name}: {self.stage} reads {said.position_deg}")
+        return said
+
+    def angle_deg(self) -> float:
+        """Where it stands."""
+        said = self.state()
+        self.require_home(said)
+        return self.to_deg(said.position_deg)
+
+    def require_home(self, said: StageState) -> None:
+        """Raise `DeviceError` where the stage's readout means nothing."""
+        if not said.homed and not getattr(self.stage, "absolute", False):
+            raise DeviceError(
+                f"axis {self.name}: {self.stage} has not found its home since it was switched on, so that its readout "
+                f'means nothing; clear its whole way and set {self.key}.home = "on-opening", or home it by the program '
+                "of its maker"
+            )
+
+
+def readings(joint: Joint, said: StageState) -> list[Reading]:
+    """An angle only where the readout means one."""
+    name, known = joint.name, said.homed or getattr(joint.stage, "absolute", False)
+    angle = [Reading(name, "angle", joint.to_deg(said.position_deg), "deg", joint.limits_deg)] if known else []
+    return [
+        *angle,
+        Reading(name, "motion", "moves" if said.moving else "still"),
+        Reading(name, "home", "found" if known else "not found since it was switched on"),
+        Reading(name, "error", said.fault or "none"),
+    ]

@@ -1,0 +1,341 @@
+"""Axes of Thorlabs stages: the unmodified pylablib over the twin, faults in the middle of moves, messages."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from gonio_drivers import stage_arms
+from gonio_drivers.lab import LAB, LabRig
+from gonio_drivers.stage_arms import StageArms
+from gonio_sim.wire.kinesis import COUNTS_PER_DEG
+from gonio_sim.wire.twins import Twins, rig_file
+
+from gonio.config import parse
+from gonio.errors import ConfigError, DeviceError, Disturbed
+from gonio.rig import Pose
+from gonio.rig.description import RigDescription, SampleDescription
+from tests.command_line import gonio as run
+
+pytest.importorskip("pylablib", reason="pylablib is not installed (the extra thorlabs)")
+
+SCALE = 50.0
+SAMPLE = SampleDescription(name="matt", model="lambert", parameters={"albedo": 0.5})
+PORT = "/dev/ttyUSB0"
+STEP_DEG = 1 / COUNTS_PER_DEG
+TOLERANCE_DEG = 0.05
+"""Of a landing, as the rig file has it by default."""
+
+
+def on_stages(**changes: dict[str, Any]) -> RigDescription:
+    """The shipped rig with a K10CR1 on each axis, and a small sensor; the camera's stage is built in the other way
+    round."""
+    tables = tomllib.loads(LAB.toml)
+    tables["camera"] |= {"width": 64, "height": 48}
+    tables["reference"] |= {"frames": 3, "how": "swap"}
+    tables["acquisition"] |= {"dark_frames": 2}
+    for table in (tables["arms"]["light"], tables["arms"]["camera"], tables["holder"]):
+        table |= {"encoder_step_deg": STEP_DEG}
+    devices = tables["devices"]
+    devices["camera"]["timeout_s"] = 60.0
+    del devices["servos"]
+    axes: dict[str, dict[str, Any]] = {
+        name: {"port": f"{PORT}{k}", "serial": 55000001 + k} for k, name in enumerate(AXES)
+    }
+    axes["camera"] |= {"direction": -1, "zero_deg": 180.0}
+    devices["stages"] = {"driver": "thorlabs", "axes": axes}
+    for name, table in changes.items():
+        tables[name] |= table
+    return parse(RigDescription, tables, "stages.toml")
+
+
+AXES = ("light", "camera", "tilt", "spin")
+
+
+@pytest.fixture
+def twins(tmp_path: Path) -> Iterator[Twins]:
+    with Twins(on_stages(), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
+        yield served
+
+
+def rig_of(twins: Twins, **axes: dict[str, Any]) -> LabRig:
+    """The rig on these twins, with keys of some axes changed."""
+    description = twins.description
+    devices = {name: dict(table) for name, table in description.devices.items()}
+    for name, keys in axes.items():
+        devices["stages"]["axes"][name] = devices["stages"]["axes"][name] | keys
+    return LAB.open(description.model_copy(update={"devices": devices}), sample=None, seed=0, confirm=False)
+
+
+def arms_of(twins: Twins, **axes: dict[str, Any]) -> StageArms:
+    arms = rig_of(twins, **axes).arms
+    assert isinstance(arms, StageArms)
+    return arms
+
+
+def angle(twins: Twins, name: str) -> float:
+    """Where the stage's shaft stands, as an angle of the axis [deg]."""
+    return math.degrees(twins.followers[name].encoder())
+
+
+def pose(**degrees: float) -> Pose:
+    return Pose(**{name: math.radians(value) for name, value in degrees.items()})
+
+
+def when(happens: Callable[[], bool], do: Callable[[], None]) -> threading.Thread:
+    """Do something as soon as something has happened."""
+
+    def watch() -> None:
+        end = time.monotonic() + 20
+        while not happens() and time.monotonic() < end:
+            time.sleep(0.001)
+        do()
+
+    thread = threading.Thread(target=watch)
+    thread.start()
+    return thread
+
+
+def test_opening_and_leaving_turn_nothing(twins: Twins) -> None:
+    before = {name: stage.shaft() for name, stage in twins.stages.items()}
+    with arms_of(twins) as arms:
+        read = arms.read()
+    assert {name: stage.shaft() for name, stage in twins.stages.items()} == before
+    for name in AXES:
+        assert math.degrees(getattr(read, name)) == pytest.approx(angle(twins, name), abs=STEP_DEG)
+
+
+def test_the_profile_is_the_rig_file_s_and_backlash_is_not_the_controller_s(twins: Twins) -> None:
+    with arms_of(twins):
+        for stage in twins.stages.values():
+            assert stage._speed / COUNTS_PER_DEG == pytest.approx(30.0, rel=0.01)  # units of the APT protocol
+            assert stage._acceleration / COUNTS_PER_DEG == pytest.approx(20.0, rel=0.01)
+            assert stage._backlash == 0
+
+
+def test_every_axis_arrives_from_below_and_the_readback_is_returned(twins: Twins) -> None:
+    lowest: dict[str, float] = {name: math.inf for name in AXES}
+
+    def watch() -> None:
+        for name in AXES:
+            lowest[name] = min(lowest[name], angle(twins, name))
+
+    with arms_of(twins) as arms:
+        arms.move(pose(light=10, camera=20, tilt=5, spin=5))
+        for stage in twins.stages.values():
+            stage.leaving = watch
+        landed = arms.move(pose(light=-30, camera=-10, tilt=0, spin=-5))
+    for name, goal in {"light": -30, "camera": -10, "tilt": 0, "spin": -5}.items():
+        assert lowest[name] == pytest.approx(goal - 1.0, abs=TOLERANCE_DEG + 0.5)  # the approach ends within its half
+        assert lowest[name] < goal
+        assert math.degrees(getattr(landed, name)) == pytest.approx(goal, abs=TOLERANCE_DEG)
+
+
+def test_a_limit_is_not_crossed_on_the_way_to_it(twins: Twins, caplog: pytest.LogCaptureFixture) -> None:
+    lowest = math.inf
+
+    def watch() -> None:
+        nonlocal lowest
+        lowest = min(lowest, angle(twins, "light"))
+
+    with arms_of(twins) as arms:
+        twins.stages["light"].leaving = watch
+        arms.park()
+        assert caplog.messages == []
+        arms.jog({"light": math.radians(-60)})
+        arms.jog({"light": math.radians(-88)})
+    assert lowest >= -88 - STEP_DEG
+    assert any("axis light: there are no 1 deg below -88 deg inside its limits" in text for text in caplog.messages)
+
+
+@pytest.mark.parametrize("homed", [True, False])
+def test_a_stage_without_home_is_refused_unless_it_may_look_for_it(twins: Twins, homed: bool) -> None:
+    stage = twins.stages["tilt"]
+    stage.restart()
+    if homed:
+        with arms_of(twins, tilt={"home": "on-opening"}) as arms:
+            assert math.degrees(arms.read().tilt) == pytest.approx(0.0, abs=TOLERANCE_DEG)
+            assert stage.homed
+        return
+    with pytest.raises(
+        DeviceError, match=r'axis tilt: .* has not found its home .* devices.stages.axes.tilt.home = "on-'
+    ):
+        arms_of(twins).__enter__()
+    assert stage.shaft() == pytest.approx(1.0 * COUNTS_PER_DEG)
+
+
+def test_a_stage_that_does_not_turn_stops_all_axes(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stage_arms, "IDLE_S", 0.05)
+    with arms_of(twins) as arms:
+        twins.stages["camera"].stalled = True
+        with pytest.raises(DeviceError, match=r"axis camera stands at 40.00 deg, \+\d\d.\d\d deg from its goal"):
+            arms.move(pose(light=0, camera=10))
+        assert not any(stage.moves() for stage in twins.stages.values())
+        with pytest.raises(DeviceError, match="open the rig again"):
+            arms.move(pose())
+
+
+def test_a_command_that_was_lost_is_given_again(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stage_arms, "IDLE_S", 0.05)
+    stage = twins.stages["light"]
+    turn = stage._turn
+    lost: list[float] = []
+
+    def once(goal: float, ending: int) -> None:
+        if lost:
+            turn(goal, ending)
+        else:
+            lost.append(goal)
+
+    monkeypatch.setattr(stage, "_turn", once)
+    with arms_of(twins) as arms:
+        assert math.degrees(arms.move(pose(light=-20, camera=45)).light) == pytest.approx(-20, abs=TOLERANCE_DEG)
+    assert lost
+
+
+def test_a_stage_that_was_switched_off_in_mid_move_is_not_believed(twins: Twins) -> None:
+    """Its counter begins at 0 where it stands: the angle that it reads is not where it is."""
+    stage = twins.stages["light"]
+    with arms_of(twins) as arms:
+        thread = when(lambda: stage.moves() and angle(twins, "light") > -30, stage.restart)
+        with pytest.raises(DeviceError, match=r"axis light: .* has not found its home"):
+            arms.move(pose(light=60, camera=45))
+        thread.join()
+        assert not any(twin.moves() for twin in twins.stages.values())
+
+
+@pytest.mark.parametrize("bit", [1 << 14, 1 << 17])
+def test_a_fault_of_the_controller_stops_all_axes(twins: Twins, bit: int) -> None:
+    stage = twins.stages["spin"]
+    with arms_of(twins) as arms:
+        thread = when(stage.moves, lambda: setattr(stage, "faults", bit))
+        with pytest.raises(
+            DeviceError, match=r"axis spin: Thorlabs K10CR1 55000004 on .* reports: (its motor does|too hot)"
+        ):
+            arms.move(pose(light=-20, camera=45, spin=90))
+        thread.join()
+        assert not any(twin.moves() for twin in twins.stages.values())
+
+
+def test_damaged_answers_are_asked_for_again(twins: Twins) -> None:
+    with arms_of(twins) as arms:
+        for stage in twins.stages.values():
+            stage.damaged = 1
+        landed = arms.move(pose(light=-20, camera=45))
+    assert math.degrees(landed.light) == pytest.approx(-20, abs=TOLERANCE_DEG)
+    assert math.degrees(landed.camera) == pytest.approx(45, abs=TOLERANCE_DEG)
+
+
+def test_an_axis_that_was_pushed_disturbs_the_frame(twins: Twins) -> None:
+    with arms_of(twins) as arms:
+        arms.move(pose(light=-20, camera=45))
+        arms.still()
+        twins.stages["light"].push(0.5 * COUNTS_PER_DEG)
+        with pytest.raises(Disturbed, match=r"axis light has moved by itself, from -20.000 to -19.500 deg"):
+            arms.still()
+        arms.move(pose(light=-20, camera=45))
+        arms.still()
+        twins.stages["camera"].push(3 * COUNTS_PER_DEG)
+        with pytest.raises(DeviceError, match=r"axis camera has moved by itself, .*; all axes are stopped"):
+            arms.still()
+
+
+def test_an_interrupted_move_stops_every_axis(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
+    with arms_of(twins) as arms:
+        monkeypatch.setattr(time, "sleep", lambda seconds: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            arms.move(pose(light=60, camera=-45))
+        monkeypatch.undo()
+        where = {name: stage.shaft() for name, stage in twins.stages.items()}
+        assert not any(stage.moves() for stage in twins.stages.values())
+        assert {name: stage.shaft() for name, stage in twins.stages.items()} == where
+        arms.move(pose())  # it was nobody's fault
+
+
+def test_another_controller_at_the_port_is_named(twins: Twins) -> None:
+    with pytest.raises(DeviceError, match=r"axes.light.serial = 55000009, but the controller on .* is 55000001"):
+        arms_of(twins, light={"serial": 55000009}).__enter__()
+
+
+@pytest.mark.parametrize(
+    ("keys", "error", "message"),
+    [
+        (
+            {"port": "/dev/no-such"},
+            DeviceError,
+            r'devices.stages.axes.light.port = "/dev/no-such": there is no such port',
+        ),
+        ({"sereal": 1}, ConfigError, 'unknown key sereal; did you mean "serial"'),
+        ({"home": "always"}, ConfigError, "home = 'always'"),
+        ({"stage": "K10CR1", "counts_per_deg": 3.0}, ConfigError, "give stage or counts_per_deg, and not both"),
+        ({"stage": "Z825"}, DeviceError, 'how many steps the stage "Z825" has for a degree; give counts_per_deg'),
+    ],
+)
+def test_wrong_keys_are_named(twins: Twins, keys: dict[str, Any], error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        arms_of(twins, light=keys).__enter__()
+
+
+def test_a_rig_has_servos_or_stages() -> None:
+    both = on_stages()
+    devices = both.devices | {"servos": tomllib.loads(LAB.toml)["devices"]["servos"]}
+    for wrong in (devices, {k: v for k, v in both.devices.items() if k != "stages"}):
+        with pytest.raises(ConfigError, match=r"give one of the tables devices.servos and devices.stages"):
+            LAB.open(both.model_copy(update={"devices": wrong}), sample=None, seed=0, confirm=False)
+    with pytest.raises(ConfigError, match=r'reference.how = "axis" needs a changer'):
+        LAB.open(on_stages(reference={"how": "axis"}), sample=None, seed=0, confirm=False)
+    twice = both.devices | {"stages": {"driver": "thorlabs", "axes": {name: {"port": PORT} for name in AXES}}}
+    with pytest.raises(ConfigError, match=r"stages.axes.light.port and stages.axes.camera.port are the same port"):
+        LAB.open(both.model_copy(update={"devices": twice}), sample=None, seed=0, confirm=False)
+
+
+# ---- by hand, through the command line ----
+
+
+def written(twins: Twins, tmp_path: Path) -> Path:
+    path = tmp_path / "my.toml"
+    path.write_text(rig_file(twins.description))
+    return path
+
+
+def test_read_move_and_park_by_hand_with_one_stage_mute(
+    twins: Twins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from pylablib.devices.Thorlabs.kinesis import KinesisDevice
+
+    monkeypatch.setattr(KinesisDevice.__init__, "__defaults__", (0.3, 1, False))  # pylablib waits for 3 s
+    rig = written(twins, tmp_path)
+    twins.stages["tilt"].mute = True
+    done = run(tmp_path, "rig", "read", "--rig", str(rig), "--json")
+    assert '"spin"' in done.stdout
+    assert "tilt" in done.stdout + done.stderr
+    done = run(tmp_path, "rig", "move", "light=-10", "--rig", str(rig))
+    assert done.returncode == 0, done.stderr
+    assert angle(twins, "light") == pytest.approx(-10, abs=TOLERANCE_DEG)
+    done = run(tmp_path, "rig", "park", "--rig", str(rig))
+    assert done.returncode == 3
+    assert angle(twins, "light") == pytest.approx(-88, abs=TOLERANCE_DEG)
+    assert angle(twins, "camera") == pytest.approx(88, abs=TOLERANCE_DEG)
+    assert "not parked, and where it stands is not known: tilt" in " ".join(done.stderr.split())
+
+
+def test_stop_never_raises_and_says_what_did_not_answer(
+    twins: Twins, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone(**_: Any) -> None:
+        raise OSError(5, "Input/output error")
+
+    with arms_of(twins) as arms:
+        monkeypatch.setattr(arms.joints["light"].stage._motor, "stop", gone)  # type: ignore[attr-defined]
+        arms.stop()
+        assert arms.stopped
+    assert any(
+        text.startswith("stopping light: devices.stages.axes.light.port") and "went away" in text
+        for text in caplog.messages
+    )
