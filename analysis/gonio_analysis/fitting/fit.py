@@ -305,7 +305,7 @@ def fit(
     if asked.energy:
         if problem.waves:
             raise ConfigError("--energy: the bound holds a fit at one wavelength; leave out --joint")
-        free = fit(data, replace(asked, energy=False), name=name)
+        free = fit(data, replace(asked, energy=False), name=name, say=say)
         problem, start, said = _bounded(problem, free, start)
         notes += said
 

@@ -36,6 +36,8 @@ from gonio_analysis.selection.transmission import Transmitted, transmitted
 
 Measured = tuple[str, str, Any, RunFacts | None]
 """A sample's name, where it comes from, its table, and what its run says."""
+FITTING = ("scipy.optimize", "gonio.models.engine", "gonio.instrument")
+"""What takes long to import, of what fits need."""
 MARKERS = 40_000
 """On one page; each takes about 60 bytes."""
 
@@ -114,9 +116,9 @@ def make(
             for name, (_, source, table, run) in zip(names, found, strict=True)
         ]
         tried = len(candidates(models, ior))
-        with draughtsmen(2 * len(jobs) * tried) as hands:  # they get ready while the models are fitted
+        with draughtsmen(2 * len(jobs) * tried, modules=FITTING) as hands:  # they get ready while models are fitted
             if len(jobs) < parallel.FEW and dask is None:
-                datasets = [job(progress=progress) for job in jobs]
+                datasets = [job(progress=progress, share=hands.share) for job in jobs]
             else:
                 datasets = []
                 for dataset in parallel.each(_examined, jobs, dask=dask):
@@ -201,14 +203,21 @@ def write(
         [*figures.draw(d, facts, most), *detail.draw(d, facts, most), *_other_sides(d, facts)] for d, facts in both
     ]
     groups += [transmission.draw(t, (), slug) for t, slug in zip(apart, page.slugs_apart(summary), strict=True)]
-    every = (hands or Draughtsmen()).draw([drawing for group in groups for drawing in group], progress)
+    wanted = [drawing for group in groups for drawing in group]
+    summary = replace(summary, figures=[FigureSummary(f.name, f.caption, f.alt) for f in wanted])
+    (folder / "tables").mkdir()
+    room = viewer.BYTES // max(len(datasets), 1)
+    views: list[viewer.View | None] = []
+    listed: list[str] = []
+
+    def views_and_tables() -> None:
+        views.extend(viewer.viewer(d, facts, normalise, room) if d.curves else None for d, facts in both)
+        listed.extend(tables.write(datasets, summary, views, folder / "tables"))
+
+    every = (hands or Draughtsmen()).draw(wanted, progress, views_and_tables)
     rest = iter(every)
     drawn = [[next(rest) for _ in group] for group in groups]
-    (folder / "tables").mkdir()
-    listed = [FigureSummary(f.name, f.caption, f.alt) for f in every]
-    room = viewer.BYTES // max(len(datasets), 1)
-    views = [viewer.viewer(d, facts, normalise, room) if d.curves else None for d, facts in both]
-    summary = replace(summary, figures=listed, tables=tables.write(datasets, summary, views, folder / "tables"))
+    summary = replace(summary, tables=listed)
     pages = page.render(summary, drawn, views)
     for name, one in pages.items():
         (folder / name).write_text(html.document(one), encoding="utf-8")

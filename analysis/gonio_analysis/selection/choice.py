@@ -12,11 +12,12 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from gonio.cli.console import duration
-from gonio.cli.pace import QUIET_S, Pace
+from gonio.cli.pace import QUIET_S, Say, silent
 from gonio.errors import ConfigError, DataError
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
@@ -24,10 +25,11 @@ from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.parameters import Ior, Values
 from gonio_analysis.fitting.problem import FitRequest, pose
-from gonio_analysis.fitting.profile_likelihood import Interval, profiles
+from gonio_analysis.fitting.profile_likelihood import Interval, Profiles, profiles
 from gonio_analysis.fitting.surrogate import Near, Rows
 from gonio_analysis.result_records import CandidateSummary, ChoiceSummary, IntervalSummary, Value, finite
 from gonio_analysis.selection.misfit_regions import Region, blocks, farthest, worst
+from gonio_analysis.selection.parallel import Share, here
 
 SIGNIFICANCE = 0.01
 DECISIVE = 10.0
@@ -196,6 +198,7 @@ def choose(
     name: str = "the table",
     all_of_them: bool = False,
     progress: Callable[[str], None] = lambda text: None,
+    share: Share = here,
 ) -> Choice:
     """Fit every candidate to the values at one wavelength, and say which is the simplest that the data do not reject.
 
@@ -218,6 +221,8 @@ def choose(
         does not reject.
     progress
         Called with a line before each fit.
+    share
+        Who works out held-out errors and intervals.
 
     Raises
     ------
@@ -272,18 +277,15 @@ def choose(
             raise DataError(f"{name}: {words}")
         return Choice([], None, {}, f"{words}.", "", left_out)
     folds, by = blocks(next(iter(fits.values())).data)
-    pace = Pace(f"{name}: errors of values held out, models", len(fits), progress)
-    every = []
-    for k, (c, r) in enumerate(fits.items()):
-        pace.step(k)
-        every.append(_judge(c, r, folds, walls[c]))
-    judged = _reject(every)
-    named, intervals, lower = _walked(judged)
+    told = f"{name}: errors of values held out, models"
+    tested = share([partial(_tested, r, folds) for r in fits.values()], told, progress)
+    judged = _reject([_judged(c, r, t, walls[c]) for (c, r), t in zip(fits.items(), tested, strict=True)])
+    named, intervals, lower = _walked(judged, share)
     if lower:  # valleys met while walking: begin again from there
         again = {j.candidate: fitted(j.candidate, [j.fit.problem.values(vector)]) for j, vector in lower}
-        better = {c: _judge(c, result, folds, walls[c]) for c, result in again.items()}
+        better = {c: _judged(c, r, _tested(r, folds), walls[c]) for c, r in again.items()}
         judged = _reject([better.get(j.candidate, j) for j in judged])
-        named, intervals, _ = _walked(judged)
+        named, intervals, _ = _walked(judged, share)
     return Choice(judged, named, intervals, _words(judged, named), by, left_out)
 
 
@@ -303,7 +305,9 @@ def _beyond_the_directions(candidate: Candidate, data: Observations) -> str:
     return ""
 
 
-def _walked(judged: Sequence[Judged]) -> tuple[Judged | None, dict[str, Interval], list[tuple[Judged, Floats]]]:
+def _walked(
+    judged: Sequence[Judged], share: Share
+) -> tuple[Judged | None, dict[str, Interval], list[tuple[Judged, Floats]]]:
     """The simplest model that is not rejected, its parameters' intervals, and the lower valleys that were met.
 
     Where n was fitted with k = 0 and n + ik describes the data too, intervals hold for either: a level and an index
@@ -312,10 +316,9 @@ def _walked(judged: Sequence[Judged]) -> tuple[Judged | None, dict[str, Interval
     named = next((j for j in judged if not j.rejected), None)
     if named is None or len(named.fit.data) > MANY:
         return named, {}, []
-    found = [(named, profiles(named.fit))]
     wider = next((j for j in judged if _follows(j, named)), None)
-    if wider is not None:
-        found.append((wider, profiles(wider.fit)))
+    both = [named] if wider is None else [named, wider]
+    found = list(zip(both, share([partial(_profiles, j.fit) for j in both]), strict=True))
     intervals = dict(found[0][1].intervals)
     for name, interval in found[-1][1].intervals.items():
         alone = intervals.get(name, replace(interval, low=0.0, open_low=True))  # of k: what the named model takes
@@ -363,10 +366,20 @@ def deviance(result: FitResult) -> float:
     return total if result.chi_square is not None else n * math.log(max(total, 1e-300) / n)
 
 
-def _judge(candidate: Candidate, result: FitResult, folds: Sequence[Rows], wall_s: float) -> Judged:
-    n, p = len(result.data), len(result.free)
+def _profiles(result: FitResult, say: Say) -> Profiles:
+    return profiles(result)
+
+
+def _tested(result: FitResult, folds: Sequence[Rows], say: Say = silent) -> tuple[float | None, float]:
+    """The error of values held out, and the time that it took [s]."""
     began = time.perf_counter()
     error = _held_out(result, folds)
+    return error, time.perf_counter() - began
+
+
+def _judged(candidate: Candidate, result: FitResult, tested: tuple[float | None, float], wall_s: float) -> Judged:
+    n, p = len(result.data), len(result.free)
+    error, took = tested
     return Judged(
         candidate,
         result,
@@ -374,7 +387,7 @@ def _judge(candidate: Candidate, result: FitResult, folds: Sequence[Rows], wall_
         deviance(result) + p * math.log(n),
         error,
         worst(result) if result.chi_square is not None else farthest(result),
-        wall_s=wall_s + time.perf_counter() - began,
+        wall_s=wall_s + took,
     )
 
 

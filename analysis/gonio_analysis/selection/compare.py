@@ -8,13 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio import shown
-from gonio.cli.pace import Pace
+from gonio.cli.pace import Pace, Say
 from gonio.errors import ConfigError, DataError
 from gonio.measurement import is_simulated
 from gonio.typing import Floats
@@ -27,9 +28,10 @@ from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.parameters import Ior
 from gonio_analysis.fitting.spectrum import MOST_WAVELENGTHS, fit_shared, shares
 from gonio_analysis.result_records import Reflectance, RunFacts, SymmetrySummary
-from gonio_analysis.selection import energy
+from gonio_analysis.selection import energy, parallel
 from gonio_analysis.selection.choice import DECISIVE, Choice, Judged, candidates, choose, deviance
 from gonio_analysis.selection.misfit_regions import Region, farthest
+from gonio_analysis.selection.parallel import Share
 from gonio_analysis.selection.polarisation import Polarisation, polarisation
 from gonio_analysis.selection.symmetry import symmetries
 from gonio_analysis.selection.transmission import Transmitted, transmitted
@@ -39,6 +41,8 @@ if TYPE_CHECKING:
 
 MOST_ANGLES = 1000
 """Measured angles of one curve at which theory is evaluated too."""
+MOST_SENT = 200_000
+"""Values with which a fit is sent to another process: some 20 MB a model."""
 JUMP = 3.0
 """Factor between neighbouring wavelengths that no geometry, and no index but at a resonance, changes by."""
 
@@ -159,6 +163,7 @@ def examine(
     separate: bool = False,
     run: RunFacts | None = None,
     progress: Callable[[str], None] = lambda text: None,
+    share: Share = parallel.here,
 ) -> Dataset:
     """Fit every model to one sample and prepare its curves.
 
@@ -183,6 +188,8 @@ def examine(
         wavelengths (`gonio_analysis.fitting.spectrum`); the choice among models is made at the one that is reported.
     progress
         Called with a line before each fit.
+    share
+        Who does what is independent of each other; this process alone by default, and of more than `MOST_SENT` values.
 
     Raises
     ------
@@ -196,6 +203,8 @@ def examine(
     found = curves(at)
     shown = selection(found)
     every = "all" in models
+    if len(data) > MOST_SENT:
+        share = parallel.here
     choice = choose(
         data,
         candidates(models, ior),
@@ -206,13 +215,12 @@ def examine(
         name=name,
         all_of_them=not every,
         progress=progress,
+        share=share,
     )
-    fitted = {}
-    for j in choice.judged:
-        if every and not choice.shows(j):
-            continue
-        result, series = _over_wavelengths(j, data, known, name, separate, progress)
-        fitted[j.candidate.label] = _fitted(result, shown, normalise, series)
+    drawn = [j for j in choice.judged if not every or choice.shows(j)]
+    jobs = [partial(_drawn_model, j, data, known, name, separate, shown, normalise) for j in drawn]
+    done = share(jobs, f"{name}: curves of models", progress)
+    fitted = {j.candidate.label: one for j, one in zip(drawn, done, strict=True)}
     skipped = {} if every else choice.left_out
     return Dataset(
         name,
@@ -245,6 +253,21 @@ def check_models(models: Sequence[str]) -> None:
     twice = {m for m in models if list(models).count(m) > 1}
     if twice:
         raise ConfigError(f"--models names {', '.join(sorted(twice))} twice")
+
+
+def _drawn_model(
+    judged: Judged,
+    data: Observations,
+    known: list[float],
+    name: str,
+    separate: bool,
+    shown: list[Curve],
+    normalise: Normalise,
+    progress: Say,
+) -> Fitted:
+    """A model that is shown, at every wavelength and with its curves."""
+    result, series = _over_wavelengths(judged, data, known, name, separate, progress)
+    return _fitted(result, shown, normalise, series)
 
 
 def _fitted(result: FitResult, shown: list[Curve], normalise: Normalise, series: list[FitResult]) -> Fitted:

@@ -12,8 +12,9 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
+from gonio.cli.pace import Pace, Say, silent
 from gonio.errors import ConfigError, DataError
 
 FEW = 4
@@ -24,6 +25,26 @@ PATIENCE_S = 20.0
 
 In = TypeVar("In")
 Out = TypeVar("Out")
+
+
+class Share(Protocol):
+    """Does several jobs, perhaps with the help of other processes, and returns their results in the jobs' order.
+
+    A job is called with what takes lines of progress; to travel, it is a function of a module with its arguments
+    (`functools.partial`).
+    """
+
+    def __call__(self, jobs: Sequence[Callable[[Say], Out]], what: str = "", say: Say = silent) -> list[Out]: ...
+
+
+def here(jobs: Sequence[Callable[[Say], Out]], what: str = "", say: Say = silent) -> list[Out]:
+    """Do jobs one after another in this process; `what` they are is said before how many are done."""
+    pace = Pace(what, len(jobs), say)
+    out = []
+    for k, job in enumerate(jobs):
+        pace.step(k)
+        out.append(job(say))
+    return out
 
 
 def each(function: Callable[[In], Out], jobs: Sequence[In], *, dask: str | None = None) -> Iterator[Out]:

@@ -9,6 +9,7 @@ import re
 import select
 import subprocess
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,15 +18,18 @@ import numpy as np
 import pandas as pd
 import pytest
 from gonio_analysis.curves.line import Line
+from gonio_analysis.fitting.observations import observations
 from gonio_analysis.plots import thinning
 from gonio_analysis.report import change, drawing, html, make, page, viewer
 from gonio_analysis.report.blocks import Figures, section
 from gonio_analysis.report.drawing import draughtsmen
 from gonio_analysis.report.figures import Drawing, Figure
 from gonio_analysis.report.text import glued
+from gonio_analysis.selection.choice import Candidate, Choice, choose
 
 from gonio import measurement
-from gonio.models import build
+from gonio.cli.pace import Say
+from gonio.models import Phong, build
 from tests.gonio_analysis.synthetic import measure
 
 LIMIT = 5_000_000
@@ -240,6 +244,38 @@ def test_a_drawing_that_fails_ends_every_process() -> None:
         hands.draw(wanted)
     assert len(hands._processes) == 2
     assert all(p.returncode is not None for p in hands._processes)
+
+
+def _says(k: int, say: Say) -> tuple[int, int]:
+    say(f"job {k}")
+    return k, os.getpid()
+
+
+def test_shared_jobs_keep_their_order_and_their_words() -> None:
+    words: list[str] = []
+    with draughtsmen(8, processes=2) as hands:
+        for _ in range(20):  # until the other process, too, came to take one
+            done = hands.share([partial(_says, k) for k in range(50)], say=words.append)
+            if len({pid for _, pid in done}) == 2:
+                break
+    assert len({pid for _, pid in done}) == 2
+    assert [k for k, _ in done] == list(range(50))
+    assert set(words) >= {f"job {k}" for k in range(50)}
+
+
+def test_a_choice_is_the_same_whoever_works_it_out() -> None:
+    table = measure(Phong(k_d=0.3, k_s=0.2, exponent=20.0))
+    models = ["lambert", "oren-nayar", "phong"]
+    data = observations(table, "sample")
+    alone = choose(data, [Candidate(m) for m in models])
+    with draughtsmen(8, processes=2) as hands:
+        shared = choose(data, [Candidate(m) for m in models], share=hands.share)
+
+    def numbers(c: Choice) -> Any:
+        return [replace(x, wall_s=0.0) for x in c.summary().candidates], c.summary().intervals
+
+    assert numbers(shared) == numbers(alone)
+    assert shared.words == alone.words
 
 
 def test_few_figures_start_no_process() -> None:
