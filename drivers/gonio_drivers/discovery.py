@@ -42,7 +42,7 @@ def lamp_on(port: str) -> tuple[str, str] | None:
             with serial.Serial(port, int(spoken.baud), timeout=LISTEN_S, exclusive=True) as line:
                 answer = _name(line, spoken)
         except (*ports.FAILURES, ValueError) as error:
-            raise ports.unopened(port, error, "devices.light.port") from None
+            raise ports.unopened(port, error, "port") from None
         if answer is not None:
             return name, answer
     return None
@@ -82,7 +82,7 @@ def is_release(port: str) -> bool:
                 if b"ERR" in line.read_until(b"\n") + line.read_until(b"\n"):
                     return True
     except (*ports.FAILURES, ValueError) as error:
-        raise ports.unopened(port, error, "devices.camera.trigger.port") from None
+        raise ports.unopened(port, error, "port") from None
     return False
 
 

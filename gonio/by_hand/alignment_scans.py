@@ -223,9 +223,7 @@ class Scans:
                     continue
                 dimmer = next(levels, None)
                 if dimmer is None:
-                    self._say(
-                        "the spot is saturated at the shortest exposure: a grey filter would make its centre better"
-                    )
+                    self._say("the spot saturates at the shortest exposure: a grey filter makes its centre better")
                     break
                 self._level = dimmer
                 self._bench.lamp(dimmer)

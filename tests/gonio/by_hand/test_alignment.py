@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -150,6 +151,16 @@ def fast(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gonio.by_hand.alignment_scans.POINTS", 11)
 
 
+def always(there: Any) -> Callable[[SimulatedRig, str], bool]:
+    """Somebody who puts the wrong thing into the holder."""
+
+    def put(self: SimulatedRig, what: str) -> bool:
+        self.world.target = there
+        return True
+
+    return put
+
+
 def test_the_command_finds_hidden_zeros_and_writes_them_into_a_copy(tmp_path: Path, fast: None) -> None:
     rig = written(tmp_path)
     done = gonio(tmp_path, "rig", "align", "--rig", rig, "--yes", "--seed", "4")
@@ -195,7 +206,7 @@ def test_a_lamp_too_bright_for_the_shortest_exposure_is_dimmed(tmp_path: Path, f
 def test_a_matt_sample_in_place_of_the_mirror_is_said_to_be_none(
     tmp_path: Path, fast: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(SimulatedRig, "put", lambda self, what: setattr(self.world, "target", "reference") is None)
+    monkeypatch.setattr(SimulatedRig, "put", always("reference"))
     done = gonio(tmp_path, "rig", "align", "--rig", written(tmp_path), "--yes")
     assert done.returncode == 3
     assert "is that a mirror" in done.stderr
@@ -205,7 +216,7 @@ def test_a_matt_sample_in_place_of_the_mirror_is_said_to_be_none(
 def test_nothing_in_the_holder_is_told_with_what_to_look_at(
     tmp_path: Path, fast: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(SimulatedRig, "put", lambda self, what: setattr(self.world, "target", "empty") is None)
+    monkeypatch.setattr(SimulatedRig, "put", always("empty"))
     done = gonio(tmp_path, "rig", "align", "--rig", written(tmp_path), "--yes", "--search", "2")
     assert done.returncode == 3
     assert "the mirror's reflection was not found with the camera arm within 2 deg of -30 deg" in done.stderr
