@@ -25,6 +25,7 @@ from gonio.rig.imaging import require_frame
 from gonio.rig.whereabouts import axes_stand
 from gonio_drivers import cameras, diagnosis, discovery, interlock, signals, survey
 from gonio_drivers.arms import ServoArms
+from gonio_drivers.dynamixel import Bus
 from gonio_drivers.light import LampReset, SerialLight
 from gonio_drivers.service import ServoService
 from gonio_drivers.settings import Devices
@@ -254,12 +255,16 @@ class LabRig:
             if not self.interlock.on_the_bus:
                 self.interlock.require()
 
+    def _bus(self) -> Bus:
+        assert isinstance(self.arms, ServoArms)  # as `Devices` has it: a contact on the bus belongs to a servo
+        return self.arms.bus
+
     def _guard_by_servo(self, stack: contextlib.ExitStack) -> None:
         """The bus must be open; nothing has moved yet."""
         if self.interlock is None or self._opened <= {"camera"} or not self.interlock.on_the_bus:
             return
         if "arms" not in self._opened:
-            stack.enter_context(self.arms.bus)
+            stack.enter_context(self._bus())
         stack.enter_context(self.interlock)
         if "arms" in self._opened:
             self.interlock.require()
@@ -349,7 +354,7 @@ class LabPlugin(ServoService):
         rig = LabRig(description, _devices(description), confirm=False)
         if rig.interlock is None:
             raise ConfigError("devices.interlock is missing: the rig has no interlock that could have stopped it")
-        with rig.arms.bus if rig.interlock.on_the_bus else contextlib.nullcontext():
+        with rig._bus() if rig.interlock.on_the_bus else contextlib.nullcontext():
             return rig.interlock.acknowledge()
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from gonio.cli.by_hand import RigOption, _bench, _told_where
+from gonio.cli.by_hand import RigOption, _told_where, bench_of
 from gonio.cli.rigs import app
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def align(
         description = find_rig(rig).description
         table = _joined([alignment.read(path) for path in again])
     else:
-        bench = _bench(rig, "arms", "light", "camera", seed=seed)
+        bench = bench_of(rig, "arms", "light", "camera", seed=seed)
         description = bench.description
         scans = Scans(bench, search_deg=search, say=console.note)
         straight = only != "mirror"
