@@ -48,15 +48,29 @@ class Axis(Strict):
     speed_deg_per_s: Positive = 30.0
 
 
+def _check_limits(name: str, limits: tuple[float, float], stops: tuple[float, float] | None) -> None:
+    if limits[0] >= limits[1]:
+        raise ValueError(f"{name}limits_deg must be [lower, upper] with lower < upper")
+    if stops is not None and not stops[0] <= limits[0] < limits[1] <= stops[1]:
+        raise ValueError(
+            f"{name}hard_stops_deg = [{stops[0]:g}, {stops[1]:g}] must enclose {name}limits_deg = "
+            f"[{limits[0]:g}, {limits[1]:g}]"
+        )
+
+
 class ArmAxis(Axis):
     """The axis of an arm, with the range that it may turn in."""
 
     limits_deg: tuple[float, float] = (-90.0, 90.0)
+    """Soft limits: no goal lies beyond them, and no way to a goal leads beyond them."""
+    hard_stops_deg: tuple[float, float] | None = None
+    """Where the axis meets metal, if it does: no reading can be beyond, and homing may look for it."""
+    approach_deg: float | None = None
+    """Instead of `acquisition.approach_deg`, for this axis."""
 
     @model_validator(mode="after")
     def _ordered(self) -> ArmAxis:
-        if self.limits_deg[0] >= self.limits_deg[1]:
-            raise ValueError("limits_deg must be [lower, upper] with lower < upper")
+        _check_limits("", self.limits_deg, self.hard_stops_deg)
         return self
 
 
@@ -75,6 +89,12 @@ class Holder(Axis):
     axes: tuple[Literal["tilt", "spin"], ...] = ()
     tilt_limits_deg: tuple[float, float] = (-80.0, 80.0)
     spin_limits_deg: tuple[float, float] = (-180.0, 180.0)
+    """May be wider than a turn: as far as the cables let the sample wind."""
+    tilt_hard_stops_deg: tuple[float, float] | None = None
+    spin_hard_stops_deg: tuple[float, float] | None = None
+    tilt_approach_deg: float | None = None
+    """Instead of `acquisition.approach_deg`, for the tilt."""
+    spin_approach_deg: float | None = None
     tilt_zero_offset_deg: float | None = None
     """Instead of `zero_offset_deg`, which is that of both axes."""
     spin_zero_offset_deg: float | None = None
@@ -91,9 +111,8 @@ class Holder(Axis):
         if len(set(self.axes)) < len(self.axes):
             raise ValueError("axes names an axis twice")
         for name in ("tilt", "spin"):
-            lower, upper = getattr(self, f"{name}_limits_deg")
-            if lower >= upper:
-                raise ValueError(f"{name}_limits_deg must be [lower, upper] with lower < upper")
+            limits, stops = getattr(self, f"{name}_limits_deg"), getattr(self, f"{name}_hard_stops_deg")
+            _check_limits(f"{name}_", limits, stops)
         return self
 
 
@@ -258,8 +277,9 @@ class Acquisition(Strict):
 
     roi_radius_mm: Positive = 0.8
     """Radius of the patch of the sample, around its centre, that a BRDF value is the mean of."""
-    approach_deg: NonNegative = 1.0
-    """Every axis arrives from this far below its goal, so that backlash always lies on the same side."""
+    approach_deg: float = 1.0
+    """Every axis arrives from this far below its goal, so that backlash always lies on the same side; negative: from
+    above. Near a limit on that side the way is shorter: it never passes the limit."""
     exposure_target: Annotated[float, Field(gt=0.05, lt=0.95)] = 0.6
     """Where the brightest used pixel should lie, as a fraction of full scale."""
     frames: Annotated[int, Field(ge=1)] = 2
@@ -300,6 +320,23 @@ class RigDescription(Strict):
         """The range of each of `axes` [deg]."""
         holder = {"tilt": self.holder.tilt_limits_deg, "spin": self.holder.spin_limits_deg}
         return {n: axis.limits_deg if isinstance(axis, ArmAxis) else holder[n] for n, axis in self.axes().items()}
+
+    def hard_stops_deg(self) -> dict[str, tuple[float, float] | None]:
+        """Where each of `axes` meets metal [deg]; None where it does not, or nobody has said."""
+        holder = {"tilt": self.holder.tilt_hard_stops_deg, "spin": self.holder.spin_hard_stops_deg}
+        return {n: axis.hard_stops_deg if isinstance(axis, ArmAxis) else holder[n] for n, axis in self.axes().items()}
+
+    def approach_deg(self) -> dict[str, float]:
+        """From how far below its goal each of `axes` arrives [deg]; negative: from above."""
+        holder = {"tilt": self.holder.tilt_approach_deg, "spin": self.holder.spin_approach_deg}
+        own = {n: axis.approach_deg if isinstance(axis, ArmAxis) else holder[n] for n, axis in self.axes().items()}
+        return {n: self.acquisition.approach_deg if value is None else value for n, value in own.items()}
+
+    def approach_starts_deg(self, name: str, goal_deg: float) -> float:
+        """Where an axis begins the last part of its way to a goal [deg]: `approach_deg` off it, inside the limits."""
+        (lower, upper), approach = self.limits_deg()[name], self.approach_deg()[name]
+        start = goal_deg - approach
+        return max(start, min(lower, goal_deg)) if approach > 0 else min(start, max(upper, goal_deg))
 
     @model_validator(mode="after")
     def _lens_focuses(self) -> RigDescription:
