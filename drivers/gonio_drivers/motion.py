@@ -22,8 +22,8 @@ POLL_S = 0.020
 GRACE_S = 3.0
 """A move may take twice its time, and this."""
 RELEASES = 3
-AT_LIMIT_DEG = 1.0
-"""Friction may stop an axis this far inside a limit, where no correction can help: a goal beyond it is never given."""
+FRICTION_COUNTS = 12
+"""Friction may stop a servo this far inside a limit, where no correction helps: a goal beyond it is never given."""
 
 
 class Motion:
@@ -157,7 +157,7 @@ class Motion:
         sent = joint.inside(landing.sent + miss)
         if sent == landing.sent:  # only a goal beyond the limit would bring it closer
             log.info("axis %s: %d counts from its goal, at its limit", joint.name, miss)
-            landing.done = joint.distance_deg(landing.goal, landing.position) <= AT_LIMIT_DEG
+            landing.done = not exact or abs(landing.goal - landing.position) <= FRICTION_COUNTS
             return
         landing.sent = sent
         log.info("axis %s: %d counts from its goal, correction %d", joint.name, miss, landing.corrections)
