@@ -15,12 +15,12 @@ import math
 import statistics
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from types import TracebackType
 from typing import NoReturn, Self
 
 from gonio.errors import ConfigError, DeviceError, Disturbed
-from gonio.rig import Pose, Target
+from gonio.rig import Pose, Target, ways
 from gonio.rig.description import RigDescription
 from gonio_drivers import joints, presence, settings, watchdog
 from gonio_drivers.arrival import LARGEST_CORRECTION_DEG, STILL_COUNTS
@@ -63,14 +63,16 @@ class ServoArms:
 
     def __init__(self, description: RigDescription, servos: settings.Servos) -> None:
         settings.check_axes(servos, description)
-        self._servos = servos
+        self._servos, self._description = servos, description
         self.bus = Bus(servos.port, servos.baud)
         self.joints = {
             name: joints.joint(self.bus, description, name, servos.axes[name])  # type: ignore[index]
             for name in description.axes()
         }
         if servos.changer is not None:
-            self.joints["changer"] = joints.changer_joint(self.bus, servos.changer, description.acquisition.approach_deg)
+            self.joints["changer"] = joints.changer_joint(
+                self.bus, servos.changer, description.acquisition.approach_deg
+            )
         self._motion = Motion(self.bus, self.joints, servos)
         self.last: Reading | None = None
         self.faulted = False
@@ -238,11 +240,23 @@ class ServoArms:
         goals = dict.fromkeys((name for name in self._all if name in AXES), 0.0)
         goals |= {"light": self._all["light"].limits_deg[0], "camera": self._all["camera"].limits_deg[1]}
         goals |= {n: j.servo.park_deg for n, j in self._all.items() if n in AXES and j.servo.park_deg is not None}
-        self._jog({name: math.radians(angle) for name, angle in goals.items() if name in self.joints}, resting=True)
+        wanted = {name: math.radians(angle) for name, angle in goals.items() if name in self.joints}
+        for leg in self._legs(wanted):
+            self._jog(leg, resting=True)
         if self.absent:
             parked = ", ".join(name for name in goals if name in self.joints) or "no axis"
             why = "; ".join(f"{name}: {failure}" for name, failure in self.absent.items())
             raise DeviceError(f"parked: {parked}; not parked, and where it stands is not known: {why}")
+
+    def _legs(self, goals: dict[str, float]) -> list[dict[str, float]]:
+        """What to move one after the other so that no bodies touch; all at once where axes are absent, and who knows."""
+        if not self._description.bodies or self.absent:
+            return [goals]
+        here = self._readback().pose
+        return [
+            {name: getattr(pose, name) for name in goals}
+            for pose in ways.route(self._description, here, replace(here, **goals))
+        ]
 
     def change(self, target: Target) -> None:
         """Put sample or white reference into the beam, by the servo of the changer."""

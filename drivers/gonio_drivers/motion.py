@@ -104,7 +104,9 @@ class Motion:
     def _landing(self, name: str, goal: float, start: float, *, exact: bool) -> Landing:
         joint, servos = self._joints[name], self._servos
         within_deg = self._tolerance(joint) if exact else max(self._tolerance(joint), abs(joint.approach_deg) / 2)
-        return Landing(joint, goal, joint.inside(goal), within_deg, servos.settle_s, servos.acceleration_deg_per_s2, start)
+        return Landing(
+            joint, goal, joint.inside(goal), within_deg, servos.settle_s, servos.acceleration_deg_per_s2, start
+        )
 
     def _watch(self, joint: Joint, landing: Landing, report: Report, now: float, *, exact: bool) -> None:
         """One look at an axis on its way: has it landed, does it need a correction, is it stuck?"""

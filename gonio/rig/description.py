@@ -32,6 +32,42 @@ class Geometry(Strict):
     camera_distance_mm: Positive = 1000.0
     light_body_radius_mm: NonNegative = 25.0
     camera_body_radius_mm: NonNegative = 30.0
+    clearance_mm: NonNegative = 5.0
+    """Closer than this no two bodies come to each other on their ways; see `Body`."""
+
+
+Point = tuple[float, float, float]
+
+
+class Body(Strict):
+    """A body that moves with an axis, or stands on the bench: a capsule, or a box.
+
+    Its frame is the lab's with every axis at 0: the origin on the sample's surface, z along the sample's normal and both
+    arms, y along the axis that the arms turn about.
+    """
+
+    name: str
+    on: Literal["bench", "light", "camera", "tilt", "spin"]
+    """What carries it. What is on the tilt is not turned by the spin."""
+    from_mm: Point | None = None
+    to_mm: Point | None = None
+    """A capsule: all that lies within `radius_mm` of the line between these two points."""
+    radius_mm: Positive | None = None
+    centre_mm: Point | None = None
+    size_mm: tuple[Positive, Positive, Positive] | None = None
+    """A box: its edges along x, y and z."""
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> Body:
+        capsule = [self.from_mm, self.to_mm, self.radius_mm]
+        box = [self.centre_mm, self.size_mm]
+        given = [value is not None for value in (*capsule, *box)]
+        if given not in ([True, True, True, False, False], [False, False, False, True, True]):
+            raise ValueError(
+                f'body "{self.name}" needs either from_mm, to_mm and radius_mm (a capsule), or centre_mm and size_mm '
+                "(a box)"
+            )
+        return self
 
 
 class Axis(Strict):
@@ -301,6 +337,8 @@ class RigDescription(Strict):
     reference: Reference = Reference()
     bands: Bands
     acquisition: Acquisition = Acquisition()
+    bodies: tuple[Body, ...] = ()
+    """What could touch on its way. Where there are any, the two balls of `geometry` belong to them."""
     devices: dict[str, Any] = Field(default_factory=dict)
     """Ports, ids and dialects: checked by the rig's own driver."""
 

@@ -21,6 +21,7 @@ from gonio.errors import ConfigError
 from gonio.geometry import AT_LIMIT, EXACTLY_IN_PLANE, PARALLEL, Directions
 from gonio.rig.description import RigDescription
 from gonio.rig.protocols import Pose
+from gonio.rig.ways import Blocked, require_free
 from gonio.typing import Floats
 
 Vector = tuple[float, float, float]
@@ -125,7 +126,8 @@ def reach(description: RigDescription, d: Directions) -> Pose:
     Raises
     ------
     Unreachable
-        With flag "blocked" where one body hides the other, "unreachable" where the rig has no axis for the directions
+        With flag "blocked" where one body hides the other, or bodies of the rig file would touch on the way between
+        the rest position and every branch; "unreachable" where the rig has no axis for the directions
         or both branches leave a limit, "below_horizon" for a source below the surface.
     """
     one = d.floats
@@ -147,7 +149,15 @@ def reach(description: RigDescription, d: Directions) -> Pose:
     if not fitting:
         reasons, causes = (list(dict.fromkeys(each)) for each in (map(str, failed), (e.cause for e in failed)))
         raise Unreachable("unreachable", "; or ".join(reasons), "; or ".join(causes))
-    return min(fitting, key=_preference)
+    blocked: Blocked | None = None
+    for pose in sorted(fitting, key=_preference):
+        try:
+            require_free(description, pose)
+            return pose
+        except Blocked as error:
+            blocked = blocked or error
+    assert blocked is not None
+    raise Unreachable("blocked", f"blocked: {blocked}", f"the way there would touch: {blocked.bodies}")
 
 
 def branches(description: RigDescription, d: Directions) -> list[tuple[Pose, Pose | Unreachable]]:

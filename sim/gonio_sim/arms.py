@@ -19,12 +19,17 @@ import math
 from collections.abc import Mapping
 from dataclasses import fields, replace
 
+import numpy as np
+
 from gonio.errors import ConfigError
 from gonio.rig import Pose
 from gonio.rig.description import Axis
+from gonio.rig.ways import route, touching
 from gonio_sim.world import SETTLE_S, Stream, World
 
 AXES = tuple(field.name for field in fields(Pose))
+LOOK_S = 0.05
+"""How finely a way is looked at for collisions: 1.5 deg of an arm at its usual speed."""
 ROUNDING = 1e-9
 """A goal this close [rad] to a limit is at the limit."""
 
@@ -125,17 +130,19 @@ class SimulatedArms:
     def read(self) -> Pose:
         """What the encoders read, now."""
         self._world.require_open("arms")
-        return Pose(**{name: axis.reading for name, axis in self._axes.items()})
+        return self._inner()
 
     def stop(self) -> None:
         """Nothing moves between two calls, so there is nothing to stop."""
 
     def park(self) -> None:
-        """Drive to the rest position."""
-        self._drive(self._rest)
+        """Drive to the rest position, by a free way."""
+        for pose in route(self._world.description, self._inner(), Pose(**self._rest)):
+            self._drive({name: getattr(pose, name) for name in self._axes})
 
     def _drive(self, goals: Mapping[str, float]) -> None:
         durations = []
+        before = self._world.pose
         for number, (name, axis) in enumerate(self._axes.items()):
             if name not in goals:
                 continue
@@ -146,6 +153,27 @@ class SimulatedArms:
         self._moves += 1
         self._world.spend(max(durations) + SETTLE_S)
         self._publish()
+        if self._world.description.bodies:
+            self._collide(before, goals)
+
+    def _collide(self, before: Pose, goals: Mapping[str, float]) -> None:
+        """Follow the axes on their way, each at its own speed, and note what meets what."""
+        ways: dict[str, list[tuple[float, float]]] = {}
+        for name, goal in goals.items():
+            speed, at, time = self._axes[name].speed, getattr(before, name), 0.0
+            ways[name] = [(0.0, at)]
+            for place in (self._start(name, goal), getattr(self._world.pose, name)):
+                time += abs(place - at) / speed
+                at = place
+                ways[name].append((time, at))
+        end = max(way[-1][0] for way in ways.values())
+        for time in np.linspace(0.0, end, 2 + int(end / LOOK_S)):
+            angles = {n: float(np.interp(time, *zip(*way, strict=True))) for n, way in ways.items()}
+            self._world.touched += touching(self._world.description, replace(before, **angles))
+
+    def _inner(self) -> Pose:
+        """What the encoders read, the rig being open or not."""
+        return Pose(**{name: axis.reading for name, axis in self._axes.items()})
 
     def _start(self, name: str, goal: float) -> float:
         """Where the approach to a goal begins: inside the limits."""
