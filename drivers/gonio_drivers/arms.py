@@ -249,7 +249,7 @@ class ServoArms:
             raise DeviceError(f"parked: {parked}; not parked, and where it stands is not known: {why}")
 
     def _legs(self, goals: dict[str, float]) -> list[dict[str, float]]:
-        """What to move one after the other so that no bodies touch; all at once where axes are absent, and who knows."""
+        """What to move one after the other, so that no bodies touch; all at once where an axis is absent."""
         if not self._description.bodies or self.absent:
             return [goals]
         here = self._readback().pose

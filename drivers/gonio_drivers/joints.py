@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig.description import Axis, RigDescription
-from gonio_drivers import control_table, dynamixel, settings, watchdog
+from gonio_drivers import control_table, dynamixel, home_mark, settings, watchdog
 from gonio_drivers.control_table import Item
 from gonio_drivers.dynamixel import Bus
 
@@ -22,7 +22,8 @@ log = logging.getLogger("gonio.devices")
 COUNTS = 4096
 VELOCITY_UNIT_DEG_S = 0.229 * 6
 ACCELERATION_UNIT_DEG_S2 = 214.577 * 360 / 3600
-POSITION_MODE = 3
+POSITION_MODE, EXTENDED_MODE, EXTENDED_CURRENT_MODE = 3, 4, 5
+MOST_TURNS = 256
 SHADOW, LAST_ID, NO_ID = "Secondary(Shadow) ID", 252, 255
 PROFILE_ONGOING = 0x02
 """Bit of the Moving Status."""
@@ -75,6 +76,8 @@ class Joint:
     health: Health | None = None
     stood_at: float | None = None
     """Count that was read where it landed; the mean of several, since encoders flicker."""
+    turns: int = 0
+    """Whole turns of the servo between `zero_count` and the count that is 0 deg; of an axis that has been homed."""
     landed_at: float | None = None
     """Goal [counts] that the axis stands at, reached by its approach; None where it may have been moved since."""
 
@@ -94,17 +97,29 @@ class Joint:
         return self.servo.direction * self.servo.gear_ratio * COUNTS / 360
 
     @property
+    def zero_count(self) -> int:
+        """Count that is called 0 deg, with the turns that homing has found."""
+        return self.servo.zero_count + self.turns * COUNTS
+
+    @property
+    def mode(self) -> int:
+        """The Operating Mode that it needs: a servo that is homed against a stop must push by its current."""
+        if self.servo.homing is None:
+            return POSITION_MODE
+        return EXTENDED_CURRENT_MODE if self.servo.homing.how == "stall" else EXTENDED_MODE
+
+    @property
     def offset_deg(self) -> float:
         """What the encoder reads at the true zero, as far as it is known [degrees]."""
         return self.axis.zero_offset_deg if self.axis.zero_offset_known else 0.0
 
     def to_count(self, angle_deg: float) -> float:
         """Count of the servo for an angle of the axis."""
-        return self.servo.zero_count + (angle_deg + self.offset_deg) * self.counts_per_deg
+        return self.zero_count + (angle_deg + self.offset_deg) * self.counts_per_deg
 
     def to_deg(self, count: float) -> float:
         """Angle of the axis [deg] for a count of the servo, with the zero offset taken out."""
-        return (count - self.servo.zero_count) / self.counts_per_deg - self.offset_deg
+        return (count - self.zero_count) / self.counts_per_deg - self.offset_deg
 
     def inside(self, count: float) -> int:
         """The nearest whole count to one that lies within the axis's limits and the servo's own."""
@@ -121,8 +136,8 @@ class Joint:
         way = self.distance_deg(self.approach_start(self.to_count(goal_deg)), self.to_count(goal_deg))
         if way < min(self.axis.backlash_deg, abs(self.approach_deg)) - 0.5 / abs(self.counts_per_deg):
             log.warning(
-                "axis %s at %g deg, %.2f deg from its limit: its play of %g deg is not taken up there, and it may stand "
-                "that far off what it reads", self.name, goal_deg, way, self.axis.backlash_deg,
+                "axis %s at %g deg, %.2f deg from its limit: its play of %g deg is not taken up there, and it may "
+                "stand that far off what it reads", self.name, goal_deg, way, self.axis.backlash_deg,
             )  # fmt: skip
 
     def distance_deg(self, goal: float, position: float) -> float:
@@ -161,12 +176,19 @@ class Joint:
             return f"{said}, but at {baud} baud: {_listed(found)}; set devices.servos.baud to that speed"
         return f"{said}, nor does any servo at another speed; is the servo power on, and the cable in?"
 
-    def prepare(self, acceleration_deg_per_s2: float) -> None:
-        """Bring the servo into the state that moves rely on; it does not turn meanwhile."""
+    def prepare(self, acceleration_deg_per_s2: float, *, homed: bool = True) -> None:
+        """Bring the servo into the state that moves rely on; it does not turn meanwhile.
+
+        Raises `DeviceError` for an axis that has to be homed first, unless `homed` is False: it is about to be.
+        """
         level = self.table["Status Return Level"]
         self.bus.write_all(level.address, {self.id: b"\x02"})  # before any question: it may answer nothing but pings
         self.complain()
-        wanted = {"Operating Mode": POSITION_MODE, "Drive Mode": 0, "Homing Offset": 0}
+        if self.servo.homing is not None and (self.get("Operating Mode") != self.mode or not homed):
+            home_mark.wipe(self)
+        if homed:
+            home_mark.recall(self)
+        wanted = {"Operating Mode": self.mode, "Drive Mode": 0, "Homing Offset": 0}
         if self.servo.current_limit is not None:
             wanted["Current Limit"] = self.servo.current_limit
         if self.get(SHADOW) <= LAST_ID:  # it would obey what is meant for another servo
@@ -182,8 +204,11 @@ class Joint:
         self.max_temperature_c = self.get("Temperature Limit") or self.max_temperature_c
         if highest_dv := self.get("Max Voltage Limit"):
             self.voltage_limits_v = self.get("Min Voltage Limit") / 10, highest_dv / 10
-        self.count_limits = self.get("Min Position Limit"), self.get("Max Position Limit") or COUNTS - 1
+        if self.servo.homing is None:
+            self.count_limits = self.get("Min Position Limit"), self.get("Max Position Limit") or COUNTS - 1
         self.full_current = self.get("Current Limit") if "Current Limit" in self.table else 1000
+        if self.mode == EXTENDED_CURRENT_MODE:  # a homing that was cut off leaves little
+            self.write("Goal Current", self.full_current)
         self.check_reach()
         gear = self.servo.gear_ratio
         wish = int(self.axis.speed_deg_per_s * gear / VELOCITY_UNIT_DEG_S)
@@ -200,7 +225,8 @@ class Joint:
                 f"axis {self.name} stands at count {position}, outside the servo's limits, {self.count_limits[0]} "
                 f"to {self.count_limits[1]}; turn it by hand to where it may stand, then try again"
             )
-        self._require_between_stops(position)
+        if homed:
+            self._require_between_stops(position)
         released = self._clear_watchdog()
         if released or not self._holds(position):
             self.write("Goal Position", position)  # goal = present, so that torque moves nothing
@@ -275,7 +301,8 @@ class Joint:
         if min(ends) < self.count_limits[0] or max(ends) > self.count_limits[1]:
             raise ConfigError(
                 f"axis {self.name}: limits {self.limits_deg[0]:g} to {self.limits_deg[1]:g} deg need counts "
-                f"{min(ends):.0f} to {max(ends):.0f}, and servo id {self.id} allows {self.count_limits[0]} to {self.count_limits[1]}; Position mode has 0 to "
+                f"{min(ends):.0f} to {max(ends):.0f}, and servo id {self.id} allows {self.count_limits[0]} to "
+                f"{self.count_limits[1]}; Position mode has 0 to "
                 f"{COUNTS - 1}: narrow the limits, or change {self.key}.zero_count or gear_ratio, or the servo's "
                 "position limits"
             )
@@ -407,6 +434,9 @@ def changer_joint(bus: Bus, changer: settings.Changer, approach_deg: float) -> J
 
 def _checked(joint: Joint) -> Joint:
     _check_current_limit(joint)
+    if joint.servo.homing is not None:
+        home_mark.check(joint, joint.servo.homing)
+        joint.count_limits = -MOST_TURNS * COUNTS, MOST_TURNS * COUNTS - 1
     joint.check_reach()
     return joint
 

@@ -1,4 +1,4 @@
-"""`gonio rig move | read | lamp | snap | scan | set-zero | ids | reboot | park | dark`: one device at a time.
+"""`gonio rig move | read | lamp | snap | scan | set-zero | ids | reboot | home | park | dark`: one device at a time.
 
 Each command opens the devices that it names and no other, and tells how it left them.
 """
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from gonio.acquisition.measure import RigChoice
     from gonio.by_hand.bench import Bench
-    from gonio.rig import Device, FoundServo, Health
+    from gonio.rig import Device, FoundServo, Health, Homed
 
 __all__ = ["app"]
 
@@ -484,6 +484,37 @@ def reboot(
     bad = [name for name, failure in done.items() if failure]
     if bad:
         raise DeviceError(f"{choice.description.name}: not restarted, or unwell: {', '.join(bad)}")
+
+
+@app.command()
+def home(
+    rig: RigOption,
+    axes: Annotated[list[str] | None, typer.Argument(metavar="[AXIS]...", show_default=False)] = None,
+) -> None:
+    """Find the turn of axes that turn further than their servos count: without AXIS, of those that need it."""
+    from gonio.cli import console
+    from gonio.errors import DeviceError, Interrupted
+
+    choice = _choice(rig)
+    service: Any = _service(choice, "home")
+    try:
+        with choice.naming():
+            done: dict[str, Homed | str] = service.home(choice.description, axes or (), console.note)
+    except KeyboardInterrupt:
+        raise Interrupted("interrupted; the axis is stopped, and not homed") from None
+    for name, found in done.items():
+        if isinstance(found, str):
+            console.show(f"{name}: {found}")
+            continue
+        console.show(
+            f"{name}: homed at {found.at_deg:g} deg, found {found.found} times within {found.spread_deg:.3f} deg, "
+            f"{found.off_deg:+.3f} deg from there; it holds"
+        )
+    if not done:
+        console.show("every axis knows its turn")
+    bad = [name for name, found in done.items() if isinstance(found, str)]
+    if bad:
+        raise DeviceError(f"{choice.description.name}: not homed: {', '.join(bad)}")
 
 
 # ---- inside ----

@@ -42,8 +42,8 @@ Point = tuple[float, float, float]
 class Body(Strict):
     """A body that moves with an axis, or stands on the bench: a capsule, or a box.
 
-    Its frame is the lab's with every axis at 0: the origin on the sample's surface, z along the sample's normal and both
-    arms, y along the axis that the arms turn about.
+    Its frame is the lab's with every axis at 0: the origin on the sample's surface, z along the sample's normal and
+    both arms, y along the axis that the arms turn about.
     """
 
     name: str

@@ -113,7 +113,8 @@ def reach(description: RigDescription, d: Directions) -> Pose:
 
     Of the two branches the one inside all limits is taken; where both are, the one with the smaller spin, then the one
     with the tilt, then with the light arm, on the positive side (then the one with the smaller azimuth). Limits may be
-    wider than a turn: of the windings the one nearest to 0 is taken, and between two poses an axis never passes a limit.
+    wider than a turn: of the windings the one nearest to 0 is taken. Where the rig file has bodies, the first of these
+    is taken that has a free way to and from the rest position.
 
     Parameters
     ----------
@@ -264,9 +265,10 @@ def _inside_limits(description: RigDescription, pose: Pose) -> list[Pose]:
             cause = f"outside {limits}"
             if inside:
                 side = "lower" if description.approach_deg()[name] > 0 else "upper"
+                play = description.axes()[name].backlash_deg
                 cause = (
-                    f"closer to the {side} limit of the {axis} than its play of {description.axes()[name].backlash_deg:g}"
-                    " deg, which an approach from that side could not take up"
+                    f"closer to the {side} limit of the {axis} than its play of {play:g} deg, which an approach from "
+                    "that side could not take up"
                 )
             raise Unreachable("unreachable", f"{math.degrees(value):.2f} deg is {cause}", cause)
         found = [one | {name: place} for one in found for place in taken_up]

@@ -1,9 +1,9 @@
 """Ways between poses on which no two bodies of a rig come too close to each other.
 
-Axes move at their own speeds and are held up by corrections, so nobody knows the pose in the middle of a move. A move of
-several axes at once therefore counts as free only where *every* combination of their angles on the way is free, the
-parts before the goals from which they approach included. Where that is not so, one arm moves after the other, and where
-that is not free either, both go by the rest position.
+Axes move at their own speeds and are held up by corrections, so nobody knows the pose in the middle of a move. A move
+of several axes at once therefore counts as free only where *every* combination of their angles on the way is free, the
+parts before the goals from which they approach included. Where that is not so, one arm moves after the other, and
+where that is not free either, both go by the rest position.
 
 A box in the space of angles is free if the gap between two bodies in its middle is larger than what they can move from
 there to its corners: no more than the sum over the axes of lever times angle. If not, the box is halved. That proves

@@ -5,8 +5,8 @@ that is nearest to the goal; within that count it may stand anywhere, with equal
 uniform over one encoder step around what is read, which is the standard uncertainty step / sqrt(12) of a reading.
 
 The arm follows with play: on the way up the lower flank of the gear pushes it, on the way down the upper one, and it
-lags by `backlash_deg`. Every goal is approached from below, from `acquisition.approach_deg` away (from above, where that
-is negative), which takes up the play if the approach is longer than the play; the zero offset is defined for that side.
+lags by `backlash_deg`. Every goal is approached from below, from `acquisition.approach_deg` away (from above, where
+that is negative), which takes up the play if the approach is longer than it; the zero offset is defined for that side.
 The approach never leaves the limits, and is shorter near them. What is left is
 
     true = encoder - zero_offset_deg - (what the calibration missed, drawn once from N(0, zero_u_deg))
@@ -168,7 +168,7 @@ class SimulatedArms:
                 ways[name].append((time, at))
         end = max(way[-1][0] for way in ways.values())
         for time in np.linspace(0.0, end, 2 + int(end / LOOK_S)):
-            angles = {n: float(np.interp(time, *zip(*way, strict=True))) for n, way in ways.items()}
+            angles = {n: float(np.interp(time, *np.array(way).T)) for n, way in ways.items()}
             self._world.touched += touching(self._world.description, replace(before, **angles))
 
     def _inner(self) -> Pose:
