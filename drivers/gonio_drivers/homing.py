@@ -3,8 +3,8 @@
 Homing decides about whole turns of the servo and about nothing finer: within a turn the servo's own encoder is
 absolute, and repeats far better than a stop or a switch does. So the place is looked for several times; its spread and
 its distance from where the rig file has it are reported; and what is further off than a quarter of a servo's turn is
-refused as ambiguous. While the angle is not known the soft limits cannot be kept; the axis goes slowly, and no further than the
-range between its hard stops (or limits).
+refused as ambiguous. While the angle is not known the soft limits cannot be kept; the axis goes slowly, and no further
+than the range between its hard stops (or limits).
 """
 
 from __future__ import annotations

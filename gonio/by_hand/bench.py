@@ -349,10 +349,17 @@ class Bench:
         for pose, verdict in kinematics.branches(self.description, directions):
             if isinstance(verdict, Pose):
                 if any(abs(getattr(verdict, n) - getattr(taken, n)) > 1e-9 for n in self.description.axes()):
-                    others.append(f"{self._said(verdict)} would do too")
+                    others.append(f"{self._said(verdict)} {self._free(verdict)}")
             else:
                 others.append(f"{self._said(pose)} is out of reach: {verdict}")
         return "\n".join([f"taken: {self._said(taken)}", *(dict.fromkeys(others) or ["there is no other way"])])
+
+    def _free(self, pose: Pose) -> str:
+        try:
+            ways.require_free(self.description, pose)
+        except ways.Blocked as blocked:
+            return f"is blocked: {blocked}"
+        return "would do too"
 
     def _said(self, pose: Pose) -> str:
         return ", ".join(

@@ -150,15 +150,17 @@ def reach(description: RigDescription, d: Directions) -> Pose:
     if not fitting:
         reasons, causes = (list(dict.fromkeys(each)) for each in (map(str, failed), (e.cause for e in failed)))
         raise Unreachable("unreachable", "; or ".join(reasons), "; or ".join(causes))
-    blocked: Blocked | None = None
+    blocked: list[Blocked] = []
     for pose in sorted(fitting, key=_preference):
         try:
             require_free(description, pose)
             return pose
         except Blocked as error:
-            blocked = blocked or error
-    assert blocked is not None
-    raise Unreachable("blocked", f"blocked: {blocked}", f"the way there would touch: {blocked.bodies}")
+            blocked.append(error)
+    reasons, touching = (list(dict.fromkeys(each)) for each in (map(str, blocked), (e.bodies for e in blocked)))
+    raise Unreachable(
+        "blocked", "blocked: " + "; or ".join(reasons), "the way there would touch: " + "; or ".join(touching)
+    )
 
 
 def branches(description: RigDescription, d: Directions) -> list[tuple[Pose, Pose | Unreachable]]:

@@ -13,7 +13,7 @@ from gonio_sim.wire.servo import Mechanics, Servo
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose
-from gonio.rig.description import ArmAxis, Holder
+from gonio.rig.description import ArmAxis, Body, Geometry, Holder
 from tests.gonio_drivers.conftest import Line
 from tests.gonio_drivers.test_arms import TOLERANCE_DEG, degrees, describe, pose, servos
 
@@ -115,3 +115,34 @@ def test_limits_that_use_the_whole_turn_need_no_room_for_an_approach(line: Line)
         assert math.degrees(arms.move(Pose(light=math.radians(-179.9))).light) == pytest.approx(-179.9, abs=0.2)
     with pytest.raises(ConfigError, match="limits -181 to 80 deg need counts"):
         ServoArms(describe(light=ArmAxis(limits_deg=(-181.0, 80.0))), servos(line.port))
+
+
+def test_parking_goes_by_a_free_way(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The light has to make room before the camera may go to where the light was."""
+    geometry = Geometry(light_distance_mm=400.0, camera_distance_mm=430.0)
+    post = Body(name="post", on="bench", from_mm=(0, 0, -300), to_mm=(0, 0, -200), radius_mm=10.0)
+    rig = describe(light=LIMITS, camera=LIMITS).model_copy(update={"geometry": geometry, "bodies": (post,)})
+    with ServoArms(rig, servos(line.port, light={"park_deg": -10.0}, camera={"park_deg": 10.0})) as arms:
+        arms.move(pose(20.0, 60.0))
+        legs: list[dict[str, float]] = []
+        jog = arms._jog
+
+        def noted(goals: dict[str, float], *, resting: bool) -> dict[str, float]:
+            legs.append({name: round(math.degrees(angle)) for name, angle in goals.items()})
+            return jog(goals, resting=resting)
+
+        monkeypatch.setattr(arms, "_jog", noted)
+        arms.park()
+        assert [(leg["light"], leg["camera"]) for leg in legs] == [(-10, 60), (-10, 10)]
+        assert degrees(arms.read())[:2] == pytest.approx((-10, 10), abs=TOLERANCE_DEG)
+
+
+def test_a_park_that_is_blocked_is_refused_and_nothing_turns(line: Line) -> None:
+    geometry = Geometry(light_distance_mm=400.0, camera_distance_mm=430.0)
+    fence = Body(name="fence", on="bench", centre_mm=(0, 0, 400), size_mm=(10, 300, 200))
+    rig = describe(light=LIMITS, camera=LIMITS).model_copy(update={"geometry": geometry, "bodies": (fence,)})
+    with ServoArms(rig, servos(line.port)) as arms:
+        arms.move(pose(40.0, 70.0))
+        with pytest.raises(ConfigError, match="would touch: source head and fence"):
+            arms.park()
+        assert degrees(arms.read())[:2] == pytest.approx((40, 70), abs=TOLERANCE_DEG)
