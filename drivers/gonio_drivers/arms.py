@@ -1,7 +1,8 @@
 """The axes of a goniometer, turned by Dynamixel servos in Position mode.
 
 Policy. Nothing turns when the rig is opened: every servo's goal is set to where it stands before its torque comes on,
-with a profile velocity and acceleration. Every axis arrives from below, so that backlash lies on one side. A move ends
+with a profile velocity and acceleration. Every axis arrives from one side, so that backlash lies on one side; no goal
+that a servo is given lies beyond a limit of its axis, on the way either. A move ends
 when every axis has *landed*: the servo reports no motion, stands within the tolerance, and has stood still for the
 settle time. An axis that friction stops short gets a corrected goal. What does not land stops every axis. The encoder's
 readback is what is returned, never the goal: the mean of several readings, since encoders flicker.
@@ -14,12 +15,12 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from types import TracebackType
 from typing import NoReturn, Self
 
 from gonio.errors import ConfigError, DeviceError, Disturbed
-from gonio.rig import Pose, Target
+from gonio.rig import Pose, Target, ways
 from gonio.rig.description import RigDescription
 from gonio_drivers import joints, presence, settings, signals, watchdog
 from gonio_drivers.arrival import LARGEST_CORRECTION_DEG, STILL_COUNTS
@@ -64,16 +65,17 @@ class ServoArms:
 
     def __init__(self, description: RigDescription, servos: settings.Servos) -> None:
         settings.check_axes(servos, description)
-        self._servos = servos
-        self._approach_deg = description.acquisition.approach_deg
+        self._servos, self._description = servos, description
         self.bus = Bus(servos.port, servos.baud)
         self.joints = {
-            name: joints.joint(self.bus, description, name, servos.axes[name], self._approach_deg)  # type: ignore[index]
+            name: joints.joint(self.bus, description, name, servos.axes[name])  # type: ignore[index]
             for name in description.axes()
         }
         if servos.changer is not None:
-            self.joints["changer"] = joints.changer_joint(self.bus, servos.changer, self._approach_deg)
-        self._motion = Motion(self.bus, self.joints, servos, self._approach_deg)
+            self.joints["changer"] = joints.changer_joint(
+                self.bus, servos.changer, description.acquisition.approach_deg
+            )
+        self._motion = Motion(self.bus, self.joints, servos)
         self.last: Reading | None = None
         self.faulted = False
         """An axis has failed: nothing moves any more until the rig is opened again."""
@@ -110,7 +112,7 @@ class ServoArms:
                 joint.identify()
             for name, joint in list(self.joints.items()):
                 try:
-                    joint.prepare(self._servos.acceleration_deg_per_s2, self._approach_deg)
+                    joint.prepare(self._servos.acceleration_deg_per_s2)
                 except DeviceError as failure:
                     if not self.partial or len(self.joints) == 1:
                         raise
@@ -148,7 +150,7 @@ class ServoArms:
     # ---- ArmsDevice ----
 
     def move(self, goal: Pose) -> Pose:
-        """Drive every axis to `goal`, from below, wait until all have landed; the encoders' readback [rad].
+        """Drive every axis to `goal`, from its side, wait until all have landed; the encoders' readback [rad].
 
         Raises
         ------
@@ -162,13 +164,16 @@ class ServoArms:
 
     def jog(self, goals: Mapping[str, float]) -> dict[str, float]:
         """Drive some axes [rad], and leave the others where they are; the readback of those [rad]; errors of `move`."""
+        return self._jog(goals)
+
+    def _jog(self, goals: Mapping[str, float], *, resting: bool = False) -> dict[str, float]:
         for name in goals:
             if name in self.absent:
                 raise DeviceError(f"axis {name} cannot be moved: {self.absent[name]}")
             if name not in AXES or name not in self.joints:
                 known = ", ".join(n for n in self._all if n in AXES)
                 raise ConfigError(f"the rig has no axis {name}; it has {known}")
-        landed = self._move(self._checked(Pose(**goals), tuple(goals)))
+        landed = self._move(self._checked(Pose(**goals), tuple(goals)), resting=resting)
         return {name: float(getattr(landed, name)) for name in goals}
 
     def _require_all(self) -> None:
@@ -176,7 +181,7 @@ class ServoArms:
         for name, failure in self.absent.items():
             raise DeviceError(f"axis {name} is missing: {failure}")
 
-    def _move(self, goals: Mapping[str, float]) -> Pose:
+    def _move(self, goals: Mapping[str, float], *, resting: bool = False) -> Pose:
         if self.faulted:
             raise DeviceError("the arms have been stopped after a failure; open the rig again")
         self.stopped = False
@@ -186,6 +191,8 @@ class ServoArms:
             read = self._readback(LOOKS)
             for name, count in read.counts.items():
                 self.joints[name].stood_at = count
+            for name, goal in goals.items() if not resting else ():
+                self.joints[name].warn_of_play(goal)
             return read.pose
         except DeviceError:
             self.stop()
@@ -261,11 +268,23 @@ class ServoArms:
         goals = dict.fromkeys((name for name in self._all if name in AXES), 0.0)
         goals |= {"light": self._all["light"].limits_deg[0], "camera": self._all["camera"].limits_deg[1]}
         goals |= {n: j.servo.park_deg for n, j in self._all.items() if n in AXES and j.servo.park_deg is not None}
-        self.jog({name: math.radians(angle) for name, angle in goals.items() if name in self.joints})
+        wanted = {name: math.radians(angle) for name, angle in goals.items() if name in self.joints}
+        for leg in self._legs(wanted):
+            self._jog(leg, resting=True)
         if self.absent:
             parked = ", ".join(name for name in goals if name in self.joints) or "no axis"
             why = "; ".join(f"{name}: {failure}" for name, failure in self.absent.items())
             raise DeviceError(f"parked: {parked}; not parked, and where it stands is not known: {why}")
+
+    def _legs(self, goals: dict[str, float]) -> list[dict[str, float]]:
+        """What to move one after the other, so that no bodies touch; all at once where an axis is absent."""
+        if not self._description.bodies or self.absent:
+            return [goals]
+        here = self._readback().pose
+        return [
+            {name: getattr(pose, name) for name in goals}
+            for pose in ways.route(self._description, here, replace(here, **goals))
+        ]
 
     def change(self, target: Target) -> None:
         """Put sample or white reference into the beam, by the servo of the changer."""

@@ -7,12 +7,13 @@ rig file has one, a current limit; its goal is set to where it stands before its
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig.description import Axis, RigDescription
-from gonio_drivers import control_table, dynamixel, settings, watchdog
+from gonio_drivers import control_table, dynamixel, home_mark, settings, watchdog
 from gonio_drivers.control_table import Item
 from gonio_drivers.dynamixel import Bus
 
@@ -21,7 +22,8 @@ log = logging.getLogger("gonio.devices")
 COUNTS = 4096
 VELOCITY_UNIT_DEG_S = 0.229 * 6
 ACCELERATION_UNIT_DEG_S2 = 214.577 * 360 / 3600
-POSITION_MODE = 3
+POSITION_MODE, EXTENDED_MODE, EXTENDED_CURRENT_MODE = 3, 4, 5
+MOST_TURNS = 256
 SHADOW, LAST_ID, NO_ID = "Secondary(Shadow) ID", 252, 255
 PROFILE_ONGOING = 0x02
 """Bit of the Moving Status."""
@@ -59,6 +61,9 @@ class Joint:
     axis: Axis
     limits_deg: tuple[float, float]
     table: dict[str, Item]
+    approach_deg: float = 1.0
+    """From how far below its goal it arrives; negative: from above."""
+    hard_stops_deg: tuple[float, float] | None = None
     max_temperature_c: int = 80
     voltage_limits_v: tuple[float, float] = (3.5, 30.0)
     count_limits: tuple[int, int] = (0, COUNTS - 1)
@@ -77,8 +82,10 @@ class Joint:
     """Count that was read where it landed; the mean of several, since encoders flicker."""
     also: dict[str, int] = field(default_factory=dict)
     """What `prepare` sets beside the rest, by item."""
+    turns: int = 0
+    """Whole turns of the servo between `zero_count` and the count that is 0 deg; of an axis that has been homed."""
     landed_at: float | None = None
-    """Goal [counts] that the axis stands at, reached from below; None where it may have been moved since."""
+    """Goal [counts] that the axis stands at, reached by its approach; None where it may have been moved since."""
 
     @property
     def id(self) -> int:
@@ -96,17 +103,48 @@ class Joint:
         return self.servo.direction * self.servo.gear_ratio * COUNTS / 360
 
     @property
+    def zero_count(self) -> int:
+        """Count that is called 0 deg, with the turns that homing has found."""
+        return self.servo.zero_count + self.turns * COUNTS
+
+    @property
+    def mode(self) -> int:
+        """The Operating Mode that it needs: a servo that is homed against a stop must push by its current."""
+        if self.servo.homing is None:
+            return POSITION_MODE
+        return EXTENDED_CURRENT_MODE if self.servo.homing.how == "stall" else EXTENDED_MODE
+
+    @property
     def offset_deg(self) -> float:
         """What the encoder reads at the true zero, as far as it is known [degrees]."""
         return self.axis.zero_offset_deg if self.axis.zero_offset_known else 0.0
 
     def to_count(self, angle_deg: float) -> float:
         """Count of the servo for an angle of the axis."""
-        return self.servo.zero_count + (angle_deg + self.offset_deg) * self.counts_per_deg
+        return self.zero_count + (angle_deg + self.offset_deg) * self.counts_per_deg
 
     def to_deg(self, count: float) -> float:
         """Angle of the axis [deg] for a count of the servo, with the zero offset taken out."""
-        return (count - self.servo.zero_count) / self.counts_per_deg - self.offset_deg
+        return (count - self.zero_count) / self.counts_per_deg - self.offset_deg
+
+    def inside(self, count: float) -> int:
+        """The nearest whole count to one that lies within the axis's limits and the servo's own."""
+        ends = sorted(map(self.to_count, self.limits_deg))
+        lower, upper = max(self.count_limits[0], math.ceil(ends[0] - 1e-6)), math.floor(ends[1] + 1e-6)
+        return max(lower, min(upper, self.count_limits[1], round(count)))
+
+    def approach_start(self, goal: float) -> int:
+        """Where the last part of the way to a goal begins; never beyond a limit [counts]."""
+        return self.inside(goal - self.approach_deg * self.counts_per_deg)
+
+    def warn_of_play(self, goal_deg: float) -> None:
+        """Say so where a limit leaves no way that takes up the axis's play."""
+        way = self.distance_deg(self.approach_start(self.to_count(goal_deg)), self.to_count(goal_deg))
+        if way < min(self.axis.backlash_deg, abs(self.approach_deg)) - 0.5 / abs(self.counts_per_deg):
+            log.warning(
+                "axis %s at %g deg, %.2f deg from its limit: its play of %g deg is not taken up there, and it may "
+                "stand that far off what it reads", self.name, goal_deg, way, self.axis.backlash_deg,
+            )  # fmt: skip
 
     def distance_deg(self, goal: float, position: float) -> float:
         """How far apart two counts of the servo are, as an angle of the axis [deg]."""
@@ -144,13 +182,20 @@ class Joint:
             return f"{said}, but at {baud} baud: {_listed(found)}; set devices.servos.baud to that speed"
         return f"{said}, nor does any servo at another speed; is the servo power on, and the cable in?"
 
-    def prepare(self, acceleration_deg_per_s2: float, approach_deg: float) -> None:
-        """Bring the servo into the state that moves rely on; it does not turn meanwhile."""
+    def prepare(self, acceleration_deg_per_s2: float, *, homed: bool = True) -> None:
+        """Bring the servo into the state that moves rely on; it does not turn meanwhile.
+
+        Raises `DeviceError` for an axis that has to be homed first, unless `homed` is False: it is about to be.
+        """
         level = self.table["Status Return Level"]
         self.bus.write_all(level.address, {self.id: b"\x02"})  # before any question: it may answer nothing but pings
         self.held = self.get("Torque Enable") == 1
         self.complain()
-        wanted = {"Operating Mode": POSITION_MODE, "Drive Mode": 0, "Homing Offset": 0} | self.also
+        if self.servo.homing is not None and (self.get("Operating Mode") != self.mode or not homed):
+            home_mark.wipe(self)
+        if homed:
+            home_mark.recall(self)
+        wanted = {"Operating Mode": self.mode, "Drive Mode": 0, "Homing Offset": 0} | self.also
         if self.servo.current_limit is not None:
             wanted["Current Limit"] = self.servo.current_limit
         if self.get(SHADOW) <= LAST_ID:  # it would obey what is meant for another servo
@@ -166,9 +211,12 @@ class Joint:
         self.max_temperature_c = self.get("Temperature Limit") or self.max_temperature_c
         if highest_dv := self.get("Max Voltage Limit"):
             self.voltage_limits_v = self.get("Min Voltage Limit") / 10, highest_dv / 10
-        self.count_limits = self.get("Min Position Limit"), self.get("Max Position Limit") or COUNTS - 1
+        if self.servo.homing is None:
+            self.count_limits = self.get("Min Position Limit"), self.get("Max Position Limit") or COUNTS - 1
         self.full_current = self.get("Current Limit") if "Current Limit" in self.table else 1000
-        self.check_reach(approach_deg)
+        if self.mode == EXTENDED_CURRENT_MODE:  # a homing that was cut off leaves little
+            self.write("Goal Current", self.full_current)
+        self.check_reach()
         gear = self.servo.gear_ratio
         wish = int(self.axis.speed_deg_per_s * gear / VELOCITY_UNIT_DEG_S)
         speed = max(1, min(wish, self.get("Velocity Limit") or wish))
@@ -186,6 +234,8 @@ class Joint:
                 f"axis {self.name} stands at count {position}, outside the servo's limits, {self.count_limits[0]} "
                 f"to {self.count_limits[1]}; turn it by hand to where it may stand, then try again"
             )
+        if homed:
+            self._require_between_stops(position)
         if released or not self._holds(position):
             self.write("Goal Position", position)  # goal = present, so that torque moves nothing
         self.write("Torque Enable", 1)
@@ -277,14 +327,25 @@ class Joint:
             )  # fmt: skip
         return found == watchdog.RUN_OUT
 
-    def check_reach(self, approach_deg: float) -> None:
-        """The axis's limits, with the way of approach, must lie within the servo's limits."""
-        ends = [self.to_count(self.limits_deg[0] - approach_deg), self.to_count(self.limits_deg[1])]
+    def _require_between_stops(self, position: float) -> None:
+        """An axis cannot stand beyond what stops it: then its zero is wrong, and its limits with it."""
+        if self.hard_stops_deg is None:
+            return
+        at, (lower, upper) = self.to_deg(position), self.hard_stops_deg
+        if not lower - HELD_DEG <= at <= upper + HELD_DEG:
+            raise DeviceError(
+                f"axis {self.name} reads {at:.2f} deg, beyond its hard stops at {lower:g} and {upper:g} deg: its zero "
+                f"is wrong (zero_offset_deg of the axis, or {self.key}.zero_count, direction or gear_ratio)"
+            )
+
+    def check_reach(self) -> None:
+        """The axis's limits must lie within the servo's limits."""
+        ends = [self.to_count(end) for end in self.limits_deg]
         if min(ends) < self.count_limits[0] or max(ends) > self.count_limits[1]:
             raise ConfigError(
-                f"axis {self.name}: limits {self.limits_deg[0]:g} to {self.limits_deg[1]:g} deg, approached from "
-                f"{approach_deg:g} deg below, need counts {min(ends):.0f} to {max(ends):.0f}, and servo id "
-                f"{self.id} allows {self.count_limits[0]} to {self.count_limits[1]}; Position mode has 0 to "
+                f"axis {self.name}: limits {self.limits_deg[0]:g} to {self.limits_deg[1]:g} deg need counts "
+                f"{min(ends):.0f} to {max(ends):.0f}, and servo id {self.id} allows {self.count_limits[0]} to "
+                f"{self.count_limits[1]}; Position mode has 0 to "
                 f"{COUNTS - 1}: narrow the limits, or change {self.key}.zero_count or gear_ratio, or the servo's "
                 "position limits"
             )
@@ -398,24 +459,32 @@ def require_torque(bus: Bus, joints: Iterable[Joint]) -> None:
             raise DeviceError(f"axis {joint.name}: servo id {identity} has let go of its torque; all axes are stopped")
 
 
-def joint(bus: Bus, description: RigDescription, name: str, servo: settings.ServoAxis, approach_deg: float) -> Joint:
+def joint(bus: Bus, description: RigDescription, name: str, servo: settings.ServoAxis) -> Joint:
     """The joint of an axis of the rig; `ConfigError` where its limits are beyond a turn of its servo."""
     table = control_table.of_model(servo.model, f"devices.servos.axes.{name}.model")
     axis, limits = description.axes()[name], description.limits_deg()[name]
-    return _checked(Joint(bus, name, servo, axis, limits, table), approach_deg)
+    approach, stops = description.approach_deg()[name], description.hard_stops_deg()[name]
+    return _checked(Joint(bus, name, servo, axis, limits, table, approach, stops))
 
 
 def changer_joint(bus: Bus, changer: settings.Changer, approach_deg: float) -> Joint:
-    """The joint of the sample changer, which is no axis of a pose; errors as of `joint`."""
-    ends = sorted((changer.sample_deg, changer.reference_deg))
+    """The joint of the sample changer, which is no axis of a pose; errors as of `joint`.
+
+    What it may turn in is the range between its two places, and the way of approach to the outer one.
+    """
+    ends = (changer.sample_deg, changer.reference_deg)
+    limits = min(ends) - max(0.0, approach_deg), max(ends) - min(0.0, approach_deg)
     axis = Axis(speed_deg_per_s=changer.speed_deg_per_s)
     table = control_table.of_model(changer.model, "devices.servos.changer.model")
-    return _checked(Joint(bus, "changer", changer, axis, (ends[0], ends[1]), table), approach_deg)
+    return _checked(Joint(bus, "changer", changer, axis, limits, table, approach_deg))
 
 
-def _checked(joint: Joint, approach_deg: float) -> Joint:
+def _checked(joint: Joint) -> Joint:
     _check_current_limit(joint)
-    joint.check_reach(approach_deg)
+    if joint.servo.homing is not None:
+        home_mark.check(joint, joint.servo.homing)
+        joint.count_limits = -MOST_TURNS * COUNTS, MOST_TURNS * COUNTS - 1
+    joint.check_reach()
     return joint
 
 

@@ -1,4 +1,4 @@
-"""How axes come to their goals: from below, all at once, corrected and watched until every one has landed.
+"""How axes come to their goals: from one side, all at once, corrected and watched until every one has landed.
 
 What "landed" means of a single axis is `gonio_drivers.arrival`'s.
 """
@@ -6,6 +6,7 @@ What "landed" means of a single axis is `gonio_drivers.arrival`'s.
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Callable, Mapping
 
@@ -21,6 +22,8 @@ POLL_S = 0.020
 GRACE_S = 3.0
 """A move may take twice its time, and this."""
 RELEASES = 3
+FRICTION_COUNTS = 12
+"""Friction may stop a servo this far inside a limit, where no correction helps: a goal beyond it is never given."""
 
 
 class Motion:
@@ -32,8 +35,6 @@ class Motion:
         The servos, by the names of their axes.
     servos
         Tolerance, settle time, acceleration.
-    approach_deg
-        From how far below its goal an axis arrives.
 
     Raises
     ------
@@ -41,18 +42,18 @@ class Motion:
         An axis does not land, is stuck, or its servo does not answer; it has to be stopped then.
     """
 
-    def __init__(self, bus: Bus, joints: Mapping[str, Joint], servos: settings.Servos, approach_deg: float) -> None:
-        self._bus, self._joints, self._servos, self._approach_deg = bus, joints, servos, approach_deg
+    def __init__(self, bus: Bus, joints: Mapping[str, Joint], servos: settings.Servos) -> None:
+        self._bus, self._joints, self._servos = bus, joints, servos
         self.allowed: Callable[[], None] = lambda: None
         """Called at every look while axes move; raises where nothing may move any more."""
 
     def approach(self, goals: Mapping[str, float]) -> None:
-        """To a point below each goal, where that is needed, and from there up to the goals."""
+        """To a point before each goal, where that is needed, and from there to the goals; never beyond a limit."""
         finals = {name: self._joints[name].to_count(angle) for name, angle in goals.items()}
         reports = joints.reports(self._bus, self._joints.values())
         for name, report in reports.items():
             self._joints[name].keep_profile(report.profile)
-        below: dict[str, float] = {}
+        starts: dict[str, float] = {}
         ups: dict[str, float] = {}
         for name, final in finals.items():
             joint = self._joints[name]
@@ -60,15 +61,16 @@ class Motion:
             if joint.landed_at == final and joint.distance_deg(final, position) <= self._tolerance(joint):
                 continue
             ups[name] = final
-            start = joint.to_count(goals[name] - self._approach_deg)
-            if joint.to_deg(position) > joint.to_deg(start) + self._tolerance(joint):
-                below[name] = start
+            start = joint.approach_start(final)
+            beyond = joint.to_deg(position) - joint.to_deg(start)  # above it, of an axis that comes from below
+            if math.copysign(beyond, beyond * joint.approach_deg) > self._tolerance(joint) and joint.approach_deg:
+                starts[name] = start
         for name in ups:
             self._joints[name].landed_at = self._joints[name].stood_at = None
         moving = [self._joints[name] for name in ups]
         watchdog.arm(moving)
-        if below:
-            self._land(below, exact=False)
+        if starts:
+            self._land(starts, exact=False)
         if ups:
             self._land(ups, exact=True)
         if run_out := watchdog.call_off(moving):  # at the very end: an axis that is released may give way a little
@@ -108,8 +110,10 @@ class Motion:
 
     def _landing(self, name: str, goal: float, start: float, *, exact: bool) -> Landing:
         joint, servos = self._joints[name], self._servos
-        within_deg = self._tolerance(joint) if exact else self._approach_deg / 2
-        return Landing(joint, goal, round(goal), within_deg, servos.settle_s, servos.acceleration_deg_per_s2, start)
+        within_deg = self._tolerance(joint) if exact else max(self._tolerance(joint), abs(joint.approach_deg) / 2)
+        return Landing(
+            joint, goal, joint.inside(goal), within_deg, servos.settle_s, servos.acceleration_deg_per_s2, start
+        )
 
     def _watch(self, joint: Joint, landing: Landing, report: Report, now: float, *, exact: bool) -> None:
         """One look at an axis on its way: has it landed, does it need a correction, is it stuck?"""
@@ -151,18 +155,20 @@ class Motion:
         return True
 
     def _correct(self, joint: Joint, landing: Landing, now: float, *, exact: bool) -> None:
-        """A new goal that makes up for what is missing; from below again where the axis went too far."""
+        """A new goal that makes up for what is missing; by the approach again where the axis went too far."""
         landing.corrections += 1
         miss = round(landing.goal - landing.position)
-        short = miss * joint.counts_per_deg > 0
-        landing.sent += miss
-        lower, upper = joint.count_limits
-        landing.sent = max(lower, min(upper, landing.sent))
+        too_far = miss * joint.counts_per_deg * joint.approach_deg < 0
+        sent = joint.inside(landing.sent + miss)
+        if sent == landing.sent:  # only a goal beyond the limit would bring it closer
+            log.info("axis %s: %d counts from its goal, at its limit", joint.name, miss)
+            landing.done = not exact or abs(landing.goal - landing.position) <= FRICTION_COUNTS
+            return
+        landing.sent = sent
         log.info("axis %s: %d counts from its goal, correction %d", joint.name, miss, landing.corrections)
-        if exact and not short:
-            back = landing.sent - round(self._approach_deg * joint.counts_per_deg)
-            self._land({joint.name: max(lower, min(upper, back))}, exact=False)
-        self.send({joint.name: landing.sent})
+        if exact and too_far:
+            self._land({joint.name: joint.approach_start(sent)}, exact=False)
+        self.send({joint.name: sent})
         landing.begin(now)
 
     def send(self, counts: Mapping[str, int]) -> None:

@@ -14,9 +14,9 @@ from dynamixel_sdk import INST_PING, INST_READ, INST_REBOOT, INST_WRITE
 
 from gonio.config import parse
 from gonio.errors import ConfigError, DeviceError, GonioError
-from gonio.rig import FoundServo
+from gonio.rig import FoundServo, Homed
 from gonio.rig.description import RigDescription
-from gonio_drivers import control_table, dynamixel, ports, settings
+from gonio_drivers import control_table, dynamixel, homing, joints, ports, settings
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.sdk import HEADER, Packets
 
@@ -102,6 +102,27 @@ class ServoService:
                     _restart(bus, there[name].id)
                     out[name] = ""
                 except GonioError as failure:
+                    out[name] = str(failure)
+        return out
+
+    def home(
+        self, description: RigDescription, axes: Sequence[str], say: Callable[[str], None]
+    ) -> dict[str, Homed | str]:
+        """Home axes (without `axes`, those that need it) one after the other; by axis, or why it failed.
+
+        They hold where they stand then. The other axes stay as they are.
+        """
+        servos = _servos(description)
+        out: dict[str, Homed | str] = {}
+        with Bus(servos.port, servos.baud) as bus:
+            there = {str(n): joints.joint(bus, description, n, servo) for n, servo in servos.axes.items()}
+            for name in axes:
+                if name not in there:
+                    raise ConfigError(f"the rig has no servo of an axis {name}; it has {', '.join(there)}")
+            for name in axes or homing.lacking({n: j for n, j in there.items() if j.servo.homing is not None}):
+                try:
+                    out[name] = homing.home(there[name], say)
+                except DeviceError as failure:
                     out[name] = str(failure)
         return out
 

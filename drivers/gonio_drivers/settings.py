@@ -14,6 +14,46 @@ from gonio.rig.description import NonNegative, Positive, RigDescription
 AxisName = Literal["light", "camera", "tilt", "spin", "azimuth"]
 
 
+class Line(Strict):
+    """An input of a serial adapter, with a switch between it and the adapter's own output."""
+
+    port: str
+    signal: Literal["cts", "dsr", "cd", "ri"] = "cts"
+
+
+class Homing(Strict):
+    """How an axis finds its turn after its servo was switched on. An axis with this table may turn beyond one turn."""
+
+    how: Literal["stall", "switch", "index"]
+    """Against its hard stop; to where a switch closes; or over a mark, whose two edges a switch sees."""
+    toward: Literal[1, -1] = -1
+    """1: toward positive angles of the axis."""
+    at_deg: float | None = None
+    """Where the axis stands there; for a stall its hard stop, where the axis has one."""
+    speed_deg_per_s: Positive = 5.0
+    current: Annotated[int, Field(ge=1)] | None = None
+    """Of a stall, in the servo's own units: what it may push with."""
+    external_port: Literal[1, 2, 3] | None = None
+    """Of the servo, that the switch is wired to."""
+    line: Line | None = None
+    """Instead of an external port: an input of a serial adapter."""
+    closed_reads: Literal[0, 1] = 1
+    """What the input reads where the switch is closed."""
+    repeats: Annotated[int, Field(ge=2, le=20)] = 3
+    spread_deg: Positive = 0.5
+    """The places that are found lie within this, or the homing has failed."""
+
+    @model_validator(mode="after")
+    def _complete(self) -> Homing:
+        if self.how == "stall" and self.current is None:
+            raise ValueError('how = "stall" needs `current`: what the servo may push with against its stop')
+        if self.how != "stall" and (self.external_port is None) == (self.line is None):
+            raise ValueError(f'how = "{self.how}" needs the switch: either `external_port` or `line`')
+        if self.how != "stall" and self.at_deg is None:
+            raise ValueError(f'how = "{self.how}" needs `at_deg`: where the axis stands there')
+        return self
+
+
 class ServoAxis(Strict):
     """One servo and how it is built in."""
 
@@ -30,6 +70,8 @@ class ServoAxis(Strict):
     """Where the axis rests; by default light on its lower limit, camera on its upper limit, the others at 0."""
     current_limit: Annotated[int, Field(ge=1)] | None = None
     """In the servo's own units (2.69 mA for the 430 models); None leaves what is in the servo."""
+    homing: Homing | None = None
+    """With it the servo counts turns, and has to be homed whenever its power came back; without it, it has one turn."""
 
 
 class Changer(ServoAxis):

@@ -11,7 +11,7 @@ import statistics
 
 from gonio.errors import GonioError
 from gonio.rig import Health, Reading
-from gonio_drivers import dynamixel, joints
+from gonio_drivers import dynamixel, home_mark, joints
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.cameras import OpenableCamera
 from gonio_drivers.joints import Joint
@@ -95,6 +95,7 @@ def of_arms(arms: ServoArms | StageArms) -> Health:
 
 def _asked(joint: Joint) -> list[Reading]:
     joint.identify_model()
+    home_mark.recall(joint)
     table, name = joint.table, joint.name
     address, size = joints.span(table)
     block = joint.bus.read(joint.id, address, size)

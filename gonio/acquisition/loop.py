@@ -32,6 +32,7 @@ from gonio.rig import Frame, Pose, Reading, Rig, Step, Target
 from gonio.rig.description import Band
 from gonio.rig.imaging import Roi, require_frame, roi
 from gonio.rig.kinematics import View, left_its_side, view
+from gonio.rig.ways import Blocked, route
 
 log = logging.getLogger("gonio.devices")
 
@@ -277,7 +278,12 @@ class _Session:
 
     def _exposed(self, step: Step, target: Target) -> _Taken:
         """Move, and take the frames of every band; raises `Disturbed` where an axis did not stand still meanwhile."""
-        pose = self._rig.arms.move(step.pose)
+        try:
+            pose = self._move(step.pose)
+        except Blocked as blocked:
+            log.warning("step %d: blocked: %s", step.index, blocked)
+            at = self._rig.arms.read()
+            return self._taken(step, step.pose, _Readback(at, self._rig.time_s()), None, "blocked", 0.0)
         readback = _Readback(pose, self._rig.time_s(), getattr(self._rig.arms, "spread", None))
         seen = view(self._description, pose)
         if left_its_side(self._description, step.pose, pose):
@@ -293,6 +299,14 @@ class _Session:
         self._require_still(pose, after)
         flag = "unsteady" if step.kind == "point" and self._unsteady(step, readback.spread) else ""
         return self._taken(step, step.pose, readback, files, flag, brightest, later, levels)
+
+    def _move(self, goal: Pose) -> Pose:
+        """Drive to a goal, by other poses where bodies would touch on the way; where the arms landed."""
+        if not self._description.bodies:
+            return self._rig.arms.move(goal)
+        for leg in route(self._description, self._rig.arms.read(), goal):
+            pose = self._rig.arms.move(leg)
+        return pose
 
     def _frames(self, step: Step) -> int:
         """How many equal frames a step has in a band."""

@@ -138,9 +138,9 @@ def estimate_s(steps: list[Step], description: RigDescription, bands: int) -> fl
 
 
 def _move_s(start: Pose, goal: Pose, description: RigDescription) -> float:
-    approach = 2.0 * description.acquisition.approach_deg
+    approach = {name: 2.0 * abs(value) for name, value in description.approach_deg().items()}
     times = [
-        (math.degrees(abs(getattr(goal, name) - getattr(start, name))) + approach) / axis.speed_deg_per_s
+        (math.degrees(abs(getattr(goal, name) - getattr(start, name))) + approach[name]) / axis.speed_deg_per_s
         for name, axis in description.axes().items()
         if getattr(goal, name) != getattr(start, name)
     ]

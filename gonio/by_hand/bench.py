@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Self
 from gonio.acquisition.measure import RigChoice, find_rig, load_sample
 from gonio.errors import ArgumentError, ConfigError, GonioError
 from gonio.geometry import Directions
-from gonio.rig import Device, Health, Pose, Reading, Step, Target, kinematics
+from gonio.rig import Device, Health, Pose, Reading, Step, Target, kinematics, ways
 from gonio.rig.description import Band, RigDescription, SampleDescription
 
 if TYPE_CHECKING:
@@ -155,17 +155,35 @@ class Bench:
         Raises
         ------
         ConfigError
-            No such axis, a goal beyond a limit, or directions that the rig cannot reach; nothing has moved.
+            No such axis, a goal beyond a limit, directions that the rig cannot reach, or a way on which bodies of the
+            rig file would touch; nothing has moved.
         DeviceError
             An axis does not land; every axis has been stopped.
         """
         goals, branch = self.goals(**angles)
+        for leg in self._legs(goals):
+            landed = self._drive(leg)
+        return Moved(goals, landed, branch)
+
+    def _legs(self, goals: dict[str, float]) -> list[dict[str, float]]:
+        """What to move one after the other, so that no two bodies touch."""
+        if not self.description.bodies:
+            return [goals]
+        here = self.arms.read()
+        there, legs = replace(here, **goals), []
+        for pose in ways.route(self.description, here, there):
+            moved = {n: getattr(pose, n) for n in self.description.axes() if getattr(pose, n) != getattr(here, n)}
+            legs.append(moved or goals)
+            here = pose
+        legs[-1] |= goals
+        return legs
+
+    def _drive(self, goals: dict[str, float]) -> dict[str, float]:
         if hasattr(self._rig, "jog"):
             landed: dict[str, float] = self._rig.jog(goals)
-        else:
-            pose = self.arms.move(replace(self.arms.read(), **goals))
-            landed = {name: getattr(pose, name) for name in goals}
-        return Moved(goals, landed, branch)
+            return landed
+        pose = self.arms.move(replace(self.arms.read(), **goals))
+        return {name: getattr(pose, name) for name in goals}
 
     def goals(self, **angles: float) -> tuple[dict[str, float], str]:
         """Where `move` would drive the axes [rad], and by which branch; nothing has to be open; errors of `move`."""
@@ -331,10 +349,17 @@ class Bench:
         for pose, verdict in kinematics.branches(self.description, directions):
             if isinstance(verdict, Pose):
                 if any(abs(getattr(verdict, n) - getattr(taken, n)) > 1e-9 for n in self.description.axes()):
-                    others.append(f"{self._said(verdict)} would do too")
+                    others.append(f"{self._said(verdict)} {self._free(verdict)}")
             else:
                 others.append(f"{self._said(pose)} is out of reach: {verdict}")
         return "\n".join([f"taken: {self._said(taken)}", *(dict.fromkeys(others) or ["there is no other way"])])
+
+    def _free(self, pose: Pose) -> str:
+        try:
+            ways.require_free(self.description, pose)
+        except ways.Blocked as blocked:
+            return f"is blocked: {blocked}"
+        return "would do too"
 
     def _said(self, pose: Pose) -> str:
         return ", ".join(

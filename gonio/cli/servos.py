@@ -1,4 +1,4 @@
-"""`gonio rig set-zero | ids | reboot`: what an axis calls zero, and its servo."""
+"""`gonio rig set-zero | ids | reboot | home`: what an axis calls zero, and its servo."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gonio.cli.rigs import app
 
 if TYPE_CHECKING:
     from gonio.acquisition.measure import RigChoice
-    from gonio.rig import FoundServo
+    from gonio.rig import FoundServo, Homed
 
 __all__ = ["app"]
 
@@ -140,6 +140,37 @@ def reboot(
 
 
 # ---- inside ----
+
+
+@app.command()
+def home(
+    rig: RigOption,
+    axes: Annotated[list[str] | None, typer.Argument(metavar="[AXIS]...", show_default=False)] = None,
+) -> None:
+    """Find the turn of axes that turn further than their servos count: without AXIS, of those that need it."""
+    from gonio.cli import console
+    from gonio.errors import DeviceError, Interrupted
+
+    choice = choice_of(rig)
+    service: Any = _service(choice, "home")
+    try:
+        with choice.naming():
+            done: dict[str, Homed | str] = service.home(choice.description, axes or (), console.note)
+    except KeyboardInterrupt:
+        raise Interrupted("interrupted; the axis is stopped, and not homed") from None
+    for name, found in done.items():
+        if isinstance(found, str):
+            console.show(f"{name}: {found}")
+            continue
+        console.show(
+            f"{name}: homed at {found.at_deg:g} deg, found {found.found} times within {found.spread_deg:.3f} deg, "
+            f"{found.off_deg:+.3f} deg from there; it holds"
+        )
+    if not done:
+        console.show("every axis knows its turn")
+    bad = [name for name, found in done.items() if isinstance(found, str)]
+    if bad:
+        raise DeviceError(f"{choice.description.name}: not homed: {', '.join(bad)}")
 
 
 def _service(choice: RigChoice, method: str) -> object:

@@ -33,6 +33,42 @@ class Geometry(Strict):
     camera_distance_mm: Positive = 1000.0
     light_body_radius_mm: NonNegative = 25.0
     camera_body_radius_mm: NonNegative = 30.0
+    clearance_mm: NonNegative = 5.0
+    """Closer than this no two bodies come to each other on their ways; see `Body`."""
+
+
+Point = tuple[float, float, float]
+
+
+class Body(Strict):
+    """A body that moves with an axis, or stands on the bench: a capsule, or a box.
+
+    Its frame is the lab's with every axis at 0: the origin on the sample's surface, z along the sample's normal and
+    both arms, y along the axis that the arms turn about.
+    """
+
+    name: str
+    on: Literal["bench", "light", "camera", "tilt", "spin"]
+    """What carries it. What is on the tilt is not turned by the spin."""
+    from_mm: Point | None = None
+    to_mm: Point | None = None
+    """A capsule: all that lies within `radius_mm` of the line between these two points."""
+    radius_mm: Positive | None = None
+    centre_mm: Point | None = None
+    size_mm: tuple[Positive, Positive, Positive] | None = None
+    """A box: its edges along x, y and z."""
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> Body:
+        capsule = [self.from_mm, self.to_mm, self.radius_mm]
+        box = [self.centre_mm, self.size_mm]
+        given = [value is not None for value in (*capsule, *box)]
+        if given not in ([True, True, True, False, False], [False, False, False, True, True]):
+            raise ValueError(
+                f'body "{self.name}" needs either from_mm, to_mm and radius_mm (a capsule), or centre_mm and size_mm '
+                "(a box)"
+            )
+        return self
 
 
 class Axis(Strict):
@@ -49,15 +85,29 @@ class Axis(Strict):
     speed_deg_per_s: Positive = 30.0
 
 
+def _check_limits(name: str, limits: tuple[float, float], stops: tuple[float, float] | None) -> None:
+    if limits[0] >= limits[1]:
+        raise ValueError(f"{name}limits_deg must be [lower, upper] with lower < upper")
+    if stops is not None and not stops[0] <= limits[0] < limits[1] <= stops[1]:
+        raise ValueError(
+            f"{name}hard_stops_deg = [{stops[0]:g}, {stops[1]:g}] must enclose {name}limits_deg = "
+            f"[{limits[0]:g}, {limits[1]:g}]"
+        )
+
+
 class ArmAxis(Axis):
     """The axis of an arm, with the range that it may turn in."""
 
     limits_deg: tuple[float, float] = (-90.0, 90.0)
+    """Soft limits: no goal lies beyond them, and no way to a goal leads beyond them."""
+    hard_stops_deg: tuple[float, float] | None = None
+    """Where the axis meets metal, if it does: no reading can be beyond, and homing may look for it."""
+    approach_deg: float | None = None
+    """Instead of `acquisition.approach_deg`, for this axis."""
 
     @model_validator(mode="after")
     def _ordered(self) -> ArmAxis:
-        if self.limits_deg[0] >= self.limits_deg[1]:
-            raise ValueError("limits_deg must be [lower, upper] with lower < upper")
+        _check_limits("", self.limits_deg, self.hard_stops_deg)
         return self
 
 
@@ -76,6 +126,12 @@ class Holder(Axis):
     axes: tuple[Literal["tilt", "spin"], ...] = ()
     tilt_limits_deg: tuple[float, float] = (-80.0, 80.0)
     spin_limits_deg: tuple[float, float] = (-180.0, 180.0)
+    """May be wider than a turn: as far as the cables let the sample wind."""
+    tilt_hard_stops_deg: tuple[float, float] | None = None
+    spin_hard_stops_deg: tuple[float, float] | None = None
+    tilt_approach_deg: float | None = None
+    """Instead of `acquisition.approach_deg`, for the tilt."""
+    spin_approach_deg: float | None = None
     tilt_zero_offset_deg: float | None = None
     """Instead of `zero_offset_deg`, which is that of both axes."""
     spin_zero_offset_deg: float | None = None
@@ -92,9 +148,8 @@ class Holder(Axis):
         if len(set(self.axes)) < len(self.axes):
             raise ValueError("axes names an axis twice")
         for name in ("tilt", "spin"):
-            lower, upper = getattr(self, f"{name}_limits_deg")
-            if lower >= upper:
-                raise ValueError(f"{name}_limits_deg must be [lower, upper] with lower < upper")
+            limits, stops = getattr(self, f"{name}_limits_deg"), getattr(self, f"{name}_hard_stops_deg")
+            _check_limits(f"{name}_", limits, stops)
         return self
 
 
@@ -259,8 +314,9 @@ class Acquisition(Strict):
 
     roi_radius_mm: Positive = 0.8
     """Radius of the patch of the sample, around its centre, that a BRDF value is the mean of."""
-    approach_deg: NonNegative = 1.0
-    """Every axis arrives from this far below its goal, so that backlash always lies on the same side."""
+    approach_deg: float = 1.0
+    """Every axis arrives from this far below its goal, so that backlash always lies on the same side; negative: from
+    above. Near a limit on that side the way is shorter: it never passes the limit."""
     exposure_target: Annotated[float, Field(gt=0.05, lt=0.95)] = 0.6
     """Where the brightest used pixel should lie, as a fraction of full scale."""
     frames: Annotated[int, Field(ge=1)] = 2
@@ -340,6 +396,8 @@ class RigDescription(Strict):
     acquisition: Acquisition = Acquisition()
     suspend: dict[str, Suspender] = Field(default_factory=dict)
     """What pauses a run, by a name of the user's (`gonio.acquisition.suspending`)."""
+    bodies: tuple[Body, ...] = ()
+    """What could touch on its way. Where there are any, the two balls of `geometry` belong to them."""
     devices: dict[str, Any] = Field(default_factory=dict)
     """Ports, ids and dialects: checked by the rig's own driver."""
 
@@ -359,6 +417,23 @@ class RigDescription(Strict):
         """The range of each of `axes` [deg]."""
         holder = {"tilt": self.holder.tilt_limits_deg, "spin": self.holder.spin_limits_deg}
         return {n: axis.limits_deg if isinstance(axis, ArmAxis) else holder[n] for n, axis in self.axes().items()}
+
+    def hard_stops_deg(self) -> dict[str, tuple[float, float] | None]:
+        """Where each of `axes` meets metal [deg]; None where it does not, or nobody has said."""
+        holder = {"tilt": self.holder.tilt_hard_stops_deg, "spin": self.holder.spin_hard_stops_deg}
+        return {n: axis.hard_stops_deg if isinstance(axis, ArmAxis) else holder[n] for n, axis in self.axes().items()}
+
+    def approach_deg(self) -> dict[str, float]:
+        """From how far below its goal each of `axes` arrives [deg]; negative: from above."""
+        holder = {"tilt": self.holder.tilt_approach_deg, "spin": self.holder.spin_approach_deg}
+        own = {n: axis.approach_deg if isinstance(axis, ArmAxis) else holder[n] for n, axis in self.axes().items()}
+        return {n: self.acquisition.approach_deg if value is None else value for n, value in own.items()}
+
+    def approach_starts_deg(self, name: str, goal_deg: float) -> float:
+        """Where an axis begins the last part of its way to a goal [deg]: `approach_deg` off it, inside the limits."""
+        (lower, upper), approach = self.limits_deg()[name], self.approach_deg()[name]
+        start = goal_deg - approach
+        return max(start, min(lower, goal_deg)) if approach > 0 else min(start, max(upper, goal_deg))
 
     @model_validator(mode="after")
     def _lens_focuses(self) -> RigDescription:

@@ -21,6 +21,7 @@ from gonio.errors import ConfigError
 from gonio.geometry import AT_LIMIT, EXACTLY_IN_PLANE, PARALLEL, Directions
 from gonio.rig.description import RigDescription
 from gonio.rig.protocols import Pose
+from gonio.rig.ways import Blocked, require_free
 from gonio.typing import Floats
 
 Vector = tuple[float, float, float]
@@ -111,7 +112,9 @@ def reach(description: RigDescription, d: Directions) -> Pose:
     """The pose that shows the sample from given directions.
 
     Of the two branches the one inside all limits is taken; where both are, the one with the smaller spin, then the one
-    with the tilt, then with the light arm, on the positive side (then the one with the smaller azimuth).
+    with the tilt, then with the light arm, on the positive side (then the one with the smaller azimuth). Limits may be
+    wider than a turn: of the windings the one nearest to 0 is taken. Where the rig file has bodies, the first of these
+    is taken that has a free way to and from the rest position.
 
     Parameters
     ----------
@@ -124,7 +127,8 @@ def reach(description: RigDescription, d: Directions) -> Pose:
     Raises
     ------
     Unreachable
-        With flag "blocked" where one body hides the other, "unreachable" where the rig has no axis for the directions
+        With flag "blocked" where one body hides the other, or bodies of the rig file would touch on the way between
+        the rest position and every branch; "unreachable" where the rig has no axis for the directions
         or both branches leave a limit, "below_horizon" for a source below the surface.
     """
     one = d.floats
@@ -146,11 +150,23 @@ def reach(description: RigDescription, d: Directions) -> Pose:
     if not fitting:
         reasons, causes = (list(dict.fromkeys(each)) for each in (map(str, failed), (e.cause for e in failed)))
         raise Unreachable("unreachable", "; or ".join(reasons), "; or ".join(causes))
-    return min(fitting, key=_preference)
+    blocked: list[Blocked] = []
+    for pose in sorted(fitting, key=_preference):
+        try:
+            require_free(description, pose)
+            return pose
+        except Blocked as error:
+            blocked.append(error)
+    reasons, touching = (list(dict.fromkeys(each)) for each in (map(str, blocked), (e.bodies for e in blocked)))
+    raise Unreachable(
+        "blocked", "blocked: " + "; or ".join(reasons), "the way there would touch: " + "; or ".join(touching)
+    )
 
 
 def branches(description: RigDescription, d: Directions) -> list[tuple[Pose, Pose | Unreachable]]:
     """Every pose that would show the sample from given directions; with each, itself inside all limits, or why not.
+
+    An axis whose limits are wider than a turn has a pose for each of its windings.
 
     Whether light and camera hide each other is not looked at here; raises `Unreachable` where the rig has no axis for
     the directions.
@@ -160,7 +176,7 @@ def branches(description: RigDescription, d: Directions) -> list[tuple[Pose, Pos
     out: list[tuple[Pose, Pose | Unreachable]] = []
     for pose in poses:
         try:
-            out.append((pose, _inside_limits(description, pose)))
+            out += [(inside, inside) for inside in _inside_limits(description, pose)]
         except Unreachable as error:
             out.append((pose, error))
     return out
@@ -232,23 +248,43 @@ def _without_spin(poses: list[Pose], d: Angles) -> list[Pose]:
     return [Pose(light=p.light, camera=p.camera, tilt=p.tilt, azimuth=p.azimuth) for p in still]
 
 
-def _inside_limits(description: RigDescription, pose: Pose) -> Pose:
-    """The pose with every axis in its limits (whole turns are free), or `Unreachable` with the axis that is not."""
-    limits = description.limits_deg()
-    values = {name: getattr(pose, name) for name in limits}
-    for name, (lower_deg, upper_deg) in limits.items():
-        lower, upper = math.radians(lower_deg), math.radians(upper_deg)
-        turns = [values[name]] + ([values[name] + k * 2.0 * math.pi for k in (-1, 1)] if name in FREE_TURNS else [])
-        for value in turns:
-            if lower - AT_LIMIT <= value <= upper + AT_LIMIT:
-                values[name] = min(max(value, lower), upper)
-                break
-        else:
-            cause = f"outside the limits {lower_deg:g} to {upper_deg:g} deg of the {NAMES[name]}"
-            raise Unreachable("unreachable", f"{math.degrees(values[name]):.2f} deg is {cause}", cause)
-    return Pose(**values)
+def _inside_limits(description: RigDescription, pose: Pose) -> list[Pose]:
+    """The poses that show the same with every axis in its limits, or `Unreachable` with the axis that has no place.
+
+    Axes that are free of whole turns may have several places, where their limits are wider than a turn. A place that
+    the axis can only arrive at with its play open, because its limit is in the way of the approach, is none.
+    """
+    found = [{name: float(getattr(pose, name)) for name in description.limits_deg()}]
+    for name, limits_deg in description.limits_deg().items():
+        value = found[0][name]
+        lower, upper = (math.radians(limit) for limit in limits_deg)
+        turns = range(math.ceil((lower - value - AT_LIMIT) / TURN), math.floor((upper - value + AT_LIMIT) / TURN) + 1)
+        places = [value + k * TURN for k in sorted(turns, key=abs) if name in FREE_TURNS or k == 0]
+        inside = [min(max(place, lower), upper) for place in places]
+        taken_up = [place for place in inside if _takes_up_play(description, name, place)]
+        if not taken_up:
+            axis, limits = NAMES[name], f"the limits {limits_deg[0]:g} to {limits_deg[1]:g} deg of the {NAMES[name]}"
+            cause = f"outside {limits}"
+            if inside:
+                side = "lower" if description.approach_deg()[name] > 0 else "upper"
+                play = description.axes()[name].backlash_deg
+                cause = (
+                    f"closer to the {side} limit of the {axis} than its play of {play:g} deg, which an approach from "
+                    "that side could not take up"
+                )
+            raise Unreachable("unreachable", f"{math.degrees(value):.2f} deg is {cause}", cause)
+        found = [one | {name: place} for one in found for place in taken_up]
+    return [Pose(**one) for one in found]
 
 
+def _takes_up_play(description: RigDescription, name: str, place: float) -> bool:
+    """Whether the approach to a place is as long as the axis's play, or as long as it is away from limits."""
+    at = math.degrees(place)
+    way = abs(at - description.approach_starts_deg(name, at))
+    return way >= min(description.axes()[name].backlash_deg, abs(description.approach_deg()[name])) - 1e-9
+
+
+TURN = 2.0 * math.pi
 FREE_TURNS = ("camera", "spin", "azimuth")
 """Axes that stand alike after a whole turn: only an arm that reaches behind the sample has limits that far apart."""
 NAMES = {

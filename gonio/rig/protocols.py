@@ -214,6 +214,20 @@ class FoundServo:
     """False where two servos answer to this id, or its answers are damaged as theirs would be."""
 
 
+@dataclass(frozen=True, slots=True)
+class Homed:
+    """What a homing has found."""
+
+    at_deg: float
+    """Where the rig file has the place."""
+    off_deg: float
+    """Where it was found, from there."""
+    spread_deg: float
+    """Between the repetitions, largest minus smallest."""
+    found: int
+    """How often."""
+
+
 class RigService(Protocol):
     """What a rig's plugin may offer beside `open`: work on servos before the rig can be opened, or that opening spoils.
 
@@ -234,6 +248,11 @@ class RigService(Protocol):
 
     def reboot(self, description: RigDescription, axes: Sequence[str] = ()) -> dict[str, str]:
         """Restart the servos of axes (of all, without `axes`); by axis, "" or why it failed. Their torque goes off."""
+
+    def home(
+        self, description: RigDescription, axes: Sequence[str], say: Callable[[str], None]
+    ) -> dict[str, Homed | str]:
+        """Find the turn of axes that count turns (without `axes`, of those that need it); by axis, or why it failed."""
 
 
 class RigDiscovery(Protocol):

@@ -5,8 +5,9 @@ that is nearest to the goal; within that count it may stand anywhere, with equal
 uniform over one encoder step around what is read, which is the standard uncertainty step / sqrt(12) of a reading.
 
 The arm follows with play: on the way up the lower flank of the gear pushes it, on the way down the upper one, and it
-lags by `backlash_deg`. Every goal is approached from below, from `acquisition.approach_deg` away, which takes up the
-play if the approach is longer than the play; the zero offset is defined for that side. What is left is
+lags by `backlash_deg`. Every goal is approached from below, from `acquisition.approach_deg` away (from above, where
+that is negative), which takes up the play if the approach is longer than it; the zero offset is defined for that side.
+The approach never leaves the limits, and is shorter near them. What is left is
 
     true = encoder - zero_offset_deg - (what the calibration missed, drawn once from N(0, zero_u_deg))
     read = encoder in whole counts - zero_offset_deg, or without it where `zero_offset_known = false`
@@ -18,12 +19,17 @@ import math
 from collections.abc import Mapping
 from dataclasses import fields, replace
 
+import numpy as np
+
 from gonio.errors import ConfigError
 from gonio.rig import Pose
 from gonio.rig.description import Axis
+from gonio.rig.ways import route, touching
 from gonio_sim.world import SETTLE_S, Stream, World
 
 AXES = tuple(field.name for field in fields(Pose))
+LOOK_S = 0.05
+"""How finely a way is looked at for collisions: 1.5 deg of an arm at its usual speed."""
 ROUNDING = 1e-9
 """A goal this close [rad] to a limit is at the limit."""
 
@@ -31,7 +37,7 @@ ROUNDING = 1e-9
 class Mechanism:
     """One axis. Angles are radians; the encoder's own zero is where the arm stands at -zero_offset."""
 
-    def __init__(self, axis: Axis, zero_error: float, rest: float) -> None:
+    def __init__(self, axis: Axis, zero_error: float, rest: float, approach: float) -> None:
         self._step = math.radians(axis.encoder_step_deg)
         self._backlash = math.radians(axis.backlash_deg)
         self._offset = math.radians(axis.zero_offset_deg)
@@ -39,21 +45,23 @@ class Mechanism:
         self._zero_error = zero_error
         self.speed = math.radians(axis.speed_deg_per_s)
         self._rest = rest
+        self._play = (0.0, self._backlash) if approach >= 0.0 else (-self._backlash, 0.0)
+        """How far the arm may lie from the motor, on either side; nothing where the approach has taken it up."""
         self.rest()
 
     def rest(self) -> None:
-        """Stand at the rest position, reached from above: the play is open, as it is before a first approach."""
+        """Stand at the rest position, reached from the wrong side: the play is open, as before a first approach."""
         self.encoder = self._rest + self._known_offset
-        self.arm = self.encoder + self._backlash
+        self.arm = self.encoder + sum(self._play)
 
-    def land(self, goal: float, approach: float, within: float) -> None:
-        """Go to `approach` below the goal, then up to it; the motor stops at `within`, in [-1/2, 1/2), of its count."""
+    def land(self, start: float, goal: float, within: float) -> None:
+        """Go to `start`, then to the goal; the motor stops at `within`, in [-1/2, 1/2), of its count."""
         target = goal + self._known_offset
         if self._step > 0.0:
             target = (round(target / self._step) + within) * self._step
-        for encoder in (target - approach, target):
+        for encoder in (target - (goal - start), target):
             self.encoder = encoder
-            self.arm = min(max(self.arm, encoder), encoder + self._backlash)
+            self.arm = min(max(self.arm, encoder + self._play[0]), encoder + self._play[1])
 
     @property
     def reading(self) -> float:
@@ -73,12 +81,12 @@ class SimulatedArms:
     def __init__(self, world: World) -> None:
         self._world = world
         self._limits = {name: tuple(map(math.radians, pair)) for name, pair in world.description.limits_deg().items()}
-        self._approach = math.radians(world.description.acquisition.approach_deg)
+        self._approach = {n: math.radians(value) for n, value in world.description.approach_deg().items()}
         # out of each other's way: the light on its lower end, the camera on its upper end, the holder at zero
         self._rest = {name: 0.0 for name in world.description.axes()}
         self._rest["light"], self._rest["camera"] = self._limits["light"][0], self._limits["camera"][1]
         self._axes = {
-            name: Mechanism(axis, world.zero_error[name], self._rest[name])
+            name: Mechanism(axis, world.zero_error[name], self._rest[name], self._approach[name])
             for name, axis in world.description.axes().items()
         }
         self._moves = 0
@@ -122,26 +130,55 @@ class SimulatedArms:
     def read(self) -> Pose:
         """What the encoders read, now."""
         self._world.require_open("arms")
-        return Pose(**{name: axis.reading for name, axis in self._axes.items()})
+        return self._inner()
 
     def stop(self) -> None:
         """Nothing moves between two calls, so there is nothing to stop."""
 
     def park(self) -> None:
-        """Drive to the rest position."""
-        self._drive(self._rest)
+        """Drive to the rest position, by a free way."""
+        for pose in route(self._world.description, self._inner(), Pose(**self._rest)):
+            self._drive({name: getattr(pose, name) for name in self._axes})
 
     def _drive(self, goals: Mapping[str, float]) -> None:
         durations = []
+        before = self._world.pose
         for number, (name, axis) in enumerate(self._axes.items()):
             if name not in goals:
                 continue
-            durations.append((abs(goals[name] - axis.reading) + 2.0 * self._approach) / axis.speed)
+            way = abs(goals[name] - axis.reading) + 2.0 * abs(self._approach[name])
+            durations.append(way / axis.speed)
             within = self._world.uniform(Stream.LANDING, self._world.step, self._moves, number)
-            axis.land(goals[name], self._approach, within)
+            axis.land(self._start(name, goals[name]), goals[name], within)
         self._moves += 1
         self._world.spend(max(durations) + SETTLE_S)
         self._publish()
+        if self._world.description.bodies:
+            self._collide(before, goals)
+
+    def _collide(self, before: Pose, goals: Mapping[str, float]) -> None:
+        """Follow the axes on their way, each at its own speed, and note what meets what."""
+        ways: dict[str, list[tuple[float, float]]] = {}
+        for name, goal in goals.items():
+            speed, at, time = self._axes[name].speed, getattr(before, name), 0.0
+            ways[name] = [(0.0, at)]
+            for place in (self._start(name, goal), getattr(self._world.pose, name)):
+                time += abs(place - at) / speed
+                at = place
+                ways[name].append((time, at))
+        end = max(way[-1][0] for way in ways.values())
+        for time in np.linspace(0.0, end, 2 + int(end / LOOK_S)):
+            angles = {n: float(np.interp(time, *np.array(way).T)) for n, way in ways.items()}
+            self._world.touched += touching(self._world.description, replace(before, **angles))
+
+    def _inner(self) -> Pose:
+        """What the encoders read, the rig being open or not."""
+        return Pose(**{name: axis.reading for name, axis in self._axes.items()})
+
+    def _start(self, name: str, goal: float) -> float:
+        """Where the approach to a goal begins: inside the limits."""
+        lower, upper = self._limits[name]
+        return min(max(goal - self._approach[name], lower), upper)
 
     def _publish(self) -> None:
         self._world.pose = Pose(**{name: axis.true for name, axis in self._axes.items()})

@@ -75,6 +75,8 @@ class World:
         self.target: InHolder = "sample"
         self.pose = Pose()
         """True positions of the axes [rad]."""
+        self.touched: list[tuple[str, str]] = []
+        """Bodies of the rig file that have met on a way, two by two."""
         self.zero_error = {
             name: np.radians(axis.zero_u_deg) * self.normal(Stream.ZERO, number)
             for number, (name, axis) in enumerate(description.axes().items())

@@ -125,6 +125,8 @@ class Follower:
     backlash: float
     offset: float
     zero_error: float
+    from_above: bool = False
+    """The rig approaches its goals so: no play then."""
     arm: float = math.nan
 
     def encoder(self) -> float:
@@ -135,8 +137,9 @@ class Follower:
     def follow(self) -> None:
         """Let the shaft push the arm along."""
         encoder = self.encoder()
-        arm = encoder + self.backlash if math.isnan(self.arm) else self.arm
-        self.arm = min(max(arm, encoder), encoder + self.backlash)
+        low, high = (-self.backlash, 0.0) if self.from_above else (0.0, self.backlash)
+        arm = encoder + low + high if math.isnan(self.arm) else self.arm
+        self.arm = min(max(arm, encoder + low), encoder + high)
 
     def true(self) -> float:
         """Where the arm is [rad]."""
@@ -217,7 +220,7 @@ class Twins:
                 body = known[name]
                 follower = Follower(
                     self.servos[name], axis, math.radians(body.backlash_deg), math.radians(body.zero_offset_deg),
-                    float(self.world.zero_error[name]),
+                    float(self.world.zero_error[name]), description.approach_deg()[name] < 0,
                 )  # fmt: skip
                 self.followers[name] = follower
                 self.servos[name].leaving = follower.follow

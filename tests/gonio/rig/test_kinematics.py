@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,16 @@ from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.rig import Pose
 from gonio.rig.description import ArmAxis, Arms, Geometry, Holder
-from gonio.rig.kinematics import Unreachable, blocked_cone, directions, left_its_side, reach, separation, view
+from gonio.rig.kinematics import (
+    Unreachable,
+    blocked_cone,
+    branches,
+    directions,
+    left_its_side,
+    reach,
+    separation,
+    view,
+)
 from tests.gonio.numpy_rig import describe
 
 DEG = math.pi / 180
@@ -219,3 +229,42 @@ def test_a_camera_on_the_other_side_than_asked_is_noticed() -> None:
     assert left_its_side(BEHIND, behind, before)
     assert not left_its_side(BEHIND, behind, behind)
     assert left_its_side(BEHIND, before, Pose(light=1.6, camera=1.5))
+
+
+def test_a_spin_wider_than_a_turn_winds_its_cable_no_further_than_its_limits() -> None:
+    """Off-centre and wide limits: every direction has a winding inside, and the one nearest to 0 is taken."""
+    for limits in ((-10.0, 355.0), (200.0, 620.0), (-400.0, 400.0)):
+        rig = describe(
+            geometry=NO_BODIES,
+            arms=Arms(light=FREE, camera=FREE),
+            holder=Holder(axes=("tilt", "spin"), tilt_limits_deg=(-90, 90), spin_limits_deg=limits),
+        )
+        for phi in range(0, 360, 30):
+            asked = Directions(0.5, phi * DEG, 0.7, (phi + 100) * DEG)
+            pose = reach(rig, asked)
+            windings = [p.spin for _, p in branches(rig, asked) if isinstance(p, Pose)]
+            assert limits[0] <= math.degrees(pose.spin) <= limits[1]
+            assert abs(pose.spin) == pytest.approx(min(map(abs, windings)))
+            assert len(windings) >= (2 if limits[1] - limits[0] > 360 else 1)
+            turns = [(one - pose.spin) / math.tau for one in windings]
+            for whole in (k for k in turns if abs(k - round(k)) < 1e-9):
+                wound = replace(pose, spin=pose.spin + whole * math.tau)
+                assert apart(directions(rig, wound), asked) < 1e-9
+            assert apart(directions(rig, pose), asked) < 1e-9
+
+
+def test_goals_whose_play_a_limit_leaves_open_are_refused() -> None:
+    """At a limit an axis cannot arrive from the side of the limit: within the play its angle would be wrong."""
+    stops = ArmAxis(limits_deg=(-80.0, 80.0), backlash_deg=0.5)
+    rig = describe(geometry=NO_BODIES, arms=Arms(light=stops, camera=stops), holder=Holder())
+    assert reach(rig, Directions(0.1, 0.0, 80 * DEG, 0.0)).camera == pytest.approx(80 * DEG)
+    assert reach(rig, Directions(0.1, 0.0, 79.4 * DEG, math.pi)).camera == pytest.approx(-79.4 * DEG)
+    with pytest.raises(
+        Unreachable, match=r"closer to the lower limit of the camera arm than its play of 0\.5 deg"
+    ) as e:
+        reach(rig, Directions(0.1, 0.0, 79.8 * DEG, math.pi))
+    assert e.value.flag == "unreachable"
+    above = rig.model_copy(update={"arms": Arms(light=stops, camera=stops.model_copy(update={"approach_deg": -1.0}))})
+    assert reach(above, Directions(0.1, 0.0, 79.8 * DEG, math.pi)).camera == pytest.approx(-79.8 * DEG)
+    with pytest.raises(Unreachable, match="closer to the upper limit"):
+        reach(above, Directions(0.1, 0.0, 79.8 * DEG, 0.0))

@@ -1,0 +1,230 @@
+"""Finding the turn of an axis that counts turns: against a stop, at a switch, or over a mark.
+
+Homing decides about whole turns of the servo and about nothing finer: within a turn the servo's own encoder is
+absolute, and repeats far better than a stop or a switch does. So the place is looked for several times; its spread and
+its distance from where the rig file has it are reported; and what is further off than a quarter of a servo's turn is
+refused as ambiguous. While the angle is not known the soft limits cannot be kept; the axis goes slowly, and no further
+than the range between its hard stops (or limits).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import statistics
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+import serial
+
+from gonio.errors import ConfigError, DeviceError
+from gonio.rig import Homed
+from gonio_drivers import home_mark, joints, settings, watchdog
+from gonio_drivers.joints import ACCELERATION_UNIT_DEG_S2, COUNTS, VELOCITY_UNIT_DEG_S, Joint
+
+POLL_S = 0.01
+STALLED_S = 0.3
+"""An axis that is told to go and has not moved for so long stands against something."""
+STILL_COUNTS = 4
+BACK_OFF_DEG = 3.0
+ACCELERATION_DEG_S2 = 180.0
+TURN_MARGIN = 0.25
+"""Of a servo's turn: what is found further from where it should be could as well be another turn."""
+INPUT_MODE = 3
+"""Of an external port: digital input, pulled up (ROBOTIS e-Manual, "External Port")."""
+OVERSHOOT = 1.1
+
+
+@dataclass(slots=True)
+class Search:
+    """One axis on its way to its place of homing."""
+
+    joint: Joint
+    homing: settings.Homing
+    closed: Callable[[], bool]
+    speed_deg_s: float
+
+    def run(self) -> Homed:
+        """Find the place as often as asked, and leave the mark in the servo.
+
+        Raises
+        ------
+        DeviceError
+            The place is not found, or found too far apart; the axis has been stopped, and is not homed.
+        """
+        joint, homing = self.joint, self.homing
+        watchdog.arm([joint])
+        try:
+            places = [self._place() for _ in range(homing.repeats)]
+            self._go(-homing.toward, lambda count, moved: abs(moved) >= BACK_OFF_DEG)  # off the stop or the switch
+        finally:
+            self._halt()
+            watchdog.call_off([joint])
+        spread = (max(places) - min(places)) / abs(joint.counts_per_deg)
+        if spread > homing.spread_deg:
+            found = ", ".join(f"{(p - places[0]) / joint.counts_per_deg:.2f}" for p in places)
+            raise DeviceError(
+                f"axis {joint.name}: its place of homing was found {spread:.2f} deg apart ({found} deg), more than "
+                f"{joint.key}.homing.spread_deg = {homing.spread_deg:g}; is the stop or the switch loose?"
+            )
+        at = home_mark.at_deg(joint, homing)
+        assert at is not None
+        joint.turns = 0
+        off = statistics.fmean(places) - joint.to_count(at)
+        turns = round(off / COUNTS)
+        rest = off - turns * COUNTS
+        if abs(rest) > TURN_MARGIN * COUNTS:
+            raise DeviceError(
+                f"axis {joint.name}: its place of homing lies {abs(rest) / abs(joint.counts_per_deg):.1f} deg off "
+                f"{at:g} deg, more than a quarter of a turn of its servo: the turn is not certain; correct "
+                f"{joint.key}.homing.at_deg, zero_count or zero_offset_deg"
+            )
+        home_mark.leave(joint, turns)
+        return Homed(at_deg=at, spread_deg=spread, off_deg=rest / joint.counts_per_deg, found=len(places))
+
+    def _place(self) -> float:
+        """Where the place is, found once [counts]; begins clear of it."""
+        homing = self.homing
+        if homing.how == "stall":
+            self._go(-homing.toward, lambda count, moved: abs(moved) >= BACK_OFF_DEG)
+            return self._against(homing.toward)
+        if self.closed():
+            self._go(-homing.toward, lambda count, moved: not self.closed())
+            self._go(-homing.toward, lambda count, moved: abs(moved) >= BACK_OFF_DEG)
+        first = self._go(homing.toward, lambda count, moved: self.closed())
+        if homing.how == "switch":
+            return first
+        self._go(homing.toward, lambda count, moved: not self.closed())
+        self._go(homing.toward, lambda count, moved: abs(moved) >= BACK_OFF_DEG / 2)
+        second = self._go(-homing.toward, lambda count, moved: self.closed())
+        return (first + second) / 2
+
+    def _against(self, way: int) -> float:
+        """Go until it stands against something; where [counts]."""
+        still = _Still()
+        return self._go(way, lambda count, moved: still.since_s(count) >= STALLED_S)
+
+    def _go(self, way: int, there: Callable[[int, float], bool]) -> float:
+        """Go slowly until `there` says so, of the count and of how far the axis has moved [deg]; then stop; where.
+
+        The place is in the middle between the last look before and the first look after.
+        """
+        joint = self.joint
+        low, high = joint.hard_stops_deg or joint.limits_deg
+        travel = OVERSHOOT * (high - low) + 2 * BACK_OFF_DEG
+        last = start = self._look()
+        if there(start, 0.0):
+            return start
+        goal = start + round(way * travel * joint.counts_per_deg)
+        joint.write("Goal Position", max(joint.count_limits[0], min(joint.count_limits[1], goal)))
+        still = _Still()
+        end = time.monotonic() + 1.5 * travel / self.speed_deg_s + 5.0
+        while time.monotonic() < end:
+            time.sleep(POLL_S)
+            here = self._look()
+            if there(here, (here - start) / joint.counts_per_deg):
+                self._halt()
+                return (last + here) / 2
+            if still.since_s(here) >= STALLED_S:  # at its goal, or against something
+                break
+            last = here
+        self._halt()
+        what = "stop" if self.homing.how == "stall" else "switch"
+        moved = abs(self._look() - start) / abs(joint.counts_per_deg)
+        raise DeviceError(
+            f"axis {joint.name}: no {what} was found in {moved:.1f} deg of travel toward "
+            f"{'positive' if way > 0 else 'negative'} angles; the axis is stopped and not homed"
+            + ("; it does not move at all: is it jammed, or `current` too small?" if moved < BACK_OFF_DEG else "")
+        )
+
+    def _look(self) -> int:
+        return joints.reports(self.joint.bus, [self.joint])[self.joint.name].position
+
+    def _halt(self) -> None:
+        """Stay here."""
+        self.joint.write("Goal Position", self._look())
+
+
+@dataclass(slots=True)
+class _Still:
+    """For how long an axis has not moved."""
+
+    place: int | None = None
+    time_s: float = 0.0
+
+    def since_s(self, count: int) -> float:
+        """Of one more look at it [s]."""
+        if self.place is None or abs(count - self.place) > STILL_COUNTS:
+            self.place, self.time_s = count, time.monotonic()
+        return time.monotonic() - self.time_s
+
+
+def home(joint: Joint, say: Callable[[str], None]) -> Homed:
+    """Home one axis, whose bus is open; it holds where it stands then, with its usual profile.
+
+    Raises
+    ------
+    ConfigError
+        The axis has no table `homing`.
+    DeviceError
+        It could not be homed; it has been stopped, and stays not homed.
+    """
+    homing = joint.servo.homing
+    if homing is None:
+        raise ConfigError(
+            f"axis {joint.name} needs no homing: it has no table {joint.key}.homing, and its servo keeps to one turn"
+        )
+    joint.identify()
+    joint.prepare(ACCELERATION_DEG_S2, homed=False)
+    usual = joint.profile
+    gear = joint.servo.gear_ratio
+    speed = max(1, int(min(homing.speed_deg_per_s, joint.speed_deg_per_s) * gear / VELOCITY_UNIT_DEG_S))
+    rise = max(1, int(ACCELERATION_DEG_S2 * gear / ACCELERATION_UNIT_DEG_S2))
+    with _switch(joint, homing) as closed:
+        joint.profile = joint.table["Profile Acceleration"].encode(rise) + joint.table["Profile Velocity"].encode(speed)
+        joint.send_profile()
+        if homing.current is not None and homing.how == "stall":
+            joint.write("Goal Current", min(homing.current, joint.full_current))
+        say(f"axis {joint.name}: looking for its {'stop' if homing.how == 'stall' else 'switch'}")
+        try:
+            return Search(joint, homing, closed, speed * VELOCITY_UNIT_DEG_S / gear).run()
+        finally:
+            joint.profile = usual
+            joint.send_profile()
+            if homing.how == "stall":
+                joint.write("Goal Current", joint.full_current)
+
+
+@contextlib.contextmanager
+def _switch(joint: Joint, homing: settings.Homing) -> Iterator[Callable[[], bool]]:
+    """What says whether the switch is closed."""
+    if homing.external_port is not None:
+        mode = f"External Port Mode {homing.external_port}"
+        if joint.get(mode) != INPUT_MODE:
+            joint.write("Torque Enable", 0)  # or its EEPROM is locked
+            joint.write(mode, INPUT_MODE)
+            joint.write("Torque Enable", 1)
+        yield lambda: joint.get(f"External Port Data {homing.external_port}") == homing.closed_reads
+    elif homing.line is not None:
+        signal = homing.line.signal
+        try:
+            line = serial.Serial(homing.line.port)
+        except (OSError, serial.SerialException) as error:
+            raise DeviceError(
+                f"{joint.key}.homing.line.port = {homing.line.port!r}: cannot be opened: {error}"
+            ) from None
+        with line:
+            yield lambda: int(getattr(line, signal)) == homing.closed_reads
+    else:
+        yield lambda: False
+
+
+def lacking(names: Mapping[str, Joint]) -> list[str]:
+    """Those axes that have to be homed before they can move."""
+    out = []
+    for name, joint in names.items():
+        try:
+            home_mark.recall(joint)
+        except DeviceError:
+            out.append(name)
+    return out

@@ -1,0 +1,212 @@
+"""Ways on which no two bodies of a rig touch: distances, proofs against sampled motion, splits, branches."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gonio_sim.rig import SIM_IDEAL
+from scipy.spatial.distance import cdist
+
+from gonio.config import parse
+from gonio.errors import ConfigError
+from gonio.geometry import Directions
+from gonio.rig import Pose, Step, ways
+from gonio.rig.description import ArmAxis, Arms, Body, Geometry, Holder, RigDescription
+from gonio.rig.kinematics import Unreachable, reach
+from gonio.rig.ways import Blocked
+from tests.gonio.numpy_rig import describe
+
+AXIS = ArmAxis(limits_deg=(-89.0, 89.0))
+HEADS = Geometry(
+    light_distance_mm=400.0, camera_distance_mm=450.0, light_body_radius_mm=40.0, camera_body_radius_mm=50.0
+)
+BARS = (
+    Body(name="light bar", on="light", from_mm=(0, 150, 0), to_mm=(0, 150, 420), radius_mm=20.0),
+    Body(name="camera bar", on="camera", from_mm=(0, -150, 0), to_mm=(0, -150, 470), radius_mm=20.0),
+    Body(name="light bracket", on="light", from_mm=(0, 150, 400), to_mm=(0, 0, 400), radius_mm=15.0),
+    Body(name="camera bracket", on="camera", centre_mm=(0, -75, 460), size_mm=(30, 150, 20)),
+    Body(name="plate", on="spin", centre_mm=(0, 0, -6), size_mm=(120, 60, 10)),
+    Body(name="lamp post", on="bench", centre_mm=(300, 0, 250), size_mm=(40, 40, 60)),
+)
+RIG = describe(
+    geometry=HEADS, arms=Arms(light=AXIS, camera=AXIS), holder=Holder(axes=("tilt", "spin")), bodies=BARS[:5]
+)
+
+
+def deg(light: float, camera: float, tilt: float = 0.0, spin: float = 0.0) -> Pose:
+    return Pose(math.radians(light), math.radians(camera), math.radians(tilt), math.radians(spin))
+
+
+def rotated(axis: str, angle: float) -> np.ndarray:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array(
+        {
+            "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
+            "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]],
+            "z": [[c, -s, 0], [s, c, 0], [0, 0, 1]],
+        }[axis]
+    )
+
+
+def points_of(body: Body, pose: Pose) -> tuple[np.ndarray, float]:
+    """Points of a body in the lab, close together, and how far it reaches around them [mm]."""
+    if body.from_mm is not None and body.to_mm is not None and body.radius_mm is not None:
+        a, b = np.array(body.from_mm), np.array(body.to_mm)
+        points, around = a + np.linspace(0, 1, 60)[:, None] * (b - a), body.radius_mm
+    else:
+        assert body.centre_mm is not None
+        assert body.size_mm is not None
+        sides = [c + np.linspace(-s / 2, s / 2, 6) for c, s in zip(body.centre_mm, body.size_mm, strict=True)]
+        points, around = np.array(list(itertools.product(*sides))), 0.0
+    turned = {
+        "bench": np.eye(3),
+        "light": rotated("y", pose.light),
+        "camera": rotated("z", pose.azimuth) @ rotated("y", pose.camera),
+        "tilt": rotated("x", -pose.tilt),
+        "spin": rotated("x", -pose.tilt) @ rotated("z", pose.spin),
+    }[body.on]
+    return points @ turned.T, around
+
+
+def gap(one: Body, other: Body, pose: Pose) -> float:
+    """Smallest distance between points of two bodies: the truth, from above."""
+    (a, around_a), (b, around_b) = points_of(one, pose), points_of(other, pose)
+    return float(cdist(a, b).min()) - around_a - around_b
+
+
+def heads() -> tuple[Body, Body]:
+    light = (0.0, 0.0, HEADS.light_distance_mm)
+    camera = (0.0, 0.0, HEADS.camera_distance_mm)
+    return (
+        Body(name="source head", on="light", from_mm=light, to_mm=light, radius_mm=HEADS.light_body_radius_mm),
+        Body(name="camera head", on="camera", from_mm=camera, to_mm=camera, radius_mm=HEADS.camera_body_radius_mm),
+    )
+
+
+def test_touching_agrees_with_a_cloud_of_points() -> None:
+    rng = np.random.default_rng(1)
+    rig = RIG.model_copy(update={"bodies": BARS})
+    every = {body.name: body for body in (*BARS, *heads())}
+    seen = 0
+    for _ in range(25):
+        pose = Pose(*np.radians([*rng.uniform(-89, 89, 2), *rng.uniform(-80, 80, 2)]))
+        found = {frozenset(pair) for pair in ways.touching(rig, pose)}
+        seen += len(found)
+        for one, other in itertools.combinations(every.values(), 2):
+            if one.on == other.on:
+                continue
+            distance = gap(one, other, pose)
+            if distance < 0.0:
+                assert frozenset((one.name, other.name)) in found
+            elif distance > 35.0:  # points lie up to 30 mm apart, and capsules that cover a box reach beyond it
+                assert frozenset((one.name, other.name)) not in found
+    assert seen > 5
+
+
+def sampled(rng: np.random.Generator, start: Pose, goal: Pose) -> list[Pose]:
+    """A move whose axes go each at a speed of its own, and arrive from a degree below where the limits leave room."""
+    names = ("light", "camera", "tilt", "spin")
+    stations = []
+    for name in names:
+        a, b = getattr(start, name), getattr(goal, name)
+        before = max(b - math.radians(1), min(b, math.radians(RIG.limits_deg()[name][0])))
+        length, speed = abs(before - a) + abs(b - before), rng.uniform(0.2, 3.0)
+        stations.append((np.array([0.0, abs(before - a), length]) / speed, np.array([a, before, b])))
+    end = max(times[-1] for times, _ in stations)
+    grid = np.linspace(0, end, 40)
+    tracks = [np.interp(grid, times, places) for times, places in stations]
+    return [Pose(*values) for values in zip(*tracks, strict=True)]
+
+
+def test_no_way_that_is_found_touches_whatever_the_speeds_of_the_axes() -> None:
+    rng = np.random.default_rng(2)
+    at, found, split = Pose(*ways._space_of(RIG).rest), 0, 0
+    while found < 5:
+        goal = Pose(*np.radians([*rng.uniform(-80, 80, 2), rng.uniform(-50, 50), rng.uniform(-180, 180)]).tolist())
+        try:
+            legs = ways.route(RIG, at, goal)
+        except Blocked:
+            continue
+        found, split = found + 1, split + (len(legs) > 1)
+        assert legs[-1] == goal
+        for leg in legs:
+            assert not any(ways.touching(RIG, pose) for pose in sampled(rng, at, leg))
+            at = leg
+    assert split > 0
+
+
+def test_one_arm_goes_first_where_both_together_could_meet() -> None:
+    start, goal = deg(-60, -20), deg(10, 50)
+    legs = ways.route(RIG, start, goal)
+    assert legs == [deg(-60, 50), deg(10, 50)]
+    assert ways.route(RIG.model_copy(update={"bodies": ()}), start, goal) == [goal]
+
+
+def test_arms_in_one_plane_cannot_pass_each_other() -> None:
+    with pytest.raises(
+        Blocked, match=r"the way from light -89, camera 89, .* would touch: source head and camera head"
+    ):
+        ways.route(RIG, deg(-89, 89), deg(30, -30))
+
+
+def test_an_approach_from_above_is_part_of_the_way() -> None:
+    """The balls meet 10.9 deg apart: at 18 deg there is room for an approach of 1 deg, and not for one of 10."""
+    for approach in (-1.0, -10.0):
+        light = AXIS.model_copy(update={"approach_deg": approach})
+        rig = RIG.model_copy(update={"arms": Arms(light=light, camera=AXIS), "bodies": BARS[:1]})
+        legs = ways.route(rig, deg(-60, 0), deg(-18, 0))
+        if approach == -1.0:
+            assert legs == [deg(-18, 0)]
+        else:  # the camera makes room, and comes back when the light has landed
+            assert [leg.light for leg in legs[-2:]] == [math.radians(-18)] * 2
+            assert legs[-2].camera > math.radians(30)
+            assert legs[-1] == deg(-18, 0)
+
+
+def test_directions_are_reached_by_the_branch_that_has_a_free_way() -> None:
+    mirror = Directions.from_degrees(30, 0, 45, 180)
+    without = reach(RIG.model_copy(update={"bodies": ()}), mirror)
+    assert (without.light, without.camera) == pytest.approx((math.radians(30), math.radians(-45)))
+    pose = reach(RIG, mirror)
+    assert (pose.light, pose.camera) == pytest.approx((math.radians(-30), math.radians(45)))
+    assert abs(pose.spin) == pytest.approx(math.pi)
+
+
+def test_directions_without_a_free_way_are_blocked_and_say_by_what() -> None:
+    rig = RIG.model_copy(update={"bodies": BARS, "holder": Holder(axes=("tilt",))})
+    with pytest.raises(
+        Unreachable, match=r"blocked: the way from .* would touch: source head and camera head"
+    ) as caught:
+        reach(rig, Directions.from_degrees(30, 0, 45, 180))
+    assert caught.value.flag == "blocked"
+    assert caught.value.cause == "the way there would touch: source head and camera head"
+
+
+def test_bodies_need_one_whole_shape() -> None:
+    table = {"rig": "sim", "name": "x", "bands": {"list": [{"name": "g", "centre_nm": 550, "fwhm_nm": 10}]}}
+    for shape in ({"from_mm": [0, 0, 0], "to_mm": [0, 0, 1]}, {"radius_mm": 1.0, "centre_mm": [0, 0, 0]}, {}):
+        with pytest.raises(ConfigError, match=r'body "bar" needs either from_mm, to_mm and radius_mm'):
+            parse(RigDescription, table | {"bodies": [{"name": "bar", "on": "light", **shape}]}, "rig.toml")
+
+
+def test_the_simulated_bench_tells_collisions_and_a_rig_that_looks_ahead_has_none() -> None:
+    import tomllib
+
+    base = parse(RigDescription, tomllib.loads(SIM_IDEAL.toml), "sim-ideal")
+    described = base.model_copy(update={"bodies": BARS[:5], "geometry": HEADS})
+    with SIM_IDEAL.open(described, sample=None, seed=0, confirm=False) as rig:
+        rig.begin(Step(0, "dark"))
+        rig.arms.move(deg(30, -30))
+        assert ("source head", "camera head") in rig.world.touched
+        rig.world.touched.clear()
+        rig.begin(Step(1, "dark"))
+        for theta_r in (-60, 45):
+            goal = reach(described, Directions.from_degrees(30, 0, abs(theta_r), 180 if theta_r > 0 else 0))
+            for leg in ways.route(described, rig.arms.read(), replace(goal)):
+                rig.arms.move(leg)
+        assert rig.world.touched == []
+    assert rig.world.touched == []

@@ -1,0 +1,148 @@
+"""Soft limits and sides of approach: no goal that a servo is given lies beyond a limit, on the way either."""
+
+from __future__ import annotations
+
+import logging
+import math
+from typing import Any
+
+import pytest
+from gonio_drivers.arms import ServoArms
+from gonio_drivers.joints import COUNTS
+from gonio_sim.wire.servo import Mechanics, Servo
+
+from gonio.errors import ConfigError, DeviceError
+from gonio.rig import Pose
+from gonio.rig.description import ArmAxis, Body, Geometry, Holder
+from tests.gonio_drivers.conftest import Line
+from tests.gonio_drivers.test_arms import TOLERANCE_DEG, degrees, describe, pose, servos
+
+COUNT_DEG = 360 / COUNTS
+LIMITS = ArmAxis(limits_deg=(-80.0, 80.0), backlash_deg=0.1)
+
+
+def goals_of(servo: Servo) -> list[float]:
+    """Every goal that a servo is given from now on [deg]."""
+    given: list[float] = []
+    put = servo.registers.put
+
+    def noted(name: str, value: int) -> None:
+        if name == "Goal Position":
+            given.append((value - 2048) * COUNT_DEG)
+        put(name, value)
+
+    servo.registers.put = noted  # type: ignore[method-assign]
+    return given
+
+
+def test_park_never_leaves_the_limits(line: Line) -> None:
+    """Default park: light on its lower limit, where an approach from below would begin beyond it."""
+    with ServoArms(describe(light=LIMITS, camera=LIMITS), servos(line.port)) as arms:
+        given = [goals_of(line.servos[k]) for k in (1, 2)]
+        arms.park()
+        assert degrees(arms.read())[:2] == pytest.approx((-80, 80), abs=TOLERANCE_DEG)
+    for goals in given:
+        assert goals
+        assert all(-80.0 <= goal <= 80.0 for goal in goals)
+
+
+@pytest.mark.parametrize("approach", [1.0, -1.0])
+def test_corrections_for_friction_never_leave_the_limits(line: Line, approach: float) -> None:
+    for servo in line.servos.values():
+        servo.mechanics = Mechanics(short_counts=6)  # 0.53 deg, more than the tolerance
+    axis = LIMITS.model_copy(update={"approach_deg": approach})
+    with ServoArms(describe(light=axis, camera=axis), servos(line.port)) as arms:
+        given = [goals_of(line.servos[k]) for k in (1, 2)]
+        for target in (-80.0, 80.0, -79.8, 79.7, 0.0):
+            read = degrees(arms.move(pose(target, target)))
+            # within friction of a limit no correction is possible, and the readback says where the axis stands
+            off = 0.6 if abs(target) > 79 else TOLERANCE_DEG
+            assert read[:2] == pytest.approx((target, target), abs=off)
+    assert all(-80.0 <= goal <= 80.0 for goals in given for goal in goals)
+
+
+def test_an_axis_arrives_from_its_configured_side(line: Line) -> None:
+    above = LIMITS.model_copy(update={"approach_deg": -2.0})
+    holder = Holder(axes=("tilt",), tilt_approach_deg=-0.5)
+    with ServoArms(describe(light=above, camera=LIMITS, holder=holder), servos(line.port)) as arms:
+        for before in (-20.0, 60.0):
+            arms.move(pose(before, before, before))
+            light, camera, tilt = (goals_of(line.servos[k]) for k in (1, 2, 3))
+            arms.move(pose(10.0, 10.0, 10.0))
+            assert max(light) == pytest.approx(12.0 if before < 0 else 10.0, abs=2 * COUNT_DEG)
+            assert min(camera) == pytest.approx(10.0 if before < 0 else 9.0, abs=2 * COUNT_DEG)
+            assert max(tilt) == pytest.approx(10.5 if before < 0 else 10.0, abs=2 * COUNT_DEG)
+
+
+def test_play_that_a_limit_leaves_open_is_said(line: Line, caplog: pytest.LogCaptureFixture) -> None:
+    with ServoArms(describe(light=LIMITS, camera=LIMITS), servos(line.port)) as arms:
+        with caplog.at_level(logging.WARNING, "gonio.devices"):
+            arms.park()
+            arms.move(pose(-79.5, 80.0))
+            assert not caplog.records
+            arms.move(pose(-80.0, 0.0))
+        assert "axis light at -80 deg" in caplog.text
+        assert "play of 0.1 deg is not taken up" in caplog.text
+
+
+def test_a_reading_beyond_a_hard_stop_is_a_wrong_zero(line: Line) -> None:
+    """Light stands at count 1500, -48.2 deg."""
+    stops = ArmAxis(limits_deg=(-30.0, 80.0), hard_stops_deg=(-40.0, 85.0))
+    with (
+        pytest.raises(DeviceError, match=r"axis light reads -48\.\d+ deg, beyond its hard stops at -40 and 85 deg"),
+        ServoArms(describe(light=stops), servos(line.port)),
+    ):
+        pass
+    assert not line.servos[1].torque
+
+
+@pytest.mark.parametrize(
+    ("kind", "keys", "said"),
+    [
+        (ArmAxis, {"limits_deg": (-80, 80), "hard_stops_deg": (-79, 85)}, "hard_stops_deg = [-79, 85] must enclose"),
+        (Holder, {"spin_hard_stops_deg": (-90, 90)}, "spin_hard_stops_deg = [-90, 90] must enclose spin_limits_deg"),
+    ],
+)
+def test_hard_stops_enclose_the_limits(kind: type[Any], keys: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match="must enclose") as caught:
+        kind(**keys)
+    assert said in str(caught.value)
+
+
+def test_limits_that_use_the_whole_turn_need_no_room_for_an_approach(line: Line) -> None:
+    whole = ArmAxis(limits_deg=(-179.9, 179.9))
+    with ServoArms(describe(light=whole), servos(line.port)) as arms:
+        assert math.degrees(arms.move(Pose(light=math.radians(-179.9))).light) == pytest.approx(-179.9, abs=0.2)
+    with pytest.raises(ConfigError, match="limits -181 to 80 deg need counts"):
+        ServoArms(describe(light=ArmAxis(limits_deg=(-181.0, 80.0))), servos(line.port))
+
+
+def test_parking_goes_by_a_free_way(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The light has to make room before the camera may go to where the light was."""
+    geometry = Geometry(light_distance_mm=400.0, camera_distance_mm=430.0)
+    post = Body(name="post", on="bench", from_mm=(0, 0, -300), to_mm=(0, 0, -200), radius_mm=10.0)
+    rig = describe(light=LIMITS, camera=LIMITS).model_copy(update={"geometry": geometry, "bodies": (post,)})
+    with ServoArms(rig, servos(line.port, light={"park_deg": -10.0}, camera={"park_deg": 10.0})) as arms:
+        arms.move(pose(20.0, 60.0))
+        legs: list[dict[str, float]] = []
+        jog = arms._jog
+
+        def noted(goals: dict[str, float], *, resting: bool) -> dict[str, float]:
+            legs.append({name: round(math.degrees(angle)) for name, angle in goals.items()})
+            return jog(goals, resting=resting)
+
+        monkeypatch.setattr(arms, "_jog", noted)
+        arms.park()
+        assert [(leg["light"], leg["camera"]) for leg in legs] == [(-10, 60), (-10, 10)]
+        assert degrees(arms.read())[:2] == pytest.approx((-10, 10), abs=TOLERANCE_DEG)
+
+
+def test_a_park_that_is_blocked_is_refused_and_nothing_turns(line: Line) -> None:
+    geometry = Geometry(light_distance_mm=400.0, camera_distance_mm=430.0)
+    fence = Body(name="fence", on="bench", centre_mm=(0, 0, 400), size_mm=(10, 300, 200))
+    rig = describe(light=LIMITS, camera=LIMITS).model_copy(update={"geometry": geometry, "bodies": (fence,)})
+    with ServoArms(rig, servos(line.port)) as arms:
+        arms.move(pose(40.0, 70.0))
+        with pytest.raises(ConfigError, match="would touch: source head and fence"):
+            arms.park()
+        assert degrees(arms.read())[:2] == pytest.approx((40, 70), abs=TOLERANCE_DEG)
