@@ -78,6 +78,16 @@ class Sweep(Strict):
         """How many points it stands for."""
         return len(self.theta_i_deg) * len(self.theta_r_deg) * (1 if self.dphi_deg is None else len(self.dphi_deg))
 
+    @model_validator(mode="before")
+    @classmethod
+    def _light_at_azimuth_0(cls, value: object) -> object:
+        if isinstance(value, dict) and "phi_i_deg" in value:
+            raise ValueError(
+                "phi_i_deg: the light of a sweep stands at azimuth 0. For other azimuths of incidence name a table "
+                'of points: [[points]] with file = "points.csv" and the columns ' + ", ".join(ANGLES)
+            )
+        return value
+
     @field_validator("theta_i_deg", "theta_r_deg", "dphi_deg", mode="before")
     @classmethod
     def _expanded(cls, value: object) -> object:

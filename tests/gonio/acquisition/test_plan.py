@@ -182,3 +182,9 @@ def test_a_reference_out_of_reach_names_the_rig_file(tmp_path: Path) -> None:
     rig = describe(reference=Reference(theta_i_deg=20, theta_r_deg=-20))
     with pytest.raises(ConfigError, match=r"\[reference\] theta_i_deg = 20"):
         schedule(plan(tmp_path, PLAN), rig)  # type: ignore[arg-type]
+
+
+def test_an_azimuth_of_incidence_in_a_sweep_is_told_where_it_belongs(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"azimuth 0.*\[\[points\]\].*phi_i_deg") as refused:
+        plan(tmp_path, "[[sweep]]\ntheta_i_deg = [20]\nphi_i_deg = [0, 45, 90]\ntheta_r_deg = [10]\n")
+    assert "dphi_deg" not in str(refused.value)  # that is another angle
