@@ -114,7 +114,7 @@ def parse(
         )
     chosen = formats.named(format) if format else formats.of_content(data, path)
     if blank is not None and chosen is not rt300s.FORMAT:
-        raise ConfigError(f"{path}: is {chosen.title}; --blank is subtracted from RT-300S workbooks alone")
+        raise ConfigError(f"{path}: its format is {chosen.title}; --blank is subtracted from RT-300S workbooks alone")
     if len(data) > chosen.max_bytes:
         raise DataError(f"{path}: is larger than {chosen.max_bytes >> 20} MiB, the largest {chosen.title} that is read")
     with np.errstate(all="ignore"):  # absurd numbers overflow to what `check` then names
