@@ -92,7 +92,9 @@ class Bench:
         self.clock.now_s += seconds
 
     def reboot(self, identity: int = 1) -> None:
-        assert self.ph.reboot(self.port, identity) == (COMM_SUCCESS, 0)
+        result, _ = self.ph.reboot(self.port, identity)
+        assert result == COMM_SUCCESS
+        assert self.ph.ping(self.port, identity)[1] == COMM_RX_TIMEOUT  # it boots, behind its answer
         self.later(1.0)
 
     def status(self) -> int:
@@ -1075,8 +1077,7 @@ def test_only_a_reboot_gives_the_torque_back(bench: Build) -> None:
     b.get("LED")
     b.servos[1].temperature_c = 40
     assert b.put("Torque Enable", 1) & 0x7F == p2.RESULT_FAIL
-    b.ph.reboot(b.port, 1)
-    b.later(1.0)
+    b.reboot()
     b.set(Torque_Enable=1)
 
 
