@@ -138,7 +138,15 @@ class Servo:
         return self.powered and (self._back_at is None or self._clock() >= self._back_at)
 
     def shaft(self) -> tuple[float, float]:
-        """Position [counts], with every turn that the servo may have forgotten, and velocity [counts/s], now."""
+        """Position [counts], without the turns that the servo has forgotten, and velocity [counts/s], now."""
+        position, velocity = self._shaft()
+        return position - self._forgotten, velocity
+
+    def travelled(self) -> float:
+        """Position of the shaft with every turn [counts]: what hangs on it does not turn where the servo forgets."""
+        return self._shaft()[0]
+
+    def _shaft(self) -> tuple[float, float]:
         self._watch(time.monotonic())
         if self._blocked_at is not None:
             return self._blocked_at, 0.0
@@ -151,12 +159,12 @@ class Servo:
 
     def turn(self, counts: float) -> None:
         """Somebody turns the shaft, which has no torque."""
-        self._path = motion.rest(self._clock(), self.shaft()[0] + counts)
+        self._path = motion.rest(self._clock(), self._shaft()[0] + counts)
         self._aim = self._path.at(self._clock())[0]
 
     def block(self) -> None:
         """Something holds the shaft from now on."""
-        self._blocked_at = self.shaft()[0]
+        self._blocked_at = self._shaft()[0]
 
     def unblock(self) -> None:
         """Let it go; it follows its goal again if it has torque."""
@@ -250,7 +258,7 @@ class Servo:
 
     def clear_turns(self) -> None:
         """Forget whole turns; only at rest."""
-        if self.shaft()[1] != 0:
+        if self._shaft()[1] != 0:
             raise Refused(p2.RESULT_FAIL)
         self._forget_turns()
         self._goal_here()
@@ -307,7 +315,7 @@ class Servo:
         self._stalled_since = None
         self._profile_type = STEP
         self._booted_s = self._clock()
-        position = self.shaft()[0]
+        position = self._shaft()[0]
         self._path = motion.rest(self._clock(), position)
         self._aim = position
         self._forget_turns()
@@ -339,11 +347,11 @@ class Servo:
 
     def _forget_turns(self) -> None:
         """The count is within one turn from now on, wherever the shaft is."""
-        turns = math.floor((self.shaft()[0] + 0.5) / tables.COUNTS)
+        turns = math.floor((self._shaft()[0] + 0.5) / tables.COUNTS)
         self._forgotten = float(turns * tables.COUNTS)
 
     def _goal_here(self) -> None:
-        self.registers.put("Goal Position", self._said(self.shaft()[0]))
+        self.registers.put("Goal Position", self._said(self._shaft()[0]))
 
     def _checked(self, address: int, data: bytes) -> list[tuple[tables.Item, int]]:
         pairs = self.registers.items(address, data)
@@ -484,7 +492,7 @@ class Servo:
         return TRAPEZOIDAL if peak > 0.999 * speed else TRIANGULAR  # rounding of the ways of single phases
 
     def _halt(self) -> None:
-        position, _ = self.shaft()
+        position, _ = self._shaft()
         self._path = motion.rest(self._clock(), position)
 
     def _release(self) -> None:
@@ -525,7 +533,7 @@ class Servo:
         """Write what is measured into the table."""
         self._look()
         now = self._clock()
-        position, velocity = self.shaft()
+        position, velocity = self._shaft()
         planned, planned_velocity = self._path.at(now)
         flicker = self.mechanics.noise_counts * math.sin(1e3 * now) if velocity == 0 else 0.0
         units = round(self._turned(velocity) / tables.RPM)

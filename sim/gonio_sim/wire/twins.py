@@ -132,7 +132,7 @@ class Follower:
     def encoder(self) -> float:
         """Angle of the axis that the servo's shaft stands for [rad]."""
         per_turn = self.built.direction * self.built.gear_ratio
-        return (self.servo.shaft()[0] - self.built.zero_count) / COUNTS / per_turn * math.tau
+        return (self.servo.travelled() - self.built.zero_count) / COUNTS / per_turn * math.tau
 
     def follow(self) -> None:
         """Let the shaft push the arm along."""
