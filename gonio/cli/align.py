@@ -53,10 +53,9 @@ def align(
 
     if not Path(rig).is_file():
         raise ConfigError(f'"{rig}" is no rig file: gonio rig show {rig} > my.toml, then --rig my.toml')
-    scans_file, picture = (out.with_name(f"{out.stem}-{name}") for name in ("scans.csv", "residuals.png"))
-    for name in (out, picture, *([] if again else [scans_file])):
-        if name.exists():
-            raise ConfigError(f"{name}: is there already; name another file with --out")
+    if out.exists():
+        raise ConfigError(f"{out}: is there already; name another file with --out")
+    scans_file, picture = _free(out, "scans", ".csv"), _free(out, "residuals", ".png")
     if out.suffix != ".toml" or not out.absolute().parent.is_dir():
         raise ConfigError(f"--out {out}: must end with .toml, and lie in a folder that is there")
     if again:
@@ -99,6 +98,15 @@ def align(
         raise DataError(f"{out} is not written: these scans determine no zero alone")
     rig_file.write_values(rig, values, out=out)
     console.show(f"{out}: {', '.join(found.zeros)}", str(picture))
+
+
+def _free(out: Path, what: str, suffix: str) -> Path:
+    """A name beside OUT that is not taken: an alignment that was cut short has left its scans."""
+    name, number = out.with_name(f"{out.stem}-{what}{suffix}"), 1
+    while name.exists():
+        number += 1
+        name = out.with_name(f"{out.stem}-{what}-{number}{suffix}")
+    return name
 
 
 def _joined(tables: list[pd.DataFrame]) -> pd.DataFrame:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from gonio_drivers import discovery, folder_camera
+from gonio_drivers.lab import LAB
 from gonio_sim.wire.faults import Faults
 from gonio_sim.wire.lamps import LAMPS, Shine
 from gonio_sim.wire.peer import SerialPeer
@@ -54,3 +55,18 @@ def test_a_wiggle_comes_back_and_leaves_the_torque_as_it_was(twins: Twins) -> No
     assert abs(servo.shaft()[0] - before) < discovery.WIGGLE_COUNTS / 3 + 1
     assert max(moved) - before > discovery.WIGGLE_COUNTS / 2
     assert not servo.torque
+
+
+def test_the_twins_hold_what_the_rig_asks_for(twins: Twins) -> None:
+    rig = LAB.open(twins.description, sample=None, seed=0, confirm=False)
+    held = []
+    for what in ("mirror", "empty", "sample"):
+        assert rig.put(what)
+        held.append(twins._target())
+    assert held == ["mirror", "empty", "sample"]
+
+
+def test_without_a_file_for_it_only_a_person_can_put_something(twins: Twins) -> None:
+    devices = {name: table for name, table in twins.description.devices.items() if name != "holder"}
+    rig = LAB.open(twins.description.model_copy(update={"devices": devices}), sample=None, seed=0, confirm=False)
+    assert not rig.put("mirror")

@@ -207,7 +207,7 @@ def test_one_ctrl_c_finishes_the_step_and_parks(twins: Twins, tmp_path: Path) ->
         measure(twins, tmp_path, Presses(1))
     assert twins.quiet
     at = math.degrees(twins.followers["camera"].true())
-    assert at == pytest.approx(88, abs=0.3)  # parked on its upper limit, within landing and zero errors
+    assert at == pytest.approx(88, abs=0.3)  # parked as its file says, within landing and zero errors
 
 
 def test_a_press_on_the_way_to_the_rest_position_stops_there_and_says_so(

@@ -224,10 +224,20 @@ def test_nothing_in_the_holder_is_told_with_what_to_look_at(
 
 def test_what_is_there_already_is_not_written_over(tmp_path: Path) -> None:
     rig = written(tmp_path)
-    (tmp_path / "aligned-scans.csv").write_text("mine")
+    (tmp_path / "aligned.toml").write_text("mine")
     done = gonio(tmp_path, "rig", "align", "--rig", rig, "--yes")
     assert done.returncode == 2
-    assert "aligned-scans.csv: is there already" in done.stderr
+    assert "aligned.toml: is there already" in done.stderr
+    assert (tmp_path / "aligned.toml").read_text() == "mine"
+
+
+def test_scans_of_an_earlier_try_are_kept_beside_the_new_ones(tmp_path: Path) -> None:
+    alignment.write(pd.concat(mirror_and_straight()), tmp_path / "first.csv")
+    (tmp_path / "aligned-residuals.png").write_text("mine")
+    done = gonio(tmp_path, "rig", "align", "--rig", written(tmp_path), "--from", "first.csv")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "aligned-residuals.png").read_text() == "mine"
+    assert (tmp_path / "aligned-residuals-2.png").exists()
 
 
 def test_a_file_that_holds_no_scans_is_refused(tmp_path: Path) -> None:
