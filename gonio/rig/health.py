@@ -15,7 +15,7 @@ class Reading:
     device: str
     """An axis ("light", "camera", "tilt", "spin", "azimuth", "changer"), or "lamp", or "frames" (the camera itself)."""
     quantity: str
-    """angle, temperature, current, load, voltage, torque, motion, error; of the lamp state, level, monitor."""
+    """angle, temperature, current, load, voltage, torque, motion, home, error; of the lamp state, level, monitor."""
     value: float | str
     unit: str = ""
     """"deg", "C", "mA", "%", "V"; "" for words and ratios."""

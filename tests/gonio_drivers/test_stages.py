@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from gonio_drivers import stage_arms
 from gonio_drivers.lab import LAB, LabRig
@@ -19,6 +20,7 @@ from gonio_sim.wire.twins import Twins, rig_file
 
 from gonio.config import parse
 from gonio.errors import ConfigError, DeviceError, Disturbed
+from gonio.measurement import read
 from gonio.rig import Pose
 from gonio.rig.description import RigDescription, SampleDescription
 from tests.command_line import gonio as run
@@ -225,8 +227,8 @@ def test_a_fault_of_the_controller_stops_all_axes(twins: Twins, bit: int) -> Non
 
 def test_damaged_answers_are_asked_for_again(twins: Twins) -> None:
     with arms_of(twins) as arms:
-        for stage in twins.stages.values():
-            stage.damaged = 1
+        for name in ("light", "camera"):
+            twins.stages[name].damaged = 1
         landed = arms.move(pose(light=-20, camera=45))
     assert math.degrees(landed.light) == pytest.approx(-20, abs=TOLERANCE_DEG)
     assert math.degrees(landed.camera) == pytest.approx(45, abs=TOLERANCE_DEG)
@@ -293,6 +295,29 @@ def test_a_rig_has_servos_or_stages() -> None:
     twice = both.devices | {"stages": {"driver": "thorlabs", "axes": {name: {"port": PORT} for name in AXES}}}
     with pytest.raises(ConfigError, match=r"stages.axes.light.port and stages.axes.camera.port are the same port"):
         LAB.open(both.model_copy(update={"devices": twice}), sample=None, seed=0, confirm=False)
+
+
+def test_a_run_on_stages_measures(twins: Twins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody swaps: the sample is compared with itself, and has the reference's albedo whatever it is."""
+    monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
+    (tmp_path / "plan.toml").write_text(
+        'name = "small"\nwavelength_nm = [500]\n[[sweep]]\ntheta_i_deg = [30]\ntheta_r_deg = [-50, 10]\n'
+    )
+    rig = written(twins, tmp_path)
+    done = run(tmp_path, "measure", "plan.toml", "--rig", rig, "--out", "run", "--yes")
+    assert done.returncode == 0, done.stderr
+    assert run(tmp_path, "reduce", "run").returncode == 0
+    table = read(tmp_path / "run" / "brdf.csv")
+    assert list(table["flag"]) == ["", ""]
+    # three standard uncertainties, and what zeros of 0.02 deg make of a matt surface
+    assert np.all(abs(table["brdf"] - 0.99 / math.pi) < 3 * table["u_brdf"] + 1e-3)
+    assert angle(twins, "light") == pytest.approx(-88, abs=TOLERANCE_DEG)  # parked
+
+
+def test_servos_are_not_looked_for_on_a_rig_of_stages(twins: Twins, tmp_path: Path) -> None:
+    done = run(tmp_path, "rig", "ids", "--rig", written(twins, tmp_path))
+    assert done.returncode == 2
+    assert "has stages (devices.stages) and no servos" in done.stderr
 
 
 # ---- by hand, through the command line ----
