@@ -18,46 +18,19 @@ from gonio_drivers.stage_arms import StageArms
 from gonio_sim.wire.kinesis import COUNTS_PER_DEG
 from gonio_sim.wire.twins import Twins, rig_file
 
-from gonio.config import parse
 from gonio.errors import ConfigError, DeviceError, Disturbed
 from gonio.measurement import read
 from gonio.rig import Pose
-from gonio.rig.description import RigDescription, SampleDescription
+from gonio.rig.description import SampleDescription
 from tests.command_line import gonio as run
+from tests.gonio_drivers.staged import AXES, PORT, STEP_DEG, on_stages
 
 pytest.importorskip("pylablib", reason="pylablib is not installed (the extra thorlabs)")
 
 SCALE = 50.0
 SAMPLE = SampleDescription(name="matt", model="lambert", parameters={"albedo": 0.5})
-PORT = "/dev/ttyUSB0"
-STEP_DEG = 1 / COUNTS_PER_DEG
 TOLERANCE_DEG = 0.05
 """Of a landing, as the rig file has it by default."""
-
-
-def on_stages(**changes: dict[str, Any]) -> RigDescription:
-    """The shipped rig with a K10CR1 on each axis, and a small sensor; the camera's stage is built in the other way
-    round."""
-    tables = tomllib.loads(LAB.toml)
-    tables["camera"] |= {"width": 64, "height": 48}
-    tables["reference"] |= {"frames": 3, "how": "swap"}
-    tables["acquisition"] |= {"dark_frames": 2}
-    for table in (tables["arms"]["light"], tables["arms"]["camera"], tables["holder"]):
-        table |= {"encoder_step_deg": STEP_DEG}
-    devices = tables["devices"]
-    devices["camera"]["timeout_s"] = 60.0
-    del devices["servos"]
-    axes: dict[str, dict[str, Any]] = {
-        name: {"port": f"{PORT}{k}", "serial": 55000001 + k} for k, name in enumerate(AXES)
-    }
-    axes["camera"] |= {"direction": -1, "zero_deg": 180.0}
-    devices["stages"] = {"driver": "thorlabs", "axes": axes}
-    for name, table in changes.items():
-        tables[name] |= table
-    return parse(RigDescription, tables, "stages.toml")
-
-
-AXES = ("light", "camera", "tilt", "spin")
 
 
 @pytest.fixture
