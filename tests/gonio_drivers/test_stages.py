@@ -15,6 +15,7 @@ import pytest
 from gonio_drivers import stage_arms
 from gonio_drivers.lab import LAB, LabRig
 from gonio_drivers.stage_arms import StageArms
+from gonio_sim.wire import kinesis
 from gonio_sim.wire.kinesis import COUNTS_PER_DEG
 from gonio_sim.wire.twins import Twins, rig_file
 
@@ -205,6 +206,16 @@ def test_damaged_answers_are_asked_for_again(twins: Twins) -> None:
         landed = arms.move(pose(light=-20, camera=45))
     assert math.degrees(landed.light) == pytest.approx(-20, abs=TOLERANCE_DEG)
     assert math.degrees(landed.camera) == pytest.approx(45, abs=TOLERANCE_DEG)
+
+
+def test_answers_that_came_too_late_are_none_to_the_next_question(twins: Twins) -> None:
+    """Status and position as they were wait in the line when the stage has turned on."""
+    stage, peer = twins.stages["light"], twins.peers["stage-light"]
+    with arms_of(twins) as arms:
+        stage._obey(kinesis.REQ_STATUSBITS, b"", peer.send)
+        stage._obey(kinesis.REQ_POSCOUNTER, b"", peer.send)
+        stage.push(5 * COUNTS_PER_DEG)
+        assert math.degrees(arms.read().light) == pytest.approx(-35, abs=2 * STEP_DEG)  # it hung at -40
 
 
 def test_an_axis_that_was_pushed_disturbs_the_frame(twins: Twins) -> None:
