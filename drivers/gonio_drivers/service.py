@@ -130,6 +130,8 @@ class ServoService:
 def _servos(description: RigDescription) -> settings.Servos:
     """The servos' table alone: nothing else of the rig file has to be right for them."""
     table = description.devices.get("servos")
+    if table is None and "stages" in description.devices:
+        raise ConfigError(f'rig "{description.name}" has stages (devices.stages) and no servos')
     if not isinstance(table, dict):
         raise ConfigError(f'rig "{description.name}": the table devices.servos is missing')
     return parse(settings.Servos, table, f'rig "{description.name}": devices.servos')

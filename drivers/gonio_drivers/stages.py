@@ -135,6 +135,6 @@ def readings(joint: Joint, said: StageState) -> list[Reading]:
     return [
         *angle,
         Reading(name, "motion", "moves" if said.moving else "still"),
-        Reading(name, "home", "found" if known else "not found since it was switched on"),
+        Reading(name, "home", "home found" if known else "home not found since it was switched on"),
         Reading(name, "error", said.fault or "none"),
     ]

@@ -15,7 +15,7 @@ class Reading:
     device: str
     """An axis ("light", "camera", "tilt", "spin", "azimuth", "changer"), or "lamp", or "frames" (the camera itself)."""
     quantity: str
-    """angle, temperature, current, load, voltage, torque, motion, error; of the lamp state, level, monitor, lock.
+    """angle, temperature, current, load, voltage, torque, motion, home, error; of the lamp state, level, monitor, lock.
 
     current_max and voltage_min are the extremes of all polls since the last reading of the rig's health."""
     value: float | str

@@ -10,52 +10,28 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from gonio_drivers import stage_arms
 from gonio_drivers.lab import LAB, LabRig
 from gonio_drivers.stage_arms import StageArms
+from gonio_sim.wire import kinesis
 from gonio_sim.wire.kinesis import COUNTS_PER_DEG
 from gonio_sim.wire.twins import Twins, rig_file
 
-from gonio.config import parse
 from gonio.errors import ConfigError, DeviceError, Disturbed
+from gonio.measurement import read
 from gonio.rig import Pose
-from gonio.rig.description import RigDescription, SampleDescription
+from gonio.rig.description import SampleDescription
 from tests.command_line import gonio as run
+from tests.gonio_drivers.staged import AXES, PORT, STEP_DEG, on_stages
 
 pytest.importorskip("pylablib", reason="pylablib is not installed (the extra thorlabs)")
 
 SCALE = 50.0
 SAMPLE = SampleDescription(name="matt", model="lambert", parameters={"albedo": 0.5})
-PORT = "/dev/ttyUSB0"
-STEP_DEG = 1 / COUNTS_PER_DEG
 TOLERANCE_DEG = 0.05
 """Of a landing, as the rig file has it by default."""
-
-
-def on_stages(**changes: dict[str, Any]) -> RigDescription:
-    """The shipped rig with a K10CR1 on each axis, and a small sensor; the camera's stage is built in the other way
-    round."""
-    tables = tomllib.loads(LAB.toml)
-    tables["camera"] |= {"width": 64, "height": 48}
-    tables["reference"] |= {"frames": 3, "how": "swap"}
-    tables["acquisition"] |= {"dark_frames": 2}
-    for table in (tables["arms"]["light"], tables["arms"]["camera"], tables["holder"]):
-        table |= {"encoder_step_deg": STEP_DEG}
-    devices = tables["devices"]
-    devices["camera"]["timeout_s"] = 60.0
-    del devices["servos"]
-    axes: dict[str, dict[str, Any]] = {
-        name: {"port": f"{PORT}{k}", "serial": 55000001 + k} for k, name in enumerate(AXES)
-    }
-    axes["camera"] |= {"direction": -1, "zero_deg": 180.0}
-    devices["stages"] = {"driver": "thorlabs", "axes": axes}
-    for name, table in changes.items():
-        tables[name] |= table
-    return parse(RigDescription, tables, "stages.toml")
-
-
-AXES = ("light", "camera", "tilt", "spin")
 
 
 @pytest.fixture
@@ -225,11 +201,21 @@ def test_a_fault_of_the_controller_stops_all_axes(twins: Twins, bit: int) -> Non
 
 def test_damaged_answers_are_asked_for_again(twins: Twins) -> None:
     with arms_of(twins) as arms:
-        for stage in twins.stages.values():
-            stage.damaged = 1
+        for name in ("light", "camera"):
+            twins.stages[name].damaged = 1
         landed = arms.move(pose(light=-20, camera=45))
     assert math.degrees(landed.light) == pytest.approx(-20, abs=TOLERANCE_DEG)
     assert math.degrees(landed.camera) == pytest.approx(45, abs=TOLERANCE_DEG)
+
+
+def test_answers_that_came_too_late_are_none_to_the_next_question(twins: Twins) -> None:
+    """Status and position as they were wait in the line when the stage has turned on."""
+    stage, peer = twins.stages["light"], twins.peers["stage-light"]
+    with arms_of(twins) as arms:
+        stage._obey(kinesis.REQ_STATUSBITS, b"", peer.send)
+        stage._obey(kinesis.REQ_POSCOUNTER, b"", peer.send)
+        stage.push(5 * COUNTS_PER_DEG)
+        assert math.degrees(arms.read().light) == pytest.approx(-35, abs=2 * STEP_DEG)  # it hung at -40
 
 
 def test_an_axis_that_was_pushed_disturbs_the_frame(twins: Twins) -> None:
@@ -293,6 +279,29 @@ def test_a_rig_has_servos_or_stages() -> None:
     twice = both.devices | {"stages": {"driver": "thorlabs", "axes": {name: {"port": PORT} for name in AXES}}}
     with pytest.raises(ConfigError, match=r"stages.axes.light.port and stages.axes.camera.port are the same port"):
         LAB.open(both.model_copy(update={"devices": twice}), sample=None, seed=0, confirm=False)
+
+
+def test_a_run_on_stages_measures(twins: Twins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody swaps: the sample is compared with itself, and has the reference's albedo whatever it is."""
+    monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
+    (tmp_path / "plan.toml").write_text(
+        'name = "small"\nwavelength_nm = [500]\n[[sweep]]\ntheta_i_deg = [30]\ntheta_r_deg = [-50, 10]\n'
+    )
+    rig = written(twins, tmp_path)
+    done = run(tmp_path, "measure", "plan.toml", "--rig", rig, "--out", "run", "--yes")
+    assert done.returncode == 0, done.stderr
+    assert run(tmp_path, "reduce", "run").returncode == 0
+    table = read(tmp_path / "run" / "brdf.csv")
+    assert list(table["flag"]) == ["", ""]
+    # three standard uncertainties, and what zeros of 0.02 deg make of a matt surface
+    assert np.all(abs(table["brdf"] - 0.99 / math.pi) < 3 * table["u_brdf"] + 1e-3)
+    assert angle(twins, "light") == pytest.approx(-88, abs=TOLERANCE_DEG)  # parked
+
+
+def test_servos_are_not_looked_for_on_a_rig_of_stages(twins: Twins, tmp_path: Path) -> None:
+    done = run(tmp_path, "rig", "ids", "--rig", written(twins, tmp_path))
+    assert done.returncode == 2
+    assert "has stages (devices.stages) and no servos" in done.stderr
 
 
 # ---- by hand, through the command line ----
