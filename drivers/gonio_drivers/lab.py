@@ -47,6 +47,7 @@ class GuardedCamera:
         self.watched: frozenset[str] = frozenset(ALL)
         """The devices beside it that are open, and looked at after each frame."""
         self._description = description
+        self.signals = signals.Heard()
         self._bits = 0
         """Of its frames so far; 0 before the first."""
         self._camera = camera
@@ -62,6 +63,7 @@ class GuardedCamera:
         DeviceError
             The camera fails, an axis has moved by itself, or the lamp does not stay as it is meant to be.
         """
+        self.signals.again()
         for _ in range(RETAKES):
             begun = self._clock()
             frame = self._camera.capture(exposure_s)
@@ -187,7 +189,7 @@ class LabRig:
         self.arms.holds = self._holds_on_exit
         self.arms.as_found = True  # where a device cannot be opened, nobody's arms are let fall for it
         with contextlib.ExitStack() as stack:
-            stack.enter_context(signals.heard())
+            self.camera.signals = stack.enter_context(signals.heard())
             for name, device in (("light", self.light), ("arms", self.arms), ("camera", self._camera)):
                 if name in self._opened:
                     stack.enter_context(device)
