@@ -51,6 +51,7 @@ class GuardedCamera:
         self.watched: frozenset[str] = frozenset(ALL)
         """The devices beside it that are open, and looked at after each frame."""
         self._description = description
+        self.signals = signals.Heard()
         self._bits = 0
         """Of its frames so far; 0 before the first."""
         self.allowed: Callable[[], None] = lambda: None
@@ -68,6 +69,7 @@ class GuardedCamera:
         DeviceError
             The camera fails, an axis has moved by itself, or the lamp does not stay as it is meant to be.
         """
+        self.signals.again()
         for _ in range(RETAKES):
             self.allowed()
             begun = self._clock()
@@ -232,7 +234,7 @@ class LabRig:
         self.arms.holds = self._holds_on_exit
         self.arms.as_found = True  # where a device cannot be opened, nobody's arms are let fall for it
         with contextlib.ExitStack() as stack:
-            stack.enter_context(signals.heard())
+            self.camera.signals = stack.enter_context(signals.heard())
             for name, device in (("light", self.light), ("arms", self.arms), ("camera", self._camera)):
                 if name == "arms":
                     self._guard_by_serial_line(stack)

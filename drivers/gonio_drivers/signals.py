@@ -18,14 +18,28 @@ ENDING = (
 """Signals that would end the process with the lamp lit; Ctrl-C is an exception in Python already."""
 
 
+class Heard:
+    """Which signal has come while a rig is open."""
+
+    def __init__(self) -> None:
+        self.number = 0
+
+    def again(self) -> None:
+        """Raise `Interrupted` for a signal whose exception was lost: Python drops what is raised in a finaliser."""
+        if self.number:
+            raise Interrupted(f"stopped by {signal.Signals(self.number).name}")
+
+
 @contextlib.contextmanager
-def heard() -> Iterator[None]:
+def heard() -> Iterator[Heard]:
     """While nobody else listens, signals that would end the process leave the rig in order.
 
     The lamp is darkened, and the arms park; where they are on their way they stop at once instead.
     """
+    told = Heard()
 
     def leave(number: int, frame: FrameType | None) -> None:
+        told.number = number
         for other in mine:  # once: a second one must not disturb the parking
             signal.signal(other, signal.SIG_IGN)
         raise Interrupted(f"stopped by {signal.Signals(number).name}")
@@ -36,7 +50,7 @@ def heard() -> Iterator[None]:
     for number in mine:
         signal.signal(number, leave)
     try:
-        yield
+        yield told
     finally:
         for number in mine:
             signal.signal(number, signal.SIG_DFL)

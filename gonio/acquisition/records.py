@@ -97,10 +97,10 @@ class StepRecord:
     pose_after: Pose | None = None
     """What the encoders read after the frames."""
     pose_after_time_s: float | None = None
-    pose_spread: Pose | None = None
-    """Largest less smallest of the readings whose mean `pose` is; None where the rig does not tell."""
     level_per_s: Mapping[str, float] | None = None
     """By band: the brightest used pixel, as a fraction of full scale, for an exposure of one second."""
+    pose_spread: Pose | None = None
+    """Largest less smallest of the readings whose mean `pose` is; None where the rig does not tell."""
     health: tuple[Reading, ...] = ()
     """What was read of the rig's devices after the frames, without limits; empty in runs from before it was kept."""
 
@@ -147,8 +147,8 @@ class StepRecord:
             tuple(map(FrameRecord._of, values["frames"])),
             None if after is None else Pose(**after),
             values.get("pose_after_time_s"),
-            None if spread is None else Pose(**spread),
             values.get("level_per_s"),
+            None if spread is None else Pose(**spread),
             tuple(
                 Reading(sys.intern(d), sys.intern(q), value, sys.intern(u))
                 for d, q, value, u in values.get("health", ())

@@ -200,6 +200,12 @@ class ByHand(Protocol):
         False where only a person can do that, who is then asked.
         """
 
+    def left(self) -> str:
+        """After it was left: what is true of its lamp and its axes, as read back, for a message."""
+
+    def leave_as_found(self) -> None:
+        """Called before the rig is entered: on leaving no axis parks, and each holds or is free as it was found."""
+
 
 @dataclass(frozen=True, slots=True)
 class FoundServo:

@@ -115,6 +115,22 @@ def test_every_signal_that_ends_a_process_is_heard_while_a_rig_is_open() -> None
         assert signal.getsignal(number) is signal.SIG_DFL
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_signal_whose_exception_is_lost_still_ends_a_measurement(twins: Twins, tmp_path: Path) -> None:
+    class Finalised:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGXCPU)
+
+    class Drops(Silent):
+        def step(self, live: Any) -> None:
+            Finalised()  # what is raised in there is dropped by Python
+
+    choice = RigChoice(LAB, twins.description, "twin")
+    with pytest.raises(Interrupted, match="stopped by SIGXCPU after"):
+        carry_out(load_plan(plan(tmp_path)), choice, tmp_path / "run", progress=Drops())
+    assert twins.quiet
+
+
 def test_a_signal_between_moves_parks_and_says_so(twins: Twins, tmp_path: Path) -> None:
     expose, exposures = twins.camera._expose, []
 

@@ -32,7 +32,7 @@ frames = st.builds(
     FrameRecord, text, text, numbers, numbers, st.booleans(), st.none() | text, st.none() | st.integers(0, 2**40)
 )
 # the readback after the frames and the levels stand in a record together, or not at all
-afters = st.none() | st.tuples(poses, numbers, st.dictionaries(text, numbers))
+afters = st.none() | st.tuples(poses, numbers, st.dictionaries(text, numbers), st.none() | poses)
 
 
 @st.composite
