@@ -210,7 +210,10 @@ class LabRig:
         if "arms" in self._opened:
             health += survey.of_open_arms(self.arms) + survey.strain(self.arms)
         if "light" in self._opened:
-            health += survey.of_open_light(self.light)
+            try:
+                health += survey.of_open_light(self.light)
+            except DeviceError as failure:  # whether a frame counts, `GuardedCamera` asks by itself
+                health += Health((), {survey.LAMP: str(failure)})
         return health
 
     def survey(self, *devices: Device) -> Health:
