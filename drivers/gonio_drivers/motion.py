@@ -158,7 +158,7 @@ class Motion:
         miss = round(landing.goal - landing.position)
         too_far = miss * joint.counts_per_deg * joint.approach_deg < 0
         wanted, within = landing.sent + miss, joint.inside(landing.sent + miss)
-        beyond = max(-FRICTION_COUNTS, min(FRICTION_COUNTS, wanted - within)) if exact and not too_far else 0
+        beyond = max(-FRICTION_COUNTS, min(FRICTION_COUNTS, wanted - within)) if exact else 0
         sent = max(joint.count_limits[0], min(joint.count_limits[1], within + beyond))
         if sent == landing.sent:  # only a goal beyond the limit would bring it closer
             log.info("axis %s: %d counts from its goal, at its limit", joint.name, miss)
