@@ -1,11 +1,11 @@
 """The axes of a goniometer, turned by Dynamixel servos in Position mode.
 
 Policy. Nothing turns when the rig is opened: every servo's goal is set to where it stands before its torque comes on,
-with a profile velocity and acceleration. Every axis arrives from one side, so that backlash lies on one side; no goal
-that a servo is given lies beyond a limit of its axis, on the way either. A move ends
-when every axis has *landed*: the servo reports no motion, stands within the tolerance, and has stood still for the
-settle time. An axis that friction stops short gets a corrected goal. What does not land stops every axis. The encoder's
-readback is what is returned, never the goal: the mean of several readings, since encoders flicker.
+with a profile velocity and acceleration. Every axis arrives from one side, so that backlash lies on one side; none is
+sent beyond a limit, on the way either. A move ends when every axis has *landed*: the servo reports no motion, stands
+within the tolerance, and has stood still for the settle time. An axis that friction stops short gets a corrected goal.
+What does not land stops every axis. The encoder's readback is what is returned, never the goal: the mean of several
+readings, since encoders flicker.
 """
 
 from __future__ import annotations

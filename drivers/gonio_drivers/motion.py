@@ -23,7 +23,8 @@ GRACE_S = 3.0
 """A move may take twice its time, and this."""
 RELEASES = 3
 FRICTION_COUNTS = 12
-"""Friction may stop a servo this far inside a limit, where no correction helps: a goal beyond it is never given."""
+"""Friction stops a servo this far before its goal. A correction may name a goal so far beyond a limit, that is not
+reached: it makes up for what was seen to be missing at rest."""
 
 
 class Motion:
@@ -159,7 +160,9 @@ class Motion:
         landing.corrections += 1
         miss = round(landing.goal - landing.position)
         too_far = miss * joint.counts_per_deg * joint.approach_deg < 0
-        sent = joint.inside(landing.sent + miss)
+        wanted, within = landing.sent + miss, joint.inside(landing.sent + miss)
+        beyond = max(-FRICTION_COUNTS, min(FRICTION_COUNTS, wanted - within)) if exact else 0
+        sent = max(joint.count_limits[0], min(joint.count_limits[1], within + beyond))
         if sent == landing.sent:  # only a goal beyond the limit would bring it closer
             log.info("axis %s: %d counts from its goal, at its limit", joint.name, miss)
             landing.done = not exact or abs(landing.goal - landing.position) <= FRICTION_COUNTS

@@ -43,7 +43,7 @@ def placed(on: int, point: Floats, angles: Floats, out: Floats) -> None:
 def between_lines(a: Floats, b: Floats, c: Floats, d: Floats) -> Any:
     """Smallest distance between the line from a to b and that from c to d.
 
-    C. Ericson, Real-Time Collision Detection, 2005, section 5.1.9.
+    Ericson (2005), section 5.1.9.
     """
     uu = vv = uv = uw = vw = 0.0
     for k in range(3):

