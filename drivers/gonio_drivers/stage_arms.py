@@ -1,7 +1,7 @@
 """The axes of a goniometer, turned by motorised stages whose controllers plan the motion themselves.
 
 Policy, for the stages of all drivers. Nothing turns when the rig is opened, unless the rig file lets a stage look for
-its home. Every axis arrives from below, so that backlash lies on one side, and never beyond a limit. A move ends when
+its home. Every axis arrives from one side, so that backlash lies there, and never beyond a limit. A move ends when
 every axis stands still within the tolerance; what does not land stops every axis. The readback is what is returned,
 never the goal.
 """
@@ -14,12 +14,12 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from types import TracebackType
 from typing import NoReturn, Self
 
 from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError
-from gonio.rig import Health, Pose, Reading, Target
+from gonio.rig import Health, Pose, Reading, Target, ways
 from gonio.rig.description import RigDescription
 from gonio_drivers import settings, stages
 from gonio_drivers.stages import Joint
@@ -88,14 +88,17 @@ class StageArms:
     def __init__(self, description: RigDescription, table: settings.Stages) -> None:
         settings.check_stages(table, description)
         self._settings = table
-        self._approach_deg = description.acquisition.approach_deg
-        limits = description.limits_deg()
+        self._description = description
+        limits, approach, stops = description.limits_deg(), description.approach_deg(), description.hard_stops_deg()
         self._all: dict[str, Joint] = {}
         for name, axis in description.axes().items():
             stage = stages.build(table.driver, table.axes[name], f"devices.stages.axes.{name}")  # type: ignore[index]
             offset = axis.zero_offset_deg if axis.zero_offset_known else 0.0
             still = max(STILL_DEG, 2 * axis.encoder_step_deg)
-            self._all[name] = Joint(name, stage, limits[name], axis.speed_deg_per_s, offset, still)
+            self._all[name] = Joint(
+                name, stage, limits[name], axis.speed_deg_per_s, offset, still,
+                approach_deg=approach[name], backlash_deg=axis.backlash_deg, hard_stops_deg=stops[name],
+            )  # fmt: skip
         self.joints: dict[str, Joint] = {}
         """The axes that are open."""
         self.last: Where | None = None
@@ -113,7 +116,6 @@ class StageArms:
         """Called before and during every motion; raises where nothing may move."""
         self.absent: dict[str, DeviceError] = {}
         """Axes that could not be opened (`partial`), and why; they are missing from `joints`."""
-        self._warned: set[str] = set()
         self._stack = contextlib.ExitStack()
 
     # ---- opening and leaving ----
@@ -155,6 +157,7 @@ class StageArms:
             self._home(joint)
             said = joint.state()
         joint.require_home(said)
+        joint.require_between_stops()
         joint.stage.prepare(joint.speed_deg_per_s, self._settings.acceleration_deg_per_s2)
 
     def _home(self, joint: Joint) -> None:
@@ -221,11 +224,22 @@ class StageArms:
         goals = dict.fromkeys(self._all, 0.0)
         goals |= {"light": self._all["light"].limits_deg[0], "camera": self._all["camera"].limits_deg[1]}
         goals |= {n: j.stage.axis.park_deg for n, j in self._all.items() if j.stage.axis.park_deg is not None}
-        self._move({name: angle for name, angle in goals.items() if name in self.joints}, parking=True)
+        for leg in self._legs({name: math.radians(angle) for name, angle in goals.items() if name in self.joints}):
+            self._move({name: math.degrees(angle) for name, angle in leg.items()}, parking=True)
         if self.absent:
             parked = ", ".join(name for name in goals if name in self.joints)
             why = "; ".join(f"{name}: {failure}" for name, failure in self.absent.items())
             raise DeviceError(f"parked: {parked}; not parked, and where it stands is not known: {why}")
+
+    def _legs(self, goals: dict[str, float]) -> list[dict[str, float]]:
+        """What to move one after the other, so that no bodies touch; all at once where an axis is absent."""
+        if not self._description.bodies or self.absent:
+            return [goals]
+        here = self._readback().pose
+        return [
+            {name: getattr(pose, name) for name in goals}
+            for pose in ways.route(self._description, here, replace(here, **goals))
+        ]
 
     def change(self, target: Target) -> None:
         """Refused: no stage changes the sample."""
@@ -311,22 +325,19 @@ class StageArms:
         self.stopped = False
         try:
             self.allowed()
-            below = {}
+            starts = {}
             for name, goal in goals.items():
                 joint = self.joints[name]
                 joint.stood_at = None
-                start = max(goal - self._approach_deg, joint.limits_deg[0])  # a limit is not crossed on the way either
-                if start > goal - self._approach_deg + ROUNDING_DEG and name not in self._warned and not parking:
-                    self._warned.add(name)
-                    log.warning(
-                        "axis %s: there are no %g deg below %g deg inside its limits to arrive from; the play of its "
-                        "gear may lie on the other side there", name, self._approach_deg, goal,
-                    )  # fmt: skip
-                if joint.angle_deg() > start + joint.still_deg:
-                    below[name] = start
+                start = joint.approach_start(goal)
+                beyond = joint.angle_deg() - start
+                if math.copysign(beyond, beyond * joint.approach_deg) > joint.still_deg and joint.approach_deg:
+                    starts[name] = start
+                if not parking:
+                    joint.warn_of_play(goal)
             tolerance = self._settings.tolerance_deg
-            self._arrive(below, max(tolerance, self._approach_deg / 2))
-            self._arrive(goals, tolerance)
+            self._arrive(starts, {n: max(tolerance, abs(self.joints[n].approach_deg) / 2) for n in starts})
+            self._arrive(goals, dict.fromkeys(goals, tolerance))
             for name in goals:
                 joint = self.joints[name]
                 joint.stood_at = statistics.fmean(joint.angle_deg() for _ in range(LOOKS))
@@ -339,8 +350,8 @@ class StageArms:
             self.stop()
             raise
 
-    def _arrive(self, goals: Mapping[str, float], within_deg: float) -> None:
-        """Drive axes to goals [deg], all at once; return when each stands still within a distance of its goal."""
+    def _arrive(self, goals: Mapping[str, float], within_deg: Mapping[str, float]) -> None:
+        """Drive axes to goals [deg], all at once; return when each stands still within its distance of its goal."""
         begun = time.monotonic()
         ways = {name: Way(goal, begun, begun) for name, goal in goals.items()}
         longest = 0.0
@@ -351,7 +362,7 @@ class StageArms:
         while ways:
             self.allowed()
             for name, way in list(ways.items()):
-                if self._landed(self.joints[name], way, within_deg):
+                if self._landed(self.joints[name], way, within_deg[name]):
                     del ways[name]
             if ways and time.monotonic() - begun > SLOWEST * longest + SPARE_S:
                 raise DeviceError(f"axis {next(iter(ways))} does not come to rest; all axes are stopped")

@@ -7,6 +7,7 @@ entered. docs/writing_a_driver.md shows one.
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass
 from types import TracebackType
@@ -16,6 +17,11 @@ from gonio import plugins
 from gonio.errors import DeviceError
 from gonio.rig import Reading
 from gonio_drivers import settings
+
+log = logging.getLogger("gonio.devices")
+
+STOPS_DEG = 2.0
+"""What the reading of an axis that leans against a hard stop may lie beyond it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +93,10 @@ class Joint:
     offset_deg: float
     """What the encoder reads at the true zero, as far as it is known."""
     still_deg: float
+    approach_deg: float = 1.0
+    """How far from its goal the last part of its way begins: below it, or above where this is negative."""
+    backlash_deg: float = 0.0
+    hard_stops_deg: tuple[float, float] | None = None
     stood_at: float | None = None
     """Where it landed [deg]; None where nobody knows."""
 
@@ -102,6 +112,31 @@ class Joint:
     def to_readout(self, angle_deg: float) -> float:
         """What the stage shows at an angle of the axis."""
         return self.stage.axis.zero_deg + (angle_deg + self.offset_deg) * self.stage.axis.direction
+
+    def approach_start(self, goal_deg: float) -> float:
+        """Where the last part of the way to a goal begins [deg]; a limit is not crossed on the way either."""
+        lower, upper = self.limits_deg
+        return min(max(goal_deg - self.approach_deg, lower), upper)
+
+    def warn_of_play(self, goal_deg: float) -> None:
+        """Say so where a limit leaves no way that takes up the axis's play."""
+        way = abs(goal_deg - self.approach_start(goal_deg))
+        if way < min(self.backlash_deg, abs(self.approach_deg)):
+            log.warning(
+                "axis %s at %g deg, %.2f deg from its limit: its play of %g deg is not taken up there, and it may "
+                "stand that far off what it reads", self.name, goal_deg, way, self.backlash_deg,
+            )  # fmt: skip
+
+    def require_between_stops(self) -> None:
+        """Raise `DeviceError` where it reads an angle beyond what stops it: then its zero is wrong, and its limits."""
+        if self.hard_stops_deg is None:
+            return
+        at, (lower, upper) = self.angle_deg(), self.hard_stops_deg
+        if not lower - STOPS_DEG <= at <= upper + STOPS_DEG:
+            raise DeviceError(
+                f"axis {self.name} reads {at:.2f} deg, beyond its hard stops at {lower:g} and {upper:g} deg: its zero "
+                f"is wrong (zero_offset_deg of the axis, or {self.key}.zero_deg or direction)"
+            )
 
     def state(self) -> StageState:
         """What the stage says, where it is well; `DeviceError` where it is not."""

@@ -31,7 +31,8 @@ def on_stages(**changes: dict[str, Any]) -> RigDescription:
     axes: dict[str, dict[str, Any]] = {
         name: {"port": f"{PORT}{k}", "serial": 55000001 + k} for k, name in enumerate(AXES)
     }
-    axes["camera"] |= {"direction": -1, "zero_deg": 180.0}
+    axes["light"] |= {"park_deg": -88.0}
+    axes["camera"] |= {"direction": -1, "zero_deg": 180.0, "park_deg": 88.0}
     devices["stages"] = {"driver": "thorlabs", "axes": axes}
     for name, table in changes.items():
         tables[name] |= table

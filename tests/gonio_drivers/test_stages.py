@@ -124,10 +124,35 @@ def test_a_limit_is_not_crossed_on_the_way_to_it(twins: Twins, caplog: pytest.Lo
         twins.stages["light"].leaving = watch
         arms.park()
         assert caplog.messages == []
-        arms.jog({"light": math.radians(-60)})
-        arms.jog({"light": math.radians(-88)})
-    assert lowest >= -88 - STEP_DEG
-    assert any("axis light: there are no 1 deg below -88 deg inside its limits" in text for text in caplog.messages)
+        arms.jog({"light": math.radians(-95)})
+    assert lowest >= -95 - STEP_DEG
+    assert any("axis light at -95 deg, 0.00 deg from its limit: its play of 0.1" in text for text in caplog.messages)
+
+
+def test_an_axis_arrives_from_above_where_the_rig_file_says_so(tmp_path: Path) -> None:
+    above = {"light": on_stages().arms.light.model_dump() | {"approach_deg": -1.0}}
+    with Twins(on_stages(arms=above), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
+        highest: dict[str, float] = {name: -math.inf for name in ("light", "camera")}
+
+        def watch() -> None:
+            for name in highest:
+                highest[name] = max(highest[name], angle(served, name))
+
+        with arms_of(served) as arms:
+            arms.move(pose(light=-30, camera=-30))
+            for stage in served.stages.values():
+                stage.leaving = watch
+            arms.move(pose(light=10, camera=10))
+        assert highest["light"] == pytest.approx(11.0, abs=TOLERANCE_DEG + 0.5)  # the approach ends within its half
+        assert highest["camera"] < 10.0 + TOLERANCE_DEG
+
+
+def test_a_reading_beyond_a_hard_stop_opens_nothing(tmp_path: Path) -> None:
+    narrow = {"light": on_stages().arms.light.model_dump() | {"limits_deg": (-5.0, 5.0), "hard_stops_deg": (-6.0, 6.0)}}
+    with Twins(on_stages(arms=narrow), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
+        assert abs(angle(served, "light")) > 8.0
+        with pytest.raises(DeviceError, match=r"axis light reads .* beyond its hard stops at -6 and 6 deg: its zero"):
+            arms_of(served).__enter__()
 
 
 @pytest.mark.parametrize("homed", [True, False])
