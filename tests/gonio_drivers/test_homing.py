@@ -52,7 +52,7 @@ def line(monkeypatch: pytest.MonkeyPatch) -> Iterator[Line]:
 
 def put_stops(servo: Servo, low: float, high: float) -> None:
     """What the shaft cannot pass."""
-    shaft, drive = servo.shaft, servo._drive
+    shaft, drive = servo._shaft, servo._drive
 
     def held() -> tuple[float, float]:
         position, velocity = shaft()
@@ -65,7 +65,7 @@ def put_stops(servo: Servo, low: float, high: float) -> None:
     def pushes() -> bool:
         return servo.torque and abs(servo._path.at(servo._clock())[0] - held()[0]) > 10
 
-    servo.shaft, servo._drive, servo._pushes = held, driven, pushes  # type: ignore[method-assign]
+    servo._shaft, servo._drive, servo._pushes = held, driven, pushes  # type: ignore[method-assign]
 
 
 def put_switch(servo: Servo, closed: Callable[[float], bool]) -> None:
@@ -74,7 +74,7 @@ def put_switch(servo: Servo, closed: Callable[[float], bool]) -> None:
 
     def seen() -> None:
         refresh()
-        servo.registers.put("External Port Data 1", int(closed((servo.shaft()[0] - SHOWN_ZERO) / PER_DEG)))
+        servo.registers.put("External Port Data 1", int(closed((servo.travelled() - SHOWN_ZERO) / PER_DEG)))
 
     servo._refresh = seen  # type: ignore[method-assign]
 
@@ -108,7 +108,7 @@ def refused(description: RigDescription) -> str:
 
 
 def angle(line: Line) -> float:
-    return (line.servos[1].shaft()[0] - SHOWN_ZERO) / PER_DEG
+    return (line.servos[1].travelled() - SHOWN_ZERO) / PER_DEG
 
 
 def test_an_axis_that_counts_turns_is_homed_before_it_moves(line: Line) -> None:

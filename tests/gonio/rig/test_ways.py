@@ -92,7 +92,7 @@ def test_touching_agrees_with_a_cloud_of_points() -> None:
     rig = RIG.model_copy(update={"bodies": BARS})
     every = {body.name: body for body in (*BARS, *heads())}
     seen = 0
-    for _ in range(12):
+    for _ in range(20):
         pose = Pose(*np.radians([*rng.uniform(-89, 89, 2), *rng.uniform(-80, 80, 2)]))
         found = {frozenset(pair) for pair in ways.touching(rig, pose)}
         seen += len(found)

@@ -94,7 +94,7 @@ def test_the_section_says_the_extremes_and_the_pauses(facts: RunFacts) -> None:
     assert len(figure.svg) < MOST_BYTES
     assert "Of 10000 steps" in drawing.caption
     text = json.dumps([repr(block) for block in health.section(facts, [figure])], ensure_ascii=False)
-    for said in ("66.5 °C", "4.32 h after the start", "10.1 V", "8.75 h", "It waited 1 time, 6 min", "suspend.hot"):
+    for said in ("66.5 °C", "4.32 h after the start", "10.1 V", "8.75 h", "It waited 1 time, 6.0 min", "suspend.hot"):
         assert said in text
 
 
