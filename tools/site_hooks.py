@@ -73,9 +73,10 @@ def listed(folder: Path) -> str:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Links to notebooks lead to their pages."""
+    """Links to notebooks lead to their pages, and those to README.md to the first page."""
     if page.file.src_uri.startswith("notebooks/"):
         return markdown
+    markdown = markdown.replace("](../README.md", "](index.md")
     return re.sub(r"(\]\([\w/.-]*)\.ipynb\)", r"\1.md)", markdown)
 
 
