@@ -23,6 +23,7 @@ from gonio_sim.wire.twins import Twins, rig_file
 import gonio
 from gonio.by_hand import scan
 from gonio.by_hand.bench import Bench
+from gonio.by_hand.rig_file import write_values
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import FoundServo
 from tests.command_line import gonio as run
@@ -454,6 +455,16 @@ def add(twins: Twins, identity: int, baud: int = 1_000_000) -> Servo:
 
 def listed(done: subprocess.CompletedProcess[str]) -> list[str]:
     return [line for line in done.stdout.splitlines() if line[:1].isdigit()]
+
+
+def test_a_zero_of_the_holder_that_counts_as_known_now_is_told(twins: Twins, tmp_path: Path) -> None:
+    rig = written(twins, tmp_path)
+    write_values(rig, {("holder", "zero_offset_known"): False})
+    done = run(tmp_path, "rig", "set-zero", "tilt", "--at", "3", "--rig", rig)
+    assert done.returncode == 0, done.stderr
+    assert "zero_offset_known = true holds for spin too" in done.stderr
+    done = run(tmp_path, "rig", "set-zero", "spin", "--at", "3", "--rig", rig)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 @pytest.mark.usefixtures("quick")
