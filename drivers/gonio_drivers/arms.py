@@ -92,6 +92,11 @@ class ServoArms:
         self._all = dict(self.joints)
 
     @property
+    def everyone(self) -> Mapping[str, Joint]:
+        """All joints by axis, those too that are missing from `joints`."""
+        return self._all
+
+    @property
     def allowed(self) -> Callable[[], None]:
         """Called before axes move, and at every look while they do; raises where nothing may move."""
         return self._motion.allowed
@@ -274,7 +279,7 @@ class ServoArms:
         if self.absent:
             parked = ", ".join(name for name in goals if name in self.joints) or "no axis"
             why = "; ".join(f"{name}: {failure}" for name, failure in self.absent.items())
-            raise DeviceError(f"parked: {parked}; not parked, and where it stands is not known: {why}")
+            raise DeviceError(f"parked: {parked}; not parked: {why}")
 
     def _legs(self, goals: dict[str, float]) -> list[dict[str, float]]:
         """What to move one after the other, so that no bodies touch; all at once where an axis is absent."""

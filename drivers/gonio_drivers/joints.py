@@ -375,7 +375,7 @@ class Joint:
             volts, heat = self.get("Present Input Voltage") / 10, self.get("Present Temperature")
             raise DeviceError(
                 f"axis {self.name}: servo id {self.id} reports: {said} ({volts:.1f} V, {heat} C); remove the cause, "
-                "then switch the servo power off and on"
+                "then run gonio rig reboot, or switch the servo power off and on"
             )
 
     def get(self, name: str) -> int:

@@ -189,7 +189,8 @@ class LabRig:
         """After it was left: whether the lamp is dark, where every axis stands and whether it holds, as read back."""
         said = []
         if "arms" in self._opened:
-            said.append("arms parked" if self._parked else "axes stopped" if self.arms.stopped else "arms not parked")
+            unparked = "not every axis parked" if self.arms.absent else "arms not parked"
+            said.append("arms parked" if self._parked else "axes stopped" if self.arms.stopped else unparked)
         if "light" in self._opened:
             dark = self.light.known_dark
             said.append("lamp dark" if dark else "whether the lamp is dark is not known: look at it")

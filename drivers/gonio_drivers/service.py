@@ -71,7 +71,7 @@ class ServoService:
         with Bus(servo.port, servo.baud) as bus:
             table = control_table.of_model(servo.model)  # another series keeps its id elsewhere
             _require_alone(bus, servo.id)
-            if new_id != servo.id and bus.overhear(new_id, INST_PING, listen_s=ONE_S):
+            if new_id != servo.id and _answers(bus, new_id):
                 raise DeviceError(f"id {new_id} is taken: a servo answers to it on {bus.port} at {bus.baud} baud")
             _write(bus, servo.id, table["Torque Enable"].address, 0)  # or its EEPROM is locked
             if new_id != servo.id:
@@ -179,8 +179,13 @@ def _alone(bus: Bus, identity: int) -> bool:
     return len(bus.overhear(identity, INST_PING, listen_s=ONE_S)) == 14  # it answers nothing but pings
 
 
+def _answers(bus: Bus, identity: int) -> bool:
+    """Whether anything answers to an id; one lost answer does not hide it."""
+    return any(bus.overhear(identity, INST_PING, listen_s=ONE_S) for _ in range(LOOKS))
+
+
 def _require_alone(bus: Bus, identity: int) -> None:
-    if not bus.overhear(identity, INST_PING, listen_s=ONE_S):
+    if not _answers(bus, identity):
         raise DeviceError(f"no servo with id {identity} answers on {bus.port} at {bus.baud} baud")
     if not _alone(bus, identity):
         raise DeviceError(
@@ -193,9 +198,9 @@ def _require_moved(bus: Bus, old: int, new: int) -> None:
     try:
         bus.ping(new)
     except dynamixel.BusError:
-        still = " it is the old one still" if bus.overhear(old, INST_PING, listen_s=ONE_S) else ""
+        still = " it is the old one still" if _answers(bus, old) else ""
         raise DeviceError(f"servo id {old} does not take the id {new};{still or ' it answers to neither'}") from None
-    if bus.overhear(old, INST_PING, listen_s=ONE_S):
+    if _answers(bus, old):
         raise DeviceError(f"a servo answers to id {new} now, and one to id {old} still: there were two with that id")
 
 

@@ -377,7 +377,9 @@ def read(path: Path) -> pd.DataFrame:
 
     try:
         table = pd.read_csv(path)
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError as error:
         raise DataError(f"{path}: cannot be read as a file of scans: {error}") from None
     missing = [name for name in COLUMNS if name not in table]
     if missing:

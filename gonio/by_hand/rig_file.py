@@ -82,7 +82,7 @@ def write_values(path: str | Path, values: Values, *, out: Path | None = None) -
     Raises
     ------
     ConfigError
-        As `with_values`; or there is a file at `out`.
+        As `with_values`; or there is a file at `out`, or no folder for it.
     DataError
         It cannot be written.
     """
@@ -95,6 +95,8 @@ def write_values(path: str | Path, values: Values, *, out: Path | None = None) -
             write_whole(kept, path.read_bytes())
         elif out.exists():
             raise ConfigError(f"{out}: is there already; name another file")
+        elif not out.absolute().parent.is_dir():
+            raise ConfigError(f"{out}: there is no folder {out.parent}")
         write_whole(out or path.resolve(), text.encode())
     except OSError as error:
         raise DataError(f"{error.filename or path}: cannot be written: {error.strerror}") from None

@@ -326,10 +326,13 @@ def scan(
     from gonio.by_hand.scan import angles_between
     from gonio.by_hand.scan import write as write_scan
     from gonio.cli import console
+    from gonio.errors import ConfigError
 
     file = _scan_file(axis, out)
     angles = [math.radians(angle) for angle in angles_between(start, stop, step)]
     others = _angles(at or [])
+    if axis in others:
+        raise ConfigError(f"--at {axis}=...: this axis is scanned; --at is for the other ones")
     bench = bench_of(rig, "arms", "light", "camera", sample=sample, seed=seed)
     for angle in angles:
         bench.check({axis: angle})

@@ -65,16 +65,14 @@ def reduce(
     from gonio.acquisition.run import Run
     from gonio.cli import console
     from gonio.reduction import brdf
-    from gonio.reduction.table import DAMAGED
 
     opened = Run.open(run)
     opened.check_table()
     with console.counter("reducing") as progress:
         table = brdf.reduce(opened, progress=progress)
     path = opened.write_table(table)
-    for note in table.attrs["notes"]:
-        if DAMAGED in note:
-            console.note(note)
+    for note in table.attrs["notes"]:  # what the values rest on
+        console.note(note)
     good = table[table["flag"] == ""]
     flags = _flags(table["flag"])
     console.show(f"{path}: {len(good)} values of {len(table)}" + (f" ({flags})" if flags else ""))

@@ -52,6 +52,9 @@ def set_zero(
         f"{axis} reads {read:.3f} deg and stands at {at:g} deg: zero_offset_deg = {offset:.3f} in {out or rig}"
         + (f" (as it was: {kept})" if kept else "")
     )
+    others = [name for name in bench.description.holder.axes if name != axis]
+    if others and ("holder", "zero_offset_known") in values:  # one key for both axes of the holder
+        console.note(f"holder.zero_offset_known = true holds for {others[0]} too: set its zero as well")
 
 
 # ---- servos ----

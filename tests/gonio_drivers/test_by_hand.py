@@ -23,7 +23,8 @@ from gonio_sim.wire.twins import Twins, rig_file
 import gonio
 from gonio.by_hand import scan
 from gonio.by_hand.bench import Bench
-from gonio.errors import ConfigError
+from gonio.by_hand.rig_file import write_values
+from gonio.errors import ConfigError, DeviceError
 from gonio.rig import FoundServo
 from tests.command_line import gonio as run
 from tests.gonio_drivers.conftest import be_patient
@@ -159,6 +160,8 @@ def test_a_servo_in_alarm_is_read_and_named_and_the_others_are_parked(twins: Twi
     assert done.returncode == 3
     assert "parked: light, tilt, spin; not parked" in done.stderr
     assert "overheated" in done.stderr
+    assert "not every axis parked" in done.stderr
+    assert re.search(r"the axes stand now: .*camera -?[0-9.]+ deg, torque off", done.stderr), done.stderr
     assert angle(twins, "light") == pytest.approx(PARKED["light"], abs=LANDED_DEG)
 
 
@@ -454,6 +457,16 @@ def listed(done: subprocess.CompletedProcess[str]) -> list[str]:
     return [line for line in done.stdout.splitlines() if line[:1].isdigit()]
 
 
+def test_a_zero_of_the_holder_that_counts_as_known_now_is_told(twins: Twins, tmp_path: Path) -> None:
+    rig = written(twins, tmp_path)
+    write_values(rig, {("holder", "zero_offset_known"): False})
+    done = run(tmp_path, "rig", "set-zero", "tilt", "--at", "3", "--rig", rig)
+    assert done.returncode == 0, done.stderr
+    assert "zero_offset_known = true holds for spin too" in done.stderr
+    done = run(tmp_path, "rig", "set-zero", "spin", "--at", "3", "--rig", rig)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 @pytest.mark.usefixtures("quick")
 def test_servos_are_found_at_every_speed_and_given_ids_and_speeds(twins: Twins, tmp_path: Path) -> None:
     rig = written(twins, tmp_path)
@@ -474,6 +487,30 @@ def test_servos_are_found_at_every_speed_and_given_ids_and_speeds(twins: Twins, 
     assert done.returncode == 2
     assert "no terminal to confirm" in done.stderr
     assert new.id == 9
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize(("identity", "new"), [(1, 9), (1, 2)])
+def test_a_lost_answer_hides_no_servo_that_is_given_an_id(
+    twins: Twins, monkeypatch: pytest.MonkeyPatch, identity: int, new: int
+) -> None:
+    lost: set[int] = set()
+    overhear = dynamixel.Bus.overhear
+
+    def lossy(self: dynamixel.Bus, asked: int, instruction: int, parameters: bytes = b"", *, listen_s: float) -> bytes:
+        heard = overhear(self, asked, instruction, parameters, listen_s=listen_s)
+        first = asked not in lost
+        lost.add(asked)
+        return b"" if first else heard
+
+    monkeypatch.setattr(dynamixel.Bus, "overhear", lossy)
+    found = FoundServo(str(twins.description.devices["servos"]["port"]), 1_000_000, identity, "xm430-w350", 46)
+    if new == 9:
+        assert LAB.assign(found, identity=new).id == new
+    else:
+        with pytest.raises(DeviceError, match="id 2 is taken"):
+            LAB.assign(found, identity=new)
+        assert sorted(servo.id for servo in twins.servos.values()) == [1, 2, 3, 4, 5]
 
 
 @pytest.mark.usefixtures("quick")

@@ -242,5 +242,7 @@ def test_scans_of_an_earlier_try_are_kept_beside_the_new_ones(tmp_path: Path) ->
 
 def test_a_file_that_holds_no_scans_is_refused(tmp_path: Path) -> None:
     (tmp_path / "no.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(DataError, match=r"absent\.csv: cannot be read: No such file or directory$"):
+        alignment.read(tmp_path / "absent.csv")
     with pytest.raises(DataError, match="the column scan is missing"):
         alignment.read(tmp_path / "no.csv")

@@ -125,6 +125,7 @@ def test_a_number_beyond_its_limits_is_not_good() -> None:
         (["snap", "no/a.png"], 2, "there is no folder no"),
         (["scan", "light", "--from", "0", "--to", "5", "--step", "0"], 2, "step = 0"),
         (["scan", "light", "--from", "0", "--to", "95", "--step", "5"], 2, "outside this axis's limits"),
+        (["scan", "light", "--from", "0", "--to", "5", "--step", "1", "--at", "light=3"], 2, "this axis is scanned"),
         (["set-zero", "light"], 2, "is no rig file to write into"),
         (["ids"], 2, "has no servos"),
         (["reboot"], 2, "has no servos"),

@@ -54,6 +54,12 @@ def test_every_earlier_file_is_kept(file: Path) -> None:
     assert load(RigDescription, copy).arms.light.zero_offset_deg == 3.0
 
 
+def test_a_copy_into_a_missing_folder_names_what_was_asked_for(file: Path) -> None:
+    copy = file.with_name("no") / "copy.toml"
+    with pytest.raises(ConfigError, match=r"copy\.toml: there is no folder"):
+        write_values(file, {("arms", "light", "zero_offset_deg"): 0.5}, out=copy)
+
+
 def test_what_would_be_no_rig_file_is_not_written(file: Path) -> None:
     with pytest.raises(ConfigError, match=r"unknown key arms\.light\.zero"):
         write_values(file, {("arms", "light", "zero"): 1.0})

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from gonio import plugins
+from gonio import measurement, plugins
 from gonio.cli import application
 from tests.command_line import gonio
 from tests.gonio.numpy_rig import PLAN
@@ -413,3 +413,18 @@ def test_a_signal_that_is_set_to_be_ignored_stays_so(tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 0
     assert done.stdout == "done\n"
+
+
+def test_reduce_says_what_the_table_notes(tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").write_text(
+        'name = "p"\nwavelength_nm = [500]\n[[sweep]]\ntheta_i_deg = [30]\ntheta_r_deg = [10, 30]\n'
+    )
+    (tmp_path / "sample.toml").write_text(
+        'name = "aluminium"\nmodel = "he-torrance"\n[parameters]\nsigma0_um = 0.28\ntau_um = 1.77\nior = "Al"\n'
+    )
+    done = gonio(tmp_path, "measure", "plan.toml", "--rig", "sim", "--sample", "sample.toml", "--out", "run", "--yes")
+    assert done.returncode == 0, done.stderr
+    done = gonio(tmp_path, "reduce", "run")
+    (note,) = measurement.read(tmp_path / "run" / "brdf.csv").attrs["notes"]
+    assert "measure the mirror direction too" in note
+    assert note in " ".join(done.stderr.split())
