@@ -79,7 +79,7 @@ def of_arms(arms: ServoArms | StageArms) -> Health:
     silent: dict[str, str] = {}
     try:
         with arms.bus:
-            for name, joint in arms.joints.items():
+            for name, joint in arms.every.items():  # one that cannot be opened may still say where it stands
                 try:
                     found += _asked(joint)
                 except dynamixel.BusError as failure:
@@ -89,7 +89,7 @@ def of_arms(arms: ServoArms | StageArms) -> Health:
                 except GonioError as failure:
                     silent[name] = str(failure)
     except GonioError as failure:
-        return Health((), dict.fromkeys(arms.joints, str(failure)))
+        return Health((), dict.fromkeys(arms.every, str(failure)))
     return Health(tuple(found), silent)
 
 
