@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from gonio.cli import undisturbed
 from gonio.cli.rigs import app
 
 if TYPE_CHECKING:
@@ -352,7 +353,8 @@ def scan(
             bench.scan(axis, angles, frames=frames, exposure_s=exposure, told=keep)
     finally:
         if taken:  # of a scan that was cut short, what was measured
-            picture = write_scan(taken[0], file)
+            with undisturbed():
+                picture = write_scan(taken[0], file)
             console.note(f"{file}, {picture.name}: {len(taken[0])} of {len(angles)} angles")
     good = taken[0][taken[0]["flag"] == ""]
     if len(good):
