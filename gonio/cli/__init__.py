@@ -50,9 +50,10 @@ def deafen() -> None:
 
 @contextlib.contextmanager
 def undisturbed() -> Iterator[None]:
-    """What was measured is being written: for this moment no signal of `ENDING` is heard."""
+    """What was measured is being written: for this moment no signal of `ENDING` is heard, nor what kills."""
     here = threading.current_thread() is threading.main_thread()
-    numbers = [getattr(signal, name) for name in ENDING if hasattr(signal, name)] if here else []
+    names = (*ENDING, "SIGQUIT", "SIGXCPU", "SIGUSR1", "SIGUSR2", "SIGALRM")
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)] if here else []
     before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
     try:
         yield

@@ -250,6 +250,8 @@ def read(
 def _said(quantity: str, value: float | str, unit: str) -> str:
     if isinstance(value, str):
         return {"torque": f"torque {value}", "error": f"error: {value}"}.get(quantity, value)
+    if quantity == "angle_spread":
+        return f"readings {value:.2f} deg apart"
     value = round(value, 9) + 0.0  # no -0
     digits = {"deg": ".2f", "V": ".1f", "C": ".0f", "mA": ".0f"}.get(unit, ".4g")
     named = "" if unit else f"{quantity} "

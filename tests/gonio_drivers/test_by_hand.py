@@ -17,14 +17,14 @@ import numpy as np
 import pytest
 from gonio_drivers import dynamixel, folder_camera, service, survey
 from gonio_drivers.lab import LAB, LabRig
-from gonio_sim.wire.servo import Servo
+from gonio_sim.wire.servo import Mechanics, Servo
 from gonio_sim.wire.twins import Twins, rig_file
 
 import gonio
 from gonio.by_hand import scan
 from gonio.by_hand.bench import Bench
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig import FoundServo
+from gonio.rig import FoundServo, Pose
 from tests.command_line import gonio as run
 from tests.gonio_drivers.conftest import be_patient
 from tests.gonio_drivers.test_lab import LONGEST_S, SAMPLE, SCALE, small
@@ -546,6 +546,25 @@ def test_ctrl_c_does_not_cut_off_what_is_said_of_the_axes(twins: Twins, monkeypa
 
     monkeypatch.setattr(survey, "of_arms", pressed)
     assert re.search(r"tilt -?\d\.\d\d deg, holds", held.left())
+
+
+def test_an_encoder_that_trembles_is_told_and_gives_no_zero(
+    twins: Twins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    twins.servos["light"].mechanics = Mechanics(noise_counts=4.0)
+    rig = written(twins, tmp_path)
+    before = rig.read_text()
+    done = run(tmp_path, "rig", "set-zero", "light", "--at", "30", "--rig", rig)
+    assert (done.returncode, rig.read_text()) == (3, before)
+    assert "its readings at rest lie" in " ".join(done.stderr.split())
+    done = run(tmp_path, "rig", "read", "--rig", rig)
+    assert "BAD: angle_spread" in done.stdout
+    spread = Pose(light=math.radians(0.6))
+    with bench(twins, "arms") as held:
+        monkeypatch.setattr(type(held.arms), "spread", property(lambda arms: spread))
+        held.move(light=math.radians(10), camera=math.radians(20))
+    told = [r.message for r in caplog.records if "at rest lie" in r.message]
+    assert told == ["axis light: its readings at rest lie 0.60 deg apart, and what it is said to read is their mean"]
 
 
 def _powerless_move(twins: Twins, held: Bench) -> None:

@@ -55,4 +55,5 @@ def test_signals_wait_while_something_is_written() -> None:
     before = signal.getsignal(signal.SIGINT)
     with undisturbed():
         signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGQUIT)
     assert signal.getsignal(signal.SIGINT) is before
