@@ -89,12 +89,10 @@ class ServoArms:
         """Every servo is left with its torque on or off as it was found when this was entered."""
         self.absent: dict[str, DeviceError] = {}
         """Axes that could not be opened (`partial`), and why; they are missing from `joints`."""
-        self._all = dict(self.joints)
-
-    @property
-    def everyone(self) -> Mapping[str, Joint]:
-        """All joints by axis, those too that are missing from `joints`."""
-        return self._all
+        self.every = dict(self.joints)
+        """All axes of the rig file, `absent` ones too."""
+        self.deaf = False
+        """At the last `stop` no servo was heard: nobody knows whether it was."""
 
     @property
     def allowed(self) -> Callable[[], None]:
@@ -111,10 +109,11 @@ class ServoArms:
         self.bus.__enter__()
         try:
             self.joints.clear()
-            self.joints.update(self._all)
+            self.joints.update(self.every)
             self.absent = presence.leave_out(self.bus, self.joints) if self.partial else {}
             for joint in self.joints.values() if not self.partial else ():
                 joint.identify()
+                presence.require_alone(joint)
             for name, joint in list(self.joints.items()):
                 try:
                     joint.prepare(self._servos.acceleration_deg_per_s2)
@@ -176,7 +175,7 @@ class ServoArms:
             if name in self.absent:
                 raise DeviceError(f"axis {name} cannot be moved: {self.absent[name]}")
             if name not in AXES or name not in self.joints:
-                known = ", ".join(n for n in self._all if n in AXES)
+                known = ", ".join(n for n in self.every if n in AXES)
                 raise ConfigError(f"the rig has no axis {name}; it has {known}")
         landed = self._move(self._checked(Pose(**goals), tuple(goals)), resting=resting)
         return {name: float(getattr(landed, name)) for name in goals}
@@ -243,6 +242,7 @@ class ServoArms:
             except DeviceError as failure:
                 log.error("stopping %s: %s", joint.name, failure)
                 silent.append(joint)
+        self.deaf = len(silent) == len(self.joints)
         try:
             for joint in silent:
                 torque = joint.table["Torque Enable"]
@@ -270,9 +270,9 @@ class ServoArms:
         DeviceError
             As of `move`; or axes are absent, and the others have been parked.
         """
-        goals = dict.fromkeys((name for name in self._all if name in AXES), 0.0)
-        goals |= {"light": self._all["light"].limits_deg[0], "camera": self._all["camera"].limits_deg[1]}
-        goals |= {n: j.servo.park_deg for n, j in self._all.items() if n in AXES and j.servo.park_deg is not None}
+        goals = dict.fromkeys((name for name in self.every if name in AXES), 0.0)
+        goals |= {"light": self.every["light"].limits_deg[0], "camera": self.every["camera"].limits_deg[1]}
+        goals |= {n: j.servo.park_deg for n, j in self.every.items() if n in AXES and j.servo.park_deg is not None}
         wanted = {name: math.radians(angle) for name, angle in goals.items() if name in self.joints}
         for leg in self._legs(wanted):
             self._jog(leg, resting=True)

@@ -186,11 +186,21 @@ class LabRig:
         self._as_found = True
 
     def left(self) -> str:
-        """After it was left: whether the lamp is dark, where every axis stands and whether it holds, as read back."""
+        """After it was left: whether the lamp is dark, where every axis stands and whether it holds, as read back.
+
+        More presses of Ctrl-C do not cut it off.
+        """
+        with signals.undisturbed():
+            return self._left()
+
+    def _left(self) -> str:
         said = []
         if "arms" in self._opened:
+            stopped = "axes stopped"
+            if isinstance(self.arms, ServoArms) and self.arms.deaf:  # a watchdog of theirs may have done it
+                stopped = "no servo answered when the axes were to stop"
             unparked = "not every axis parked" if self.arms.absent else "arms not parked"
-            said.append("arms parked" if self._parked else "axes stopped" if self.arms.stopped else unparked)
+            said.append("arms parked" if self._parked else stopped if self.arms.stopped else unparked)
         if "light" in self._opened:
             dark = self.light.known_dark
             said.append("lamp dark" if dark else "whether the lamp is dark is not known: look at it")

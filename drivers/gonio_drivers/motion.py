@@ -107,7 +107,7 @@ class Motion:
             if now > deadline:
                 late = ", ".join(self._state(n, x, reports[n]) for n, x in landings.items() if not x.done)
                 raise DeviceError(f"no landing within {deadline - start:.1f} s: {late}; all axes are stopped")
-        joints.require_torque(self._bus, [self._joints[name] for name in goals])
+        joints.require_torque(self._bus, self._joints.values())  # those that were not named are said to hold too
 
     def _landing(self, name: str, goal: float, start: float, *, exact: bool) -> Landing:
         joint, servos = self._joints[name], self._servos

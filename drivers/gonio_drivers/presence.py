@@ -1,15 +1,55 @@
-"""Which servos of a rig file are there: for work by hand, where one that is missing must not stop the others."""
+"""Which servos of a rig file are there, each alone with its id: for work by hand, one that is not stops no other."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+
+from dynamixel_sdk import INST_PING
 
 from gonio.errors import DeviceError
 from gonio_drivers import dynamixel
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.joints import Joint
+from gonio_drivers.sdk import HEADER, Packets
+
+SECOND_S = 0.02
+"""The answer of a second servo follows the first one's within this time, behind an adapter's latency of 16 ms."""
+LOOKS = 3
+"""Late answers look like those of a second servo, but not so often one after the other."""
+
+
+def require_alone(joint: Joint) -> None:
+    """Raise `DeviceError` where two servos answer to a joint's id: both would obey what is meant for one.
+
+    Two whole answers to one ping tell that. Where answers damage each other, no transaction succeeds anyway.
+    """
+    for _ in range(LOOKS):
+        heard = joint.bus.overhear(joint.id, INST_PING, listen_s=SECOND_S)
+        if sum(packet[4] == joint.id for packet in packets(heard)) < 2:
+            return
+    raise DeviceError(
+        f"{joint.key}.id = {joint.id}: two servos answer to this id on {joint.bus.port}; connect one at a time, and "
+        "give each its own (gonio rig ids --set-id)"
+    )
+
+
+def packets(data: bytes) -> Iterator[bytes]:
+    """The whole and undamaged status packets in what was heard."""
+    at = data.find(HEADER)
+    while at >= 0:
+        end = at + 7 + (data[at + 5] | data[at + 6] << 8) if at + 7 <= len(data) else len(data) + 1
+        packet = data[at:end]
+        good = len(packet) >= 11 and end <= len(data) and packet[7] == 0x55
+        if good and Packets().updateCRC(0, list(packet), len(packet) - 2) == packet[-2] | packet[-1] << 8:
+            yield packet
+            at = data.find(HEADER, end)
+        else:
+            at = data.find(HEADER, at + 1)
 
 
 def leave_out(bus: Bus, joints: dict[str, Joint]) -> dict[str, DeviceError]:
-    """Take those joints out of `joints` whose servos do not answer, or are of another model; why, by axis.
+    """Take those joints out of `joints` whose servos do not answer, are of another model, or not alone with
+    their id; why, by axis.
 
     Raises
     ------
@@ -20,6 +60,7 @@ def leave_out(bus: Bus, joints: dict[str, Joint]) -> dict[str, DeviceError]:
     for name, joint in joints.items():
         try:
             joint.identify_model()
+            require_alone(joint)
         except dynamixel.BusError as failure:
             if not absent and joint is next(iter(joints.values())) and not bus.discover(rounds=1):
                 joint.identify()  # nobody is there: a longer search, and a better message

@@ -8,7 +8,7 @@ position, temperature), and by every byte that comes over the line.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 from dynamixel_sdk import INST_PING, INST_READ, INST_REBOOT, INST_WRITE
 
@@ -16,9 +16,8 @@ from gonio.config import parse
 from gonio.errors import ConfigError, DeviceError, GonioError
 from gonio.rig import FoundServo, Homed
 from gonio.rig.description import RigDescription
-from gonio_drivers import control_table, dynamixel, homing, joints, ports, settings
+from gonio_drivers import control_table, dynamixel, homing, joints, ports, presence, settings
 from gonio_drivers.dynamixel import Bus
-from gonio_drivers.sdk import HEADER, Packets
 
 BROADCAST = 254
 LAST_ID = 252
@@ -145,13 +144,13 @@ def _at(bus: Bus) -> list[FoundServo]:
         heard = bus.overhear(BROADCAST, INST_PING, listen_s=EVERYBODY_S)
         if not heard:
             break
-        packets = list(_packets(heard))
+        packets = list(presence.packets(heard))
         said |= {packet[4]: packet for packet in packets}
         stray = sum(map(len, packets)) < len(heard)
     # damaged in the last round too: ids that two have damage each other's answers, and may never be heard whole
     for identity in range(LAST_ID + 1) if stray else ():
         if identity not in said and (heard := bus.overhear(identity, INST_PING, listen_s=ONE_S / 2)):
-            said[identity] = next(_packets(heard), b"")
+            said[identity] = next(presence.packets(heard), b"")
     out = []
     for identity, packet in sorted(said.items()):
         model = _model(packet[9] | packet[10] << 8) if len(packet) >= 14 else "not understood"
@@ -167,7 +166,7 @@ def _alone(bus: Bus, identity: int) -> bool:
     clean, damaged = 0, False
     for _ in range(LOOKS):
         heard = bus.overhear(identity, INST_READ, request, listen_s=ONE_S)
-        packets = [packet for packet in _packets(heard) if packet[4] == identity]
+        packets = [packet for packet in presence.packets(heard) if packet[4] == identity]
         if len(packets) > 1:
             return False
         if packets and len(packets[0]) == len(heard):
@@ -207,7 +206,7 @@ def _require_moved(bus: Bus, old: int, new: int) -> None:
 def _write(bus: Bus, identity: int, address: int, value: int) -> None:
     """One byte, written once: the answer may come under the new id, or at the new speed, or not at all."""
     heard = bus.overhear(identity, INST_WRITE, address.to_bytes(2, "little") + bytes([value]), listen_s=ONE_S)
-    for packet in _packets(heard):
+    for packet in presence.packets(heard):
         if packet[4] == identity and (error := packet[8] & 0x7F):
             what = dynamixel.ERRORS.get(error, f"error number {error}")
             raise DeviceError(f"servo id {identity} on {bus.port} refuses {value} at address {address}: {what}")
@@ -228,20 +227,6 @@ def _restart(bus: Bus, identity: int) -> None:
     (error,) = bus.read(identity, 70, 1)
     if error:
         raise DeviceError(f"restarted, and reports again: {dynamixel.hardware_error(error)}; remove the cause")
-
-
-def _packets(data: bytes) -> Iterator[bytes]:
-    """The whole and undamaged status packets in what was heard."""
-    at = data.find(HEADER)
-    while at >= 0:
-        end = at + 7 + (data[at + 5] | data[at + 6] << 8) if at + 7 <= len(data) else len(data) + 1
-        packet = data[at:end]
-        good = len(packet) >= 11 and end <= len(data) and packet[7] == 0x55
-        if good and Packets().updateCRC(0, list(packet), len(packet) - 2) == packet[-2] | packet[-1] << 8:
-            yield packet
-            at = data.find(HEADER, end)
-        else:
-            at = data.find(HEADER, at + 1)
 
 
 def _model(number: int) -> str:

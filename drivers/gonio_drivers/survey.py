@@ -23,6 +23,8 @@ CURRENT_UNIT_MA = {"xl330": 1.0, "xc330": 1.0}
 USUAL_UNIT_MA = 2.69
 LOOKS = 5
 """Readings that an angle is the mean of: encoders flicker by a count."""
+FLICKER_STEPS = 2.5
+"""Readings at rest that lie farther apart, in steps of the encoder, do not tell where the axis stands."""
 LAMP, CAMERA = "lamp", "frames"
 
 
@@ -79,7 +81,7 @@ def of_arms(arms: ServoArms | StageArms) -> Health:
     silent: dict[str, str] = {}
     try:
         with arms.bus:
-            for name, joint in arms.everyone.items():
+            for name, joint in arms.every.items():  # one that cannot be opened may still say where it stands
                 try:
                     found += _asked(joint)
                 except dynamixel.BusError as failure:
@@ -89,7 +91,7 @@ def of_arms(arms: ServoArms | StageArms) -> Health:
                 except GonioError as failure:
                     silent[name] = str(failure)
     except GonioError as failure:
-        return Health((), dict.fromkeys(arms.everyone, str(failure)))
+        return Health((), dict.fromkeys(arms.every, str(failure)))
     return Health(tuple(found), silent)
 
 
@@ -106,8 +108,12 @@ def _asked(joint: Joint) -> list[Reading]:
     error = joint.get("Hardware Error Status")
     hottest = joint.get("Temperature Limit") or joint.max_temperature_c
     volts = Reading(name, "voltage", value["Present Input Voltage"] / 10, "V", (lowest, highest) if highest else None)
+    apart_deg = joint.distance_deg(max(places), min(places))
+    most_deg = max(FLICKER_STEPS * joint.axis.encoder_step_deg, FLICKER_STEPS / abs(joint.counts_per_deg))
+    unsteady = [Reading(name, "angle_spread", apart_deg, "deg", (0.0, most_deg))]
     return [
         _angle(joint, statistics.fmean(places)),
+        *(unsteady if apart_deg > most_deg and not moving else []),
         Reading(name, "temperature", value["Present Temperature"], "C", (-math.inf, hottest)),
         _current(joint, value.get("Present Current", value.get("Present Load", 0))),
         volts,

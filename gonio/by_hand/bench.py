@@ -11,8 +11,9 @@ Leaving it darkens and parks, unless `hold` was called. Angles are radians here.
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import TracebackType
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 
     from gonio.by_hand.snapshot import Snapshot
     from gonio.rig import ArmsDevice, CameraDevice, LightDevice, Rig
+
+log = logging.getLogger("gonio.devices")
 
 AXES = tuple(field.name for field in fields(Pose))
 DIRECTIONS = ("theta_i", "phi_i", "theta_r", "phi_r")
@@ -163,7 +166,21 @@ class Bench:
         goals, branch = self.goals(**angles)
         for leg in self._legs(goals):
             landed = self._drive(leg)
+        self._tell_unsteady(landed)
         return Moved(goals, landed, branch)
+
+    def _tell_unsteady(self, landed: Iterable[str]) -> None:
+        """Say so where the readings at rest, whose mean is given, lie too far apart to tell a place."""
+        from gonio.acquisition.loop import MOVED_DEG, MOVED_STEPS
+
+        spread = getattr(self.arms, "spread", None)
+        for name in landed if spread is not None else ():
+            apart_deg = math.degrees(getattr(spread, name))
+            if apart_deg > max(MOVED_STEPS * self.description.axes()[name].encoder_step_deg, MOVED_DEG):
+                log.warning(
+                    "axis %s: its readings at rest lie %.2f deg apart, and what it is said to read is their mean",
+                    name, apart_deg,
+                )  # fmt: skip
 
     def _legs(self, goals: dict[str, float]) -> list[dict[str, float]]:
         """What to move one after the other, so that no two bodies touch."""

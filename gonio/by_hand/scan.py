@@ -244,16 +244,23 @@ def write(table: pd.DataFrame, file: Path) -> Path:
     """
     from io import BytesIO
 
+    picture = file.with_suffix(".png")
+    _put(file, table.to_csv(index=False).encode())  # before anything that takes time, or may fail
     from matplotlib.figure import Figure
 
-    picture = file.with_suffix(".png")
     figure = Figure(figsize=(7.5, 4.8), layout="constrained")
     plot(table, figure.subplots())
     drawn = BytesIO()
     figure.savefig(drawn, format="png", dpi=110)
     try:
-        write_whole(file, table.to_csv(index=False).encode())
-        write_whole(picture, drawn.getvalue())
-    except OSError as error:
-        raise DataError(f"{error.filename or file}: cannot be written: {error.strerror}") from None
+        _put(picture, drawn.getvalue())
+    except DataError as failure:
+        raise DataError(f"{failure}; the table itself is whole, in {file}") from None
     return picture
+
+
+def _put(path: Path, data: bytes) -> None:
+    try:
+        write_whole(path, data)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be written: {error.strerror or error}") from None

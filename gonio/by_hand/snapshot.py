@@ -134,20 +134,27 @@ def _patch(
 
 
 def _write(shot: Snapshot, file: Path, picture: Path) -> None:
+    from io import BytesIO
+
+    if file.suffix.lower() == ".dng":
+        dng.write_dng(shot.frame, file)
+    else:
+        import cv2
+
+        good, data = cv2.imencode(file.suffix.lower(), shot.frame.mosaic)
+        if not good:
+            raise DataError(f"{file}: the frame cannot be written as {file.suffix}")
+        _put(file, data.tobytes())
+    drawn = BytesIO()
+    shot.draw().savefig(drawn, format="png", dpi=110)
     try:
-        if file.suffix.lower() == ".dng":
-            dng.write_dng(shot.frame, file)
-        else:
-            import cv2
+        _put(picture, drawn.getvalue())
+    except DataError as failure:
+        raise DataError(f"{failure}; the frame itself is whole, in {file}") from None
 
-            good, data = cv2.imencode(file.suffix.lower(), shot.frame.mosaic)
-            if not good:
-                raise DataError(f"{file}: the frame cannot be written as {file.suffix}")
-            write_whole(file, data.tobytes())
-        from io import BytesIO
 
-        drawn = BytesIO()
-        shot.draw().savefig(drawn, format="png", dpi=110)
-        write_whole(picture, drawn.getvalue())
+def _put(path: Path, data: bytes) -> None:
+    try:
+        write_whole(path, data)
     except OSError as error:
-        raise DataError(f"{error.filename or file}: cannot be written: {error.strerror}") from None
+        raise DataError(f"{path}: cannot be written: {error.strerror or error}") from None

@@ -5,10 +5,13 @@ This module imports next to nothing: from its `main` on a signal ends in one lin
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
+import threading
 import time
+from collections.abc import Iterator
 
 ENDING = ("SIGINT", "SIGTERM", "SIGHUP")
 """Ctrl-C, a request to end, and a terminal that has gone (unknown to Windows)."""
@@ -43,6 +46,20 @@ def deafen() -> None:
     for name in ENDING:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
+
+
+@contextlib.contextmanager
+def undisturbed() -> Iterator[None]:
+    """What was measured is being written: for this moment no signal of `ENDING` is heard, nor what kills."""
+    here = threading.current_thread() is threading.main_thread()
+    names = (*ENDING, "SIGQUIT", "SIGXCPU", "SIGUSR1", "SIGUSR2", "SIGALRM")
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)] if here else []
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def main() -> None:

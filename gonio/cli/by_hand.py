@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from gonio.cli import undisturbed
 from gonio.cli.rigs import app
 
 if TYPE_CHECKING:
@@ -249,6 +250,8 @@ def read(
 def _said(quantity: str, value: float | str, unit: str) -> str:
     if isinstance(value, str):
         return {"torque": f"torque {value}", "error": f"error: {value}"}.get(quantity, value)
+    if quantity == "angle_spread":
+        return f"readings {value:.2f} deg apart"
     value = round(value, 9) + 0.0  # no -0
     digits = {"deg": ".2f", "V": ".1f", "C": ".0f", "mA": ".0f"}.get(unit, ".4g")
     named = "" if unit else f"{quantity} "
@@ -355,7 +358,8 @@ def scan(
             bench.scan(axis, angles, frames=frames, exposure_s=exposure, told=keep)
     finally:
         if taken:  # of a scan that was cut short, what was measured
-            picture = write_scan(taken[0], file)
+            with undisturbed():
+                picture = write_scan(taken[0], file)
             console.note(f"{file}, {picture.name}: {len(taken[0])} of {len(angles)} angles")
     good = taken[0][taken[0]["flag"] == ""]
     if len(good):

@@ -46,6 +46,11 @@ def set_zero(
     read = health.of(axis, "angle")
     if not isinstance(read, float):
         raise DeviceError(f"axis {axis}: {health.silent.get(axis, 'its angle is not known')}")
+    if isinstance(apart := health.of(axis, "angle_spread"), float):
+        raise DeviceError(
+            f"axis {axis}: its readings at rest lie {apart:.2f} deg apart, and tell no zero: look for a loose magnet, "
+            "a loose cable, or a servo near its end; nothing is written"
+        )
     values, offset = zero_values(bench.description, axis, read_deg=read, true_deg=at)
     kept = write_values(rig, values, out=out)
     console.show(

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gonio_drivers import dynamixel, folder_camera, service
+from gonio_drivers import dynamixel, folder_camera, service, survey
 from gonio_drivers.lab import LAB, LabRig
-from gonio_sim.wire.servo import Servo
+from gonio_sim.wire.servo import Mechanics, Servo
 from gonio_sim.wire.twins import Twins, rig_file
 
 import gonio
@@ -25,7 +25,7 @@ from gonio.by_hand import scan
 from gonio.by_hand.bench import Bench
 from gonio.by_hand.rig_file import write_values
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig import FoundServo
+from gonio.rig import FoundServo, Pose
 from tests.command_line import gonio as run
 from tests.gonio_drivers.conftest import be_patient
 from tests.gonio_drivers.test_lab import LONGEST_S, SAMPLE, SCALE, small
@@ -524,6 +524,41 @@ def test_two_servos_with_one_id_are_told_and_not_touched(twins: Twins, tmp_path:
     assert (twin.id, twins.servos["camera"].id) == (2, 2)
 
 
+def test_two_servos_that_answer_in_turn_to_one_id_are_not_moved(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
+    plain = dynamixel.Bus.overhear
+
+    def twice(bus: dynamixel.Bus, identity: int, *said: Any, **how: Any) -> bytes:
+        return plain(bus, identity, *said, **how) * (2 if identity == 1 else 1)
+
+    monkeypatch.setattr(dynamixel.Bus, "overhear", twice)
+    with bench(twins, "arms") as held:
+        with pytest.raises(DeviceError, match="two servos answer to this id"):
+            held.move(light=math.radians(10))
+        held.move(camera=math.radians(10))
+        held.hold()
+    assert not twins.servos["light"].torque
+    rig = LAB.open(twins.description, sample=None, seed=0, confirm=False)
+    with pytest.raises(DeviceError, match="two servos answer to this id"):
+        rig.__enter__()
+
+
+def test_a_servo_that_answers_and_cannot_be_used_is_not_called_mute(twins: Twins, tmp_path: Path) -> None:
+    twins.servos["tilt"].damage = 0x10
+    done = run(tmp_path, "rig", "move", "tilt=10", "--rig", written(twins, tmp_path))
+    said = " ".join(done.stderr.split())
+    assert done.returncode == 3
+    assert "no answer" not in said
+    assert re.search(r"tilt -?\d\.\d\d deg, torque off", said)
+
+
+def test_an_axis_that_was_not_named_and_lets_go_is_not_said_to_hold(twins: Twins) -> None:
+    with bench(twins, "arms") as held:
+        twins.servos["camera"].write(64, b"\0")
+        with pytest.raises(DeviceError, match=r"axis camera: .* let go of its torque"):
+            held.move(light=math.radians(10))
+    assert twins.servos["camera"].get("Torque Enable") == 0
+
+
 def test_a_servo_restarts_and_one_that_is_mute_is_named(twins: Twins, tmp_path: Path) -> None:
     rig = written(twins, tmp_path)
     with bench(twins, "arms") as held:
@@ -534,6 +569,53 @@ def test_a_servo_restarts_and_one_that_is_mute_is_named(twins: Twins, tmp_path: 
     assert "tilt: restarted, torque off" in done.stdout
     assert "not restarted, or unwell: spin" in done.stderr
     assert not any(servo.torque for servo in twins.servos.values())
+
+
+def test_ctrl_c_does_not_cut_off_what_is_said_of_the_axes(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
+    held = bench(twins, "arms")
+    with held:
+        held.hold()
+    look = survey.of_arms
+
+    def pressed(arms: Any) -> Any:
+        signal.raise_signal(signal.SIGINT)
+        return look(arms)
+
+    monkeypatch.setattr(survey, "of_arms", pressed)
+    assert re.search(r"tilt -?\d\.\d\d deg, holds", held.left())
+
+
+def test_an_encoder_that_trembles_is_told_and_gives_no_zero(
+    twins: Twins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    twins.servos["light"].mechanics = Mechanics(noise_counts=4.0)
+    rig = written(twins, tmp_path)
+    before = rig.read_text()
+    done = run(tmp_path, "rig", "set-zero", "light", "--at", "30", "--rig", rig)
+    assert (done.returncode, rig.read_text()) == (3, before)
+    assert "its readings at rest lie" in " ".join(done.stderr.split())
+    done = run(tmp_path, "rig", "read", "--rig", rig)
+    assert "BAD: angle_spread" in done.stdout
+    spread = Pose(light=math.radians(0.6))
+    with bench(twins, "arms") as held:
+        monkeypatch.setattr(type(held.arms), "spread", property(lambda arms: spread))
+        held.move(light=math.radians(10), camera=math.radians(20))
+    told = [r.message for r in caplog.records if "at rest lie" in r.message]
+    assert told == ["axis light: its readings at rest lie 0.60 deg apart, and what it is said to read is their mean"]
+
+
+def _powerless_move(twins: Twins, held: Bench) -> None:
+    for servo in twins.servos.values():
+        servo.lose_power()
+    held.move(light=math.radians(10))
+
+
+def test_a_port_that_went_away_is_not_said_to_have_stopped(twins: Twins) -> None:
+    held = bench(twins, "arms")
+    with pytest.raises(DeviceError, match="no answer"), held:
+        _powerless_move(twins, held)
+    assert "axes stopped" not in held.left()
+    assert "no servo answered when the axes were to stop" in held.left()
 
 
 # ---- Python ----
