@@ -18,6 +18,10 @@ ENDING = (
 """Signals that would end the process with the lamp lit; Ctrl-C is an exception in Python already."""
 
 
+def deaf(number: int, frame: FrameType | None) -> None:
+    """Do nothing. Where Python is told to ignore a signal that has just come, it prints a traceback of its own."""
+
+
 class Heard:
     """Which signal has come while a rig is open."""
 
@@ -41,7 +45,7 @@ def heard() -> Iterator[Heard]:
     def leave(number: int, frame: FrameType | None) -> None:
         told.number = number
         for other in mine:  # once: a second one must not disturb the parking
-            signal.signal(other, signal.SIG_IGN)
+            signal.signal(other, deaf)
         raise Interrupted(f"stopped by {signal.Signals(number).name}")
 
     mine: list[signal.Signals] = []
@@ -61,10 +65,10 @@ def undisturbed() -> Iterator[None]:
     """For the moment that it takes to stop, to darken and to close the ports, Ctrl-C and its like are not heard."""
     before: dict[signal.Signals, Any] = {}
     if threading.current_thread() is threading.main_thread():
-        before = {n: signal.signal(n, signal.SIG_IGN) for n in (signal.SIGINT, *ENDING)}
+        before = {n: signal.signal(n, deaf) for n in (signal.SIGINT, *ENDING)}
     try:
         yield
     finally:
         for number, handler in before.items():
-            if signal.getsignal(number) is signal.SIG_IGN:  # nobody has changed it since
+            if signal.getsignal(number) is deaf:  # nobody has changed it since
                 signal.signal(number, handler)

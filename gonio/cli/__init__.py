@@ -54,7 +54,8 @@ def undisturbed() -> Iterator[None]:
     here = threading.current_thread() is threading.main_thread()
     names = (*ENDING, "SIGQUIT", "SIGXCPU", "SIGUSR1", "SIGUSR2", "SIGALRM")
     numbers = [getattr(signal, name) for name in names if hasattr(signal, name)] if here else []
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
+    # not SIG_IGN: Python prints a traceback of its own where a signal comes in the moment that it is told to ignore it
+    before = {number: signal.signal(number, lambda number, frame: None) for number in numbers}
     try:
         yield
     finally:
