@@ -15,7 +15,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from types import TracebackType
 from typing import NoReturn, Self
 
@@ -285,11 +285,7 @@ class ServoArms:
         """What to move one after the other, so that no bodies touch; all at once where an axis is absent."""
         if not self._description.bodies or self.absent:
             return [goals]
-        here = self._readback().pose
-        return [
-            {name: getattr(pose, name) for name in goals}
-            for pose in ways.route(self._description, here, replace(here, **goals))
-        ]
+        return ways.legs(self._description, self._readback().pose, goals)
 
     def change(self, target: Target) -> None:
         """Put sample or white reference into the beam, by the servo of the changer."""

@@ -14,7 +14,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from types import TracebackType
 from typing import NoReturn, Self
 
@@ -235,11 +235,7 @@ class StageArms:
         """What to move one after the other, so that no bodies touch; all at once where an axis is absent."""
         if not self._description.bodies or self.absent:
             return [goals]
-        here = self._readback().pose
-        return [
-            {name: getattr(pose, name) for name in goals}
-            for pose in ways.route(self._description, here, replace(here, **goals))
-        ]
+        return ways.legs(self._description, self._readback().pose, goals)
 
     def change(self, target: Target) -> None:
         """Refused: no stage changes the sample."""

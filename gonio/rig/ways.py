@@ -15,7 +15,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -134,6 +134,12 @@ def route(description: RigDescription, start: Pose, goal: Pose) -> list[Pose]:
             first = first or blocked
     assert first is not None
     raise first
+
+
+def legs(description: RigDescription, start: Pose, goals: dict[str, float]) -> list[dict[str, float]]:
+    """`route` for some axes, while the others stay where they are: goals [rad] by axis, one move after the other."""
+    poses = route(description, start, replace(start, **goals))
+    return [{name: getattr(pose, name) for name in goals} for pose in poses]
 
 
 def require_free(description: RigDescription, pose: Pose) -> None:
