@@ -15,6 +15,7 @@ from gonio.acquisition.plan import Assessed, Plan
 from gonio.acquisition.schedule import schedule
 from gonio.config import load, parse
 from gonio.errors import ConfigError, DeviceError, GonioError, Interrupted
+from gonio.rig.calibrated import with_calibrations
 from gonio.rig.description import RigDescription, SampleDescription
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ def find_rig(name: str) -> RigChoice:
     Raises
     ------
     ConfigError
-        There is no such rig or file, or the file is wrong.
+        There is no such rig or file, the file is wrong, or a calibration that it names is not to be used.
     """
     path = Path(name)
     if path.suffix == ".toml" or len(path.parts) > 1 or path.is_file():
@@ -94,6 +95,9 @@ def find_rig(name: str) -> RigChoice:
         if table is not None:
             reference = description.reference.model_copy(update={"table": str((path.parent / table).absolute())})
             description = description.model_copy(update={"reference": reference})
+        if description.truth is not None:
+            description = description.model_copy(update={"truth": str((path.parent / description.truth).absolute())})
+        description = with_calibrations(description, path.parent)
         try:
             return RigChoice(plugins.load("gonio.rigs", description.rig), description, name)
         except ConfigError as error:

@@ -10,6 +10,7 @@ An effect that is not named in the file is off. Angles are in degrees here (`_de
 
 from __future__ import annotations
 
+import datetime
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
@@ -380,6 +381,57 @@ class Suspender(Strict):
         return f"above {self.above - back:g}" if self.above is not None else f"below {(self.below or 0.0) + back:g}"
 
 
+class ParameterUncertainty(Strict):
+    """How well some numbers are known: standard uncertainties (k = 1), and how they go together."""
+
+    parameters: list[str]
+    """Which numbers: of a sample's [parameters] as `tau_um`, `slopes[0][1]`, `phong.k_s`; of a rig file as
+    `arms.light.zero_offset_deg`. Others are exact."""
+    u: list[NonNegative]
+    correlation: list[list[Annotated[float, Field(ge=-1, le=1)]]]
+    """One row for each of `parameters`."""
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> ParameterUncertainty:
+        import numpy as np
+
+        n = len(self.parameters)
+        if len(set(self.parameters)) < n or len(self.u) != n or [len(row) for row in self.correlation] != [n] * n:
+            raise ValueError(f"{n} parameters, each once, need as many u, and a correlation of {n} rows and columns")
+        matrix = np.array(self.correlation).reshape(n, n)
+        if n and (np.abs(matrix - matrix.T).max() > ROUNDED or np.abs(np.diag(matrix) - 1.0).max() > ROUNDED):
+            raise ValueError("a correlation is symmetric, and 1 on its diagonal")
+        if n and np.linalg.eigvalsh(matrix)[0] < -n * ROUNDED:
+            raise ValueError("no numbers have this correlation: it has a negative eigenvalue")
+        return self
+
+
+class Calibrated(ParameterUncertainty):
+    """What one calibration file has told of the rig: the covariance of the values that it gave."""
+
+    kind: Literal["geometry", "camera", "light"]
+    file: str
+    """Where it was read from, and `sha256` of its content."""
+    sha256: str
+    made: datetime.date
+    valid_until: datetime.date | None = None
+
+
+class CalibrationUse(Strict):
+    """Which calibrations the rig is measured with. Their values replace those of the rig file."""
+
+    files: tuple[str, ...] = ()
+    """Beside the rig file. A later file's values replace those of an earlier one."""
+    when_unfit: Literal["refuse", "warn"] = "refuse"
+    """Where a file is out of date, or was made on another rig."""
+    known: tuple[Calibrated, ...] = ()
+    """What was read: a run keeps it, so that it can be reduced without the files. Not for a person to write."""
+    replaced: dict[str, Any] = Field(default_factory=dict)
+    """What the rig file itself says where a calibration says otherwise, in its tables. Not for a person to write."""
+    remarks: tuple[str, ...] = ()
+    """Why a file was unfit, where that was only to be warned of. Not for a person to write."""
+
+
 class RigDescription(Strict):
     """A whole rig file."""
 
@@ -400,6 +452,10 @@ class RigDescription(Strict):
     """What could touch on its way. Where there are any, the two balls of `geometry` belong to them."""
     devices: dict[str, Any] = Field(default_factory=dict)
     """Ports, ids and dialects: checked by the rig's own driver."""
+    calibration: CalibrationUse = CalibrationUse()
+    truth: str | None = None
+    """Simulation: a file of rig keys, beside the rig file, that says what is true of the bench and that nobody knows
+    who measures there. The simulated devices read it; nothing that plans, measures or reduces does."""
 
     def axes(self) -> dict[str, Axis]:
         """The axes that this rig has, by the name of their field in a `gonio.rig.protocols.Pose`, in the order of
@@ -443,30 +499,6 @@ class RigDescription(Strict):
                 f"geometry.camera_distance_mm = {self.geometry.camera_distance_mm:g}: "
                 "this lens cannot focus on the sample"
             )
-        return self
-
-
-class ParameterUncertainty(Strict):
-    """How well the parameters of a sample are known: standard uncertainties (k = 1), and how they go together."""
-
-    parameters: list[str]
-    """Which numbers of [parameters]: `tau_um`, `slopes[0][1]`, `phong.k_s`. Others are exact."""
-    u: list[NonNegative]
-    correlation: list[list[Annotated[float, Field(ge=-1, le=1)]]]
-    """One row for each of `parameters`."""
-
-    @model_validator(mode="after")
-    def _fits_together(self) -> ParameterUncertainty:
-        import numpy as np
-
-        n = len(self.parameters)
-        if len(set(self.parameters)) < n or len(self.u) != n or [len(row) for row in self.correlation] != [n] * n:
-            raise ValueError(f"{n} parameters, each once, need as many u, and a correlation of {n} rows and columns")
-        matrix = np.array(self.correlation).reshape(n, n)
-        if n and (np.abs(matrix - matrix.T).max() > ROUNDED or np.abs(np.diag(matrix) - 1.0).max() > ROUNDED):
-            raise ValueError("a correlation is symmetric, and 1 on its diagonal")
-        if n and np.linalg.eigvalsh(matrix)[0] < -n * ROUNDED:
-            raise ValueError("no numbers have this correlation: it has a negative eigenvalue")
         return self
 
 

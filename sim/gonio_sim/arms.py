@@ -11,6 +11,8 @@ The approach never leaves the limits, and is shorter near them. What is left is
 
     true = encoder - zero_offset_deg - (what the calibration missed, drawn once from N(0, zero_u_deg))
     read = encoder in whole counts - zero_offset_deg, or without it where `zero_offset_known = false`
+
+The first offset is the true one (`World.truth`), the second what the rig file or a calibration says.
 """
 
 from __future__ import annotations
@@ -37,11 +39,11 @@ ROUNDING = 1e-9
 class Mechanism:
     """One axis. Angles are radians; the encoder's own zero is where the arm stands at -zero_offset."""
 
-    def __init__(self, axis: Axis, zero_error: float, rest: float, approach: float) -> None:
+    def __init__(self, known: Axis, axis: Axis, zero_error: float, rest: float, approach: float) -> None:
         self._step = math.radians(axis.encoder_step_deg)
         self._backlash = math.radians(axis.backlash_deg)
         self._offset = math.radians(axis.zero_offset_deg)
-        self._known_offset = self._offset if axis.zero_offset_known else 0.0
+        self._known_offset = math.radians(known.zero_offset_deg) if known.zero_offset_known else 0.0
         self._zero_error = zero_error
         self.speed = math.radians(axis.speed_deg_per_s)
         self._rest = rest
@@ -85,9 +87,10 @@ class SimulatedArms:
         # out of each other's way: the light on its lower end, the camera on its upper end, the holder at zero
         self._rest = {name: 0.0 for name in world.description.axes()}
         self._rest["light"], self._rest["camera"] = self._limits["light"][0], self._limits["camera"][1]
+        known = world.description.axes()
         self._axes = {
-            name: Mechanism(axis, world.zero_error[name], self._rest[name], self._approach[name])
-            for name, axis in world.description.axes().items()
+            name: Mechanism(known[name], axis, world.zero_error[name], self._rest[name], self._approach[name])
+            for name, axis in world.truth.axes().items()
         }
         self._moves = 0
         self._publish()

@@ -126,7 +126,7 @@ class SimulatedCamera:
     def __init__(self, world: World, renderer: Renderer) -> None:
         self._world = world
         self._renderer = renderer
-        self._sensor = Sensor(world.description.camera, world.key)
+        self._sensor = Sensor(world.truth.camera, world.key)
 
     def capture(self, exposure_s: float) -> Frame:
         """One frame of what the world looks like now.
@@ -138,7 +138,7 @@ class SimulatedCamera:
         DeviceError
             The rig is not open, or the lamp is lit without a band.
         """
-        world, camera = self._world, self._world.description.camera
+        world, camera = self._world, self._world.truth.camera
         world.require_open("camera")
         camera.require_exposure(exposure_s)
         rate = self._renderer.rate(self._lit_band()) if world.lamp_on else None

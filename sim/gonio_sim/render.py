@@ -77,12 +77,12 @@ class Renderer:
     def __init__(self, world: World) -> None:
         self._world = world
         self._model = _build(world.sample) if world.sample is not None else None
-        lamp, camera = world.description.lamp, world.description.camera
+        lamp, camera = world.truth.lamp, world.truth.camera
         self._cones = {
             "source_solid_angle_sr": float(geometry.solid_angle_of_cone(math.radians(lamp.half_angle_deg))),
             "receiver_solid_angle_sr": float(geometry.solid_angle_of_cone(math.radians(camera.lens_half_angle_deg))),
         }
-        distances = world.description.geometry
+        distances = world.truth.geometry
         # how fast the chord of `_apart` can change along the plane [1/mm], and how long it is where a spike ends
         self._turn = 1.0 / distances.light_distance_mm + 1.0 / distances.camera_distance_mm
         cones = math.radians(lamp.half_angle_deg + camera.lens_half_angle_deg)
@@ -103,7 +103,7 @@ class Renderer:
     def _render(self, pose: Pose, band: Band, target: InHolder) -> Floats32:
         from gonio_sim.adaptive_grid import electrons_per_s
 
-        description = self._world.description
+        description = self._world.truth
         if target == "empty":
             return self._straight_through(pose, band)
         scene = view(description, pose)
@@ -124,7 +124,7 @@ class Renderer:
 
     def _discs(self, band: Band, target: InHolder) -> Iterator[Disc]:
         """The round surfaces in view."""
-        description, sample = self._world.description, self._world.sample
+        description, sample = self._world.truth, self._world.sample
         reference = description.reference
         if reference.how == "beside":
             yield Disc(reference.offset_mm, reference.diameter_mm / 2, self._reference(band))
@@ -143,7 +143,7 @@ class Renderer:
 
     def _through(self, band: Band) -> Iterator[Disc]:
         """What lets light through: the sample alone, point by point without the cones of lamp and lens."""
-        description, sample, model = self._world.description, self._world.sample, self._model
+        description, sample, model = self._world.truth, self._world.sample, self._model
         if sample is None or model is None:
             return
         waves = _wavelengths(band) if sample.integrate_band else [(band.centre_nm, 1.0)]
@@ -160,7 +160,7 @@ class Renderer:
 
         The lens is focused on the sample's place. From a spot there the lamp and the pupil are caps, as with a mirror.
         """
-        description = self._world.description
+        description = self._world.truth
         still = view(
             description, Pose(light=pose.light, camera=pose.camera, azimuth=pose.azimuth)
         )  # in the lab's frame
@@ -189,13 +189,13 @@ class Renderer:
 
     def _reference(self, band: Band) -> Callable[[PixelMap, View, Disc, Floats], None]:
         """The white reference: its certificate times its true error; a table is read at the centre of the frame."""
-        reference = self._world.description.reference
+        reference = self._world.truth.reference
         if reference.table is None:
             certified = (reference.albedo or 0.0) / math.pi
         else:
             from gonio.reduction.reference_table import brdf_of_reference
 
-            at_centre = directions(self._world.description, self._world.pose)
+            at_centre = directions(self._world.truth, self._world.pose)
             certified = brdf_of_reference(self._table, at_centre, band.centre_nm)
 
         def paint(seen: PixelMap, scene: View, disc: Disc, brdf: Floats) -> None:
@@ -208,8 +208,8 @@ class Renderer:
         """The certificate, where it is a table."""
         from gonio.measurement import read
 
-        assert self._world.description.reference.table is not None
-        return read(self._world.description.reference.table)
+        assert self._world.truth.reference.table is not None
+        return read(self._world.truth.reference.table)
 
     def _sample(self, band: Band) -> Callable[[PixelMap, View, Disc, Floats], None]:
         """The sample: its model's lobe on a grid of nodes, and its spike pixel by pixel."""

@@ -13,8 +13,10 @@ from typing import Literal
 
 import numpy as np
 
+from gonio.config import read_toml
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose, Target
+from gonio.rig.calibrated import uncalibrated, with_keys
 from gonio.rig.description import Band, RigDescription, SampleDescription
 
 InHolder = Target | Literal["mirror", "empty"]
@@ -46,7 +48,8 @@ class World:
     Parameters
     ----------
     description
-        The rig; the world suffers what it names.
+        The rig; the world suffers what it names. With `truth` in it, it suffers what that file says instead, and
+        nothing is drawn from stated uncertainties. A calibration changes what is known, and not what is true.
     sample
         What lies in the holder; None for a bench without a sample, where only the reference can be looked at.
     seed
@@ -63,6 +66,9 @@ class World:
         if seed < 0:
             raise ConfigError(f"seed = {seed}: it must be 0 or more")
         self.description = description
+        """What who measures knows."""
+        self.truth = truth_of(description)
+        """The same keys, with what is true."""
         self.sample = sample
         self.seed = seed
         self.open = False
@@ -77,19 +83,20 @@ class World:
         """True positions of the axes [rad]."""
         self.touched: list[tuple[str, str]] = []
         """Bodies of the rig file that have met on a way, two by two."""
+        drawing = 1.0 if description.truth is None else 0.0
         self.zero_error = {
-            name: np.radians(axis.zero_u_deg) * self.normal(Stream.ZERO, number)
-            for number, (name, axis) in enumerate(description.axes().items())
+            name: drawing * np.radians(axis.zero_u_deg) * self.normal(Stream.ZERO, number)
+            for number, (name, axis) in enumerate(self.truth.axes().items())
         }
         """What the calibration of each zero missed [rad]: the true position is the calibrated one minus this."""
-        reference = description.reference
-        drawn = self.normal(Stream.REFERENCE) if reference.error == "drawn" else 0.0
+        reference = self.truth.reference
+        drawn = drawing * self.normal(Stream.REFERENCE) if reference.error == "drawn" else 0.0
         self.reference_scale = 1.0 + reference.u_rel * drawn
         """True reflectance of the white reference over the certified one."""
         self.step = 0
         self.frame = 0
         self._elapsed_s = 0.0
-        self._slot_s = slot_s(description)
+        self._slot_s = slot_s(self.truth)
 
     def begin(self, step: int) -> None:
         """Set the clock and the random numbers to the start of a step."""
@@ -101,7 +108,7 @@ class World:
         Step n starts at n times `slot_s`, and time goes on with every move and frame, but never into the next step: in
         a step that is longer than its slot the clock, and with it the lamp's drift, waits at the end of the slot.
         """
-        return self.description.lamp.warm_up_s + self.step * self._slot_s + min(self._elapsed_s, self._slot_s)
+        return self.truth.lamp.warm_up_s + self.step * self._slot_s + min(self._elapsed_s, self._slot_s)
 
     def frame_time_s(self) -> float:
         """What a frame is stamped with [s]: `now_s`, except that no two frames have one time.
@@ -111,7 +118,7 @@ class World:
         beyond = self._elapsed_s - self._slot_s + LAST_S
         if beyond <= 0.0:
             return self.now_s()
-        end = self.description.lamp.warm_up_s + (self.step + 1) * self._slot_s
+        end = self.truth.lamp.warm_up_s + (self.step + 1) * self._slot_s
         return end - LAST_S / (1.0 + math.log1p(beyond / LAST_S))
 
     def spend(self, seconds: float) -> None:
@@ -120,7 +127,7 @@ class World:
 
     def lamp_level(self) -> float:
         """The lamp's output during the present frame, relative to its mean when the run began."""
-        lamp = self.description.lamp
+        lamp = self.truth.lamp
         drift = 1.0 + lamp.drift_per_hour * self.now_s() / 3600.0
         noise = lamp.noise * self.normal(Stream.LAMP, self.step, self.frame) if lamp.noise else 0.0
         return max(0.0, drift * (1.0 + noise)) * self.brightness
@@ -145,6 +152,12 @@ class World:
         if not self.open:
             name = self.description.name
             raise DeviceError(f'the {device} of the simulated rig "{name}" is not open: enter the rig first')
+
+
+def truth_of(description: RigDescription) -> RigDescription:
+    """What is true of a simulated bench: the rig file without calibrations, and over it the file that `truth` names."""
+    own = uncalibrated(description)
+    return with_keys(own, read_toml(own.truth), own.truth) if own.truth is not None else own
 
 
 def key(seed: int, stream: Stream, *address: int) -> np.uint64:

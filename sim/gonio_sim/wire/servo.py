@@ -20,6 +20,7 @@ NO_LOAD = 1.0e6
 """Acceleration where no profile limits it [counts/s^2]."""
 STALL_TO_OVERLOAD_S = 2.0
 BOOT_S = 0.5
+GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 WATCHDOG_UNIT_S = 0.020
 CURRENT, VELOCITY, POSITION, EXTENDED, CURRENT_POSITION, PWM = 0, 1, 3, 4, 5, 16
 POSITION_MODES = (POSITION, EXTENDED, CURRENT_POSITION)
@@ -104,6 +105,7 @@ class Servo:
         self._booted_s = clock()
         self._forgotten = 0.0
         self._profile_type = STEP
+        self._looks = 0
         self._backup: dict[str, int] = {}
         self.leaving: Callable[[], None] = lambda: None
         """Called before the shaft sets out for a new goal: what hangs on it has followed until now."""
@@ -535,7 +537,8 @@ class Servo:
         now = self._clock()
         position, velocity = self._shaft()
         planned, planned_velocity = self._path.at(now)
-        flicker = self.mechanics.noise_counts * math.sin(1e3 * now) if velocity == 0 else 0.0
+        self._looks += 1  # by the golden angle: readings in a row never happen to agree
+        flicker = self.mechanics.noise_counts * math.sin(GOLDEN_ANGLE * self._looks) if velocity == 0 else 0.0
         units = round(self._turned(velocity) / tables.RPM)
         in_position_mode = self.get("Operating Mode") in POSITION_MODES
         ended = now >= self._path.end_s

@@ -1,0 +1,1 @@
+"""Calibrations of a rig: measured values of its rig file, with their covariance."""

@@ -1,0 +1,5 @@
+"""`gonio calibrate light`."""
+
+from __future__ import annotations
+
+from gonio.cli.calibrate import app as app

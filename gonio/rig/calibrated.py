@@ -1,0 +1,176 @@
+"""Calibration files: values of a rig file that were measured, with their covariance, for one rig and for a time.
+
+format = 1
+kind = "geometry"                     # or "camera", "light"
+rig = "laboratory goniometer"         # its name, and the identity that only its own file has
+rig_identity = "6f0c..."
+made = 2026-11-22
+valid_until = 2027-05-22              # left out: for ever
+notes = ["no straight-through scan: ..."]
+
+[values]                              # keys of the rig file
+arms.light.zero_offset_deg = 1.7312
+
+[uncertainty]                         # of the numbers among them; others count as exact
+parameters = ["arms.light.zero_offset_deg"]
+u = [0.012]
+correlation = [[1.0]]
+
+[measured]                            # what else was found: figures for people, and for reports
+"""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, model_validator
+
+from gonio.config import Strict, numbers_in, parse, read_toml, to_toml
+from gonio.disk import read_file, write_whole
+from gonio.errors import ConfigError
+from gonio.rig.description import Calibrated, ParameterUncertainty, RigDescription
+
+FORMAT = 1
+FIXED = {
+    "camera": ("width", "height", "pixel_um", "pattern", "bits"),
+    "reference": ("how",),
+}
+"""Keys that tell one rig from another, beside its name, driver, axes and encoders: no calibration changes them."""
+
+
+class Calibration(Strict):
+    """A calibration file."""
+
+    format: Literal[1] = 1
+    kind: Literal["geometry", "camera", "light"]
+    rig: str
+    rig_identity: str
+    made: datetime.date
+    valid_until: datetime.date | None = None
+    notes: tuple[str, ...] = ()
+    """What remained undetermined, and what else a user of the values has to know."""
+    values: dict[str, Any]
+    """Keys of the rig file, in its tables."""
+    uncertainty: ParameterUncertainty = ParameterUncertainty(parameters=[], u=[], correlation=[])
+    """Of numbers of `values`, by their paths."""
+    measured: dict[str, Any] = Field(default_factory=dict)
+    """What else was found, for people and reports."""
+
+    @model_validator(mode="after")
+    def _names_are_there(self) -> Calibration:
+        known = numbers_in(self.values)
+        missing = [name for name in self.uncertainty.parameters if name not in known]
+        if missing:
+            raise ValueError(f'uncertainty.parameters: there is no number "{missing[0]}" in [values]')
+        return self
+
+    def unfit(self, description: RigDescription, today: datetime.date) -> str:
+        """Why the file is not to be used with a rig on a day; "" where it may be."""
+        if self.rig_identity != identity(description):
+            other = f'"{self.rig}"' if self.rig != description.name else "another one of this name"
+            return (
+                f'was made on another rig ({other}, identity {self.rig_identity}; "{description.name}" has '
+                f"{identity(description)})"
+            )
+        if self.valid_until is not None and today > self.valid_until:
+            return f"is out of date: it was valid until {self.valid_until}"
+        if self.made > today:
+            return f"was made on {self.made}, which is still to come: is the clock right?"
+        return ""
+
+
+def identity(description: RigDescription) -> str:
+    """What tells a rig from others, whatever is calibrated of it: 12 hexadecimal digits."""
+    facts: list[Any] = [description.rig, description.name]
+    facts += [(name, axis.encoder_step_deg) for name, axis in description.axes().items()]
+    facts += [getattr(getattr(description, table), key) for table, keys in FIXED.items() for key in keys]
+    return hashlib.sha256(repr(facts).encode()).hexdigest()[:12]
+
+
+def read_calibration(path: str | Path) -> Calibration:
+    """A calibration file.
+
+    Raises
+    ------
+    ConfigError
+        It is missing, or wrong; the message names file and key.
+    """
+    return parse(Calibration, read_toml(path), path)
+
+
+def write_calibration(calibration: Calibration, path: str | Path) -> None:
+    """Write a calibration file, whole or not at all."""
+    tables = calibration.model_dump(mode="python", exclude_none=True)
+    write_whole(Path(path), to_toml(tables).encode())
+
+
+def with_keys(description: RigDescription, values: dict[str, Any], source: str | Path) -> RigDescription:
+    """A rig with other values for some keys of its file; `source` is named where one is wrong."""
+    return parse(RigDescription, _laid_over(description.model_dump(mode="python"), values), source)
+
+
+def with_calibrations(
+    description: RigDescription, folder: str | Path, today: datetime.date | None = None
+) -> RigDescription:
+    """A rig with the values of its `calibration.files`, which lie in `folder` unless their paths are whole.
+
+    Raises
+    ------
+    ConfigError
+        A file is missing or wrong; or it is out of date or of another rig, and `calibration.when_unfit` is "refuse".
+    """
+    use = description.calibration
+    today = today or datetime.date.today()
+    known, remarks, out = [], [], description
+    as_filed = description.model_dump(mode="python", exclude_none=True)
+    replaced: dict[str, Any] = {}
+    for name in use.files:
+        path = Path(folder) / name
+        calibration = read_calibration(path)
+        why = calibration.unfit(description, today)
+        if why and use.when_unfit == "refuse":
+            raise ConfigError(f'{path}: {why}; calibrate again, or set calibration.when_unfit = "warn" in the rig file')
+        remarks += [f"{path.name} {why}"] * bool(why)
+        out = with_keys(out, calibration.values, path)
+        replaced = _laid_over(replaced, _where(calibration.values, as_filed))
+        known.append(
+            Calibrated(
+                **calibration.uncertainty.model_dump(),
+                kind=calibration.kind,
+                file=path.name,
+                sha256=hashlib.sha256(read_file(path)).hexdigest(),
+                made=calibration.made,
+                valid_until=calibration.valid_until,
+            )
+        )
+    use = use.model_copy(update={"known": tuple(known), "replaced": replaced, "remarks": tuple(remarks)})
+    return out.model_copy(update={"calibration": use})
+
+
+def uncalibrated(description: RigDescription) -> RigDescription:
+    """The rig as its own file has it, without the values of calibrations."""
+    return with_keys(description, description.calibration.replaced, "rig file")
+
+
+def _where(values: dict[str, Any], tables: dict[str, Any]) -> dict[str, Any]:
+    """The part of nested tables that values are given for."""
+    out: dict[str, Any] = {}
+    for key, value in values.items():
+        below = tables.get(key)
+        if isinstance(value, dict) and isinstance(below, dict):
+            out[key] = _where(value, below)
+        elif below is not None:
+            out[key] = below
+    return out
+
+
+def _laid_over(tables: dict[str, Any], values: dict[str, Any]) -> dict[str, Any]:
+    """Nested tables with other values for some keys; a table lies over a table, anything else takes its place."""
+    out = dict(tables)
+    for key, value in values.items():
+        below = out.get(key)
+        out[key] = _laid_over(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
+    return out

@@ -1,0 +1,87 @@
+"""Calibration files: values over a rig file's, for one rig and for a time."""
+
+from __future__ import annotations
+
+import datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+from gonio_sim.rig import SIM
+from gonio_sim.world import World
+
+from gonio.acquisition.measure import find_rig
+from gonio.errors import ConfigError
+from gonio.rig.calibrated import Calibration, identity, read_calibration, uncalibrated, write_calibration
+from gonio.rig.description import ParameterUncertainty
+
+ZERO = "arms.light.zero_offset_deg"
+
+
+def _rig(folder: Path, more: str = "") -> Path:
+    path = folder / "rig.toml"
+    path.write_text(more + SIM.toml)
+    return path
+
+
+def _calibration(folder: Path, **changed: Any) -> Calibration:
+    description = find_rig(str(_rig(folder))).description
+    given: dict[str, Any] = {
+        "kind": "geometry",
+        "rig": description.name,
+        "rig_identity": identity(description),
+        "made": datetime.date(2026, 1, 2),
+        "values": {"arms": {"light": {"zero_offset_deg": 1.5}}},
+        "uncertainty": ParameterUncertainty(parameters=[ZERO], u=[0.01], correlation=[[1.0]]),
+    }
+    return Calibration(**(given | changed))
+
+
+def test_values_of_a_calibration_replace_those_of_the_rig_file(tmp_path: Path) -> None:
+    made = _calibration(tmp_path)
+    write_calibration(made, tmp_path / "geometry.toml")
+    assert read_calibration(tmp_path / "geometry.toml") == made
+    found = find_rig(str(_rig(tmp_path, 'calibration.files = ["geometry.toml"]\n'))).description
+    assert found.arms.light.zero_offset_deg == 1.5
+    known = found.calibration.known[0]
+    assert (known.parameters, known.u, known.made) == ([ZERO], [0.01], made.made)
+    assert found.calibration.replaced == {"arms": {"light": {"zero_offset_deg": 0.37}}}
+    assert uncalibrated(found).arms.light.zero_offset_deg == 0.37
+
+
+@pytest.mark.parametrize(
+    ("changed", "why"),
+    [
+        ({"valid_until": datetime.date(2026, 2, 1)}, "out of date"),
+        ({"rig_identity": "0" * 12}, "another rig"),
+        ({"made": datetime.date(9999, 1, 1)}, "still to come"),
+    ],
+)
+def test_an_unfit_calibration_is_refused_or_remarked(tmp_path: Path, changed: dict[str, Any], why: str) -> None:
+    write_calibration(_calibration(tmp_path, **changed), tmp_path / "geometry.toml")
+    with pytest.raises(ConfigError, match=why):
+        find_rig(str(_rig(tmp_path, 'calibration.files = ["geometry.toml"]\n')))
+    asked = 'calibration = { files = ["geometry.toml"], when_unfit = "warn" }\n'
+    found = find_rig(str(_rig(tmp_path, asked))).description
+    assert found.arms.light.zero_offset_deg == 1.5
+    assert why in found.calibration.remarks[0]
+
+
+def test_what_is_true_of_a_simulated_bench_is_no_calibration_and_not_the_rig_file(tmp_path: Path) -> None:
+    write_calibration(_calibration(tmp_path), tmp_path / "geometry.toml")
+    (tmp_path / "truth.toml").write_text("[arms.light]\nzero_offset_deg = 2.0\n[lamp]\nnoise = 0.0\n")
+    head = 'calibration.files = ["geometry.toml"]\n'
+    calibrated = World(find_rig(str(_rig(tmp_path, head))).description, None, 1)
+    assert calibrated.description.arms.light.zero_offset_deg == 1.5
+    assert calibrated.truth.arms.light.zero_offset_deg == 0.37
+    hidden = World(find_rig(str(_rig(tmp_path, head + 'truth = "truth.toml"\n'))).description, None, 1)
+    assert hidden.truth.arms.light.zero_offset_deg == 2.0
+    assert (hidden.truth.lamp.noise, hidden.description.lamp.noise) == (0.0, 0.008)
+    assert not any(hidden.zero_error.values())
+    assert hidden.reference_scale == 1.0
+
+
+def test_a_calibration_names_a_parameter_that_it_has(tmp_path: Path) -> None:
+    wrong = ParameterUncertainty(parameters=["lamp.noise"], u=[0.01], correlation=[[1.0]])
+    with pytest.raises(ValueError, match=r'there is no number "lamp.noise" in \[values\]'):
+        _calibration(tmp_path, uncertainty=wrong)
