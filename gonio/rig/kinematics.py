@@ -25,7 +25,7 @@ import numpy as np
 
 from gonio.errors import ConfigError
 from gonio.geometry import AT_LIMIT, EXACTLY_IN_PLANE, PARALLEL, Directions
-from gonio.rig.description import ArmAxis, RigDescription
+from gonio.rig.description import ArmAxis, Axis, RigDescription
 from gonio.rig.protocols import Pose
 from gonio.rig.ways import Blocked, require_free
 from gonio.typing import Floats
@@ -85,8 +85,10 @@ def true_pose(description: RigDescription, pose: Pose) -> Pose:
     return replace(pose, **out) if out else pose
 
 
-def encoder_error(axis: ArmAxis, read: float) -> float:
+def encoder_error(axis: Axis, read: float) -> float:
     """What an encoder reads too much [rad], beside its zero, where it reads an angle [rad]."""
+    if not isinstance(axis, ArmAxis):
+        return 0.0
     return math.radians(sum(c * math.cos(k * read) + s * math.sin(k * read) for k, c, s in axis.harmonics_deg))
 
 
