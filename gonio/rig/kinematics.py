@@ -225,13 +225,13 @@ def _carried(axis: ArmAxis, onto: Floats, distance_mm: float) -> Floats:
     return out
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)
 def _about_x_then(tilt_deg: tuple[float, float], other: str) -> Floats:
     """Rx(first) R_other(second), of two small angles [deg]: what it turns is turned about `other` first."""
     return np.asarray(_rotation("x", math.radians(tilt_deg[0])) @ _rotation(other, math.radians(tilt_deg[1])))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)
 def _camera_on_arm(elevation_deg: float, pointing_deg: tuple[float, float], roll_deg: float) -> Floats:
     """Columns: image_x, image_y and optical axis in the frame of an arm at 0, which looks down its own z."""
     down = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
