@@ -104,7 +104,11 @@ def make(
         Somebody stopped it; the records that are there count.
     """
     total = campaigns if campaigns is not None else FEW if quick else CAMPAIGNS
-    for name, value, least in (("--campaigns", total, 1), ("--seed", seed, 0), ("--jobs", jobs or 1, 1)):
+    for name, value, least in (
+        ("--campaigns", total, 1),
+        ("--seed", seed, 0),
+        ("--jobs", 1 if jobs is None else jobs, 1),
+    ):
         if value < least:
             raise ConfigError(f"{name} {value}: must be {least} or more")
     errors = tuple(cause.name for cause in coverage_hidden.chosen(only))
