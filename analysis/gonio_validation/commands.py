@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -70,4 +71,44 @@ def scenes(
 
     with console.counter("pictures") as step:
         made = make(out, quick=quick, command=command_line(), step=step)
+    print(made)
+
+
+@bench.command()
+def coverage(
+    out: Annotated[Path, typer.Option(help="Folder of the report and of the campaigns' records.", show_default=False)],
+    campaigns: Annotated[
+        int | None,
+        typer.Option(help="How many; those that are there already count. [default: 200]", show_default=False),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="What is hidden follows from it.")] = 1,
+    jobs: Annotated[int | None, typer.Option(help="Processes. [default: one a processor]", show_default=False)] = None,
+    only: Annotated[
+        str,
+        typer.Option(metavar="A,B", help="Errors that the benches have; all of them without it.", show_default=False),
+    ] = "",
+    quick: Annotated[bool, typer.Option("--quick", help="12 campaigns of few points: all is run.")] = False,
+) -> None:
+    """Blind campaigns on simulated benches: do the stated intervals hold the truth? Prints the report's path.
+
+    A command that was cut short goes on where it stood.
+    """
+    from gonio.acquisition.run import command_line
+    from gonio.cli import console
+    from gonio.cli.pace import Pace
+    from gonio_validation.bench.coverage import make
+
+    lines: list[Pace] = []
+
+    def said(done: int, total: int) -> None:
+        step(done, total)
+        if not sys.stderr.isatty() and (not lines or done * console.LINES % total < console.LINES):
+            lines[:] = lines or [Pace("campaigns", total, console.note)]
+            lines[0].step(done)
+
+    names = [name.strip() for name in only.split(",") if name.strip()]
+    with console.counter("campaigns") as step:
+        made = make(
+            out, campaigns=campaigns, seed=seed, jobs=jobs, only=names, quick=quick, command=command_line(), step=said
+        )
     print(made)

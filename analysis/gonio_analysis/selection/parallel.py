@@ -47,7 +47,9 @@ def here(jobs: Sequence[Callable[[Say], Out]], what: str = "", say: Say = silent
     return out
 
 
-def each(function: Callable[[In], Out], jobs: Sequence[In], *, dask: str | None = None) -> Iterator[Out]:
+def each(
+    function: Callable[[In], Out], jobs: Sequence[In], *, dask: str | None = None, workers: int | None = None
+) -> Iterator[Out]:
     """The function's results for every job, in their order, as they become ready.
 
     Parameters
@@ -58,6 +60,8 @@ def each(function: Callable[[In], Out], jobs: Sequence[In], *, dask: str | None 
         One argument each. Fewer than `FEW` run here, unless a scheduler is named.
     dask
         Address of a Dask scheduler, as in "tcp://127.0.0.1:8786"; its workers need this package.
+    workers
+        Processes, where no scheduler is named: one for each processor by default. With 1 all jobs run here.
 
     Raises
     ------
@@ -68,15 +72,14 @@ def each(function: Callable[[In], Out], jobs: Sequence[In], *, dask: str | None 
     """
     if dask is not None:
         yield from _on_cluster(function, jobs, dask)
-    elif len(jobs) < FEW:
+    elif len(jobs) < FEW or workers == 1:
         yield from map(function, jobs)
     else:
-        yield from _on_processors(function, jobs)
+        yield from _on_processors(function, jobs, min(len(jobs), workers or os.cpu_count() or 1))
 
 
-def _on_processors(function: Callable[[In], Out], jobs: Sequence[In]) -> Iterator[Out]:
+def _on_processors(function: Callable[[In], Out], jobs: Sequence[In], workers: int) -> Iterator[Out]:
     """Whatever ends this, an error, a signal or the death of this process, ends the other processes at once."""
-    workers = min(len(jobs), os.cpu_count() or 1)
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_stay_with_parent)
     try:
         with _deaf_children():

@@ -1,0 +1,201 @@
+"""One campaign as a laboratory carries it out: files, calibration, measurement, reduction, fit; then the comparison.
+
+The functions are those that the commands call. What is true is written to `truth.toml`, which the simulated devices
+alone read, and is looked at again when everything is done.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import shutil
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from gonio_analysis.fitting.fit import fit
+from gonio_analysis.result_records import finite
+
+from gonio import instrument, measurement, models
+from gonio.acquisition.measure import carry_out, find_rig, load_sample
+from gonio.acquisition.plan import ANGLES, load_plan
+from gonio.by_hand import alignment, rig_file
+from gonio.by_hand.alignment_scans import Scans
+from gonio.by_hand.bench import open_rig
+from gonio.config import to_toml
+from gonio.errors import GonioError, Interrupted
+from gonio.geometry import AROUND_MIRROR, Directions
+from gonio.reduction import brdf
+from gonio_validation.bench.coverage_hidden import Campaign
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FORMAT = 1
+"""Of a record."""
+GRAZING = math.radians(65.0)
+EDGE = math.radians(0.3)
+"""So far beyond the cones the edge of a spike may be met, by errors of the angles [rad]."""
+SEARCH_DEG = 8.0
+"""How far a scan looks for the lamp: the sum of two zero offsets of 3 deg, and some."""
+
+Record = dict[str, Any]
+
+
+def carried_out(campaign: Campaign, folder: Path) -> Record:
+    """The record of a campaign, as JSON has it: what was hidden, what came out, and what is true.
+
+    A campaign that the programs refuse has a record too, with the step and the message under "failed".
+
+    Parameters
+    ----------
+    folder
+        Where its files lie meanwhile; what is there is removed before and afterwards.
+    """
+    began = time.perf_counter()
+    record: Record = {
+        "format": FORMAT, "campaign": campaign.number, "model": campaign.model, "plan": campaign.plan,
+        "truth": campaign.truth, "wavelength_nm": campaign.wavelength_nm, "rig": campaign.rig,
+        "hidden": campaign.true, "zeros": {}, "points": {}, "fit": {}, "failed": None,
+    }  # fmt: skip
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    step = "files"
+    try:
+        _write(campaign, folder)
+        rig = folder / "rig.toml"
+        for name, calibrate in CALIBRATIONS.items():
+            step = name
+            rig = calibrate(campaign, rig, record)
+        step = "measurement"
+        run = carry_out(
+            load_plan(folder / "plan.toml"), find_rig(str(rig)), folder / "run",
+            sample=load_sample(folder / "sample.toml"), seed=campaign.seed, yes=True,
+        )  # fmt: skip
+        step = "reduction"
+        measurement.write(brdf.reduce(run), folder / "brdf.csv")
+        table = measurement.read(folder / "brdf.csv")
+        record["points"] = points(campaign, table)
+        step = "fit"
+        record["fit"] = fitted(campaign, table)
+    except Interrupted:
+        raise
+    except GonioError as error:
+        record["failed"] = {"step": step, "message": str(error).replace(f"{folder}/", "")}
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    record["seconds"] = round(time.perf_counter() - began, 3)
+    return record
+
+
+def _write(campaign: Campaign, folder: Path) -> None:
+    sample = {"name": campaign.model, "model": campaign.model, "parameters": campaign.given}
+    plan = {"name": campaign.plan, "wavelength_nm": [campaign.wavelength_nm], "points": [{"file": "points.csv"}]}
+    files = {"rig": campaign.rig, "truth": campaign.true, "sample": sample, "plan": plan}
+    for name, tables in files.items():
+        (folder / f"{name}.toml").write_text(to_toml(tables), encoding="utf-8")
+    text = io.StringIO()
+    csv.writer(text).writerows([ANGLES, *campaign.points])
+    (folder / "points.csv").write_text(text.getvalue(), encoding="utf-8")
+
+
+# --- calibrations -------------------------------------------------------------------------------------------------
+
+
+def align(campaign: Campaign, rig: Path, record: Record) -> Path:
+    """`gonio rig align`: the rig file with the zeros that were found; as it is, where nothing is hidden."""
+    bench = open_rig(str(rig), seed=campaign.seed, only=("arms", "light", "camera"))
+    description = bench.description
+    if all(axis.zero_offset_known for axis in description.axes().values()):
+        return rig
+    scans = Scans(bench, search_deg=SEARCH_DEG, say=lambda text: None)
+    with bench:
+        bench.put("mirror")
+        scans.mirror()
+        bench.lamp(False)
+        bench.put("empty")
+        scans.straight_through()
+        bench.lamp(False)
+        bench.put("sample")
+    found = alignment.align(scans.table, description)
+    aligned = rig.with_name("aligned.toml")
+    rig_file.write_values(rig, alignment.zero_values(found, description), out=aligned)
+    arms, holder = campaign.true["arms"], campaign.true["holder"]
+    true = {name: arms[name]["zero_offset_deg"] for name in arms} | {"tilt": holder["tilt_zero_offset_deg"]}
+    record["zeros"] = {
+        name: {"true": true[name], "value": zero.offset_deg, "u": zero.u_deg} for name, zero in found.zeros.items()
+    }
+    return aligned
+
+
+CALIBRATIONS = {"alignment": align}
+"""By name: what takes the campaign, the rig file as it stands and the record, and gives the rig file to go on with."""
+
+
+# --- comparison with the truth ------------------------------------------------------------------------------------
+
+
+def points(campaign: Campaign, table: pd.DataFrame) -> Record:
+    """Every usable row, with what the instrument's cones would have seen of the true sample in the row's directions."""
+    used = table[table["flag"] == ""]
+    model = models.build(campaign.model, campaign.given)
+    directions = Directions.from_table(used)
+    truth = instrument.apparent_brdf(
+        model,
+        *directions.angles,
+        wavelength_nm=campaign.wavelength_nm,
+        source_solid_angle_sr=table.attrs["source_solid_angle_sr"],
+        receiver_solid_angle_sr=table.attrs["receiver_solid_angle_sr"],
+        spike="exact",
+    )
+    random, common, causes = measurement.uncertainty(used)
+    columns = ("theta_i_deg", "theta_r_deg", "brdf", "u_brdf")
+    out: Record = {name: used[name].tolist() for name in columns}
+    out["dphi_deg"] = np.degrees(directions.dphi).tolist()
+    out |= {"truth": truth.tolist(), "u_random": random.tolist()}
+    out["common"] = dict(zip(causes, np.nan_to_num(common).T.tolist(), strict=True))
+    reach = math.radians(campaign.rig["lamp"]["half_angle_deg"] + campaign.rig["camera"]["lens_half_angle_deg"])
+    out["region"] = regions(directions, reach if model.has_spike else None)
+    out["flags"] = dict(table["flag"][table["flag"] != ""].value_counts())
+    out["flags"] = {str(name): int(count) for name, count in out["flags"].items()}
+    out["notes"] = [str(note) for note in table.attrs.get("notes", [])]
+    return out
+
+
+def regions(directions: Directions, spike_rad: float | None) -> list[str]:
+    """Where each point lies; `spike_rad` is how far from the mirror direction a specular spike may be seen."""
+    offset = np.atleast_1d(directions.mirror_offset)
+    out = np.full(offset.shape, "elsewhere", dtype=object)
+    retro = np.atleast_1d(Directions(directions.theta_i, directions.phi_i, directions.theta_r,
+                                     directions.phi_r + math.pi).mirror_offset)  # fmt: skip
+    out[retro <= AROUND_MIRROR] = "around retro"
+    out[np.maximum(directions.theta_i, directions.theta_r) >= GRAZING] = "grazing"
+    out[offset <= AROUND_MIRROR] = "around the mirror"
+    if spike_rad is not None:
+        out[offset <= spike_rad + EDGE] = "specular spike"
+    return [str(name) for name in out]
+
+
+def fitted(campaign: Campaign, table: pd.DataFrame) -> Record:
+    """The campaign's own model fitted to a table, with the 95 % intervals that the fit states."""
+    result = fit(table, campaign.model, ior=campaign.ior)
+    intervals = result.intervals()
+    parameters = {}
+    for name in result.free:
+        found, interval = result.parameters[name], intervals[name]
+        parameters[name] = {
+            "true": campaign.truth[name], "value": found.value, "u": finite(found.u), "at_bound": found.at_bound,
+            "low": interval.low, "high": interval.high,
+            "open_low": interval.open_low, "open_high": interval.open_high,
+        }  # fmt: skip
+    return {
+        "parameters": parameters, "free": list(result.free), "covariance": _plain(result.covariance),
+        "chi_square": finite(result.chi_square), "freedom": result.degrees_of_freedom,
+        "p_value": finite(result.p_value), "notes": list(result.notes),
+    }  # fmt: skip
+
+
+def _plain(matrix: Any) -> list[list[float | None]]:
+    return [[finite(x) for x in row] for row in np.asarray(matrix)]

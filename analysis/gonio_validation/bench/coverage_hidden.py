@@ -1,0 +1,348 @@
+"""What a blind campaign hides: a sample, a plan, and the errors of a bench, all drawn from (seed, campaign).
+
+`CAUSES` is the one list of errors. A cause has two sides: what the rig file says of it, and what is true (the rig's
+`truth` file, which only the simulated devices read). A cause that is left out is off on both sides.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from gonio.errors import ConfigError
+
+Tables = dict[str, Any]
+"""Keys of a file, in its tables."""
+Angles = tuple[float, float, float, float]
+"""theta_i, phi_i, theta_r, phi_r [deg]."""
+METALS = {"Al": 0.96 + 6.69j, "Au": 0.26 + 2.55j, "Fe": 2.9 + 3.05j, "glass": 1.5 + 0.0j}
+"""Optical constants at about 550 nm, for He-Torrance; a campaign uses one at its own wavelength as if it held there."""
+BENCH: Tables = {
+    "rig": "sim",
+    "name": "blind goniometer",
+    "truth": "truth.toml",
+    "arms": {"light": {"limits_deg": [-95.0, 95.0]}, "camera": {"limits_deg": [-95.0, 95.0]}},
+    "holder": {"axes": ["tilt", "spin"], "sample_diameter_mm": 6.0},
+    # a sensor without noise, whose levels are as fine as a raw file can hold
+    "camera": {
+        "width": 96, "height": 72, "pixel_um": 20.0, "cos4": True, "bits": 16, "quantised": False,
+        "electrons_per_dn": 0.165, "exposure_limits_s": [1e-5, 60.0],
+    },
+    "reference": {"how": "swap", "albedo": 0.97, "every": 8, "frames": 8},
+    "bands": {"tunable": {"start_nm": 400.0, "stop_nm": 700.0, "step_nm": 10.0, "fwhm_nm": 10.0}},
+    "acquisition": {"frames": 2, "dark_frames": 8},
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One error of one bench."""
+
+    known: Tables = field(default_factory=dict)
+    """What the rig file says."""
+    true: Tables = field(default_factory=dict)
+    """What the truth file says."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """An error that a bench may have."""
+
+    name: str
+    hidden: str
+    """What is drawn, in words."""
+    learned: str
+    """What the laboratory knows of it, and how."""
+    draw: Callable[[np.random.Generator], Drawn]
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Everything that is true in one campaign."""
+
+    number: int
+    seed: int
+    """Of the simulated bench's noise."""
+    model: str
+    given: Tables
+    """Arguments of the model."""
+    truth: dict[str, float]
+    """Parameters, as a fit calls them."""
+    ior: complex | None
+    """Optical constants that the fit is told."""
+    plan: str
+    points: tuple[Angles, ...]
+    wavelength_nm: float
+    rig: Tables
+    """The rig file."""
+    true: Tables
+    """The truth file."""
+
+
+def campaign(seed: int, number: int, only: Sequence[str] = (), most: int = 40) -> Campaign:
+    """The campaign of a number: the same for one seed, whatever other campaigns there are.
+
+    Parameters
+    ----------
+    only
+        Names of `CAUSES`; all of them, where none is named. A cause is drawn alike, alone or among others.
+    most
+        Points of its plan.
+    """
+    model = list(SAMPLES)[number % len(SAMPLES)]
+    given, truth, ior = SAMPLES[model](_generator(seed, number, "sample"))
+    rng = _generator(seed, number, "plan")
+    plan = list(PLANS)[number // len(SAMPLES) % len(PLANS)]
+    points = tuple(dict.fromkeys(PLANS[plan](rng)))
+    if len(points) > most:
+        points = tuple(points[k] for k in sorted(rng.choice(len(points), most, replace=False)))
+    wavelength = float(rng.choice(np.arange(450.0, 651.0, 10.0)))
+    drawn = [cause.draw(_generator(seed, number, cause.name)) for cause in chosen(only)]
+    rig = merged(BENCH, _instrument(_generator(seed, number, "instrument")), *(d.known for d in drawn))
+    noise = int(_generator(seed, number, "noise").integers(1 << 31))
+    return Campaign(
+        number, noise, model, given, truth, ior, plan, points, wavelength, rig, merged(*(d.true for d in drawn))
+    )
+
+
+def chosen(only: Sequence[str]) -> list[Cause]:
+    """The causes of these names, or all.
+
+    Raises
+    ------
+    ConfigError
+        There is none of a name.
+    """
+    known = [cause.name for cause in CAUSES]
+    for name in only:
+        if name not in known:
+            raise ConfigError(f'--only {",".join(only)}: there is no error "{name}"; there are {", ".join(known)}')
+    return [cause for cause in CAUSES if not only or cause.name in only]
+
+
+def merged(*several: Mapping[str, Any]) -> Tables:
+    """Nested tables, a later one over an earlier one."""
+    out: Tables = {}
+    for tables in several:
+        for key, value in tables.items():
+            below = out.get(key)
+            out[key] = merged(below if isinstance(below, dict) else {}, value) if isinstance(value, dict) else value
+    return out
+
+
+def _generator(seed: int, number: int, what: str) -> np.random.Generator:
+    """Random numbers for one thing of one campaign: they do not depend on what else is drawn."""
+    return np.random.default_rng([seed, number, zlib.crc32(what.encode())])
+
+
+def _even(rng: np.random.Generator, low: float, high: float, digits: int = 4) -> float:
+    return round(float(rng.uniform(low, high)), digits)
+
+
+def _instrument(rng: np.random.Generator) -> Tables:
+    """What the laboratory knows rightly: distances, cones, the lens's falloff."""
+    return {
+        "geometry": {
+            "light_distance_mm": _even(rng, 800.0, 1200.0, 0),
+            "camera_distance_mm": _even(rng, 800.0, 1200.0, 0),
+        },
+        "lamp": {"half_angle_deg": _even(rng, 0.3, 0.8, 2)},
+        "camera": {"lens_half_angle_deg": _even(rng, 0.3, 0.8, 2), "vignetting": _even(rng, 0.0, 0.2, 2)},
+    }
+
+
+# --- errors -------------------------------------------------------------------------------------------------------
+
+
+def _zeros(rng: np.random.Generator) -> Drawn:
+    light, camera, tilt = (_even(rng, -limit, limit, 3) for limit in (3.0, 3.0, 1.5))
+    unknown = {"zero_offset_known": False}
+    return Drawn(
+        {"arms": {"light": unknown, "camera": unknown}, "holder": unknown},
+        {
+            "arms": {"light": {"zero_offset_deg": light}, "camera": {"zero_offset_deg": camera}},
+            "holder": {"tilt_zero_offset_deg": tilt},
+        },
+    )
+
+
+def _encoders(rng: np.random.Generator) -> Drawn:
+    step = float(rng.choice([0.022, 0.044, 0.088]))
+
+    def axes(backlash: Sequence[float]) -> Tables:
+        light, camera, holder = ({"encoder_step_deg": step, "backlash_deg": b} for b in backlash)
+        return {"arms": {"light": light, "camera": camera}, "holder": holder}
+
+    return Drawn(axes([0.2] * 3), axes([_even(rng, 0.0, 0.3, 3) for _ in range(3)]))
+
+
+def _lamp(rng: np.random.Generator) -> Drawn:
+    return Drawn({"lamp": {"noise": _even(rng, 0.001, 0.008)}})
+
+
+def _drift(rng: np.random.Generator) -> Drawn:
+    return Drawn(true={"lamp": {"drift_per_hour": _even(rng, -0.03, 0.03)}})
+
+
+def _camera(rng: np.random.Generator) -> Drawn:
+    gain = _even(rng, 2.0, 4.0, 2)
+    return Drawn(
+        {
+            "camera": {
+                "photon_noise": True, "bits": 12, "quantised": True, "electrons_per_dn": gain,
+                "full_well_e": round(4100.0 * gain), "read_noise_e": _even(rng, 2.0, 8.0, 2),
+                "dark_current_e_per_s": _even(rng, 1.0, 20.0, 1), "prnu": _even(rng, 0.002, 0.01),
+                "dsnu_e": _even(rng, 0.5, 4.0, 2),
+            }
+        }
+    )  # fmt: skip
+
+
+def _reference(rng: np.random.Generator) -> Drawn:
+    certified, u_rel = _even(rng, 0.90, 0.96, 3), _even(rng, 0.001, 0.005)
+    return Drawn(
+        {"reference": {"albedo": certified, "u_rel": u_rel}},
+        {"reference": {"albedo": round(certified * (1.0 + u_rel * float(rng.standard_normal())), 7)}},
+    )
+
+
+CAUSES = (
+    Cause(
+        "zeros",
+        "zero offsets of light and camera (up to 3 deg) and of the tilt (up to 1.5 deg)",
+        "`gonio rig align`: scans over a mirror and straight through, with their uncertainty",
+        _zeros,
+    ),
+    Cause(
+        "encoders",
+        "where an axis lands within an encoder step of 0.022 to 0.088 deg; backlash of 0 to 0.3 deg",
+        "the step stands in the rig file; the backlash there is 0.2 deg, and every goal is approached from below",
+        _encoders,
+    ),
+    Cause("lamp", "noise from frame to frame (0.1 to 0.8 %)", "its standard deviation stands in the rig file", _lamp),
+    Cause("drift", "drift of the lamp, up to 3 % an hour either way", "visits to the white reference", _drift),
+    Cause(
+        "camera",
+        "photon noise, read noise, dark current, PRNU and DSNU of every pixel",
+        "gain and standard deviations stand in the rig file; each run has its dark frames",
+        _camera,
+    ),
+    Cause(
+        "reference",
+        "the reference's albedo, off its certificate by a normal error of 0.1 to 0.5 %",
+        "its standard uncertainty stands in the certificate",
+        _reference,
+    ),
+)
+
+
+# --- samples ------------------------------------------------------------------------------------------------------
+
+Sample = tuple[Tables, dict[str, float], complex | None]
+
+
+def _lambert(rng: np.random.Generator) -> Sample:
+    truth = {"albedo": _even(rng, 0.05, 0.95)}
+    return dict(truth), truth, None
+
+
+def _oren_nayar(rng: np.random.Generator) -> Sample:
+    truth = {"albedo": _even(rng, 0.1, 0.9), "sigma_deg": _even(rng, 3.0, 40.0)}
+    return dict(truth), truth, None
+
+
+def _phong(rng: np.random.Generator) -> Sample:
+    truth = {"k_d": _even(rng, 0.02, 0.2), "k_s": _even(rng, 0.05, 1.0), "exponent": _even(rng, 4.0, 50.0, 2)}
+    return dict(truth), truth, None
+
+
+def _blinn(rng: np.random.Generator) -> Sample:
+    truth = {
+        "k_d": _even(rng, 0.02, 0.2),
+        "k_s": _even(rng, 0.3, 2.0),
+        "c": _even(rng, 0.15, 0.5),
+        "ior": _even(rng, 1.35, 2.5),
+    }
+    return dict(truth), truth, None
+
+
+def _cook_torrance(rng: np.random.Generator) -> Sample:
+    truth = {
+        "s": _even(rng, 0.2, 0.8),
+        "m": _even(rng, 0.15, 0.45),
+        "diffuse_albedo": _even(rng, 0.1, 0.9),
+        "ior": _even(rng, 1.35, 2.2),
+    }
+    given = {"s": truth["s"], "d": 1.0 - truth["s"], "slopes": [[truth["m"], 1.0]]}
+    return given | {name: truth[name] for name in ("diffuse_albedo", "ior")}, truth, None
+
+
+def _he_torrance(rng: np.random.Generator) -> Sample:
+    index = METALS[str(rng.choice(list(METALS)))]
+    sigma0 = _even(rng, 0.08, 0.5)
+    truth = {
+        "sigma0_um": sigma0,
+        "tau_um": round(sigma0 * float(rng.uniform(5.0, 14.0)), 4),
+        "diffuse_albedo": _even(rng, 0.02, 0.3),
+    }
+    return {**truth, "ior": [index.real, index.imag]}, truth, index
+
+
+SAMPLES: dict[str, Callable[[np.random.Generator], Sample]] = {
+    "lambert": _lambert,
+    "oren-nayar": _oren_nayar,
+    "phong": _phong,
+    "blinn": _blinn,
+    "cook-torrance": _cook_torrance,
+    "he-torrance": _he_torrance,
+}
+
+
+# --- plans --------------------------------------------------------------------------------------------------------
+
+
+def _signed(theta_i: float, theta_r: float, dphi: float = 180.0) -> Angles:
+    """A point by its signed theta_r."""
+    turn = dphi if theta_r >= 0 else dphi + 180.0
+    return round(theta_i, 4), 0.0, round(abs(theta_r), 4), round(turn % 360.0, 4)
+
+
+def _in_plane(rng: np.random.Generator) -> list[Angles]:
+    step = _even(rng, 6.0, 11.0, 0)
+    incidences = [_even(rng, low, low + 25.0, 0) for low in (5.0, 40.0)]
+    start = _even(rng, -78.0, -70.0, 0)
+    return [_signed(t, a) for t in incidences for a in np.arange(start, 78.0, step)]
+
+
+def _around_the_mirror(rng: np.random.Generator) -> list[Angles]:
+    step = _even(rng, 1.0, 5.0, 1)
+    incidences = [_even(rng, 15.0, 65.0, 1) for _ in range(int(rng.integers(1, 3)))]
+    half = 18 // len(incidences)
+    return [_signed(t, t + k * step) for t in incidences for k in range(-half, half + 1) if abs(t + k * step) < 80.0]
+
+
+def _out_of_plane(rng: np.random.Generator) -> list[Angles]:
+    incidences = [_even(rng, 20.0, 65.0, 1) for _ in range(2)]
+    out = [_signed(t, a) for t in incidences for a in np.arange(-72.0, 73.0, 16.0)]
+    apart = rng.uniform(-1.0, 1.0, (20, 2)) * (35.0, 60.0)
+    return out + [
+        _signed(incidences[k % 2], min(max(incidences[k % 2] + x, 3.0), 76.0), 180.0 + y)
+        for k, (x, y) in enumerate(apart)
+    ]
+
+
+def _grazing(rng: np.random.Generator) -> list[Angles]:
+    incidences = [_even(rng, 60.0, 78.0, 0), _even(rng, 20.0, 50.0, 0)]
+    return [_signed(t, a) for t in incidences for a in [*np.arange(-80.0, 50.0, 20.0), *np.arange(50.0, 83.0, 4.0)]]
+
+
+PLANS: dict[str, Callable[[np.random.Generator], list[Angles]]] = {
+    "in plane": _in_plane,
+    "around the mirror": _around_the_mirror,
+    "out of plane": _out_of_plane,
+    "grazing": _grazing,
+}

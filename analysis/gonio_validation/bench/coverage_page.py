@@ -1,0 +1,283 @@
+"""`index.html` of `gonio bench coverage`, and its drawings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gonio_analysis.plots.in_plane import COLOURS, FAINT, INK
+from gonio_analysis.report.blocks import (
+    Block,
+    Contents,
+    Figures,
+    Footer,
+    Group,
+    Heading,
+    Page,
+    Paragraph,
+    Text,
+    code,
+    facts,
+    section,
+    strong,
+    table,
+)
+from gonio_analysis.report.figures import Figure, rendered
+from gonio_analysis.report.text import number
+
+from gonio_validation.bench.coverage_results import LEVEL, Count, Coverage, Pulls
+
+FOOTER = Footer(
+    (
+        *("Every number on this page is in ", code("results.json"), ", a line a campaign in ", code("campaigns.csv")),
+        *(", and what was drawn, measured and fitted in ", code("campaigns/"), "."),
+    )
+)
+KINDS = {
+    "points": "BRDF of one point",
+    "joint": "BRDF, all points together",
+    "parameters": "fitted parameters",
+    "joint parameters": "fitted parameters, all together",
+    "zeros": "calibrated zeros",
+}
+PULL_LIMITS = (0.9, 1.1)
+"""What the standard deviation of pulls should lie between."""
+
+
+def render(s: Coverage, figures: Sequence[Figure]) -> Page:
+    """The page."""
+    links = (("coverage", "Coverage"), ("pulls", "Pulls"), ("hidden", "What is hidden"), ("far", "Points far off"))
+    what = (
+        f"{s.created[:10]}, gonio {s.machine.versions['gonio']}, seed {s.seed}: {s.campaigns} campaigns, {s.values} "
+        f"values of BRDF, {number(s.seconds / max(s.campaigns, 1), 2)} s of one process a campaign."
+    )
+    rough = " A quick run: few campaigns of few points." if s.quick else ""
+    contents = Contents(tuple((f"#{anchor}", name) for anchor, name in links))
+    head = Group("header", (Heading(1, s.title), Paragraph(what + rough, "sub"), contents))
+    body: list[Block] = [head, _lead(s), _coverage(s, figures), _pulls(s, figures), _hidden(s), _far(s)]
+    return Page(s.title, (*body, *_failed(s), _method(s), FOOTER))
+
+
+def _lead(s: Coverage) -> Paragraph:
+    words: list[str] = []
+    for kind in ("points", "joint", "parameters", "joint parameters"):
+        c = s.count(kind)
+        if c is not None:
+            words.append(
+                f"{KINDS[kind]}: {c.inside} of {c.campaigns} ({_percent(c.inside / c.campaigns)}; 95 % of intervals "
+                f"{'is' if c.holds else 'is NOT'} within {_percent(c.low)} to {_percent(c.high)})."
+            )
+    if s.failed:
+        words.append(f"{len(s.failed)} campaigns were refused by a program, and count nowhere.")
+    return Paragraph(" ".join(words).capitalize() if not words else " ".join(words), "lead")
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.1f} %"
+
+
+def _verdict(holds: bool) -> Text:
+    return "yes" if holds else strong("no")
+
+
+def _coverage(s: Coverage, figures: Sequence[Figure]) -> Group:
+    words = (
+        "Frequentist coverage: in how many campaigns the interval of 95 % holds the truth. All values of a campaign "
+        "share its errors, so each campaign counts once in a row: by one value that was chosen at random beforehand, "
+        "or by one test of all its values. The interval is Clopper and Pearson's; it should contain 95 %. Of many rows "
+        "up to one in twenty may miss it by chance alone."
+    )
+    header = ["", "of", "campaigns", "inside", "coverage", "from", "to", "contains 95 %"]
+    rows: list[list[Text]] = [
+        [
+            KINDS[c.kind], _of(c), str(c.campaigns), str(c.inside), _percent(c.inside / c.campaigns),
+            _percent(c.low), _percent(c.high), _verdict(c.holds),
+        ]
+        for c in s.counts
+    ]  # fmt: skip
+    shown = table("", header, rows, right=(2, 3, 4, 5, 6))
+    forest = Figures(tuple(f for f in figures if f.kind == "forest"))
+    return section([Heading(2, "Coverage"), Paragraph(words, "note"), forest, shown], "coverage")
+
+
+def _of(c: Count | Pulls) -> str:
+    return "all campaigns" if c.group == "all" else c.group
+
+
+def _pulls(s: Coverage, figures: Sequence[Figure]) -> Group:
+    words = (
+        "A pull is (found - true) / u, one a campaign. Its standard deviation should be 1: larger, and uncertainties "
+        "are too small; smaller, and they are too large. Intervals are 95 %, of campaigns drawn again. Probabilities "
+        "of the tests of all values together are uniform where the stated covariance is right."
+    )
+    header = ["", "of", "campaigns", "mean", "its u", "standard deviation", "from", "to", "largest"]
+    rows: list[list[Text]] = [
+        [
+            *(KINDS[p.kind], _of(p), str(p.campaigns)),
+            *(f"{x:.2f}" for x in (p.mean, p.u_mean, p.sd, p.sd_low, p.sd_high, p.largest)),
+        ]
+        for p in s.pulls
+    ]
+    tests: list[list[Text]] = [
+        [u.what, str(u.campaigns), number(u.p_uniform, 2), " ".join(map(str, u.bins))] for u in s.uniform
+    ]
+    shown = table("", header, rows, right=tuple(range(2, 9)))
+    uniform = table(
+        "Campaigns by the probability of a larger chi-square, in ten equal bins from 0 to 1.",
+        ["test", "campaigns", "uniform: p (Kolmogorov-Smirnov)", "campaigns a bin"], tests, right=(1, 2),
+    )  # fmt: skip
+    drawings = Figures(tuple(f for f in figures if f.kind != "forest"))
+    return section([Heading(2, "Pulls"), Paragraph(words, "note"), drawings, shown, uniform], "pulls")
+
+
+def _hidden(s: Coverage) -> Group:
+    rows: list[list[Text]] = [
+        [c.name, c.hidden, c.learned.replace("`", ""), "yes" if c.on else "off"] for c in s.causes
+    ]
+    words = (
+        "Drawn anew for every campaign, and read by the simulated devices alone. Distances, the cones of lamp and "
+        "lens, the lens's falloff, the wavelength, the kind of model and a metal's optical constants are known rightly."
+    )
+    shown = table("", ["error", "hidden", "what the laboratory knows", "here"], rows)
+    return section([Heading(2, "What is hidden"), Paragraph(words, "note"), shown], "hidden")
+
+
+def _far(s: Coverage) -> Group:
+    header = ["campaign", "model", "plan", "region", "theta_i", "theta_r", "dphi", "BRDF", "true", "u", "pull"]
+    rows: list[list[Text]] = [
+        [
+            *(str(w.campaign), w.model, w.plan, w.region),
+            *(f"{x:.2f}" for x in (w.theta_i_deg, w.theta_r_deg, w.dphi_deg)),
+            *(number(x, 4) for x in (w.brdf, w.truth)),
+            *(number(w.u_brdf, 2), f"{w.pull:+.2f}"),
+        ]
+        for w in s.worst
+    ]
+    words = (
+        "The largest pull of a campaign, for the campaigns in which it is largest. Angles in degrees, values in 1/sr."
+    )
+    shown = table("", header, rows, right=tuple(range(4, 11)))
+    return section([Heading(2, "Points far off"), Paragraph(words, "note"), shown], "far")
+
+
+def _failed(s: Coverage) -> list[Block]:
+    if not s.failed:
+        return []
+    rows: list[list[Text]] = [[str(f.campaign), f.model, f.plan, f.step, f.message] for f in s.failed]
+    words = "A program refused these, and said why. They count nowhere above."
+    shown = table("", ["campaign", "model", "plan", "step", "message"], rows)
+    return [section([Heading(2, "Campaigns that were refused"), Paragraph(words, "note"), shown], "refused")]
+
+
+def _method(s: Coverage) -> Group:
+    m = s.machine
+    rows = [
+        (
+            "truth of a point",
+            "the true sample through the cones of lamp and lens, in the directions that the row states",
+        ),
+        ("interval of a point", "brdf - 1.96 u_brdf to brdf + 1.96 u_brdf"),
+        (
+            "all points together",
+            "chi-square with diag(u_random^2) + sum of s s^T; inside where its probability is above 5 %",
+        ),
+        ("interval of a parameter", "profile likelihood, as gonio fit states it"),
+        ("processor", f"{m.cpu}, {m.cpus} usable"),
+        ("system", f"{m.system}, Python {m.python}, " + ", ".join(f"{k} {v}" for k, v in m.versions.items())),
+        ("command", s.command or "–"),
+    ]
+    return section([Heading(2, "Method and machine"), facts(rows)], "method")
+
+
+# --- drawings -----------------------------------------------------------------------------------------------------
+
+
+def drawn(s: Coverage) -> list[Figure]:
+    """Every figure of the page that there are campaigns for."""
+    out = [_forest(s)] if s.counts else []
+    if s.single_pulls:
+        out.append(_histograms(s))
+    if s.uniform:
+        out.append(_probabilities(s))
+    return out
+
+
+def _forest(s: Coverage) -> Figure:
+    rows = list(s.counts)
+    height = 0.9 + 0.19 * len(rows)
+
+    def on(figure: Any) -> None:
+        ax = figure.add_axes((0.44, 0.55 / height, 0.54, 1.0 - 0.65 / height))
+        ax.axvline(100 * LEVEL, color=INK, lw=0.8, ls=(0, (4, 2)), zorder=1)
+        names = []
+        for k, c in enumerate(rows):
+            colour = COLOURS[0] if c.holds else COLOURS[1]
+            ax.plot([100 * c.low, 100 * c.high], [k, k], color=colour, lw=1.3, zorder=2)
+            ax.plot([100 * c.inside / c.campaigns], [k], marker="o", ms=4, color=colour, zorder=3)
+            names.append(f"{KINDS[c.kind]}: {_of(c)} ({c.campaigns})")
+        ax.set_yticks(range(len(rows)), names, fontsize=7)
+        ax.set_ylim(len(rows) - 0.4, -0.6)
+        low = min(100 * c.low for c in rows)
+        ax.set_xlim(max(0.0, min(80.0, 5.0 * np.floor(low / 5.0))), 100.5)
+        ax.set_xlabel("campaigns whose interval of 95 % holds the truth [%]", fontsize=8)
+        _plain(ax)
+
+    caption = (
+        "Coverage with its binomial interval (95 %, Clopper and Pearson). Dashed: 95 %. Orange: the interval does not "
+        "contain it. In brackets: campaigns."
+    )
+    alt = "Coverage by quantity and group. " + " ".join(
+        f"{KINDS[c.kind]}, {_of(c)}: {_percent(c.inside / c.campaigns)}." for c in rows
+    )
+    return rendered("coverage", "forest", "", caption, alt, (7.2, height), on)
+
+
+def _histograms(s: Coverage) -> Figure:
+    def on(figure: Any) -> None:
+        left, right = figure.subplots(1, 2, sharey=True)
+        figure.subplots_adjust(0.1, 0.19, 0.985, 0.9, wspace=0.06)
+        edges = np.arange(-4.0, 4.01, 0.5)
+        x = np.linspace(-4.0, 4.0, 200)
+        for ax, values, title in (
+            (left, s.single_pulls, "one point a campaign"),
+            (right, s.parameter_pulls, "one parameter a campaign"),
+        ):
+            ax.hist(np.clip(values, -3.999, 3.999), edges, color=COLOURS[0], alpha=0.75)
+            ax.plot(x, 0.5 * len(values) * np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi), color=INK, lw=1.0)
+            ax.set_title(title, fontsize=8, loc="left", color=INK)
+            ax.set_xlabel("(found - true) / u", fontsize=8)
+            _plain(ax)
+        left.set_ylabel("campaigns", fontsize=8)
+
+    caption = "Pulls, with the normal distribution of standard deviation 1. Those beyond 4 stand in the last bin."
+    alt = f"Histograms of {len(s.single_pulls)} pulls of points and {len(s.parameter_pulls)} of parameters."
+    return rendered("pulls", "histogram", "", caption, alt, (5.4, 2.6), on)
+
+
+def _probabilities(s: Coverage) -> Figure:
+    def on(figure: Any) -> None:
+        axes = figure.subplots(1, len(s.uniform), squeeze=False)[0]
+        figure.subplots_adjust(0.09, 0.19, 0.985, 0.9, wspace=0.22)
+        for ax, u in zip(axes, s.uniform, strict=True):
+            width = 1.0 / len(u.bins)
+            ax.bar((np.arange(len(u.bins)) + 0.5) * width, u.bins, 0.92 * width, color=COLOURS[0], alpha=0.75)
+            ax.axhline(u.campaigns / len(u.bins), color=INK, lw=1.0)
+            ax.set_title(u.what, fontsize=8, loc="left", color=INK)
+            ax.set_xlabel("probability", fontsize=8)
+            _plain(ax)
+        axes[0].set_ylabel("campaigns", fontsize=8)
+
+    caption = (
+        "Probability of a larger chi-square. It is uniform (line) where the stated covariance is right; many at 0 mean "
+        "that it is too small, many at 1 that it is too large."
+    )
+    alt = " ".join(f"{u.what}: {', '.join(map(str, u.bins))} campaigns in ten bins." for u in s.uniform)
+    return rendered("probabilities", "histogram", "", caption, alt, (7.2, 2.6), on)
+
+
+def _plain(ax: Any) -> None:
+    ax.grid(True, color=FAINT, lw=0.4, axis="x")
+    ax.tick_params(labelsize=7.5, length=2.5)
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
