@@ -186,7 +186,7 @@ def _notes(result: BandResult) -> list[str]:
         out.append(
             f"{name}: nothing tells whether a specular spike stands at {_listed(result.untold)}: what "
             "errors of the angles would do to one is in u_brdf, which is large; measure the mirror direction too, and "
-            "points on both sides of it that the spike does not reach"
+            "points within 10 degrees on both sides of it that the spike does not reach"
         )
     if result.coarse:
         out.append(
