@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
 from gonio import shown
+from gonio.checks.verdicts import Check
 
 if TYPE_CHECKING:
     from pydantic import JsonValue
@@ -153,6 +154,12 @@ class Reflectance:
     """Standard uncertainty; None where it is not determined."""
     why: str
     """Why there is none, or what was assumed."""
+    u_sampling: float | None = None
+    """Of a table's integral: the part of `u` from interpolation and from what lies beyond the directions."""
+    u_values: float | None = None
+    """The part of `u` from the uncertainty of the values, with their whole covariance."""
+    u_independent: float | None = None
+    """The same, were every value's uncertainty independent of the others'."""
 
 
 @dataclass(frozen=True)
@@ -211,6 +218,19 @@ class SymmetrySummary:
     reduced_chi_square: float | None
     broken: bool
     """Whether they differ by more than their uncertainty (by more than 10 %, where none is known)."""
+
+
+@dataclass(frozen=True)
+class ChecksSummary:
+    """The checks of a measurement, and what they rest on, thinned for a figure."""
+
+    checks: list[Check]
+    differences: dict[str, list[float]]
+    """By kind of pair: ln(one / other), ascending."""
+    visits_h: list[float]
+    """When the white reference was visited, from the first visit on."""
+    visits: list[float]
+    """Its signal per unit BRDF."""
 
 
 @dataclass(frozen=True)
@@ -515,6 +535,7 @@ class DatasetSummary:
     mueller: MuellerSummary | None = None
     simulated: bool = False
     """Whether a simulation made the values."""
+    checks: ChecksSummary | None = None
 
     @property
     def title(self) -> str:

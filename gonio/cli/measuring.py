@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -79,6 +79,26 @@ def reduce(
     if len(good):
         relative = float((good["u_brdf"] / good["brdf"].abs()).median())
         console.show(f"median standard uncertainty {100 * relative:.2g} %")
+    for line in _checks(table.attrs["provenance"]["checks"]):
+        console.show(line)
+
+
+def _checks(found: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Checks as lines: those that are fine by name, the others with their figure, over all bands the worst."""
+    worst: dict[str, Mapping[str, Any]] = {}
+    order = ("ok", "not told", "look", "bad")
+    for check in found:
+        other = worst.get(check["name"])
+        if other is None or order.index(check["verdict"]) > order.index(other["verdict"]):
+            worst[check["name"]] = check
+    fine = [name for name, check in worst.items() if check["verdict"] == "ok"]
+    untold = [name for name, check in worst.items() if check["verdict"] == "not told"]
+    out = [f"checks: {', '.join(fine)}: ok"] if fine else []
+    for name, check in worst.items():
+        if check["verdict"] in ("look", "bad"):
+            where = f" ({check['band']})" if check["band"] else ""
+            out.append(f"check {check['verdict']}: {name}{where}: {check['figure']}")
+    return [*out, f"not told by this plan: {', '.join(untold)}"] if untold else out
 
 
 def _flags(column: Iterable[str]) -> str:

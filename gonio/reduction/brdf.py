@@ -87,7 +87,7 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
         results.append(_reduce_band(frames, band, steps))
     _share_darks(results)
     _share_geometry(results)
-    return assemble(run, results, notes_on_damage(frames) + notes_on_darks(frames))
+    return assemble(run, results, notes_on_damage(frames) + notes_on_darks(frames), frames.clipped)
 
 
 def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected]) -> BandResult:
@@ -114,6 +114,8 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
         unusable=frames.lost_visits + [step.flag for step in rejected if step.point is None],
         scatter=sum(step.chi_square for step in (*points, *visits)) / max(freedom, 1),
         freedom=freedom,
+        frames=sum(step.frames + step.left_out for step in (*points, *visits)) + sum(r.left_out for r in rejected),
+        left_out=sum(s.left_out for s in (*points, *visits)) + sum(r.left_out for r in rejected),
         untold=untold,
         coarse=coarse,
     )

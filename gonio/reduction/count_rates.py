@@ -79,6 +79,8 @@ class Reduced:
     chi_square: float
     """Of the frames around their mean."""
     frames: int
+    left_out: int
+    """Frames that are not used, because a pixel of the region is nearly full."""
     pixels: int
     shared: int
     """How many of the pixels the first visit to the reference uses too."""
@@ -96,6 +98,8 @@ class Rejected:
     """Row of the plan; None for a visit to the reference."""
     flag: str
     """Why."""
+    left_out: int = 0
+    """As in `Reduced`."""
 
 
 class RunFrames:
@@ -251,7 +255,7 @@ class RunFrames:
             return Rejected(step.point, "damaged")
         shots = [shot for shot in taken if shot.peak < USABLE]
         if not shots:
-            return Rejected(step.point, "saturated" if taken else "not_measured")
+            return Rejected(step.point, "saturated" if taken else "not_measured", len(taken))
         rate, variance, time_s, chi_square, of_darks = pool(
             self.description, region, shots, self._darks[region.target].exposures_s
         )
@@ -265,6 +269,7 @@ class RunFrames:
             time_s=time_s,
             chi_square=chi_square,
             frames=len(shots),
+            left_out=len(taken) - len(shots),
             pixels=region.roi.count,
             shared=region.roi.shared(reference) if reference is not None else 0,
             directions=kinematics.directions(self.description, step.pose),

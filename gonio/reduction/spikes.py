@@ -36,7 +36,7 @@ SHAPE = 0.03
 WITHIN = 0.03
 """Relative standard deviation of a spike's reflectivity within the cones: what a patch's mean overlap is worth."""
 BESIDE = math.radians(10.0)
-"""Points farther from the mirror direction than this, unless on both sides, do not tell a lobe's height there."""
+"""Points farther from the mirror direction than this do not tell a lobe's height there."""
 COARSE = 0.3
 """Relative error of a lobe that only its nearest points tell."""
 
@@ -266,6 +266,8 @@ def _lobe_below(scene: Scene, group: Places, near: npt.NDArray[np.bool_]) -> tup
         ]
         inside = np.clip(x, place[left[0]], place[right[0]])
         straight = np.interp(inside, place[[left[0], right[0]]], logs[[left[0], right[0]]])
+        if min(abs(place[left[0]]), abs(place[right[0]])) > BESIDE:
+            return np.exp(straight), 10.0  # a lobe may stand there whole between them
         noise = float(np.max(scene.u[line[[left[0], right[0]]]] / scene.brdf[line[[left[0], right[0]]]]))
         if ends[0][1].size and ends[1][1].size:
             four = np.array([ends[0][1][0], left[0], right[0], ends[1][1][0]])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +12,8 @@ import numpy.typing as npt
 import gonio
 from gonio import geometry
 from gonio.acquisition.plan import ANGLES
+from gonio.checks.values import values_of
+from gonio.checks.verdicts import Check, Taken, Visits, of_run, of_values
 from gonio.geometry import Directions
 from gonio.reduction import white_reference
 from gonio.reduction.count_rates import RETAKE, RunFrames
@@ -61,6 +63,10 @@ class BandResult:
     scatter: float
     """Reduced chi-square of the frames around the means of their steps."""
     freedom: int
+    frames: int
+    """Of points and visits, used or not."""
+    left_out: int
+    """Of these: because a used pixel is nearly full."""
     untold: Directions
     """Nominal directions of points that may see a spike of which only a bound is known."""
     coarse: Directions
@@ -81,8 +87,11 @@ def zero_uncertainties(description: RigDescription) -> dict[str, float]:
     return {name: u for name, u in axes.items() if u > 0 or name in ("light", "camera")}
 
 
-def assemble(run: Run, results: list[BandResult], notes: list[str]) -> pd.DataFrame:
-    """One row for every point of the plan and every band, and the attributes."""
+def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: float) -> pd.DataFrame:
+    """One row for every point of the plan and every band, and the attributes.
+
+    `clipped` is the part of the used pixels that read 0 DN in the dark frames.
+    """
     import pandas as pd
 
     description, plan = run.description, run.plan
@@ -134,10 +143,38 @@ def assemble(run: Run, results: list[BandResult], notes: list[str]) -> pd.DataFr
         },
         notes=notes + _notes_on_zeros(description) + [note for result in results for note in _notes(result)],
     )
+    reachable = [not flag for flag in planned]
+    found = [
+        one
+        for k, result in enumerate(results)
+        for one in _of_band(result, [f for f, use in zip(flags[:, k], reachable, strict=True) if use], clipped)
+    ]
+    for nm, measured_values in values_of(frame).items():
+        band = next((result.band.name for result in results if result.band.centre_nm == nm), "")
+        found += [replace(one, band=band) for one in of_values(measured_values)]
+    frame.attrs["provenance"]["checks"] = [one.to_json() for one in found]
     return frame
 
 
-def _account(result: BandResult) -> dict[str, float | str | None]:
+def _of_band(result: BandResult, flags: list[str], clipped: float) -> list[Check]:
+    """The checks of a band's frames, visits and points."""
+    level = result.level
+    mean = float(np.mean(level.values))
+    visits = Visits(
+        used=result.visits,
+        lost=result.unusable,
+        unknown=level.unknown,
+        straight=level.straight,
+        chi_square=level.chi_square,
+        drift_per_hour=level.slope / level.level * 3600.0,
+        u_drift_per_hour=level.u_slope / level.level * 3600.0,
+        peak_to_peak=float(np.ptp(level.values)) / mean,
+    )
+    taken = Taken(result.frames, result.left_out, result.scatter, result.freedom, clipped, flags)
+    return of_run(taken, visits, result.band.name)
+
+
+def _account(result: BandResult) -> dict[str, float | str | list[float] | None]:
     """What the visits to the reference said."""
     fitted = result.level
     known = not fitted.unknown
@@ -151,6 +188,8 @@ def _account(result: BandResult) -> dict[str, float | str | None]:
         "u_drift_per_hour": fitted.u_slope / fitted.level * 3600.0 if known else None,
         "chi_square": fitted.chi_square,
         "straight": fitted.straight,
+        "times_s": fitted.times_s.tolist(),
+        "signals": fitted.values.tolist(),
         "frame_scatter": result.scatter,
     }
 
@@ -194,7 +233,7 @@ def _notes(result: BandResult) -> list[str]:
         out.append(
             f"{name}: nothing tells whether a specular spike stands at {_listed(result.untold)}: what "
             "errors of the angles would do to one is in u_brdf, which is large; measure the mirror direction too, and "
-            "points on both sides of it that the spike does not reach"
+            "points within 10 degrees on both sides of it that the spike does not reach"
         )
     if result.coarse:
         out.append(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from gonio.checks.values import Values
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import AT_HORIZON, Directions
 from gonio.typing import Floats
@@ -96,6 +97,14 @@ class Observations:
     def wavelengths(self) -> list[float]:
         """The wavelengths [nm] that occur, ascending; NaN (last) stands for a broad band."""
         return [float(w) for w in np.unique(self.wavelength_nm)]
+
+    @property
+    def checked(self) -> Values:
+        """What `gonio.checks` takes."""
+        known = self.covariance
+        if known is None:
+            return Values(self.directions, self.brdf)
+        return Values(self.directions, self.brdf, known.random, known.common)
 
     @cached_property
     def cones(self) -> list[Prepared]:

@@ -12,6 +12,7 @@ from gonio.measurement import Reading
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.parameters import Ior
 from gonio_analysis.report import (
+    checks,
     detail,
     figures,
     files,
@@ -239,7 +240,7 @@ def _other_sides(d: Dataset, facts: DatasetSummary) -> list[Drawing]:
         out += transmission.draw(d.transmitted, d.curves, facts.slug, simulated=d.simulated)
     if d.polarisation is not None:
         out += polarisation.draw(d.polarisation, d.name, facts.slug)
-    return out + health.draw(facts.run, facts.slug)
+    return out + health.draw(facts.run, facts.slug) + checks.draw(facts.checks, facts.rho_dh, facts.slug)
 
 
 def _distinct(names: Sequence[str], sources: Sequence[str]) -> list[str]:

@@ -20,7 +20,7 @@ from gonio_analysis.fitting.budget import budget
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.metrics import BELOW, DESCRIPTIONS
 from gonio_analysis.fitting.observations import UNSTATED, describe_left_out
-from gonio_analysis.report import verdict
+from gonio_analysis.report import checks, verdict
 from gonio_analysis.report.text import difference, slug
 from gonio_analysis.result_records import (
     Appearance,
@@ -151,9 +151,16 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         transmission=None if d.transmitted is None else d.transmitted.summary(),
         mueller=None if d.polarisation is None else d.polarisation.summary(),
         simulated=d.simulated,
+        checks=checks.summary(d.data.checked, attrs.get("provenance") or {}, _bands(d)),
         rho_dh=d.rho_dh,
         symmetries=d.symmetries,
     )
+
+
+def _bands(d: Dataset) -> list[str]:
+    """The names of the bands of the wavelength that is shown."""
+    shown = [b for b in d.table.attrs.get("bands") or [] if b.get("centre_nm") == finite(d.wavelength_nm)]
+    return [str(b["name"]) for b in shown if b.get("name")]
 
 
 def _appearance(d: Dataset) -> Appearance | None:

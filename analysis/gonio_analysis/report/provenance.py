@@ -30,6 +30,7 @@ def section(s: Summary) -> Group:
             rows += [("seed", str(r.seed)), ("steps", str(r.steps)), ("bands", ", ".join(r.bands))]
             rows.append(("versions", _versions(r)))
         given = dict(d.provenance)
+        given.pop("checks", None)  # they have a section of their own
         visits = given.pop("reference", []) if d.run else []
         rows += list(_flat(given))
         rows += [("white reference", _reference(band)) for band in visits]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from gonio import geometry
 from gonio.formats.reader import TableBand
-from gonio_analysis.report import appearance, blocks, health, model_choice, polarisation, transmission
+from gonio_analysis.report import appearance, blocks, checks, health, model_choice, polarisation, transmission
 from gonio_analysis.report.blocks import (
     MOST_ROWS,
     Block,
@@ -81,6 +81,7 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
     quantities = None if d.appearance is None else appearance.known(d.appearance)
     if quantities is not None:
         out += [Heading(3, "Appearance"), quantities]
+    out += checks.section(d.checks, d.rho_dh, by.get(checks.KIND, ()))
     out.append(Heading(3, "Uncertainty"))
     if d.u_rel_assumed is not None:
         out.append(
@@ -223,6 +224,8 @@ def _energy(d: DatasetSummary) -> list[Block]:
         where = f"at θi = {', '.join(dict.fromkeys(angles))}" if len(angles) <= 8 else f"at {len(angles)} incidences"
         said.append(f"The measurement's own rho_dh {where}: {reason}.")
     for s in d.symmetries:
+        if d.checks is not None and s.kind in {one.name for one in d.checks.checks}:
+            continue  # they stand among the checks
         verdict = "broken" if s.broken else "kept"
         by = "" if s.reduced_chi_square is None else f"; χ² a pair {number(s.reduced_chi_square)}"
         limit = "" if s.reduced_chi_square is not None else " (the limit without uncertainties: 10 %)"
@@ -230,12 +233,7 @@ def _energy(d: DatasetSummary) -> list[Block]:
             f"Symmetry, {s.kind} ({s.words}): {verdict}. {s.pairs} pairs differ typically by"
             f" {difference(s.typical)}, at most by {difference(s.largest)}{by}{limit}."
         )
-    if not d.symmetries:
-        said.append(
-            "Symmetry: no values were measured that reciprocity, left and right or a turned sample could compare."
-        )
-    out.append(Notes(tuple(said)))
-    return out
+    return [*out, Notes(tuple(said))] if said else out
 
 
 def _polar_words(s: Summary, d: DatasetSummary) -> Paragraph:

@@ -1,0 +1,155 @@
+"""What values say of their sample's symmetry: reciprocity, left and right, the azimuth of incidence; and of repeats.
+
+Pairs of values that a reciprocal, symmetric, isotropic sample would give alike, and pairs of one direction, are
+compared as logarithms of their ratio.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.checks.values import Rows, Values, incidences
+from gonio.geometry import SAME_AZIMUTH, SAME_DIRECTION, Directions, wrap
+from gonio.typing import Floats
+
+NEAR = float(np.radians(0.1))
+"""Two directions count as one: readbacks scatter by hundredths of a degree."""
+DIFFERENT = 0.10
+"""Typical difference beyond which a symmetry is called broken where no uncertainty is known."""
+SIGNIFICANCE = 0.01
+"""Of a chi-square: one good run in a hundred is beyond it."""
+FEWEST = 3
+MOST_VALUES = 50_000
+"""Values that are compared, evenly taken."""
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Pairs of values that should be alike."""
+
+    kind: str
+    """ "reciprocity", "left and right", "azimuth of incidence" or "repeats"."""
+    words: str
+    pairs: int
+    typical: float
+    """rms of ln(one / other)."""
+    largest: float
+    chi_square: float | None
+    """With the covariance of the values; None where no uncertainty is known."""
+    logs: list[float]
+    """ln(one / other) of every pair."""
+
+    @property
+    def reduced_chi_square(self) -> float | None:
+        """A pair."""
+        return None if self.chi_square is None else self.chi_square / self.pairs
+
+    @property
+    def differ(self) -> bool:
+        """Whether they differ by more than their uncertainty (by more than 10 %, where none is known)."""
+        from scipy.special import chdtrc
+
+        if self.chi_square is None:
+            return self.typical > DIFFERENT
+        return bool(chdtrc(self.pairs, self.chi_square) < SIGNIFICANCE)
+
+
+def symmetries(data: Values) -> list[Pairs]:
+    """What could be compared: nothing is listed that has fewer than three pairs."""
+    data = data if len(data) <= MOST_VALUES else data.take(np.arange(0, len(data), -(-len(data) // MOST_VALUES)))
+    at = data.directions
+    azimuths = _azimuths(at)
+    spun = len({round(a, 3) for a in azimuths.tolist()}) > 1
+    out = []
+    swapped = Directions(at.theta_r, at.phi_r, at.theta_i, at.phi_i)
+    flat = at.theta_i < NEAR  # a source at the normal has no azimuth
+    found = _pairs(_fixed(at), _fixed(swapped)) if spun else _pairs(_turned(at), _turned(swapped))
+    found = found[np.abs(at.theta_i - at.theta_r)[found[:, 0]] > NEAR] if found.size else found
+    out.append(_compared(data, found, "reciprocity", "source and detector exchanged"))
+    other = Directions(at.theta_i, at.phi_i, at.theta_r, at.phi_i - at.dphi)
+    found = _pairs(_fixed(at), _fixed(other))
+    found = found[np.abs(np.sin(at.dphi) * np.sin(at.theta_r))[found[:, 0]] > NEAR] if found.size else found
+    out.append(_compared(data, found, "left and right", "the other side of the plane of incidence"))
+    if spun:
+        found = _across(_turned(at), azimuths, ~flat)
+        out.append(_compared(data, found, "azimuth of incidence", "equal θi, θr and φr − φi at another φi"))
+    return [s for s in out if s is not None]
+
+
+def repeats(data: Values) -> Pairs | None:
+    """Values measured in one direction (within 0.02 degrees); None for fewer than three pairs."""
+    from scipy.spatial import cKDTree
+
+    if len(data) < 2:
+        return None
+    here = _fixed(data.directions)
+    distance, near = cKDTree(here).query(here, k=2, distance_upper_bound=SAME_DIRECTION)
+    i = np.arange(len(data))
+    other = np.where(near[:, 0] == i, near[:, 1], near[:, 0])
+    close = np.isfinite(np.where(near[:, 0] == i, distance[:, 1], distance[:, 0]))
+    pairs = np.sort(np.stack([i[close], other[close]], axis=1), axis=1)
+    pairs = np.asarray(np.unique(pairs, axis=0))
+    _, first = np.unique(pairs[:, 0], return_index=True)  # of three alike values two pairs share one
+    return _compared(data, pairs[first], "repeats", "measured again in the same direction")
+
+
+def _azimuths(at: Directions) -> Floats:
+    """The azimuth of incidence of each value [rad], those within 2 degrees alike."""
+    out = np.zeros(at.theta_i.size)
+    seen: list[float] = []
+    for i in incidences(at):
+        near = [a for a in seen if abs(wrap(a - i.phi_i + math.pi) - math.pi) < SAME_AZIMUTH]
+        if i.theta_i >= NEAR and not near:
+            seen.append(i.phi_i)
+        out[i.rows] = near[0] if near else i.phi_i
+    return out
+
+
+def _turned(at: Directions) -> Floats:
+    """Both directions as the source sees them: turned about the normal until it stands at azimuth 0."""
+    zero = np.zeros_like(at.dphi)
+    return np.concatenate(Directions(at.theta_i, zero, at.theta_r, at.dphi).vectors, axis=1)
+
+
+def _fixed(at: Directions) -> Floats:
+    return np.concatenate(at.vectors, axis=1)
+
+
+def _pairs(here: Floats, there: Floats) -> Rows:
+    """Rows (i, j), i < j, where value j lies where the image of value i does."""
+    from scipy.spatial import cKDTree
+
+    distance, j = cKDTree(here).query(there, distance_upper_bound=NEAR)
+    i = np.flatnonzero(np.isfinite(distance))
+    both = np.sort(np.stack([i, j[i]], axis=1), axis=1)
+    return np.asarray(np.unique(both[both[:, 0] != both[:, 1]], axis=0))
+
+
+def _across(turned: Floats, azimuths: Floats, use: npt.NDArray[np.bool_]) -> Rows:
+    """Pairs of equal turned directions between each azimuth of incidence and the next."""
+    from scipy.spatial import cKDTree
+
+    known = np.unique(azimuths[use])
+    found = [np.empty((0, 2), dtype=np.intp)]
+    for a, b in zip(known, np.roll(known, -1), strict=True):
+        one, two = (np.flatnonzero(use & (azimuths == x)) for x in (a, b))
+        distance, j = cKDTree(turned[two]).query(turned[one], distance_upper_bound=NEAR)
+        hit = np.isfinite(distance)
+        found.append(np.stack([one[hit], two[j[hit]]], axis=1))
+    pairs = np.sort(np.concatenate(found), axis=1)
+    return np.asarray(np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0))
+
+
+def _compared(data: Values, pairs: Rows, kind: str, words: str) -> Pairs | None:
+    known = data.random is not None
+    use = data.brdf > (3 * data.u if known else 0.0)
+    pairs = pairs[use[pairs].all(axis=1)] if pairs.size else pairs
+    if len(pairs) < FEWEST:
+        return None
+    logs = np.diff(np.log(data.brdf[pairs]), axis=1)[:, 0]
+    typical, largest = float(np.sqrt(np.mean(logs**2))), float(np.abs(logs).max())
+    return Pairs(kind, words, len(pairs), typical, largest, data.chi_square(pairs) if known else None, logs.tolist())
