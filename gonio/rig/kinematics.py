@@ -49,24 +49,28 @@ class View:
 
     Positions are in millimetres; `image_x` and `image_y` are the unit vectors along which columns and rows grow. The
     optical axis points from the camera to the origin, and `image_x`, `image_y`, optical axis are right-handed: the
-    image is not mirrored. `image_y` lies along the axis of the arms.
+    image is not mirrored. `image_y` lies along the axis of the arms. So does `beam_y`, wherever an azimuth axis has
+    turned the camera arm.
     """
 
     source_mm: Floats
     camera_mm: Floats
     image_x: Floats
     image_y: Floats
+    beam_y: Floats | None = None
+    """None: `image_y`."""
 
 
 def view(description: RigDescription, pose: Pose) -> View:
     """Where source and camera are, and how the image lies, in the sample's frame, for a pose of the axes."""
-    light, camera, image_x, image_y = _sample_frame(pose)
+    light, camera, image_x, image_y, beam_y = _sample_frame(pose)
     geometry = description.geometry
     return View(
         source_mm=geometry.light_distance_mm * np.array(light),
         camera_mm=geometry.camera_distance_mm * np.array(camera),
         image_x=np.array(image_x),
         image_y=np.array(image_y),
+        beam_y=np.array(beam_y),
     )
 
 
@@ -75,7 +79,7 @@ def directions(description: RigDescription, pose: Pose) -> Directions:
 
     The azimuth of a direction along the normal is 0.
     """
-    light, camera, _, _ = _sample_frame(pose)
+    light, camera, *_ = _sample_frame(pose)
     return Directions(*_angles(light), *_angles(camera))
 
 
@@ -296,8 +300,8 @@ NAMES = {
 }
 
 
-def _sample_frame(pose: Pose) -> tuple[Vector, Vector, Vector, Vector]:
-    """Light, camera, image_x and image_y as unit vectors of the sample's frame."""
+def _sample_frame(pose: Pose) -> tuple[Vector, Vector, Vector, Vector, Vector]:
+    """Light, camera, image_x, image_y and the axis of the arms as unit vectors of the sample's frame."""
     sin_c, cos_c = math.sin(pose.camera), math.cos(pose.camera)
     sin_az, cos_az = math.sin(pose.azimuth), math.cos(pose.azimuth)
     light = (math.sin(pose.light), 0.0, math.cos(pose.light))
@@ -311,7 +315,7 @@ def _sample_frame(pose: Pose) -> tuple[Vector, Vector, Vector, Vector]:
         y, z = ct * v[1] - st * v[2], st * v[1] + ct * v[2]  # Rx(t), the inverse of Rx(-t)
         return (cs * v[0] + ss * y, cs * y - ss * v[0], z)
 
-    return to_sample(light), to_sample(camera), to_sample(image_x), to_sample(image_y)
+    return to_sample(light), to_sample(camera), to_sample(image_x), to_sample(image_y), to_sample((0.0, 1.0, 0.0))
 
 
 def _normal_of_plane(light: Vector, camera: Vector, d: Angles) -> Vector:

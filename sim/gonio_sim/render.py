@@ -106,6 +106,8 @@ class Renderer:
         description = self._world.truth
         if target == "empty":
             return self._straight_through(pose, band)
+        if target == "reference" and description.reference.how == "beam":
+            return self._straight_through(pose, band) * np.float32(description.reference.attenuation or 1.0)
         scene = view(description, pose)
         behind = scene.camera_mm[2] < 0.0
         if scene.camera_mm[2] == 0.0 or (behind and target in ("reference", "mirror")):
