@@ -308,7 +308,7 @@ def roi(description: RigDescription, view: View, target: Target = "sample", chan
     return Roi(box_rows, box_cols, inside)
 
 
-AROUND = 1.25
+AROUND = 1.15
 """How much larger the region is that holds the lamp, seen straight through, than the lamp is there."""
 
 
