@@ -168,8 +168,8 @@ def add_wavelength(description: RigDescription, results: list[BandResult]) -> No
             continue
         slopes = np.gradient(values[there], waves[there])
         bends = _bends(values[there], waves[there])
-        for k, slope, bend in zip(there, slopes, bends, strict=True):
-            result = results[order[k]]
+        for k, slope, bend in zip(there.tolist(), slopes, bends, strict=True):
+            result = results[int(order[k])]
             place = np.searchsorted(result.points, row)
             result.columns["s_wavelength"][place] = slope * u[result.band.name]
             if len(results) > 2:

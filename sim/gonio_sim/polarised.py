@@ -34,7 +34,9 @@ def of_lobe(description: RigDescription, model: Model, scene: View, at: Directio
     vector, row = _stokes(description, scene, at)
     matrix = model.mueller(*at.angles, wavelength_nm=wavelength_nm)
     seen = np.einsum("...i,...ij,...j->...", row, matrix, vector)
-    return np.divide(seen, matrix[..., 0, 0], out=out, where=matrix[..., 0, 0] > 0.0)
+    lit = matrix[..., 0, 0] > 0.0
+    out[lit] = seen[lit] / matrix[..., 0, 0][lit]
+    return out
 
 
 def of_spike(description: RigDescription, model: Model, scene: View, at: Directions, wavelength_nm: float) -> Floats:
@@ -47,7 +49,9 @@ def of_spike(description: RigDescription, model: Model, scene: View, at: Directi
     left = jones @ (0.5 * _coherency(vector)) @ np.conj(np.swapaxes(jones, -1, -2))
     seen = np.real(np.einsum("...ij,...ji->...", _coherency(row), left))
     usual = 0.5 * np.sum(np.abs(jones) ** 2, axis=(-2, -1))
-    return np.divide(seen, usual, out=out, where=usual > 0.0)
+    lit = usual > 0.0
+    out[lit] = seen[lit] / usual[lit]
+    return out
 
 
 def straight(description: RigDescription, scene: View) -> float:

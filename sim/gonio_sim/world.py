@@ -116,7 +116,7 @@ class World:
         Step n starts at n times `slot_s`, and time goes on with every move and frame, but never into the next step: in
         a step that is longer than its slot the clock, and with it the lamp's drift, waits at the end of the slot.
         """
-        return self.truth.lamp.warm_up_s + self.step * self._slot_s + min(self._elapsed_s, self._slot_s)
+        return self.description.lamp.warm_up_s + self.step * self._slot_s + min(self._elapsed_s, self._slot_s)
 
     def frame_time_s(self) -> float:
         """What a frame is stamped with [s]: `now_s`, except that no two frames have one time.
@@ -126,7 +126,7 @@ class World:
         beyond = self._elapsed_s - self._slot_s + LAST_S
         if beyond <= 0.0:
             return self.now_s()
-        end = self.truth.lamp.warm_up_s + (self.step + 1) * self._slot_s
+        end = self.description.lamp.warm_up_s + (self.step + 1) * self._slot_s
         return end - LAST_S / (1.0 + math.log1p(beyond / LAST_S))
 
     def spend(self, seconds: float) -> None:
