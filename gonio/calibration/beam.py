@@ -39,7 +39,7 @@ COLUMNS = (
     "u_signal_dn_per_s",
     "u_pixels",
 )
-"""`u_signal_dn_per_s` is noise; `u_pixels` what the responsivity of the block's own pixels departs by, in every flat."""
+"""`u_signal_dn_per_s` is noise; `u_pixels` what the responsivity of the block's pixels departs by, in every flat."""
 BLOCKS = 24
 """Blocks of pixels along the longer side of the frame; each is one value."""
 INSIDE = 0.9
@@ -100,7 +100,8 @@ def blocks(description: RigDescription, pose: Pose, mean: Floats, noise: Floats,
             if white[at].all():
                 scatter = float(np.sqrt(np.mean(noise[at] ** 2))) / side
                 out.append(
-                    {"flat": number, "block": top * camera.width + left, **degrees, "x_mm": float(x[at].mean()), "y_mm": float(y[at].mean()),
+                    {"flat": number, "block": top * camera.width + left, **degrees,
+                     "x_mm": float(x[at].mean()), "y_mm": float(y[at].mean()),
                      "radius": float(np.sqrt(np.mean(radius[at] ** 2))), "geometry": float(seen.weight[at].mean()),
                      "signal_dn_per_s": float(mean[at].mean()),
                      "u_signal_dn_per_s": scatter, "u_pixels": camera.prnu / side}
