@@ -142,8 +142,8 @@ class LabRig:
         how = self.description.reference.how
         if how == "axis":
             self.arms.change(target)
-        elif how == "swap" and self._confirm and target != self._target:
-            ask_for(target)
+        elif how in ("swap", "beam") and self._confirm and target != self._target:
+            ask_for(target, beam=how == "beam")
         self._target = target
 
     def put(self, what: str) -> bool:

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import DeviceError
+from gonio.geometry import solid_angle_of_cone
 from gonio.rig import Frame, Pose
 from gonio.rig.description import Camera, RigDescription
 
@@ -61,6 +62,13 @@ def expected_level_per_s(description: RigDescription, pose: Pose, albedo: float)
     camera = description.camera
     full_well = min(camera.full_well_e, (camera.white_level_dn - camera.black_level_dn) * camera.electrons_per_dn)
     return camera.responsivity_e_per_s * albedo * cosine_of_incidence(pose) / full_well
+
+
+def expected_straight_level_per_s(description: RigDescription) -> float:
+    """Level for one second [1/s] of a camera that looks into the lamp through `reference.attenuation`."""
+    wider = math.radians(max(description.lamp.half_angle_deg, description.camera.lens_half_angle_deg))
+    seen = math.pi / solid_angle_of_cone(wider)  # over a white at normal incidence
+    return expected_level_per_s(description, Pose(), float(seen)) * (description.reference.attenuation or 1.0)
 
 
 def cosine_of_incidence(pose: Pose) -> float:

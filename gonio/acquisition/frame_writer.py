@@ -98,7 +98,7 @@ class Files:
         self._numbers[slug] += 1
         suffix = ".dng" if frame.file is None else frame.file.suffix.lower()
         name = f"{self.step.index:06d}-{slug}-{self._numbers[slug]:02d}{suffix}"
-        self.frames.append(FrameRecord(name, band, frame.exposure_s, float(frame.time_s), lamp))
+        self.frames.append(FrameRecord(name, band, frame.exposure_s, float(frame.time_s), lamp, monitor=frame.monitor))
         self._last = frame
 
     def close(self, record: StepRecord) -> None:

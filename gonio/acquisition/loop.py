@@ -214,7 +214,7 @@ class _Session:
                 self._wait(step, suspended.causes)
             if self._rig.repeatable:
                 self._last_s, self._resumed = before_s, resumed
-            elif step.kind == "point" and self._description.reference.how != "swap":
+            elif step.kind == "point" and self._description.reference.how not in ("swap", "beam"):
                 self.take(self._visits.another())
 
     def _wait(self, step: Step, causes: Sequence[Cause]) -> None:
@@ -286,7 +286,8 @@ class _Session:
             return self._taken(step, step.pose, _Readback(at, self._rig.time_s()), None, "blocked", 0.0)
         readback = _Readback(pose, self._rig.time_s(), getattr(self._rig.arms, "spread", None))
         seen = view(self._description, pose)
-        if left_its_side(self._description, step.pose, pose):
+        straight = target == "reference" and self._description.reference.how == "beam"
+        if not straight and left_its_side(self._description, step.pose, pose):
             return self._taken(step, step.pose, readback, None, "below_horizon", 0.0)
         levels, brightest = {}, 0.0
         count = len(self._run.bands) * (self._frames(step) + (step.kind == "point"))
@@ -319,7 +320,7 @@ class _Session:
         sound = isinstance(frame.time_s, Real) and 0.0 <= frame.time_s < math.inf
         if sound and frame.time_s > last_s:
             self._last_s, self._resumed = float(frame.time_s), False
-            return frame
+            return self._monitored(frame)
         camera = f'the camera of the rig "{self._description.name}"'
         if not sound:
             raise DeviceError(
@@ -337,6 +338,18 @@ class _Session:
             "drift of the lamp cannot be told from times that do not grow. In the rig's driver, give each Frame the "
             "rig's time_s() at the start of its exposure, from a clock that never goes back (time.monotonic)"
         )
+
+    def _monitored(self, frame: Frame) -> Frame:
+        """A frame with the reading of the lamp's monitor, where frames are divided by it."""
+        if not (self._lit and self._description.lamp.monitor and frame.monitor is None):
+            return frame
+        read = getattr(self._rig.light, "monitor", lambda: None)()
+        if read is None or not 0.0 < read < math.inf:
+            raise DeviceError(
+                f'the lamp of the rig "{self._description.name}" gives no reading of a monitor ({read}), and the rig '
+                "file says lamp.monitor = true: name the question of its monitor in devices.light, or leave the key out"
+            )
+        return replace(frame, monitor=float(read))
 
     def _unsteady(self, step: Step, spread: Pose | None) -> bool:
         """Whether an encoder does not tell where its axis stands: its readings at rest lie too far apart."""
@@ -393,13 +406,17 @@ class _Session:
         that of a white surface, by the first visit to the reference. A visit after this step is none: a step that is
         taken again starts from what it started from.
         """
-        cosine = exposure.cosine_of_incidence(step.pose)
+        cosine, absolute = exposure.cosine_of_incidence(step.pose), self._description.reference.how == "beam"
         before = self._before(step, band) if step.kind == "point" else None
         if before is not None:
             exposure_s = max(frame.exposure_s for frame in before.frames if frame.band == band.name)
             ratio = cosine / exposure.cosine_of_incidence(before.goal)
             return self._description.acquisition.exposure_target / exposure_s * ratio
+        if absolute and step.kind == "point":
+            return exposure.expected_level_per_s(self._description, step.pose, 1.0)
         if self._reference is None or self._reference.step >= step.index or self._reference.level_per_s is None:
+            if absolute:
+                return exposure.expected_straight_level_per_s(self._description)
             return exposure.expected_level_per_s(self._description, step.pose, 1.0)
         ratio = cosine / exposure.cosine_of_incidence(self._reference.goal)
         return max(float(self._reference.level_per_s[band.name]), 1e-6) * ratio

@@ -92,6 +92,11 @@ def find_rig(name: str) -> RigChoice:
     if path.suffix == ".toml" or len(path.parts) > 1 or path.is_file():
         description = load(RigDescription, path)
         table = description.reference.table
+        if description.reference.scale != 1.0:
+            raise ConfigError(
+                f"{path}: reference.scale = {description.reference.scale:g} says what is true of a simulated bench, "
+                "which nobody who measures there knows: write it into the file that `truth` names"
+            )
         if table is not None:
             reference = description.reference.model_copy(update={"table": str((path.parent / table).absolute())})
             description = description.model_copy(update={"reference": reference})
@@ -251,7 +256,7 @@ def _open(rig: RigChoice, out: Path, sample: SampleDescription | None, seed: int
     device = rig.open(sample=sample, seed=seed, confirm=attended and not yes)
     if sample is None and device.repeatable:
         raise ConfigError(f'the rig "{rig.source}" simulates its sample: name one with --sample S.toml')
-    if rig.description.reference.how == "swap" and not (device.repeatable or attended or yes):
+    if rig.description.reference.how in ("swap", "beam") and not (device.repeatable or attended or yes):
         raise ConfigError(
             f'the rig "{rig.source}" has its white reference swapped by hand ([reference] how), and there is no '
             "terminal to ask for it; --yes measures without asking"
@@ -269,7 +274,7 @@ def _check_patches(rig: RigChoice, sample: SampleDescription | None) -> None:
     reference, patch = description.reference, description.acquisition.roi_radius_mm
     diameter = (sample and sample.diameter_mm) or description.holder.sample_diameter_mm
     for name, size in (("sample", diameter), ("white reference", reference.diameter_mm)):
-        if size < 2 * patch:
+        if size < 2 * patch and not (name != "sample" and reference.how == "beam"):
             raise ConfigError(
                 f"{rig.source}: the measured patch ([acquisition] roi_radius_mm = {patch:g}) is larger than the {name} "
                 f"({size:g} mm in diameter): the plate around it would count as {name}"
@@ -292,7 +297,12 @@ def _check_frame(rig: RigChoice, steps: list[Step]) -> None:
     reference, patch, camera = description.reference, description.acquisition.roi_radius_mm, description.camera
     looks: dict[tuple[Target, Pose], None] = {}
     for step in steps:
-        if step.kind == "reference":
+        if step.kind == "reference" and reference.how == "beam":
+            try:
+                imaging.straight_through(description)
+            except ConfigError as error:
+                raise ConfigError(f"{rig.source}: {error}") from None
+        elif step.kind == "reference":
             looks["reference", step.pose] = None
         elif step.kind == "point" and not imaging.always_holds_sample(description):
             looks["sample", step.pose] = None

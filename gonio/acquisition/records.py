@@ -48,6 +48,8 @@ class FrameRecord:
     """None until the file is on the disk."""
     bytes: int | None = None
     """Size of the file; None where it is not known."""
+    monitor: float | None = None
+    """Reading of the lamp's monitor during the exposure, in its own unit; None where there is none."""
 
     def stored(self, file: FrameFile) -> FrameRecord:
         """This frame, with what its file is."""
@@ -72,6 +74,7 @@ class FrameRecord:
             values["lamp"],
             values.get("sha256"),
             values.get("bytes"),
+            values.get("monitor"),
         )
 
 

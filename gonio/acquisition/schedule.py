@@ -11,6 +11,7 @@ from gonio.errors import ConfigError
 from gonio.rig import Pose, Step
 from gonio.rig.description import RigDescription
 from gonio.rig.kinematics import Unreachable, reach
+from gonio.rig.ways import Blocked, require_free
 
 EXPECTED_ALBEDO = 0.5
 """What time estimates take the sample for."""
@@ -25,6 +26,8 @@ def reference_pose(description: RigDescription) -> Pose:
         The rig cannot reach the geometry that its own file asks for.
     """
     reference = description.reference
+    if reference.how == "beam":
+        return _straight(description)
     point = canonical(reference.theta_i_deg, 0.0, reference.theta_r_deg, 180.0)
     try:
         return reach(description, point.directions)
@@ -33,6 +36,37 @@ def reference_pose(description: RigDescription) -> Pose:
             f'rig "{description.name}": [reference] theta_i_deg = {reference.theta_i_deg:g}, '
             f"theta_r_deg = {reference.theta_r_deg:g} cannot be reached: {error}"
         ) from None
+
+
+def _straight(description: RigDescription) -> Pose:
+    """The pose in which the camera looks straight into the lamp; the nearer to 90 deg the light stands, the better.
+
+    Every limit is taken as it is, and an approach may need room: a backlash's worth is left to each.
+    """
+    limits, axes = description.limits_deg(), description.axes()
+    room = {n: max(axes[n].backlash_deg, abs(description.approach_deg()[n])) for n in ("light", "camera")}
+    fitting = []
+    for turn in (180.0, -180.0):
+        lower = max(limits["light"][0] + room["light"], limits["camera"][0] + room["camera"] + turn)
+        upper = min(limits["light"][1] - room["light"], limits["camera"][1] - room["camera"] + turn)
+        if lower <= upper:
+            light = min(max(math.copysign(90.0, turn), lower), upper)
+            fitting.append(Pose(light=math.radians(light), camera=math.radians(light - turn)))
+    if not fitting:
+        said = " and ".join(f"{n} {limits[n][0]:g} to {limits[n][1]:g} deg" for n in ("light", "camera"))
+        raise ConfigError(
+            f'rig "{description.name}": reference.how = "beam" needs arms that stand 180 deg apart, so that the camera '
+            f"looks into the lamp; their limits do not allow it ({said}, less the room of an approach). Widen "
+            'limits_deg where nothing is in the way, or take a white reference (how = "swap")'
+        )
+    blocked = []
+    for pose in fitting:
+        try:
+            require_free(description, pose)
+            return pose
+        except Blocked as error:
+            blocked.append(str(error))
+    raise ConfigError(f'rig "{description.name}": reference.how = "beam": {"; or ".join(dict.fromkeys(blocked))}')
 
 
 def schedule(plan: Plan, description: RigDescription, points: list[Assessed] | None = None) -> list[Step]:
@@ -117,7 +151,7 @@ def going_on(plan: Plan, description: RigDescription, flags: Sequence[str]) -> S
 
 def estimate_s(steps: list[Step], description: RigDescription, bands: int) -> float:
     """How long a run takes [s] on the rig's own clock, for a matt sample of albedo 0.5, prompts and settling apart."""
-    from gonio.acquisition.exposure import dark_exposures_s, expected_exposure_s
+    from gonio.acquisition.exposure import dark_exposures_s, expected_exposure_s, expected_straight_level_per_s
 
     camera, acquisition = description.camera, description.acquisition
     frame = camera.frame_overhead_s
@@ -130,6 +164,9 @@ def estimate_s(steps: list[Step], description: RigDescription, bands: int) -> fl
         here = step.pose
         if step.kind == "reference":
             exposure = expected_exposure_s(description, step.pose, 1.0)
+            if description.reference.how == "beam":
+                shortest = description.camera.exposure_limits_s[0]
+                exposure = max(acquisition.exposure_target / expected_straight_level_per_s(description), shortest)
             total += bands * (description.reference.frames + 1) * (exposure + frame)
         else:
             exposure = expected_exposure_s(description, step.pose, EXPECTED_ALBEDO)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -19,10 +19,10 @@ import numpy as np
 from gonio.acquisition.plan import ANGLES
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import Directions, mirrored
-from gonio.reduction import angle_sensitivity, spike_overlap, white_reference
+from gonio.reduction import angle_sensitivity, light_and_lens, spike_overlap, white_reference
 from gonio.reduction.count_rates import Reduced, Rejected, RunFrames, in_threads
 from gonio.reduction.dark_signal import PATTERNS, strongest
-from gonio.reduction.reference_table import brdf_of_reference
+from gonio.reduction.reference_table import brdf_of_reference, u_of_reference
 from gonio.reduction.table import (
     CAUSES,
     DARK,
@@ -34,7 +34,7 @@ from gonio.reduction.table import (
     notes_on_darks,
     zero_uncertainties,
 )
-from gonio.rig import Pose, imaging, kinematics
+from gonio.rig import Pose, calibrated, imaging, kinematics
 from gonio.rig.description import Band, RigDescription
 from gonio.typing import Floats
 
@@ -65,7 +65,8 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
         Causes: `s_reference` (the certificate), `s_reference_noise` (mean level of the visits), `s_lamp_drift`,
         `s_dark_1` to `s_dark_3` (noise of the dark frames), `s_theta_i_zero`, `s_theta_r_zero` and, with those axes,
         `s_tilt_zero`, `s_azimuth_zero`; `s_geometry_1` to at most `s_geometry_4` (what a calibration leaves open of the
-        rig's geometry). A plan with points behind the sample gives a column `side`.
+        rig's geometry); and where the rig file or a calibration tells of them `s_beam`, `s_polarisation`,
+        `s_wavelength`, `s_bandwidth`. A plan with points behind the sample gives a column `side`.
 
     Raises
     ------
@@ -85,6 +86,7 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
             if progress is not None:
                 progress(k * count + len(steps), len(run.bands) * count)
         results.append(_reduce_band(frames, band, steps))
+    light_and_lens.add_wavelength(frames.description, results)
     _share_darks(results)
     _share_geometry(results)
     return assemble(run, results, notes_on_damage(frames) + notes_on_darks(frames), frames.clipped)
@@ -94,9 +96,10 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
     points = [step for step in steps if isinstance(step, Reduced) and step.point is not None]
     visits = [step for step in steps if isinstance(step, Reduced) and step.point is None]
     rejected = [step for step in steps if isinstance(step, Rejected)]
-    fitted, reference_brdf = _level(frames, points, visits, band)
-    columns, untold, coarse = _columns_of_sides(frames, points, visits[0], fitted, band)
+    fitted, reference = _level(frames, points, visits, band)
+    columns, untold, coarse = _columns_of_sides(frames, points, visits[0], fitted, reference.u_rel, band)
     geometry = columns.pop("geometry")
+    light_and_lens.add(frames.description, columns, [point.pose for point in points], visits[0].pose, band)
     levels = fitted.at(np.array([point.time_s for point in points]))
     angles = np.array([_angles_deg(point.directions) for point in points]).reshape(-1, len(ANGLES))
     darks = np.array([point.dark for point in points]).reshape(len(points), 2, PATTERNS)
@@ -109,7 +112,7 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
         geometry=geometry,
         flags=frames.flags | {step.point: step.flag for step in rejected if step.point is not None},
         level=fitted,
-        reference_brdf=reference_brdf,
+        reference_brdf=reference.brdf,
         visits=len(visits),
         unusable=frames.lost_visits + [step.flag for step in rejected if step.point is None],
         scatter=sum(step.chi_square for step in (*points, *visits)) / max(freedom, 1),
@@ -121,21 +124,36 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
     )
 
 
+@dataclass(frozen=True, slots=True)
+class _Reference:
+    """What is known of the reference in one band."""
+
+    brdf: float
+    """Mean over the visits [1/sr]; 1 where the lamp itself is the reference."""
+    u_rel: float
+    """Relative standard uncertainty of that."""
+
+
 def _level(
     frames: RunFrames, points: list[Reduced], visits: list[Reduced], band: Band
-) -> tuple[white_reference.Level, float]:
-    """The signal per unit BRDF over time, and the reference's BRDF [1/sr], mean over the visits."""
+) -> tuple[white_reference.Level, _Reference]:
+    """The signal per unit BRDF over time, and the reference's BRDF."""
     run, description, reference = frames.run, frames.description, frames.description.reference
     if not visits:
         raise DataError(f"{run.path}: no usable visit to the white reference in band {band.name}; see its frames")
-    rates = np.array([visit.rate for visit in visits])
+    rates, u_rel = np.array([visit.rate for visit in visits]), reference.u_rel
     if rates.min() <= 0:
         raise DataError(f"{run.path}: a visit to the white reference in band {band.name} saw no light; see its frames")
-    if reference.table is not None:
+    if reference.how == "beam":
+        known = np.ones(len(visits))
+        variance = float(calibrated.covariance_of(description, ["reference.attenuation"])[0, 0])
+        u_rel = math.hypot(u_rel, math.sqrt(variance) / (reference.attenuation or 1.0))
+    elif reference.table is not None:
         from gonio import measurement
 
         table = measurement.read(reference.table)
         known = np.array([brdf_of_reference(table, visit.directions, band.centre_nm) for visit in visits])
+        u_rel = math.hypot(u_rel, u_of_reference(table, visits[0].directions, band.centre_nm) / float(known[0]))
     elif reference.albedo:
         known = np.full(len(visits), reference.albedo / math.pi)
     else:
@@ -148,16 +166,22 @@ def _level(
     variances = np.array([visit.variance for visit in visits]) + landing * rates**2
     times = np.array([visit.time_s for visit in visits])
     wanted = np.array([point.time_s for point in points])
-    return white_reference.fit(times, rates / known, variances / known**2, wanted), float(known.mean())
+    fitted = white_reference.fit(times, rates / known, variances / known**2, wanted)
+    return fitted, _Reference(float(known.mean()), u_rel)
 
 
 def _columns_of_sides(
-    frames: RunFrames, points: list[Reduced], visit: Reduced, fitted: white_reference.Level, band: Band
+    frames: RunFrames,
+    points: list[Reduced],
+    visit: Reduced,
+    fitted: white_reference.Level,
+    u_reference: float,
+    band: Band,
 ) -> tuple[dict[str, Floats], Directions, Directions]:
     """`_columns` of the points on each side of the sample, whose curves have nothing to do with each other."""
     behind = np.array([_behind(point.directions) for point in points], dtype=bool)
     if not behind.any():
-        return _columns(frames, points, visit, fitted, band)
+        return _columns(frames, points, visit, fitted, u_reference, band)
     columns: dict[str, Floats] = {}
     untold, coarse = [], []
     for there in (False, True):
@@ -166,7 +190,7 @@ def _columns_of_sides(
             continue
         # behind the sample lobes move with the straight direction as they do before it with the mirror's
         group = [replace(points[k], directions=_turned_over(points[k].directions, there)) for k in rows]
-        found, first, second = _columns(frames, group, visit, fitted, band)
+        found, first, second = _columns(frames, group, visit, fitted, u_reference, band)
         for name, values in found.items():
             columns.setdefault(name, np.zeros((len(points), *values.shape[1:])))[rows] = values
         untold += list(_turned_over(first, there))
@@ -185,7 +209,12 @@ def _turned_over(d: Directions, behind: bool) -> Directions:
 
 
 def _columns(
-    frames: RunFrames, points: list[Reduced], visit: Reduced, fitted: white_reference.Level, band: Band
+    frames: RunFrames,
+    points: list[Reduced],
+    visit: Reduced,
+    fitted: white_reference.Level,
+    u_reference: float,
+    band: Band,
 ) -> tuple[dict[str, Floats], Directions, Directions]:
     """BRDF and its uncertainties for the measured points of a band (docs/radiometry.md, "The budget").
 
@@ -208,7 +237,7 @@ def _columns(
     curves = angle_sensitivity.Curves(goals, read, brdf, np.sqrt(independent), cones, shares)
     brdf = brdf + curves.spikes.correction
     common = {
-        "s_reference": brdf * description.reference.u_rel,
+        "s_reference": brdf * u_reference,
         "s_reference_noise": -brdf * fitted.noise(times) / k,
         "s_lamp_drift": -brdf * fitted.drift(times) / k,
     }
@@ -390,7 +419,12 @@ def _pixels(description: RigDescription, point: Reduced, band: Band) -> tuple[Fl
 
 
 def _change_of_cosine(description: RigDescription, visit: Reduced, axis: str, u: float) -> float:
-    """Relative change (odd part) of the light on the reference when an axis truly stands u [rad] off."""
+    """Relative change (odd part) of the light on the reference when an axis truly stands u [rad] off.
+
+    The lamp itself, seen whole, is as bright wherever in the frame it stands.
+    """
+    if description.reference.how == "beam":
+        return 0.0
     up, down = (math.cos(_moved(description, visit.pose, axis, by).theta_i) for by in (u, -u))
     return 0.5 * (up - down) / math.cos(visit.directions.theta_i)
 

@@ -6,6 +6,7 @@ The formulas are explained in docs/radiometry.md, sections 1 to 3.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ from gonio.reduction.geometry_errors import GeometryErrors
 from gonio.rig import Frame, Pose, Target, kinematics
 from gonio.rig.description import Band, Camera, RigDescription
 from gonio.rig.dng import read_raw
-from gonio.rig.imaging import Channel, Roi, pixel_map, roi
+from gonio.rig.imaging import Channel, Roi, pixel_map, roi, straight_through_weight
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -118,16 +119,25 @@ class RunFrames:
         """The flags of the visits to the reference without frames."""
         dark: list[FrameRecord] = []
         self.geometry = GeometryErrors(run.description)
+        monitored: list[float] = []
         self._every = run.steps()
         for step in self._every:
             if step.kind == "dark":
                 dark += step.frames
             elif not step.flag:
                 self.points.append(step.point)
+                if self.description.lamp.monitor:
+                    monitored += [frame.monitor for frame in step.frames if frame.lamp and frame.monitor is not None]
             elif step.point is not None:
                 self.flags[step.point] = step.flag
             else:
                 self.lost_visits.append(step.flag)
+        if self.description.lamp.monitor and not monitored:
+            raise DataError(
+                f"{run.path}: lamp.monitor = true, and no frame of the run has a reading of the lamp's monitor"
+            )
+        self._usual = sum(monitored) / len(monitored) if monitored else math.nan
+        """Mean reading of the lamp's monitor: rates are those of a lamp at which it reads this."""
         channels = dict.fromkeys(band.channel for band in run.bands)
         boxes: dict[Target, tuple[slice, slice]] = {}
         self.reference: dict[str, Roi] = {}
@@ -164,6 +174,9 @@ class RunFrames:
         other side of the sample than it should."""
         target: Target = "reference" if step.kind == "reference" else "sample"
         view = kinematics.view(self.description, step.pose)
+        if target == "reference" and self.description.reference.how == "beam":
+            region = roi(self.description, view, target, channel)
+            return Region(region, target, 1.0 / straight_through_weight(self.description, region, channel))
         if kinematics.left_its_side(self.description, step.goal, step.pose):
             return None
         region = roi(self.description, view, target, channel)
@@ -229,16 +242,17 @@ class RunFrames:
         if region is None:
             return None
         read = ((entry, self._read_or_note(entry)) for entry in _lit(step, band))
-        return region, [self._shot(region, frame, float(entry.time_s)) for entry, frame in read if frame is not None]
+        return region, [self._shot(region, frame, entry) for entry, frame in read if frame is not None]
 
-    def _shot(self, region: Region, frame: Frame, time_s: float) -> Shot:
+    def _shot(self, region: Region, frame: Frame, entry: FrameRecord) -> Shot:
         camera, darks = self.description.camera, self._darks[region.target]
         values = region.roi.of(frame.mosaic).astype(float)
         signal = (values - darks.of(region.roi, frame.exposure_s)) * camera.electrons_per_dn
+        level = entry.monitor / self._usual if self.description.lamp.monitor and entry.monitor else 1.0
         return Shot(
-            rate=float(np.mean(signal * region.per_weight)) / frame.exposure_s,
+            rate=float(np.mean(signal * region.per_weight)) / frame.exposure_s / level,
             exposure_s=frame.exposure_s,
-            time_s=time_s,
+            time_s=float(entry.time_s),
             peak=(float(values.max()) - frame.black_level_dn) / full_scale_dn(camera, frame),
             leverage=darks.leverage(frame.exposure_s),
         )
@@ -253,6 +267,8 @@ class RunFrames:
         # a point can be taken again; of a visit to the reference the frames that are left count
         if not self.damaged.keys().isdisjoint(named) and (step.kind == "point" or not taken):
             return Rejected(step.point, "damaged")
+        if self.description.lamp.monitor and any(not frame.monitor for frame in _lit(step, band)):
+            return Rejected(step.point, "unmonitored")
         shots = [shot for shot in taken if shot.peak < USABLE]
         if not shots:
             return Rejected(step.point, "saturated" if taken else "not_measured", len(taken))
@@ -293,6 +309,7 @@ def pool(
     Weights come from the pooled rate, not from each frame's own: a frame that is dark by chance gets no larger weight.
     """
     camera, lamp = description.camera, description.lamp
+    of_lamp = lamp.monitor_noise if lamp.monitor else lamp.noise
     exposure = np.array([shot.exposure_s for shot in shots])
     rates, times = np.array([shot.rate for shot in shots]), np.array([shot.time_s for shot in shots])
     count = region.per_weight.size
@@ -305,7 +322,7 @@ def pool(
         shot_noise = signal * mean_1 / exposure if camera.photon_noise else 0.0
         rounding = _rounding(camera, signal * exposure / mean_1, count)
         single = (read + dark) * mean_2 / exposure**2 + shot_noise
-        variances = single / count + rounding * mean_2 / exposure**2 + (lamp.noise * signal) ** 2
+        variances = single / count + rounding * mean_2 / exposure**2 + (of_lamp * signal) ** 2
         weights = (1.0 / variances) / np.sum(1.0 / variances)
         pooled = float(np.sum(weights * rates))
     # the dark frames are one and the same for all frames of the point

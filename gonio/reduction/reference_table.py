@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,15 +32,47 @@ def brdf_of_reference(table: pd.DataFrame, directions: Directions, wavelength_nm
     DataError
         The visit lies outside of the angles or wavelengths of the table, or out of the plane of incidence.
     """
+    return _certificate(table, directions).at_wavelength(
+        wavelength_nm, float(directions.theta_i), float(_signed(directions))
+    )
+
+
+def u_of_reference(table: pd.DataFrame, directions: Directions, wavelength_nm: float) -> float:
+    """Standard uncertainty [1/sr] of `brdf_of_reference`: the table's own, and that of the interpolation.
+
+    The table's is `u_brdf`, or what its `u_random` and `s_` columns make together; it is interpolated like the value,
+    as if the values of a table were wrong all alike. The interpolation's is the difference between the straight line
+    and a parabola through three values (where the table has but two, t (1 - t) of their difference, t of the way from
+    one to the other).
+
+    Raises
+    ------
+    DataError
+        As `brdf_of_reference`; and where a value that is needed has no uncertainty, though others of the table have.
+    """
+    certificate = _certificate(table, directions)
+    at = wavelength_nm, float(directions.theta_i), float(_signed(directions))
+    line = certificate.at_wavelength(*at)
+    bent = replace(certificate, bent=True).at_wavelength(*at)
+    own = 0.0
+    if np.isfinite(certificate.u_brdf).any():
+        own = replace(certificate, brdf=certificate.u_brdf).at_wavelength(*at)
+        if not math.isfinite(own):
+            raise DataError(
+                f"{certificate.source}: some values have an uncertainty, and those around the visit to the reference "
+                "have none: fill in u_brdf there"
+            )
+    return math.hypot(own, bent - line)
+
+
+def _certificate(table: pd.DataFrame, directions: Directions) -> _Certificate:
     source = table.attrs.get("source_file") or "the table of the white reference"
     if not _in_plane(directions):
         raise DataError(f"{source}: holds curves in the plane of incidence; the visit to the reference lies out of it")
     rows = table[table["flag"] == ""]
     if (rows["polarisation"] != "unpolarised").any():
         raise DataError(f"{source}: a table of a white reference must be unpolarised")
-    return _Certificate.of(rows, source).at_wavelength(
-        wavelength_nm, float(directions.theta_i), float(_signed(directions))
-    )
+    return _Certificate.of(rows, source)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +85,10 @@ class _Certificate:
     theta_i: Floats
     signed_theta_r: Floats
     brdf: Floats
+    u_brdf: Floats
+    """NaN where the table states none."""
+    bent: bool = False
+    """Interpolate by parabolas instead of by straight lines."""
 
     @classmethod
     def of(cls, rows: pd.DataFrame, source: str) -> _Certificate:
@@ -60,14 +96,15 @@ class _Certificate:
         directions = Directions.from_table(rows)
         here = _in_plane(directions)
         wavelength_nm, brdf = rows["wavelength_nm"].to_numpy(), rows["brdf"].to_numpy()
-        return cls(source, wavelength_nm[here], directions.theta_i[here], _signed(directions)[here], brdf[here])
+        return cls(source, wavelength_nm[here], directions.theta_i[here], _signed(directions)[here], brdf[here],
+                   _uncertainties(rows)[here])  # fmt: skip
 
     def at_wavelength(self, wavelength_nm: float, theta_i: float, signed_theta_r: float) -> float:
         """Between the two wavelengths of the table around a wavelength; of a broad band, its only value."""
         tabulated = np.unique(self.wavelength_nm[np.isfinite(self.wavelength_nm)])
         if tabulated.size == 0:
             return self.at_incidence(math.nan, theta_i, signed_theta_r)
-        used = np.array([wavelength_nm]) if wavelength_nm in tabulated else _around(wavelength_nm, tabulated)
+        used = np.array([wavelength_nm]) if wavelength_nm in tabulated else self._used(wavelength_nm, tabulated)
         values = [self.at_incidence(float(known), theta_i, signed_theta_r) for known in used]
         return self._interpolated(wavelength_nm, used, values, f"wavelength_nm = {wavelength_nm:g}")
 
@@ -77,7 +114,7 @@ class _Certificate:
         same = incidences[abs(incidences - theta_i) <= SAME_ANGLE]
         if same.size:
             return self.on_curve(tabulated_nm, float(same[np.argmin(abs(same - theta_i))]), signed_theta_r)
-        used = _around(theta_i, incidences)
+        used = self._used(theta_i, incidences)
         values = [self.on_curve(tabulated_nm, float(incidence), signed_theta_r) for incidence in used]
         return self._interpolated(theta_i, used, values, f"theta_i = {math.degrees(theta_i):g} deg")
 
@@ -94,7 +131,46 @@ class _Certificate:
         at, values = at[order], np.asarray(values)[order]
         if at.size == 0 or not at[0] - SAME_ANGLE <= x <= at[-1] + SAME_ANGLE:
             raise DataError(f"{self.source}: the visit to the reference at {place} lies outside of this table")
+        if self.bent:
+            return _parabola(x, at, values)
         return float(np.interp(x, at, values))
+
+    def _used(self, x: float, known: Floats) -> Floats:
+        """Which of the table's curves count: those around x; the three nearest to it for a parabola."""
+        around = _around(x, known)
+        if not self.bent or around.size < 2 or known.size < 3:
+            return around
+        nearest: Floats = np.sort(known[np.argsort(abs(known - x), kind="stable")[:3]])
+        return np.union1d(around, nearest)
+
+
+def _parabola(x: float, at: Floats, values: Floats) -> float:
+    """Through the three values nearest to x, of which two lie around it; at one of them, and beyond the ends, that."""
+    above = int(np.searchsorted(at, x))
+    if above in (0, at.size) or x == at[above]:
+        return float(values[min(above, at.size - 1)])
+    low, high = at[above - 1], at[above]
+    t = (x - low) / (high - low)
+    line = values[above - 1] + t * (values[above] - values[above - 1])
+    thirds = [k for k in (above - 2, above + 1) if 0 <= k < at.size]
+    if not thirds:
+        return float(line + t * (1.0 - t) * (values[above] - values[above - 1]))
+    third = min(thirds, key=lambda k: abs(at[k] - x))
+    slope = (values[above] - values[above - 1]) / (high - low)
+    bend = ((values[third] - values[above]) / (at[third] - high) - slope) / (at[third] - low)
+    return float(line + bend * (x - low) * (x - high))
+
+
+def _uncertainties(rows: pd.DataFrame) -> Floats:
+    """`u_brdf` of each row; where it is not stated, of `u_random` and the common causes together."""
+    stated: Floats = np.full(len(rows), math.nan)
+    if "u_brdf" in rows:
+        stated = rows["u_brdf"].to_numpy(dtype=float)
+    parts = [name for name in rows if name == "u_random" or str(name).startswith("s_")]
+    if not parts:
+        return stated
+    squares = np.nansum(rows[parts].to_numpy(dtype=float) ** 2, axis=1)
+    return np.where(np.isfinite(stated) | (squares == 0.0), stated, np.sqrt(squares))
 
 
 def _around(x: float, known: Floats) -> Floats:

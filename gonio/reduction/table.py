@@ -15,7 +15,7 @@ from gonio.acquisition.plan import ANGLES
 from gonio.checks.values import values_of
 from gonio.checks.verdicts import Check, Taken, Visits, of_run, of_values
 from gonio.geometry import Directions
-from gonio.reduction import white_reference
+from gonio.reduction import light_and_lens, white_reference
 from gonio.reduction.count_rates import RETAKE, RunFrames
 from gonio.reduction.dark_signal import COLUMNS
 from gonio.reduction.geometry_errors import zero_u_deg
@@ -35,6 +35,8 @@ DAMAGED = "missing or damaged and are left out"
 NAMED = 10
 """At most so many damaged frames are named in a note."""
 COMMON = ("s_reference", "s_reference_noise", "s_lamp_drift")
+LIGHT = ("s_beam", "s_polarisation", "s_wavelength", "s_bandwidth")
+"""Causes that are there where the rig file or a calibration tells of them (`gonio.reduction.light_and_lens`)."""
 DARK = tuple(f"s_dark_{k + 1}" for k in range(COLUMNS))
 GEOMETRY = tuple(f"s_geometry_{k + 1}" for k in range(4))
 CAUSES = {"light": "s_theta_i_zero", "camera": "s_theta_r_zero", "tilt": "s_tilt_zero", "azimuth": "s_azimuth_zero"}
@@ -97,6 +99,7 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
     description, plan = run.description, run.plan
     causes = [*COMMON, *DARK, *(CAUSES[axis] for axis in zero_uncertainties(description))]
     causes += GEOMETRY[: results[0].geometry.shape[1]]
+    causes += [name for name in LIGHT if any(name in result.columns for result in results)]
     numbers = [*ANGLES, "brdf", "u_brdf", "u_random", *causes]
     values = np.full((len(numbers), len(plan), len(results)), math.nan)
     values[: len(ANGLES)] = plan[list(ANGLES)].to_numpy(dtype=float).T[..., None]
@@ -141,7 +144,10 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
             "seed": run.seed,
             "reference": [_account(result) for result in results],
         },
-        notes=notes + _notes_on_zeros(description) + [note for result in results for note in _notes(result)],
+        notes=notes
+        + _notes_on_zeros(description)
+        + light_and_lens.notes(description, results)
+        + [note for result in results for note in _notes(result)],
     )
     reachable = [not flag for flag in planned]
     found = [

@@ -26,7 +26,7 @@ class Level:
     Where the visits lie on a straight line within their noise, K(t) = level + slope (t - centre), whose two
     parameters are uncorrelated; `departure` and `extra` are zero. Otherwise K is interpolated linearly between the
     visits, and constant beyond the first and the last. `departure` is then half of the difference between that and the
-    line, `extra` what the noise of the nearest visits adds to the noise of the mean level. Where the visits do not
+    line, `extra` what the noise of the nearest visits, and jumps between them, add to the noise of the mean level. Where the visits do not
     tell the lamp's drift, K is their mean, `slope` and `u_slope` are zero, and `unknown` says why; `extra` is then what
     they scatter beyond their noise.
     """
@@ -61,11 +61,27 @@ class Level:
         return 0.5 * (self._line(time_s) - self.at(time_s))
 
     def extra(self, time_s: Floats) -> Floats:
-        """Standard deviation of K from single visits, beyond that of the mean level."""
+        """Standard deviation of K from single visits, beyond that of the mean level; and from jumps between two."""
         if self.straight:
             return np.full(np.shape(time_s), self.scatter)
         share = np.stack([np.interp(time_s, self.times_s, row) for row in np.eye(len(self.times_s))])
-        return np.asarray(np.sqrt(np.maximum(np.einsum("vt,v->t", share**2, self.variances) - self.u_level**2, 0.0)))
+        of_visits = np.maximum(np.einsum("vt,v->t", share**2, self.variances) - self.u_level**2, 0.0)
+        return np.asarray(np.sqrt(of_visits + self._jumps(time_s)))
+
+    def _jumps(self, time_s: Floats) -> Floats:
+        """Variance of K where it changes between two visits by more than the intervals beside that let expect.
+
+        Such a change may be a jump, at a time that nobody knows: at the fraction x of the interval K is that of the one
+        visit or of the other, and departs from the line between them with the variance x (1 - x) jump^2.
+        """
+        length = np.diff(self.times_s)
+        slopes = np.diff(self.values) / length
+        beside = np.concatenate([[slopes[1]], 0.5 * (slopes[:-2] + slopes[2:]), [slopes[-2]]])
+        noise = 2.0 * (self.variances[1:] + self.variances[:-1])
+        jumps = np.maximum(((slopes - beside) * length) ** 2 - noise, 0.0)
+        k = np.clip(np.searchsorted(self.times_s, time_s, side="right") - 1, 0, length.size - 1)
+        x = np.clip((time_s - self.times_s[k]) / length[k], 0.0, 1.0)
+        return np.asarray(x * (1.0 - x) * jumps[k])
 
     def _line(self, time_s: Floats) -> Floats:
         return self.level + self.slope * (time_s - self.centre_s)

@@ -185,6 +185,37 @@ class Holder(Axis):
         return self
 
 
+class Beam(Strict):
+    """Irradiance on the plane that faces the lamp, through the sample's centre, relative to that at the centre.
+
+    It is exp(x_per_mm x + y_per_mm y + xx_per_mm2 x^2 + xy_per_mm2 x y + yy_per_mm2 y^2) [mm], but at most e times the
+    centre's. x lies in the plane of the arms and y along the axis that they turn about; x grows as the light arm's
+    angle does. A Gaussian beam of standard deviation w has xx = yy = -1/(2 w^2). The pattern is one of directions from
+    the lamp: a spot off that plane has the x and y where its ray crosses the plane.
+    """
+
+    x_per_mm: float = 0.0
+    y_per_mm: float = 0.0
+    xx_per_mm2: float = 0.0
+    xy_per_mm2: float = 0.0
+    yy_per_mm2: float = 0.0
+
+    def terms(self) -> tuple[float, float, float, float, float]:
+        """The five numbers, in the order above."""
+        return self.x_per_mm, self.y_per_mm, self.xx_per_mm2, self.xy_per_mm2, self.yy_per_mm2
+
+
+class Polarisation(Strict):
+    """Linear polarisation that a lamp has, or that a camera with its lens prefers."""
+
+    degree: Fraction = 0.0
+    """(largest - smallest)/(largest + smallest) of what passes an ideal polariser that is turned."""
+    azimuth_deg: float | None = None
+    """Direction of the largest, from the axis that the arms turn about (for a camera: from `image_y`), in the sense
+    that is counterclockwise for who looks from the sample to the lamp, or to the camera. None: nobody knows; the
+    budget takes the worst, and a simulated rig 0."""
+
+
 class Lamp(Strict):
     """The lamp: its size, its radiation pattern, its noise, its drift."""
 
@@ -197,6 +228,17 @@ class Lamp(Strict):
     drift_per_hour: float = 0.0
     """Relative drift of the lamp (simulation); the reduction learns the drift from the reference alone."""
     warm_up_s: NonNegative = 0.0
+    warm_up_loss: Annotated[float, Field(gt=-10, lt=1)] = 0.0
+    """How far the lamp is below its later level when it is lit, as a fraction of that; below 0: how far above."""
+    warm_up_time_constant_s: Positive = 600.0
+    """Time in which what is left of `warm_up_loss` falls to 1/e."""
+    monitor: bool = False
+    """Every frame carries the reading of a monitor of the lamp, by which the reduction divides it."""
+    monitor_noise: NonNegative = 0.0
+    """Relative standard deviation of frame over monitor reading that photon noise does not explain."""
+    beam: Beam | None = None
+    """Profile of the beam over the sample; None: even."""
+    polarisation: Polarisation = Polarisation()
 
 
 class Camera(Strict):
@@ -237,6 +279,8 @@ class Camera(Strict):
     """Electrons a second on the axis from a Lambertian white (brdf = 1/pi) at normal incidence, with a fresh lamp."""
     exposure_limits_s: tuple[Positive, Positive] = (1e-4, 60.0)
     frame_overhead_s: NonNegative = 0.05
+    polarisation: Polarisation = Polarisation()
+    """Diattenuation of lens and sensor together."""
 
     @model_validator(mode="after")
     def _sound(self) -> Camera:
@@ -266,13 +310,18 @@ class Camera(Strict):
 class Reference(Strict):
     """The white reference: how it is reached, and what its certificate says."""
 
-    how: Literal["beside", "axis", "swap"] = "swap"
+    how: Literal["beside", "axis", "swap", "beam"] = "swap"
+    """"beam": no white at all. The holder is empty, and the camera looks into the lamp through `attenuation`."""
     albedo: Fraction | None = 0.99
     table: str | None = None
     """A measurement table of the reference's BRDF, instead of a Lambertian albedo; a path beside the rig file."""
     u_rel: NonNegative = 0.0
     error: Literal["drawn", "none"] = "none"
     """Simulation: draw the reference's true error from the seed, or have none."""
+    scale: Positive = 1.0
+    """Simulation, in a `truth` file alone: true reflectance over the certified one."""
+    attenuation: Annotated[float, Field(gt=0, le=1)] | None = None
+    """`beam`: transmittance of the attenuator through which the camera looks into the lamp."""
     theta_i_deg: Annotated[float, Field(ge=0, lt=90)] = 0.0
     theta_r_deg: Annotated[float, Field(gt=-90, lt=90)] = 45.0
     every: Annotated[int, Field(ge=0)] = 25
@@ -281,6 +330,15 @@ class Reference(Strict):
     offset_mm: tuple[float, float] = (0.0, 0.0)
     """`beside`: centre of the reference on the sample's plane, in the sample's x and y."""
     diameter_mm: Positive = 20.0
+
+    @model_validator(mode="after")
+    def _attenuated(self) -> Reference:
+        if (self.how == "beam") != (self.attenuation is not None):
+            raise ValueError(
+                'how = "beam" and attenuation go together: attenuation is the transmittance of the filter through '
+                "which the camera looks into the lamp (1 without a filter)"
+            )
+        return self
 
 
 class Band(Strict):

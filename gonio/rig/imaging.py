@@ -44,8 +44,11 @@ class PixelMap:
         self._image_distance_mm = image_distance_mm(description)
         self._distance_mm = description.geometry.light_distance_mm
         self._lambertian = description.lamp.radiation == "lambertian"
+        beam = description.lamp.beam
+        self._beam = beam.terms() if beam is not None and any(beam.terms()) else None
         self._source = np.asarray(view.source_mm, dtype=float)
         self._camera = np.asarray(view.camera_mm, dtype=float)
+        self._beam_y = np.asarray(view.image_y if view.beam_y is None else view.beam_y, dtype=float)
         self.rows = slice(*rows.indices(camera.height)[:2])
         self.cols = slice(*cols.indices(camera.width)[:2])
         # The line of sight of the pixel (i, j) is axis + v_i image_y + u_j image_x, with u and v in units of the image
@@ -127,8 +130,15 @@ class PixelMap:
         """The lamp's radiant intensity toward the spot, relative to that toward the sample's centre (`lamp.radiation`).
 
         A Lambertian lamp faces the centre, and the intensity falls with the cosine of the angle at the lamp between
-        centre and spot: with S from the centre to the lamp and x the spot, S (S - x) / (|S| |S - x|).
+        centre and spot: with S from the centre to the lamp and x the spot, S (S - x) / (|S| |S - x|). The measured
+        profile `lamp.beam` comes on top of either.
         """
+        if self._beam is not None:
+            return self._facing * self._profile(self._beam)
+        return self._facing
+
+    @property
+    def _facing(self) -> Floats:
         if not self._lambertian:
             return np.ones(self.x_mm.shape)
         (sx, sy, _), squared = self._source, float(self._source @ self._source)
@@ -136,11 +146,26 @@ class PixelMap:
         away = np.sqrt(squared * self.distance_factor) / self._distance_mm  # |S| / |S - x|
         return np.where(self.sees_plane, np.maximum((1.0 - across) * away, 0.0), 0.0)
 
+    @property
+    def beam_xy_mm(self) -> tuple[Floats, Floats]:
+        """Where the ray from the lamp to the spot crosses the plane that faces the lamp (`Beam`) [mm]."""
+        distance = float(np.linalg.norm(self._source))
+        toward = self._source / distance
+        along = np.cross(self._beam_y, toward)
+        stretch = distance / (distance - toward[0] * self.x_mm - toward[1] * self.y_mm)
+        x, y = ((e[0] * self.x_mm + e[1] * self.y_mm) * stretch for e in (along, self._beam_y))
+        return x, y
+
+    def _profile(self, terms: tuple[float, ...]) -> Floats:
+        x, y = self.beam_xy_mm
+        log = terms[0] * x + terms[1] * y + terms[2] * x**2 + terms[3] * x * y + terms[4] * y**2
+        return np.where(self.sees_plane, np.exp(np.minimum(log, 1.0)), 0.0)
+
     @cached_property
     def weight(self) -> Floats:
         """falloff cos(theta_i) (d0/d)^2 radiation: all of the measurement equation that depends on the pixel alone."""
         weight = self.falloff * self.cos_theta_i * self.distance_factor
-        return weight * self.radiation if self._lambertian else weight
+        return weight * self.radiation if self._lambertian or self._beam is not None else weight
 
     @cached_property
     def omega_i(self) -> Floats:
@@ -332,7 +357,7 @@ def roi(description: RigDescription, view: View, target: Target = "sample", chan
     ----------
     target
         "sample", at the origin; "reference", at `reference.offset_mm` where it lies beside the sample, else at the
-        origin.
+        origin. Where the lamp itself is the reference: see `straight_through`.
     channel
         Colour of the band's pixels.
 
@@ -341,6 +366,8 @@ def roi(description: RigDescription, view: View, target: Target = "sample", chan
     ConfigError
         The camera is in the plane, or does not see the target's centre.
     """
+    if target == "reference" and description.reference.how == "beam":
+        return straight_through(description, channel)
     camera, centre = description.camera, _centre(description, target)
     if view.camera_mm[2] == 0:
         raise ConfigError("the camera is in the sample's plane: it sees no region of interest")
@@ -367,6 +394,70 @@ def roi(description: RigDescription, view: View, target: Target = "sample", chan
     if not inside.any():
         inside = distance <= max(longest**2, distance.min())
     return Roi(box_rows, box_cols, inside)
+
+
+AROUND = 1.15
+"""How much larger the region is that holds the lamp, seen straight through, than the lamp is there."""
+
+
+def straight_radius_mm(description: RigDescription) -> float:
+    """Radius [mm], in the plane in focus, of what a camera sees that looks straight into the lamp.
+
+    The plane lies between lamp and lens. From a spot of it both are discs, and it gets light where these overlap.
+    """
+    g, half_angle = description.geometry, description.lamp.half_angle_deg + description.camera.lens_half_angle_deg
+    return float(np.radians(half_angle)) / (1.0 / g.light_distance_mm + 1.0 / g.camera_distance_mm)
+
+
+def straight_through(description: RigDescription, channel: Channel = "mono") -> Roi:
+    """The pixels that hold the whole lamp, seen straight through an empty holder, and a margin around it.
+
+    Raises
+    ------
+    ConfigError
+        The rig file says neither how large the lamp is nor how large the lens, or the frame does not hold the lamp.
+    """
+    camera, radius = description.camera, AROUND * straight_radius_mm(description)
+    if radius <= 0.0:
+        raise ConfigError(
+            'reference.how = "beam" needs lamp.half_angle_deg or camera.lens_half_angle_deg: nothing says how much of '
+            "the frame the lamp fills"
+        )
+    pitch = pixel_on_focus_mm(description)
+    half = 0.5 * pitch * min(camera.width, camera.height)
+    if radius > half:
+        raise ConfigError(
+            f'reference.how = "beam": the lamp, seen straight through, fills a disc of {radius:.1f} mm radius in the '
+            f"plane in focus (a margin of {100 * (AROUND - 1):.0f} % included), and the frame holds {half:.1f} mm: "
+            "take a smaller lens aperture, a shorter focal length, or a smaller lamp"
+        )
+    rows, cols = slice(0, camera.height), slice(0, camera.width)
+    v = (np.arange(camera.height) - 0.5 * (camera.height - 1)) * pitch
+    u = (np.arange(camera.width) - 0.5 * (camera.width - 1)) * pitch
+    inside = v[:, None] ** 2 + u[None, :] ** 2 <= radius**2
+    return Roi(rows, cols, inside & of_channel(camera.pattern, channel, rows, cols))
+
+
+def straight_through_weight(description: RigDescription, region: Roi, channel: Channel = "mono") -> Floats:
+    """By what the rate of each pixel of `straight_through` is divided, so that their mean is that of a unit BRDF.
+
+    The sum of the rates over the lens's falloff, times the area of a pixel in the plane in focus and (1/d_i + 1/d_r)^2,
+    is what the sample would give per unit BRDF at normal incidence [e- sr/s]: neither the lamp's solid angle nor the
+    lens's is in it. Derived in docs/radiometry.md, "The lamp as the reference".
+    """
+    g, camera = description.geometry, description.camera
+    area = pixel_on_focus_mm(description) ** 2 * (1.0 / g.light_distance_mm + 1.0 / g.camera_distance_mm) ** 2
+    falloff = _falloff(camera, image_distance_mm(description), 0, camera.height, 0, camera.width)[region.mask]
+    # pixels of one colour of a mosaic stand for all
+    every = region.count if channel == "mono" else straight_through(description).count
+    out: Floats = falloff * (description.reference.attenuation or 1.0) / (area * every)
+    return out
+
+
+def pixel_on_focus_mm(description: RigDescription) -> float:
+    """Width of a pixel in the plane in focus, which faces the camera at the sample's centre [mm]."""
+    pitch = 1e-3 * description.camera.pixel_um
+    return pitch * description.geometry.camera_distance_mm / image_distance_mm(description)
 
 
 def patch_extent(description: RigDescription, view: View, target: Target = "sample") -> tuple[float, ...]:

@@ -55,7 +55,8 @@ class View:
 
     Positions are in millimetres; `image_x` and `image_y` are the unit vectors along which columns and rows grow.
     `image_x`, `image_y` and the optical axis are right-handed: the image is not mirrored. On a rig without errors the
-    optical axis points from the camera to the origin, and `image_y` lies along the axis of the arms.
+    optical axis points from the camera to the origin, and `image_y` lies along the axis of the arms. So does `beam_y`,
+    wherever an azimuth axis has turned the camera arm.
     """
 
     source_mm: Floats
@@ -64,6 +65,8 @@ class View:
     image_y: Floats
     sight: Floats | None = None
     """Unit vector of the optical axis; None where it points from the camera to the origin."""
+    beam_y: Floats | None = None
+    """None: `image_y`."""
 
     @property
     def optical_axis(self) -> Floats:
@@ -115,13 +118,14 @@ def view(description: RigDescription, pose: Pose) -> View:
     """Where source and camera are, and how the image lies, in the sample's frame, for a pose of the axes."""
     if not description.as_meant:
         return _misaligned(description, true_pose(description, pose))
-    light, camera, image_x, image_y = _sample_frame(true_pose(description, pose))
+    light, camera, image_x, image_y, beam_y = _sample_frame(true_pose(description, pose))
     geometry = description.geometry
     return View(
         source_mm=geometry.light_distance_mm * np.array(light),
         camera_mm=geometry.camera_distance_mm * np.array(camera),
         image_x=np.array(image_x),
         image_y=np.array(image_y),
+        beam_y=np.array(beam_y),
     )
 
 
@@ -131,9 +135,9 @@ def directions(description: RigDescription, pose: Pose) -> Directions:
     The azimuth of a direction along the normal is 0.
     """
     if not description.as_meant:
-        source, eye, _ = misalignment.ends(description, true_pose(description, pose))
+        source, eye, *_ = misalignment.ends(description, true_pose(description, pose))
         return Directions(*_angles(source.tolist()), *_angles(eye.tolist()))
-    light, camera, _, _ = _sample_frame(true_pose(description, pose))
+    light, camera, *_ = _sample_frame(true_pose(description, pose))
     return Directions(*_angles(light), *_angles(camera))
 
 
@@ -145,9 +149,9 @@ CLOSE = math.radians(5.0)
 
 def _misaligned(description: RigDescription, pose: Pose) -> View:
     """The view of a rig with errors of alignment, at the true angles of its axes."""
-    source, eye, onto = misalignment.ends(description, pose)
+    source, eye, onto, beam_y = misalignment.ends(description, pose)
     image_x, image_y, sight = np.ascontiguousarray((onto @ misalignment.camera_on_arm(description)).T)
-    return View(source_mm=source, camera_mm=eye, image_x=image_x, image_y=image_y, sight=sight)
+    return View(source_mm=source, camera_mm=eye, image_x=image_x, image_y=image_y, sight=sight, beam_y=beam_y)
 
 
 def _misaligned_pose(description: RigDescription, start: Pose, d: Angles) -> Pose:
@@ -393,8 +397,8 @@ NAMES = {
 }
 
 
-def _sample_frame(pose: Pose) -> tuple[Vector, Vector, Vector, Vector]:
-    """Light, camera, image_x and image_y as unit vectors of the sample's frame."""
+def _sample_frame(pose: Pose) -> tuple[Vector, Vector, Vector, Vector, Vector]:
+    """Light, camera, image_x, image_y and the axis of the arms as unit vectors of the sample's frame."""
     sin_c, cos_c = math.sin(pose.camera), math.cos(pose.camera)
     sin_az, cos_az = math.sin(pose.azimuth), math.cos(pose.azimuth)
     light = (math.sin(pose.light), 0.0, math.cos(pose.light))
@@ -408,7 +412,7 @@ def _sample_frame(pose: Pose) -> tuple[Vector, Vector, Vector, Vector]:
         y, z = ct * v[1] - st * v[2], st * v[1] + ct * v[2]  # Rx(t), the inverse of Rx(-t)
         return (cs * v[0] + ss * y, cs * y - ss * v[0], z)
 
-    return to_sample(light), to_sample(camera), to_sample(image_x), to_sample(image_y)
+    return to_sample(light), to_sample(camera), to_sample(image_x), to_sample(image_y), to_sample((0.0, 1.0, 0.0))
 
 
 def _normal_of_plane(light: Vector, camera: Vector, d: Angles) -> Vector:

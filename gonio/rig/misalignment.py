@@ -27,12 +27,13 @@ FLAT = 1e-6
 """Combinations of axes that turn the directions less than this, per radian, are left alone."""
 
 
-def ends(description: RigDescription, pose: Pose) -> tuple[Floats, Floats, Floats]:
-    """Where lamp and lens are in the frame of the sample [mm], and the rotation into it from the camera arm's frame."""
+def ends(description: RigDescription, pose: Pose) -> tuple[Floats, Floats, Floats, Floats]:
+    """Where lamp and lens are in the frame of the sample [mm], the rotation into it from the camera arm's frame, and
+    the axis of the light arm in it."""
     arms, holder = description.arms, description.holder
     # each arm: its axis is tilted and displaced, and what it carries stands out of the plane across it
-    turn = _about_x_after(arms.light.axis_tilt_deg, "z") @ _rotation("y", pose.light)
-    lamp = _carried(arms.light, turn, description.geometry.light_distance_mm)
+    of_light = _about_x_after(arms.light.axis_tilt_deg, "z")
+    lamp = _carried(arms.light, of_light @ _rotation("y", pose.light), description.geometry.light_distance_mm)
     onto = _about_x_after(arms.camera.axis_tilt_deg, "z") @ _rotation("y", pose.camera)
     lens = _carried(arms.camera, onto, description.geometry.camera_distance_mm)
     if arms.azimuth is not None:
@@ -47,7 +48,7 @@ def ends(description: RigDescription, pose: Pose) -> tuple[Floats, Floats, Float
     tilted_about = np.array([0.0, holder.tilt_axis_offset_mm, 0.0])
     centre = np.array([*holder.sample_offset_mm, holder.surface_offset_mm])
     shift = onto_sample @ tilted_about - into @ tilted_about - centre
-    return into @ lamp + shift, into @ lens + shift, into @ onto
+    return into @ lamp + shift, into @ lens + shift, into @ onto, into @ of_light[:, 1]
 
 
 def camera_on_arm(description: RigDescription) -> Floats:
@@ -66,7 +67,7 @@ def closest_pose(description: RigDescription, start: Pose, wanted: Floats) -> tu
 
     def off(place: Floats) -> Floats:
         pose = replace(start, **dict(zip(names, place.tolist(), strict=True)))
-        source, eye, _ = ends(description, pose)
+        source, eye, *_ = ends(description, pose)
         return np.concatenate([source / math.sqrt(source @ source), eye / math.sqrt(eye @ eye)]) - wanted
 
     at = np.array([getattr(start, name) for name in names])

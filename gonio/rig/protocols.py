@@ -55,6 +55,9 @@ class Frame:
     time_s: float = field(kw_only=True)
     """Start of the exposure on the rig's clock (`Rig.time_s`) [s]. It grows from frame to frame, or a measurement ends:
     the lamp's drift is told from it. A file that does not say its time is read with NaN."""
+    monitor: float | None = field(default=None, kw_only=True)
+    """Reading of the lamp's monitor during the exposure, where the camera's driver takes one; else the engine asks the
+    lamp for it after the frame (`monitor()`), on a rig with `lamp.monitor = true`."""
     file: Path | None = field(default=None, kw_only=True)
     """Set when a camera delivered a raw file of its own (CR2, NEF, ARW, DNG); the engine keeps that file."""
     record: str = field(default="", kw_only=True)

@@ -145,8 +145,9 @@ class SimulatedCamera:
         if world.ambient_e_per_s:
             room = np.float32(world.ambient_e_per_s)
             rate = np.full((camera.height, camera.width), room, np.float32) if rate is None else rate + room
+        world.last_level = world.lamp_level()
         mosaic = self._sensor.read_out(
-            rate, exposure_s, world.lamp_level(), world.key(Stream.SENSOR, world.step, world.frame)
+            rate, exposure_s, world.last_level, world.key(Stream.SENSOR, world.step, world.frame)
         )
         time_s = world.frame_time_s()
         world.frame += 1
@@ -167,4 +168,4 @@ class SimulatedCamera:
     def _lit_band(self) -> Band:
         if self._world.band is None:
             raise DeviceError("the lamp is lit, and no band was selected")
-        return self._world.band
+        return self._world.true_band(self._world.band)

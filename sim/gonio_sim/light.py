@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gonio.errors import ConfigError
 from gonio.rig.description import Band
-from gonio_sim.world import World
+from gonio_sim.world import Stream, World
 
 
 class SimulatedLight:
@@ -33,6 +33,15 @@ class SimulatedLight:
         """Light up; the simulated lamp settles at once."""
         self._world.require_open("lamp")
         self._world.lamp_on, self._world.brightness = True, self.level
+
+    def monitor(self) -> float | None:
+        """Reading of a photodiode during the last frame, relative to a fresh lamp; None where the rig has none."""
+        world = self._world
+        if not world.truth.lamp.monitor:
+            return None
+        level = world.last_level if world.lamp_on else 0.0
+        noise = world.truth.lamp.monitor_noise
+        return level * (1.0 + noise * world.normal(Stream.MONITOR, world.step, world.frame)) if noise else level
 
     def off(self) -> None:
         """Darken; allowed at any time."""

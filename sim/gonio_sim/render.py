@@ -28,6 +28,7 @@ from gonio.rig.description import Band, SampleDescription
 from gonio.rig.imaging import PixelMap, of_channel, pixel_map
 from gonio.rig.kinematics import View, directions, view
 from gonio.typing import Floats
+from gonio_sim import polarised
 from gonio_sim.world import InHolder, World
 
 if TYPE_CHECKING:
@@ -106,6 +107,8 @@ class Renderer:
         description = self._world.optics
         if target == "empty":
             return self._straight_through(pose, band)
+        if target == "reference" and description.reference.how == "beam":
+            return self._straight_through(pose, band) * np.float32(description.reference.attenuation or 1.0)
         scene = view(description, pose)
         behind = scene.camera_mm[2] < 0.0
         if scene.camera_mm[2] == 0.0 or (behind and target in ("reference", "mirror")):
@@ -174,6 +177,8 @@ class Renderer:
         shared = _shared_disc(
             apart, *(math.radians(h) for h in (description.lamp.half_angle_deg, camera.lens_half_angle_deg))
         )
+        if polarised.is_on(description):
+            shared = shared * polarised.straight(description, still)
         weight = seen.falloff * (description.geometry.light_distance_mm / away) ** 2
         rate: Floats32 = np.minimum(math.pi * camera.responsivity_e_per_s * weight * shared, BRIGHTEST).astype(
             np.float32
@@ -211,7 +216,7 @@ class Renderer:
         from gonio import instrument
         from gonio_sim.adaptive_grid import sample_function
 
-        model, sample = self._model, self._world.sample
+        model, sample, truth = self._model, self._world.sample, self._world.truth
         assert model is not None
         assert sample is not None
         waves = _wavelengths(band) if sample.integrate_band else [(band.centre_nm, 1.0)]
@@ -226,6 +231,8 @@ class Renderer:
                     lobe = instrument.apparent_lobe(
                         model, *at.angles, wavelength_nm=wave, tolerance=instrument.LOBE_TOLERANCE, **self._cones
                     )
+                    if polarised.is_on(truth):
+                        lobe = lobe * polarised.of_lobe(truth, model, scene, at, wave)
                     out += share * lobe
                 return out
 
@@ -264,6 +271,8 @@ class Renderer:
         at = _directions_at(scene, seen.x_mm[rows, cols], seen.y_mm[rows, cols])
         for wave, share in waves:
             spike = instrument.apparent_spike(model, *at.angles, wavelength_nm=wave, spike="exact", **self._cones)
+            if polarised.is_on(self._world.truth):
+                spike = spike * polarised.of_spike(self._world.truth, model, scene, at, wave)
             brdf[rows, cols] += share * spike
 
 

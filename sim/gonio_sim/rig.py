@@ -56,8 +56,9 @@ class SimulatedRig:
         """Put the sample or the white reference into the beam; asks the user where that is done by hand."""
         if target == self.world.target:
             return
-        if self.description.reference.how == "swap" and self._confirm:
-            ask_for(target)
+        how = self.description.reference.how
+        if how in ("swap", "beam") and self._confirm:
+            ask_for(target, beam=how == "beam")
         self.world.target = target
 
     def put(self, what: InHolder) -> bool:

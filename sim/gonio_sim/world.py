@@ -40,6 +40,7 @@ class Stream(IntEnum):
     SENSOR = 5
     PRNU = 6
     DSNU = 7
+    MONITOR = 8
 
 
 class World:
@@ -71,12 +72,19 @@ class World:
         """The same keys, with what is true."""
         self.optics = with_exact_encoders(self.truth)
         """What is true, for `pose`: it says where the axes are, and not what encoders read."""
+        if len(self.truth.bands.all()) != len(description.bands.all()):
+            raise ConfigError(
+                f"{description.truth or 'truth'}: [bands] has {len(self.truth.bands.all())} bands, and the rig file "
+                f"{len(description.bands.all())}: the truth says of each band what it truly is, and needs as many"
+            )
         self.sample = sample
         self.seed = seed
         self.open = False
         self.lamp_on = False
         self.brightness = 1.0
         """Of the lamp, relative to the level that the rig file means."""
+        self.last_level = 1.0
+        """Of the lamp, during the last frame."""
         self.ambient_e_per_s = 0.0
         """Photo-electrons a second that light in the room adds to every pixel."""
         self.band: Band | None = None
@@ -93,7 +101,7 @@ class World:
         """What the calibration of each zero missed [rad]: the true position is the calibrated one minus this."""
         reference = self.truth.reference
         drawn = drawing * self.normal(Stream.REFERENCE) if reference.error == "drawn" else 0.0
-        self.reference_scale = 1.0 + reference.u_rel * drawn
+        self.reference_scale = reference.scale * (1.0 + reference.u_rel * drawn)
         """True reflectance of the white reference over the certified one."""
         self.step = 0
         self.frame = 0
@@ -110,7 +118,7 @@ class World:
         Step n starts at n times `slot_s`, and time goes on with every move and frame, but never into the next step: in
         a step that is longer than its slot the clock, and with it the lamp's drift, waits at the end of the slot.
         """
-        return self.truth.lamp.warm_up_s + self.step * self._slot_s + min(self._elapsed_s, self._slot_s)
+        return self.description.lamp.warm_up_s + self.step * self._slot_s + min(self._elapsed_s, self._slot_s)
 
     def frame_time_s(self) -> float:
         """What a frame is stamped with [s]: `now_s`, except that no two frames have one time.
@@ -120,7 +128,7 @@ class World:
         beyond = self._elapsed_s - self._slot_s + LAST_S
         if beyond <= 0.0:
             return self.now_s()
-        end = self.truth.lamp.warm_up_s + (self.step + 1) * self._slot_s
+        end = self.description.lamp.warm_up_s + (self.step + 1) * self._slot_s
         return end - LAST_S / (1.0 + math.log1p(beyond / LAST_S))
 
     def spend(self, seconds: float) -> None:
@@ -130,9 +138,17 @@ class World:
     def lamp_level(self) -> float:
         """The lamp's output during the present frame, relative to its mean when the run began."""
         lamp = self.truth.lamp
-        drift = 1.0 + lamp.drift_per_hour * self.now_s() / 3600.0
+        now = self.now_s()
+        drift = 1.0 + lamp.drift_per_hour * now / 3600.0
+        if lamp.warm_up_loss:
+            drift -= lamp.warm_up_loss * math.exp(-now / lamp.warm_up_time_constant_s)
         noise = lamp.noise * self.normal(Stream.LAMP, self.step, self.frame) if lamp.noise else 0.0
         return max(0.0, drift * (1.0 + noise)) * self.brightness
+
+    def true_band(self, band: Band) -> Band:
+        """What a band of the rig truly is: the one that has its place in the list of the true bands."""
+        known, true = self.description.bands, self.truth.bands
+        return band if known == true else true.all()[known.all().index(band)]
 
     def normal(self, stream: Stream, *address: int) -> float:
         """A standard normal number, the same at every call with the same address."""

@@ -15,7 +15,12 @@ from gonio_analysis.result_records import HealthSummary, PauseSummary, RunFacts,
 if TYPE_CHECKING:
     from gonio.acquisition.run import Run
 
-REFERENCE = {"beside": "beside the sample", "axis": "brought by an axis", "swap": "swapped with the sample by hand"}
+REFERENCE = {
+    "beside": "beside the sample",
+    "axis": "brought by an axis",
+    "swap": "swapped with the sample by hand",
+    "beam": "the lamp itself, seen straight through an attenuator",
+}
 STRETCHES = 120
 """Of a run, of each of which the lowest and the highest value of a quantity are kept."""
 PAUSE = re.compile(rb'\{"n":\d+,"event":"(suspended|continued)"')

@@ -54,9 +54,47 @@ def test_a_crooked_level_is_interpolated_and_the_departure_budgeted() -> None:
     np.testing.assert_allclose(fitted.at(at), [100.0, 100.0, 100.0, 90.0, 100.0], rtol=1e-12)
     line = np.polyval(np.polyfit(times, values, 1), at)
     np.testing.assert_allclose(fitted.drift(at), 0.5 * (line - fitted.at(at)), rtol=1e-9, atol=1e-9)
-    # halfway between two visits the interpolation has half of the variance of one; the mean level has a quarter
-    assert fitted.extra(at)[2] == pytest.approx(math.sqrt(0.01 / 2 - 0.01 / 4), rel=1e-9)
+    # halfway between two visits the interpolation has half of the variance of one; the mean level has a quarter. And
+    # the level fell by 20 there, beside two intervals in which it rose by 10: a jump of 30, less the noise of it
+    assert fitted.extra(at)[2] == pytest.approx(math.sqrt(0.01 / 2 - 0.01 / 4 + (30.0**2 - 0.04) / 4), rel=1e-9)
     assert fitted.extra(at)[3] == pytest.approx(math.sqrt(0.01 - 0.01 / 4), rel=1e-9)
+
+
+def test_a_jump_between_two_visits_is_in_the_uncertainty_of_all_points_between_them() -> None:
+    """A lamp that falls by 5 % at an unknown time: just where the straight line through all crosses the steps."""
+    times = np.arange(0.0, 700.0, 100.0)
+    values = np.where(times < 350.0, 100.0, 95.0)
+    fitted = white_reference.fit(times, values, np.full(7, 1e-4))
+    at = np.array([305.0, 330.0, 350.0, 370.0, 395.0])
+    u = np.sqrt(fitted.noise(at) ** 2 + fitted.drift(at) ** 2 + fitted.extra(at) ** 2)
+    for jump in (310.0, 340.0, 360.0, 390.0):
+        true = np.where(at < jump, 100.0, 95.0)
+        # at the fraction x of the interval the error is x or 1 - x of the jump: at most 2 u where x (1 - x) > 0.16
+        assert np.all(abs(fitted.at(at) - true)[1:4] < 2.0 * u[1:4])
+    assert np.all(u[1:4] > 0.4 * 5.0)
+    assert np.all(fitted.extra(np.array([50.0, 650.0])) < 0.02)  # far from it nothing is added
+
+
+def test_a_warm_up_between_visits_is_no_jump() -> None:
+    """Ten visits within three time constants of an exponential of 2 %: interpolated to 0.1 %, with u of its size."""
+    times = np.linspace(0.0, 1800.0, 10)
+    fitted = white_reference.fit(times, 100.0 - 2.0 * np.exp(-times / 600.0), np.full(10, 1e-4))
+    assert not fitted.straight
+    at = np.linspace(0.0, 1800.0, 200)
+    error = abs(fitted.at(at) - (100.0 - 2.0 * np.exp(-at / 600.0)))
+    u = np.sqrt(fitted.noise(at) ** 2 + fitted.drift(at) ** 2 + fitted.extra(at) ** 2)
+    assert np.all(error < 2.0 * u)
+    assert np.all(fitted.extra(at) < 0.1)
+
+
+def test_one_visit_that_is_off_is_covered_around_it() -> None:
+    times = np.arange(0.0, 900.0, 100.0)
+    values = np.full(9, 100.0)
+    values[4] = 98.0
+    fitted = white_reference.fit(times, values, np.full(9, 1e-4))
+    at = np.linspace(0.0, 800.0, 161)
+    u = np.sqrt(fitted.noise(at) ** 2 + fitted.drift(at) ** 2 + fitted.extra(at) ** 2)
+    assert np.all(abs(fitted.at(at) - 100.0) < 2.3 * u)
 
 
 @pytest.mark.parametrize("count", [1, 2])

@@ -1,0 +1,204 @@
+"""Profile of the beam over the sample, from flats of a matt white at several angles (docs/calibrate_light.md).
+
+What the lens takes away stays with the pixel; the beam's profile stays with the sample, which the pixels see shorter
+the more obliquely the camera looks. So flats at several camera angles tell the two apart:
+
+    ln(signal / geometry) = level of the flat + ln(beam at x, y) + k2 r^2 + k4 r^4     r: of the pixel, 1 at the corner
+
+The lens is taken for round. Across the plane of the arms all flats look alike, and only that tells lens and beam apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gonio.calibration.tables import read_numbers
+from gonio.errors import DataError
+from gonio.rig import Pose, imaging, kinematics
+from gonio.rig.description import Beam, RigDescription
+from gonio.typing import Floats
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+COLUMNS = (
+    "flat",
+    "block",
+    "light_deg",
+    "camera_deg",
+    "x_mm",
+    "y_mm",
+    "radius",
+    "geometry",
+    "signal_dn_per_s",
+    "u_signal_dn_per_s",
+    "u_pixels",
+)
+"""`u_signal_dn_per_s` is noise; `u_pixels` what the responsivity of the block's pixels departs by, in every flat."""
+BLOCKS = 24
+"""Blocks of pixels along the longer side of the frame; each is one value."""
+INSIDE = 0.9
+"""Part of the white's radius whose spots count: its edge is not as white."""
+UNDETERMINED = 1e4
+"""A fit whose columns are more nearly dependent than this tells no beam from no lens."""
+CURVATURES = ("xx_per_mm2", "xy_per_mm2", "yy_per_mm2")
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """What flats tell of the beam."""
+
+    beam: Beam
+    covariance: Floats
+    """Of the five numbers of `beam`, in their order."""
+    lens: tuple[float, float]
+    """k2 and k4: what the lens takes beyond what the rig file says."""
+    reduced_chi_square: float
+    across_mm: float
+    """Largest distance from the centre that a flat shows [mm]."""
+
+
+def blocks(description: RigDescription, pose: Pose, mean: Floats, noise: Floats, number: int) -> pd.DataFrame:
+    """One flat as means over blocks of pixels that see the white.
+
+    Parameters
+    ----------
+    description
+        The rig.
+    pose
+        Where the axes stood.
+    mean, noise
+        Signal of every pixel [DN/s], dark subtracted, and its standard uncertainty.
+    number
+        Of the flat.
+    """
+    import pandas as pd
+
+    camera = description.camera
+    even = description.model_copy(update={"lamp": description.lamp.model_copy(update={"beam": None})})
+    view = kinematics.view(description, pose)
+    seen = imaging.pixel_map(even, view)
+    x, y = seen.beam_xy_mm
+    cx, cy = description.reference.offset_mm if description.reference.how == "beside" else (0.0, 0.0)
+    reach = INSIDE * 0.5 * description.reference.diameter_mm
+    white = (seen.x_mm - cx) ** 2 + (seen.y_mm - cy) ** 2 <= reach**2
+    rows, cols = np.indices((camera.height, camera.width))
+    half = 0.5 * np.hypot(camera.width, camera.height)
+    radius = np.hypot(rows - 0.5 * (camera.height - 1), cols - 0.5 * (camera.width - 1)) / half
+    side = max(2, -(-max(camera.width, camera.height) // BLOCKS))
+    side += side % 2  # whole cells of a mosaic
+    out = []
+    degrees = {"light_deg": float(np.degrees(pose.light)), "camera_deg": float(np.degrees(pose.camera))}
+    for top in range(0, camera.height - side + 1, side):
+        for left in range(0, camera.width - side + 1, side):
+            at = (slice(top, top + side), slice(left, left + side))
+            if white[at].all():
+                scatter = float(np.sqrt(np.mean(noise[at] ** 2))) / side
+                out.append(
+                    {"flat": number, "block": top * camera.width + left, **degrees,
+                     "x_mm": float(x[at].mean()), "y_mm": float(y[at].mean()),
+                     "radius": float(np.sqrt(np.mean(radius[at] ** 2))), "geometry": float(seen.weight[at].mean()),
+                     "signal_dn_per_s": float(mean[at].mean()),
+                     "u_signal_dn_per_s": scatter, "u_pixels": camera.prnu / side}
+                )  # fmt: skip
+    return pd.DataFrame(out, columns=list(COLUMNS))
+
+
+def read_flats(path: str | Path) -> pd.DataFrame:
+    """Flats from a CSV with the columns of `COLUMNS`; raises `DataError` where it is damaged."""
+    table = read_numbers(path, COLUMNS)
+    for name in ("geometry", "signal_dn_per_s", "u_signal_dn_per_s"):
+        if (table[name] <= 0).any():
+            row = int(np.argmax(table[name] <= 0)) + 1
+            raise DataError(f"{path}: row {row}: {name} = {table[name].iloc[row - 1]:g}: must be above 0")
+    return table
+
+
+def fit(table: pd.DataFrame) -> Profile:
+    """Fit beam and lens to flats.
+
+    Raises
+    ------
+    DataError
+        The flats do not tell the beam from the lens: they are too few, or were all taken at one camera angle.
+    """
+    x, y, r = (table[name].to_numpy() for name in ("x_mm", "y_mm", "radius"))
+    flats = np.unique(table["flat"])
+    target = np.log((table["signal_dn_per_s"] / table["geometry"]).to_numpy())
+    levels = (table["flat"].to_numpy()[:, None] == flats).astype(float)
+    if len(table) < levels.shape[1] + 14:
+        raise DataError(
+            f"the flats hold {len(table)} blocks of pixels that see the white: too few to tell a beam from a lens; is "
+            "the white (reference.diameter_mm) in the frame"
+        )
+    design = np.column_stack([x, y, x * x, x * y, y * y, r**2, r**4, levels])
+    scaled, target = _whitened(table, design, target)
+    length = np.linalg.norm(scaled, axis=0)
+    # flats at one camera angle show x^2 + y^2 in step with r^2
+    if np.linalg.cond(scaled / length) > UNDETERMINED:
+        angles = np.unique(np.round(abs(table["camera_deg"]), 1))
+        raise DataError(
+            f"the flats do not tell the beam from the lens: they were taken at {len(angles)} angle(s) of the camera "
+            "from the normal; take some near the normal, and some beyond 45 deg"
+        )
+    found, *_ = np.linalg.lstsq(scaled / length, target, rcond=None)
+    covariance = np.linalg.inv((scaled / length).T @ (scaled / length)) / np.outer(length, length)
+    residuals = target - scaled @ (found / length)
+    reduced = float(np.sum(residuals**2)) / (len(table) - design.shape[1])
+    parameters = (found / length).tolist()
+    return Profile(
+        beam=Beam(**dict(zip(Beam.model_fields, parameters[:5], strict=True))),
+        covariance=covariance[:5, :5] * max(reduced, 1.0),
+        lens=(parameters[5], parameters[6]),
+        reduced_chi_square=reduced,
+        across_mm=float(np.hypot(x, y).max()),
+    )
+
+
+def _whitened(table: pd.DataFrame, design: Floats, target: Floats) -> tuple[Floats, Floats]:
+    """Rows of independent unit variance: a block of pixels responds alike in every flat, whatever that is."""
+    noise = (table["u_signal_dn_per_s"] / table["signal_dn_per_s"]).to_numpy()
+    pixels, block = table["u_pixels"].to_numpy(), table["block"].to_numpy()
+    both = np.column_stack([design, target])
+    for one in np.unique(block):
+        rows = np.flatnonzero(block == one)
+        covariance = np.diag(noise[rows] ** 2) + np.outer(pixels[rows], pixels[rows])
+        both[rows] = np.linalg.solve(np.linalg.cholesky(covariance), both[rows])
+    return both[:, :-1], both[:, -1]
+
+
+def camera_angles(description: RigDescription) -> list[tuple[float, float]]:
+    """Angles [deg] of light and camera for flats: the light as at the reference, the camera from near it to oblique."""
+    light = description.reference.theta_i_deg
+    near = float(np.degrees(kinematics.blocked_cone(description))) + 2.0
+    return [(light, light + sign * angle) for angle in (max(near, 12.0), 35.0, 50.0, 62.0) for sign in (1.0, -1.0)]
+
+
+def draw(table: pd.DataFrame, found: Profile) -> Figure:
+    """The beam along x and along y, and the flats with lens and levels taken off."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
+    terms = found.beam.terms()
+    x, y = table["x_mm"].to_numpy(), table["y_mm"].to_numpy()
+    log = np.log((table["signal_dn_per_s"] / table["geometry"]).to_numpy())
+    log -= found.lens[0] * table["radius"].to_numpy() ** 2 + found.lens[1] * table["radius"].to_numpy() ** 4
+    model = terms[0] * x + terms[1] * y + terms[2] * x * x + terms[3] * x * y + terms[4] * y * y
+    for number in np.unique(table["flat"]):
+        of = (table["flat"] == number).to_numpy()
+        log[of] -= np.mean(log[of] - model[of])
+    for axes, along, other, name in zip(figure.subplots(1, 2), (x, y), (y, x), ("x", "y"), strict=True):
+        near = abs(other) < 0.3 * abs(other).max()
+        line = np.linspace(along.min(), along.max(), 100)
+        first, second = (0, 2) if name == "x" else (1, 4)
+        axes.plot(along[near], np.exp(log[near]), ".", ms=3, color="0.6", label="blocks of pixels")
+        axes.plot(line, np.exp(terms[first] * line + terms[second] * line**2), color="tab:blue", label="beam")
+        axes.set(xlabel=f"{name} on the plane that faces the lamp [mm]", ylabel="irradiance over that at the centre")
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize="small")
+    return figure

@@ -1,0 +1,48 @@
+"""Tables of numbers that a calibration reads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gonio.errors import DataError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def read_numbers(
+    path: str | Path, needed: Sequence[str], optional: Sequence[str] = (), words: Sequence[str] = ()
+) -> pd.DataFrame:
+    """A CSV with some columns, whose values are finite numbers; columns in `words` stay as they are.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read, lacks a column, is empty, or holds what is no number; the message names the row.
+    """
+    import pandas as pd
+
+    try:
+        table = pd.read_csv(path, skipinitialspace=True, comment="#", dtype=str)
+    except FileNotFoundError:
+        raise DataError(f"{path}: there is no such file") from None
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: cannot be read as a table: {error}") from None
+    missing = [name for name in (*words, *needed) if name not in table]
+    if missing:
+        raise DataError(f"{path}: the column {missing[0]} is missing; needed are {', '.join((*words, *needed))}")
+    if table.empty:
+        raise DataError(f"{path}: holds no rows")
+    out: dict[str, pd.Series[str] | pd.Series[float]] = {name: table[name].str.strip() for name in words}
+    for name in (*needed, *(n for n in optional if n in table)):
+        numbers = pd.to_numeric(table[name], errors="coerce").astype(float)
+        bad = np.flatnonzero(~np.isfinite(numbers.to_numpy()))
+        if bad.size:
+            said = table[name].iloc[bad[0]]
+            raise DataError(f"{path}: row {bad[0] + 1}: {name} = {'nothing' if pd.isna(said) else said}: is no number")
+        out[name] = numbers
+    return pd.DataFrame(out)

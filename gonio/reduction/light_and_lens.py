@@ -1,0 +1,201 @@
+"""What profile, polarisation and spectrum of the light add to the budget; nothing where nobody has told of them.
+
+Derived in docs/calibrate_light.md. None of these effects is corrected here (the beam's profile is, in
+`gonio.rig.imaging`): each is a signed column, the change of the BRDF for one standard deviation of its cause.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gonio.rig import Pose, imaging, kinematics
+from gonio.rig.calibrated import covariance_of
+from gonio.rig.description import Band, Beam, Polarisation, RigDescription
+from gonio.rig.protocols import Target
+from gonio.typing import Floats
+
+if TYPE_CHECKING:
+    from gonio.reduction.table import BandResult
+
+FACET = 1.5
+"""Index of refraction of the facets that a sample may reflect with: glass and polymers; metals polarise less."""
+BEAM = tuple(f"lamp.beam.{name}" for name in Beam.model_fields)
+SIGMA = 1.0 / (2.0 * math.sqrt(2.0 * math.log(2.0)))
+"""Standard deviation of a band of Gaussian shape over its full width at half maximum."""
+
+
+def add(
+    description: RigDescription, columns: dict[str, Floats], poses: Sequence[Pose], visit: Pose, band: Band
+) -> None:
+    """Add `s_beam` and `s_polarisation` to the columns of a band, where the rig file or a calibration tells of them.
+
+    Parameters
+    ----------
+    description
+        The rig.
+    columns
+        Of the table: `brdf`, `u_brdf` and `u_random` of every point; changed in place.
+    poses
+        What the encoders read at each point.
+    visit
+        The same at the visits to the white reference.
+    band
+        Which of the camera's pixels count.
+    """
+    covariance = covariance_of(description, BEAM)
+    if covariance.any():
+        relative, rest = _beam(description, covariance, columns["brdf"], poses, visit, band)
+        columns["u_random"] = np.hypot(columns["u_random"], rest)
+        columns["u_brdf"] = np.hypot(columns["u_brdf"], rest)
+        _append(columns, "s_beam", relative)
+    lamp, camera = description.lamp.polarisation, description.camera.polarisation
+    if lamp.degree or camera.degree:
+        relative = np.array([polarisation_bound(description, pose) for pose in poses]) / math.sqrt(3.0)
+        _append(columns, "s_polarisation", columns["brdf"] * relative)
+
+
+def _append(columns: dict[str, Floats], name: str, values: Floats) -> None:
+    columns[name] = values
+    columns["u_brdf"] = np.hypot(columns["u_brdf"], values)
+
+
+def _beam(
+    description: RigDescription, covariance: Floats, brdf: Floats, poses: Sequence[Pose], visit: Pose, band: Band
+) -> tuple[Floats, Floats]:
+    """The change of the BRDF that all points share, and the standard uncertainty that is each point's own [1/sr].
+
+    A profile that is wrong by a factor exp(m d), with m the monomials and d the errors of their coefficients, changes a
+    rate by the mean of m over its region; a BRDF by the difference of that at the reference and at the point.
+    """
+    at_visit = np.zeros(len(BEAM))
+    if description.reference.how != "beam":
+        at_visit = _monomials(description, visit, "reference", band)
+    gradients = np.array([at_visit - _monomials(description, pose, "sample", band) for pose in poses])
+    gradients = gradients.reshape(-1, len(BEAM)) * brdf[:, None]
+    size = np.einsum("pk,kl,pl->p", gradients, covariance, gradients)
+    if not size.size:
+        return np.zeros(0), np.zeros(0)
+    largest = gradients[int(np.argmax(size))]
+    column = gradients @ covariance @ largest / math.sqrt(max(float(largest @ covariance @ largest), 1e-300))
+    return column, np.sqrt(np.maximum(size - column**2, 0.0))
+
+
+def _monomials(description: RigDescription, pose: Pose, target: Target, band: Band) -> Floats:
+    """Mean over a region of x, y, x^2, xy, y^2 on the plane that faces the lamp [mm, mm^2]."""
+    view = kinematics.view(description, pose)
+    region = imaging.roi(description, view, target, band.channel)
+    x, y = (value[region.mask] for value in imaging.pixel_map(description, view, region.rows, region.cols).beam_xy_mm)
+    return np.array([float(np.mean(term)) for term in (x, y, x * x, x * y, y * y)])
+
+
+def polarisation_bound(description: RigDescription, pose: Pose) -> float:
+    """Largest relative error of a BRDF from the polarisation of lamp and camera at a pose, with its likely sign.
+
+    Of a sample whose facets reflect once, with the index `FACET`; and of lamp and camera together, where neither the
+    sample nor the reference need depolarise.
+    """
+    view = kinematics.view(description, pose)
+    light, camera = (v / np.linalg.norm(v) for v in (view.source_mm, view.camera_mm))
+    lamp, lens = description.lamp.polarisation, description.camera.polarisation
+    across = np.cross(light, camera)
+    length = float(np.linalg.norm(across))
+    first = 0.0
+    if length > 1e-9:  # else light and camera are in one line, and there is no plane of incidence
+        across /= length
+        beam_y = view.image_y if view.beam_y is None else view.beam_y
+        parts = [_along(lamp, light, beam_y, across), _along(lens, camera, view.image_y, across)]
+        known = sum(part for part, sure in parts if sure)
+        first = math.copysign(abs(known) + sum(part for part, sure in parts if not sure), known)
+        first *= diattenuation(0.5 * math.atan2(length, float(light @ camera)))
+    return first + math.copysign(2.0 * lamp.degree * lens.degree, first)
+
+
+def _along(of: Polarisation, toward: Floats, y: Floats, across: Floats) -> tuple[float, bool]:
+    """Degree of polarisation across the plane of incidence, less that along it; and whether its azimuth is known."""
+    if of.azimuth_deg is None:
+        return of.degree, False
+    turn = math.atan2(float(across @ np.cross(y, toward)), float(across @ y))
+    return of.degree * math.cos(2.0 * (turn - math.radians(of.azimuth_deg))), True
+
+
+def diattenuation(theta: float, ior: float = FACET) -> float:
+    """(R_s - R_p)/(R_s + R_p) of a smooth dielectric at an angle of incidence [rad]."""
+    inside = math.asin(math.sin(theta) / ior)
+    # Fresnel: R_p/R_s = (cos(theta + theta_t)/cos(theta - theta_t))^2
+    ratio = (math.cos(theta + inside) / math.cos(theta - inside)) ** 2
+    return (1.0 - ratio) / (1.0 + ratio)
+
+
+def centre_uncertainties(description: RigDescription) -> dict[str, float]:
+    """Standard uncertainty of the centre of each band [nm], by its name."""
+    bands = description.bands
+    names = [f"bands.list[{k}].centre_nm" for k in range(len(bands.list))]
+    out = np.sqrt(np.diag(covariance_of(description, names))).tolist() if names else []
+    count = len(bands.all()) - len(bands.list)
+    if count:
+        c = covariance_of(description, ["bands.tunable.start_nm", "bands.tunable.step_nm"])
+        out += [math.sqrt(max(c[0, 0] + 2 * k * c[0, 1] + k * k * c[1, 1], 0.0)) for k in range(count)]
+    return {band.name: u for band, u in zip(bands.all(), out, strict=True)}
+
+
+def add_wavelength(description: RigDescription, results: list[BandResult]) -> None:
+    """Add `s_wavelength` and `s_bandwidth` where a calibration knows the bands, and the run has several of them.
+
+    The BRDF's derivatives over the wavelength are finite differences over the run's own bands: the first between
+    neighbours, with the uncertainty of the centre; the second of three bands, with sigma^2/2, which is what the mean
+    over a band differs by from the value at its centre.
+    """
+    u = centre_uncertainties(description)
+    if len(results) < 2 or not any(u[result.band.name] for result in results):
+        return
+    points = np.unique(np.concatenate([result.points for result in results]))
+    brdf = np.full((points.size, len(results)), math.nan)
+    for k, result in enumerate(results):
+        brdf[np.searchsorted(points, result.points), k] = result.columns["brdf"]
+    order = np.argsort([result.band.centre_nm for result in results])
+    waves = np.array([results[k].band.centre_nm for k in order])
+    for result in results:
+        result.columns["s_wavelength"] = np.zeros(result.points.size)
+        if len(results) > 2:
+            result.columns["s_bandwidth"] = np.zeros(result.points.size)
+    for row, values in zip(points.tolist(), brdf[:, order], strict=True):
+        there = np.flatnonzero(np.isfinite(values))
+        if there.size < 2:
+            continue
+        slopes = np.gradient(values[there], waves[there])
+        bends = _bends(values[there], waves[there])
+        for k, slope, bend in zip(there.tolist(), slopes, bends, strict=True):
+            result = results[int(order[k])]
+            place = np.searchsorted(result.points, row)
+            result.columns["s_wavelength"][place] = slope * u[result.band.name]
+            if len(results) > 2:
+                result.columns["s_bandwidth"][place] = 0.5 * bend * (SIGMA * result.band.fwhm_nm) ** 2
+    for result in results:
+        for name in ("s_wavelength", "s_bandwidth"):
+            if name in result.columns:
+                _append(result.columns, name, result.columns[name])
+
+
+def _bends(values: Floats, x: Floats) -> Floats:
+    """Second derivatives by parabolas through three neighbours; at the ends that of the neighbour."""
+    if values.size < 3:
+        return np.zeros(values.size)
+    steps = np.diff(x)
+    inner = 2.0 * np.diff(np.diff(values) / steps) / (steps[:-1] + steps[1:])
+    return np.concatenate([inner[:1], inner, inner[-1:]])
+
+
+def notes(description: RigDescription, results: list[BandResult]) -> list[str]:
+    """What the budget lacks, where a calibration tells of the bands and the run does not tell their effect."""
+    known = any(centre_uncertainties(description)[result.band.name] for result in results)
+    if not known or len(results) > 2:
+        return []
+    one = len(results) == 1
+    return [
+        f"the run has {'one band' if one else 'two bands'}: the effect of "
+        f"{'the wavelength and of the width of the band' if one else 'the width of the bands'} is not in u_brdf"
+    ]
