@@ -29,6 +29,8 @@ from gonio.reduction.table import (
     BandResult,
     angle_axes,
     assemble,
+    camera_causes,
+    notes_on_camera,
     notes_on_damage,
     notes_on_darks,
     zero_uncertainties,
@@ -63,7 +65,8 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
         trembles), "damaged" (a frame of the point is missing or was changed), "not_measured" (the run ended before).
         Causes: `s_reference` (the certificate), `s_reference_noise` (mean level of the visits), `s_lamp_drift`,
         `s_dark_1` to `s_dark_3` (noise of the dark frames), `s_theta_i_zero`, `s_theta_r_zero` and, with those axes,
-        `s_tilt_zero`, `s_azimuth_zero`. A plan with points behind the sample gives a column `side`.
+        `s_tilt_zero`, `s_azimuth_zero`; `s_linearity`, `s_stray_light` where a calibration knows of them. A plan
+        with points behind the sample gives a column `side`.
 
     Raises
     ------
@@ -84,7 +87,7 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
                 progress(k * count + len(steps), len(run.bands) * count)
         results.append(_reduce_band(frames, band, steps))
     _share_darks(results)
-    return assemble(run, results, notes_on_damage(frames) + notes_on_darks(frames))
+    return assemble(run, results, notes_on_damage(frames) + notes_on_darks(frames) + notes_on_camera(frames))
 
 
 def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected]) -> BandResult:
@@ -191,7 +194,7 @@ def _columns(
     k = fitted.at(times)
     brdf = np.array([point.rate for point in points]) / k
     noise = np.array([point.variance for point in points]) / k**2
-    prnu = np.array([_prnu(description, point, frames.reference[band.channel].count) for point in points])
+    prnu = np.array([_prnu(frames.prnu, point, frames.reference[band.channel].count) for point in points])
     independent = noise + (brdf * prnu) ** 2 + (brdf * fitted.extra(times) / k) ** 2
     goals = Directions.from_table(frames.run.plan)[[point.point for point in points]]
     goals = _turned_over(goals, bool(len(goals)) and _behind(goals[0]))
@@ -215,6 +218,7 @@ def _columns(
         said, even_parts = said + odd**2, even_parts + even**2
         unresolved = unresolved + _doubts(description, curves, points, axis, u) ** 2
         common[CAUSES[axis]] = odd - brdf * _change_of_cosine(description, visit, axis, u)
+    common |= _camera_columns(description, points, visit, brdf, k)
     blur = curves.spikes.variance
     independent = independent + _over_region(description, curves, points, band) ** 2
     independent = (
@@ -226,6 +230,18 @@ def _columns(
     steep = curves.coarse | (unresolved > noise)
     columns = {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent)} | common
     return columns, goals[bounded], goals[steep]
+
+
+def _camera_columns(
+    description: RigDescription, points: list[Reduced], visit: Reduced, brdf: Floats, level: Floats
+) -> dict[str, Floats]:
+    """What the calibration's uncertainty of the camera's linearity and stray light does to the values [1/sr].
+
+    A point's change is that of its own rate less that of the reference's, to which it is compared.
+    """
+    by = np.array([point.by_camera for point in points]).reshape(len(points), visit.by_camera.size)
+    change = by / level[:, None] - brdf[:, None] * visit.by_camera / visit.rate
+    return {column: change @ direction for column, direction in camera_causes(description).items()}
 
 
 def _share_darks(results: list[BandResult]) -> None:
@@ -331,12 +347,12 @@ def _change_of_cosine(description: RigDescription, visit: Reduced, axis: str, u:
     return 0.5 * (up - down) / math.cos(visit.directions.theta_i)
 
 
-def _prnu(description: RigDescription, point: Reduced, reference_pixels: int) -> float:
+def _prnu(prnu: float, point: Reduced, reference_pixels: int) -> float:
     """Relative standard deviation from the pixels' responsivities; those that both regions use cancel in part."""
-    if not description.camera.prnu:
+    if not prnu:
         return 0.0
     n, m = point.pixels, reference_pixels
-    return description.camera.prnu * math.sqrt(max(1.0 / n + 1.0 / m - 2.0 * point.shared / (n * m), 0.0))
+    return prnu * math.sqrt(max(1.0 / n + 1.0 / m - 2.0 * point.shared / (n * m), 0.0))
 
 
 def _angles_deg(directions: Directions) -> tuple[float, float, float, float]:
