@@ -6,6 +6,7 @@ import datetime
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ PAIR = 5.0
 """Standard deviations of the lamp's noise that the frames of a pair may differ by, beyond half a per cent."""
 BIASED_PAIR = 0.005
 MAP_LEVELS = 0.2, 0.8
-"""Of saturation: flats of which the map of responsivities is made."""
+"""Of the brightest flats: flats of which the map of responsivities is made."""
 
 Say = Callable[[str], None]
 
@@ -145,7 +146,8 @@ class _Work:
         exposures = sorted({f.exposure_s for f in taken})
         if len(exposures) < 2 or any(sum(f.exposure_s == t for f in taken) < 2 for t in exposures):
             raise DataError(
-                f"there are {len(taken)} dark frames of {len(exposures)} exposures; two exposures with two frames each are "
+                f"there are {len(taken)} dark frames of {len(exposures)} exposures; two exposures with two "
+                f"frames each are "
                 "needed (lamp off, lens covered): a short one, and the longest that is used"
             )
         count = len(taken)
@@ -160,7 +162,8 @@ class _Work:
             first += (f.exposure_s - t.mean()) * values
         if CLIPPED < zero < 1.0:
             raise DataError(
-                f"{100 * zero:.2g} % of the pixels of the dark frames read 0 DN: what lies below is cut off, and neither "
+                f"{100 * zero:.2g} % of the pixels of the dark frames read 0 DN: what lies below is cut off, "
+                f"and neither "
                 "noise nor dark level can be told; raise the camera's black level"
             )
         self.dark_mean, self.dark_t = total / count, float(t.mean())
@@ -189,6 +192,13 @@ class _Work:
     def dark_at(self, exposure_s: float) -> Floats:
         return self.dark_mean + self.dark_slope * (exposure_s - self.dark_t)
 
+    def _noise_of_line(self, exposure_s: float) -> float:
+        """Temporal variance [DN^2] of a pixel's dark line at an exposure: of the frames that it is made of."""
+        x = self.dark_means[0]
+        share = 1.0 / len(x) + (exposure_s - x.mean()) * (x - x.mean()) / np.sum((x - x.mean()) ** 2)
+        each = {t: np.mean([p.variance_dn2 for p in self.dark_pairs if p.exposure_s == t]) for t in set(x)}
+        return float(np.sum(share**2 * np.array([each[t] for t in x])))
+
     # ---- flat frames ----
 
     def flats(self) -> None:
@@ -196,25 +206,29 @@ class _Work:
         taken = self.of["flat"]
         if len(taken) < 2 * photon_transfer.FEWEST_LEVELS:
             raise DataError(
-                f"there are {len(taken)} flat frames; pairs at {photon_transfer.FEWEST_LEVELS} exposures and more are needed"
+                f"there are {len(taken)} flat frames; pairs at {photon_transfer.FEWEST_LEVELS} exposures and "
+                f"more are needed"
             )
         if len({f.exposure_s for f in taken}) < photon_transfer.FEWEST_LEVELS:
             raise DataError(
                 f"the flat frames have {len({f.exposure_s for f in taken})} exposures; at least "
                 f"{photon_transfer.FEWEST_LEVELS} from dark to full are needed: flats of one level tell no line"
             )
-        white = self.camera.white_level_dn - self.level
-        tops = {}
+        tops: dict[float, float] = {}
         for f in taken:
             tops.setdefault(f.exposure_s, float(np.percentile(self.read(f)[self.good], 99.0)) - self.level)
-        inside = {t: top for t, top in tops.items() if top < 0.7 * white}
-        if not inside:
+        # of the converter, or of a well that fills up before
+        white = self.camera.white_level_dn - self.level
+        self.full = min(white, max(tops.values()))
+        inside = {t: top for t, top in tops.items() if top < 0.7 * self.full}
+        if min(tops.values()) > 0.9 * white or not inside:
             raise DataError(
                 "every flat frame is full: take flats at shorter exposures, from a few per cent of full scale on"
             )
         if max(inside.values()) < 0.05 * white:
             raise DataError(
-                f"the brightest flat frames reach {100 * max(tops.values()) / white:.1f} % of full scale: light the white "
+                f"the brightest flat frames reach {100 * max(tops.values()) / white:.1f} % of full scale: light "
+                f"the white "
                 "reference more, or expose longer"
             )
         middle = max(inside, key=lambda t: inside[t])
@@ -223,7 +237,7 @@ class _Work:
         # noise must not choose the pixels
         even = pixel_statistics.smooth(picture, self.good, 2.0)
         edges = [math.inf, *(part * top for part in PARTS)]
-        masks = [self.good & (even < high) & (even >= low) for high, low in zip(edges, edges[1:], strict=False)]
+        masks = [self.good & (even < high) & (even >= low) for high, low in pairwise(edges)]
         self.bright, self.even = masks[0], even
         self.masks = [mask for mask in masks if np.count_nonzero(mask) >= FEWEST_PIXELS]
         if np.count_nonzero(self.bright) < FEWEST_PIXELS:
@@ -233,16 +247,13 @@ class _Work:
     def _levels(self, taken: list[CameraFrame]) -> None:
         parts = len(self.masks)
         darks = [(self.dark_mean[m].mean(), self.dark_slope[m].mean()) for m in self.masks]
-        dark_noise = [
-            math.sqrt(self.dark_pairs[0].variance_dn2 / (np.count_nonzero(m) * len(self.of["dark"])))
-            for m in self.masks
-        ]
+        self.u_dark_dn = np.array([math.sqrt(self._noise_of_line(0.0) / np.count_nonzero(m)) for m in self.masks])
         level, u = np.full((2, parts, len(taken)), math.nan)
         self.pairs: list[photon_transfer.Pair] = []
         limit = PAIR * math.sqrt(2.0) * self.lamp.noise + BIASED_PAIR
         sums, weight = np.zeros(self.colour.shape), 0.0
-        white = self.camera.white_level_dn - self.level
-        dropped, waiting = 0, {}
+        dropped = 0
+        waiting: dict[float, tuple[int, Floats]] = {}
         for k, f in enumerate(taken):
             image = self.read(f)
             for b, mask in enumerate(self.masks):
@@ -250,7 +261,7 @@ class _Work:
                 dark, slope = darks[b]
                 level[b, k] = values.mean() - dark - slope * (f.exposure_s - self.dark_t)
             mean = level[0, k]
-            if MAP_LEVELS[0] * white <= mean <= MAP_LEVELS[1] * white:
+            if MAP_LEVELS[0] * self.full <= mean <= MAP_LEVELS[1] * self.full:
                 sums += image - self.dark_at(f.exposure_s)
                 weight += mean
             other = waiting.pop(f.exposure_s, None)
@@ -266,7 +277,8 @@ class _Work:
             if apart > limit + 5.0 * math.sqrt(2.0) * u[0, k] / max(mean, 1.0):
                 dropped += 1
                 self.notes.append(
-                    f"{f.path.name} and {taken[first].path.name} differ by {100 * apart:.2g} % and are left out: the lamp is "
+                    f"{f.path.name} and {taken[first].path.name} differ by {100 * apart:.2g} % and are left "
+                    f"out: the lamp is "
                     f"taken to be steady within {100 * limit:.2g} % (lamp.noise)"
                 )
                 level[:, [first, k]] = math.nan
@@ -278,7 +290,8 @@ class _Work:
             self.notes.append(f"{len(waiting)} flat frames have no second one of their exposure and are left out")
         if dropped > 0.5 * (dropped + len(self.pairs)):
             raise DataError(
-                f"{dropped} of {dropped + len(self.pairs)} pairs of flat frames differ by more than {100 * limit:.2g} %: the "
+                f"{dropped} of {dropped + len(self.pairs)} pairs of flat frames differ by more than "
+                f"{100 * limit:.2g} %: the "
                 "lamp drifts or flickers more than lamp.noise says; let it warm up, or give its noise in the rig file"
             )
         if len({p.exposure_s for p in self.pairs}) < photon_transfer.FEWEST_LEVELS:
@@ -286,7 +299,7 @@ class _Work:
                 f"there are pairs of flat frames at {len({p.exposure_s for p in self.pairs})} exposures; "
                 f"{photon_transfer.FEWEST_LEVELS} are needed: two frames and more at each exposure"
             )
-        self.level_dn, self.u_dn = level, np.hypot(u, np.array(dark_noise)[:, None])
+        self.level_dn, self.u_dn = level, u
         self.map_sum, self.map_weight = sums, weight
 
     # ---- what is told ----
@@ -305,11 +318,8 @@ class _Work:
         standard = photon_transfer.photon_transfer(self.pairs, self.dark_pairs, (self.level, self.slope), self.raw)
         prnu, u_prnu, map_ = self._responsivities(transfer, bent)
         gain = transfer.electrons_per_dn
-        noise_of_mean = self.dark_pairs[0].variance_dn2 / len(self.of["dark"])
         bias = self.dark_mean - self.dark_slope * self.dark_t
-        x = self.dark_means[0]
-        spread = float(np.sum((x - x.mean()) ** 2))
-        of_bias = noise_of_mean * len(x) * (1.0 / len(x) + float(x.mean() ** 2) / spread)
+        of_bias = self._noise_of_line(0.0)
         rows, cols = self.colour.shape
         filled = np.where(self.defects, float(np.median(bias)), bias)
         uneven = pixel_statistics.unevenness(filled, of_bias)
@@ -373,8 +383,6 @@ class _Work:
         }
         if math.isfinite(standard.linearity_error):
             measured["linearity_error"] = standard.linearity_error
-        if math.isfinite(curve.drift_per_hour):
-            measured["lamp_drift_per_hour"] = curve.drift_per_hour
         if stray is not None:
             values |= {"stray_light": max(stray.uniform, 0.0)}
             strays = ["stray_light"]
@@ -405,15 +413,17 @@ class _Work:
         level = np.where(use, self.level_dn, math.nan)[:, kept]
         t = np.array([f.exposure_s for f in taken])[kept]
         times = np.array([f.time_s for f in taken])[kept]
-        curve = linearity.fit(level, self.u_dn[:, kept], t, times, self.raw)
+        curve = linearity.fit(level, self.u_dn[:, kept], self.u_dark_dn, t, times, self.raw)
         if curve.parts == 1:
             self.notes.append(
-                "the flat frames are of one brightness throughout: the linearity is told by exposure times, and is as good as "
+                "the flat frames are of one brightness throughout: the linearity is told by exposure times, and "
+                "is as good as "
                 "the lamp and the shutter are steady; let something darker be in view beside the white reference"
             )
         if curve.chi_square > 4.0:
             self.notes.append(
-                f"parts of the flat frames depart from the fitted curve by {math.sqrt(curve.chi_square):.1f} times their noise"
+                f"parts of the flat frames depart from the fitted curve by {math.sqrt(curve.chi_square):.1f} "
+                f"times their noise"
             )
         return curve
 
@@ -450,7 +460,8 @@ class _Work:
         for f in self.of["trap"] + self.of["edge"]:
             if f.black is None:
                 raise DataError(
-                    f"{f.path}: nothing says which pixels see black; give them in frames.csv (black_px = top:bottom,left:right)"
+                    f"{f.path}: nothing says which pixels see black; give them in frames.csv (black_px = "
+                    f"top:bottom,left:right)"
                 )
             rows, cols = f.black
             if rows.stop > self.camera.height or cols.stop > self.camera.width:
@@ -461,20 +472,20 @@ class _Work:
             top = float(np.percentile(mean[self.good], 99.9)) - self.level
             if top > 0.97 * (self.camera.white_level_dn - self.level):
                 raise DataError(
-                    f"{group[0].path}: is full where it is bright; stray light needs frames that are not: expose shorter"
+                    f"{group[0].path}: is full where it is bright; stray light needs frames that are not: "
+                    f"expose shorter"
                 )
             dark = self.dark_at(exposure)
             signal = straightened(camera, mean - self.level) - straightened(camera, dark - self.level)
-            signal = np.where(self.defects, 0.0, signal)
             assert group[0].black is not None
-            region = signal[group[0].black]
+            region = signal[group[0].black][~self.defects[group[0].black]]
+            signal = np.where(self.defects, math.nan, signal)
             # quiet or not, a mean over a part holds photon noise, read noise, and the dark line's
             electrons = max(float(region.mean()) * gain, 0.0) + max(self.slope * gain * exposure, 0.0)
             variance = (electrons + read_noise_e**2) / gain**2 + 1.0 / 12.0
-            x = self.dark_means[0]
-            dark_share = 1.0 / len(x) + (exposure - float(x.mean())) ** 2 / float(np.sum((x - x.mean()) ** 2))
-            at_dark = read_noise_e**2 / gain**2 + 1.0 / 12.0 + max(self.slope, 0.0) * float(x.mean()) / gain
-            black.append(stray_light.BlackFrame(signal, group[0].black, variance / len(group) + dark_share * at_dark))
+            black.append(
+                stray_light.BlackFrame(signal, group[0].black, variance / len(group) + self._noise_of_line(exposure))
+            )
         if not black:
             self.notes.append("no frames of a trap or an edge: stray light is not determined")
             return None

@@ -1,8 +1,8 @@
 """The frames that a camera is calibrated from: a folder, and `frames.csv` in it, which says what each one is.
 
-Columns: `file`, `kind` (dark, flat, trap, edge), `exposure_s`; where they are known `asked_s` (what the camera was asked
-for), `time_s`, `temperature_c`, and for trap and edge `black_px` = top:bottom,left:right, pixels that see nothing but
-black. Without the list raw files tell their exposures, and their names begin with the kind.
+Columns: `file`, `kind` (dark, flat, trap, edge), `exposure_s`; where they are known `asked_s` (what the camera was
+asked for), `time_s`, `temperature_c`, and for trap and edge `black_px` = top:bottom,left:right, pixels that see nothing
+but black. Without the list raw files tell their exposures, and their names begin with the kind.
 """
 
 from __future__ import annotations
@@ -127,7 +127,8 @@ def _listed(path: Path) -> list[CameraFrame]:
         asked = numbers["asked_s"]
         if not math.isnan(asked) and exposure > 0 and abs(asked / exposure - 1.0) > CONTRADICTS:
             raise DataError(
-                f"{where}: {asked:g} s were asked for, and the frame was exposed for {exposure:g} s: the camera does not do "
+                f"{where}: {asked:g} s were asked for, and the frame was exposed for {exposure:g} s: the camera "
+                f"does not do "
                 "what it is told"
             )
         kind = cast(Kind, row["kind"])

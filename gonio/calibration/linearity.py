@@ -57,7 +57,14 @@ class Linearity:
 
 
 def fit(
-    signal_dn: Floats, u_dn: Floats, exposures_s: Floats, times_s: Floats, camera: Camera, *, degree: int = DEGREE
+    signal_dn: Floats,
+    u_dn: Floats,
+    u_dark_dn: Floats,
+    exposures_s: Floats,
+    times_s: Floats,
+    camera: Camera,
+    *,
+    degree: int = DEGREE,
 ) -> Linearity:
     """Fit the nonlinearity.
 
@@ -65,6 +72,8 @@ def fit(
     ----------
     signal_dn, u_dn
         Mean of each part above the dark level and its standard uncertainty, shape (parts, frames); NaN is left out.
+    u_dark_dn
+        Standard uncertainty of the dark level of each part, which all frames share, shape (parts,).
     exposures_s, times_s
         Of each frame; times may be NaN.
 
@@ -84,13 +93,18 @@ def fit(
         )
     timed = bool(np.isfinite(times_s).all()) and float(np.ptp(times_s)) > 0
     away = (times_s - times_s.mean()) / max(float(np.ptp(times_s)), 1e-9) if timed else np.zeros(frames)
-    # unknowns: ln rho_b, departures of the frames' levels, drift, coefficients
-    at_frame, at_drift, at_c = parts, parts + frames, parts + frames + 1
+    # unknowns: ln rho_b, departures of the frames' levels, drift, errors of the dark levels, coefficients
+    at_frame, at_drift, at_dark = parts, parts + frames, parts + frames + 1
+    at_c = at_dark + parts
     count = at_c + degree
     rows = np.arange(y.size)
     fixed = np.zeros((y.size, count))
     fixed[rows, b], fixed[rows, at_frame + j], fixed[rows, at_drift] = 1.0, 1.0, away[j]
     c, scatter = np.zeros(degree), 0.01
+    fixed[rows, at_dark + b] = 1.0 / y
+    known = np.zeros((parts + 1, count))
+    known[1:, at_dark:at_c] = np.diag(1.0 / np.maximum(u_dark_dn, 1e-9))
+    known[0, at_drift] = 0.0 if timed else 1e6
     prior = np.zeros((frames, count))
     prior[:, at_frame : at_frame + frames] = np.eye(frames)
     for _ in range(ROUNDS):
@@ -104,10 +118,8 @@ def fit(
         design[:, at_c:] = powers / one[:, None]
         value = np.log(y / exposures_s[j]) - np.log(one) + design[:, at_c:] @ c
         weight = y / u
-        rhs = np.concatenate([value * weight, np.zeros(frames + 1)])
-        most = np.zeros((1, count))
-        most[0, at_drift] = 0.0 if timed else 1e6
-        matrix = np.vstack([design * weight[:, None], prior / scatter, most])
+        rhs = np.concatenate([value * weight, np.zeros(frames + parts + 1)])
+        matrix = np.vstack([design * weight[:, None], prior / scatter, known])
         normal = matrix.T @ matrix
         inverse = np.linalg.pinv(normal, rcond=1e-15, hermitian=True)
         solution = inverse @ (matrix.T @ rhs)

@@ -1,4 +1,4 @@
-"""Dark current, DSNU, PRNU and defects: what dark and flat frames say of single pixels (EMVA 1288, sections 8 and 9)."""
+"""Dark current, DSNU, PRNU and defects: what dark and flat frames say of single pixels (EMVA 1288, 8 and 9)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BOLTZMANN_EV = 8.617333262e-5
 
 @dataclass(frozen=True, slots=True)
 class Unevenness:
-    """Spatial standard deviations of a picture, the temporal noise taken out: in all, of rows, of columns, of pixels."""
+    """Spatial standard deviations of a picture, temporal noise taken out: in all, of rows, columns, pixels."""
 
     total: float
     row: float

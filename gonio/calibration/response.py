@@ -5,6 +5,9 @@ Pixels of one still scene at several exposures read Z_ij, and g(Z_ij) = ln E_i +
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -54,7 +57,7 @@ def solve(values: npt.NDArray[np.integer], log_exposures: Floats, smoothness: fl
     return np.asarray(np.linalg.pinv(normal, rcond=1e-14, hermitian=True) @ right)
 
 
-def curve(frames: list[npt.NDArray[np.integer]], exposures_s: Floats, pixels: int = 400) -> Floats:
+def curve(frames: Sequence[npt.NDArray[Any]], exposures_s: Floats, pixels: int = 400) -> Floats:
     """`camera.response` from frames of one still scene: 256 linear values [DN] that grow from 0 to 255.
 
     Raises
@@ -77,7 +80,8 @@ def curve(frames: list[npt.NDArray[np.integer]], exposures_s: Floats, pixels: in
     seen = np.unique(stack)
     if seen.min() > 0.1 * VALUES or seen.max() < 0.9 * VALUES:
         raise DataError(
-            f"the frames hold values from {seen.min()} to {seen.max()}; a response curve needs them from near 0 to near "
+            f"the frames hold values from {seen.min()} to {seen.max()}; a response curve needs them from near 0 "
+            f"to near "
             "255: take shorter and longer exposures"
         )
     # pixels of many brightnesses, each told by the sum over the bracket

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,7 +25,7 @@ SMALLEST_PX = 6.0
 
 @dataclass(frozen=True, slots=True)
 class BlackFrame:
-    """A mean frame, with its dark signal taken out, and where it sees nothing but black."""
+    """A mean frame, with its dark signal taken out, and where it sees nothing but black. Defects are NaN."""
 
     signal_dn: Floats
     black: tuple[slice, slice]
@@ -48,7 +48,7 @@ class StrayLight:
 
 def fit(frames: Sequence[BlackFrame], camera: Camera, channel: Channel = "mono") -> StrayLight:
     """The even share, and the halo where one shows."""
-    even, chi_even = _with_halo(frames, camera, channel, None)
+    even, _ = _with_halo(frames, camera, channel, None)
     largest = 0.7 * max(camera.width, camera.height)
     radii = np.geomspace(SMALLEST_PX, max(largest, 2 * SMALLEST_PX), 12)
     found = [_with_halo(frames, camera, channel, float(radius)) for radius in radii]
@@ -65,7 +65,32 @@ def fit(frames: Sequence[BlackFrame], camera: Camera, channel: Channel = "mono")
         one = found[best][0]
     significant = one.halo > SIGNIFICANT * math.sqrt(max(one.covariance[1, 1], 1e-30))
     # a halo as wide as the frame is an even share
-    return one if significant and 0 < best < len(radii) - 1 else even
+    if not significant or not 0 < best < len(radii) - 1:
+        return even
+    return replace(one, covariance=_covariance(frames, camera, channel, one))
+
+
+def _covariance(frames: Sequence[BlackFrame], camera: Camera, channel: Channel, found: StrayLight) -> Floats:
+    """Of the two fractions, with the radius as a third unknown."""
+    normal = np.zeros((3, 3))
+    for frame in frames:
+        rows, cols = frame.black
+        here = of_channel(camera.pattern, channel, rows, cols) & np.isfinite(frame.signal_dn[rows, cols])
+        i, j = np.nonzero(here)
+        added = []
+        for factor in (0.98, 1.0, 1.02):
+            known = camera.model_copy(
+                update={
+                    "stray_light": max(found.uniform, 0.0),
+                    "stray_halo": found.halo,
+                    "stray_halo_px": factor * found.halo_px,
+                }
+            )
+            by = spread(known, np.nan_to_num(frame.signal_dn), 0.0, channel).at(i + rows.start, j + cols.start)[1]
+            added.append(by)
+        design = np.vstack([added[1], found.halo * (added[2][1] - added[0][1]) / 0.04])
+        normal += design @ design.T / frame.variance_dn2
+    return np.asarray(np.linalg.inv(normal)[:2, :2] * max(found.chi_square, 1.0))
 
 
 def _with_halo(
@@ -85,10 +110,11 @@ def _with_halo(
         )
         for frame in frames:
             rows, cols = frame.black
-            here = of_channel(camera.pattern, channel, rows, cols)
+            scene = np.nan_to_num(frame.signal_dn)
+            here = of_channel(camera.pattern, channel, rows, cols) & np.isfinite(frame.signal_dn[rows, cols])
             i, j = np.nonzero(here)
             y = frame.signal_dn[rows, cols][here]
-            by = spread(known, frame.signal_dn, 0.0, channel).at(i + rows.start, j + cols.start)[1][:count]
+            by = spread(known, scene, 0.0, channel).at(i + rows.start, j + cols.start)[1][:count]
             normal += by @ by.T / frame.variance_dn2
             right += by @ y / frame.variance_dn2
             squares += float(y @ y) / frame.variance_dn2

@@ -34,13 +34,15 @@ def camera(
     frames: Annotated[
         Path | None, typer.Option(help="Reduce the frames of this folder; moves nothing.", show_default=False)
     ] = None,
-    response: Annotated[bool, typer.Option("--response", help="The response curve of a camera of 8 bits alone.")] = False,
+    response: Annotated[bool, typer.Option("--response", help="The response curve of 8 bits alone.")] = False,
     only: Annotated[
         str, typer.Option(help="What to take, with commas: flats (darks and flats), trap, edge.")
     ] = "flats,trap,edge",
     pairs: Annotated[int, typer.Option(min=1, max=50, help="Pairs of flats at each exposure.")] = 2,
     wavelength: WavelengthOption = None,
-    valid_days: Annotated[int | None, typer.Option(min=1, help="Days until the file is out of date.", show_default=False)] = None,
+    valid_days: Annotated[
+        int | None, typer.Option(min=1, help="Days until the file is out of date.", show_default=False)
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of a simulated rig.")] = 0,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nobody: what has to lie in the holder does.")] = False,
 ) -> None:  # fmt: skip
@@ -120,7 +122,7 @@ def _take(
             for kind in ("trap", "edge"):
                 if kind in kinds:
                     _put(bench, kind, yes=yes)
-                    scan.stray(kind)  # type: ignore[arg-type]
+                    scan.stray(kind)
             _put(bench, "sample", yes=True)  # nobody has to press a key for it
     finally:
         scan.keep()
