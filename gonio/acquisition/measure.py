@@ -100,6 +100,11 @@ def find_rig(name: str) -> RigChoice:
         if table is not None:
             reference = description.reference.model_copy(update={"table": str((path.parent / table).absolute())})
             description = description.model_copy(update={"reference": reference})
+        if description.camera.maps is not None:
+            camera = description.camera.model_copy(
+                update={"maps": str((path.parent / description.camera.maps).absolute())}
+            )
+            description = description.model_copy(update={"camera": camera})
         if description.truth is not None:
             description = description.model_copy(update={"truth": str((path.parent / description.truth).absolute())})
         description = with_calibrations(description, path.parent)

@@ -34,7 +34,7 @@ from gonio.acquisition.frame_writer import NAME, label_of
 from gonio.acquisition.journal import Event, Events, Journal, read_events
 from gonio.acquisition.plan import ANGLES, Assessed, points_sha256
 from gonio.acquisition.run_folder import OURS, begun, check_new, check_writable, make_folder, remove_begun
-from gonio.acquisition.run_settings import Request, Settings, differences, reference_table, resolved, settings_for
+from gonio.acquisition.run_settings import Request, Settings, differences, named_files, resolved, settings_for
 from gonio.acquisition.steps import Index, Steps
 from gonio.config import parse, to_toml
 from gonio.disk import (
@@ -109,11 +109,11 @@ class Run:
             for left in [entry for entry in path.iterdir() if half_written(entry.name, OURS)]:
                 left.unlink()
             (path / "frames").mkdir(exist_ok=True)
-            reference, description = reference_table(request.description)
+            files, description = named_files(request.description)
             settings = settings_for(request, description)
             plan = _plan_csv(request.points).encode()
             toml = to_toml(settings.model_dump(mode="json", exclude_none=True)).encode()
-            write_own(path, reference | {"plan.csv": plan, "run.toml": toml})
+            write_own(path, files | {"plan.csv": plan, "run.toml": toml})
             sync_folder(path)
         except BaseException as error:
             if journal is not None:

@@ -11,7 +11,16 @@ from gonio.acquisition.journal import has_lines, read_events
 from gonio.disk import MANIFEST, Manifest, half_written, is_manifest, is_own, read_manifest, require_name
 from gonio.errors import ConfigError, DataError
 
-OURS = ("run.toml", "plan.csv", "journal.jsonl", "frames", "reference.csv", "reference.meta.json", MANIFEST)
+OURS = (
+    "run.toml",
+    "plan.csv",
+    "journal.jsonl",
+    "frames",
+    "reference.csv",
+    "reference.meta.json",
+    "camera_maps.npz",
+    MANIFEST,
+)
 
 
 def begun(path: Path) -> bool:

@@ -21,6 +21,11 @@ from gonio.formats.native import meta_path
 from gonio.rig.description import RigDescription, SampleDescription
 
 FORMAT = 1
+NAMED_FILES = {
+    ("reference", "table"): ("reference.csv", "the table of the white reference"),
+    ("camera", "maps"): ("camera_maps.npz", "the maps of the camera's pixels"),
+}
+"""Files that a rig file may name: table and key, and what the run's copy is called."""
 RECORDED = ("gonio", "numpy", "scipy", "numba", "pandas", "rawpy")
 
 
@@ -101,13 +106,15 @@ def differences(was: Settings, now: Settings) -> list[str]:
 
 
 def _comparable(description: RigDescription) -> RigDescription:
-    """Of the rig's reference table the content counts, not where it lies; what pauses a run may change."""
+    """Of files that the rig names the content counts, not where they lie; what pauses a run may change."""
     description = description.model_copy(update={"suspend": {}})
-    table = description.reference.table
-    if table is not None:
-        with contextlib.suppress(OSError):
-            table = hashlib.sha256(read_file(table)).hexdigest()[:12]
-    return description.model_copy(update={"reference": description.reference.model_copy(update={"table": table})})
+    for table, key in NAMED_FILES:
+        path = getattr(getattr(description, table), key)
+        if path is not None:
+            with contextlib.suppress(OSError):
+                path = hashlib.sha256(read_file(path)).hexdigest()[:12]
+        description = _with_file(description, table, key, path)
+    return description
 
 
 def _differing_keys(name: str, was: Any, now: Any) -> list[str]:
@@ -120,25 +127,35 @@ def _differing_keys(name: str, was: Any, now: Any) -> list[str]:
     return [] if was == now else [f"{name}: {json.dumps(was)} in the run, {json.dumps(now)} now"]
 
 
-def reference_table(description: RigDescription) -> tuple[dict[str, bytes], RigDescription]:
-    """The reference's table, to be copied into the run so that this can be reduced without the rig file's folder."""
-    table = description.reference.table
-    if table is None:
-        return {}, description
-    source, name = Path(table), "reference.csv"
-    try:
-        files = {name: read_file(source)}
-        if meta_path(source).exists():
-            files[meta_path(name).name] = read_file(meta_path(source))
-    except FileNotFoundError:
-        raise ConfigError(f"{source}: the table of the white reference ([reference] table) is not there") from None
-    return files, description.model_copy(update={"reference": description.reference.model_copy(update={"table": name})})
+def named_files(description: RigDescription) -> tuple[dict[str, bytes], RigDescription]:
+    """The files that the rig names, to be copied into the run so that this can be reduced without their folders."""
+    files: dict[str, bytes] = {}
+    for (table, key), (name, what) in NAMED_FILES.items():
+        path = getattr(getattr(description, table), key)
+        if path is None:
+            continue
+        source = Path(path)
+        try:
+            files[name] = read_file(source)
+            if name.endswith(".csv") and meta_path(source).exists():
+                files[meta_path(Path(name)).name] = read_file(meta_path(source))
+        except FileNotFoundError:
+            raise ConfigError(f"{source}: {what} ([{table}] {key}) is not there") from None
+        description = _with_file(description, table, key, name)
+    return files, description
 
 
 def resolved(settings: Settings, path: Path) -> Settings:
-    """The settings with the path of the reference's table made whole."""
-    table = settings.rig.reference.table
-    if table is None:
-        return settings
-    reference = settings.rig.reference.model_copy(update={"table": str(path / table)})
-    return settings.model_copy(update={"rig": settings.rig.model_copy(update={"reference": reference})})
+    """The settings with the paths of the files that the rig names made whole."""
+    rig = settings.rig
+    for table, key in NAMED_FILES:
+        name = getattr(getattr(rig, table), key)
+        rig = _with_file(rig, table, key, str(path / name) if name is not None else None)
+    return settings.model_copy(update={"rig": rig})
+
+
+def _with_file(description: RigDescription, table: str, key: str, path: str | None) -> RigDescription:
+    inner = getattr(description, table)
+    if getattr(inner, key) == path:
+        return description
+    return description.model_copy(update={table: inner.model_copy(update={key: path})})

@@ -30,6 +30,8 @@ from gonio.reduction.table import (
     BandResult,
     angle_axes,
     assemble,
+    camera_causes,
+    notes_on_camera,
     notes_on_damage,
     notes_on_darks,
     zero_uncertainties,
@@ -65,8 +67,8 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
         Causes: `s_reference` (the certificate), `s_reference_noise` (mean level of the visits), `s_lamp_drift`,
         `s_dark_1` to `s_dark_3` (noise of the dark frames), `s_theta_i_zero`, `s_theta_r_zero` and, with those axes,
         `s_tilt_zero`, `s_azimuth_zero`; `s_geometry_1` to at most `s_geometry_4` (what a calibration leaves open of the
-        rig's geometry); and where the rig file or a calibration tells of them `s_beam`, `s_polarisation`,
-        `s_wavelength`, `s_bandwidth`. A plan with points behind the sample gives a column `side`.
+        rig's geometry); and where the rig file or a calibration tells of them `s_linearity`, `s_stray_light`, `s_beam`,
+        `s_polarisation`, `s_wavelength`, `s_bandwidth`. A plan with points behind the sample gives a column `side`.
 
     Raises
     ------
@@ -89,7 +91,8 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
     light_and_lens.add_wavelength(frames.description, results)
     _share_darks(results)
     _share_geometry(results)
-    return assemble(run, results, notes_on_damage(frames) + notes_on_darks(frames), frames.clipped)
+    notes = notes_on_damage(frames) + notes_on_darks(frames) + notes_on_camera(frames)
+    return assemble(run, results, notes, frames.clipped)
 
 
 def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected]) -> BandResult:
@@ -227,7 +230,7 @@ def _columns(
     k = fitted.at(times)
     brdf = np.array([point.rate for point in points]) / k
     noise = np.array([point.variance for point in points]) / k**2
-    prnu = np.array([_prnu(description, point, frames.reference[band.channel].count) for point in points])
+    prnu = np.array([_prnu(frames.prnu, point, frames.reference[band.channel].count) for point in points])
     independent = noise + (brdf * prnu) ** 2 + (brdf * fitted.extra(times) / k) ** 2
     goals = Directions.from_table(frames.run.plan)[[point.point for point in points]]
     goals = _turned_over(goals, bool(len(goals)) and _behind(goals[0]))
@@ -254,6 +257,7 @@ def _columns(
     geometry, even, doubts = _effects_of_geometry(frames, curves, points, visit, brdf)
     said, even_parts = said + np.sum(geometry**2, axis=1), even_parts + even
     unresolved = unresolved + doubts
+    common |= _camera_columns(description, points, visit, brdf, k)
     blur = curves.spikes.variance
     independent = independent + _over_region(description, curves, points, band) ** 2
     independent = (
@@ -266,6 +270,18 @@ def _columns(
     steep = curves.coarse | (unresolved > noise)
     columns = {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent), "geometry": geometry} | common
     return columns, goals[bounded], goals[steep]
+
+
+def _camera_columns(
+    description: RigDescription, points: list[Reduced], visit: Reduced, brdf: Floats, level: Floats
+) -> dict[str, Floats]:
+    """What the calibration's uncertainty of the camera's linearity and stray light does to the values [1/sr].
+
+    A point's change is that of its own rate less that of the reference's, to which it is compared.
+    """
+    by = np.array([point.by_camera for point in points]).reshape(len(points), visit.by_camera.size)
+    change = by / level[:, None] - brdf[:, None] * visit.by_camera / visit.rate
+    return {column: change @ direction for column, direction in camera_causes(description).items()}
 
 
 def _share_darks(results: list[BandResult]) -> None:
@@ -429,12 +445,12 @@ def _change_of_cosine(description: RigDescription, visit: Reduced, axis: str, u:
     return 0.5 * (up - down) / math.cos(visit.directions.theta_i)
 
 
-def _prnu(description: RigDescription, point: Reduced, reference_pixels: int) -> float:
+def _prnu(prnu: float, point: Reduced, reference_pixels: int) -> float:
     """Relative standard deviation from the pixels' responsivities; those that both regions use cancel in part."""
-    if not description.camera.prnu:
+    if not prnu:
         return 0.0
     n, m = point.pixels, reference_pixels
-    return description.camera.prnu * math.sqrt(max(1.0 / n + 1.0 / m - 2.0 * point.shared / (n * m), 0.0))
+    return prnu * math.sqrt(max(1.0 / n + 1.0 / m - 2.0 * point.shared / (n * m), 0.0))
 
 
 def _angles_deg(directions: Directions) -> tuple[float, float, float, float]:

@@ -9,9 +9,9 @@ import hashlib
 import math
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -21,12 +21,14 @@ from gonio.acquisition.records import FrameRecord, StepRecord
 from gonio.disk import read_file
 from gonio.errors import DamagedFrame, DataError
 from gonio.geometry import Directions
+from gonio.reduction import stray_light
 from gonio.reduction.dark_signal import FEW, PATTERNS, Darks, Patterns
 from gonio.reduction.geometry_errors import GeometryErrors
 from gonio.rig import Frame, Pose, Target, kinematics
 from gonio.rig.description import Band, Camera, RigDescription
 from gonio.rig.dng import read_raw
 from gonio.rig.imaging import Channel, Roi, pixel_map, roi, straight_through_weight
+from gonio.rig.sensor_response import PixelMaps, by_coefficients, linear_dn, read_maps, straightened
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -38,6 +40,8 @@ Out = TypeVar("Out")
 USABLE = 0.95
 """A frame whose brightest used pixel lies above this fraction of full scale is not used at all: dropping single pixels,
 or frames that are only nearly full, would keep the darker half of the noise."""
+FULL = 1e-3
+"""Part of a frame's pixels that may be full before the light that it spreads is taken for told too low."""
 THREADS = 2
 RETAKE = "`gonio measure ... --resume` takes their steps again"
 
@@ -49,7 +53,7 @@ class Region:
     roi: Roi
     target: Target
     per_weight: Floats
-    """1 / (falloff cos(theta_i) (d0/d)^2) of the used pixels."""
+    """1 / (falloff cos(theta_i) (d0/d)^2) of the used pixels, and over their responsivities where they are mapped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +68,8 @@ class Shot:
     """Brightest used pixel, as a fraction of full scale."""
     leverage: Floats
     """Of the dark frames: `Darks.leverage`."""
+    by_camera: Floats
+    """Derivatives of the rate by `camera_parameters`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +89,8 @@ class Reduced:
     left_out: int
     """Frames that are not used, because a pixel of the region is nearly full."""
     pixels: int
+    by_camera: Floats
+    """Derivatives of the rate by `camera_parameters`."""
     shared: int
     """How many of the pixels the first visit to the reference uses too."""
     directions: Directions
@@ -101,6 +109,18 @@ class Rejected:
     """Why."""
     left_out: int = 0
     """As in `Reduced`."""
+
+
+def camera_parameters(description: RigDescription) -> dict[str, str]:
+    """What values depend on in the camera beside its noise: numbers of the rig file, and the cause that each is of."""
+    camera = description.camera
+    out = {f"camera.nonlinearity[{k}]": "s_linearity" for k in range(len(camera.nonlinearity))}
+    strays = {"camera.stray_light": camera.stray_light, "camera.stray_halo": camera.stray_halo}
+    return out | {name: "s_stray_light" for name, value in strays.items() if value or _known(description, name)}
+
+
+def _known(description: RigDescription, name: str) -> bool:
+    return any(name in one.parameters for one in description.calibration.known)
 
 
 class RunFrames:
@@ -139,6 +159,12 @@ class RunFrames:
         self._usual = sum(monitored) / len(monitored) if monitored else math.nan
         """Mean reading of the lamp's monitor: rates are those of a lamp at which it reads this."""
         channels = dict.fromkeys(band.channel for band in run.bands)
+        camera = self.description.camera
+        self._maps: PixelMaps | None = None
+        if camera.maps is not None:
+            self._maps = read_maps(camera.maps, (camera.height, camera.width))
+        self._parameters = tuple(camera_parameters(self.description))
+        self._spreads = any(name.startswith("camera.stray") for name in self._parameters)
         boxes: dict[Target, tuple[slice, slice]] = {}
         self.reference: dict[str, Roi] = {}
         regions: dict[Channel, list[Roi]] = {channel: [] for channel in channels}
@@ -161,9 +187,15 @@ class RunFrames:
         self._patterns = {channel: Patterns(regions[channel], box) for channel in channels}
         self.clipped = 0.0
         """The part of the used pixels that read 0 DN in the dark frames."""
+        self.full = 0.0
+        """The largest part of a used frame's pixels that are full, where the light that frames spread is taken out."""
+        self._channels = tuple(channels)
+        self._dark_means: dict[str, tuple[float, float]] = {}
         self.darks_taken = self.darks_used = 0
         """How many exposures the dark frames were taken with, and of how many some are left."""
         self._darks = self._read_darks(dark, boxes)
+        self.prnu = self._remaining_prnu(boxes)
+        """Relative standard deviation of the pixels' responsivities, after maps where there are any."""
 
     def steps(self) -> Iterator[StepRecord]:
         """The steps with frames of point or reference, each read when it is asked for: a run may have very many."""
@@ -181,18 +213,36 @@ class RunFrames:
             return None
         region = roi(self.description, view, target, channel)
         seen = pixel_map(self.description, view, region.rows, region.cols)
+        responsivity = None
+        if self._maps is not None:
+            good = region.mask & ~self._maps.defects[region.rows, region.cols]
+            region = replace(region, mask=good if good.any() else region.mask)
+            responsivity = region.of(self._maps.responsivity)
         weight = seen.weight[region.mask]
+        if responsivity is not None:
+            weight = weight * np.asarray(responsivity, dtype=float)
         return Region(region, target, 1.0 / weight) if weight.min() > 0 else None
+
+    def _remaining_prnu(self, boxes: dict[Target, tuple[slice, slice]]) -> float:
+        if self._maps is None:
+            return self.description.camera.prnu
+        u = np.concatenate([self._maps.u_responsivity[box].ravel() for box in boxes.values()])
+        return float(np.sqrt(np.mean(u.astype(float) ** 2)))
 
     def _read_darks(self, frames: list[FrameRecord], boxes: dict[Target, tuple[slice, slice]]) -> dict[Target, Darks]:
         if not frames:
             raise DataError(f"{self.run.path}: the run has no dark frames; finish it with --resume")
         camera = self.description.camera
-        crops: dict[Target, list[tuple[float, npt.NDArray[np.uint16]]]] = {target: [] for target in boxes}
+        crops: dict[Target, list[tuple[float, npt.NDArray[Any]]]] = {target: [] for target in boxes}
+        means: list[tuple[float, list[float]]] = []
         for frame in in_threads(self._read_or_note, frames):
             if frame is not None:
+                values = linear_dn(camera, frame.mosaic)
                 for target, box in boxes.items():
-                    crops[target].append((frame.exposure_s, frame.mosaic[box].copy()))
+                    crops[target].append((frame.exposure_s, values[box].copy()))
+                if self._spreads:
+                    of = [stray_light.mean_of_channel(camera, values, channel) for channel in self._channels]
+                    means.append((frame.exposure_s, of))
         if not all(crops.values()):
             raise DataError(f"{self.run.path}: every dark frame is missing or damaged ({self._first()}); {RETAKE}")
         used = {exposure_s for taken in crops.values() for exposure_s, _ in taken}
@@ -200,6 +250,7 @@ class RunFrames:
         empty = [float(np.mean(crop == 0)) for taken in crops.values() for _, crop in taken]
         self.clipped = sum(empty) / len(empty)
         rate = camera.dark_current_e_per_s / camera.electrons_per_dn
+        self._dark_means = _lines(means, self._channels, rate)
         return {target: Darks(crops[target], *box, rate) for target, box in boxes.items()}
 
     def read(self, entry: FrameRecord) -> Frame:
@@ -242,20 +293,46 @@ class RunFrames:
         if region is None:
             return None
         read = ((entry, self._read_or_note(entry)) for entry in _lit(step, band))
-        return region, [self._shot(region, frame, entry) for entry, frame in read if frame is not None]
+        return region, [self._shot(region, frame, entry, band.channel) for entry, frame in read if frame is not None]
 
-    def _shot(self, region: Region, frame: Frame, entry: FrameRecord) -> Shot:
+    def _shot(self, region: Region, frame: Frame, entry: FrameRecord, channel: Channel) -> Shot:
         camera, darks = self.description.camera, self._darks[region.target]
-        values = region.roi.of(frame.mosaic).astype(float)
-        signal = (values - darks.of(region.roi, frame.exposure_s)) * camera.electrons_per_dn
-        level = entry.monitor / self._usual if self.description.lamp.monitor and entry.monitor else 1.0
+        values = region.roi.of(linear_dn(camera, frame.mosaic)).astype(float)
+        dark = darks.of(region.roi, frame.exposure_s)
+        linear = values - dark
+        by_camera = np.zeros((len(self._parameters), linear.size))
+        if camera.nonlinearity:
+            black = frame.black_level_dn
+            lit = straightened(camera, values - black)
+            linear = lit - straightened(camera, dark - black)
+            by_camera[: len(camera.nonlinearity)] = by_coefficients(camera, lit)
+        if self._spreads:
+            added, by = self._stray(region, frame, channel)
+            linear = linear - added
+            strays = [name for name in self._parameters if name.startswith("camera.stray")]
+            names = ["camera.stray_light", "camera.stray_halo"]
+            by_camera[len(camera.nonlinearity) :] = -by[[names.index(name) for name in strays]]
+        gain = camera.electrons_per_dn
+        lamp = entry.monitor / self._usual if self.description.lamp.monitor and entry.monitor else 1.0
         return Shot(
-            rate=float(np.mean(signal * region.per_weight)) / frame.exposure_s / level,
+            rate=float(np.mean(linear * gain * region.per_weight)) / frame.exposure_s / lamp,
             exposure_s=frame.exposure_s,
             time_s=float(entry.time_s),
             peak=(float(values.max()) - frame.black_level_dn) / full_scale_dn(camera, frame),
             leverage=darks.leverage(frame.exposure_s),
+            by_camera=np.mean(by_camera * (gain * region.per_weight), axis=1) / frame.exposure_s / lamp,
         )
+
+    def _stray(self, region: Region, frame: Frame, channel: Channel) -> tuple[Floats, Floats]:
+        """What the light that a frame spreads adds to the used pixels [DN], and its derivatives by the fractions."""
+        camera, place = self.description.camera, region.roi
+        level, slope = self._dark_means[channel]
+        values = linear_dn(camera, frame.mosaic)
+        found = stray_light.spread(camera, values, level + slope * frame.exposure_s, channel)
+        full = frame.black_level_dn + full_scale_dn(camera, frame)
+        self.full = max(self.full, float(np.mean(values >= full)))
+        rows, cols = np.nonzero(place.mask)
+        return found.at(rows + place.rows.start, cols + place.cols.start)
 
     def reduce(self, step: StepRecord, band: Band) -> Reduced | Rejected:
         """The rate of a step in a band, from its merged frames."""
@@ -272,7 +349,7 @@ class RunFrames:
         shots = [shot for shot in taken if shot.peak < USABLE]
         if not shots:
             return Rejected(step.point, "saturated" if taken else "not_measured", len(taken))
-        rate, variance, time_s, chi_square, of_darks = pool(
+        rate, variance, time_s, chi_square, of_darks, by_camera = pool(
             self.description, region, shots, self._darks[region.target].exposures_s
         )
         reference = self.reference.get(band.channel)
@@ -287,6 +364,7 @@ class RunFrames:
             frames=len(shots),
             left_out=len(taken) - len(shots),
             pixels=region.roi.count,
+            by_camera=by_camera,
             shared=region.roi.shared(reference) if reference is not None else 0,
             directions=kinematics.directions(self.description, step.pose),
             pose=step.pose,
@@ -301,11 +379,12 @@ def _lit(step: StepRecord, band: Band) -> list[FrameRecord]:
 
 def pool(
     description: RigDescription, region: Region, shots: list[Shot], dark_exposures_s: Floats
-) -> tuple[float, float, float, float, Floats]:
+) -> tuple[float, float, float, float, Floats, Floats]:
     """The merged rate of a point's frames [e-/s], and what goes with it.
 
-    That is its variance, the time of the merged frames, and the chi-square of the frames around their mean. Last comes
-    the change of the rate for one standard deviation of the mean dark signal of the shorter and of the longer darks.
+    That is its variance, the time of the merged frames, and the chi-square of the frames around their mean. Then comes
+    the change of the rate for one standard deviation of the mean dark signal of the shorter and of the longer darks,
+    and last its derivatives by `camera_parameters`.
     Weights come from the pooled rate, not from each frame's own: a frame that is dark by chance gets no larger weight.
     """
     camera, lamp = description.camera, description.lamp
@@ -332,7 +411,8 @@ def pool(
     of_darks = np.zeros(2)
     of_darks[: charge.size] = -((weights / exposure) @ lines) * np.sqrt(of_pixels * mean_2)
     chi_square = float(np.sum((rates - pooled) ** 2 / variances))
-    return pooled, float(1.0 / np.sum(1.0 / variances)), float(np.sum(weights * times)), chi_square, of_darks
+    by_camera = weights @ np.array([shot.by_camera for shot in shots])
+    return pooled, float(1.0 / np.sum(1.0 / variances)), float(np.sum(weights * times)), chi_square, of_darks, by_camera
 
 
 def _rounding(camera: Camera, electrons: Floats, count: int) -> Floats:
@@ -345,7 +425,28 @@ def _rounding(camera: Camera, electrons: Floats, count: int) -> Floats:
     if camera.photon_noise:
         spread = spread + electrons
     step = camera.electrons_per_dn**2
+    if camera.response:  # a step of a curve that is bent
+        level = np.asarray(electrons) / camera.electrons_per_dn + camera.black_level_dn
+        slope = np.interp(level, camera.response, np.gradient(camera.response))
+        return step * slope**2 / 12.0 / np.where(spread >= 0.25 * step * slope**2, count, 1)
     return step / 12.0 / np.where(spread >= 0.25 * step, count, 1)
+
+
+def _lines(
+    means: list[tuple[float, list[float]]], channels: tuple[Channel, ...], rate: float
+) -> dict[str, tuple[float, float]]:
+    """Level [DN] and slope [DN/s] of whole dark frames, by channel; `rate` is the slope that one exposure leaves."""
+    if not means:
+        return {}
+    times = np.array([exposure_s for exposure_s, _ in means])
+    out: dict[str, tuple[float, float]] = {}
+    for k, channel in enumerate(channels):
+        values = np.array([of[k] for _, of in means])
+        away = times - times.mean()
+        spread = float(np.sum(away**2))
+        slope = float(np.sum(away * values)) / spread if spread > 1e-6 * times.mean() ** 2 else rate
+        out[channel] = float(values.mean()) - slope * float(times.mean()), slope
+    return out
 
 
 def _around(region: Roi, box: tuple[slice, slice] | None) -> tuple[slice, slice]:

@@ -16,10 +16,11 @@ from gonio.checks.values import values_of
 from gonio.checks.verdicts import Check, Taken, Visits, of_run, of_values
 from gonio.geometry import Directions
 from gonio.reduction import light_and_lens, white_reference
-from gonio.reduction.count_rates import RETAKE, RunFrames
+from gonio.reduction.count_rates import FULL, RETAKE, RunFrames, camera_parameters
 from gonio.reduction.dark_signal import COLUMNS
 from gonio.reduction.geometry_errors import zero_u_deg
 from gonio.rig import kinematics
+from gonio.rig.calibrated import covariance_of
 from gonio.rig.description import Axis, Band, RigDescription
 from gonio.typing import Floats
 
@@ -89,6 +90,25 @@ def zero_uncertainties(description: RigDescription) -> dict[str, float]:
     return {name: u for name, u in axes.items() if u > 0 or name in ("light", "camera")}
 
 
+def camera_causes(description: RigDescription) -> dict[str, Floats]:
+    """Independent directions of the calibration's covariance of the camera, in `camera_parameters`, by their columns.
+
+    The first direction of a cause has the name of the cause; others, where several numbers are known, have a number.
+    """
+    parameters = camera_parameters(description)
+    out: dict[str, Floats] = {}
+    for cause in dict.fromkeys(parameters.values()):
+        names = [name for name, of in parameters.items() if of == cause]
+        covariance = covariance_of(description, names)
+        values, vectors = np.linalg.eigh(covariance)
+        held = [k for k in range(len(names))[::-1] if values[k] > 1e-12 * max(values[-1], 1e-300)]
+        for number, k in enumerate(held):
+            direction = np.zeros(len(parameters))
+            direction[[list(parameters).index(name) for name in names]] = vectors[:, k] * math.sqrt(values[k])
+            out[cause if number == 0 else f"{cause}_{number + 1}"] = direction
+    return out
+
+
 def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: float) -> pd.DataFrame:
     """One row for every point of the plan and every band, and the attributes.
 
@@ -100,6 +120,7 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
     causes = [*COMMON, *DARK, *(CAUSES[axis] for axis in zero_uncertainties(description))]
     causes += GEOMETRY[: results[0].geometry.shape[1]]
     causes += [name for name in LIGHT if any(name in result.columns for result in results)]
+    causes += camera_causes(description)
     numbers = [*ANGLES, "brdf", "u_brdf", "u_random", *causes]
     values = np.full((len(numbers), len(plan), len(results)), math.nan)
     values[: len(ANGLES)] = plan[list(ANGLES)].to_numpy(dtype=float).T[..., None]
@@ -230,6 +251,21 @@ def notes_on_darks(frames: RunFrames) -> list[str]:
         f"{100.0 * frames.clipped:.2g} % of the pixels of the dark frames read 0 DN: what lies below is cut off, and "
         "values are too low by more than u_brdf says where the signal is small; raise the camera's black level"
     ]
+
+
+def notes_on_camera(frames: RunFrames) -> list[str]:
+    out, camera = [], frames.description.camera
+    if frames.full > FULL:
+        out.append(
+            f"up to {100.0 * frames.full:.2g} % of the pixels of a frame are full: the light that they spread over "
+            "the frame is more than what was taken out (camera.stray_light)"
+        )
+    if camera.bits == 8 and not camera.response:
+        out.append(
+            "the camera has 8 bits and no camera.response: its values are taken for linear, which those of a video "
+            "camera with a gamma are not; `gonio calibrate camera --response` measures the curve"
+        )
+    return out
 
 
 def _notes(result: BandResult) -> list[str]:

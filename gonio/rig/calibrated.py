@@ -137,7 +137,7 @@ def with_calibrations(
         if why and use.when_unfit == "refuse":
             raise ConfigError(f'{path}: {why}; calibrate again, or set calibration.when_unfit = "warn" in the rig file')
         remarks += [f"{path.name} {why}"] * bool(why)
-        out = with_keys(out, calibration.values, path)
+        out = with_keys(out, _beside(calibration.values, path), path)
         replaced = _laid_over(replaced, _where(calibration.values, as_filed))
         known.append(
             Calibrated(
@@ -151,6 +151,14 @@ def with_calibrations(
         )
     use = use.model_copy(update={"known": tuple(known), "replaced": replaced, "remarks": tuple(remarks)})
     return out.model_copy(update={"calibration": use})
+
+
+def _beside(values: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Values whose file of maps lies beside the calibration file that names it."""
+    camera = values.get("camera")
+    if not isinstance(camera, dict) or not isinstance(camera.get("maps"), str):
+        return values
+    return values | {"camera": camera | {"maps": str((path.parent / camera["maps"]).absolute())}}
 
 
 def uncalibrated(description: RigDescription) -> RigDescription:

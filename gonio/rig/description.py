@@ -11,6 +11,7 @@ An effect that is not named in the file is off. Angles are in degrees here (`_de
 from __future__ import annotations
 
 import datetime
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
@@ -275,6 +276,25 @@ class Camera(Strict):
     """Relative standard deviation of the pixels' responsivity."""
     dsnu_e: NonNegative = 0.0
     """Standard deviation of the pixels' dark signal [e-]."""
+    nonlinearity: tuple[float, ...] = ()
+    """Relative departure of the signal from the light: a linear signal x above the dark level [DN] reads
+    x (1 + c[0] s + c[1] s^2 + ...), s = x / (2^bits - 1). The reduction takes it out."""
+    response: tuple[float, ...] = ()
+    """Linear value [DN] of each of the 2^bits values that a pixel reads, for a camera of 8 bits with a gamma: 256
+    numbers that grow from 0 to 255. Levels and noise are those of the linear values."""
+    stray_light: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
+    """Light that lens and sensor spread evenly over the frame: a fraction of the frame's mean signal, in each pixel."""
+    stray_halo: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
+    """Fraction of the light of each pixel that falls around it, as a Gaussian of `stray_halo_px`."""
+    stray_halo_px: Annotated[float, Field(ge=2, le=4096)] = 64.0
+    """Standard deviation of the halo along a row [pixels]."""
+    maps: str | None = None
+    """Maps of the pixels (.npz), as `gonio calibrate camera` writes them: responsivities and defects. A path beside
+    the file that names it."""
+    hot_pixels: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    """Simulation: the part of the pixels that have a dark current of their own."""
+    hot_pixel_e_per_s: NonNegative = 0.0
+    """Simulation: its mean over them [e-/s], exponentially distributed."""
     responsivity_e_per_s: Positive = 40_000.0
     """Electrons a second on the axis from a Lambertian white (brdf = 1/pi) at normal incidence, with a fresh lamp."""
     exposure_limits_s: tuple[Positive, Positive] = (1e-4, 60.0)
@@ -291,6 +311,16 @@ class Camera(Strict):
                 f"black_level_dn = {self.black_level_dn:g} must lie below the highest value of {self.bits} bits, "
                 f"{self.white_level_dn:g}"
             )
+        # its slope, 1 + sum (k + 1) c[k] s^k, stays above a half
+        if sum((k + 2) * abs(c) for k, c in enumerate(self.nonlinearity)) > 0.5:
+            raise ValueError(f"nonlinearity = {list(self.nonlinearity)}: more than a sensor's; is it in per cent?")
+        if self.response:
+            if self.bits != 8 or len(self.response) != 256:
+                raise ValueError(f"response has {len(self.response)} values; a camera of 8 bits needs 256")
+            if any(b <= a for a, b in pairwise(self.response)):
+                raise ValueError("response must grow from each value to the next")
+            if self.response[0] != 0.0 or abs(self.response[-1] - 255.0) > 1e-6:
+                raise ValueError("response must begin with 0 and end with 255")
         return self
 
     @property

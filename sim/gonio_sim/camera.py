@@ -48,6 +48,8 @@ class Sensor:
         self._key = key
         self._maps: tuple[Floats32, Floats32] | None = None
         self._dark = np.zeros(self._size, np.float32)
+        self._plain = not (camera.nonlinearity or camera.response or camera.hot_pixels)
+        self._hot: npt.NDArray[np.float64] | None = None
 
     def close(self) -> None:
         """End the threads; the next frame starts new ones."""
@@ -74,6 +76,9 @@ class Sensor:
         camera = self._camera
         gain, offset = self._fixed_maps()
         flat = self._dark if rate is None else rate.reshape(-1)
+        if not self._plain:
+            mosaic = self._read_out_bent(flat, exposure_s, level, key)
+            return mosaic.reshape(camera.height, camera.width)
         out = np.empty(self._size, np.uint16)
         numbers = (
             exposure_s * level,
@@ -88,6 +93,35 @@ class Sensor:
         single: list[Any] = [number if isinstance(number, bool) else np.float32(number) for number in numbers]
         self._in_parts(lambda first, last: expose(flat, gain, offset, out, first, last, key, *single))
         return out.reshape(camera.height, camera.width)
+
+    def _read_out_bent(self, rate: Floats32, exposure_s: float, level: float, key: np.uint64) -> npt.NDArray[np.uint16]:
+        """The same chain with hot pixels, a signal that is not linear before the converter, and a response curve."""
+        camera, (gain, offset) = self._camera, self._fixed_maps()
+        random = np.random.default_rng(int(key))
+        mean = exposure_s * level * rate.astype(float) * gain + exposure_s * self._dark_current()
+        charge = random.poisson(np.minimum(mean, 1e12)).astype(float) if camera.photon_noise else mean
+        charge = np.minimum(charge, camera.full_well_e) + offset
+        if camera.read_noise_e:
+            charge += camera.read_noise_e * random.standard_normal(self._size)
+        signal = charge / camera.electrons_per_dn
+        if camera.nonlinearity:
+            signal *= 1.0 + np.polynomial.polynomial.polyval(
+                signal / camera.white_level_dn, (0.0, *camera.nonlinearity)
+            )
+        signal += camera.black_level_dn
+        if camera.response:
+            signal = np.interp(signal, camera.response, np.arange(len(camera.response), dtype=float))
+        levels: npt.NDArray[np.uint16] = np.clip(np.floor(signal + 0.5), 0.0, camera.white_level_dn).astype(np.uint16)
+        return levels
+
+    def _dark_current(self) -> npt.NDArray[np.float64]:
+        """Of each pixel [e-/s]; hot pixels have more, by an exponential distribution."""
+        if self._hot is None:
+            random = np.random.default_rng(int(self._key(Stream.HOT)))
+            hot = random.random(self._size) < self._camera.hot_pixels
+            more = self._camera.hot_pixel_e_per_s * random.standard_exponential(self._size)
+            self._hot = self._camera.dark_current_e_per_s + np.where(hot, more, 0.0)
+        return self._hot
 
     def _fixed_maps(self) -> tuple[Floats32, Floats32]:
         """Relative responsivity (never negative) and dark offset [e-] of every pixel."""

@@ -111,7 +111,7 @@ class Renderer:
             return self._straight_through(pose, band) * np.float32(description.reference.attenuation or 1.0)
         scene = view(description, pose)
         behind = scene.camera_mm[2] < 0.0
-        if scene.camera_mm[2] == 0.0 or (behind and target in ("reference", "mirror")):
+        if scene.camera_mm[2] == 0.0 or (behind and target not in ("sample", "empty")):
             return np.zeros((description.camera.height, description.camera.width), np.float32)
         seen = pixel_map(description, scene)
         brdf = np.full(seen.weight.shape, 0.0 if behind else description.holder.holder_albedo / math.pi)
@@ -123,12 +123,33 @@ class Renderer:
         electrons_per_s(math.pi * description.camera.responsivity_e_per_s, seen.weight, brdf, BRIGHTEST, rate)
         if band.channel != "mono":
             rate[~of_channel(description.camera.pattern, band.channel, seen.rows, seen.cols)] = 0.0
-        return rate
+        return self._with_stray_light(rate, band)
+
+    def _with_stray_light(self, rate: Floats32, band: Band) -> Floats32:
+        """What lens and sensor spread over the frame, added to its light; each colour of a mosaic for itself."""
+        camera = self._world.truth.camera
+        if not camera.stray_light and not camera.stray_halo:
+            return rate
+        lit = of_channel(camera.pattern, band.channel, slice(0, camera.height), slice(0, camera.width))
+        share = np.count_nonzero(lit) / lit.size
+        added = np.full(rate.shape, camera.stray_light * float(rate.mean(dtype=np.float64)) / share)
+        if camera.stray_halo:
+            from scipy.ndimage import gaussian_filter
+
+            halo = gaussian_filter(rate.astype(np.float64), camera.stray_halo_px, mode="constant")
+            added += camera.stray_halo * halo / share
+        return np.asarray(np.where(lit, np.minimum(rate + added, BRIGHTEST), 0.0), dtype=np.float32)
 
     def _discs(self, band: Band, target: InHolder) -> Iterator[Disc]:
         """The round surfaces in view."""
         description, sample = self._world.truth, self._world.sample
         reference = description.reference
+        if target == "trap":
+            yield Disc((0.0, 0.0), description.holder.sample_diameter_mm / 2, _black)
+            return
+        if target == "edge":
+            yield Disc((0.0, 0.0), reference.diameter_mm / 2, self._edge(band))
+            return
         if reference.how == "beside":
             yield Disc(reference.offset_mm, reference.diameter_mm / 2, self._reference(band))
         elif target == "reference":
@@ -185,7 +206,7 @@ class Renderer:
         )
         if band.channel != "mono":
             rate[~of_channel(camera.pattern, band.channel, seen.rows, seen.cols)] = 0.0
-        return rate
+        return self._with_stray_light(rate, band)
 
     def _reference(self, band: Band) -> Callable[[PixelMap, View, Disc, Floats], None]:
         """The white reference: its certificate times its true error; a table is read at the centre of the frame."""
@@ -243,6 +264,16 @@ class Renderer:
 
         return paint
 
+    def _edge(self, band: Band) -> Callable[[PixelMap, View, Disc, Floats], None]:
+        """The white reference behind a black screen that ends with a knife edge at x = 0, and covers x > 0."""
+        reference = self._reference(band)
+
+        def paint(seen: PixelMap, scene: View, disc: Disc, brdf: Floats) -> None:
+            reference(seen, scene, disc, brdf)
+            brdf[disc.covers(seen) & (seen.x_mm > 0.0)] = 0.0
+
+        return paint
+
     def _mirror(self, band: Band) -> Callable[[PixelMap, View, Disc, Floats], None]:
         """A front-surface mirror, perfectly smooth aluminium, which shows the lamp and nothing else."""
         from gonio import models
@@ -274,6 +305,11 @@ class Renderer:
             if polarised.is_on(self._world.truth):
                 spike = spike * polarised.of_spike(self._world.truth, model, scene, at, wave)
             brdf[rows, cols] += share * spike
+
+
+def _black(seen: PixelMap, scene: View, disc: Disc, brdf: Floats) -> None:
+    """A trap that gives no light back."""
+    brdf[disc.covers(seen)] = 0.0
 
 
 def _shared_disc(apart: Floats, lamp: float, pupil: float) -> Floats:

@@ -62,7 +62,7 @@ class SimulatedRig:
         self.world.target = target
 
     def put(self, what: InHolder) -> bool:
-        """A mirror or nothing into the holder, or the sample back: nobody has to do it."""
+        """A mirror, a trap, an edge or nothing into the holder, or the sample back: nobody has to do it."""
         self.world.target = what
         return True
 

@@ -19,8 +19,9 @@ from gonio.rig import Pose, Target
 from gonio.rig.calibrated import uncalibrated, with_keys
 from gonio.rig.description import Band, RigDescription, SampleDescription
 
-InHolder = Target | Literal["mirror", "empty"]
-"""What may lie in the beam: beside what a measurement needs, what an alignment does."""
+InHolder = Target | Literal["mirror", "empty", "trap", "edge"]
+"""What may lie in the beam: beside what a measurement needs, what an alignment does, and a calibration of the camera: a
+black trap, and a knife edge before the white reference, which covers x > 0."""
 
 FRAMES_S = 10.0
 """What a step is given for its frames, beyond the longest move [s]."""
@@ -41,6 +42,7 @@ class Stream(IntEnum):
     PRNU = 6
     DSNU = 7
     MONITOR = 8
+    HOT = 9
 
 
 class World:

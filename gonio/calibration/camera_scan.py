@@ -1,0 +1,131 @@
+"""What a rig is asked for to calibrate its camera: dark frames, flats of the white reference, a trap, a knife edge."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.acquisition import exposure
+from gonio.by_hand.bench import Bench
+from gonio.calibration.camera import black_rectangle
+from gonio.calibration.camera_frames import CONTRADICTS, CameraFrame, Kind, write_list
+from gonio.disk import read_file, write_whole
+from gonio.errors import DeviceError
+from gonio.rig import Frame, Pose, dng, kinematics
+from gonio.rig.imaging import pixel_map, require_raw
+
+Put = Literal["reference", "trap", "edge", "sample"]
+
+DARK_FRAMES = 8
+"""At each of four exposures."""
+LOW = np.linspace(0.03, 0.7, 14)
+HIGH = np.linspace(0.75, 1.15, 9)
+"""Levels of the flats, as fractions of full scale: the gain's range, and around saturation."""
+STRAY_FRAMES = 8
+BRIGHTEST = 99.5
+"""Percentile of a frame's pixels that its exposure is chosen by: hot pixels do not count."""
+INSIDE = 0.6
+"""Of the radius of what lies in the holder: half the side of the square that is taken for black."""
+EDGE_MM = 0.5
+"""Pixels that see the screen so close to its edge do not count: the lens blurs it."""
+
+
+class Scan:
+    """Takes the frames, one kind after the other, and keeps each in a folder as it comes."""
+
+    def __init__(self, bench: Bench, folder: Path, *, pairs: int = 2, say: Callable[[str], None] = print) -> None:
+        self._bench, self._folder, self._pairs, self._say = bench, folder, pairs, say
+        self.frames: list[CameraFrame] = []
+
+    def go(self) -> None:
+        """Drive to where the white reference is looked at."""
+        reference = self._bench.description.reference
+        self._bench.move(theta_i=math.radians(reference.theta_i_deg), theta_r=math.radians(reference.theta_r_deg))
+
+    def darks(self) -> None:
+        """With the lamp dark, from the shortest to the longest exposure that is used."""
+        self._bench.lamp(False)
+        short, longest = exposure.dark_exposures_s(self._bench.description)
+        times = [short, longest / 4, longest / 2, longest]
+        self._say(f"dark frames: {DARK_FRAMES} at each of {len(times)} exposures up to {longest:g} s")
+        for t in times:
+            for _ in range(DARK_FRAMES):
+                self._take("dark", t)
+
+    def flats(self) -> None:
+        """Pairs over the white reference from dark to full, in an order in which no drift looks like a level."""
+        self._bench.lamp(True)
+        metered = self._meter("flat")
+        times = self._times(np.concatenate([LOW, HIGH]) / metered.level_per_s)
+        shuffled = [float(t) for t in np.random.default_rng(0).permutation(np.repeat(times, self._pairs))]
+        self._say(f"flats: {len(shuffled)} pairs at {len(times)} exposures from {times[0]:.3g} to {times[-1]:.3g} s")
+        for t in shuffled:
+            self._take("flat", t)
+            self._take("flat", t)
+        self._bench.lamp(False)
+
+    def stray(self, kind: Literal["trap", "edge"]) -> None:
+        """Frames of a trap in the holder, or of a knife edge before the white reference."""
+        self._bench.lamp(True)
+        black = self._black(kind)
+        t = float(self._times(np.array([self._meter(kind).exposure_s]))[0])
+        self._say(f"{kind}: {STRAY_FRAMES} frames of {t:.3g} s")
+        for _ in range(STRAY_FRAMES):
+            self._take(kind, t, black)
+        self._bench.lamp(False)
+
+    def _times(self, wanted: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        shortest, longest = self._bench.description.camera.exposure_limits_s
+        return np.unique(np.clip(np.round(wanted, exposure.MICROSECONDS), shortest, longest))
+
+    def _meter(self, kind: Kind) -> exposure.Metered:
+        description, pose = self._bench.description, self._bench.pose() or Pose()
+        expected = exposure.expected_level_per_s(description, pose, 1.0 if kind != "trap" else 0.03)
+        # a level is that of the brightest used pixel: the used "pixel" is a percentile of all
+        return exposure.meter(description, self._shot, lambda mosaic: np.percentile(mosaic, [BRIGHTEST]), expected)
+
+    def _shot(self, exposure_s: float) -> Frame:
+        camera = self._bench.description.camera
+        frame = self._bench.camera.capture(exposure_s)
+        require_raw(camera, frame, str(frame.file or "the camera"))
+        if not frame.exposure_s > 0 or abs(frame.exposure_s / exposure_s - 1.0) > CONTRADICTS:
+            raise DeviceError(
+                f"the camera was asked for {exposure_s:g} s, and its frame says {frame.exposure_s:g} s: a calibration "
+                "needs exposures that are what they say"
+            )
+        return frame
+
+    def _take(self, kind: Kind, exposure_s: float, black: tuple[slice, slice] | None = None) -> None:
+        frame = self._shot(exposure_s)
+        number = len(self.frames)
+        if frame.file is not None:
+            path = self._folder / f"{kind}-{number:04d}{frame.file.suffix.lower()}"
+            write_whole(path, read_file(frame.file))
+        else:
+            path = self._folder / f"{kind}-{number:04d}.dng"
+            dng.write_dng(frame, path)
+        self.frames.append(CameraFrame(path, kind, frame.exposure_s, frame.time_s, black=black))
+
+    def keep(self) -> None:
+        """Write the list of what was taken."""
+        if self.frames:
+            write_list(self._folder, self.frames)
+
+    def _black(self, kind: Literal["trap", "edge"]) -> tuple[slice, slice]:
+        """The pixels that see the trap, or the screen well behind its edge at x = 0."""
+        description = self._bench.description
+        diameter = description.reference.diameter_mm if kind == "edge" else description.holder.sample_diameter_mm
+        half = 0.5 * INSIDE * diameter
+        seen = pixel_map(description, kinematics.view(description, self._bench.arms.read()))
+        inside = (np.abs(seen.x_mm) <= half) & (np.abs(seen.y_mm) <= half)
+        if kind == "edge":
+            inside &= seen.x_mm >= EDGE_MM
+        found = black_rectangle(inside)
+        if found is None:
+            raise DeviceError(f"the camera does not see the {kind} from here: does it look at the holder?")
+        return found

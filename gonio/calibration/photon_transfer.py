@@ -1,0 +1,283 @@
+"""Photon transfer by EMVA Standard 1288, release 4.0, linear camera model: gain, noise, saturation, linearity error.
+
+Two frames of one setting differ by temporal noise alone: sigma^2 = mean((a - b)^2)/2 - (mean(a) - mean(b))^2/2. Above
+the dark frames' it grows with the mean as K, the gain [DN/e-]. Sections named here are those of the standard.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.errors import DataError
+from gonio.rig.description import Camera
+from gonio.rig.sensor_response import straightened
+from gonio.typing import Floats
+
+FIT_RANGE = 0.7
+"""Of saturation: the points of the gain's line (6.6)."""
+LINEARITY_RANGE = 0.05, 0.95
+"""Of saturation: the points of the linearity error (7)."""
+QUANTISATION = 1.0 / 12.0
+LEAST_DARK_VARIANCE = 0.24
+"""Temporal variance of dark frames [DN^2] below which rounding hides it (6.6): the standard takes this value then."""
+FEWEST_LEVELS = 5
+"""Levels in the gain's range below which no line is fitted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two frames of one setting, over one region."""
+
+    exposure_s: float
+    mean_dn: float
+    variance_dn2: float
+    """Temporal, of one pixel in one frame."""
+    pixels: int
+    differ: float
+    """Relative difference of the two means."""
+
+    @property
+    def u_variance(self) -> float:
+        """Standard uncertainty of the variance [DN^2]: of a sample of `pixels` differences of normal numbers."""
+        return self.variance_dn2 * math.sqrt(2.0 / max(self.pixels - 1, 1))
+
+
+def pair(a: npt.NDArray[np.generic], b: npt.NDArray[np.generic], exposure_s: float) -> Pair:
+    """The statistics of two frames, or of the same pixels of two (6.4)."""
+    first, second = np.asarray(a, dtype=float).ravel(), np.asarray(b, dtype=float).ravel()
+    means = float(first.mean()), float(second.mean())
+    variance = 0.5 * float(np.mean((first - second) ** 2)) - 0.5 * (means[0] - means[1]) ** 2
+    middle = 0.5 * (means[0] + means[1])
+    return Pair(exposure_s, middle, variance, first.size, abs(means[0] - means[1]) / max(abs(middle), 1e-9))
+
+
+@dataclass(frozen=True, slots=True)
+class PhotonTransfer:
+    """What pairs of flat and of dark frames say of a camera; u are standard uncertainties."""
+
+    gain: float
+    """K [DN/e-], by a line through the origin up to 70 % of saturation."""
+    u_gain: float
+    dark_noise_dn: float
+    """Temporal noise of dark frames at no exposure [DN], rounding included."""
+    u_dark_noise_dn: float
+    hidden: bool
+    """Rounding hides the dark noise: it is at most the one that is given."""
+    saturation_dn: float
+    """Above the dark level, where the variance is largest [DN]."""
+    u_saturation_dn: float
+    saturated: bool
+    """False where the variance still grows at the brightest flats: saturation lies above."""
+    linearity_error: float
+    """Mean absolute departure from a straight line over exposure, between 5 and 95 % of saturation, as a fraction."""
+    signal_dn: Floats
+    """Of the flats, above the dark level, ascending; and what goes with each."""
+    variance_dn2: Floats
+    """Above that of the dark frames."""
+    exposures_s: Floats
+    total_variance_dn2: Floats
+
+    @property
+    def electrons_per_dn(self) -> float:
+        """1/K [e-/DN]."""
+        return 1.0 / self.gain
+
+    @property
+    def u_electrons_per_dn(self) -> float:
+        """[e-/DN]."""
+        return self.u_gain / self.gain**2
+
+    @property
+    def read_noise_e(self) -> float:
+        """Temporal dark noise sigma_d without that of rounding [e-] (6.6)."""
+        return math.sqrt(max(self.dark_noise_dn**2 - QUANTISATION, 0.0)) / self.gain
+
+    @property
+    def u_read_noise_e(self) -> float:
+        """[e-]."""
+        below = math.sqrt(max(self.dark_noise_dn**2 - QUANTISATION, 1e-12))
+        own = self.dark_noise_dn * self.u_dark_noise_dn / below / self.gain
+        return math.hypot(own, self.read_noise_e * self.u_gain / self.gain)
+
+    @property
+    def saturation_e(self) -> float:
+        """Saturation capacity [e-]."""
+        return self.saturation_dn / self.gain
+
+    @property
+    def threshold_e(self) -> float:
+        """Electrons that the signal-to-noise ratio is 1 at (6.7)."""
+        return self.dark_noise_dn / self.gain + 0.5
+
+    @property
+    def dynamic_range(self) -> float:
+        """Saturation capacity over `threshold_e`."""
+        return self.saturation_e / self.threshold_e
+
+    @property
+    def snr_max(self) -> float:
+        """Signal-to-noise ratio at saturation."""
+        return math.sqrt(self.saturation_e)
+
+    def snr(self, electrons: Floats) -> Floats:
+        """Of the linear model, without fixed patterns (6.7)."""
+        e = np.asarray(electrons, dtype=float)
+        return np.asarray(e / np.sqrt((self.dark_noise_dn / self.gain) ** 2 + e))
+
+
+def saturation_index(variances: Floats) -> int:
+    """Where the variance of flats in ascending order is largest, before it falls for good (6.6).
+
+    As the standard asks, from the bright end: small local tops on the way up do not count.
+    """
+    best, at = 0.0, 0
+    for k in range(len(variances) - 1, -1, -1):
+        before = variances[abs(k - 1)]
+        if variances[k] >= best or before >= best:
+            if variances[k] >= best:
+                best, at = float(variances[k]), k
+        else:
+            break
+    return at
+
+
+def photon_transfer(
+    flats: Sequence[Pair],
+    darks: Sequence[Pair],
+    dark_level: tuple[float, float],
+    camera: Camera,
+    curve_covariance: Floats | None = None,
+) -> PhotonTransfer:
+    """The linear camera model from pairs.
+
+    Parameters
+    ----------
+    flats, darks
+        In any order; pairs of one exposure are averaged. Over one region, of nearly one brightness.
+    dark_level
+        Mean of the dark frames: level [DN] and slope over exposure [DN/s].
+    camera
+        Its `nonlinearity` is taken out of means and variances; without one nothing is.
+    curve_covariance
+        Of its coefficients: it goes into the gain's uncertainty.
+
+    Raises
+    ------
+    DataError
+        There are too few levels below 70 % of saturation.
+    """
+    if not darks:
+        raise DataError("there are no pairs of dark frames: the noise of the dark frames is not known")
+    by_exposure = [_merged([p for p in flats if p.exposure_s == t]) for t in sorted({p.exposure_s for p in flats})]
+    exposures = np.array([p.exposure_s for p in by_exposure])
+    level = np.array([p.mean_dn for p in by_exposure]) - dark_level[0] - dark_level[1] * exposures
+    order = np.argsort(level)
+    by_exposure, exposures, level = [by_exposure[k] for k in order], exposures[order], level[order]
+    total = np.array([p.variance_dn2 for p in by_exposure])
+    dark_noise, u_dark, dark_slope = _dark_variance(darks)
+    last = saturation_index(total)
+    usable = level <= FIT_RANGE * level[last]
+    if np.count_nonzero(usable) < FEWEST_LEVELS:
+        raise DataError(
+            f"flat frames have {np.count_nonzero(usable)} levels below {100 * FIT_RANGE:.0f} % of saturation; the gain "
+            f"needs {FEWEST_LEVELS}: take flats at more exposures from dark to full"
+        )
+    # a bent curve changes a signal's noise by its slope
+    linear = straightened(camera, level)
+    step = 1e-3 * np.maximum(level, 1.0)
+    slope = (straightened(camera, level + step) - straightened(camera, level - step)) / (2.0 * step)
+    shot = total * slope**2 - dark_noise - dark_slope * exposures
+    x, y = linear[usable], shot[usable]
+    u = np.array([p.u_variance for p in by_exposure])[usable] * slope[usable] ** 2
+    gain = float(np.sum(x * y) / np.sum(x**2))
+    u_gain = math.hypot(float(np.sqrt(np.sum((x * u) ** 2)) / np.sum(x**2)), u_dark * float(np.sum(x) / np.sum(x**2)))
+    u_gain = math.hypot(u_gain, _u_of_curve(camera, curve_covariance, level[usable], total[usable], x, y, gain))
+    if not gain > 0:
+        raise DataError("the noise of the flat frames does not grow with their signal: are they flats, and raw?")
+    hidden = dark_noise < LEAST_DARK_VARIANCE
+    sigma = math.sqrt(max(dark_noise, LEAST_DARK_VARIANCE))
+    ends = level[max(last - 1, 0)], level[min(last + 1, len(level) - 1)]
+    return PhotonTransfer(
+        gain=gain,
+        u_gain=u_gain,
+        dark_noise_dn=sigma,
+        u_dark_noise_dn=0.5 * u_dark / sigma,
+        hidden=hidden,
+        saturation_dn=float(linear[last]),
+        u_saturation_dn=float(abs(ends[1] - ends[0])) / math.sqrt(12.0),
+        saturated=last < len(level) - 1,
+        linearity_error=linearity_error(exposures, level, float(level[last])),
+        signal_dn=linear,
+        variance_dn2=shot,
+        exposures_s=exposures,
+        total_variance_dn2=total,
+    )
+
+
+def _u_of_curve(
+    camera: Camera, covariance: Floats | None, level: Floats, total: Floats, x: Floats, y: Floats, gain: float
+) -> float:
+    """What the covariance of `camera.nonlinearity` does to the gain, to first order."""
+    if covariance is None or not camera.nonlinearity:
+        return 0.0
+    by = np.zeros(len(camera.nonlinearity))
+    for k in range(by.size):
+        changed = list(camera.nonlinearity)
+        changed[k] += 1e-4
+        other = camera.model_copy(update={"nonlinearity": tuple(changed)})
+        step = 1e-3 * np.maximum(level, 1.0)
+        slopes = [
+            (straightened(one, level + step) - straightened(one, level - step)) / (2.0 * step)
+            for one in (camera, other)
+        ]
+        moved, shot = straightened(other, level), y + total * (slopes[1] ** 2 - slopes[0] ** 2)
+        by[k] = (float(np.sum(moved * shot) / np.sum(moved**2)) - gain) / 1e-4
+    return math.sqrt(max(float(by @ covariance @ by), 0.0))
+
+
+def linearity_error(exposures_s: Floats, signal_dn: Floats, saturation_dn: float) -> float:
+    """Mean absolute relative departure of signals from a line over exposure (7): least squares of relative departures.
+
+    NaN where fewer than three levels lie between 5 and 95 % of saturation.
+    """
+    low, high = (part * saturation_dn for part in LINEARITY_RANGE)
+    used = (signal_dn >= low) & (signal_dn <= high)
+    if np.count_nonzero(used) < 3:
+        return math.nan
+    x, y = exposures_s[used], signal_dn[used]
+    line = np.polynomial.polynomial.polyfit(x, y, 1, w=1.0 / y)
+    fitted = np.polynomial.polynomial.polyval(x, line)
+    return float(np.mean(np.abs((y - fitted) / fitted)))
+
+
+def _merged(pairs: Sequence[Pair]) -> Pair:
+    """Pairs of one setting, averaged."""
+    return Pair(
+        pairs[0].exposure_s,
+        float(np.mean([p.mean_dn for p in pairs])),
+        float(np.mean([p.variance_dn2 for p in pairs])),
+        sum(p.pixels for p in pairs),
+        max(p.differ for p in pairs),
+    )
+
+
+def _dark_variance(darks: Sequence[Pair]) -> tuple[float, float, float]:
+    """Temporal variance of dark frames at no exposure [DN^2], its uncertainty, and its growth with exposure [DN^2/s].
+
+    The growth is the shot noise of the dark charge; with one exposure it is taken for zero.
+    """
+    t = np.array([p.exposure_s for p in darks])
+    v, u = np.array([p.variance_dn2 for p in darks]), np.array([p.u_variance for p in darks])
+    w = 1.0 / np.maximum(u, 1e-12) ** 2
+    mean_t = float(np.sum(w * t) / np.sum(w))
+    spread = float(np.sum(w * (t - mean_t) ** 2))
+    if spread <= 1e-6 * mean_t**2 * float(np.sum(w)):
+        return float(np.sum(w * v) / np.sum(w)), float(1.0 / np.sqrt(np.sum(w))), 0.0
+    slope = max(float(np.sum(w * (t - mean_t) * v)) / spread, 0.0)
+    level = float(np.sum(w * v) / np.sum(w)) - slope * mean_t
+    return level, math.sqrt(1.0 / float(np.sum(w)) + mean_t**2 / spread), slope

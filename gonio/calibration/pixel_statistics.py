@@ -1,0 +1,97 @@
+"""Dark current, DSNU, PRNU and defects: what dark and flat frames say of single pixels (EMVA 1288, 8 and 9)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.typing import Floats
+
+DEFECT = 8.0
+"""Robust standard deviations from the median beyond which a pixel is a defect: of normal noise none in 1e15."""
+LEAST_DEPARTURE = 0.2
+"""Relative departure of a responsivity below which a pixel is none, however narrow the others lie."""
+SMOOTH_PX = 8.0
+"""Standard deviation of the Gaussian that tells pixels from vignetting and beam."""
+BOLTZMANN_EV = 8.617333262e-5
+"""[eV/K], CODATA 2018."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unevenness:
+    """Spatial standard deviations of a picture, temporal noise taken out: in all, of rows, columns, pixels."""
+
+    total: float
+    row: float
+    column: float
+    pixel: float
+
+
+def unevenness(picture: Floats, temporal_variance: float) -> Unevenness:
+    """Of a mean picture whose pixels have a known temporal variance (8.2): the three parts by the standard's split."""
+    rows, cols = picture.shape
+    total = float(picture.var(ddof=1)) - temporal_variance
+    of_rows, of_cols = float(picture.mean(axis=1).var(ddof=1)), float(picture.mean(axis=0).var(ddof=1))
+    # means of rows hold 1/cols of the single pixels, those of columns 1/rows
+    pixel = (total + temporal_variance - of_rows - of_cols) / (1.0 - 1.0 / rows - 1.0 / cols)
+    row, column = of_rows - pixel / cols, of_cols - pixel / rows
+    parts = (total, row, column, pixel - temporal_variance)
+    return Unevenness(*(math.sqrt(max(part, 0.0)) for part in parts))
+
+
+def outliers(picture: Floats, least: float = 0.0) -> npt.NDArray[np.bool_]:
+    """Pixels far from the median, in robust standard deviations, and by `least` at least."""
+    centre = float(np.nanmedian(picture))
+    away = np.abs(picture - centre)
+    scale = 1.4826 * float(np.nanmedian(away))
+    return np.asarray(np.isfinite(picture) & (away > max(DEFECT * scale, least)))
+
+
+def smooth(picture: Floats, where: npt.NDArray[np.bool_], sigma: float = SMOOTH_PX) -> Floats:
+    """A picture blurred by a Gaussian, over the pixels of a region alone; NaN far from it."""
+    from scipy.ndimage import gaussian_filter
+
+    weight = gaussian_filter(where.astype(float), sigma)
+    values = gaussian_filter(np.where(where, picture, 0.0), sigma)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.where(weight > 1e-3, values / weight, math.nan))
+
+
+def kept_by_high_pass(sigma: float = SMOOTH_PX) -> float:
+    """Part of independent pixels' variance that is left after the picture was divided by its `smooth`."""
+    area = 4.0 * math.pi * sigma**2
+    return 1.0 - 3.0 / area
+
+
+@dataclass(frozen=True, slots=True)
+class DarkTemperature:
+    """Dark current over temperature: ln I = a - E/(k T)."""
+
+    energy_ev: float
+    u_energy_ev: float
+    doubling_c: float
+    """Kelvin that double the dark current, at the mean temperature."""
+    at_c: float
+    rate_e_per_s: float
+    """At the mean temperature `at_c`."""
+
+
+def temperature_law(temperatures_c: Floats, rates_e_per_s: Floats, u_rates: Floats) -> DarkTemperature | None:
+    """Arrhenius' law through dark currents at several temperatures; None where they differ by less than 2 K."""
+    use = np.isfinite(temperatures_c) & (rates_e_per_s > 0)
+    if np.count_nonzero(use) < 2 or float(np.ptp(temperatures_c[use])) < 2.0:
+        return None
+    kelvin = temperatures_c[use] + 273.15
+    x, y = 1.0 / (BOLTZMANN_EV * kelvin), np.log(rates_e_per_s[use])
+    w = (rates_e_per_s[use] / np.maximum(u_rates[use], 1e-12)) ** 2
+    centre = float(np.sum(w * x) / np.sum(w))
+    spread = float(np.sum(w * (x - centre) ** 2))
+    slope = float(np.sum(w * (x - centre) * y)) / spread
+    middle = float(np.mean(kelvin))
+    energy = -slope
+    level = float(np.sum(w * y) / np.sum(w)) + slope * (1.0 / (BOLTZMANN_EV * middle) - centre)
+    doubling = math.log(2.0) * BOLTZMANN_EV * middle**2 / energy if energy > 0 else math.inf
+    return DarkTemperature(energy, 1.0 / math.sqrt(spread), doubling, middle - 273.15, math.exp(level))
