@@ -197,6 +197,6 @@ def test_the_covariance_of_numbers_is_that_of_the_last_file_that_knows_them() ->
     description = describe().model_copy(update={"calibration": CalibrationUse(known=(first, second))})
     found = covariance_of(description, ["d", "a", "e", "b", "c"])
     expected = [[25, 0, 0, -8, 0], [0, 1, 0, 0, 0.3], [0, 0, 0, 0, 0], [-8, 0, 0, 16, 0], [0, 0.3, 0, 0, 9]]
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    np.testing.assert_allclose(found, np.array(expected), rtol=1e-12)
     with pytest.raises(ArgumentError):
         covariance_of(description, ["a", "a"])
