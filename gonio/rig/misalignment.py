@@ -6,6 +6,7 @@ and z of the lab (docs/architecture.md, "From pose to pixel").
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 from functools import lru_cache
@@ -23,6 +24,12 @@ PROBE = 1e-7
 LONGEST_STEP = 0.3
 """Of one axis in one step [rad]: near a singular pose a longer one leads astray."""
 HALVINGS = 10
+CONVERGED = 1e-9
+"""Directions that differ by less [rad] are the same."""
+DIRECTIONS = 4
+"""Numbers that two directions are made of: a rig with as many axes can show all of them."""
+ASIDE = 0.5
+"""From where else to start, in each axis [rad]."""
 FLAT = 1e-6
 """Combinations of axes that turn the directions less than this, per radian, are left alone."""
 
@@ -63,6 +70,21 @@ def closest_pose(description: RigDescription, start: Pose, wanted: Floats) -> tu
     Gauss-Newton's method over all axes that the rig has. `wanted` is the unit vector to the source, and after it that
     to the detector.
     """
+    pose, off = _closer(description, start, wanted)
+    names = list(description.axes())
+    if off > CONVERGED and len(names) >= DIRECTIONS:
+        # near a singular pose the way may end in a place from which every step leads away
+        for signs in itertools.product((-ASIDE, ASIDE), repeat=len(names)):
+            aside = replace(start, **{name: getattr(start, name) + by for name, by in zip(names, signs, strict=True)})
+            found = _closer(description, aside, wanted)
+            pose, off = min((pose, off), found, key=lambda each: each[1])
+            if off <= CONVERGED:
+                break
+    return pose, off
+
+
+def _closer(description: RigDescription, start: Pose, wanted: Floats) -> tuple[Pose, float]:
+    """As `closest_pose`, from one start."""
     names = list(description.axes())
 
     def off(place: Floats) -> Floats:
