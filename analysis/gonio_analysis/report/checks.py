@@ -139,14 +139,12 @@ def _on(figure: Any, *, panels: list[str], c: ChecksSummary, rho: list[Reflectan
             far = max(abs(log) for logs in c.differences.values() for log in logs) > np.log(2.0)
             for (kind, logs), colour in zip(c.differences.items(), COLOURS, strict=False):
                 place = (np.arange(len(logs)) + 0.5) / len(logs)
-                shown = np.exp(logs) if far else 100 * np.expm1(logs)
+                shown = np.asarray(logs) if far else 100 * np.expm1(logs)
                 ax.plot(place, shown, ".", ms=2.5, color=colour, label=kind)
-            if far:
-                ax.set_yscale("log")
-            ax.axhline(1.0 if far else 0.0, lw=0.6, color=FAINT)
+            ax.axhline(0.0, lw=0.6, color=FAINT)
             ax.set_xlim(0, 1)
             ax.set_xlabel("share of the pairs", fontsize=7.5)
-            ax.set_ylabel("ratio" if far else "difference [%]", fontsize=7.5)
+            ax.set_ylabel("ln(one / other)" if far else "difference [%]", fontsize=7.5)
             ax.legend(fontsize=6.5, frameon=False, handletextpad=0.1, borderpad=0.0, loc="upper left")
             ax.margins(y=0.35)
         elif name == "visits":
