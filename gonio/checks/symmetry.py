@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.checks.values import Rows, Values, incidences
-from gonio.geometry import SAME_AZIMUTH, SAME_DIRECTION, Directions, wrap
+from gonio.geometry import SAME_ANGLE, SAME_AZIMUTH, SAME_DIRECTION, Directions, wrap
 from gonio.typing import Floats
 
 NEAR = float(np.radians(0.1))
@@ -25,6 +25,34 @@ SIGNIFICANCE = 0.01
 FEWEST = 3
 MOST_VALUES = 50_000
 """Values that are compared, evenly taken."""
+
+
+STEEP = math.radians(5.0)
+"""Distance from the mirror direction within which lobes are steep."""
+LOW = math.radians(75.0)
+"""Polar angle from which footprints are four times as long as they are wide, and more."""
+FAINT = 0.01
+"""Part of the largest value at the same incidence below which stray light and background matter."""
+PLACES = {
+    f"within {math.degrees(STEEP):.0f}° of the mirror direction": "the lobe is narrow there: errors of the angles, the"
+    " sizes of source and receiver, and the steps of the plan move values",
+    f"fainter than {100 * FAINT:.0f} % of the brightest value at the incidence": "what reaches the detector beside the"
+    " sample's light, background or stray light, is not small there",
+    f"at polar angles from {math.degrees(LOW):.0f}° on": "the footprints of source and receiver outgrow the sample or"
+    " each other there",
+    "elsewhere": "the sample is not the same in both: moved, textured, or measured against a level that drifted",
+}
+"""Where a pair lies, the first that fits; and what makes pairs differ there."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """The pairs in one of `PLACES`."""
+
+    words: str
+    pairs: int
+    typical: float
+    """rms of ln(one / other)."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +70,8 @@ class Pairs:
     """With the covariance of the values; None where no uncertainty is known."""
     logs: list[float]
     """ln(one / other) of every pair."""
+    places: list[Place]
+    """Where they lie, in the order of `PLACES`, without those that hold no pair."""
 
     @property
     def reduced_chi_square(self) -> float | None:
@@ -152,4 +182,29 @@ def _compared(data: Values, pairs: Rows, kind: str, words: str) -> Pairs | None:
         return None
     logs = np.diff(np.log(data.brdf[pairs]), axis=1)[:, 0]
     typical, largest = float(np.sqrt(np.mean(logs**2))), float(np.abs(logs).max())
-    return Pairs(kind, words, len(pairs), typical, largest, data.chi_square(pairs) if known else None, logs.tolist())
+    return Pairs(
+        kind,
+        words,
+        len(pairs),
+        typical,
+        largest,
+        data.chi_square(pairs) if known else None,
+        logs.tolist(),
+        _places(data, pairs, logs),
+    )
+
+
+def _places(data: Values, pairs: Rows, logs: Floats) -> list[Place]:
+    at, brightest = data.directions, np.empty(len(data))
+    for one in incidences(at):
+        brightest[one.rows] = data.brdf[one.rows].max()
+    faint = data.brdf < FAINT * brightest
+    steep = np.asarray(at.mirror_offset) <= STEEP + SAME_ANGLE
+    low = np.maximum(at.theta_i, at.theta_r) >= LOW
+    left, out = np.ones(len(pairs), dtype=bool), []
+    for words, here in zip(PLACES, (steep, faint, low, np.ones(len(data), dtype=bool)), strict=True):
+        chosen = left & here[pairs].any(axis=1)
+        left &= ~chosen
+        if chosen.any():
+            out.append(Place(words, int(chosen.sum()), float(np.sqrt(np.mean(logs[chosen] ** 2)))))
+    return out

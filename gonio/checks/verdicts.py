@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal
 
 from gonio.checks.hemisphere import Hemispherical, reflectances
-from gonio.checks.symmetry import DIFFERENT, FEWEST, Pairs, repeats, symmetries
+from gonio.checks.symmetry import DIFFERENT, FEWEST, PLACES, Pairs, repeats, symmetries
 from gonio.checks.values import Values
 
 Verdict = Literal["ok", "look", "bad", "not told"]
@@ -121,18 +121,32 @@ def of_pairs(name: str, pairs: Pairs | None, advice: str) -> Check:
     """Whether pairs of values are as much alike as their covariance says."""
     if pairs is None:
         return Check(name, "not told", None, f"fewer than {FEWEST} such pairs were measured", "", advice)
-    figure = f"{pairs.pairs} pairs differ typically by {_percent(pairs.typical)}, at most by {_percent(pairs.largest)}"
+    figure = f"{pairs.pairs} pairs differ typically by {_factor(pairs.typical)}, at most by {_factor(pairs.largest)}"
     if pairs.reduced_chi_square is None:
-        verdict: Verdict = "bad" if pairs.differ else "look" if pairs.typical > HALF_DIFFERENT else "ok"
+        value = pairs.typical
+        verdict: Verdict = "bad" if pairs.differ else "look" if value > HALF_DIFFERENT else "ok"
         limit = f"no uncertainty is stated; {_percent(HALF_DIFFERENT)} is worth a look, {_percent(DIFFERENT)} is bad"
-        return Check(name, verdict, pairs.typical, figure, limit)
-    ratio = pairs.reduced_chi_square
-    verdict = "ok" if not pairs.differ else "bad" if ratio > TWICE else "look"
-    limit = (
-        "chi-square with the covariance: 1 run in 100 exceeds the limit by chance; above 4 a pair, differences are"
-        " twice their uncertainty"
-    )
-    return Check(name, verdict, ratio, f"{figure}; chi-square a pair {ratio:.3g}", limit)
+    else:
+        value = pairs.reduced_chi_square
+        verdict = "ok" if not pairs.differ else "bad" if value > TWICE else "look"
+        figure += f"; chi-square a pair {value:.3g}"
+        limit = (
+            "chi-square with the covariance: 1 run in 100 exceeds the limit by chance; above 4 a pair, differences are"
+            " twice their uncertainty"
+        )
+    return Check(name, verdict, value, figure, limit, "" if verdict == "ok" else _cause(pairs))
+
+
+def _cause(pairs: Pairs) -> str:
+    """Where pairs differ, and why they do there, as far as the values tell."""
+    told = ", ".join(f"{_factor(one.typical)} {one.words} ({one.pairs})" for one in pairs.places)
+    worst = max(pairs.places, key=lambda one: one.pairs * one.typical**2)
+    return f"typical differences (and pairs): {told}. Most of it lies {worst.words}: {PLACES[worst.words]}"
+
+
+def _factor(log: float) -> str:
+    """A difference of logarithms: in percent, or as a factor where it is large."""
+    return _percent(math.expm1(log)) if log < math.log(2.0) else f"a factor {math.exp(log):.3g}"
 
 
 def of_energy(found: Sequence[Hemispherical]) -> Check:

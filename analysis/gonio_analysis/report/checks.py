@@ -20,7 +20,7 @@ from gonio_analysis.report.text import number, with_u
 from gonio_analysis.result_records import ChecksSummary, Reflectance
 
 KIND = "checks"
-MARKS = {"ok": "✓\u00a0ok", "look": "▲\u00a0look", "bad": "✕\u00a0bad", "not told": "–\u00a0not\u00a0told"}
+MARKS = {"ok": "✓\u00a0ok", "look": "▲\u00a0look", "bad": "✕\u00a0bad", "not told": "not\u00a0told"}
 MOST_DRAWN = 200
 """Pairs and visits of a panel, evenly taken."""
 PANEL_IN = 1.85
@@ -57,7 +57,11 @@ def draw(c: ChecksSummary | None, rho: Sequence[Reflectance], slug: str) -> list
         "energy": "directional-hemispherical reflectance of the measurement, with two standard uncertainties; above"
         " the line at 1 more light leaves the sample than falls on it",
     }
-    caption = "Checks, from left to right: " + "; ".join(captions[name] for name in panels) + "."
+    caption = (
+        ("Checks, from left to right: " if len(panels) > 1 else "Checks: ")
+        + "; ".join(captions[name] for name in panels)
+        + "."
+    )
     alt = " ".join(f"{one.name}: {one.verdict}, {one.figure}." for one in c.checks)
     size = (0.35 + 2.05 * max(len(panels), 2), PANEL_IN)
     return [Drawing(f"{slug}-checks", KIND, "", caption, alt, size, partial(_on, panels=panels, c=c, rho=list(rho)))]
@@ -132,13 +136,15 @@ def _on(figure: Any, *, panels: list[str], c: ChecksSummary, rho: list[Reflectan
         clean(ax)
         ax.tick_params(labelsize=7)
         if name == "pairs":
+            far = max(abs(log) for logs in c.differences.values() for log in logs) > np.log(2.0)
             for (kind, logs), colour in zip(c.differences.items(), COLOURS, strict=False):
                 place = (np.arange(len(logs)) + 0.5) / len(logs)
-                ax.plot(place, 100 * np.expm1(logs), ".", ms=2.5, color=colour, label=kind)
+                shown = np.asarray(logs) if far else 100 * np.expm1(logs)
+                ax.plot(place, shown, ".", ms=2.5, color=colour, label=kind)
             ax.axhline(0.0, lw=0.6, color=FAINT)
             ax.set_xlim(0, 1)
             ax.set_xlabel("share of the pairs", fontsize=7.5)
-            ax.set_ylabel("difference [%]", fontsize=7.5)
+            ax.set_ylabel("ln(one / other)" if far else "difference [%]", fontsize=7.5)
             ax.legend(fontsize=6.5, frameon=False, handletextpad=0.1, borderpad=0.0, loc="upper left")
             ax.margins(y=0.35)
         elif name == "visits":
