@@ -103,7 +103,7 @@ def take_series(
                 f"a frame is stamped {time_s:g} s, and the one before it {rows[-1]['time_s']:g} s: times must grow"
             )
         signal = float(np.mean(pixels - dark))
-        u = _noise(description, max(signal, 0.0), frame.exposure_s) / math.sqrt(region.count)
+        u = float(_noise(description, max(signal, 0.0), frame.exposure_s)) / math.sqrt(region.count)
         row: dict[str, float] = {
             "time_s": max(time_s, 0.0),
             "signal_dn_per_s": signal / frame.exposure_s,

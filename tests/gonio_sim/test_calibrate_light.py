@@ -44,7 +44,7 @@ def test_what_is_true_of_the_lamp_is_found_and_can_be_used(tmp_path: Path) -> No
         "--out",
         "light.toml",
         "--minutes",
-        "40",
+        "25",
         "--valid-days",
         "90",
     )

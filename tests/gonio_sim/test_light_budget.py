@@ -1,7 +1,8 @@
-"""Runs of the simulated rig whose light has what a laboratory's has: what the reduction makes of it, against the truth."""
+"""Runs of a simulated rig whose light has what a laboratory's has: what the reduction makes of it, and the truth."""
 
 from __future__ import annotations
 
+import datetime
 import math
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ from tests.gonio_sim.conftest import describe
 SMALL = {"width": 96, "height": 96, "pixel_um": 25.0}
 PLAN = {"name": "few", "wavelength_nm": [550], "sweep": [{"theta_i_deg": [0, 30, 60], "theta_r_deg": [-45, 10, 50]}]}
 MATTE = {"name": "matte", "model": "lambert", "parameters": {"albedo": 0.5}}
-GLASS = {
+GLASS: dict[str, Any] = {
     "name": "rough glass", "model": "he-torrance",
     "parameters": {"sigma0_um": 0.6, "tau_um": 2.5, "ior": [1.5, 0.0]},
 }  # fmt: skip
@@ -53,7 +54,7 @@ def run(
     if known is not None:
         calibration = Calibration(
             kind="light", rig=values["name"], rig_identity=identity(find_rig(str(folder / "rig.toml")).description),
-            made="2026-01-01", values=known[0],
+            made=datetime.date(2026, 1, 1), values=known[0],
             uncertainty=ParameterUncertainty(
                 parameters=list(known[1]), u=list(known[1].values()), correlation=np.eye(len(known[1])).tolist()
             ),
@@ -143,7 +144,11 @@ def test_a_beam_s_profile_that_is_known_is_corrected_and_its_uncertainty_kept(tm
     """A reference 13 mm beside the sample gets 3 % less light; the profile is known to a tenth of that."""
     true = {"lamp": {"beam": {"xx_per_mm2": -1.8e-4, "yy_per_mm2": -1.8e-4}}}
     beside = {"how": "beside", "offset_mm": [0.0, 13.0], "diameter_mm": 12.0, "u_rel": 0.0}
-    wide = {"reference": beside, "holder": {"sample_diameter_mm": 10.0}, "camera": SMALL | {"pixel_um": 40.0}}
+    wide: dict[str, Any] = {
+        "reference": beside,
+        "holder": {"sample_diameter_mm": 10.0},
+        "camera": SMALL | {"pixel_um": 40.0},
+    }
     known = {"lamp": {"beam": {"xx_per_mm2": -1.7e-4, "yy_per_mm2": -1.7e-4}}}, {"lamp.beam.yy_per_mm2": 1e-5}
     (tmp_path / "a").mkdir()
     table = reduce(run(tmp_path / "a", truth=true, known=known, **wide))
@@ -189,8 +194,8 @@ def test_the_budget_covers_what_polarisation_does_to_rough_glass(
 def test_errors_of_wavelengths_and_widths_are_in_the_budget_of_a_run_of_several_bands(tmp_path: Path) -> None:
     """Copper, whose edge lies at 570 nm. The bands truly lie 1.5 nm higher than the file says; it is known to 1 nm."""
     copper = {"name": "copper", "model": "he-torrance", "parameters": {"sigma0_um": 0.5, "tau_um": 3.0, "ior": "Cu"}}
-    plan = {"name": "edge", "wavelength_nm": [550, 560, 570, 580, 590, 600]}
-    plan["sweep"] = [{"theta_i_deg": [30], "theta_r_deg": [30]}]  # type: ignore[list-item]
+    plan: dict[str, Any] = {"name": "edge", "wavelength_nm": [550, 560, 570, 580, 590, 600]}
+    plan["sweep"] = [{"theta_i_deg": [30], "theta_r_deg": [30]}]
     tunable = {"start_nm": 400.0, "stop_nm": 700.0, "step_nm": 10.0, "fwhm_nm": 10.0}
     truth = {"bands": {"tunable": tunable | {"start_nm": 401.5, "stop_nm": 701.5}}}
     known = {"bands": {"tunable": {"start_nm": 400.0}}}, {"bands.tunable.start_nm": 1.0}

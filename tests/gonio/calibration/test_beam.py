@@ -46,16 +46,16 @@ def flats(angles: list[float], seed: int = 0) -> pd.DataFrame:
 
 
 def test_a_beam_is_told_from_the_lens_with_honest_uncertainties() -> None:
-    """Twelve benches: pulls of five numbers have a spread of 1 +- 0.09, and the lens is found too."""
+    """Five benches: pulls of five numbers have a spread of 1 +- 0.14, and the lens is found too."""
     pulls = []
-    for seed in range(12):
+    for seed in range(5):
         found = beam.fit(flats([-60.0, -45.0, -30.0, -12.0, 12.0, 30.0, 45.0, 60.0], seed))
         pulls.append((np.array(found.beam.terms()) - TRUE) / np.sqrt(np.diag(found.covariance)))
         assert found.reduced_chi_square < 1.3
         assert found.lens[0] + found.lens[1] == pytest.approx(-0.03, abs=0.03)
     spread = float(np.std(pulls))
-    assert 0.75 < spread < 1.3
-    assert abs(float(np.mean(pulls))) < 0.4
+    assert 0.6 < spread < 1.45  # three standard deviations
+    assert abs(float(np.mean(pulls))) < 0.6
 
 
 def test_flats_at_one_angle_do_not_tell_the_beam_from_the_lens() -> None:

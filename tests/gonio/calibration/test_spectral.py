@@ -32,7 +32,7 @@ def test_centre_and_width_of_noisy_gaussian_bands_have_honest_uncertainties() ->
 
 def test_a_band_that_is_cut_off_is_refused() -> None:
     x = np.arange(545.0, 580.0, 0.5)
-    with pytest.raises(DataError, match='band "g": its spectrum from 545 to 579.5 nm does not hold the band whole'):
+    with pytest.raises(DataError, match=r'band "g": its spectrum from 545 to 579.5 nm does not hold the band whole'):
         spectral.spectrum("g", x, np.exp(-(((x - 548.0) / 6.0) ** 2)))
 
 
