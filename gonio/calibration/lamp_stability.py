@@ -193,7 +193,7 @@ def noise_of(time_s: Floats, y: Floats, shot: Floats) -> tuple[float, float]:
     total = float(np.mean(pseudo[kept] ** 2))
     variance = total - float(np.mean(explained[kept]))
     # the variance of the estimator is 35/9 sigma^4 / n for equal spacings
-    u_variance = math.sqrt(35.0 / 9.0 / max(np.count_nonzero(kept), 1)) * total
+    u_variance = math.sqrt(35.0 / 9.0 / max(int(np.count_nonzero(kept)), 1)) * total
     noise = math.sqrt(max(variance, 0.0))
     return noise, u_variance / (2.0 * noise) if noise > 0.0 and variance > u_variance else math.sqrt(u_variance)
 
