@@ -11,7 +11,11 @@ import pandas as pd
 import pytest
 
 from gonio.acquisition.measure import find_rig
+from gonio.by_hand.bench import Bench
+from gonio.calibration import lamp_bench
 from gonio.config import numbers_in, to_toml
+from gonio.errors import DeviceError
+from gonio.rig import Frame
 from gonio.rig.calibrated import read_calibration
 from tests.command_line import gonio
 from tests.gonio_sim.conftest import describe
@@ -86,6 +90,26 @@ def test_a_lamp_that_drifts_more_than_the_model_is_refused_and_its_data_kept(tmp
     assert "drifts more than warm-up and steady drift allow" in said.stderr
     assert not (tmp_path / "light.toml").exists()
     assert (tmp_path / "light-series.png").exists()
+
+
+def test_a_series_that_is_cut_short_is_kept(tmp_path: Path) -> None:
+    """The camera is unplugged in the middle of it."""
+    write(tmp_path)
+    bench = Bench(find_rig(str(tmp_path / "rig.toml")).open(by_hand=True))
+    kept: list[pd.DataFrame] = []
+    capture, left = bench.camera.capture, iter(range(60))
+
+    def unplugged(exposure_s: float) -> Frame:
+        if next(left, None) is None:
+            raise DeviceError("the camera does not answer")
+        return capture(exposure_s)
+
+    bench.camera.capture = unplugged  # type: ignore[method-assign]
+    with bench, pytest.raises(DeviceError, match="does not answer"):
+        lamp_bench.take_series(bench, 3600.0, 15.0, keep=kept.append)
+    assert 50 < len(kept[0]) < 60
+    assert (kept[0]["signal_dn_per_s"] > 0).all()
+    assert not bench.world.lamp_on
 
 
 def test_what_cannot_be_used_is_refused_in_words(tmp_path: Path) -> None:
