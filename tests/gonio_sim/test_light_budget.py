@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -128,6 +129,21 @@ def test_a_monitor_takes_the_lamp_s_noise_and_its_jumps_out(tmp_path: Path) -> N
     assert np.std(error) < 0.004  # the lamp alone would make 0.05 / sqrt(2)
     assert np.all(quiet["u_random"] / quiet["brdf"] < 0.004)
     assert not any("scatter" in note for note in quiet.attrs["notes"])
+
+
+def test_a_point_whose_frames_lack_a_reading_is_flagged(tmp_path: Path) -> None:
+    made = run(tmp_path, "sim", truth={}, lamp={"monitor": True})
+    steps = list(made.steps())
+    assert all(frame.monitor for step in steps for frame in step.frames if frame.lamp)
+    assert all(frame.monitor is None for step in steps for frame in step.frames if not frame.lamp)
+    k = next(k for k, step in enumerate(steps) if step.kind == "point")
+    bare = replace(steps[k].frames[0], monitor=None)
+    steps[k] = replace(steps[k], frames=(bare, *steps[k].frames[1:]))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(made, "steps", lambda: steps)
+        table = reduce(made)
+    assert list(table["flag"]) == ["unmonitored"] + [""] * (len(table) - 1)
+    assert math.isnan(table["brdf"][0])
 
 
 def test_a_rig_without_the_monitor_that_its_file_promises_is_told(tmp_path: Path) -> None:
