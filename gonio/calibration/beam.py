@@ -44,8 +44,8 @@ BLOCKS = 24
 """Blocks of pixels along the longer side of the frame; each is one value."""
 INSIDE = 0.9
 """Part of the white's radius whose spots count: its edge is not as white."""
-UNDETERMINED = 1e4
-"""A fit whose columns are more nearly dependent than this tells no beam from no lens."""
+FORESHORTENED = 1.3
+"""The cosine of the steepest camera angle must be at least so many times that of the most oblique one."""
 CURVATURES = ("xx_per_mm2", "xy_per_mm2", "yy_per_mm2")
 
 
@@ -139,8 +139,9 @@ def fit(table: pd.DataFrame) -> Profile:
     design = np.column_stack([x, y, x * x, x * y, y * y, r**2, r**4, levels])
     scaled, target = _whitened(table, design, target)
     length = np.linalg.norm(scaled, axis=0)
-    # flats at one camera angle show x^2 + y^2 in step with r^2
-    if np.linalg.cond(scaled / length) > UNDETERMINED:
+    # flats at one camera angle show x^2 and y^2 in step with r^2
+    cosines = np.cos(np.radians(table["camera_deg"].to_numpy()))
+    if cosines.max() < FORESHORTENED * cosines.min():
         angles = np.unique(np.round(abs(table["camera_deg"]), 1))
         raise DataError(
             f"the flats do not tell the beam from the lens: they were taken at {len(angles)} angle(s) of the camera "

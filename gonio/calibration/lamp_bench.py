@@ -12,6 +12,7 @@ import numpy as np
 from gonio.acquisition import exposure
 from gonio.acquisition.schedule import reference_pose
 from gonio.calibration import beam
+from gonio.calibration.lamp_stability import COLUMNS
 from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.geometry import Directions
 from gonio.rig import Frame, Pose, Step, imaging, kinematics
@@ -35,42 +36,49 @@ def take_series(
     duration_s: float,
     every_s: float,
     *,
-    told: Callable[[float], None] | None = None,
+    keep: Callable[[pd.DataFrame], None],
     sleep: Callable[[float], None] = time.sleep,
-) -> pd.DataFrame:
-    """Frames of the white from the moment that the lamp is lit: a table with the columns of `lamp_stability.COLUMNS`.
+) -> None:
+    """Frames of the white from the moment that the lamp is lit.
 
     One exposure for all, chosen while the lamp is fresh; `BURST` frames every `every_s` seconds of the rig's clock. The
-    lamp is dark afterwards. `monitor` is there where the lamp has one.
+    lamp is dark afterwards.
+
+    Parameters
+    ----------
+    bench
+        Open.
+    duration_s, every_s
+        How long, and how often [s].
+    keep
+        Gets the table, with the columns of `lamp_stability.COLUMNS` and with `monitor` where the lamp has one; whatever
+        ends the series early, it gets what there is. (Then the camera's black level takes the place of dark frames.)
+    sleep
+        Waits.
 
     Raises
     ------
     DataError
-        A frame saturates, or has a time that is not later than the one before it.
+        A frame saturates, has no exposure, or a time that is not later than the one before it.
     DeviceError
         A device fails.
     """
-    import pandas as pd
-
     description = bench.description
     pose = reference_pose(description)
     expected = exposure.expected_level_per_s(description, pose, 1.0)
     if description.reference.how == "beam":
         expected = exposure.expected_straight_level_per_s(description)
-    steps = _Steps(bench)
-    rows: list[dict[str, float]] = []
-    raw: list[tuple[Frame, float | None]] = []
+    steps, taken, dark = _Steps(bench), _Series(description), math.nan
     try:
         bench.lamp(False)
         steps.next(pose)
         bench.present("reference")
         region = imaging.roi(description, kinematics.view(description, pose), "reference", bench.band.channel)
-        bench.lamp(True, wavelength_nm=bench.band.centre_nm)
         lit_s = bench.time_s()
+        bench.lamp(True, wavelength_nm=bench.band.centre_nm)
         metered = exposure.meter(description, bench.camera.capture, region.of, expected)
         if metered.saturated:
             raise DataError("the white saturates at the shortest exposure: dim the lamp, or close the lens's aperture")
-        kept: list[Floats] = []
         due = 0.0
         while due <= duration_s:
             now = bench.time_s() - lit_s
@@ -80,46 +88,58 @@ def take_series(
                 steps.next(pose)  # a simulated clock goes on with the steps
                 continue
             for _ in range(BURST):
-                frame = bench.camera.capture(metered.exposure_s)
-                imaging.require_frame(description.camera, frame, "the camera")
-                raw.append((frame, _monitor(bench)))
-                kept.append(np.asarray(region.of(frame.mosaic), float))
+                taken.add(bench.camera.capture(metered.exposure_s), region, lit_s, _monitor(bench))
             due = max(due + every_s, bench.time_s() - lit_s)
-            if told is not None:
-                told(min(due, duration_s))
         bench.lamp(False)
-        darks = [
-            np.asarray(region.of(bench.camera.capture(metered.exposure_s).mosaic), float) for _ in range(DARK_FRAMES)
-        ]
+        darks = [region.of(bench.camera.capture(metered.exposure_s).mosaic) for _ in range(DARK_FRAMES)]
+        dark = float(np.mean(np.array(darks, float)))
     finally:
         bench.light.off()
-    dark = np.mean(darks, axis=0)
-    camera = description.camera
-    for (frame, monitor), pixels in zip(raw, kept, strict=True):
-        _require(description, frame, pixels)
+        if taken.rows:
+            keep(taken.table(dark if math.isfinite(dark) else taken.black_level_dn))
+
+
+class _Series:
+    """Frames as they come, each checked and reduced to what a series needs of it."""
+
+    def __init__(self, description: RigDescription) -> None:
+        self._description = description
+        self.rows: list[dict[str, float]] = []
+        self.black_level_dn = 0.0
+        self._pixels = 1
+
+    def add(self, frame: Frame, region: imaging.Roi, lit_s: float, monitor: float | None) -> None:
+        """One more frame; raises `DataError` where it cannot be used."""
+        imaging.require_frame(self._description.camera, frame, "the camera")
+        pixels = np.asarray(region.of(frame.mosaic), float)
+        _require(self._description, frame, pixels)
         time_s = float(frame.time_s) - lit_s
-        if rows and time_s <= rows[-1]["time_s"]:
+        if self.rows and time_s <= self.rows[-1]["time_s"]:
             raise DataError(
-                f"a frame is stamped {time_s:g} s, and the one before it {rows[-1]['time_s']:g} s: times must grow"
+                f"a frame is stamped {time_s:g} s after the lamp was lit, and the one before it "
+                f"{self.rows[-1]['time_s']:g} s: times must grow"
             )
-        signal = float(np.mean(pixels - dark))
-        u = _noise(description, max(signal, 0.0), frame.exposure_s) / math.sqrt(region.count)
-        row: dict[str, float] = {
-            "time_s": max(time_s, 0.0),
-            "signal_dn_per_s": signal / frame.exposure_s,
-            "u_shot_dn_per_s": u / frame.exposure_s,
-            "exposure_s": frame.exposure_s,
-        }
-        rows.append(row | ({} if monitor is None else {"monitor": monitor}))
-    table = pd.DataFrame(rows)
-    table.attrs["electrons_per_dn"] = camera.electrons_per_dn
-    return table
+        self.black_level_dn, self._pixels = frame.black_level_dn, region.count
+        row = {"time_s": max(time_s, 0.0), "mean_dn": float(pixels.mean()), "exposure_s": frame.exposure_s}
+        self.rows.append(row | ({} if monitor is None else {"monitor": monitor}))
+
+    def table(self, dark_dn: float) -> pd.DataFrame:
+        """With the columns of `lamp_stability.COLUMNS`."""
+        import pandas as pd
+
+        out = pd.DataFrame(self.rows)
+        signal, exposure_s = out["mean_dn"] - dark_dn, out["exposure_s"]
+        noise = [float(_noise(self._description, max(dn, 0.0), t)) for dn, t in zip(signal, exposure_s, strict=True)]
+        out["signal_dn_per_s"] = signal / exposure_s
+        out["u_shot_dn_per_s"] = np.array(noise) / math.sqrt(self._pixels) / exposure_s
+        return out[[*COLUMNS, *(["monitor"] if "monitor" in out else [])]]
 
 
-def take_flats(bench: Bench, *, told: Callable[[int, int], None] | None = None) -> pd.DataFrame:
-    """Flats of the white at several camera angles: a table with the columns of `beam.COLUMNS`.
+def take_flats(bench: Bench, *, keep: Callable[[pd.DataFrame], None]) -> None:
+    """Flats of the white at several camera angles.
 
-    The lamp has to be warm: what it changes from flat to flat does not matter, what it changes in shape does.
+    `keep` gets a table with the columns of `beam.COLUMNS`, whatever ends the flats early. The lamp has to be warm: what
+    it changes from flat to flat does not matter, what it changes in shape does.
 
     Raises
     ------
@@ -160,11 +180,10 @@ def take_flats(bench: Bench, *, told: Callable[[int, int], None] | None = None) 
             noise = _noise(description, np.maximum(mean, 0.0), t) / math.sqrt(FLAT_FRAMES)
             noise = np.hypot(noise, _noise(description, np.zeros_like(mean), t) / math.sqrt(DARK_FRAMES))
             tables.append(beam.blocks(description, landed, mean / t, noise / t, number))
-            if told is not None:
-                told(number, len(poses))
     finally:
         bench.light.off()
-    return pd.concat(tables, ignore_index=True)
+        if tables:
+            keep(pd.concat(tables, ignore_index=True))
 
 
 def _poses(description: RigDescription) -> list[Pose]:

@@ -181,7 +181,7 @@ def fit(time_s: Floats, signal: Floats, u_shot: Floats) -> Stability:
 def noise_of(time_s: Floats, y: Floats, shot: Floats) -> tuple[float, float]:
     """Standard deviation of a signal's noise beyond shot noise, and its standard uncertainty.
 
-    From what each frame departs from the line through its two neighbours (Gasser, Sroka and Jennen-Steinmetz 1986), so
+    From what each frame departs from the line through its two neighbours (Gasser1986), so
     that no slow change counts. Where shot noise explains it all the noise is 0, and its uncertainty a bound.
     """
     a = (time_s[2:] - time_s[1:-1]) / (time_s[2:] - time_s[:-2])
@@ -193,7 +193,7 @@ def noise_of(time_s: Floats, y: Floats, shot: Floats) -> tuple[float, float]:
     total = float(np.mean(pseudo[kept] ** 2))
     variance = total - float(np.mean(explained[kept]))
     # the variance of the estimator is 35/9 sigma^4 / n for equal spacings
-    u_variance = math.sqrt(35.0 / 9.0 / max(np.count_nonzero(kept), 1)) * total
+    u_variance = math.sqrt(35.0 / 9.0 / max(int(np.count_nonzero(kept)), 1)) * total
     noise = math.sqrt(max(variance, 0.0))
     return noise, u_variance / (2.0 * noise) if noise > 0.0 and variance > u_variance else math.sqrt(u_variance)
 
@@ -225,7 +225,7 @@ def _warm_up(time_s: Floats, y: Floats, variance: Floats) -> Fitted | None:
 
     taus = np.geomspace(shortest, longest, 40)
     best = float(taus[int(np.argmin([np.sum(linear(tau)[1] ** 2) for tau in taus]))])
-    level, below, slope = linear(best)[0].tolist()
+    level, below, slope = (float(value) for value in linear(best)[0])
 
     def residuals(p: Floats) -> Floats:
         return np.asarray((y - p[0] * (1.0 - p[1] * np.exp(-time_s / math.exp(p[2])) + p[3] * time_s)) * weight)

@@ -241,7 +241,7 @@ def _take_series(bench: Bench, out: Path, duration_s: float, every_s: float) -> 
 
     file = _free(out, "series", ".csv")
     console.note(f"watching the lamp for {duration_s / 60:g} minutes from when it is lit; it should be cold now")
-    _keep(lamp_bench.take_series(bench, duration_s, every_s), file)
+    lamp_bench.take_series(bench, duration_s, every_s, keep=lambda table: _keep(table, file))
     return file
 
 
@@ -251,7 +251,7 @@ def _take_flats(bench: Bench, out: Path) -> Path:
 
     file = _free(out, "flats", ".csv")
     console.note("flats of the white at several camera angles")
-    _keep(lamp_bench.take_flats(bench), file)
+    lamp_bench.take_flats(bench, keep=lambda table: _keep(table, file))
     return file
 
 

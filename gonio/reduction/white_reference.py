@@ -26,9 +26,9 @@ class Level:
     Where the visits lie on a straight line within their noise, K(t) = level + slope (t - centre), whose two
     parameters are uncorrelated; `departure` and `extra` are zero. Otherwise K is interpolated linearly between the
     visits, and constant beyond the first and the last. `departure` is then half of the difference between that and the
-    line, `extra` what the noise of the nearest visits, and jumps between them, add to the noise of the mean level. Where the visits do not
-    tell the lamp's drift, K is their mean, `slope` and `u_slope` are zero, and `unknown` says why; `extra` is then what
-    they scatter beyond their noise.
+    line, `extra` what the noise of the nearest visits, and jumps between them, add to the noise of the mean level.
+    Where the visits do not tell the lamp's drift, K is their mean, `slope` and `u_slope` are zero, and `unknown` says
+    why; `extra` is then what they scatter beyond their noise.
     """
 
     centre_s: float

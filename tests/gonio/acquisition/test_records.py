@@ -29,7 +29,15 @@ numbers = st.floats(allow_nan=False, allow_infinity=False)
 text = st.text(max_size=8)
 poses = st.builds(Pose, numbers, numbers, numbers, numbers, numbers)
 frames = st.builds(
-    FrameRecord, text, text, numbers, numbers, st.booleans(), st.none() | text, st.none() | st.integers(0, 2**40)
+    FrameRecord,
+    text,
+    text,
+    numbers,
+    numbers,
+    st.booleans(),
+    st.none() | text,
+    st.none() | st.integers(0, 2**40),
+    st.none() | numbers,
 )
 # the readback after the frames and the levels stand in a record together, or not at all
 afters = st.none() | st.tuples(poses, numbers, st.dictionaries(text, numbers), st.none() | poses)

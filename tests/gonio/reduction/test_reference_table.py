@@ -9,7 +9,7 @@ import pytest
 
 from gonio.errors import DataError
 from gonio.geometry import Directions
-from gonio.reduction.reference_table import brdf_of_reference
+from gonio.reduction.reference_table import brdf_of_reference, u_of_reference
 
 
 def table(waves: tuple[float, ...] = (500.0, 600.0)) -> pd.DataFrame:
@@ -93,3 +93,38 @@ def test_a_table_without_curves_in_the_plane_of_incidence_is_an_error() -> None:
     across = table().assign(theta_i_deg=30.0, theta_r_deg=40.0, phi_r_deg=110.0)
     with pytest.raises(DataError, match=r"spectralon.csv: the visit .* lies outside of this table"):
         brdf_of_reference(across, visit(30.0, 45.0), 500.0)
+
+
+def test_the_table_s_uncertainty_is_interpolated_with_it() -> None:
+    known = table().assign(u_brdf=lambda rows: 0.002 + 1e-5 * rows["theta_r_deg"])
+    assert u_of_reference(known, visit(0.0, 40.0), 500.0) == pytest.approx(0.0024, rel=1e-9)
+    # the values lie on straight lines: nothing comes from between them
+    assert u_of_reference(known, visit(0.0, 45.0), 500.0) == pytest.approx(0.00245, rel=1e-9)
+    # but two wavelengths do not tell that they do: a quarter of their difference, halfway
+    assert u_of_reference(known, visit(0.0, 45.0), 550.0) == pytest.approx(math.hypot(0.00245, 0.0025), rel=1e-9)
+
+
+def test_parts_of_an_uncertainty_count_together_where_the_whole_is_not_stated() -> None:
+    parts = table().assign(u_random=0.003, s_scale=-0.004)
+    assert u_of_reference(parts, visit(0.0, 40.0), 500.0) == pytest.approx(0.005, rel=1e-12)
+    assert u_of_reference(table(), visit(0.0, 40.0), 500.0) == 0.0
+
+
+def test_between_rows_of_a_bent_curve_the_interpolation_is_uncertain() -> None:
+    """A cosine: the line between values 10 degrees apart is wrong by up to f h^2/8 = 0.4 %, and u is of that size."""
+    bent = table(waves=(500.0,))
+    bent["brdf"] = [0.3 * math.cos(math.radians(r)) for r in bent["theta_r_deg"]]
+    for angle in (3.0, 25.0, 47.0, 75.0):
+        true = 0.3 * math.cos(math.radians(angle))
+        error = abs(brdf_of_reference(bent, visit(0.0, angle), 500.0) - true)
+        u = u_of_reference(bent, visit(0.0, angle), 500.0)
+        assert 0.5 * error < u < 2.0 * error
+    assert u_of_reference(bent, visit(0.0, 40.0), 500.0) == pytest.approx(0.0, abs=1e-15)
+
+
+def test_a_table_of_which_a_part_is_uncertain_is_refused_where_it_is_not() -> None:
+    known = table().assign(u_brdf=0.002)
+    known.loc[known["theta_r_deg"] > 50.0, "u_brdf"] = math.nan
+    assert u_of_reference(known, visit(0.0, 30.0), 500.0) == pytest.approx(0.002)
+    with pytest.raises(DataError, match="some values have an uncertainty, and those around the visit"):
+        u_of_reference(known, visit(0.0, 70.0), 500.0)

@@ -1,0 +1,146 @@
+"""`gonio calibrate light` on a simulated bench whose truth nobody who measures there knows."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from gonio.acquisition.measure import find_rig
+from gonio.by_hand.bench import Bench
+from gonio.calibration import lamp_bench
+from gonio.config import numbers_in, to_toml
+from gonio.errors import DeviceError
+from gonio.rig import Frame
+from gonio.rig.calibrated import read_calibration
+from tests.command_line import gonio
+from tests.gonio_sim.conftest import describe
+
+TRUTH = {
+    "lamp": {
+        "noise": 0.003, "drift_per_hour": 0.012, "warm_up_loss": 0.08, "warm_up_time_constant_s": 300.0,
+        "monitor": True, "monitor_noise": 0.0005,
+        "beam": {"x_per_mm": 0.002, "y_per_mm": -0.001, "xx_per_mm2": -2e-4, "xy_per_mm2": 3e-5, "yy_per_mm2": -1.5e-4},
+    }
+}  # fmt: skip
+
+
+def write(folder: Path, truth: dict[str, Any] = TRUTH, **changes: dict[str, Any]) -> None:
+    small = {"camera": {"width": 96, "height": 80, "pixel_um": 32.0}, "lamp": {"noise": 0.001, "drift_per_hour": 0.0}}
+    values = describe("sim", **(small | changes)).model_dump(mode="python", exclude_none=True)
+    values.pop("calibration")
+    (folder / "truth.toml").write_text(to_toml(truth))
+    (folder / "rig.toml").write_text(to_toml(values | {"truth": "truth.toml"}))
+
+
+def test_what_is_true_of_the_lamp_is_found_and_can_be_used(tmp_path: Path) -> None:
+    write(tmp_path)
+    said = gonio(
+        tmp_path,
+        "calibrate",
+        "light",
+        "--rig",
+        "rig.toml",
+        "--out",
+        "light.toml",
+        "--minutes",
+        "25",
+        "--valid-days",
+        "90",
+    )
+    assert said.returncode == 0, said.stderr
+    found = read_calibration(tmp_path / "light.toml")
+    u = dict(zip(found.uncertainty.parameters, found.uncertainty.u, strict=True))
+    values, true = numbers_in(found.values), numbers_in(TRUTH)
+    for name, value in values.items():
+        if name != "lamp.warm_up_s":
+            # 4 u: ten numbers; the lamp is lit some seconds after the world's clock starts, 2 % of the loss
+            assert abs(value - true[name]) < 4.0 * u[name] + (0.003 if name == "lamp.warm_up_loss" else 0.0), name
+    assert values["lamp.warm_up_s"] > 300.0 * np.log(0.07 / 5e-4)
+    assert "set lamp.monitor = true" in " ".join(found.notes)
+    for name in ("light-series.csv", "light-series.png", "light-flats.csv", "light-flats.png"):
+        assert (tmp_path / name).stat().st_size > 1000
+    rig = tomllib.loads((tmp_path / "rig.toml").read_text())
+    (tmp_path / "rig.toml").write_text(to_toml(rig | {"calibration": {"files": ["light.toml"]}}))
+    used = find_rig(str(tmp_path / "rig.toml")).description
+    assert used.lamp.beam is not None
+    assert used.lamp.beam.x_per_mm == values["lamp.beam.x_per_mm"]
+    # the same data again, without the bench
+    again = gonio(
+        tmp_path, "calibrate", "light", "--rig", "rig.toml", "--out", "again.toml", "--series", "light-series.csv"
+    )
+    assert again.returncode == 0, again.stderr
+    assert read_calibration(tmp_path / "again.toml").values["lamp"]["noise"] == pytest.approx(values["lamp.noise"])
+    assert "already" in gonio(tmp_path, "calibrate", "light", "--rig", "rig.toml", "--out", "light.toml").stderr
+
+
+def test_a_lamp_that_drifts_more_than_the_model_is_refused_and_its_data_kept(tmp_path: Path) -> None:
+    write(tmp_path)
+    t = np.repeat(np.arange(0.0, 1800.0, 15.0), 2) + np.tile([0.0, 0.1], 120)
+    rng = np.random.default_rng(0)
+    signal = 500.0 * (1.0 + 0.01 * np.sin(t / 150.0) + 0.001 * rng.standard_normal(t.size))
+    table = pd.DataFrame({"time_s": t, "signal_dn_per_s": signal, "u_shot_dn_per_s": 0.1, "exposure_s": 0.01})
+    table.to_csv(tmp_path / "wild.csv", index=False)
+    said = gonio(tmp_path, "calibrate", "light", "--rig", "rig.toml", "--out", "light.toml", "--series", "wild.csv")
+    assert said.returncode == 1
+    assert "drifts more than warm-up and steady drift allow" in said.stderr
+    assert not (tmp_path / "light.toml").exists()
+    assert (tmp_path / "light-series.png").exists()
+
+
+def test_a_series_that_is_cut_short_is_kept(tmp_path: Path) -> None:
+    """The camera is unplugged in the middle of it."""
+    write(tmp_path)
+    bench = Bench(find_rig(str(tmp_path / "rig.toml")).open(by_hand=True))
+    kept: list[pd.DataFrame] = []
+    capture, left = bench.camera.capture, iter(range(60))
+
+    def unplugged(exposure_s: float) -> Frame:
+        if next(left, None) is None:
+            raise DeviceError("the camera does not answer")
+        return capture(exposure_s)
+
+    bench.camera.capture = unplugged  # type: ignore[method-assign]
+    with bench, pytest.raises(DeviceError, match="does not answer"):
+        lamp_bench.take_series(bench, 3600.0, 15.0, keep=kept.append)
+    assert 50 < len(kept[0]) < 60
+    assert (kept[0]["signal_dn_per_s"] > 0).all()
+    assert not bench.world.lamp_on
+
+
+def test_what_cannot_be_used_is_refused_in_words(tmp_path: Path) -> None:
+    write(tmp_path)
+    (tmp_path / "few.csv").write_text("time_s,signal_dn_per_s,u_shot_dn_per_s\n0,1,0.1\n")
+    command = ("calibrate", "light", "--rig", "rig.toml", "--out", "light.toml")
+    for more, words, code in (
+        (("--series", "few.csv"), "the column exposure_s is missing", 1),
+        (("--series", "none.csv"), "there is no such file", 1),
+        (("--lines", "few.csv"), "the column line_nm is missing", 1),
+    ):
+        said = gonio(tmp_path, *command, *more)
+        assert words in " ".join(said.stderr.split()), said.stderr
+        assert said.returncode == code
+        assert not (tmp_path / "light.toml").exists()
+    said = gonio(tmp_path, "calibrate", "light", "--rig", "sim", "--out", "light.toml")
+    assert said.returncode == 2
+    assert "is no rig file" in said.stderr
+
+
+def test_lines_and_polarisers_are_written_with_their_covariance(tmp_path: Path) -> None:
+    write(tmp_path)
+    (tmp_path / "lines.csv").write_text("line_nm,read_nm,u_nm\n435.8,435.2,0.05\n546.1,545.3,0.05\n650.9,650.0,0.05\n")
+    angles = np.arange(0.0, 180.0, 20.0)
+    pd.DataFrame(
+        {"polariser_deg": angles, "signal": 1 + 0.03 * np.cos(np.radians(2 * angles)), "u_signal": 1e-3}
+    ).to_csv(tmp_path / "turned.csv", index=False)
+    said = gonio(tmp_path, "calibrate", "light", "--rig", "rig.toml", "--out", "light.toml", "--lines", "lines.csv",
+                 "--lamp-polariser", "turned.csv")  # fmt: skip
+    assert said.returncode == 0, said.stderr
+    found = read_calibration(tmp_path / "light.toml")
+    assert found.values["bands"]["tunable"]["start_nm"] == pytest.approx(400.55, abs=0.1)
+    assert found.values["lamp"]["polarisation"]["degree"] == pytest.approx(0.03, abs=1e-6)
+    assert found.uncertainty.correlation[0][1] < 0.0
