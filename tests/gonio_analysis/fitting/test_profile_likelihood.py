@@ -75,6 +75,25 @@ def test_an_interval_follows_the_bent_valley_of_n_and_k(seed: int) -> None:
         assert interval.holds(k)
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_an_interval_is_walked_out_where_a_standard_error_is_no_measure(seed: int) -> None:
+    """Of eight values k_s and n are hardly told apart: chi-square is flat for long, and as steep as a wall at a bound."""
+    truth = {"k_d": 0.1455, "k_s": 1.0006, "c": 0.1628, "ior": 1.4383}
+    table = measure(build("blinn", dict(truth)), noise=0.003, seed=seed, incidences=(30.0,))
+    table = table[::3].reset_index(drop=True)
+    result = fit(table, "blinn")
+    assert result.chi_square is not None
+    for name, interval in profiles(result, ("k_s", "ior")).intervals.items():
+        for value in (truth[name], *(truth[name] * np.array([0.7, 0.9, 1.2, 2.0]))):
+            if name == "ior" and value < 1.05:
+                continue
+            held = fit(table, "blinn", fix={name: float(value)})
+            assert held.chi_square is not None
+            # well inside of 3.84: the ends are followed to 0.08, and the fits stand on their own
+            if held.chi_square - result.chi_square < 3.5:
+                assert interval.holds(float(value)), (name, value, interval)
+
+
 def test_values_that_a_model_meets_exactly_leave_a_point_and_no_error() -> None:
     table = measure(MATTE, noise=0.0, floor=0.0)
     table[["u_brdf", "u_random"]] = np.nan
