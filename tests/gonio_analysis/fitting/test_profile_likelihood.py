@@ -77,7 +77,7 @@ def test_an_interval_follows_the_bent_valley_of_n_and_k(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_an_interval_is_walked_out_where_a_standard_error_is_no_measure(seed: int) -> None:
-    """Of eight values k_s and n are hardly told apart: chi-square is flat for long, and as steep as a wall at a bound."""
+    """Of few values k_s and n are hardly told apart: chi-square is flat for long, and then as steep as a wall."""
     truth = {"k_d": 0.1455, "k_s": 1.0006, "c": 0.1628, "ior": 1.4383}
     table = measure(build("blinn", dict(truth)), noise=0.003, seed=seed, incidences=(30.0,))
     table = table[::3].reset_index(drop=True)
