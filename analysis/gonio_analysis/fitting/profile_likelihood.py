@@ -11,6 +11,7 @@ cost little.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +19,7 @@ import numpy as np
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import ROUNDING, FitResult
+from gonio_analysis.fitting.parameters import Values
 from gonio_analysis.fitting.surrogate import Near
 from gonio_analysis.result_records import IntervalSummary, ProfileSummary
 
@@ -127,6 +129,24 @@ def profiles(result: FitResult, names: tuple[str, ...] | None = None, *, level: 
         points.sort()
         out[name] = _interval(result, name, k, ends, points, level)
     return Profiles(out, walker.better)
+
+
+def walked(result: FitResult, again: Callable[[list[Values]], FitResult]) -> tuple[FitResult, dict[str, Interval]]:
+    """A fit and its intervals; or, where walking them out meets a lower chi-square, those of the fit that begins there.
+
+    Parameters
+    ----------
+    result
+        A fit.
+    again
+        Fits once more, from these sets of values.
+    """
+    found = profiles(result)
+    if found.better is not None:
+        other = again([result.problem.values(found.better)])
+        if other.goal.total(other.whitened) < result.goal.total(result.whitened):
+            result, found = other, profiles(other)
+    return result, found.intervals
 
 
 def rise(result: FitResult, level: float) -> float:
