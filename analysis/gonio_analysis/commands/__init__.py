@@ -138,16 +138,23 @@ def fit(
         saving.check_target(save, asked)
     several = dict(zip(_short(tables), (data for _, data, _ in read), strict=True))
     result, *others = fit_table(together(several), asked, name=" + ".join(tables), say=console.note)
+    walked = {}
+    if intervals:
+        from gonio_analysis.fitting import profile_likelihood
+        from gonio_analysis.fitting.fit import fit as fit_one
+
+        if others:
+            walked = profile_likelihood.profiles(result).intervals
+        else:
+            from dataclasses import replace
+
+            data = together(several)
+            result, walked = profile_likelihood.walked(result, lambda start: fit_one(data, replace(asked, start=start)))
     rho_dh = of_model(result)
     if save is not None:
         source = " + ".join(map(shown.marked, tables, simulated))
         saving.save(result, save, name=name, source=source)
     remember(tables, how)
-    walked = {}
-    if intervals:
-        from gonio_analysis.fitting.profile_likelihood import profiles
-
-        walked = profiles(result).intervals
     if as_json:
         out = {**result.to_json(), "sample": name, "table": tables if more else table}
         out["simulated"] = simulated if more else simulated[0]

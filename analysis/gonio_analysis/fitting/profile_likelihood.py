@@ -11,6 +11,7 @@ cost little.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +19,7 @@ import numpy as np
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import ROUNDING, FitResult
+from gonio_analysis.fitting.parameters import Values
 from gonio_analysis.fitting.surrogate import Near
 from gonio_analysis.result_records import IntervalSummary, ProfileSummary
 
@@ -26,6 +28,8 @@ TRIES = 14
 """Small fits a side."""
 CLOSE = 0.02
 """An end is found where sqrt(rise of chi-square) is this close to what it has to be."""
+STEEP = 3.0
+"""Beyond so many times the threshold, or below that part of it, sqrt(rise) is no straight line to the end."""
 BETTER = 0.1
 """A fall of chi-square by more than this on the way means that the solution was none."""
 
@@ -127,6 +131,24 @@ def profiles(result: FitResult, names: tuple[str, ...] | None = None, *, level: 
     return Profiles(out, walker.better)
 
 
+def walked(result: FitResult, again: Callable[[list[Values]], FitResult]) -> tuple[FitResult, dict[str, Interval]]:
+    """A fit and its intervals; or, where walking them out meets a lower chi-square, those of the fit that begins there.
+
+    Parameters
+    ----------
+    result
+        A fit.
+    again
+        Fits once more, from these sets of values.
+    """
+    found = profiles(result)
+    if found.better is not None:
+        other = again([result.problem.values(found.better)])
+        if other.goal.total(other.whitened) < result.goal.total(result.whitened):
+            result, found = other, profiles(other)
+    return result, found.intervals
+
+
 def rise(result: FitResult, level: float) -> float:
     """Rise of chi-square at the ends of a single parameter's interval (dimensionless).
 
@@ -210,7 +232,9 @@ class _Walker:
         inside, outside = (0.0, 0.0), (math.inf, math.inf)  # (distance from the centre, root of the rise)
         known = {0.0: best}
         tried: list[tuple[float, float]] = []
-        for _ in range(TRIES):
+        for attempt in range(TRIES):
+            if math.isinf(outside[0]) and attempt == TRIES // 2:
+                step = room  # chi-square hardly rises: is there an end before the bound?
             nearest = min(known, key=lambda d: abs(d - step))
             place = bound if step >= room else centre + side * step
             x, rise = self._held(
@@ -231,14 +255,19 @@ class _Walker:
             if abs(root - threshold) < CLOSE:
                 break
             step = _next(inside, outside, threshold, room)
-        distance = min(_next(inside, outside, threshold, room), room) if abs(root - threshold) >= CLOSE else step
+        if abs(root - threshold) < CLOSE:
+            return centre + side * step, tried
+        straight = outside[1] < STEEP * threshold and inside[1] > threshold / STEEP
+        distance = _next(inside, outside, threshold, room) if straight else min(outside[0], room)
         return centre + side * distance, tried
 
 
 def _next(inside: tuple[float, float], outside: tuple[float, float], threshold: float, room: float) -> float:
-    """Where the root of the rise should meet the threshold: it is nearly a straight line."""
+    """Where the root of the rise should meet the threshold: it is nearly a straight line, but not over a long way."""
     if math.isinf(outside[0]):
         grow = threshold / inside[1] if inside[1] > 0 else 4.0
         return min(inside[0] * min(max(1.02 * grow, 1.05), 4.0), room)
+    if outside[1] > STEEP * threshold:
+        return 0.5 * (inside[0] + outside[0])
     share = (threshold - inside[1]) / (outside[1] - inside[1])
     return inside[0] + min(max(share, 0.02), 0.98) * (outside[0] - inside[0])

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gonio_analysis.fitting.fit import fit
+from gonio_analysis.fitting.profile_likelihood import walked
 from gonio_analysis.result_records import finite
 
 from gonio import instrument, measurement, models
@@ -179,9 +180,9 @@ def regions(directions: Directions, spike_rad: float | None) -> list[str]:
 
 
 def fitted(campaign: Campaign, table: pd.DataFrame) -> Record:
-    """The campaign's own model fitted to a table, with the 95 % intervals that the fit states."""
-    result = fit(table, campaign.model, ior=campaign.ior)
-    intervals = result.intervals()
+    """The campaign's own model fitted to a table, with the 95 % intervals that `gonio fit --intervals` states."""
+    first = fit(table, campaign.model, ior=campaign.ior)
+    result, intervals = walked(first, lambda start: fit(table, campaign.model, ior=campaign.ior, start=start))
     parameters = {}
     for name in result.free:
         found, interval = result.parameters[name], intervals[name]

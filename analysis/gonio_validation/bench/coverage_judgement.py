@@ -116,9 +116,9 @@ def judged(records: Sequence[Record]) -> tuple[list[Count], list[Pulls], list[Un
     one = "one point, chosen at random"
     for key in ("all", "model", "plan"):
         for group, some in grouped(measured, key).items():
-            judge("points", one, group, single_points(some))
+            judge("points", one, named(key, group), single_points(some))
     for region in sorted({name for r in measured for name in r["points"]["region"]}):
-        judge("points", one, region, single_points(measured, region))
+        judge("points", one, f"region {region}", single_points(measured, region))
     joint = [joint_p(r) for r in measured]
     several = [p for r in fits if (p := parameters_p(r)) is not None]
     if joint:
@@ -127,7 +127,7 @@ def judged(records: Sequence[Record]) -> tuple[list[Count], list[Pulls], list[Un
             for group, some in grouped(measured, key).items():
                 if len(some) >= FEWEST:
                     within = [joint_p(r) >= 1.0 - LEVEL for r in some]
-                    counts.append(count("joint", "all points together", group, within))
+                    counts.append(count("joint", "all points together", named(key, group), within))
     if several:
         within = [p >= 1.0 - LEVEL for p in several]
         counts.append(count("joint parameters", "all fitted parameters together", "all", within))
@@ -155,6 +155,11 @@ def grouped(records: Sequence[Record], key: str) -> dict[str, list[Record]]:
     for r in records:
         out.setdefault("all" if key == "all" else str(r[key]), []).append(r)
     return out
+
+
+def named(key: str, group: str) -> str:
+    """What a group of campaigns is called: a plan and a region may have one name."""
+    return group if key == "all" else f"{key} {group}"
 
 
 def single_points(records: Sequence[Record], region: str | None = None) -> list[float]:

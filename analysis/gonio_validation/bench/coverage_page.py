@@ -70,7 +70,7 @@ def _lead(s: Coverage) -> Paragraph:
             )
     if s.failed:
         words.append(f"{len(s.failed)} campaigns were refused by a program, and count nowhere.")
-    return Paragraph(" ".join(words).capitalize() if not words else " ".join(words), "lead")
+    return Paragraph(" ".join(words), "lead")
 
 
 def _percent(value: float) -> str:

@@ -16,11 +16,11 @@ class Count:
     """In how many campaigns an interval of 95 % holds the truth."""
 
     kind: str
-    """"points", "joint", "parameters" or "zeros"."""
+    """"points", "joint", "parameters", "joint parameters" or "zeros"."""
     what: str
     """The quantity."""
     group: str
-    """Of which campaigns: "all", or a model, a plan, a region."""
+    """Of which campaigns: "all", or those of a model, a plan or a region; of "parameters" model and parameter."""
     campaigns: int
     inside: int
     low: float

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from gonio_analysis.fitting.fit import fit
-from gonio_analysis.fitting.profile_likelihood import profiles
+from gonio_analysis.fitting.profile_likelihood import profiles, walked
 
 from gonio.models import build
 from tests.gonio_analysis.synthetic import known, measure
@@ -73,6 +73,40 @@ def test_an_interval_follows_the_bent_valley_of_n_and_k(seed: int) -> None:
         assert result.chi_square is not None
         assert held.chi_square - result.chi_square < 3.8  # so that 95 % intervals hold it
         assert interval.holds(k)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_an_interval_is_walked_out_where_a_standard_error_is_no_measure(seed: int) -> None:
+    """Of few values k_s and n are hardly told apart: chi-square is flat for long, and then as steep as a wall."""
+    truth = {"k_d": 0.1455, "k_s": 1.0006, "c": 0.1628, "ior": 1.4383}
+    table = measure(build("blinn", dict(truth)), noise=0.003, seed=seed, incidences=(30.0,))
+    table = table[::3].reset_index(drop=True)
+    result = fit(table, "blinn")
+    assert result.chi_square is not None
+    for name, interval in profiles(result, ("k_s", "ior")).intervals.items():
+        for value in (truth[name], *(truth[name] * np.array([0.7, 0.9, 1.2, 2.0]))):
+            if name == "ior" and value < 1.05:
+                continue
+            held = fit(table, "blinn", fix={name: float(value)})
+            assert held.chi_square is not None
+            # well inside of 3.84: the ends are followed to 0.08, and the fits stand on their own
+            if held.chi_square - result.chi_square < 3.5:
+                assert interval.holds(float(value)), (name, value, interval)
+
+
+def test_a_lower_valley_that_is_met_on_the_way_is_begun_from() -> None:
+    """Around one mirror direction a Fresnel factor of 1 with a low k_s is a valley of its own, at the bound of n."""
+    truth = {"k_d": 0.0375, "k_s": 1.8773, "c": 0.2605, "ior": 1.7549}
+    views = np.arange(-11.0, 51.0, 1.7)
+    table = measure(build("blinn", dict(truth)), noise=0.005, seed=1, incidences=(19.2,), views=views)
+    stuck = fit(table, "blinn", start=[{"k_d": 0.035, "k_s": 0.146, "c": 0.265, "ior": 199.0}])
+    assert stuck.parameters["ior"].at_bound == "upper"
+    result, intervals = walked(stuck, lambda start: fit(table, "blinn", start=start))
+    assert result.chi_square is not None
+    assert stuck.chi_square is not None
+    assert result.chi_square < stuck.chi_square - 1.0
+    assert not result.parameters["ior"].at_bound
+    assert all(intervals[name].holds(value) for name, value in truth.items())
 
 
 def test_values_that_a_model_meets_exactly_leave_a_point_and_no_error() -> None:

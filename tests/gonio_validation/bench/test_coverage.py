@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 
 from gonio.errors import ConfigError, Interrupted
 from gonio.geometry import Directions
+from gonio.reduction import brdf
 
 POINTS = 12
 REACH = float(ndtri(0.975))
@@ -115,13 +116,13 @@ def test_regions() -> None:
 
 
 def test_campaigns_from_files_to_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = coverage_campaign.brdf.reduce
+    real = brdf.reduce
 
     def blind(run: Any) -> Any:
         (run.path.parent / "truth.toml").unlink()  # from here on nobody needs what is true
         return real(run)
 
-    monkeypatch.setattr(coverage_campaign.brdf, "reduce", blind)
+    monkeypatch.setattr(brdf, "reduce", blind)
     out = tmp_path / "found"
     asked = ["coverage", "--out", str(out), "--quick", "--campaigns", "2", "--jobs", "1", "--seed", "5"]
     result = CliRunner().invoke(app, asked)
