@@ -356,7 +356,10 @@ def _effects_of_geometry(
     odd, even, doubt = np.zeros((3, len(points), errors.count))
     if not errors.count:
         return odd, np.zeros(len(points)), np.zeros(len(points))
-    light = errors.at(visit.pose, "reference").relative_light
+    if frames.description.reference.how == "beam":  # the lamp itself, seen whole, is as bright wherever it stands
+        light = np.ones((errors.count, 2))
+    else:
+        light = errors.at(visit.pose, "reference").relative_light
     for k, point in enumerate(points):
         factor = errors.at(point.pose, "sample").relative_distance_factor
         for j, (up, down) in enumerate(_changed(frames, point)):
