@@ -251,7 +251,7 @@ class _Work:
         level, u = np.full((2, parts, len(taken)), math.nan)
         self.pairs: list[photon_transfer.Pair] = []
         limit = PAIR * math.sqrt(2.0) * self.lamp.noise + BIASED_PAIR
-        sums, weight = np.zeros(self.colour.shape), 0.0
+        sums, of_map = np.zeros(self.colour.shape), []
         dropped = 0
         waiting: dict[float, tuple[int, Floats]] = {}
         for k, f in enumerate(taken):
@@ -263,7 +263,7 @@ class _Work:
             mean = level[0, k]
             if MAP_LEVELS[0] * self.full <= mean <= MAP_LEVELS[1] * self.full:
                 sums += image - self.dark_at(f.exposure_s)
-                weight += mean
+                of_map.append(f.exposure_s)
             other = waiting.pop(f.exposure_s, None)
             if other is None:
                 waiting[f.exposure_s] = (k, image)
@@ -300,7 +300,8 @@ class _Work:
                 f"{photon_transfer.FEWEST_LEVELS} are needed: two frames and more at each exposure"
             )
         self.level_dn, self.u_dn = level, u
-        self.map_sum, self.map_weight = sums, weight
+        self.map_sum, self.map_count = sums, len(of_map)
+        self.map_exposure = float(np.mean(of_map)) if of_map else 0.0
 
     # ---- what is told ----
 
@@ -432,19 +433,22 @@ class _Work:
     ) -> tuple[float, float, tuple[Floats, Floats]]:
         """PRNU with its uncertainty, and the map of responsivities with that of each pixel."""
         ones = np.ones(self.colour.shape)
-        if not self.map_weight:
+        if not self.map_count:
             self.notes.append("no flat frame between 20 and 80 % of full scale: PRNU is not determined")
             return self.camera.prnu, self.camera.prnu, (ones, self.camera.prnu * ones)
-        region = self.good & (self.even >= 0.5 * np.percentile(self.even[self.bright], 50.0))
-        even = pixel_statistics.smooth(self.map_sum, region)
-        ratio = np.where(region, self.map_sum / np.where(region, even, 1.0), math.nan)
+        region = pixel_statistics.inside(self.even >= 0.5 * np.percentile(self.even[self.bright], 50.0)) & self.good
+        level = self.map_sum / pixel_statistics.trend(self.map_sum, region)
+        even = pixel_statistics.smooth(level, region)
+        ratio = np.where(region, level / np.where(region, even, 1.0), math.nan)
         bad = pixel_statistics.outliers(ratio, pixel_statistics.LEAST_DEPARTURE)
         self.defects = self.defects | bad
         region &= ~bad
         kept = pixel_statistics.kept_by_high_pass()
-        # a sum of S electrons has the variance S; read noise adds little at these levels
+        # a sum of S electrons of n frames has the variance S + n sigma_d^2, and n^2 times that of the dark line
         electrons = float(np.mean(self.map_sum[region])) * transfer.electrons_per_dn
-        temporal = 1.0 / electrons
+        dark = self._noise_of_line(self.map_exposure) * transfer.electrons_per_dn**2
+        each = (transfer.dark_noise_dn * transfer.electrons_per_dn) ** 2
+        temporal = (electrons + self.map_count * each + self.map_count**2 * dark) / electrons**2
         total = float(np.var(ratio[region])) / kept
         prnu = math.sqrt(max(total - temporal, 0.0))
         u = total / max(prnu, math.sqrt(total) * 1e-3) / math.sqrt(2.0 * np.count_nonzero(region))
