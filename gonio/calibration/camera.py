@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio.calibration import linearity, photon_transfer, pixel_statistics, response, stray_light
+from gonio.calibration import linearity, photon_transfer, pixel_statistics, response, stray_light, vignetting
 from gonio.calibration.camera_frames import CameraFrame
 from gonio.errors import DataError
+from gonio.reduction.stray_light import spread
+from gonio.rig import Pose
 from gonio.rig.calibrated import Calibration, identity
 from gonio.rig.description import Camera, ParameterUncertainty, RigDescription
 from gonio.rig.imaging import Channel, of_channel
@@ -127,10 +129,11 @@ class _Work:
     """The passes over the frames, and what each leaves for the next."""
 
     def __init__(self, frames: Sequence[CameraFrame], description: RigDescription, channel: Channel) -> None:
+        self.description = description
         self.camera, self.lamp, self.channel = description.camera, description.lamp, channel
         # what is measured is not to be taken out before
         self.raw = self.camera.model_copy(update={"nonlinearity": (), "stray_light": 0.0, "stray_halo": 0.0})
-        self.of = {kind: [f for f in frames if f.kind == kind] for kind in ("dark", "flat", "trap", "edge")}
+        self.of = {kind: [f for f in frames if f.kind == kind] for kind in ("dark", "flat", "trap", "edge", "field")}
         shape = self.camera.height, self.camera.width
         self.colour = of_channel(self.camera.pattern, channel, slice(0, shape[0]), slice(0, shape[1]))
         self.notes: list[str] = []
@@ -392,6 +395,11 @@ class _Work:
                 strays.append("stray_halo")
             covariance, names = _with(covariance, names, stray.covariance[: len(strays), : len(strays)], strays)
             measured["stray_light_chi_square"] = stray.chi_square
+        lens = self._vignetting(bent, stray)
+        if lens is not None:
+            values["vignetting"] = max(lens.value, 0.0)
+            covariance, names = _with(covariance, names, np.array([[lens.u**2]]), ["vignetting"])
+            measured["field_residual"] = lens.residual
         law = self._temperature(gain)
         if law is not None:
             measured |= {"dark_doubling_c": law.doubling_c, "dark_energy_ev": law.energy_ev, "dark_at_c": law.at_c}
@@ -499,6 +507,30 @@ class _Work:
                 f"stray_light comes out as {found.uniform:.2g}, and is taken for 0: are the dark frames of this day?"
             )
         return found
+
+    def _vignetting(self, camera: Camera, stray: stray_light.StrayLight | None) -> vignetting.Vignetting | None:
+        if not self.of["field"]:
+            return None
+        groups: dict[tuple[Pose, float], list[CameraFrame]] = {}
+        for f in self.of["field"]:
+            if f.pose is None:
+                raise DataError(f"{f.path}: nothing says where the arms stood; give it in frames.csv (pose_deg)")
+            groups.setdefault((f.pose, f.exposure_s), []).append(f)
+        pictures = []
+        for (pose, exposure), group in groups.items():
+            mean = np.mean([self.read(f) for f in group], axis=0)
+            dark = self.dark_at(exposure)
+            signal = straightened(camera, mean - self.level) - straightened(camera, dark - self.level)
+            if float(np.percentile(signal[self.good], 99.0)) > 0.97 * self.full:
+                raise DataError(f"{group[0].path}: is full: frames of the field are not; expose shorter")
+            if stray is not None:
+                fractions = {"stray_light": max(stray.uniform, 0.0), "stray_halo": stray.halo}
+                known = camera.model_copy(update=fractions | {"stray_halo_px": stray.halo_px})
+                rows, cols = (index.ravel() for index in np.indices(signal.shape))
+                added = spread(known, np.where(self.defects, 0.0, signal), 0.0, self.channel).at(rows, cols)[0]
+                signal = signal - added.reshape(signal.shape)
+            pictures.append((np.where(self.defects, math.nan, signal), pose))
+        return vignetting.fit(pictures, self.description, self.channel)
 
     def _temperature(self, gain: float) -> pixel_statistics.DarkTemperature | None:
         """Arrhenius' law, where the dark frames say their temperatures."""

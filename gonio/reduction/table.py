@@ -17,6 +17,7 @@ from gonio.reduction import white_reference
 from gonio.reduction.count_rates import FULL, RETAKE, RunFrames, camera_parameters
 from gonio.reduction.dark_signal import COLUMNS
 from gonio.rig import kinematics
+from gonio.rig.calibrated import covariance_of
 from gonio.rig.description import Axis, Band, RigDescription
 from gonio.typing import Floats
 
@@ -83,27 +84,13 @@ def camera_causes(description: RigDescription) -> dict[str, Floats]:
     out: dict[str, Floats] = {}
     for cause in dict.fromkeys(parameters.values()):
         names = [name for name, of in parameters.items() if of == cause]
-        covariance = _covariance(description, names)
+        covariance = covariance_of(description, names)
         values, vectors = np.linalg.eigh(covariance)
         held = [k for k in range(len(names))[::-1] if values[k] > 1e-12 * max(values[-1], 1e-300)]
         for number, k in enumerate(held):
             direction = np.zeros(len(parameters))
             direction[[list(parameters).index(name) for name in names]] = vectors[:, k] * math.sqrt(values[k])
             out[cause if number == 0 else f"{cause}_{number + 1}"] = direction
-    return out
-
-
-def _covariance(description: RigDescription, names: list[str]) -> Floats:
-    """Of numbers of the rig file, by the last calibration that says something of each; 0 where none does."""
-    out = np.zeros((len(names), len(names)))
-    for one in description.calibration.known:
-        here = [k for k, name in enumerate(names) if name in one.parameters]
-        at = [one.parameters.index(names[k]) for k in here]
-        out[here, :] = out[:, here] = 0.0
-        u = np.array(one.u)[at]
-        out[np.ix_(here, here)] = np.array(one.correlation).reshape(len(one.u), len(one.u))[np.ix_(at, at)] * np.outer(
-            u, u
-        )
     return out
 
 

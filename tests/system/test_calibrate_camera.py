@@ -7,19 +7,23 @@ import math
 import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 import pytest
 from gonio_sim.rig import SIM, SIM_IDEAL
 
 from gonio.config import read_toml
 from gonio.measurement import read
+from gonio.rig.dng import read_raw, write_dng
 from tests.command_line import gonio
 from tests.system.conftest import Command
 
-TRUTH = {
+TRUTH: dict[str, Any] = {
     "electrons_per_dn": 3.3,
     "read_noise_e": 5.0,
     "nonlinearity": [-0.012, 0.004],
@@ -32,6 +36,7 @@ TRUTH = {
     "prnu": 0.01,
     "dsnu_e": 4.0,
     "full_well_e": 11500.0,
+    "vignetting": 0.3,
 }
 SAMPLE = 'name = "grey"\nmodel = "lambert"\n[parameters]\nalbedo = 0.18\n'
 PLAN = 'name = "p"\nwavelength_nm = [550]\n[[sweep]]\ntheta_i_deg = [20]\ntheta_r_deg = [-50, 5, 45]\n'
@@ -63,8 +68,8 @@ def test_the_truth_of_the_camera_is_found(bench: Path) -> None:
     known, values = file["uncertainty"], file["values"]["camera"]
     u = dict(zip(known["parameters"], known["u"], strict=True))
     names = ("electrons_per_dn", "read_noise_e", "dark_current_e_per_s", "dsnu_e", "prnu", "stray_light", "stray_halo")
-    for name in names:
-        # seven numbers and a fixed seed: 4 u
+    for name in (*names, "vignetting"):
+        # eight numbers and a fixed seed: 4 u
         assert values[name] == pytest.approx(TRUTH[name], abs=4 * u[f"camera.{name}"]), name
     assert u["camera.electrons_per_dn"] < 0.01 * 3.3
     assert u["camera.read_noise_e"] < 0.05 * 5.0
@@ -157,10 +162,8 @@ def one_level(rows: Rows) -> Rows:
 
 
 def single(rows: Rows) -> Rows:
-    seen: set[str] = set()
-    return [
-        row for row in rows if row["kind"] != "flat" or not (row["exposure_s"] in seen or seen.add(row["exposure_s"]))
-    ]  # type: ignore[func-returns-value]
+    first = {row["exposure_s"]: row for row in reversed(rows) if row["kind"] == "flat"}
+    return [row for row in rows if row["kind"] != "flat"] + list(first.values())
 
 
 @pytest.mark.parametrize(
@@ -198,6 +201,57 @@ def test_bad_frames_are_refused_with_the_reason(
     assert words in done.stderr
     assert done.returncode == code
     assert not list(tmp_path.glob("bad*"))
+
+
+def copied(bench: Path, folder: Path, change: Callable[[str, npt.NDArray[np.uint16]], npt.NDArray[np.uint16]]) -> None:
+    """The frames of `bench` with other pixels."""
+    folder.mkdir()
+    shutil.copy(bench / "camera-frames" / "frames.csv", folder)
+    for file in sorted((bench / "camera-frames").glob("*.dng")):
+        frame = read_raw(file)
+        write_dng(replace(frame, mosaic=change(file.name, frame.mosaic), file=None), folder / file.name)
+
+
+def test_frames_of_another_camera_are_refused(bench: Path, tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text(SIM.toml)
+    done = gonio(
+        tmp_path, "calibrate", "camera", "--rig", "rig.toml", "--frames", bench / "camera-frames", "--out", "bad.toml"
+    )
+    assert done.returncode == 1
+    assert "160 x 120 pixels; the rig file says camera.width = 640" in done.stderr
+    assert not list(tmp_path.glob("bad*"))
+
+
+def test_black_that_is_cut_off_is_refused(bench: Path, tmp_path: Path) -> None:
+    def cut(name: str, mosaic: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint16]:
+        return mosaic - np.minimum(mosaic, 63).astype(np.uint16)
+
+    copied(bench, tmp_path / "frames", cut)
+    done = gonio(
+        tmp_path, "calibrate", "camera", "--rig", bench / "rig.toml", "--frames", "frames", "--out", "bad.toml"
+    )
+    assert done.returncode == 1
+    assert "raise the camera's black level" in done.stderr
+
+
+def test_a_pair_that_differs_is_left_out_and_named_and_many_are_refused(bench: Path, tmp_path: Path) -> None:
+    for count, code, words in ((1, 0, "differ by"), (400, 1, "the lamp drifts or flickers more than lamp.noise says")):
+        taken: list[str] = []
+
+        def darker(name: str, mosaic: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint16]:
+            # the first of a pair: flats follow the 32 dark frames in twos
+            if name.startswith("flat") and int(name[5:9]) % 2 == 0 and len(taken) < count:  # noqa: B023
+                taken.append(name)  # noqa: B023
+                return (0.8 * mosaic).astype(np.uint16)
+            return mosaic
+
+        folder = tmp_path / str(count)
+        copied(bench, folder, darker)
+        out = f"{count}.toml"
+        done = gonio(tmp_path, "calibrate", "camera", "--rig", bench / "rig.toml", "--frames", folder, "--out", out)
+        assert done.returncode == code
+        assert words in " ".join((done.stdout + done.stderr).split())
+        assert (tmp_path / out).exists() == (code == 0)
 
 
 def test_response_of_a_video_camera_goes_through_a_run(here: Command, tmp_path: Path) -> None:
