@@ -187,7 +187,8 @@ class UvcCamera(Strict):
 
     device: str = "/dev/video0"
     response: str | None = None
-    """CSV of a response calibration (dn, relative exposure); without it the camera refuses quantitative work."""
+    """CSV of a response calibration (dn, relative exposure); without it, and without
+    `camera.response`, the camera refuses quantitative work."""
     gain: float | None = None
     drop: Annotated[int, Field(ge=0)] = 4
     """Frames that are queued in the driver and thrown away before a frame is used."""

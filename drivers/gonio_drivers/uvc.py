@@ -29,7 +29,7 @@ WHITE = 65535.0
 
 
 class UvcCamera:
-    """A UVC camera, as a `CameraDevice` that gives linear frames.
+    """A UVC camera, as a `CameraDevice`: its frames are made linear by a CSV, or left to `camera.response`.
 
     Parameters
     ----------
@@ -49,12 +49,20 @@ class UvcCamera:
         self._open = capture
         self._capture: Any = None
         self._dtype: np.dtype[Any] | None = None
-        if camera.response is None:
+        self._response: npt.NDArray[np.uint16] | None = None
+        if camera.response is not None and self._description.response:
+            raise ConfigError(
+                "devices.camera.response and camera.response (of a calibration) both make the frames linear: take one "
+                "out"
+            )
+        if camera.response is not None:
+            self._response = read_response(Path(camera.response))
+        elif not self._description.response:
             raise ConfigError(
                 "devices.camera.response is missing: a video camera is not linear until its response was calibrated "
-                '(docs/lab_setup.md, "Response of a video camera"); give the CSV of the calibration'
+                '(docs/lab_setup.md, "Response of a video camera"); give the CSV of the calibration, or the file of '
+                "`gonio calibrate camera --response` in [calibration]"
             )
-        self._response = read_response(Path(camera.response))
 
     def __enter__(self) -> Self:
         import cv2
@@ -101,9 +109,16 @@ class UvcCamera:
         self._require("exposure", cv2.CAP_PROP_EXPOSURE, units)
         begun = time.monotonic()
         image = self._fresh(units * EXPOSURE_UNIT_S)
-        linear = self._response[image] if image.dtype == np.uint8 else image.astype(np.uint16)
-        mosaic, pattern = np.ascontiguousarray(linear), self._description.pattern
-        return Frame(mosaic, units * EXPOSURE_UNIT_S, 0.0, WHITE, pattern, time_s=begun)
+        if self._response is None:  # the reduction makes linear what the camera gave
+            raw, black, white = image, self._description.black_level_dn, self._description.white_level_dn
+            if raw.dtype != np.uint8:
+                raise DeviceError(
+                    f"the video camera gives {raw.dtype}; camera.response is that of 8 bits: calibrate it as it is now"
+                )
+        else:
+            raw, black, white = self._response[image] if image.dtype == np.uint8 else image, 0.0, WHITE
+        mosaic = np.ascontiguousarray(raw.astype(np.uint16))
+        return Frame(mosaic, units * EXPOSURE_UNIT_S, black, white, self._description.pattern, time_s=begun)
 
     def _fresh(self, exposure_s: float) -> npt.NDArray[Any]:
         """A frame that began after now: queued ones are dropped by count and by time."""

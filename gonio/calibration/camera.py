@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio.calibration import linearity, photon_transfer, pixel_statistics, response, stray_light
+from gonio.calibration import linearity, photon_transfer, pixel_statistics, response, stray_light, vignetting
 from gonio.calibration.camera_frames import CameraFrame
 from gonio.errors import DataError
+from gonio.reduction.stray_light import spread
+from gonio.rig import Pose
 from gonio.rig.calibrated import Calibration, identity
 from gonio.rig.description import Camera, ParameterUncertainty, RigDescription
 from gonio.rig.imaging import Channel, of_channel
@@ -127,10 +129,11 @@ class _Work:
     """The passes over the frames, and what each leaves for the next."""
 
     def __init__(self, frames: Sequence[CameraFrame], description: RigDescription, channel: Channel) -> None:
+        self.description = description
         self.camera, self.lamp, self.channel = description.camera, description.lamp, channel
         # what is measured is not to be taken out before
         self.raw = self.camera.model_copy(update={"nonlinearity": (), "stray_light": 0.0, "stray_halo": 0.0})
-        self.of = {kind: [f for f in frames if f.kind == kind] for kind in ("dark", "flat", "trap", "edge")}
+        self.of = {kind: [f for f in frames if f.kind == kind] for kind in ("dark", "flat", "trap", "edge", "field")}
         shape = self.camera.height, self.camera.width
         self.colour = of_channel(self.camera.pattern, channel, slice(0, shape[0]), slice(0, shape[1]))
         self.notes: list[str] = []
@@ -251,7 +254,7 @@ class _Work:
         level, u = np.full((2, parts, len(taken)), math.nan)
         self.pairs: list[photon_transfer.Pair] = []
         limit = PAIR * math.sqrt(2.0) * self.lamp.noise + BIASED_PAIR
-        sums, weight = np.zeros(self.colour.shape), 0.0
+        sums, of_map = np.zeros(self.colour.shape), []
         dropped = 0
         waiting: dict[float, tuple[int, Floats]] = {}
         for k, f in enumerate(taken):
@@ -263,7 +266,7 @@ class _Work:
             mean = level[0, k]
             if MAP_LEVELS[0] * self.full <= mean <= MAP_LEVELS[1] * self.full:
                 sums += image - self.dark_at(f.exposure_s)
-                weight += mean
+                of_map.append(f.exposure_s)
             other = waiting.pop(f.exposure_s, None)
             if other is None:
                 waiting[f.exposure_s] = (k, image)
@@ -300,7 +303,8 @@ class _Work:
                 f"{photon_transfer.FEWEST_LEVELS} are needed: two frames and more at each exposure"
             )
         self.level_dn, self.u_dn = level, u
-        self.map_sum, self.map_weight = sums, weight
+        self.map_sum, self.map_count = sums, len(of_map)
+        self.map_exposure = float(np.mean(of_map)) if of_map else 0.0
 
     # ---- what is told ----
 
@@ -391,6 +395,11 @@ class _Work:
                 strays.append("stray_halo")
             covariance, names = _with(covariance, names, stray.covariance[: len(strays), : len(strays)], strays)
             measured["stray_light_chi_square"] = stray.chi_square
+        lens = self._vignetting(bent, stray)
+        if lens is not None:
+            values["vignetting"] = max(lens.value, 0.0)
+            covariance, names = _with(covariance, names, np.array([[lens.u**2]]), ["vignetting"])
+            measured["field_residual"] = lens.residual
         law = self._temperature(gain)
         if law is not None:
             measured |= {"dark_doubling_c": law.doubling_c, "dark_energy_ev": law.energy_ev, "dark_at_c": law.at_c}
@@ -432,19 +441,22 @@ class _Work:
     ) -> tuple[float, float, tuple[Floats, Floats]]:
         """PRNU with its uncertainty, and the map of responsivities with that of each pixel."""
         ones = np.ones(self.colour.shape)
-        if not self.map_weight:
+        if not self.map_count:
             self.notes.append("no flat frame between 20 and 80 % of full scale: PRNU is not determined")
             return self.camera.prnu, self.camera.prnu, (ones, self.camera.prnu * ones)
-        region = self.good & (self.even >= 0.5 * np.percentile(self.even[self.bright], 50.0))
-        even = pixel_statistics.smooth(self.map_sum, region)
-        ratio = np.where(region, self.map_sum / np.where(region, even, 1.0), math.nan)
+        region = pixel_statistics.inside(self.even >= 0.5 * np.percentile(self.even[self.bright], 50.0)) & self.good
+        level = self.map_sum / pixel_statistics.trend(self.map_sum, region)
+        even = pixel_statistics.smooth(level, region)
+        ratio = np.where(region, level / np.where(region, even, 1.0), math.nan)
         bad = pixel_statistics.outliers(ratio, pixel_statistics.LEAST_DEPARTURE)
         self.defects = self.defects | bad
         region &= ~bad
         kept = pixel_statistics.kept_by_high_pass()
-        # a sum of S electrons has the variance S; read noise adds little at these levels
+        # a sum of S electrons of n frames has the variance S + n sigma_d^2, and n^2 times that of the dark line
         electrons = float(np.mean(self.map_sum[region])) * transfer.electrons_per_dn
-        temporal = 1.0 / electrons
+        dark = self._noise_of_line(self.map_exposure) * transfer.electrons_per_dn**2
+        each = (transfer.dark_noise_dn * transfer.electrons_per_dn) ** 2
+        temporal = (electrons + self.map_count * each + self.map_count**2 * dark) / electrons**2
         total = float(np.var(ratio[region])) / kept
         prnu = math.sqrt(max(total - temporal, 0.0))
         u = total / max(prnu, math.sqrt(total) * 1e-3) / math.sqrt(2.0 * np.count_nonzero(region))
@@ -495,6 +507,30 @@ class _Work:
                 f"stray_light comes out as {found.uniform:.2g}, and is taken for 0: are the dark frames of this day?"
             )
         return found
+
+    def _vignetting(self, camera: Camera, stray: stray_light.StrayLight | None) -> vignetting.Vignetting | None:
+        if not self.of["field"]:
+            return None
+        groups: dict[tuple[Pose, float], list[CameraFrame]] = {}
+        for f in self.of["field"]:
+            if f.pose is None:
+                raise DataError(f"{f.path}: nothing says where the arms stood; give it in frames.csv (pose_deg)")
+            groups.setdefault((f.pose, f.exposure_s), []).append(f)
+        pictures = []
+        for (pose, exposure), group in groups.items():
+            mean = np.mean([self.read(f) for f in group], axis=0)
+            dark = self.dark_at(exposure)
+            signal = straightened(camera, mean - self.level) - straightened(camera, dark - self.level)
+            if float(np.percentile(signal[self.good], 99.0)) > 0.97 * self.full:
+                raise DataError(f"{group[0].path}: is full: frames of the field are not; expose shorter")
+            if stray is not None:
+                fractions = {"stray_light": max(stray.uniform, 0.0), "stray_halo": stray.halo}
+                known = camera.model_copy(update=fractions | {"stray_halo_px": stray.halo_px})
+                rows, cols = (index.ravel() for index in np.indices(signal.shape))
+                added = spread(known, np.where(self.defects, 0.0, signal), 0.0, self.channel).at(rows, cols)[0]
+                signal = signal - added.reshape(signal.shape)
+            pictures.append((np.where(self.defects, math.nan, signal), pose))
+        return vignetting.fit(pictures, self.description, self.channel)
 
     def _temperature(self, gain: float) -> pixel_statistics.DarkTemperature | None:
         """Arrhenius' law, where the dark frames say their temperatures."""

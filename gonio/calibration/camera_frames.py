@@ -1,8 +1,9 @@
 """The frames that a camera is calibrated from: a folder, and `frames.csv` in it, which says what each one is.
 
-Columns: `file`, `kind` (dark, flat, trap, edge), `exposure_s`; where they are known `asked_s` (what the camera was
-asked for), `time_s`, `temperature_c`, and for trap and edge `black_px` = top:bottom,left:right, pixels that see nothing
-but black. Without the list raw files tell their exposures, and their names begin with the kind.
+Columns: `file`, `kind` (dark, flat, trap, edge, field), `exposure_s`; where they are known `asked_s` (what the camera
+was asked for), `time_s`, `temperature_c`. Trap and edge need `black_px` = top:bottom,left:right, pixels that see
+nothing but black. Field needs `pose_deg` = light,camera, the angles of both arms. Without the list raw files tell their
+exposures, and their names begin with the kind.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ import numpy.typing as npt
 
 from gonio.disk import read_file, write_whole
 from gonio.errors import ConfigError, DataError
-from gonio.rig import Frame, dng
+from gonio.rig import Frame, Pose, dng
 from gonio.rig.description import Camera
 from gonio.rig.imaging import require_raw
 
-Kind = Literal["dark", "flat", "trap", "edge"]
+Kind = Literal["dark", "flat", "trap", "edge", "field"]
 LIST = "frames.csv"
-COLUMNS = ("file", "kind", "exposure_s", "asked_s", "time_s", "temperature_c", "black_px")
+COLUMNS = ("file", "kind", "exposure_s", "asked_s", "time_s", "temperature_c", "black_px", "pose_deg")
 RAW = (".dng", ".cr2", ".nef", ".arw", ".raf", ".rw2", ".orf")
 PICTURES = (".png", ".tif", ".tiff", ".pgm")
 CONTRADICTS = 0.01
@@ -43,6 +44,8 @@ class CameraFrame:
     temperature_c: float = math.nan
     black: tuple[slice, slice] | None = None
     """Rows and columns that see nothing but black."""
+    pose: Pose | None = None
+    """Where the arms stood [rad]."""
 
     def read(self, camera: Camera) -> npt.NDArray[np.uint16]:
         """The mosaic [DN], checked against the rig file.
@@ -133,7 +136,8 @@ def _listed(path: Path) -> list[CameraFrame]:
             )
         kind = cast(Kind, row["kind"])
         black = _rectangle(row.get("black_px") or "", where)
-        out.append(CameraFrame(file, kind, exposure, numbers["time_s"], numbers["temperature_c"], black))
+        pose = _pose(row.get("pose_deg") or "", where)
+        out.append(CameraFrame(file, kind, exposure, numbers["time_s"], numbers["temperature_c"], black, pose))
     return out
 
 
@@ -163,6 +167,16 @@ def _rectangle(text: str, where: str) -> tuple[slice, slice] | None:
         raise ConfigError(f'{where}: black_px = "{text}": write top:bottom,left:right, in pixels') from None
 
 
+def _pose(text: str, where: str) -> Pose | None:
+    if not text.strip():
+        return None
+    try:
+        light, camera = (math.radians(float(part)) for part in text.split(","))
+    except ValueError:
+        raise ConfigError(f'{where}: pose_deg = "{text}": write light,camera, in degrees') from None
+    return Pose(light=light, camera=camera)
+
+
 def write_list(folder: Path, frames: list[CameraFrame]) -> None:
     """Write `frames.csv` into a folder of frames."""
     out = io.StringIO()
@@ -175,5 +189,6 @@ def write_list(folder: Path, frames: list[CameraFrame]) -> None:
         if f.black is not None:
             rows, cols = f.black
             black = f"{rows.start}:{rows.stop},{cols.start}:{cols.stop}"
-        writer.writerow({"file": f.path.name, "kind": f.kind, "asked_s": "", "black_px": black} | row)
+        pose = "" if f.pose is None else f"{math.degrees(f.pose.light)!r},{math.degrees(f.pose.camera)!r}"
+        writer.writerow({"file": f.path.name, "kind": f.kind, "asked_s": "", "black_px": black, "pose_deg": pose} | row)
     write_whole(folder / LIST, out.getvalue().encode())

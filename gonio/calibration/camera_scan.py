@@ -15,7 +15,7 @@ from gonio.by_hand.bench import Bench
 from gonio.calibration.camera import black_rectangle
 from gonio.calibration.camera_frames import CONTRADICTS, CameraFrame, Kind, write_list
 from gonio.disk import read_file, write_whole
-from gonio.errors import DeviceError
+from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Frame, Pose, dng, kinematics
 from gonio.rig.imaging import pixel_map, require_raw
 
@@ -27,6 +27,9 @@ LOW = np.linspace(0.03, 0.7, 14)
 HIGH = np.linspace(0.75, 1.15, 9)
 """Levels of the flats, as fractions of full scale: the gain's range, and around saturation."""
 STRAY_FRAMES = 8
+FIELD_FRAMES = 4
+FIELD_DEG = (15.0, 40.0, 65.0)
+"""Directions that the white reference is seen from, for the lens's vignetting."""
 BRIGHTEST = 99.5
 """Percentile of a frame's pixels that its exposure is chosen by: hot pixels do not count."""
 INSIDE = 0.6
@@ -79,6 +82,23 @@ class Scan:
             self._take(kind, t, black)
         self._bench.lamp(False)
 
+    def field(self) -> None:
+        """The white reference from several directions: what stays with the pixels is the lens."""
+        self._bench.lamp(True)
+        description = self._bench.description
+        first = math.radians(description.reference.theta_i_deg)
+        for angle in FIELD_DEG:
+            try:
+                self._bench.move(theta_i=first, theta_r=math.radians(angle))
+            except ConfigError:
+                continue  # this rig does not get there
+            t = float(self._times(np.array([self._meter("field").exposure_s]))[0])
+            self._say(f"field: {FIELD_FRAMES} frames at theta_r = {angle:g} deg")
+            pose = self._bench.arms.read()
+            for _ in range(FIELD_FRAMES):
+                self._take("field", t, pose=pose)
+        self._bench.lamp(False)
+
     def _times(self, wanted: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         shortest, longest = self._bench.description.camera.exposure_limits_s
         return np.unique(np.clip(np.round(wanted, exposure.MICROSECONDS), shortest, longest))
@@ -100,7 +120,9 @@ class Scan:
             )
         return frame
 
-    def _take(self, kind: Kind, exposure_s: float, black: tuple[slice, slice] | None = None) -> None:
+    def _take(
+        self, kind: Kind, exposure_s: float, black: tuple[slice, slice] | None = None, pose: Pose | None = None
+    ) -> None:
         frame = self._shot(exposure_s)
         number = len(self.frames)
         if frame.file is not None:
@@ -109,7 +131,7 @@ class Scan:
         else:
             path = self._folder / f"{kind}-{number:04d}.dng"
             dng.write_dng(frame, path)
-        self.frames.append(CameraFrame(path, kind, frame.exposure_s, frame.time_s, black=black))
+        self.frames.append(CameraFrame(path, kind, frame.exposure_s, frame.time_s, black=black, pose=pose))
 
     def keep(self) -> None:
         """Write the list of what was taken."""

@@ -131,19 +131,8 @@ class PhotonTransfer:
 
 
 def saturation_index(variances: Floats) -> int:
-    """Where the variance of flats in ascending order is largest, before it falls for good (6.6).
-
-    As the standard asks, from the bright end: small local tops on the way up do not count.
-    """
-    best, at = 0.0, 0
-    for k in range(len(variances) - 1, -1, -1):
-        before = variances[abs(k - 1)]
-        if variances[k] >= best or before >= best:
-            if variances[k] >= best:
-                best, at = float(variances[k]), k
-        else:
-            break
-    return at
+    """Where the variance of flats in ascending order is largest (6.6): beyond it pixels fill up."""
+    return int(np.argmax(variances))
 
 
 def photon_transfer(

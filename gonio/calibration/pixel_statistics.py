@@ -16,6 +16,8 @@ LEAST_DEPARTURE = 0.2
 """Relative departure of a responsivity below which a pixel is none, however narrow the others lie."""
 SMOOTH_PX = 8.0
 """Standard deviation of the Gaussian that tells pixels from vignetting and beam."""
+EDGE_PX = 4
+"""Pixels beside the edge of a lit region that do not tell responsivities."""
 BOLTZMANN_EV = 8.617333262e-5
 """[eV/K], CODATA 2018."""
 
@@ -58,6 +60,26 @@ def smooth(picture: Floats, where: npt.NDArray[np.bool_], sigma: float = SMOOTH_
     values = gaussian_filter(np.where(where, picture, 0.0), sigma)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(np.where(weight > 1e-3, values / weight, math.nan))
+
+
+def inside(region: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """A region without the pixels near its edge, which see what lies beside it; dark single pixels do not count."""
+    from scipy.ndimage import binary_closing, binary_erosion
+
+    closed = binary_closing(region, iterations=2, border_value=False) | region
+    return np.asarray(binary_erosion(closed, iterations=EDGE_PX, border_value=True))
+
+
+def trend(picture: Floats, where: npt.NDArray[np.bool_]) -> Floats:
+    """The polynomial of fourth degree in rows and columns through the pixels of a region: vignetting and beam."""
+    y, x = (2.0 * index / max(size - 1, 1) - 1.0 for index, size in zip(np.indices(picture.shape), picture.shape,
+                                                                       strict=True))  # fmt: skip
+    powers = [(i, j) for i in range(5) for j in range(5 - i)]
+    some = np.flatnonzero(where)[:: max(np.count_nonzero(where) // 20_000, 1)]
+    u, v = x.ravel()[some], y.ravel()[some]
+    coefficients = np.linalg.lstsq(np.stack([u**i * v**j for i, j in powers], axis=1), picture.ravel()[some])[0]
+    fitted = sum(c * x**i * y**j for c, (i, j) in zip(coefficients, powers, strict=True))
+    return np.asarray(np.where(where, fitted, 1.0))
 
 
 def kept_by_high_pass(sigma: float = SMOOTH_PX) -> float:

@@ -1,4 +1,4 @@
-"""The response curve of a camera of 8 bits from a bracket of exposures (Debevec and Malik, SIGGRAPH 1997).
+"""The response curve of a camera of 8 bits from a bracket of exposures (Debevec1997).
 
 Pixels of one still scene at several exposures read Z_ij, and g(Z_ij) = ln E_i + ln t_j with one smooth g for all.
 """

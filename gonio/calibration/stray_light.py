@@ -21,6 +21,8 @@ SIGNIFICANT = 5.0
 """Standard deviations from which a halo is one."""
 ROUNDS = 6
 SMALLEST_PX = 6.0
+BINNED = 3e-3
+"""Relative standard uncertainty of the fractions: a halo is computed in bins of a quarter of its width."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +67,10 @@ def fit(frames: Sequence[BlackFrame], camera: Camera, channel: Channel = "mono")
         one = found[best][0]
     significant = one.halo > SIGNIFICANT * math.sqrt(max(one.covariance[1, 1], 1e-30))
     # a halo as wide as the frame is an even share
-    if not significant or not 0 < best < len(radii) - 1:
-        return even
-    return replace(one, covariance=_covariance(frames, camera, channel, one))
+    found_halo = significant and 0 < best < len(radii) - 1
+    out = replace(one, covariance=_covariance(frames, camera, channel, one)) if found_halo else even
+    fractions = np.array([out.uniform, out.halo])
+    return replace(out, covariance=out.covariance + np.diag((BINNED * fractions) ** 2))
 
 
 def _covariance(frames: Sequence[BlackFrame], camera: Camera, channel: Channel, found: StrayLight) -> Floats:

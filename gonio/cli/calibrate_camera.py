@@ -119,6 +119,7 @@ def _take(
             scan.go()
             scan.darks()
             scan.flats()
+            scan.field()
             for kind in ("trap", "edge"):
                 if kind in kinds:
                     _put(bench, kind, yes=yes)

@@ -25,6 +25,7 @@ from gonio.reduction import stray_light
 from gonio.reduction.dark_signal import FEW, PATTERNS, Darks, Patterns
 from gonio.reduction.geometry_errors import GeometryErrors
 from gonio.rig import Frame, Pose, Target, kinematics
+from gonio.rig.calibrated import known_parameters
 from gonio.rig.description import Band, Camera, RigDescription
 from gonio.rig.dng import read_raw
 from gonio.rig.imaging import Channel, Roi, pixel_map, roi, straight_through_weight
@@ -115,12 +116,9 @@ def camera_parameters(description: RigDescription) -> dict[str, str]:
     """What values depend on in the camera beside its noise: numbers of the rig file, and the cause that each is of."""
     camera = description.camera
     out = {f"camera.nonlinearity[{k}]": "s_linearity" for k in range(len(camera.nonlinearity))}
+    known = known_parameters(description)
     strays = {"camera.stray_light": camera.stray_light, "camera.stray_halo": camera.stray_halo}
-    return out | {name: "s_stray_light" for name, value in strays.items() if value or _known(description, name)}
-
-
-def _known(description: RigDescription, name: str) -> bool:
-    return any(name in one.parameters for one in description.calibration.known)
+    return out | {name: "s_stray_light" for name, value in strays.items() if value or name in known}
 
 
 class RunFrames:

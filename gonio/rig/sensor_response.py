@@ -6,7 +6,6 @@ Signals are in DN. With none of the keys (`camera.response`, `camera.nonlinearit
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -86,7 +85,6 @@ class PixelMaps:
         write_whole(Path(path), packed.getvalue())
 
 
-@lru_cache(maxsize=2)
 def read_maps(path: str, shape: tuple[int, int]) -> PixelMaps:
     """The maps of a camera of `shape` (height, width).
 

@@ -335,6 +335,18 @@ def test_a_video_frame_is_fresh_manual_and_linear(response: str) -> None:
     assert frame.exposure_s == pytest.approx(0.006, rel=1e-12)  # 60 steps of 0.1 ms
 
 
+def test_a_video_camera_with_a_calibrated_curve_gives_its_own_values(response: str) -> None:
+    curve = tuple(255.0 * (np.arange(256) / 255.0) ** 2.2)
+    known = DESCRIPTION.camera.model_copy(update={"bits": 8, "black_level_dn": 2.0, "response": curve})
+    rig = DESCRIPTION.model_copy(update={"camera": known})
+    with UvcCamera(rig, settings.UvcCamera(device="/dev/video0"), VideoStandIn(images)) as camera:
+        frame = camera.capture(0.006)
+    assert frame.mosaic[0, 0] == round(25_500 * 0.006)
+    assert (frame.black_level_dn, frame.white_level_dn) == (2.0, 255.0)
+    with pytest.raises(ConfigError, match="both make the frames linear"):
+        UvcCamera(rig, settings.UvcCamera(device="/dev/video0", response=response))
+
+
 def test_time_stamps_of_another_clock_make_no_queued_frame_fresh(
     response: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
