@@ -8,9 +8,9 @@ from typing import overload
 
 from gonio.acquisition.plan import Assessed, Plan, assess, canonical, count_reasons
 from gonio.errors import ConfigError
-from gonio.rig import Pose, Step
+from gonio.rig import Pose, Step, filling
 from gonio.rig.description import RigDescription
-from gonio.rig.kinematics import Unreachable, reach
+from gonio.rig.kinematics import Unreachable, reach, view
 
 EXPECTED_ALBEDO = 0.5
 """What time estimates take the sample for."""
@@ -27,12 +27,14 @@ def reference_pose(description: RigDescription) -> Pose:
     reference = description.reference
     point = canonical(reference.theta_i_deg, 0.0, reference.theta_r_deg, 180.0)
     try:
-        return reach(description, point.directions)
+        pose = reach(description, point.directions)
     except Unreachable as error:
         raise ConfigError(
             f'rig "{description.name}": [reference] theta_i_deg = {reference.theta_i_deg:g}, '
             f"theta_r_deg = {reference.theta_r_deg:g} cannot be reached: {error}"
         ) from None
+    filling.require_whole(description, view(description, pose), "reference")
+    return pose
 
 
 def schedule(plan: Plan, description: RigDescription, points: list[Assessed] | None = None) -> list[Step]:

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from gonio.geometry import Directions, mirrored
 from gonio.reduction import angle_sensitivity, spike_overlap, white_reference
 from gonio.reduction.count_rates import Reduced, Rejected, RunFrames, in_threads
 from gonio.reduction.dark_signal import PATTERNS, strongest
+from gonio.reduction.merging import FALSE_ALARMS, noise_is_known
 from gonio.reduction.reference_table import brdf_of_reference
 from gonio.reduction.table import (
     CAUSES,
@@ -35,6 +36,7 @@ from gonio.reduction.table import (
 )
 from gonio.rig import Pose, imaging, kinematics
 from gonio.rig.description import Band, RigDescription
+from gonio.rig.filling import filling
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -111,7 +113,24 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
         freedom=freedom,
         untold=untold,
         coarse=coarse,
+        merged=_merged(frames, band, points, visits),
     )
+
+
+def _merged(frames: RunFrames, band: Band, points: list[Reduced], visits: list[Reduced]) -> dict[str, Any]:
+    """What merging by pixels left out, in a band; nothing where whole frames were merged."""
+    if not frames.description.acquisition.by_pixels:
+        return {}
+    every = [*points, *visits]
+    return {
+        "band": band.name,
+        "noise": "known" if noise_is_known(frames.description) else "poisson",
+        "false_alarms_per_step": FALSE_ALARMS,
+        "cosmic_hits": sum(step.hits for step in every),
+        "cosmic_hits_of_points": {str(point.point): point.hits for point in points if point.hits},
+        "hot_pixels": max((step.hot for step in every), default=0),
+        "saturated_fraction": max((step.saturated for step in every), default=0.0),
+    }
 
 
 def _level(
@@ -198,7 +217,9 @@ def _columns(
     cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
     shares = _shares(description, points, [*encoder.items(), *zeros.items()], cones, band)
     read = Directions.stack([point.directions for point in points])
-    curves = angle_sensitivity.Curves(goals, read, brdf, np.sqrt(independent), cones, shares)
+    curves = angle_sensitivity.Curves(
+        goals, read, brdf, np.sqrt(independent), cones, shares, filling(description) == "under"
+    )
     brdf = brdf + curves.spikes.correction
     common = {
         "s_reference": brdf * description.reference.u_rel,
@@ -322,13 +343,19 @@ def _pixels(description: RigDescription, point: Reduced, band: Band) -> tuple[Fl
     region = imaging.roi(description, view, "sample", band.channel)
     seen = imaging.pixel_map(description, view, region.rows, region.cols)
     omega_r = seen.omega_r[region.mask]
-    return seen.omega_i[region.mask], omega_r * (1.0, 1.0, -1.0) if view.camera_mm[2] < 0.0 else omega_r
+    omega_i = seen.omega_i[region.mask]
+    omega_r = omega_r * (1.0, 1.0, -1.0) if view.camera_mm[2] < 0.0 else omega_r
+    if filling(description) == "over":
+        return omega_i, omega_r
+    lit = seen.lit[region.mask] > 0.5
+    return (omega_i[lit], omega_r[lit]) if lit.any() else (omega_i, omega_r)
 
 
 def _change_of_cosine(description: RigDescription, visit: Reduced, axis: str, u: float) -> float:
-    """Relative change (odd part) of the light on the reference when an axis truly stands u [rad] off."""
-    up, down = (math.cos(_moved(description, visit.pose, axis, by).theta_i) for by in (u, -u))
-    return 0.5 * (up - down) / math.cos(visit.directions.theta_i)
+    """Relative change (odd part) of the signal of the reference when an axis truly stands u [rad] off."""
+    which = "theta_i" if filling(description) == "over" else "theta_r"
+    up, down = (math.cos(getattr(_moved(description, visit.pose, axis, by), which)) for by in (u, -u))
+    return 0.5 * (up - down) / math.cos(getattr(visit.directions, which))
 
 
 def _prnu(description: RigDescription, point: Reduced, reference_pixels: int) -> float:

@@ -6,6 +6,7 @@ The formulas are explained in docs/radiometry.md, sections 1 to 3.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -20,8 +21,9 @@ from gonio.acquisition.records import FrameRecord, StepRecord
 from gonio.disk import read_file
 from gonio.errors import DamagedFrame, DataError
 from gonio.geometry import Directions
+from gonio.reduction import merging
 from gonio.reduction.dark_signal import FEW, PATTERNS, Darks, Patterns
-from gonio.rig import Frame, Pose, Target, kinematics
+from gonio.rig import Frame, Pose, Target, filling, kinematics
 from gonio.rig.description import Band, Camera, RigDescription
 from gonio.rig.dng import read_raw
 from gonio.rig.imaging import Channel, Roi, pixel_map, roi
@@ -47,7 +49,7 @@ class Region:
     roi: Roi
     target: Target
     per_weight: Floats
-    """1 / (falloff cos(theta_i) (d0/d)^2) of the used pixels."""
+    """What makes a used pixel's signal the region's: `gonio.rig.filling.per_weight`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +64,10 @@ class Shot:
     """Brightest used pixel, as a fraction of full scale."""
     leverage: Floats
     """Of the dark frames: `Darks.leverage`."""
+    electrons: Floats | None = None
+    """Signals of the used pixels [e-], where frames are merged by pixels."""
+    levels: Floats | None = None
+    """Their raw levels, as fractions of full scale."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +91,12 @@ class Reduced:
     pose: Pose
     point: int | None
     """Row of the plan; None for a visit to the reference."""
+    hits: int = 0
+    """Pixels of single frames left out as hits of cosmic radiation; where frames are merged by pixels."""
+    hot: int = 0
+    """Pixels left out in all frames."""
+    saturated: float = 0.0
+    """The part of all pixels of all frames that was left out as too bright."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,8 +174,8 @@ class RunFrames:
             return None
         region = roi(self.description, view, target, channel)
         seen = pixel_map(self.description, view, region.rows, region.cols)
-        weight = seen.weight[region.mask]
-        return Region(region, target, 1.0 / weight) if weight.min() > 0 else None
+        per_weight = filling.per_weight(self.description, view, seen, region, channel)
+        return Region(region, target, per_weight) if math.isfinite(per_weight.max()) else None
 
     def _read_darks(self, frames: list[FrameRecord], boxes: dict[Target, tuple[slice, slice]]) -> dict[Target, Darks]:
         if not frames:
@@ -229,12 +241,15 @@ class RunFrames:
         camera, darks = self.description.camera, self._darks[region.target]
         values = region.roi.of(frame.mosaic).astype(float)
         signal = (values - darks.of(region.roi, frame.exposure_s)) * camera.electrons_per_dn
+        by_pixels, full = self.description.acquisition.by_pixels, full_scale_dn(camera, frame)
         return Shot(
             rate=float(np.mean(signal * region.per_weight)) / frame.exposure_s,
             exposure_s=frame.exposure_s,
             time_s=time_s,
-            peak=(float(values.max()) - frame.black_level_dn) / full_scale_dn(camera, frame),
+            peak=(float(values.max()) - frame.black_level_dn) / full,
             leverage=darks.leverage(frame.exposure_s),
+            electrons=signal if by_pixels else None,
+            levels=(values - frame.black_level_dn) / full if by_pixels else None,
         )
 
     def reduce(self, step: StepRecord, band: Band) -> Reduced | Rejected:
@@ -247,33 +262,57 @@ class RunFrames:
         # a point can be taken again; of a visit to the reference the frames that are left count
         if not self.damaged.keys().isdisjoint(named) and (step.kind == "point" or not taken):
             return Rejected(step.point, "damaged")
-        shots = [shot for shot in taken if shot.peak < USABLE]
-        if not shots:
-            return Rejected(step.point, "saturated" if taken else "not_measured")
-        rate, variance, time_s, chi_square, of_darks = pool(
-            self.description, region, shots, self._darks[region.target].exposures_s
-        )
+        if not taken:
+            return Rejected(step.point, "not_measured")
+        if self.description.acquisition.by_pixels:
+            pooled = pool_pixels(self.description, region, taken, self._darks[region.target])
+        else:
+            shots = [shot for shot in taken if shot.peak < USABLE]
+            darks_s = self._darks[region.target].exposures_s
+            pooled = Pooled(*pool(self.description, region, shots, darks_s), len(shots)) if shots else None
+        if pooled is None:
+            return Rejected(step.point, "saturated")
+        of_darks = pooled.of_darks
         reference = self.reference.get(band.channel)
         share = self._patterns[band.channel].of(region.roi) if region.target == "sample" else np.zeros(PATTERNS)
         shared = np.outer(of_darks, share)
         return Reduced(
-            rate=rate,
-            variance=variance + max(float(np.sum(of_darks**2) - np.sum(shared**2)), 0.0),
+            rate=pooled.rate,
+            variance=pooled.variance + max(float(np.sum(of_darks**2) - np.sum(shared**2)), 0.0),
             dark=shared,
-            time_s=time_s,
-            chi_square=chi_square,
-            frames=len(shots),
+            time_s=pooled.time_s,
+            chi_square=pooled.chi_square,
+            frames=pooled.frames,
             pixels=region.roi.count,
             shared=region.roi.shared(reference) if reference is not None else 0,
             directions=kinematics.directions(self.description, step.pose),
             pose=step.pose,
             point=step.point,
+            hits=pooled.hits,
+            hot=pooled.hot,
+            saturated=pooled.saturated,
         )
 
 
 def _lit(step: StepRecord, band: Band) -> list[FrameRecord]:
     """The frames of a step that were taken in a band, with the lamp lit."""
     return [frame for frame in step.frames if frame.band == band.name and frame.lamp]
+
+
+@dataclass(frozen=True, slots=True)
+class Pooled:
+    """What the frames of a step tell of a region, however they were merged."""
+
+    rate: float
+    variance: float
+    time_s: float
+    chi_square: float
+    of_darks: Floats
+    """Change of the rate for one standard deviation of the mean of the shorter and of the longer darks."""
+    frames: int
+    hits: int = 0
+    hot: int = 0
+    saturated: float = 0.0
 
 
 def pool(
@@ -309,6 +348,62 @@ def pool(
     of_darks[: charge.size] = -((weights / exposure) @ lines) * np.sqrt(of_pixels * mean_2)
     chi_square = float(np.sum((rates - pooled) ** 2 / variances))
     return pooled, float(1.0 / np.sum(1.0 / variances)), float(np.sum(weights * times)), chi_square, of_darks
+
+
+def pool_pixels(description: RigDescription, region: Region, shots: list[Shot], darks: Darks) -> Pooled | None:
+    """The frames of a point, merged pixel by pixel (`merging.merge`); None where pixels saturate in every frame.
+
+    Where the noise of the camera is not known, frames that scatter more than photons say make the variance larger.
+    """
+    camera, acquired = description.camera, [shot for shot in shots if shot.electrons is not None]
+    exposure = np.array([shot.exposure_s for shot in acquired])
+    rate = np.maximum(darks.rate(region.roi) * camera.electrons_per_dn, camera.dark_current_e_per_s)
+    full = min(camera.full_well_e, (camera.white_level_dn - camera.black_level_dn) * camera.electrons_per_dn)
+    stack = merging.Stack(
+        electrons=np.stack([shot.electrons for shot in acquired if shot.electrons is not None]),
+        levels=np.stack([shot.levels for shot in acquired if shot.levels is not None]),
+        exposures_s=exposure,
+        mask=region.roi.mask,
+        per_weight=region.per_weight,
+        dark_rate=rate,
+        hot=_hot(rate, float(exposure.max()), float(darks.exposures_s.max()), full),
+    )
+    merged = merging.merge(description, stack)
+    if merged is None:
+        return None
+    # the dark frames are one and the same for all frames of the point, and independent from pixel to pixel
+    charge = camera.dark_current_e_per_s * darks.exposures_s if camera.photon_noise else 0.0 * darks.exposures_s
+    count = region.per_weight.size
+    noise = camera.read_noise_e**2 + charge + count * _rounding(camera, charge, count)
+    lines = np.array([shot.leverage for shot in acquired])
+    of_darks = np.zeros(2)
+    for k, variance in enumerate(noise):
+        change = (lines[:, k] / exposure) @ merged.shares
+        of_darks[k] = -math.copysign(math.sqrt(float(np.sum(change**2)) * variance), float(change.sum()))
+    variance = merged.variance
+    if not merging.noise_is_known(description) and merged.frames > 1:
+        variance *= max(1.0, merged.chi_square / (merged.frames - 1))
+    return Pooled(
+        rate=merged.rate,
+        variance=variance,
+        time_s=float(merged.frame_weights @ [shot.time_s for shot in acquired]),
+        chi_square=merged.chi_square,
+        of_darks=of_darks,
+        frames=merged.frames,
+        hits=merged.hits,
+        hot=merged.hot,
+        saturated=merged.saturated,
+    )
+
+
+def _hot(rate: Floats, longest_s: float, dark_s: float, full: float) -> npt.NDArray[np.bool_]:
+    """Pixels with so many more dark electrons a second than others that they are not to be used.
+
+    Their charge would be too large a part of full scale in the longest frame; or it filled the longer dark frames,
+    which then do not tell the rate.
+    """
+    excess = rate - np.median(rate)
+    return np.asarray((excess * longest_s > merging.HOT * full) | (excess * dark_s > USABLE * full))
 
 
 def _rounding(camera: Camera, electrons: Floats, count: int) -> Floats:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ from gonio.reduction.count_rates import RETAKE, RunFrames
 from gonio.reduction.dark_signal import COLUMNS
 from gonio.rig import kinematics
 from gonio.rig.description import Axis, Band, RigDescription
+from gonio.rig.filling import filling
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -61,6 +62,8 @@ class BandResult:
     """Nominal directions of points that may see a spike of which only a bound is known."""
     coarse: Directions
     """Nominal directions of points beside a lobe that is narrower than the plan's steps."""
+    merged: dict[str, Any] = field(default_factory=dict)
+    """How the frames were merged pixel by pixel; empty where whole frames were."""
 
 
 def angle_axes(description: RigDescription) -> dict[str, Axis]:
@@ -123,6 +126,8 @@ def assemble(run: Run, results: list[BandResult], notes: list[str]) -> pd.DataFr
             "simulated": run.sample is not None,
             "seed": run.seed,
             "reference": [_account(result) for result in results],
+            "filling": filling(description),
+            **({"merge": [result.merged for result in results]} if description.acquisition.by_pixels else {}),
         },
         notes=notes + _notes_on_zeros(description) + [note for result in results for note in _notes(result)],
     )
@@ -192,6 +197,11 @@ def _notes(result: BandResult) -> list[str]:
         out.append(
             f"{name}: values change much from step to step at {_listed(result.coarse)}: u_brdf there rests on "
             "what neighbouring points leave open, and may be too small; measure in finer steps there"
+        )
+    if result.merged.get("noise") == "poisson":
+        out.append(
+            f"{name}: the noise of the camera is not known (camera.read_noise_e = 0, and no calibration of the "
+            "camera): frames are weighted as photons alone would have it"
         )
     # three standard deviations of a reduced chi-square, and enough to matter: uncertainties 20 % too small
     if result.scatter > max(1.44, 1.0 + 3.0 * math.sqrt(2.0 / max(result.freedom, 1))):

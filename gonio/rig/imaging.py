@@ -44,6 +44,7 @@ class PixelMap:
         self._image_distance_mm = image_distance_mm(description)
         self._distance_mm = description.geometry.light_distance_mm
         self._lambertian = description.lamp.radiation == "lambertian"
+        self._beam_mm = description.lamp.beam_diameter_mm
         self._source = np.asarray(view.source_mm, dtype=float)
         self._camera = np.asarray(view.camera_mm, dtype=float)
         self.rows = slice(*rows.indices(camera.height)[:2])
@@ -111,10 +112,41 @@ class PixelMap:
         return np.where(self.sees_plane, np.maximum((1.0 - across) * away, 0.0), 0.0)
 
     @cached_property
+    def lit(self) -> Floats:
+        """The share of each pixel's spot that lies in the beam (`lamp.beam_diameter_mm`), whose edge is sharp.
+
+        The beam is a cone around the direction from the lamp to the sample's centre. At its edge the share is that of a
+        straight edge through the pixel, taken as linear in the distance of the pixel's centre from it.
+        """
+        if self._beam_mm is None:
+            return np.ones(self.x_mm.shape)
+        away = float(np.linalg.norm(self._source))
+        axis = self._source / away
+        along = away - (axis[0] * self.x_mm + axis[1] * self.y_mm)
+        across = np.sqrt(np.maximum(self.x_mm**2 + self.y_mm**2 - (away - along) ** 2, 0.0))
+        outside = away * across / along - 0.5 * self._beam_mm
+        width = sum(np.abs(slope) for slope in np.gradient(outside))
+        share = np.clip(0.5 - outside / np.maximum(width, 1e-12), 0.0, 1.0)
+        return np.where(self.sees_plane, share, 0.0)
+
+    @property
+    def area_mm2(self) -> Floats:
+        """The area of the sample's plane that each pixel sees [mm^2]: its solid angle at the lens, slanted."""
+        scale = 1e-3 * self._camera_model.pixel_um / self._image_distance_mm
+        lines = self._by_row[:, None, :] + self._by_col.T[None, :, :]
+        cubed = np.einsum("...k,...k->...", lines, lines) ** -1.5  # of the cosine of the field angle
+        slanted = np.abs(self._camera[2] / self.omega_r[..., 2]) ** 3 / abs(self._camera[2])
+        return np.asarray(scale**2 * cubed * slanted)
+
+    @cached_property
     def weight(self) -> Floats:
-        """falloff cos(theta_i) (d0/d)^2 radiation: all of the measurement equation that depends on the pixel alone."""
+        """falloff cos(theta_i) (d0/d)^2 radiation, in the beam: all of the measurement equation that depends on the
+        pixel alone.
+        """
         weight = self.falloff * self.cos_theta_i * self.distance_factor
-        return weight * self.radiation if self._lambertian else weight
+        if self._lambertian:
+            weight = weight * self.radiation
+        return weight if self._beam_mm is None else weight * self.lit
 
     @cached_property
     def omega_i(self) -> Floats:
@@ -257,9 +289,7 @@ def roi(description: RigDescription, view: View, target: Target = "sample", chan
     if view.camera_mm[2] == 0:
         raise ConfigError("the camera is in the sample's plane: it sees no region of interest")
     radius = description.acquisition.roi_radius_mm
-    eye = np.asarray(view.camera_mm, dtype=float)
-    pitch = 1e-3 * camera.pixel_um * np.linalg.norm(eye) / image_distance_mm(description)
-    longest = float(pitch * np.linalg.norm(eye) / abs(eye[2]))  # of a pixel, on the sample
+    longest = pixel_on_sample_mm(description, view)
     column, row = _project(description, view, *centre)
     if not (-0.5 <= column < camera.width - 0.5 and -0.5 <= row < camera.height - 0.5):
         raise ConfigError(
@@ -279,6 +309,13 @@ def roi(description: RigDescription, view: View, target: Target = "sample", chan
     if not inside.any():
         inside = distance <= max(longest**2, distance.min())
     return Roi(box_rows, box_cols, inside)
+
+
+def pixel_on_sample_mm(description: RigDescription, view: View) -> float:
+    """The longer side of a pixel on the sample [mm], at its centre."""
+    eye = np.asarray(view.camera_mm, dtype=float)
+    pitch = 1e-3 * description.camera.pixel_um * np.linalg.norm(eye) / image_distance_mm(description)
+    return float(pitch * np.linalg.norm(eye) / abs(eye[2]))
 
 
 def patch_extent(description: RigDescription, view: View, target: Target = "sample") -> tuple[float, ...]:
