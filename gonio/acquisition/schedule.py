@@ -119,7 +119,7 @@ def going_on(plan: Plan, description: RigDescription, flags: Sequence[str]) -> S
 
 def estimate_s(steps: list[Step], description: RigDescription, bands: int) -> float:
     """How long a run takes [s] on the rig's own clock, for a matt sample of albedo 0.5, prompts and settling apart."""
-    from gonio.acquisition.exposure import dark_exposures_s, expected_exposure_s
+    from gonio.acquisition.exposure import dark_exposures_s, expected_bracket, expected_exposure_s
 
     camera, acquisition = description.camera, description.acquisition
     frame = camera.frame_overhead_s
@@ -130,7 +130,12 @@ def estimate_s(steps: list[Step], description: RigDescription, bands: int) -> fl
             continue
         total += _move_s(here, step.pose, description)
         here = step.pose
-        if step.kind == "reference":
+        albedo = 1.0 if step.kind == "reference" else EXPECTED_ALBEDO
+        if acquisition.u_rel_target is not None:
+            planned = expected_bracket(description, step.pose, albedo)
+            metering = 1.25 * expected_exposure_s(description, step.pose, albedo)
+            total += bands * (metering + sum(planned) + (len(planned) + 1) * frame)
+        elif step.kind == "reference":
             exposure = expected_exposure_s(description, step.pose, 1.0)
             total += bands * (description.reference.frames + 1) * (exposure + frame)
         else:
