@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from gonio.rig.kinematics import View
 
 Channel = Literal["mono", "R", "G", "B"]
+EDGE_PARTS = 4
+"""Parts of the side of a pixel at the beam's edge: the area of a spot of 16 pixels is then right to 2e-4."""
 
 
 def image_distance_mm(description: RigDescription) -> float:
@@ -115,19 +117,33 @@ class PixelMap:
     def lit(self) -> Floats:
         """The share of each pixel's spot that lies in the beam (`lamp.beam_diameter_mm`), whose edge is sharp.
 
-        The beam is a cone around the direction from the lamp to the sample's centre. At its edge the share is that of a
-        straight edge through the pixel, taken as linear in the distance of the pixel's centre from it.
+        The beam is a cone around the direction from the lamp to the sample's centre. Pixels at its edge are cut into 4 x
+        4 parts; of each that share counts which a straight edge leaves, linear in the distance of the part from it.
         """
+        x, y = self.x_mm, self.y_mm
         if self._beam_mm is None:
-            return np.ones(self.x_mm.shape)
-        away = float(np.linalg.norm(self._source))
-        axis = self._source / away
-        along = away - (axis[0] * self.x_mm + axis[1] * self.y_mm)
-        across = np.sqrt(np.maximum(self.x_mm**2 + self.y_mm**2 - (away - along) ** 2, 0.0))
-        outside = away * across / along - 0.5 * self._beam_mm
+            return np.ones(x.shape)
+        outside = self._outside_beam(x, y)
         width = sum(np.abs(slope) for slope in np.gradient(outside))
-        share = np.clip(0.5 - outside / np.maximum(width, 1e-12), 0.0, 1.0)
+        share = (outside < 0.0).astype(float)
+        edge = np.abs(outside) < width
+        down, right = ([slope[edge] for slope in slopes] for slopes in zip(np.gradient(x), np.gradient(y), strict=True))
+        share[edge] = 0.0
+        parts = (np.arange(EDGE_PARTS) + 0.5) / EDGE_PARTS - 0.5
+        for row in parts:
+            for col in parts:
+                apart = self._outside_beam(
+                    x[edge] + row * down[0] + col * right[0], y[edge] + row * down[1] + col * right[1]
+                )
+                share[edge] += np.clip(0.5 - EDGE_PARTS * apart / width[edge], 0.0, 1.0) / EDGE_PARTS**2
         return np.where(self.sees_plane, share, 0.0)
+
+    def _outside_beam(self, x: Floats, y: Floats) -> Floats:
+        """How far spots of the plane lie outside the beam [mm], across its axis at the sample's centre."""
+        away = float(np.linalg.norm(self._source))
+        along = away - (self._source[0] * x + self._source[1] * y) / away
+        across = np.sqrt(np.maximum(x**2 + y**2 - (away - along) ** 2, 0.0))
+        return np.asarray(away * across / along - 0.5 * (self._beam_mm or 0.0))
 
     @property
     def area_mm2(self) -> Floats:
