@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +39,13 @@ MICROSECONDS = 6
 FEWEST = 2
 """Frames of one exposure in a bracket: a hit of cosmic radiation shows against another one."""
 MOST_IN_BRACKET = 64
+EXPOSURE_TOLERANCE = 0.2
+"""Of what was asked for: shutter speeds lie a third of a stop apart (half of that is 12 %), and their names are up to
+7 % off (1/60 s is 1/64 s). The exposure that a frame says is the one that counts; drivers may be stricter."""
+QUANTUM_S = 5e-5
+"""Half of the step of a camera that counts its exposure in units of 100 us, as UVC does."""
+BLACK_TOLERANCE = 0.05
+"""Of the range between black and white: metering is then off by less than a tenth."""
 CLASSES = 8
 """Of brightness, that the pixels of a region are sorted into where a bracket is planned."""
 DARKEST = 100.0
@@ -73,6 +81,48 @@ def expected_level_per_s(description: RigDescription, pose: Pose, albedo: float)
     camera = description.camera
     full_well = min(camera.full_well_e, (camera.white_level_dn - camera.black_level_dn) * camera.electrons_per_dn)
     return camera.responsivity_e_per_s * albedo * cosine_of_incidence(pose) / full_well
+
+
+def contradiction(camera: Camera, frame: Frame) -> str:
+    """What a frame says of itself that cannot be, or that the rig file contradicts; "" where there is nothing.
+
+    A lower white level of as many bits is a maker's own (a converter that saturates early). A black level matters for
+    the level of a frame alone: dark signals are measured.
+    """
+    if not _is_time(frame.exposure_s):
+        return f"has exposure_s = {frame.exposure_s!r}: seconds above 0 are needed"
+    lowest = 2.0 ** (camera.bits - 1)
+    if not lowest <= frame.white_level_dn <= camera.white_level_dn:
+        return (
+            f"has the white level {frame.white_level_dn:g} DN; the rig file says camera.bits = {camera.bits}, "
+            f"{lowest:g} to {camera.white_level_dn:g} DN"
+        )
+    most = BLACK_TOLERANCE * (camera.white_level_dn - camera.black_level_dn)
+    if not abs(frame.black_level_dn - camera.black_level_dn) <= most:
+        return (
+            f"has the black level {frame.black_level_dn:g} DN; the rig file says camera.black_level_dn = "
+            f"{camera.black_level_dn:g}"
+        )
+    return ""
+
+
+def require_asked(camera: Camera, frame: Frame, asked_s: float, source: str) -> None:
+    """Raise `DeviceError` where a frame contradicts the rig file, or the exposure that was asked for.
+
+    `source` begins the message: which camera it was.
+    """
+    why = contradiction(camera, frame)
+    if not why and abs(frame.exposure_s - asked_s) > EXPOSURE_TOLERANCE * asked_s + QUANTUM_S:
+        why = f"was exposed {frame.exposure_s:g} s where {asked_s:g} s were asked"
+    if why:
+        raise DeviceError(
+            f"{source}: a frame {why}. Set the camera to manual exposure, and make the driver or the rig file say what "
+            "the camera does"
+        )
+
+
+def _is_time(seconds: object) -> bool:
+    return isinstance(seconds, Real) and 0.0 < float(seconds) < math.inf
 
 
 def cosine_of_incidence(pose: Pose) -> float:

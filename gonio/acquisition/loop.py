@@ -316,7 +316,9 @@ class _Session:
     def _capture(self, exposure_s: float) -> Frame:
         """A frame, later than the one before it; raises `DeviceError` where its time does not say so."""
         frame, last_s = self._rig.camera.capture(exposure_s), self._last_s
-        require_frame(self._description.camera, frame, f'the camera of the rig "{self._description.name}"')
+        source = f'the camera of the rig "{self._description.name}"'
+        require_frame(self._description.camera, frame, source)
+        exposure.require_asked(self._description.camera, frame, exposure_s, source)
         sound = isinstance(frame.time_s, Real) and 0.0 <= frame.time_s < math.inf
         if sound and frame.time_s > last_s:
             self._last_s, self._resumed = float(frame.time_s), False

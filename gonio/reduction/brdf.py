@@ -62,7 +62,9 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
         As `gonio.measurement` describes it, in the order of the plan. Angles are what the encoders read. `brdf` is NaN
         where `flag` says why: "blocked", "unreachable" and the plan's other reasons, "saturated" (in every frame),
         "below_horizon" (at the pose that was read), "moved" (an axis did not stand still), "unsteady" (its encoder
-        trembles), "damaged" (a frame of the point is missing or was changed), "not_measured" (the run ended before).
+        trembles), "damaged" (a frame of the point is missing or was changed), "contradictory" (one says of
+        itself what cannot be), "partly_filled" (the beam's edge cuts through the region), "not_measured" (the run
+        ended before).
         Causes: `s_reference` (the certificate), `s_reference_noise` (mean level of the visits), `s_lamp_drift`,
         `s_dark_1` to `s_dark_3` (noise of the dark frames), `s_theta_i_zero`, `s_theta_r_zero` and, with those axes,
         `s_tilt_zero`, `s_azimuth_zero`. A plan with points behind the sample gives a column `side`.

@@ -10,16 +10,17 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from gonio.acquisition.exposure import full_scale_dn
+from gonio.acquisition.exposure import contradiction, full_scale_dn
 from gonio.acquisition.records import FrameRecord, StepRecord
 from gonio.disk import read_file
-from gonio.errors import DamagedFrame, DataError
+from gonio.errors import ContradictoryFrame, DamagedFrame, DataError
 from gonio.geometry import Directions
 from gonio.reduction import merging
 from gonio.reduction.dark_signal import FEW, PATTERNS, Darks, Patterns
@@ -116,6 +117,8 @@ class RunFrames:
         self.run = run
         self.damaged: dict[str, str] = {}
         """What is wrong with frames that were left out, by their names."""
+        self.contradictory: dict[str, str] = {}
+        """The same of frames that are whole, and say of themselves what cannot be."""
         self.description: RigDescription = run.description
         self.points: list[int | None] = []
         """What each of `steps` looks at: a point, or None for the reference."""
@@ -214,6 +217,11 @@ class RunFrames:
                 f"the rig file has camera.width = {camera.width}, camera.height = {camera.height}, "
                 f"camera.pattern = {camera.pattern}"
             )
+        why = contradiction(camera, frame)
+        if not why and not _alike(frame.exposure_s, entry.exposure_s):
+            why = f"was exposed {frame.exposure_s:g} s, and the journal says exposure_s = {entry.exposure_s!r}"
+        if why:
+            raise ContradictoryFrame(f"{entry.file} {why}")
         return frame
 
     def _read_or_note(self, entry: FrameRecord) -> Frame | None:
@@ -222,10 +230,12 @@ class RunFrames:
             return self.read(entry)
         except DamagedFrame as error:
             self.damaged[entry.file] = str(error)
-            return None
+        except ContradictoryFrame as error:
+            self.contradictory[entry.file] = str(error)
+        return None
 
     def _first(self) -> str:
-        return next(iter(self.damaged.values()), "")
+        return next(iter((self.damaged | self.contradictory).values()), "")
 
     def shots(self, step: StepRecord, band: Band) -> tuple[Region, list[Shot]] | None:
         """The frames of a step in a band, each reduced to its region, without those that are damaged; None for a
@@ -262,6 +272,8 @@ class RunFrames:
         # a point can be taken again; of a visit to the reference the frames that are left count
         if not self.damaged.keys().isdisjoint(named) and (step.kind == "point" or not taken):
             return Rejected(step.point, "damaged")
+        if not self.contradictory.keys().isdisjoint(named) and (step.kind == "point" or not taken):
+            return Rejected(step.point, "contradictory")
         if not taken:
             return Rejected(step.point, "not_measured")
         if self.description.acquisition.by_pixels:
@@ -292,6 +304,11 @@ class RunFrames:
             hot=pooled.hot,
             saturated=pooled.saturated,
         )
+
+
+def _alike(one: float, other: object) -> bool:
+    """Whether two records of an exposure agree: files of other makers keep it to a few digits."""
+    return isinstance(other, Real) and abs(one - float(other)) <= 1e-3 * one + 1e-6
 
 
 def _lit(step: StepRecord, band: Band) -> list[FrameRecord]:

@@ -161,6 +161,19 @@ def _notes_on_zeros(description: RigDescription) -> list[str]:
 
 
 def notes_on_damage(frames: RunFrames) -> list[str]:
+    wrong = frames.contradictory
+    if wrong:
+        first = wrong[min(wrong)]
+        more = f", and {len(wrong) - 1} more frames" if len(wrong) > 1 else ""
+        return [
+            f'{first}{more}: left out; points that lack one are flagged "contradictory". Make the rig file say what '
+            "the camera does, or measure these points again",
+            *_notes_on_missing(frames),
+        ]
+    return _notes_on_missing(frames)
+
+
+def _notes_on_missing(frames: RunFrames) -> list[str]:
     if not frames.damaged:
         return []
     names = sorted(frames.damaged)

@@ -117,8 +117,8 @@ class PixelMap:
     def lit(self) -> Floats:
         """The share of each pixel's spot that lies in the beam (`lamp.beam_diameter_mm`), whose edge is sharp.
 
-        The beam is a cone around the direction from the lamp to the sample's centre. Pixels at its edge are cut into 4 x
-        4 parts; of each that share counts which a straight edge leaves, linear in the distance of the part from it.
+        The beam is a cone around the direction from the lamp to the sample's centre. Pixels at its edge are cut into
+        parts; of each that share counts which a straight edge leaves, linear in the distance of the part from it.
         """
         x, y = self.x_mm, self.y_mm
         if self._beam_mm is None:
