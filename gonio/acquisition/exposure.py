@@ -22,6 +22,7 @@ from gonio.rig import Frame, Pose
 from gonio.rig.description import Camera, RigDescription
 from gonio.rig.imaging import pixel_on_sample_mm
 from gonio.rig.kinematics import view
+from gonio.typing import Floats
 
 Shot = Callable[[float], Frame]
 Used = Callable[[npt.NDArray[np.uint16]], npt.NDArray[np.generic]]
@@ -219,11 +220,12 @@ def bracket(description: RigDescription, metered: Metered, used: Used, least: in
         return (metered.exposure_s,) * least
     frame, camera = metered.frame, description.camera
     values = np.sort(used(frame.mosaic).astype(float)) - frame.black_level_dn
-    classes = [part.mean() for part in np.array_split(values, min(CLASSES, values.size))]
-    rates = np.maximum(
-        np.array(classes) * camera.electrons_per_dn / frame.exposure_s - camera.dark_current_e_per_s, 0.0
+    parts = np.array_split(values * camera.electrons_per_dn / frame.exposure_s, min(CLASSES, values.size))
+    rates, brightest = (
+        np.maximum(np.array([take(part) for part in parts]) - camera.dark_current_e_per_s, 0.0)
+        for take in (np.mean, np.max)
     )
-    planned = _Planned(description, rates, values.size)
+    planned = _Planned(description, rates, brightest, values.size)
     exposures = planned.exposures(metered.exposure_s, least)
     return (*exposures, shorter(description, max(exposures)))
 
@@ -235,16 +237,18 @@ def expected_bracket(description: RigDescription, pose: Pose, albedo: float) -> 
     slant = abs(float(seen.camera_mm[2])) / math.sqrt(sum(float(x) ** 2 for x in seen.camera_mm))
     count = max(int(math.pi * description.acquisition.roi_radius_mm**2 / (slant * side**2)), 1)
     rate = description.camera.responsivity_e_per_s * albedo * cosine_of_incidence(pose)
-    planned = _Planned(description, np.array([rate]), count)
+    planned = _Planned(description, np.array([rate]), np.array([rate]), count)
     exposures = planned.exposures(expected_exposure_s(description, pose, albedo), FEWEST)
     return (*exposures, shorter(description, max(exposures)))
 
 
 class _Planned:
-    """The choice of a bracket for a region of `count` pixels, of which equal parts have `rates` [e-/s]."""
+    """The choice of a bracket for a region of `count` pixels, of which equal parts have mean `rates` [e-/s], and are as
+    bright as `brightest`.
+    """
 
-    def __init__(self, description: RigDescription, rates: npt.NDArray[np.float64], count: int) -> None:
-        self._description, self._rates, self._count = description, rates, count
+    def __init__(self, description: RigDescription, rates: Floats, brightest: Floats, count: int) -> None:
+        self._description, self._rates, self._brightest, self._count = description, rates, brightest, count
         camera, acquisition = description.camera, description.acquisition
         target = acquisition.u_rel_target or math.inf
         # what responsivities leave is there whatever is exposed; noise is not brought far below it
@@ -271,6 +275,9 @@ class _Planned:
             if exposure < first * 1.5 or self._weights(exposure).max() == 0.0:
                 break
             plans.append([first] * FEWEST + [exposure] * self._number([first] * FEWEST, exposure, least - FEWEST))
+            for number in (FEWEST, 2 * FEWEST, 4 * FEWEST):
+                long = [exposure] * number
+                plans.append([first] * self._number(long, first, least - number) + long)
         judged = [(self._variance(plan), self._time_s(plan), plan) for plan in plans]
         good = [entry for entry in judged if entry[0] <= self._wanted * (1.0 + 1e-9)]
         return min(good, key=lambda entry: entry[1])[2] if good else min(judged, key=lambda entry: entry[0])[2]
@@ -301,14 +308,15 @@ class _Planned:
         of_mean = float(np.mean(1.0 / weights)) / self._count
         return of_mean / float(self._rates.mean()) ** 2 + self._description.lamp.noise**2 / len(plan)
 
-    def _weights(self, exposure_s: float) -> npt.NDArray[np.float64]:
+    def _weights(self, exposure_s: float) -> Floats:
         """1 / variance [s^2/e-^2] of a pixel of each class in one frame; 0 where it may saturate."""
         camera, t = self._description.camera, exposure_s
         charge = (self._rates + camera.dark_current_e_per_s) * t
         noise = camera.read_noise_e**2 + camera.electrons_per_dn**2 / 12.0
         weights = t**2 / (noise + (charge if camera.photon_noise else 0.0))
-        spread = 6.0 * np.sqrt(charge + camera.read_noise_e**2 + (camera.prnu * charge) ** 2)
-        return np.where((charge + spread < SATURATED * self._full) | (t <= self._shortest), weights, 0.0)
+        full = (self._brightest + camera.dark_current_e_per_s) * t
+        spread = 6.0 * np.sqrt(full + camera.read_noise_e**2 + (camera.prnu * full) ** 2)
+        return np.where((full + spread < SATURATED * self._full) | (t <= self._shortest), weights, 0.0)
 
     @property
     def _shortest(self) -> float:

@@ -129,6 +129,7 @@ def _merged(frames: RunFrames, band: Band, points: list[Reduced], visits: list[R
         "noise": "known" if noise_is_known(frames.description) else "poisson",
         "false_alarms_per_step": FALSE_ALARMS,
         "cosmic_hits": sum(step.hits for step in every),
+        "cosmic_hits_in_darks": frames.dark_hits,
         "cosmic_hits_of_points": {str(point.point): point.hits for point in points if point.hits},
         "hot_pixels": max((step.hot for step in every), default=0),
         "saturated_fraction": max((step.saturated for step in every), default=0.0),

@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +33,8 @@ from gonio.typing import Floats
 if TYPE_CHECKING:
     from gonio.acquisition.run import Run
 
+Dark = tuple[float, npt.NDArray[Any]]
+"""Exposure [s] and mosaic [DN] of a dark frame."""
 In = TypeVar("In")
 Out = TypeVar("Out")
 
@@ -162,6 +164,8 @@ class RunFrames:
         """The part of the used pixels that read 0 DN in the dark frames."""
         self.darks_taken = self.darks_used = 0
         """How many exposures the dark frames were taken with, and of how many some are left."""
+        self.dark_hits = 0
+        """Pixels of dark frames that were hit by cosmic radiation; where frames are merged by pixels."""
         self._darks = self._read_darks(dark, boxes)
 
     def steps(self) -> Iterator[StepRecord]:
@@ -184,7 +188,7 @@ class RunFrames:
         if not frames:
             raise DataError(f"{self.run.path}: the run has no dark frames; finish it with --resume")
         camera = self.description.camera
-        crops: dict[Target, list[tuple[float, npt.NDArray[np.uint16]]]] = {target: [] for target in boxes}
+        crops: dict[Target, list[Dark]] = {target: [] for target in boxes}
         for frame in in_threads(self._read_or_note, frames):
             if frame is not None:
                 for target, box in boxes.items():
@@ -196,7 +200,19 @@ class RunFrames:
         empty = [float(np.mean(crop == 0)) for taken in crops.values() for _, crop in taken]
         self.clipped = sum(empty) / len(empty)
         rate = camera.dark_current_e_per_s / camera.electrons_per_dn
+        if self.description.acquisition.by_pixels:
+            crops = {target: self._without_hits(taken) for target, taken in crops.items()}
         return {target: Darks(crops[target], *box, rate) for target, box in boxes.items()}
+
+    def _without_hits(self, taken: list[Dark]) -> list[Dark]:
+        """Dark frames without hits of cosmic radiation."""
+        out: list[Dark] = []
+        for exposure_s in dict.fromkeys(t for t, _ in taken):
+            group = np.stack([mosaic for t, mosaic in taken if t == exposure_s])
+            clean, hits = merging.without_hits(self.description.camera, group, self.description.camera.black_level_dn)
+            self.dark_hits += hits
+            out += [(exposure_s, mosaic) for mosaic in clean]
+        return out
 
     def read(self, entry: FrameRecord) -> Frame:
         """A frame that the journal names, checked."""

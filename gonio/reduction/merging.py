@@ -35,6 +35,24 @@ ROUNDS = 4
 """Hits that hide behind larger ones are found one round later."""
 
 
+def without_hits(camera: Camera, frames: npt.NDArray[np.uint16], black_dn: float) -> tuple[Floats, int]:
+    """Dark frames of one exposure [DN], shape (F, rows, columns), and how many pixels were hit.
+
+    A pixel that was hit in one frame takes the mean of the others. It is known by the middle one of its values, of two
+    the smaller one.
+    """
+    values = frames.astype(float)
+    if len(values) < 2:
+        return values, 0
+    middle = np.sort(values, axis=0)[(len(values) - 1) // 2]
+    charge = np.maximum(middle - black_dn, 0.0) * camera.electrons_per_dn
+    variance = 2.0 * (charge + camera.read_noise_e**2 + camera.electrons_per_dn**2 / 12.0)
+    limit = math.log(values.size / FALSE_ALARMS)
+    hit = (values - middle) * camera.electrons_per_dn > bound(variance, limit)
+    others = np.where(hit, 0.0, values).sum(axis=0) / (~hit).sum(axis=0)
+    return np.where(hit, others, values), int(np.count_nonzero(hit))
+
+
 @dataclass(frozen=True, slots=True)
 class Stack:
     """The frames of one step in one region: F frames of N used pixels."""

@@ -46,7 +46,6 @@ def cut(description: RigDescription, view: View, target: Target = "sample") -> s
     half, radius, distance = 0.5 * beam, description.acquisition.roi_radius_mm, float(np.linalg.norm(source))
     pixel = imaging.pixel_on_sample_mm(description, view)
     beside = target == "reference" and description.reference.how == "beside"
-    body = description.reference.diameter_mm if target == "reference" else description.holder.sample_diameter_mm
     if filling(description) == "over":
         reach = max(radius, pixel) + 0.5 * pixel + (math.hypot(*description.reference.offset_mm) if beside else 0.0)
         if half >= reach:
@@ -57,8 +56,6 @@ def cut(description: RigDescription, view: View, target: Target = "sample") -> s
     cosine = source[2] / distance
     narrowing = cosine - half / distance * math.sqrt(1.0 - min(cosine, 1.0) ** 2)
     reach = half / narrowing if narrowing > 0 else math.inf
-    if reach > 0.5 * body:
-        return f"the spot of the beam reaches {reach:.3g} mm from the centre, beyond the {target} of {body:g} mm"
     if reach + 0.5 * pixel > radius:
         return (
             f"the edge of the beam's spot, {reach:.3g} mm from the centre, cuts through the region of {radius:g} mm "

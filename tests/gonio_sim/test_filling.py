@@ -68,7 +68,6 @@ def test_an_edge_that_cuts_through_the_region_is_flagged_in_the_plan(tmp_path: P
     ("beam_mm", "more", "message"),
     [
         (1.0, {"theta_i_deg": 60.0, "theta_r_deg": 0.0}, "reference: the edge of the beam's spot, 1 mm"),
-        (0.7, {"diameter_mm": 0.6}, "beyond the reference of 0.6 mm"),
     ],
 )
 def test_a_reference_that_the_beam_does_not_fill_is_refused(
