@@ -10,13 +10,15 @@ import pytest
 from gonio_sim.rig import SIM
 
 from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import load_plan
+from gonio.acquisition.plan import ANGLES, load_plan
 from gonio.acquisition.progress import Live, Silent
 from gonio.acquisition.run import Run
 from gonio.errors import DeviceError, Interrupted
+from gonio.instrument import apparent_brdf
+from gonio.models import HeTorrance
 from gonio.reduction import brdf
 from gonio.rig import Frame
-from gonio.rig.description import RigDescription
+from gonio.rig.description import RigDescription, SampleDescription
 from tests.gonio_sim.conftest import MATTE, describe
 
 PLAN = """name = "p"
@@ -41,11 +43,18 @@ def rig(camera: dict[str, Any] | None = None, **acquisition: Any) -> RigDescript
     )
 
 
-def measure(folder: Path, description: RigDescription, name: str = "run", **more: Any) -> Run:
-    (folder / "plan.toml").write_text(PLAN)
+def measure(
+    folder: Path,
+    description: RigDescription,
+    name: str = "run",
+    text: str = PLAN,
+    sample: SampleDescription = MATTE,
+    **more: Any,
+) -> Run:
+    (folder / "plan.toml").write_text(text)
     choice = RigChoice(SIM, description, "sim")
     plan = load_plan(folder / "plan.toml")
-    return carry_out(plan, choice, folder / name, sample=MATTE, seed=1, command="gonio measure", **more)
+    return carry_out(plan, choice, folder / name, sample=sample, seed=1, command="gonio measure", **more)
 
 
 @pytest.mark.parametrize("target", [0.01, 0.001])
@@ -59,6 +68,23 @@ def test_points_have_the_uncertainty_that_was_asked_for(tmp_path: Path, target: 
     merged = table.attrs["provenance"]["merge"][0]
     assert merged["noise"] == "known"
     assert merged["cosmic_hits"] == 0
+
+
+def test_a_polished_metal_over_seven_decades(tmp_path: Path) -> None:
+    """From its spike to its far flank: every value within its uncertainty, and these below 1 %."""
+    parameters = {"sigma0_um": 0.02, "tau_um": 2.0, "ior": "Al", "diffuse_albedo": 0.0002}
+    sample = SampleDescription(name="polished", model="he-torrance", parameters=parameters)
+    text = PLAN.replace("20.0", "30.0").replace("-50.0, 0.0, 40.0", "0.0, 28.0, 29.5, 30.0, 30.5, 32.0, 45.0")
+    table = brdf.reduce(measure(tmp_path, rig(u_rel_target=0.002, dark_frames=16), "run", text, sample))
+    angles = np.radians(table[list(ANGLES)].to_numpy()).T
+    cones = {name: table.attrs[name] for name in ("source_solid_angle_sr", "receiver_solid_angle_sr")}
+    true = apparent_brdf(HeTorrance(**parameters), *angles, wavelength_nm=550.0, spike="exact", **cones)
+    assert true.max() / true.min() > 1e7
+    assert (table["u_brdf"] / true).max() < 0.01
+    assert np.abs((table["brdf"] - true) / table["u_brdf"]).max() < 4.0
+    # the logarithms' slope: a standard uncertainty of 0.3 % over 17 logarithmic units of range
+    slope = np.polyfit(np.log(true), np.log(table["brdf"]), 1)[0]
+    assert slope == pytest.approx(1.0, abs=1e-3)
 
 
 class StopAfter(Silent):
@@ -89,11 +115,11 @@ def test_hits_of_cosmic_radiation_are_counted_and_do_no_harm(tmp_path: Path, mer
     """A few hits a second; the long dark frames have most of them. Whole frames suffer."""
     quiet, hit = (
         brdf.reduce(measure(tmp_path, rig({"cosmic_per_s": rate}, merge=merge, frames=3), f"run-{rate}"))
-        for rate in (0.0, 8.0)
+        for rate in (0.0, 25.0)
     )
     change = (hit["brdf"] - quiet["brdf"]).abs() / quiet["u_random"]
     if merge == "frames":
-        assert change.max() > 3.0
+        assert change.max() > 2.0
         assert "merge" not in hit.attrs["provenance"]
         return
     account = hit.attrs["provenance"]["merge"][0]
