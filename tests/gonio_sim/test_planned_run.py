@@ -72,7 +72,7 @@ def test_points_have_the_uncertainty_that_was_asked_for(tmp_path: Path, target: 
 
 def test_a_polished_metal_over_seven_decades(tmp_path: Path) -> None:
     """From its spike to its far flank: every value within its uncertainty, and these below 1 %."""
-    parameters = {"sigma0_um": 0.02, "tau_um": 2.0, "ior": "Al", "diffuse_albedo": 0.0002}
+    parameters: dict[str, Any] = {"sigma0_um": 0.02, "tau_um": 2.0, "ior": "Al", "diffuse_albedo": 0.0002}
     sample = SampleDescription(name="polished", model="he-torrance", parameters=parameters)
     text = PLAN.replace("20.0", "30.0").replace("-50.0, 0.0, 40.0", "0.0, 28.0, 29.5, 30.0, 30.5, 32.0, 45.0")
     table = brdf.reduce(measure(tmp_path, rig(u_rel_target=0.002, dark_frames=16), "run", text, sample))

@@ -39,7 +39,7 @@ def planned(description: RigDescription, rates: npt.NDArray[np.float64]) -> tupl
     camera, rng = description.camera, np.random.default_rng(1)
 
     def shot(exposure_s: float) -> Frame:
-        charge = rng.poisson((rates + camera.dark_current_e_per_s) * exposure_s)
+        charge = rng.poisson((rates + camera.dark_current_e_per_s) * exposure_s).astype(float)
         charge = np.minimum(charge, camera.full_well_e) + camera.read_noise_e * rng.standard_normal(rates.shape)
         dn = np.clip(np.floor(charge / camera.electrons_per_dn + camera.black_level_dn + 0.5), 0, camera.white_level_dn)
         return Frame(dn.astype(np.uint16), exposure_s, camera.black_level_dn, camera.white_level_dn, time_s=0.0)
