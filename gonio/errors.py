@@ -23,6 +23,10 @@ class DamagedFrame(DataError):
     """A raw frame of a run is missing, or is not the one that the journal names (exit code 1)."""
 
 
+class ContradictoryFrame(DataError):
+    """What a raw frame of a run says of itself is not what the journal or the rig file say (exit code 1)."""
+
+
 class ConfigError(GonioError):
     """A wrong option, a wrong key or value in a configuration, or a missing input file (exit code 2)."""
 

@@ -1,5 +1,8 @@
 """Choosing exposures: the brightest used pixel comes to a wanted fraction of full scale, and nothing used saturates.
 
+With `acquisition.u_rel_target` the noise model says which exposures, and how many frames, reach a wanted uncertainty
+(docs/exposure.md, "Planned brackets").
+
 Every decision is a function of the frames of its own step and of one predicted level, so that a repeated step decides
 the same. The level is written as a fraction of full scale: 0 at the black level, 1 where the sensor saturates.
 """
@@ -8,7 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +21,9 @@ from gonio.errors import DeviceError
 from gonio.geometry import solid_angle_of_cone
 from gonio.rig import Frame, Pose
 from gonio.rig.description import Camera, RigDescription
+from gonio.rig.imaging import pixel_on_sample_mm
+from gonio.rig.kinematics import view
+from gonio.typing import Floats
 
 Shot = Callable[[float], Frame]
 Used = Callable[[npt.NDArray[np.uint16]], npt.NDArray[np.generic]]
@@ -31,6 +38,18 @@ ENOUGH = 0.1
 """A level from which the final exposure can be computed: its noise then changes the result by less than a tenth."""
 MOST_FRAMES = 12
 MICROSECONDS = 6
+FEWEST = 2
+"""Frames of one exposure in a bracket: a hit of cosmic radiation shows against another one."""
+MOST_IN_BRACKET = 64
+EXPOSURE_TOLERANCE = 0.2
+"""Of what was asked for: shutter speeds lie a third of a stop apart (half of that is 12 %), and their names are up to
+7 % off (1/60 s is 1/64 s). The exposure that a frame says is the one that counts; drivers may be stricter."""
+QUANTUM_S = 5e-5
+"""Half of the step of a camera that counts its exposure in units of 100 us, as UVC does."""
+BLACK_TOLERANCE = 0.05
+"""Of the range between black and white: metering is then off by less than a tenth."""
+CLASSES = 8
+"""Of brightness, that the pixels of a region are sorted into where a bracket is planned."""
 DARKEST = 100.0
 """The longest dark frame lasts this many times the exposure of a white sample; beyond, the dark rate is scaled."""
 
@@ -45,6 +64,8 @@ class Metered:
     """Level of the brightest used pixel for one second [1/s]; a lower bound where `saturated`."""
     saturated: bool
     """A used pixel saturates at the shortest exposure that the camera has."""
+    frame: Frame = field(compare=False)
+    """The last metering frame."""
 
 
 def full_scale_dn(camera: Camera, frame: Frame) -> float:
@@ -69,6 +90,46 @@ def expected_straight_level_per_s(description: RigDescription) -> float:
     wider = math.radians(max(description.lamp.half_angle_deg, description.camera.lens_half_angle_deg))
     seen = math.pi / solid_angle_of_cone(wider)  # over a white at normal incidence
     return expected_level_per_s(description, Pose(), float(seen)) * (description.reference.attenuation or 1.0)
+def contradiction(camera: Camera, frame: Frame) -> str:
+    """What a frame says of itself that cannot be, or that the rig file contradicts; "" where there is nothing.
+
+    A lower white level of as many bits is a maker's own (a converter that saturates early). A black level matters for
+    the level of a frame alone: dark signals are measured.
+    """
+    if not _is_time(frame.exposure_s):
+        return f"has exposure_s = {frame.exposure_s!r}: seconds above 0 are needed"
+    lowest = 2.0 ** (camera.bits - 1)
+    if not lowest <= frame.white_level_dn <= camera.white_level_dn:
+        return (
+            f"has the white level {frame.white_level_dn:g} DN; the rig file says camera.bits = {camera.bits}, "
+            f"{lowest:g} to {camera.white_level_dn:g} DN"
+        )
+    most = BLACK_TOLERANCE * (camera.white_level_dn - camera.black_level_dn)
+    if not abs(frame.black_level_dn - camera.black_level_dn) <= most:
+        return (
+            f"has the black level {frame.black_level_dn:g} DN; the rig file says camera.black_level_dn = "
+            f"{camera.black_level_dn:g}"
+        )
+    return ""
+
+
+def require_asked(camera: Camera, frame: Frame, asked_s: float, source: str) -> None:
+    """Raise `DeviceError` where a frame contradicts the rig file, or the exposure that was asked for.
+
+    `source` begins the message: which camera it was.
+    """
+    why = contradiction(camera, frame)
+    if not why and abs(frame.exposure_s - asked_s) > EXPOSURE_TOLERANCE * asked_s + QUANTUM_S:
+        why = f"was exposed {frame.exposure_s:g} s where {asked_s:g} s were asked"
+    if why:
+        raise DeviceError(
+            f"{source}: a frame {why}. Set the camera to manual exposure, and make the driver or the rig file say what "
+            "the camera does"
+        )
+
+
+def _is_time(seconds: object) -> bool:
+    return isinstance(seconds, Real) and 0.0 < float(seconds) < math.inf
 
 
 def cosine_of_incidence(pose: Pose) -> float:
@@ -127,12 +188,12 @@ def meter(description: RigDescription, shot: Shot, used: Used, level_per_s: floa
             bright = exposure
             darker = _allowed(description, math.sqrt(dark * bright) if dark else exposure / STEP)
             if darker >= exposure:
-                return Metered(exposure, seen / frame.exposure_s, saturated=True)
+                return Metered(exposure, seen / frame.exposure_s, saturated=True, frame=frame)
             exposure = darker
             continue
         wanted = _allowed(description, exposure * min(target / seen if seen > 0 else math.inf, STEP))
         if seen >= ENOUGH or wanted <= exposure:
-            return Metered(wanted, seen / frame.exposure_s, saturated=False)
+            return Metered(wanted, seen / frame.exposure_s, saturated=False, frame=frame)
         dark, exposure = exposure, wanted if wanted < bright else _allowed(description, math.sqrt(exposure * bright))
     raise DeviceError(
         f"no exposure fits: {exposure:g} s is too dark or saturates from one frame to the next; check that the lamp is "
@@ -143,6 +204,132 @@ def meter(description: RigDescription, shot: Shot, used: Used, level_per_s: floa
 def shorter(description: RigDescription, exposure_s: float) -> float:
     """The exposure [s] of the shorter frame that follows."""
     return _allowed(description, exposure_s / SHORTER)
+
+
+def bracket(description: RigDescription, metered: Metered, used: Used, least: int = FEWEST) -> tuple[float, ...]:
+    """The exposures [s] of all frames of a step in a band, in order, for `acquisition.u_rel_target`.
+
+    They follow from the metering frame alone. A shorter frame ends them, as it ends every point.
+
+    Parameters
+    ----------
+    description
+        Noise of camera and lamp, limits of the exposure, target and time.
+    metered
+        What `meter` found.
+    used
+        The used pixels of a mosaic.
+    least
+        How many frames there are at least.
+    """
+    if metered.saturated:
+        return (metered.exposure_s,) * least
+    frame, camera = metered.frame, description.camera
+    values = np.sort(used(frame.mosaic).astype(float)) - frame.black_level_dn
+    parts = np.array_split(values * camera.electrons_per_dn / frame.exposure_s, min(CLASSES, values.size))
+    rates, brightest = (
+        np.maximum(np.array([take(part) for part in parts]) - camera.dark_current_e_per_s, 0.0)
+        for take in (np.mean, np.max)
+    )
+    planned = _Planned(description, rates, brightest, values.size)
+    exposures = planned.exposures(metered.exposure_s, least)
+    return (*exposures, shorter(description, max(exposures)))
+
+
+def expected_bracket(description: RigDescription, pose: Pose, albedo: float) -> tuple[float, ...]:
+    """What `bracket` leads to for a matt surface at a pose, by the rig file alone."""
+    seen = view(description, pose)
+    side = pixel_on_sample_mm(description, seen)
+    slant = abs(float(seen.camera_mm[2])) / math.sqrt(sum(float(x) ** 2 for x in seen.camera_mm))
+    count = max(int(math.pi * description.acquisition.roi_radius_mm**2 / (slant * side**2)), 1)
+    rate = description.camera.responsivity_e_per_s * albedo * cosine_of_incidence(pose)
+    planned = _Planned(description, np.array([rate]), np.array([rate]), count)
+    exposures = planned.exposures(expected_exposure_s(description, pose, albedo), FEWEST)
+    return (*exposures, shorter(description, max(exposures)))
+
+
+class _Planned:
+    """The choice of a bracket for a region of `count` pixels, of which equal parts have mean `rates` [e-/s], and are as
+    bright as `brightest`.
+    """
+
+    def __init__(self, description: RigDescription, rates: Floats, brightest: Floats, count: int) -> None:
+        self._description, self._rates, self._brightest, self._count = description, rates, brightest, count
+        camera, acquisition = description.camera, description.acquisition
+        target = acquisition.u_rel_target or math.inf
+        # what responsivities leave is there whatever is exposed; noise is not brought far below it
+        self._wanted = max(target**2 - camera.prnu**2 / count, 0.25 * target**2)
+        self._full = min(camera.full_well_e, (camera.white_level_dn - camera.black_level_dn) * camera.electrons_per_dn)
+        least_s = FEWEST + 1.0 / SHORTER  # of two frames and the shorter one, in units of their exposure
+        longest = min(camera.exposure_limits_s[1], acquisition.longest_point_s / least_s)
+        if camera.dark_current_e_per_s > 0:
+            longest = min(longest, 0.5 * self._full / camera.dark_current_e_per_s)
+        self._longest = longest
+
+    def exposures(self, metered_s: float, least: int) -> list[float]:
+        """Those that reach the target soonest; where the time does not allow that, those that come nearest to it."""
+        first = self._allowed(metered_s)
+        plans = []
+        for shorter_by in range(12):
+            exposure = self._allowed(first / 2.0**shorter_by)
+            plans.append([exposure] * self._number([], exposure, least))
+            if exposure <= self._description.camera.exposure_limits_s[0]:
+                break
+        # where bright pixels keep exposures short, longer ones are for the others
+        for longer_by in range(1, 24):
+            exposure = self._allowed(first * 2.0**longer_by)
+            if exposure < first * 1.5 or self._weights(exposure).max() == 0.0:
+                break
+            plans.append([first] * FEWEST + [exposure] * self._number([first] * FEWEST, exposure, least - FEWEST))
+            for number in (FEWEST, 2 * FEWEST, 4 * FEWEST):
+                long = [exposure] * number
+                plans.append([first] * self._number(long, first, least - number) + long)
+        judged = [(self._variance(plan), self._time_s(plan), plan) for plan in plans]
+        good = [entry for entry in judged if entry[0] <= self._wanted * (1.0 + 1e-9)]
+        return min(good, key=lambda entry: entry[1])[2] if good else min(judged, key=lambda entry: entry[0])[2]
+
+    def _number(self, before: list[float], exposure_s: float, least: int) -> int:
+        """How many more frames of an exposure reach the target, within the time and `MOST_IN_BRACKET`."""
+        overhead = self._description.camera.frame_overhead_s
+        room = self._description.acquisition.longest_point_s - self._time_s(before) - exposure_s / SHORTER
+        most = max(min(int(room / max(exposure_s + overhead, 1e-9)), MOST_IN_BRACKET - len(before)), FEWEST)
+        least = min(max(least, FEWEST), most)
+        low, high = least, most  # the variance falls with every frame
+        while low < high:
+            middle = (low + high) // 2
+            if self._variance(before + [exposure_s] * middle) <= self._wanted:
+                high = middle
+            else:
+                low = middle + 1
+        return low
+
+    def _time_s(self, plan: list[float]) -> float:
+        return sum(plan) + len(plan) * self._description.camera.frame_overhead_s
+
+    def _variance(self, plan: list[float]) -> float:
+        """Relative variance of the region's rate."""
+        weights = sum(plan.count(exposure) * self._weights(exposure) for exposure in dict.fromkeys(plan))
+        if np.min(weights) == 0.0 or not self._rates.any():
+            return math.inf
+        of_mean = float(np.mean(1.0 / weights)) / self._count
+        return of_mean / float(self._rates.mean()) ** 2 + self._description.lamp.noise**2 / len(plan)
+
+    def _weights(self, exposure_s: float) -> Floats:
+        """1 / variance [s^2/e-^2] of a pixel of each class in one frame; 0 where it may saturate."""
+        camera, t = self._description.camera, exposure_s
+        charge = (self._rates + camera.dark_current_e_per_s) * t
+        noise = camera.read_noise_e**2 + camera.electrons_per_dn**2 / 12.0
+        weights = t**2 / (noise + (charge if camera.photon_noise else 0.0))
+        full = (self._brightest + camera.dark_current_e_per_s) * t
+        spread = 6.0 * np.sqrt(full + camera.read_noise_e**2 + (camera.prnu * full) ** 2)
+        return np.where((full + spread < SATURATED * self._full) | (t <= self._shortest), weights, 0.0)
+
+    @property
+    def _shortest(self) -> float:
+        return self._description.camera.exposure_limits_s[0]
+
+    def _allowed(self, exposure_s: float) -> float:
+        return _allowed(self._description, min(exposure_s, self._longest))
 
 
 def _allowed(description: RigDescription, exposure_s: float) -> float:

@@ -290,7 +290,8 @@ class _Session:
         if not straight and left_its_side(self._description, step.pose, pose):
             return self._taken(step, step.pose, readback, None, "below_horizon", 0.0)
         levels, brightest = {}, 0.0
-        count = len(self._run.bands) * (self._frames(step) + (step.kind == "point"))
+        planned = self._description.acquisition.u_rel_target is not None  # then each band says how many it has
+        count = 0 if planned else len(self._run.bands) * (self._frames(step) + (step.kind == "point"))
         files = Files(self._store, step, self._run.key, count, readback.pose, readback.time_s)
         for band in self._run.bands:
             levels[band.name], level = self._band(step, seen, target, band, files)
@@ -316,7 +317,9 @@ class _Session:
     def _capture(self, exposure_s: float) -> Frame:
         """A frame, later than the one before it; raises `DeviceError` where its time does not say so."""
         frame, last_s = self._rig.camera.capture(exposure_s), self._last_s
-        require_frame(self._description.camera, frame, f'the camera of the rig "{self._description.name}"')
+        source = f'the camera of the rig "{self._description.name}"'
+        require_frame(self._description.camera, frame, source)
+        exposure.require_asked(self._description.camera, frame, exposure_s, source)
         sound = isinstance(frame.time_s, Real) and 0.0 <= frame.time_s < math.inf
         if sound and frame.time_s > last_s:
             self._last_s, self._resumed = float(frame.time_s), False
@@ -379,12 +382,17 @@ class _Session:
             self._lit = True
         found = exposure.meter(description, self._capture, region.of, self._expected(step, band))
         slug, level = self._names[band.name], 0.0
-        for _ in range(self._frames(step)):
-            frame = self._capture(found.exposure_s)
-            level = exposure.level(description.camera, frame, region.of)
-            files.keep(frame, slug, band.name, lamp=True)
-        if step.kind == "point":
-            frame = self._capture(exposure.shorter(description, found.exposure_s))
+        if description.acquisition.u_rel_target is None:
+            exposures = [found.exposure_s] * self._frames(step)
+            exposures += [exposure.shorter(description, found.exposure_s)] * (step.kind == "point")
+        else:
+            least = description.reference.frames if step.kind == "reference" else exposure.FEWEST
+            exposures = list(exposure.bracket(description, found, region.of, least))
+            files.count += len(exposures)
+        for exposure_s in exposures:
+            frame = self._capture(exposure_s)
+            if exposure_s >= found.exposure_s:
+                level = exposure.level(description.camera, frame, region.of)
             files.keep(frame, slug, band.name, lamp=True)
         return found.level_per_s, level
 
@@ -408,6 +416,9 @@ class _Session:
         """
         cosine, absolute = exposure.cosine_of_incidence(step.pose), self._description.reference.how == "beam"
         before = self._before(step, band) if step.kind == "point" else None
+        if before is not None and before.level_per_s and self._description.acquisition.u_rel_target is not None:
+            ratio = cosine / exposure.cosine_of_incidence(before.goal)
+            return max(float(before.level_per_s[band.name]), 1e-6) * ratio
         if before is not None:
             exposure_s = max(frame.exposure_s for frame in before.frames if frame.band == band.name)
             ratio = cosine / exposure.cosine_of_incidence(before.goal)

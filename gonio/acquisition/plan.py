@@ -24,9 +24,9 @@ from gonio.config import Strict, parse, read_toml
 from gonio.disk import only_file
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
-from gonio.rig import Pose
+from gonio.rig import Pose, filling
 from gonio.rig.description import Band, Positive, RigDescription
-from gonio.rig.kinematics import Unreachable, reach
+from gonio.rig.kinematics import Unreachable, reach, view
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 MAX_POINTS = 1_000_000
@@ -336,7 +336,12 @@ def assess(plan: Plan, description: RigDescription) -> list[Assessed]:
                 raise Unreachable("grazing", "theta_i = 90 deg: no light falls on the sample")
             if abs(point.theta_r_deg - 90.0) < GRAZING_DEG:
                 raise Unreachable("grazing", "theta_r = 90 deg: the sample is seen edge-on")
-            out.append(Assessed(point, reach(description, point.directions)))
+            pose = reach(description, point.directions)
+            if description.lamp.beam_diameter_mm is not None:
+                why = filling.cut(description, view(description, pose))
+                if why:
+                    raise Unreachable("partly_filled", why, "the beam's edge cuts through the region of interest")
+            out.append(Assessed(point, pose))
         except Unreachable as error:
             out.append(Assessed(point, None, error.flag, str(error), error.cause))
     return out

@@ -171,7 +171,7 @@ class FrameLabel:
     number: int
     """Of the frame in its step, from 1."""
     count: int
-    """How many frames the step has."""
+    """How many frames the step has; with planned brackets, up to the last one of the bands that were planned so far."""
     frame: FrameRecord
     goal: Pose | None
     """Where the step was to stand, and what the encoders read before its frames; None for a dark."""

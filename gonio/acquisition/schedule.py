@@ -8,9 +8,9 @@ from typing import overload
 
 from gonio.acquisition.plan import Assessed, Plan, assess, canonical, count_reasons
 from gonio.errors import ConfigError
-from gonio.rig import Pose, Step
+from gonio.rig import Pose, Step, filling
 from gonio.rig.description import RigDescription
-from gonio.rig.kinematics import Unreachable, reach
+from gonio.rig.kinematics import Unreachable, reach, view
 from gonio.rig.ways import Blocked, require_free
 
 EXPECTED_ALBEDO = 0.5
@@ -30,12 +30,14 @@ def reference_pose(description: RigDescription) -> Pose:
         return _straight(description)
     point = canonical(reference.theta_i_deg, 0.0, reference.theta_r_deg, 180.0)
     try:
-        return reach(description, point.directions)
+        pose = reach(description, point.directions)
     except Unreachable as error:
         raise ConfigError(
             f'rig "{description.name}": [reference] theta_i_deg = {reference.theta_i_deg:g}, '
             f"theta_r_deg = {reference.theta_r_deg:g} cannot be reached: {error}"
         ) from None
+    filling.require_whole(description, view(description, pose), "reference")
+    return pose
 
 
 def _straight(description: RigDescription) -> Pose:
@@ -151,7 +153,12 @@ def going_on(plan: Plan, description: RigDescription, flags: Sequence[str]) -> S
 
 def estimate_s(steps: list[Step], description: RigDescription, bands: int) -> float:
     """How long a run takes [s] on the rig's own clock, for a matt sample of albedo 0.5, prompts and settling apart."""
-    from gonio.acquisition.exposure import dark_exposures_s, expected_exposure_s, expected_straight_level_per_s
+    from gonio.acquisition.exposure import (
+        dark_exposures_s,
+        expected_bracket,
+        expected_exposure_s,
+        expected_straight_level_per_s,
+    )
 
     camera, acquisition = description.camera, description.acquisition
     frame = camera.frame_overhead_s
@@ -162,7 +169,12 @@ def estimate_s(steps: list[Step], description: RigDescription, bands: int) -> fl
             continue
         total += _move_s(here, step.pose, description)
         here = step.pose
-        if step.kind == "reference":
+        albedo = 1.0 if step.kind == "reference" else EXPECTED_ALBEDO
+        if acquisition.u_rel_target is not None:
+            planned = expected_bracket(description, step.pose, albedo)
+            metering = 1.25 * expected_exposure_s(description, step.pose, albedo)
+            total += bands * (metering + sum(planned) + (len(planned) + 1) * frame)
+        elif step.kind == "reference":
             exposure = expected_exposure_s(description, step.pose, 1.0)
             if description.reference.how == "beam":
                 shortest = description.camera.exposure_limits_s[0]

@@ -1,6 +1,7 @@
 """How a measured BRDF follows the angles: what a zero's error or an encoder's step does to each value of a run.
 
-A value at the pose that was read is f(true directions) cos(true theta_i) / cos(read theta_i). How f changes is
+A value at the pose that was read is f(true directions) cos(true theta_i) / cos(read theta_i); with an under-filled
+region theta_r stands for theta_i. How f changes is
 taken from the run's own curves, which the instrument's cones have smoothed already. A curve is split into
 
 - a lobe, smooth over the spacing of the points. Its slope in theta_r is the curve's own. Lobes move with the mirror
@@ -72,6 +73,8 @@ class Curves:
         Of the lamp and of the lens [rad].
     shares
         What each point sees of a spike (`gonio.reduction.spike_overlap.blurred_overlap`).
+    under_filled
+        The flux of the whole beam is known, and not its irradiance: the cosine of the estimate is that of theta_r.
     """
 
     def __init__(
@@ -82,8 +85,9 @@ class Curves:
         u: Floats,
         half_angles: tuple[float, float],
         shares: Sequence[Share],
+        under_filled: bool = False,
     ) -> None:
-        self._half_angles = half_angles
+        self._half_angles, self._under_filled = half_angles, under_filled
         self._azimuth = goals.phi_i.tolist()
         self._places = np.array([_from_above(d, a) for d, a in zip(read, self._azimuth, strict=True)]).reshape(-1, 3)
         self._x, self._y, self._theta_i = np.ascontiguousarray(self._places.T)
@@ -316,11 +320,14 @@ class Curves:
 
     def effects(self, k: int, read: Directions, plus: Directions, minus: Directions) -> tuple[float, float]:
         """Odd and even part [1/sr] of the change of point k when its true directions are `plus` or `minus`."""
-        cosine = math.cos(read.theta_i)
+        cosine = self._cosine(read)
         here, above, below = self._values(k, [read, plus, minus])
-        up = above * math.cos(plus.theta_i) / cosine - here
-        down = below * math.cos(minus.theta_i) / cosine - here
+        up = above * self._cosine(plus) / cosine - here
+        down = below * self._cosine(minus) / cosine - here
         return 0.5 * (up - down), 0.5 * (up + down)
+
+    def _cosine(self, d: Directions) -> float:
+        return math.cos(d.theta_r if self._under_filled else d.theta_i)
 
     def over_region(self, k: int, read: Directions, omega_i: Floats, omega_r: Floats) -> float:
         """What the lobe's slope and curvature change the mean over a region of interest by, at most [1/sr].

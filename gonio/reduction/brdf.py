@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from gonio.geometry import Directions, mirrored
 from gonio.reduction import angle_sensitivity, light_and_lens, spike_overlap, white_reference
 from gonio.reduction.count_rates import Reduced, Rejected, RunFrames, in_threads
 from gonio.reduction.dark_signal import PATTERNS, strongest
+from gonio.reduction.merging import FALSE_ALARMS, noise_is_known
 from gonio.reduction.reference_table import brdf_of_reference, u_of_reference
 from gonio.reduction.table import (
     CAUSES,
@@ -38,6 +39,7 @@ from gonio.reduction.table import (
 )
 from gonio.rig import Pose, calibrated, imaging, kinematics
 from gonio.rig.description import Band, RigDescription
+from gonio.rig.filling import filling
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -63,7 +65,9 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
         As `gonio.measurement` describes it, in the order of the plan. Angles are what the encoders read. `brdf` is NaN
         where `flag` says why: "blocked", "unreachable" and the plan's other reasons, "saturated" (in every frame),
         "below_horizon" (at the pose that was read), "moved" (an axis did not stand still), "unsteady" (its encoder
-        trembles), "damaged" (a frame of the point is missing or was changed), "not_measured" (the run ended before).
+        trembles), "damaged" (a frame of the point is missing or was changed), "contradictory" (one says of
+        itself what cannot be), "partly_filled" (the beam's edge cuts through the region), "not_measured" (the run
+        ended before).
         Causes: `s_reference` (the certificate), `s_reference_noise` (mean level of the visits), `s_lamp_drift`,
         `s_dark_1` to `s_dark_3` (noise of the dark frames), `s_theta_i_zero`, `s_theta_r_zero` and, with those axes,
         `s_tilt_zero`, `s_azimuth_zero`; `s_geometry_1` to at most `s_geometry_4` (what a calibration leaves open of the
@@ -124,6 +128,7 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
         left_out=sum(s.left_out for s in (*points, *visits)) + sum(r.left_out for r in rejected),
         untold=untold,
         coarse=coarse,
+        merged=_merged(frames, band, points, visits),
     )
 
 
@@ -135,6 +140,21 @@ class _Reference:
     """Mean over the visits [1/sr]; 1 where the lamp itself is the reference."""
     u_rel: float
     """Relative standard uncertainty of that."""
+def _merged(frames: RunFrames, band: Band, points: list[Reduced], visits: list[Reduced]) -> dict[str, Any]:
+    """What merging by pixels left out, in a band; nothing where whole frames were merged."""
+    if not frames.description.acquisition.by_pixels:
+        return {}
+    every = [*points, *visits]
+    return {
+        "band": band.name,
+        "noise": "known" if noise_is_known(frames.description) else "poisson",
+        "false_alarms_per_step": FALSE_ALARMS,
+        "cosmic_hits": sum(step.hits for step in every),
+        "cosmic_hits_in_darks": frames.dark_hits,
+        "cosmic_hits_of_points": {str(point.point): point.hits for point in points if point.hits},
+        "hot_pixels": max((step.hot for step in every), default=0),
+        "saturated_fraction": max((step.saturated for step in every), default=0.0),
+    }
 
 
 def _level(
@@ -237,7 +257,9 @@ def _columns(
     cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
     shares = _shares(frames, points, [*encoder.items(), *zeros.items()], cones, band)
     read = Directions.stack([point.directions for point in points])
-    curves = angle_sensitivity.Curves(goals, read, brdf, np.sqrt(independent), cones, shares)
+    curves = angle_sensitivity.Curves(
+        goals, read, brdf, np.sqrt(independent), cones, shares, filling(description) == "under"
+    )
     brdf = brdf + curves.spikes.correction
     common = {
         "s_reference": brdf * u_reference,
@@ -430,18 +452,24 @@ def _pixels(description: RigDescription, point: Reduced, band: Band) -> tuple[Fl
     region = imaging.roi(description, view, "sample", band.channel)
     seen = imaging.pixel_map(description, view, region.rows, region.cols)
     omega_r = seen.omega_r[region.mask]
-    return seen.omega_i[region.mask], omega_r * (1.0, 1.0, -1.0) if view.camera_mm[2] < 0.0 else omega_r
+    omega_i = seen.omega_i[region.mask]
+    omega_r = omega_r * (1.0, 1.0, -1.0) if view.camera_mm[2] < 0.0 else omega_r
+    if filling(description) == "over":
+        return omega_i, omega_r
+    lit = seen.lit[region.mask] > 0.5
+    return (omega_i[lit], omega_r[lit]) if lit.any() else (omega_i, omega_r)
 
 
 def _change_of_cosine(description: RigDescription, visit: Reduced, axis: str, u: float) -> float:
-    """Relative change (odd part) of the light on the reference when an axis truly stands u [rad] off.
+    """Relative change (odd part) of the signal of the reference when an axis truly stands u [rad] off.
 
     The lamp itself, seen whole, is as bright wherever in the frame it stands.
     """
     if description.reference.how == "beam":
         return 0.0
-    up, down = (math.cos(_moved(description, visit.pose, axis, by).theta_i) for by in (u, -u))
-    return 0.5 * (up - down) / math.cos(visit.directions.theta_i)
+    which = "theta_i" if filling(description) == "over" else "theta_r"
+    up, down = (math.cos(getattr(_moved(description, visit.pose, axis, by), which)) for by in (u, -u))
+    return 0.5 * (up - down) / math.cos(getattr(visit.directions, which))
 
 
 def _prnu(prnu: float, point: Reduced, reference_pixels: int) -> float:

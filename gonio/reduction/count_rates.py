@@ -10,21 +10,22 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from gonio.acquisition.exposure import full_scale_dn
+from gonio.acquisition.exposure import contradiction, full_scale_dn
 from gonio.acquisition.records import FrameRecord, StepRecord
 from gonio.disk import read_file
-from gonio.errors import DamagedFrame, DataError
+from gonio.errors import ContradictoryFrame, DamagedFrame, DataError
 from gonio.geometry import Directions
-from gonio.reduction import stray_light
+from gonio.reduction import merging, stray_light
 from gonio.reduction.dark_signal import FEW, PATTERNS, Darks, Patterns
 from gonio.reduction.geometry_errors import GeometryErrors
-from gonio.rig import Frame, Pose, Target, kinematics
+from gonio.rig import Frame, Pose, Target, filling, kinematics
 from gonio.rig.calibrated import known_parameters
 from gonio.rig.description import Band, Camera, RigDescription
 from gonio.rig.dng import read_raw
@@ -35,6 +36,8 @@ from gonio.typing import Floats
 if TYPE_CHECKING:
     from gonio.acquisition.run import Run
 
+Dark = tuple[float, npt.NDArray[Any]]
+"""Exposure [s] and mosaic [DN] of a dark frame."""
 In = TypeVar("In")
 Out = TypeVar("Out")
 
@@ -54,7 +57,8 @@ class Region:
     roi: Roi
     target: Target
     per_weight: Floats
-    """1 / (falloff cos(theta_i) (d0/d)^2) of the used pixels, and over their responsivities where they are mapped."""
+    """What makes a used pixel's signal the region's: `gonio.rig.filling.per_weight`, over the pixels' responsivities
+    where they are mapped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +75,12 @@ class Shot:
     """Of the dark frames: `Darks.leverage`."""
     by_camera: Floats
     """Derivatives of the rate by `camera_parameters`."""
+    lamp: float
+    """The reading of the lamp's monitor over its mean in the run; 1 without a monitor."""
+    electrons: Floats | None = None
+    """Signals of the used pixels [e-], where frames are merged by pixels."""
+    levels: Floats | None = None
+    """Their raw levels, as fractions of full scale."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +108,12 @@ class Reduced:
     pose: Pose
     point: int | None
     """Row of the plan; None for a visit to the reference."""
+    hits: int = 0
+    """Pixels of single frames left out as hits of cosmic radiation; where frames are merged by pixels."""
+    hot: int = 0
+    """Pixels left out in all frames."""
+    saturated: float = 0.0
+    """The part of all pixels of all frames that was left out as too bright."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +144,8 @@ class RunFrames:
         self.run = run
         self.damaged: dict[str, str] = {}
         """What is wrong with frames that were left out, by their names."""
+        self.contradictory: dict[str, str] = {}
+        """The same of frames that are whole, and say of themselves what cannot be."""
         self.description: RigDescription = run.description
         self.points: list[int | None] = []
         """What each of `steps` looks at: a point, or None for the reference."""
@@ -191,6 +209,8 @@ class RunFrames:
         self._dark_means: dict[str, tuple[float, float]] = {}
         self.darks_taken = self.darks_used = 0
         """How many exposures the dark frames were taken with, and of how many some are left."""
+        self.dark_hits = 0
+        """Pixels of dark frames that were hit by cosmic radiation; where frames are merged by pixels."""
         self._darks = self._read_darks(dark, boxes)
         self.prnu = self._remaining_prnu(boxes)
         """Relative standard deviation of the pixels' responsivities, after maps where there are any."""
@@ -216,10 +236,10 @@ class RunFrames:
             good = region.mask & ~self._maps.defects[region.rows, region.cols]
             region = replace(region, mask=good if good.any() else region.mask)
             responsivity = region.of(self._maps.responsivity)
-        weight = seen.weight[region.mask]
+        per_weight = filling.per_weight(self.description, view, seen, region, channel)
         if responsivity is not None:
-            weight = weight * np.asarray(responsivity, dtype=float)
-        return Region(region, target, 1.0 / weight) if weight.min() > 0 else None
+            per_weight = per_weight / np.asarray(responsivity, dtype=float)
+        return Region(region, target, per_weight) if math.isfinite(per_weight.max()) else None
 
     def _remaining_prnu(self, boxes: dict[Target, tuple[slice, slice]]) -> float:
         if self._maps is None:
@@ -231,7 +251,7 @@ class RunFrames:
         if not frames:
             raise DataError(f"{self.run.path}: the run has no dark frames; finish it with --resume")
         camera = self.description.camera
-        crops: dict[Target, list[tuple[float, npt.NDArray[Any]]]] = {target: [] for target in boxes}
+        crops: dict[Target, list[Dark]] = {target: [] for target in boxes}
         means: list[tuple[float, list[float]]] = []
         for frame in in_threads(self._read_or_note, frames):
             if frame is not None:
@@ -249,7 +269,19 @@ class RunFrames:
         self.clipped = sum(empty) / len(empty)
         rate = camera.dark_current_e_per_s / camera.electrons_per_dn
         self._dark_means = _lines(means, self._channels, rate)
+        if self.description.acquisition.by_pixels:
+            crops = {target: self._without_hits(taken) for target, taken in crops.items()}
         return {target: Darks(crops[target], *box, rate) for target, box in boxes.items()}
+
+    def _without_hits(self, taken: list[Dark]) -> list[Dark]:
+        """Dark frames without hits of cosmic radiation."""
+        out: list[Dark] = []
+        for exposure_s in dict.fromkeys(t for t, _ in taken):
+            group = np.stack([mosaic for t, mosaic in taken if t == exposure_s])
+            clean, hits = merging.without_hits(self.description.camera, group, self.description.camera.black_level_dn)
+            self.dark_hits += hits
+            out += [(exposure_s, mosaic) for mosaic in clean]
+        return out
 
     def read(self, entry: FrameRecord) -> Frame:
         """A frame that the journal names, checked."""
@@ -270,6 +302,11 @@ class RunFrames:
                 f"the rig file has camera.width = {camera.width}, camera.height = {camera.height}, "
                 f"camera.pattern = {camera.pattern}"
             )
+        why = contradiction(camera, frame)
+        if not why and not _alike(frame.exposure_s, entry.exposure_s):
+            why = f"was exposed {frame.exposure_s:g} s, and the journal says exposure_s = {entry.exposure_s!r}"
+        if why:
+            raise ContradictoryFrame(f"{entry.file} {why}")
         return frame
 
     def _read_or_note(self, entry: FrameRecord) -> Frame | None:
@@ -278,10 +315,12 @@ class RunFrames:
             return self.read(entry)
         except DamagedFrame as error:
             self.damaged[entry.file] = str(error)
-            return None
+        except ContradictoryFrame as error:
+            self.contradictory[entry.file] = str(error)
+        return None
 
     def _first(self) -> str:
-        return next(iter(self.damaged.values()), "")
+        return next(iter((self.damaged | self.contradictory).values()), "")
 
     def shots(self, step: StepRecord, band: Band) -> tuple[Region, list[Shot]] | None:
         """The frames of a step in a band, each reduced to its region, without those that are damaged; None for a
@@ -310,15 +349,19 @@ class RunFrames:
             strays = [name for name in self._parameters if name.startswith("camera.stray")]
             names = ["camera.stray_light", "camera.stray_halo"]
             by_camera[len(camera.nonlinearity) :] = -by[[names.index(name) for name in strays]]
-        gain = camera.electrons_per_dn
+        gain, full = camera.electrons_per_dn, full_scale_dn(camera, frame)
         lamp = entry.monitor / self._usual if self.description.lamp.monitor and entry.monitor else 1.0
+        by_pixels = self.description.acquisition.by_pixels
         return Shot(
             rate=float(np.mean(linear * gain * region.per_weight)) / frame.exposure_s / lamp,
             exposure_s=frame.exposure_s,
             time_s=float(entry.time_s),
-            peak=(float(values.max()) - frame.black_level_dn) / full_scale_dn(camera, frame),
+            peak=(float(values.max()) - frame.black_level_dn) / full,
             leverage=darks.leverage(frame.exposure_s),
             by_camera=np.mean(by_camera * (gain * region.per_weight), axis=1) / frame.exposure_s / lamp,
+            lamp=lamp,
+            electrons=linear * gain if by_pixels else None,
+            levels=(values - frame.black_level_dn) / full if by_pixels else None,
         )
 
     def _stray(self, region: Region, frame: Frame, channel: Channel) -> tuple[Floats, Floats]:
@@ -342,37 +385,70 @@ class RunFrames:
         # a point can be taken again; of a visit to the reference the frames that are left count
         if not self.damaged.keys().isdisjoint(named) and (step.kind == "point" or not taken):
             return Rejected(step.point, "damaged")
+        if not self.contradictory.keys().isdisjoint(named) and (step.kind == "point" or not taken):
+            return Rejected(step.point, "contradictory")
         if self.description.lamp.monitor and any(not frame.monitor for frame in _lit(step, band)):
             return Rejected(step.point, "unmonitored")
-        shots = [shot for shot in taken if shot.peak < USABLE]
-        if not shots:
-            return Rejected(step.point, "saturated" if taken else "not_measured", len(taken))
-        rate, variance, time_s, chi_square, of_darks, by_camera = pool(
-            self.description, region, shots, self._darks[region.target].exposures_s
-        )
+        if not taken:
+            return Rejected(step.point, "not_measured")
+        if self.description.acquisition.by_pixels:
+            pooled = pool_pixels(self.description, region, taken, self._darks[region.target])
+        else:
+            shots = [shot for shot in taken if shot.peak < USABLE]
+            darks_s = self._darks[region.target].exposures_s
+            pooled = Pooled(*pool(self.description, region, shots, darks_s), len(shots)) if shots else None
+        if pooled is None:
+            return Rejected(step.point, "saturated", len(taken))
+        of_darks = pooled.of_darks
         reference = self.reference.get(band.channel)
         share = self._patterns[band.channel].of(region.roi) if region.target == "sample" else np.zeros(PATTERNS)
         shared = np.outer(of_darks, share)
         return Reduced(
-            rate=rate,
-            variance=variance + max(float(np.sum(of_darks**2) - np.sum(shared**2)), 0.0),
+            rate=pooled.rate,
+            variance=pooled.variance + max(float(np.sum(of_darks**2) - np.sum(shared**2)), 0.0),
             dark=shared,
-            time_s=time_s,
-            chi_square=chi_square,
-            frames=len(shots),
-            left_out=len(taken) - len(shots),
+            time_s=pooled.time_s,
+            chi_square=pooled.chi_square,
+            frames=pooled.frames,
+            left_out=len(taken) - pooled.frames,
             pixels=region.roi.count,
-            by_camera=by_camera,
+            by_camera=pooled.by_camera,
             shared=region.roi.shared(reference) if reference is not None else 0,
             directions=kinematics.directions(self.description, step.pose),
             pose=step.pose,
             point=step.point,
+            hits=pooled.hits,
+            hot=pooled.hot,
+            saturated=pooled.saturated,
         )
+
+
+def _alike(one: float, other: object) -> bool:
+    """Whether two records of an exposure agree: files of other makers keep it to a few digits."""
+    return isinstance(other, Real) and abs(one - float(other)) <= 1e-3 * one + 1e-6
 
 
 def _lit(step: StepRecord, band: Band) -> list[FrameRecord]:
     """The frames of a step that were taken in a band, with the lamp lit."""
     return [frame for frame in step.frames if frame.band == band.name and frame.lamp]
+
+
+@dataclass(frozen=True, slots=True)
+class Pooled:
+    """What the frames of a step tell of a region, however they were merged."""
+
+    rate: float
+    variance: float
+    time_s: float
+    chi_square: float
+    of_darks: Floats
+    """Change of the rate for one standard deviation of the mean of the shorter and of the longer darks."""
+    by_camera: Floats
+    """Derivatives of the rate by `camera_parameters`."""
+    frames: int
+    hits: int = 0
+    hot: int = 0
+    saturated: float = 0.0
 
 
 def pool(
@@ -411,6 +487,64 @@ def pool(
     chi_square = float(np.sum((rates - pooled) ** 2 / variances))
     by_camera = weights @ np.array([shot.by_camera for shot in shots])
     return pooled, float(1.0 / np.sum(1.0 / variances)), float(np.sum(weights * times)), chi_square, of_darks, by_camera
+
+
+def pool_pixels(description: RigDescription, region: Region, shots: list[Shot], darks: Darks) -> Pooled | None:
+    """The frames of a point, merged pixel by pixel (`merging.merge`); None where pixels saturate in every frame.
+
+    Where the noise of the camera is not known, frames that scatter more than photons say make the variance larger.
+    """
+    camera, acquired = description.camera, [shot for shot in shots if shot.electrons is not None]
+    # a brighter lamp is as good as a longer exposure
+    exposure = np.array([shot.exposure_s * shot.lamp for shot in acquired])
+    rate = np.maximum(darks.rate(region.roi) * camera.electrons_per_dn, camera.dark_current_e_per_s)
+    full = min(camera.full_well_e, (camera.white_level_dn - camera.black_level_dn) * camera.electrons_per_dn)
+    stack = merging.Stack(
+        electrons=np.stack([shot.electrons for shot in acquired if shot.electrons is not None]),
+        levels=np.stack([shot.levels for shot in acquired if shot.levels is not None]),
+        exposures_s=exposure,
+        mask=region.roi.mask,
+        per_weight=region.per_weight,
+        dark_rate=rate,
+        hot=_hot(rate, float(exposure.max()), float(darks.exposures_s.max()), full),
+    )
+    merged = merging.merge(description, stack)
+    if merged is None:
+        return None
+    # the dark frames are one and the same for all frames of the point, and independent from pixel to pixel
+    charge = camera.dark_current_e_per_s * darks.exposures_s if camera.photon_noise else 0.0 * darks.exposures_s
+    count = region.per_weight.size
+    noise = camera.read_noise_e**2 + charge + count * _rounding(camera, charge, count)
+    lines = np.array([shot.leverage for shot in acquired])
+    of_darks = np.zeros(2)
+    for k, variance in enumerate(noise):
+        change = (lines[:, k] / exposure) @ merged.shares
+        of_darks[k] = -math.copysign(math.sqrt(float(np.sum(change**2)) * variance), float(change.sum()))
+    variance = merged.variance
+    if not merging.noise_is_known(description) and merged.frames > 1:
+        variance *= max(1.0, merged.chi_square / (merged.frames - 1))
+    return Pooled(
+        rate=merged.rate,
+        variance=variance,
+        time_s=float(merged.frame_weights @ [shot.time_s for shot in acquired]),
+        chi_square=merged.chi_square,
+        of_darks=of_darks,
+        by_camera=merged.frame_weights @ np.array([shot.by_camera for shot in acquired]),
+        frames=merged.frames,
+        hits=merged.hits,
+        hot=merged.hot,
+        saturated=merged.saturated,
+    )
+
+
+def _hot(rate: Floats, longest_s: float, dark_s: float, full: float) -> npt.NDArray[np.bool_]:
+    """Pixels with so many more dark electrons a second than others that they are not to be used.
+
+    Their charge would be too large a part of full scale in the longest frame; or it filled the longer dark frames,
+    which then do not tell the rate.
+    """
+    excess = rate - np.median(rate)
+    return np.asarray((excess * longest_s > merging.HOT * full) | (excess * dark_s > USABLE * full))
 
 
 def _rounding(camera: Camera, electrons: Floats, count: int) -> Floats:

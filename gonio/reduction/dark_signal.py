@@ -47,6 +47,12 @@ class Darks:
         mean, slope = self._mean[rows, cols][region.mask], self._slope[rows, cols][region.mask]
         return np.asarray(mean + slope * (exposure_s - self._centre))
 
+    def rate(self, region: Roi) -> Floats:
+        """Dark signal of the used pixels of a region in one second [DN/s]."""
+        rows = slice(region.rows.start - self._corner[0], region.rows.stop - self._corner[0])
+        cols = slice(region.cols.start - self._corner[1], region.cols.stop - self._corner[1])
+        return np.asarray(self._slope[rows, cols][region.mask])
+
     @property
     def exposures_s(self) -> Floats:
         """Mean exposure of the shorter and of the longer dark frames (where there are several exposures)."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,7 @@ from gonio.reduction.geometry_errors import zero_u_deg
 from gonio.rig import kinematics
 from gonio.rig.calibrated import covariance_of
 from gonio.rig.description import Axis, Band, RigDescription
+from gonio.rig.filling import filling
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -74,6 +75,8 @@ class BandResult:
     """Nominal directions of points that may see a spike of which only a bound is known."""
     coarse: Directions
     """Nominal directions of points beside a lobe that is narrower than the plan's steps."""
+    merged: dict[str, Any] = field(default_factory=dict)
+    """How the frames were merged pixel by pixel; empty where whole frames were."""
 
 
 def angle_axes(description: RigDescription) -> dict[str, Axis]:
@@ -164,6 +167,8 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
             "simulated": run.sample is not None,
             "seed": run.seed,
             "reference": [_account(result) for result in results],
+            "filling": filling(description),
+            **({"merge": [result.merged for result in results]} if description.acquisition.by_pixels else {}),
         },
         notes=notes
         + _notes_on_zeros(description)
@@ -230,6 +235,19 @@ def _notes_on_zeros(description: RigDescription) -> list[str]:
 
 
 def notes_on_damage(frames: RunFrames) -> list[str]:
+    wrong = frames.contradictory
+    if wrong:
+        first = wrong[min(wrong)]
+        more = f", and {len(wrong) - 1} more frames" if len(wrong) > 1 else ""
+        return [
+            f'{first}{more}: left out; points that lack one are flagged "contradictory". Make the rig file say what '
+            "the camera does, or measure these points again",
+            *_notes_on_missing(frames),
+        ]
+    return _notes_on_missing(frames)
+
+
+def _notes_on_missing(frames: RunFrames) -> list[str]:
     if not frames.damaged:
         return []
     names = sorted(frames.damaged)
@@ -281,6 +299,11 @@ def _notes(result: BandResult) -> list[str]:
         out.append(
             f"{name}: values change much from step to step at {_listed(result.coarse)}: u_brdf there rests on "
             "what neighbouring points leave open, and may be too small; measure in finer steps there"
+        )
+    if result.merged.get("noise") == "poisson":
+        out.append(
+            f"{name}: the noise of the camera is not known (camera.read_noise_e = 0, and no calibration of the "
+            "camera): frames are weighted as photons alone would have it"
         )
     # three standard deviations of a reduced chi-square, and enough to matter: uncertainties 20 % too small
     if result.scatter > max(1.44, 1.0 + 3.0 * math.sqrt(2.0 / max(result.freedom, 1))):

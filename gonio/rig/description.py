@@ -229,6 +229,9 @@ class Lamp(Strict):
     drift_per_hour: float = 0.0
     """Relative drift of the lamp (simulation); the reduction learns the drift from the reference alone."""
     warm_up_s: NonNegative = 0.0
+    beam_diameter_mm: Positive | None = None
+    """Diameter of the lit spot on a sample under normal incidence, with a sharp edge: the cone from the lamp's centre
+    that has it. None: the light covers all that the camera looks at. See `gonio.rig.filling`."""
     warm_up_loss: Annotated[float, Field(gt=-10, lt=1)] = 0.0
     """How far the lamp is below its later level when it is lit, as a fraction of that; below 0: how far above."""
     warm_up_time_constant_s: Positive = 600.0
@@ -301,6 +304,8 @@ class Camera(Strict):
     frame_overhead_s: NonNegative = 0.05
     polarisation: Polarisation = Polarisation()
     """Diattenuation of lens and sensor together."""
+    cosmic_per_s: NonNegative = 0.0
+    """Simulation: hits of cosmic radiation a second on the whole sensor."""
 
     @model_validator(mode="after")
     def _sound(self) -> Camera:
@@ -451,6 +456,19 @@ class Acquisition(Strict):
     frames: Annotated[int, Field(ge=1)] = 2
     """Frames at the chosen exposure; a shorter one always follows them."""
     dark_frames: Annotated[int, Field(ge=1)] = 8
+    u_rel_target: Annotated[float, Field(gt=0, lt=1)] | None = None
+    """Relative standard uncertainty (k = 1) that the noise may leave of the rate of a point or of a visit. Exposures
+    and numbers of frames are planned for it. None: `frames` of them, whatever comes of it."""
+    longest_point_s: Positive = 120.0
+    """Time that a planned bracket may take in one band, metering apart; where it is too short the target is missed."""
+    merge: Literal["frames", "pixels"] = "frames"
+    """How frames of a step become one rate: whole frames, or pixel by pixel, with hits of cosmic radiation and hot
+    pixels left out. A planned bracket is always merged by pixels."""
+
+    @property
+    def by_pixels(self) -> bool:
+        """Whether frames are merged pixel by pixel."""
+        return self.merge == "pixels" or self.u_rel_target is not None
 
 
 ROOM_LIGHT = "room_light"

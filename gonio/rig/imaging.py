@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from gonio.rig.kinematics import View
 
 Channel = Literal["mono", "R", "G", "B"]
+EDGE_PARTS = 4
+"""Parts of the side of a pixel at the beam's edge: the area of a spot of 16 pixels is then right to 2e-4."""
 
 
 def image_distance_mm(description: RigDescription) -> float:
@@ -46,6 +48,7 @@ class PixelMap:
         self._lambertian = description.lamp.radiation == "lambertian"
         beam = description.lamp.beam
         self._beam = beam.terms() if beam is not None and any(beam.terms()) else None
+        self._beam_mm = description.lamp.beam_diameter_mm
         self._source = np.asarray(view.source_mm, dtype=float)
         self._camera = np.asarray(view.camera_mm, dtype=float)
         self._beam_y = np.asarray(view.image_y if view.beam_y is None else view.beam_y, dtype=float)
@@ -162,10 +165,55 @@ class PixelMap:
         return np.where(self.sees_plane, np.exp(np.minimum(log, 1.0)), 0.0)
 
     @cached_property
+    def lit(self) -> Floats:
+        """The share of each pixel's spot that lies in the beam (`lamp.beam_diameter_mm`), whose edge is sharp.
+
+        The beam is a cone around the direction from the lamp to the sample's centre. Pixels at its edge are cut into
+        parts; of each that share counts which a straight edge leaves, linear in the distance of the part from it.
+        """
+        x, y = self.x_mm, self.y_mm
+        if self._beam_mm is None:
+            return np.ones(x.shape)
+        outside = self._outside_beam(x, y)
+        width = sum(np.abs(slope) for slope in np.gradient(outside))
+        share = (outside < 0.0).astype(float)
+        edge = np.abs(outside) < width
+        down, right = ([slope[edge] for slope in slopes] for slopes in zip(np.gradient(x), np.gradient(y), strict=True))
+        share[edge] = 0.0
+        parts = (np.arange(EDGE_PARTS) + 0.5) / EDGE_PARTS - 0.5
+        for row in parts:
+            for col in parts:
+                apart = self._outside_beam(
+                    x[edge] + row * down[0] + col * right[0], y[edge] + row * down[1] + col * right[1]
+                )
+                share[edge] += np.clip(0.5 - EDGE_PARTS * apart / width[edge], 0.0, 1.0) / EDGE_PARTS**2
+        return np.where(self.sees_plane, share, 0.0)
+
+    def _outside_beam(self, x: Floats, y: Floats) -> Floats:
+        """How far spots of the plane lie outside the beam [mm], across its axis at the sample's centre."""
+        away = float(np.linalg.norm(self._source))
+        along = away - (self._source[0] * x + self._source[1] * y) / away
+        across = np.sqrt(np.maximum(x**2 + y**2 - (away - along) ** 2, 0.0))
+        return np.asarray(away * across / along - 0.5 * (self._beam_mm or 0.0))
+
+    @property
+    def area_mm2(self) -> Floats:
+        """The area of the sample's plane that each pixel sees [mm^2]: its solid angle at the lens, slanted."""
+        scale = 1e-3 * self._camera_model.pixel_um / self._image_distance_mm
+        lines = self._by_row[:, None, :] + self._by_col.T[None, :, :]
+        cubed = np.einsum("...k,...k->...", lines, lines) ** -1.5  # of the cosine of the field angle
+        slanted = np.abs(self._camera[2] / self.omega_r[..., 2]) ** 3 / abs(self._camera[2])
+        return np.asarray(scale**2 * cubed * slanted)
+
+    @cached_property
     def weight(self) -> Floats:
-        """falloff cos(theta_i) (d0/d)^2 radiation: all of the measurement equation that depends on the pixel alone."""
+        """falloff cos(theta_i) (d0/d)^2 radiation, in the beam: all of the measurement equation that depends on the
+        pixel alone.
+        """
         weight = self.falloff * self.cos_theta_i * self.distance_factor
-        return weight * self.radiation if self._lambertian or self._beam is not None else weight
+        if self._lambertian or self._beam is not None:
+            weight = weight * self.radiation
+        return weight if self._beam_mm is None else weight * self.lit
 
     @cached_property
     def omega_i(self) -> Floats:
@@ -372,9 +420,7 @@ def roi(description: RigDescription, view: View, target: Target = "sample", chan
     if view.camera_mm[2] == 0:
         raise ConfigError("the camera is in the sample's plane: it sees no region of interest")
     radius = description.acquisition.roi_radius_mm
-    eye = np.asarray(view.camera_mm, dtype=float)
-    pitch = 1e-3 * camera.pixel_um * np.linalg.norm(eye) / image_distance_mm(description)
-    longest = float(pitch * np.linalg.norm(eye) / abs(eye[2]))  # of a pixel, on the sample
+    longest = pixel_on_sample_mm(description, view)
     column, row = _project(description, view, *centre)
     if not (-0.5 <= column < camera.width - 0.5 and -0.5 <= row < camera.height - 0.5):
         raise ConfigError(
@@ -458,6 +504,11 @@ def pixel_on_focus_mm(description: RigDescription) -> float:
     """Width of a pixel in the plane in focus, which faces the camera at the sample's centre [mm]."""
     pitch = 1e-3 * description.camera.pixel_um
     return pitch * description.geometry.camera_distance_mm / image_distance_mm(description)
+def pixel_on_sample_mm(description: RigDescription, view: View) -> float:
+    """The longer side of a pixel on the sample [mm], at its centre."""
+    eye = np.asarray(view.camera_mm, dtype=float)
+    pitch = 1e-3 * description.camera.pixel_um * np.linalg.norm(eye) / image_distance_mm(description)
+    return float(pitch * np.linalg.norm(eye) / abs(eye[2]))
 
 
 def patch_extent(description: RigDescription, view: View, target: Target = "sample") -> tuple[float, ...]:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 Floats32 = npt.NDArray[np.float32]
 THREADS = max(1, min(2, os.cpu_count() or 1))
+HIT_E = 3000.0
+"""Mean charge that a hit of cosmic radiation leaves in a pixel of its track [e-]: some 80 e- in a micrometre."""
 
 
 class Sensor:
@@ -183,6 +185,8 @@ class SimulatedCamera:
         mosaic = self._sensor.read_out(
             rate, exposure_s, world.last_level, world.key(Stream.SENSOR, world.step, world.frame)
         )
+        if camera.cosmic_per_s:
+            self._hit(mosaic, exposure_s)
         time_s = world.frame_time_s()
         world.frame += 1
         world.spend(exposure_s + camera.frame_overhead_s)
@@ -194,6 +198,19 @@ class SimulatedCamera:
             pattern=camera.pattern,
             time_s=time_s,
         )
+
+    def _hit(self, mosaic: npt.NDArray[np.uint16], exposure_s: float) -> None:
+        """Add the charge of cosmic radiation: tracks of one to three pixels, thousands of electrons in each."""
+        world, camera = self._world, self._world.truth.camera
+        rng = world.generator(Stream.COSMIC, world.step, world.frame)
+        full = min(camera.white_level_dn, camera.black_level_dn + camera.full_well_e / camera.electrons_per_dn)
+        for _ in range(rng.poisson(camera.cosmic_per_s * exposure_s)):
+            row, col = rng.integers(camera.height), rng.integers(camera.width)
+            down, right = rng.integers(-1, 2), rng.integers(-1, 2)
+            for k in range(rng.integers(1, 4)):
+                at = (row + k * down) % camera.height, (col + k * right) % camera.width
+                charge = rng.exponential(HIT_E) / camera.electrons_per_dn
+                mosaic[at] = max(mosaic[at], int(min(mosaic[at] + charge, full)))
 
     def close(self) -> None:
         """Let go of threads."""

@@ -43,6 +43,7 @@ class Stream(IntEnum):
     DSNU = 7
     MONITOR = 8
     HOT = 9
+    COSMIC = 20
 
 
 class World:
@@ -154,17 +155,18 @@ class World:
 
     def normal(self, stream: Stream, *address: int) -> float:
         """A standard normal number, the same at every call with the same address."""
-        return float(self._generator(stream, *address).standard_normal())
+        return float(self.generator(stream, *address).standard_normal())
 
     def uniform(self, stream: Stream, *address: int) -> float:
         """A uniform number in [-1/2, 1/2), the same at every call with the same address."""
-        return float(self._generator(stream, *address).random()) - 0.5
+        return float(self.generator(stream, *address).random()) - 0.5
 
     def key(self, stream: Stream, *address: int) -> np.uint64:
         """64 bits that start a counter-based generator for one whole frame or map."""
         return key(self.seed, stream, *address)
 
-    def _generator(self, stream: Stream, *address: int) -> np.random.Generator:
+    def generator(self, stream: Stream, *address: int) -> np.random.Generator:
+        """The random numbers of an address, from their start."""
         return np.random.default_rng([self.seed, stream, *address])
 
     def require_open(self, device: str) -> None:

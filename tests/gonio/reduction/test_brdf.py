@@ -384,6 +384,33 @@ def test_frames_of_another_camera_are_refused(tmp_path: Path) -> None:
         reduce(run)
 
 
+@pytest.mark.parametrize(
+    ("camera", "exposure_s", "reason"),
+    [
+        ({"bits": 14, "full_well_e": 15_000.0}, 0.25, "white level 65535 DN; the rig file says camera.bits = 14"),
+        ({"black_level_dn": 6000.0}, 0.25, "black level 1000 DN; the rig file says camera.black_level_dn = 6000"),
+        ({}, 0.0, "was exposed 0.25 s, and the journal says exposure_s = 0.0"),
+        ({}, None, "the journal says exposure_s = None"),
+        ({}, 0.3, "the journal says exposure_s = 0.3"),
+    ],
+)
+def test_frames_that_contradict_rig_file_or_journal_are_flagged(
+    tmp_path: Path, camera: dict[str, Any], exposure_s: Any, reason: str
+) -> None:
+    run = Maker(tmp_path, describe(), glossy).make(POINTS[:3], (0.25,))
+    if camera:
+        run.description = describe(camera=camera)
+        with pytest.raises(DataError, match=reason):  # of the dark frames already
+            reduce(run)
+        return
+    point = next(k for k, step in enumerate(run.taken) if step.point == 1)
+    frames = tuple(replace(frame, exposure_s=exposure_s) for frame in run.taken[point].frames)
+    run.taken[point] = replace(run.taken[point], frames=frames)
+    table = reduce(run)
+    assert table["flag"].tolist() == ["", "contradictory", ""]
+    assert any(reason in note and "contradictory" in note for note in table.attrs["notes"])
+
+
 def test_a_lamp_that_flickers_more_than_the_rig_file_says_is_noticed(tmp_path: Path) -> None:
     rng = np.random.default_rng(8)
     for noise, noted in ((0.005, False), (0.001, True)):

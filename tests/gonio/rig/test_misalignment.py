@@ -119,7 +119,7 @@ def test_without_errors_both_ways_to_a_view_agree_and_the_short_one_is_taken(kin
     assert description.as_meant
     for _ in range(10):
         pose = some_pose(rng, kind)
-        seen, (source, eye, onto) = view(description, pose), misalignment.ends(description, pose)
+        seen, (source, eye, onto, _) = view(description, pose), misalignment.ends(description, pose)
         assert seen.sight is None
         np.testing.assert_allclose(source, seen.source_mm, atol=1e-10)
         np.testing.assert_allclose(eye, seen.camera_mm, atol=1e-10)

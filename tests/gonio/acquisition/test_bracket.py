@@ -1,0 +1,152 @@
+"""Planned brackets: the wanted uncertainty, within the camera's limits and the time."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from gonio.acquisition import exposure
+from gonio.errors import DeviceError
+from gonio.rig import Frame, Pose
+from gonio.rig.description import RigDescription
+from tests.gonio.numpy_rig import describe
+
+CAMERA = {
+    "electrons_per_dn": 2.7, "read_noise_e": 2.5, "photon_noise": True, "full_well_e": 10_800.0, "prnu": 0.0,
+    "dark_current_e_per_s": 5.0, "exposure_limits_s": (1e-5, 60.0), "frame_overhead_s": 0.05,
+}  # fmt: skip
+COUNT = 1024
+
+
+def rig(target: float = 0.002, longest_point_s: float = 120.0, lamp: float = 0.0, **camera: Any) -> RigDescription:
+    description = describe()
+    parts = {
+        "camera": description.camera.model_copy(update=CAMERA | camera),
+        "acquisition": description.acquisition.model_copy(
+            update={"u_rel_target": target, "longest_point_s": longest_point_s}
+        ),
+        "lamp": description.lamp.model_copy(update={"noise": lamp}),
+    }
+    return description.model_copy(update=parts)
+
+
+def planned(description: RigDescription, rates: npt.NDArray[np.float64]) -> tuple[float, ...]:
+    """The bracket of a region whose pixels have these rates [e-/s], metered by noisy frames."""
+    camera, rng = description.camera, np.random.default_rng(1)
+
+    def shot(exposure_s: float) -> Frame:
+        charge = rng.poisson((rates + camera.dark_current_e_per_s) * exposure_s).astype(float)
+        charge = np.minimum(charge, camera.full_well_e) + camera.read_noise_e * rng.standard_normal(rates.shape)
+        dn = np.clip(np.floor(charge / camera.electrons_per_dn + camera.black_level_dn + 0.5), 0, camera.white_level_dn)
+        return Frame(dn.astype(np.uint16), exposure_s, camera.black_level_dn, camera.white_level_dn, time_s=0.0)
+
+    def used(mosaic: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint16]:
+        return mosaic.reshape(-1)
+
+    return exposure.bracket(description, exposure.meter(description, shot, used, 1.0), used)
+
+
+def variance(description: RigDescription, rates: npt.NDArray[np.float64], exposures_s: tuple[float, ...]) -> float:
+    """Relative variance of the mean of all pixels by their best weights, written out pixel by pixel."""
+    camera, weights = description.camera, np.zeros(rates.shape)
+    for t in exposures_s:
+        charge = (rates + camera.dark_current_e_per_s) * t
+        weights += np.where(
+            charge < 0.9 * camera.full_well_e,
+            t**2 / (charge + camera.read_noise_e**2 + camera.electrons_per_dn**2 / 12),
+            0.0,
+        )
+    out = np.sum(1.0 / weights) / rates.sum() ** 2 + description.lamp.noise**2 / len(exposures_s)
+    return float(out)
+
+
+@pytest.mark.parametrize("rate", [30.0, 1e3, 1e5, 1e7, 3e8])
+@pytest.mark.parametrize(("target", "lamp"), [(0.01, 0.0), (0.001, 0.0), (0.002, 0.008)])
+def test_a_bracket_reaches_its_target(rate: float, target: float, lamp: float) -> None:
+    description, rates = rig(target, lamp=lamp), np.full(COUNT, rate)
+    exposures_s = planned(description, rates)
+    # 10 %: of the metering frame's own noise, where it is dim
+    assert variance(description, rates, exposures_s) < 1.1 * target**2
+    assert all(1e-5 <= t <= 60.0 for t in exposures_s)
+    overhead = 0.05 * len(exposures_s)
+    assert sum(exposures_s) + overhead <= 120.0 + 0.1  # the shorter frame's overhead is not part of the time
+    assert max(exposures_s) * (rate + 5.0) < 0.9 * 10_800.0
+    assert exposures_s[-1] == pytest.approx(max(exposures_s) / 4, abs=1e-5)
+    if lamp:
+        assert len(exposures_s) >= (lamp / target) ** 2
+
+
+def test_a_bracket_is_no_longer_than_it_has_to_be() -> None:
+    """10 times the uncertainty costs a hundredth of the photons, of which two frames are the least."""
+    rates = np.full(COUNT, 200.0)
+    fine, coarse = (planned(rig(target), rates) for target in (0.001, 0.01))
+    assert sum(fine) > 30 * sum(coarse)
+    assert variance(rig(), rates, fine) > 0.3 * 0.001**2
+
+
+def test_where_time_is_short_it_does_what_it_can() -> None:
+    description, rates = rig(1e-4, longest_point_s=5.0), np.full(COUNT, 20.0)
+    exposures_s = planned(description, rates)
+    assert 3.0 < sum(exposures_s) <= 5.0
+    assert variance(description, rates, exposures_s) > 1e-8
+
+
+def test_pixels_that_a_peak_keeps_dark_get_longer_frames() -> None:
+    """A peak on 2 % of the pixels, and read noise that matters for the others in frames that are short enough."""
+    rates = np.full(COUNT, 400.0)
+    rates[:20] = 1e5
+    description = rig(0.002, read_noise_e=60.0, frame_overhead_s=0.2)
+    exposures_s = planned(description, rates)
+    long = [t for t in exposures_s[:-1] if t * 1e5 > 10_800.0]
+    short = [t for t in exposures_s[:-1] if t * 1e5 < 0.9 * 10_800.0]
+    assert len(short) >= 2
+    assert len(long) >= 2
+    assert variance(description, rates, exposures_s) < 1.1 * 0.002**2
+    assert max(long) * 400.0 < 0.9 * 10_800.0
+
+
+def test_brackets_repeat() -> None:
+    rates = np.full(COUNT, 1234.0)
+    assert planned(rig(), rates) == planned(rig(), rates)
+
+
+def test_estimates_follow() -> None:
+    fine, coarse = (sum(exposure.expected_bracket(rig(u), Pose(camera=0.5), 0.5)) for u in (0.0002, 0.01))
+    assert fine > 10 * coarse
+
+
+FRAME = Frame(np.full((32, 32), 100, np.uint16), 0.1, 64.0, 4095.0, time_s=0.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"exposure_s": 0.0}, r"exposure_s = 0.0: seconds above 0"),
+        ({"exposure_s": math.nan}, "exposure_s = nan"),
+        ({"exposure_s": None}, "exposure_s = None"),
+        ({"exposure_s": 0.13}, "exposed 0.13 s where 0.1 s were asked"),
+        ({"white_level_dn": 65535.0}, "white level 65535 DN; the rig file says camera.bits = 12"),
+        ({"white_level_dn": 1023.0}, "white level 1023 DN"),
+        ({"black_level_dn": 512.0}, "black level 512 DN; the rig file says camera.black_level_dn = 64"),
+    ],
+)
+def test_a_frame_that_contradicts_what_is_known_is_refused(change: dict[str, Any], message: str) -> None:
+    values = {name: getattr(FRAME, name) for name in ("mosaic", "exposure_s", "black_level_dn", "white_level_dn")}
+    frame = Frame(**(values | change), time_s=0.0)
+    with pytest.raises(DeviceError, match=message):
+        exposure.require_asked(rig().camera, frame, 0.1, "camera")
+
+
+@pytest.mark.parametrize(("asked_s", "given_s"), [(0.1, 0.1125), (1e-4, 1.5e-4), (1 / 60, 1 / 64), (0.1, 0.0899)])
+def test_exposures_that_a_camera_rounds_are_no_contradiction(asked_s: float, given_s: float) -> None:
+    frame = Frame(FRAME.mosaic, given_s, 64.0, 4095.0, time_s=0.0)
+    exposure.require_asked(rig().camera, frame, asked_s, "camera")
+
+
+@pytest.mark.parametrize("count", [1, 3, 9])
+def test_small_regions_have_brackets_too(count: int) -> None:
+    assert len(planned(rig(), np.full(count, 1e5))) >= 3
