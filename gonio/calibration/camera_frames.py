@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.disk import read_file, write_whole
-from gonio.errors import ConfigError, DataError
+from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.rig import Frame, Pose, dng
 from gonio.rig.description import Camera
 from gonio.rig.imaging import require_raw
@@ -52,11 +52,14 @@ class CameraFrame:
 
         Raises
         ------
-        DataError, DeviceError
+        DataError
             It cannot be read, or is of another size or pattern.
         """
         frame = _read(self.path, camera, self.exposure_s)
-        require_raw(camera, frame, str(self.path))
+        try:
+            require_raw(camera, frame, str(self.path))
+        except DeviceError as error:  # which is what a camera's own frame would be
+            raise DataError(str(error)) from None
         return frame.mosaic
 
 

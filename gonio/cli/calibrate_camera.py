@@ -70,7 +70,14 @@ def camera(
         if name.exists():
             raise ConfigError(f"{name}: is there already; name another file with --out")
     # what was measured before is not to be taken out of what is measured now
-    description = uncalibrated(find_rig(rig).description)
+    known = find_rig(rig).description
+    if known.camera.response and not response:
+        raise ConfigError(
+            f"{rig}: the camera has a response curve (camera.response): photon transfer is for linear cameras, "
+            f"and its noise "
+            "stays that of the rig file; --response measures the curve again"
+        )
+    description = uncalibrated(known)
     band = _band(description, wavelength)
     if frames is None:
         taken = _take(rig, folder, kinds, pairs=pairs, wavelength=wavelength, seed=seed, yes=yes)
