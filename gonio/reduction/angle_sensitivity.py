@@ -24,6 +24,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from gonio.geometry import AT_NORMAL, SAME_NOMINAL, Directions
+from gonio.reduction.narrow_lobes import steepest
 from gonio.reduction.spike_overlap import Share, overlap
 from gonio.reduction.spikes import Scene, find, lagrange
 from gonio.typing import Floats
@@ -34,6 +35,8 @@ FALL = 0.5
 """A curve has a peak at the mirror direction where its logarithm falls by more to the next point."""
 PROBE = math.radians(0.5)
 """Step of differences along a curve."""
+STEEP = math.radians(87.0)
+"""Beyond this angle of reflection the facets of a lobe hide each other: it rises no more as 1 / cos(theta_r)."""
 AT_ONCE = 256
 """Points out of plane whose shapes are computed together: a few megabytes with hundreds of curves."""
 AMONG = 24
@@ -106,6 +109,7 @@ class Curves:
         self.bend = np.zeros((len(brdf), 2))
         """Size of the lobe's second derivatives along and across the plane of incidence [1/sr per rad^2]."""
         self._doubt = np.zeros(len(brdf))
+        self._diagonal_doubt = np.zeros(len(brdf))
         self.coarse = np.zeros(len(brdf), dtype=bool)
         """Points beside a peak that falls within one step: nothing tells how steep it is (docs/radiometry.md)."""
         logs = np.arcsinh(brdf / (2 * small))
@@ -117,6 +121,7 @@ class Curves:
             self.coarse[group] = ~near[group] & (apart < 1.6 * gap)
         for k, group in enumerate(self._groups):
             self._slopes_of(k, group, in_plane)
+        self._bound(brdf, u)
 
     def _fall(self, line: npt.NDArray[np.intp], logs: Floats) -> float:
         """The widest step [rad] of a curve beside the mirror direction over which its peak falls to its foot, or 0."""
@@ -155,13 +160,34 @@ class Curves:
                 curve = self._column(int(k))
                 place = int(np.flatnonzero(curve == k)[0])
             self.slope[k, 0], self._doubt[k], self.bend[k] = self._along_line(curve, place)
-        diagonal = np.array([self._along_mirror(number, int(k)) if in_plane[k] else 0.0 for k in group])
-        self.slope[group, 2] = diagonal - self.slope[group, 0]
+        ground = float(np.min(self.lobe[line], initial=np.inf))
+        for k in group:
+            diagonal, doubt = self._along_mirror(number, int(k)) if in_plane[k] else (0.0, 0.0)
+            self.slope[k, 2] = diagonal - self.slope[k, 0]
+            # a lobe of facets changes by about tan(theta_i) + tan(theta_r), and a matte ground does not
+            usual = math.tan(abs(self._theta_i[k])) + math.tan(min(abs(self._x[k]), STEEP))
+            self._diagonal_doubt[k] = min(doubt, usual * max(float(self.lobe[k]) - ground, 0.0))
         beyond = group[~in_plane[group]]
         if beyond.size:
             tree = cKDTree(np.stack([self._x[group], np.abs(self._y[group])], axis=1))
             for start in range(0, beyond.size, AT_ONCE):
                 self._beyond(beyond[start : start + AT_ONCE], group, tree)
+
+    def _bound(self, brdf: Floats, u: Floats) -> None:
+        """Hold the slopes' uncertainties against the steepest that lobes may be (`gonio.reduction.narrow_lobes`)."""
+        apart = max(NARROWEST, 0.5 * sum(self._half_angles))
+        for line in self._lines:
+            columns = [self._column(int(line[0]))] if self._alone(line) else [line]
+            for curve in columns:
+                curve = curve[np.argsort(self._from_mirror[curve], kind="stable")]
+                theta_i, theta_r = self._theta_i[curve], np.abs(self._x[curve])
+                bound, falls = steepest(
+                    self._from_mirror[curve], brdf[curve], u[curve], theta_i, theta_r, self._half_angles, apart
+                )
+                own = np.isin(curve, line)
+                k, bound, falls = curve[own], bound[own], falls[own]
+                more = np.sqrt(np.maximum(bound**2 - self.slope[k, 0] ** 2, 0.0))
+                self._doubt[k] = np.maximum(more, np.where(falls, np.minimum(self._doubt[k], bound), self._doubt[k]))
 
     def _along_line(self, line: npt.NDArray[np.intp], place: int) -> tuple[float, float, Floats]:
         """Slope of the lobe along its curve, from the nearest points on each side that the cones tell apart.
@@ -274,11 +300,12 @@ class Curves:
         weights = np.exp(-0.5 * (np.array(far) - np.min(far, axis=0)))
         return np.asarray((weights * np.array(values)).sum(axis=0) / weights.sum(axis=0))
 
-    def _along_mirror(self, number: int, k: int) -> float:
+    def _along_mirror(self, number: int, k: int) -> tuple[float, float]:
         """Change of the lobe with theta_i at a fixed distance from the mirror direction, per radian.
 
         From the next curve on either side that reaches so far; at the ends of the angles of incidence from the parabola
-        through the next two.
+        through the next two. And its standard uncertainty: a quarter of what the two sides differ by, or all that two
+        curves on one side do; without two curves nothing tells it.
         """
         sides = []
         for others in (range(number - 1, -1, -1), range(number + 1, len(self._lines))):
@@ -294,13 +321,13 @@ class Curves:
             sides.append(side)
         below, above = sides
         if below and above:
-            slope = _weighted([below[0], above[0]])
+            slope, doubt = _weighted([below[0], above[0]]), 0.25 * abs(below[0][0] - above[0][0])
         elif len(below + above) == 2:
             (near, h), (far, w) = below + above
-            slope = near + (near - far) * h / (w - h)
+            slope, doubt = near + (near - far) * h / (w - h), abs(near - far)
         else:
-            slope = _weighted(below + above)
-        return slope * float(self._size[k])
+            slope, doubt = _weighted(below + above), math.inf
+        return slope * float(self._size[k]), doubt * float(self._size[k])
 
     def value(self, k: int, d: Directions) -> float:
         """f [1/sr] at directions near those of point k."""
@@ -341,7 +368,8 @@ class Curves:
     def doubt(self, k: int, plus: Directions) -> float:
         """Standard uncertainty [1/sr] of the odd part of `effects`, where steps are too coarse to tell a slope."""
         x, y, theta_i = (_from_above(plus, self._azimuth[k]) - self._places[k]).tolist()
-        return float(self._doubt[k]) * math.hypot(x - theta_i, y)  # a lobe moves with the mirror direction
+        # a lobe moves with the mirror direction
+        return math.hypot(float(self._doubt[k]) * math.hypot(x - theta_i, y), float(self._diagonal_doubt[k]) * theta_i)
 
 
 def _weighted(secants: list[tuple[float, float]]) -> float:
