@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,7 @@ import numpy as np
 from gonio.acquisition.plan import ANGLES
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import Directions, mirrored
-from gonio.reduction import angle_sensitivity, spike_overlap, white_reference
+from gonio.reduction import angle_sensitivity, budget, spike_overlap, white_reference
 from gonio.reduction.count_rates import Reduced, Rejected, RunFrames, in_threads
 from gonio.reduction.dark_signal import PATTERNS, strongest
 from gonio.reduction.reference_table import brdf_of_reference
@@ -27,6 +27,7 @@ from gonio.reduction.table import (
     CAUSES,
     DARK,
     BandResult,
+    Inputs,
     angle_axes,
     assemble,
     notes_on_damage,
@@ -43,7 +44,23 @@ if TYPE_CHECKING:
     from gonio.acquisition.run import Run
 
 
+@dataclass(frozen=True, slots=True)
+class Reduction:
+    """A reduced run."""
+
+    table: pd.DataFrame
+    """See `reduce`."""
+    budget: pd.DataFrame
+    """The parts of each value's uncertainty (`gonio.reduction.budget.assemble`), rows as in the table."""
+    bands: list[BandResult]
+
+
 def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> pd.DataFrame:
+    """The measurement table of a run; see `reduce_in_parts`."""
+    return reduce_in_parts(run, progress=progress).table
+
+
+def reduce_in_parts(run: Run, *, progress: Callable[[int, int], None] | None = None) -> Reduction:
     """The measurement table of a run: BRDF [1/sr] with uncertainty for every point of its plan and every band.
 
     Parameters
@@ -56,11 +73,12 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
 
     Returns
     -------
-    pandas.DataFrame
-        As `gonio.measurement` describes it, in the order of the plan. Angles are what the encoders read. `brdf` is NaN
-        where `flag` says why: "blocked", "unreachable" and the plan's other reasons, "saturated" (in every frame),
-        "below_horizon" (at the pose that was read), "moved" (an axis did not stand still), "unsteady" (its encoder
-        trembles), "damaged" (a frame of the point is missing or was changed), "not_measured" (the run ended before).
+    Reduction
+        Its table is as `gonio.measurement` describes it, in the order of the plan. Angles are what the encoders read.
+        `brdf` is NaN where `flag` says why: "blocked", "unreachable" and the plan's other reasons, "saturated" (in
+        every frame), "below_horizon" (at the pose that was read), "moved" (an axis did not stand still), "unsteady"
+        (its encoder trembles), "damaged" (a frame of the point is missing or was changed), "not_measured" (the run
+        ended before).
         Causes: `s_reference` (the certificate), `s_reference_noise` (mean level of the visits), `s_lamp_drift`,
         `s_dark_1` to `s_dark_3` (noise of the dark frames), `s_theta_i_zero`, `s_theta_r_zero` and, with those axes,
         `s_tilt_zero`, `s_azimuth_zero`. A plan with points behind the sample gives a column `side`.
@@ -84,7 +102,9 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
                 progress(k * count + len(steps), len(run.bands) * count)
         results.append(_reduce_band(frames, band, steps))
     _share_darks(results)
-    return assemble(run, results, notes_on_damage(frames) + notes_on_darks(frames))
+    table = assemble(run, results, notes_on_damage(frames) + notes_on_darks(frames))
+    table.attrs["provenance"]["not_in_budget"] = budget.left_out(run.description, table)
+    return Reduction(table, budget.assemble(table, results), results)
 
 
 def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected]) -> BandResult:
@@ -111,6 +131,7 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
         freedom=freedom,
         untold=untold,
         coarse=coarse,
+        inputs=Inputs(points, visits),
     )
 
 
@@ -192,7 +213,8 @@ def _columns(
     brdf = np.array([point.rate for point in points]) / k
     noise = np.array([point.variance for point in points]) / k**2
     prnu = np.array([_prnu(description, point, frames.reference[band.channel].count) for point in points])
-    independent = noise + (brdf * prnu) ** 2 + (brdf * fitted.extra(times) / k) ** 2
+    parts = {"noise": noise, "prnu": (brdf * prnu) ** 2, "visits": (brdf * fitted.extra(times) / k) ** 2}
+    independent = sum(parts.values())
     goals = Directions.from_table(frames.run.plan)[[point.point for point in points]]
     goals = _turned_over(goals, bool(len(goals)) and _behind(goals[0]))
     cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
@@ -205,26 +227,33 @@ def _columns(
         "s_reference_noise": -brdf * fitted.noise(times) / k,
         "s_lamp_drift": -brdf * fitted.drift(times) / k,
     }
-    said, even_parts, unresolved = np.zeros((3, len(points)))
+    said, of_steps, even_steps, even_zeros, unresolved = np.zeros((5, len(points)))
     for axis, u in encoder.items():
         odd, even = _effects(description, curves, points, axis, u)
-        said, even_parts, independent = said + odd**2, even_parts + even**2, independent + odd**2
+        said, of_steps, even_steps = said + odd**2, of_steps + odd**2, even_steps + even**2
         unresolved = unresolved + _doubts(description, curves, points, axis, u) ** 2
     for axis, u in zeros.items():
         odd, even = _effects(description, curves, points, axis, u)
-        said, even_parts = said + odd**2, even_parts + even**2
+        said, even_zeros = said + odd**2, even_zeros + even**2
         unresolved = unresolved + _doubts(description, curves, points, axis, u) ** 2
         common[CAUSES[axis]] = odd - brdf * _change_of_cosine(description, visit, axis, u)
-    blur = curves.spikes.variance
-    independent = independent + _over_region(description, curves, points, band) ** 2
-    independent = (
-        independent + np.where(curves.spike != 0, np.maximum(blur - said, 0.0), blur + even_parts) + unresolved
-    )
+    blur, spiked = curves.spikes.variance, curves.spike != 0
+    parts |= {
+        # of a spike the blur holds what errors of the angles do evenly
+        "encoder": of_steps + np.where(spiked, 0.0, even_steps),
+        "zeros_even": np.where(spiked, 0.0, even_zeros),
+        "spike_blur": np.where(spiked, np.maximum(blur - said, 0.0), blur),
+        "coarse_steps": unresolved,
+        "region": _over_region(description, curves, points, band) ** 2,
+    }
+    independent = sum(parts.values())
     darks = np.array([np.sum(point.dark**2) for point in points]) / k**2
     combined = np.sqrt(independent + darks + sum(column**2 for column in common.values()))
     bounded = ~curves.spikes.told & (blur > noise)
-    steep = curves.coarse | (unresolved > noise)
+    steep = unresolved > independent - unresolved
     columns = {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent)} | common
+    columns |= {name: np.sqrt(part) for name, part in parts.items()} | curves.facts()
+    columns["coarse"] = steep.astype(float)
     return columns, goals[bounded], goals[steep]
 
 
@@ -243,7 +272,8 @@ def _share_darks(results: list[BandResult]) -> None:
     for result, end in zip(results, ends, strict=True):
         rows = slice(end - result.points.size, end)
         result.columns.update(zip(DARK, columns[rows].T, strict=True))
-        more = [math.hypot(random, math.sqrt(left)) for random, left in zip(u[rows], rest[rows], strict=True)]
+        result.columns["dark"] = np.sqrt(rest[rows])
+        more = [math.hypot(random, left) for random, left in zip(u[rows], result.columns["dark"], strict=True)]
         result.columns["u_random"] = np.array(more)
 
 

@@ -80,8 +80,9 @@ def steepest(
         rate = min(nearest, 0.5 * t[k] / narrowest) / t[k]
         if inside:
             j = inside[0]
-            # toward grazing reflection a lobe may rise as 1 / cos(theta_r), which hides how fast it falls
-            grows = max(float(cosine[j] / cosine[k]), 1.0)
+            # toward grazing reflection a lobe may rise as 1 / cos(theta_r): where no point lies farther out to show it,
+            # that hides how fast it falls
+            grows = 1.0 if outside else max(float(cosine[j] / cosine[k]), 1.0)
             rise = math.log(max(grows * (f[j] + u[j] - inner) / excess, 1.0)) / (t[k] - t[j])
             rate = min(rate, rise)
         steep = fall + excess * rate
@@ -133,9 +134,7 @@ def _going_on(
     return value, fall, there
 
 
-def _across(
-    from_mirror: Floats, t: Floats, f: Floats, k: int, own: list[int], other: list[int]
-) -> tuple[float, float]:
+def _across(from_mirror: Floats, t: Floats, f: Floats, k: int, own: list[int], other: list[int]) -> tuple[float, float]:
     """What two points on each side of the mirror direction say of point k between them, and how that falls over t.
 
     The cubic through their logarithms: of a Gaussian it is one exactly, and it bends with what is not alike on both

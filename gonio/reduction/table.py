@@ -14,7 +14,7 @@ from gonio import geometry
 from gonio.acquisition.plan import ANGLES
 from gonio.geometry import Directions
 from gonio.reduction import white_reference
-from gonio.reduction.count_rates import RETAKE, RunFrames
+from gonio.reduction.count_rates import RETAKE, Reduced, RunFrames
 from gonio.reduction.dark_signal import COLUMNS
 from gonio.rig import kinematics
 from gonio.rig.description import Axis, Band, RigDescription
@@ -38,6 +38,16 @@ CAUSES = {"light": "s_theta_i_zero", "camera": "s_theta_r_zero", "tilt": "s_tilt
 
 
 @dataclass(frozen=True, slots=True)
+class Inputs:
+    """What the values of a band were computed from."""
+
+    points: list[Reduced]
+    """Those that have a value, in the order of `BandResult.points`."""
+    visits: list[Reduced]
+    """To the white reference."""
+
+
+@dataclass(frozen=True, slots=True)
 class BandResult:
     """One band of a run: its rows by point, why others have none, and what the attributes say of it."""
 
@@ -45,7 +55,7 @@ class BandResult:
     points: npt.NDArray[np.intp]
     """Those that have a value."""
     columns: dict[str, Floats]
-    """Of the table, a number for each of them."""
+    """Of the table and of its budget, a number for each of them."""
     darks: Floats
     """Change of each value [1/sr] by the noise of the dark frames, see `Reduced.dark`; shape (points, 2, n)."""
     flags: dict[int, str]
@@ -61,6 +71,7 @@ class BandResult:
     """Nominal directions of points that may see a spike of which only a bound is known."""
     coarse: Directions
     """Nominal directions of points beside a lobe that is narrower than the plan's steps."""
+    inputs: Inputs
 
 
 def angle_axes(description: RigDescription) -> dict[str, Axis]:
@@ -191,7 +202,7 @@ def _notes(result: BandResult) -> list[str]:
     if result.coarse:
         out.append(
             f"{name}: values change much from step to step at {_listed(result.coarse)}: u_brdf there rests on "
-            "what neighbouring points leave open, and may be too small; measure in finer steps there"
+            "how steep a lobe may be that the steps do not resolve; measure in finer steps there"
         )
     # three standard deviations of a reduced chi-square, and enough to matter: uncertainties 20 % too small
     if result.scatter > max(1.44, 1.0 + 3.0 * math.sqrt(2.0 / max(result.freedom, 1))):

@@ -1,0 +1,85 @@
+"""The parts of an uncertainty: they add up, they are what they are named after, and what is missing is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from gonio.acquisition.run import Run
+from gonio.reduction import budget
+from gonio.reduction.brdf import Reduction, reduce_in_parts
+from gonio.rig.description import ArmAxis, Arms, Lamp
+from tests.gonio.reduction.made_run import Maker, describe, in_plane
+from tests.gonio.reduction.test_brdf import NOISY, POINTS, flicker, glossy
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory: pytest.TempPathFactory) -> Reduction:
+    rng = np.random.default_rng(4)
+    description = describe(
+        camera=NOISY | {"prnu": 0.01, "lens_half_angle_deg": 0.5},
+        lamp=Lamp(half_angle_deg=0.5, noise=0.003),
+        arms=Arms(
+            light=ArmAxis(limits_deg=(-89.0, 89.0), encoder_step_deg=0.088, zero_u_deg=0.02),
+            camera=ArmAxis(limits_deg=(-89.0, 89.0), encoder_step_deg=0.088, zero_u_deg=0.02),
+        ),
+        reference={"u_rel": 0.004, "frames": 2},
+    )
+    folder = tmp_path_factory.mktemp("noisy")
+    maker = Maker(folder, description, glossy, rng, lambda t: flicker(rng, t))
+    return reduce_in_parts(cast(Run, maker.make(POINTS, (0.25, 0.0625))))
+
+
+def causes(table: pd.DataFrame) -> list[str]:
+    return [name for name in table.columns if name.startswith("s_")]
+
+
+def test_parts_add_up_in_squares_to_u(noisy: Reduction) -> None:
+    table, parts = noisy.table, noisy.budget
+    random = (parts[list(budget.COMPONENTS)] ** 2).sum(axis=1)
+    common = (parts[causes(parts)] ** 2).sum(axis=1)
+    assert causes(parts) == causes(table)
+    # a sum of 20 doubles: some units in the last place
+    np.testing.assert_allclose(np.sqrt(random), table["u_random"], rtol=1e-13)
+    np.testing.assert_allclose(np.sqrt(random + common), table["u_brdf"], rtol=1e-13)
+
+
+def test_parts_are_what_they_are_named_after(noisy: Reduction) -> None:
+    parts = noisy.budget
+    relative = parts[list(budget.COMPONENTS)].div(parts["brdf"], axis=0)
+    # two frames of 0.3 %, and photons; 1 % of some hundred pixels; neither a spike nor other visits
+    assert relative["noise"].between(0.002, 0.02).all()
+    assert relative["prnu"].between(1e-6, 0.002).all()
+    assert (relative["encoder"] > 0).all()
+    assert (relative["visits"] == 0).all()
+    np.testing.assert_allclose(parts["s_reference"], 0.004 * parts["brdf"], rtol=1e-12)  # the definition
+    assert np.isinf(parts["nu_eff"]).all()
+    assert (parts["cone_difference"] >= 0).all()
+
+
+def test_what_is_not_in_the_budget_is_told_with_the_reason(noisy: Reduction) -> None:
+    told = {row["cause"]: row["why"] for row in noisy.table.attrs["provenance"]["not_in_budget"]}
+    assert {"stray_light", "linearity", "polarisation", "wavelength", "geometry", "solid_angle"} == set(told)
+    assert "gonio calibrate camera" in told["stray_light"]
+    known = noisy.table.assign(s_stray_light=0.0, s_geometry_1=0.0)
+    known.attrs = noisy.table.attrs
+    description = describe(arms=Arms(light=ArmAxis(limits_deg=(-89.0, 89.0), zero_offset_known=False)))
+    told = {row["cause"]: row["why"] for row in budget.left_out(description, known)}
+    assert "stray_light" not in told
+    assert "geometry" not in told
+    assert "zero_offset_known = false" in told["zero of the light arm"]
+
+
+def test_rows_with_a_flag_have_no_parts_and_bands_do_not_mix(tmp_path: Path) -> None:
+    run = Maker(tmp_path, describe(), glossy).make(POINTS[:3], (0.25,))
+    run.plan.loc[len(run.plan)] = pd.Series(
+        [*in_plane(40.0, -40.0), "blocked", "in each other's way"], run.plan.columns
+    )
+    parts = reduce_in_parts(cast(Run, run)).budget
+    assert parts["flag"].tolist() == ["", "", "", "blocked"]
+    assert parts.loc[3, list(budget.COMPONENTS)].isna().all()
+    assert not parts["coarse"].iloc[3]
