@@ -250,9 +250,11 @@ def _columns(
     darks = np.array([np.sum(point.dark**2) for point in points]) / k**2
     combined = np.sqrt(independent + darks + sum(column**2 for column in common.values()))
     bounded = ~curves.spikes.told & (blur > noise)
-    steep = unresolved > independent - unresolved
+    known = curves.facts()
+    # the steps along a curve, and not those between angles of incidence
+    steep = (unresolved > independent - unresolved) & (known["u_slope"] > known["u_slope_theta_i"])
     columns = {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent)} | common
-    columns |= {name: np.sqrt(part) for name, part in parts.items()} | curves.facts()
+    columns |= {name: np.sqrt(part) for name, part in parts.items()} | known
     columns["coarse"] = steep.astype(float)
     return columns, goals[bounded], goals[steep]
 

@@ -71,8 +71,7 @@ def steepest(
         far = _apart(other[x[other] >= x[k] + apart], x, apart)
         rest, fall, inner = _going_on(t, f, u, int(k), outside, inside)
         if len(outside) < 2:  # what lies on the other side of the mirror direction tells the ground, too
-            both = _apart(sorted([*outside, *far], key=lambda j: float(x[j])), x, apart)
-            rest, fall, inner = max((rest, fall, inner), _going_on(t, f, u, int(k), both, inside))
+            rest, fall, inner = max((rest, fall, inner), _going_on(t, f, u, int(k), far, inside))
         if not inside:
             rest, fall = max((rest, fall), _across(from_mirror, t, f, int(k), outside[:2], far[:2]))
         excess = f[k] - rest + u[k]
