@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio_analysis.plots.in_plane import COLOURS, FAINT, angle_axis, clean
+from gonio_analysis.plots.in_plane import COLOURS, FAINT, clean
 from gonio_analysis.report.blocks import Block, Figures, Notes, Paragraph, strong, table
 from gonio_analysis.report.figures import LEGEND_ROW_IN, Drawing, Figure, key
 from gonio_analysis.report.text import CAUSES, cause, number, percent
@@ -20,6 +20,7 @@ MOST_PANELS = 6
 PANEL_IN = 1.45
 FOOT_IN = 0.45
 COLUMNS = 2
+LEAST = 1e-5
 
 
 def of(run: RunFacts | None, wavelength_nm: float | None) -> BudgetFacts | None:
@@ -56,16 +57,17 @@ def draw(found: BudgetFacts | None, slug: str) -> list[Drawing]:
 
 def section(found: BudgetFacts, figures: Sequence[Figure]) -> list[Block]:
     """The table of the parts, what is not among them, and the figure."""
-    rows = [
-        [cause(p.cause), percent(p.median), percent(p.largest), percent(p.share), "common" if p.common else "own",
+    rows = [["combined", percent(found.median), percent(found.highest), percent(1.0), "", CAUSES["combined"]]]
+    rows += [
+        [cause(p.cause), _percent(p.median), _percent(p.largest), _percent(p.share), "common" if p.common else "own",
          CAUSES.get(p.cause, "")]
         for p in found.parts
     ]  # fmt: skip
-    head = ["cause", "median u / f", "largest", "share of variance", "of values", "what it is"]
+    head = ["cause", "median u / f", "largest", "share of variance", "kind", "what it is"]
     out: list[Block] = [
         table(
-            "Standard uncertainties (k = 1) relative to the value, and the mean share of the variance. Values have a"
-            " cause in common, or each has its own.",
+            "Standard uncertainties (k = 1) relative to the value, and the mean share of the variance. A cause is"
+            " common to all values, or each value has its own.",
             head,
             rows,
             right=(1, 2, 3),
@@ -93,6 +95,11 @@ def section(found: BudgetFacts, figures: Sequence[Figure]) -> list[Block]:
     return out
 
 
+def _percent(value: float) -> str:
+    """A part of a budget: what is far too small to matter is not spelled out."""
+    return f"< {percent(LEAST)}" if 0.0 < value < LEAST else percent(value)
+
+
 def _on_panels(figure: Any, *, curves: list[BudgetCurve], names: list[str], rows: int, columns: int) -> None:
     from matplotlib.patches import Patch
 
@@ -112,7 +119,8 @@ def _on_panels(figure: Any, *, curves: list[BudgetCurve], names: list[str], rows
         shares = np.vstack([shares, 100 - shares.sum(axis=0)])
         ax.stackplot(curve.theta_r_deg, shares, colors=colours, lw=0)
         ax.set_title(f"θi = {curve.theta_i_deg:g}°", fontsize=7.5, loc="left", pad=3)
-        angle_axis(ax)
+        ax.set_xlim(-90, 90)
+        ax.set_xticks(range(-60, 61, 60), [f"{a}°".replace("-", "−") for a in range(-60, 61, 60)])
         ax.set_ylim(0, 100)
         ax.set_yticks([0, 50, 100], ["0", "50 %", "100 %"])
         ax.tick_params(labelsize=7, labelbottom=k + columns >= len(curves))
