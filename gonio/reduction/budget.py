@@ -60,6 +60,8 @@ def assemble(table: pd.DataFrame, bands: list[BandResult]) -> pd.DataFrame:
     variance = 0.25 * sum(float(cone) ** 2 for cone in cones)
     for k, band in enumerate(bands):
         at, c = band.points * len(bands) + k, band.columns
+        if not at.size:
+            continue
         values[: len(COMPONENTS), at] = [c[name] for name in COMPONENTS]
         of_scatter = c["visits"] if band.level.scatter else np.zeros(at.size)
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -61,7 +61,8 @@ def steepest(
         Whether the values fall from the mirror direction outward through each point, neighbours on both sides: there
         nothing else is to be expected than a slope within the bound.
     """
-    x, f = np.abs(from_mirror), np.asarray(values, dtype=float)
+    # values below the noise may be negative; no lobe is
+    x, f = np.abs(from_mirror), np.maximum(np.asarray(values, dtype=float), 0.0)
     t = 4.0 * np.tan(0.5 * x) ** 2
     bound, falls = np.zeros(f.size), np.zeros(f.size, dtype=bool)
     # two discs blur by a quarter of the sum of their squared radii a direction
@@ -79,7 +80,7 @@ def steepest(
             rest, fall, inner = max((rest, fall, inner), _going_on(t, f, u, int(k), far, inside))
         if not inside:
             rest, fall = max((rest, fall), _across(from_mirror, t, f, int(k), outside[:2], far[:2]))
-        excess = f[k] - rest + u[k]
+        excess = max(f[k] - rest, 0.0) + max(u[k], 1e-300)
         nearest = _energy(t[k], min(math.cos(theta_i[k]), float(cosine[k])) * excess)
         rate = min(nearest, 0.5 * t[k] / narrowest) / t[k]
         if inside:

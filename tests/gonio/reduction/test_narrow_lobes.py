@@ -98,3 +98,10 @@ def test_drawn_plans_on_drawn_lobes(number: int) -> None:
     assert drawn.width < 1.0
     # 1.2, as docs/radiometry.md has it
     assert drawn.ratio.max() < 1.2
+
+
+def test_values_below_the_noise_have_a_bound_too() -> None:
+    x = np.radians((np.arange(-8, 5) + 0.5) * 10.0)
+    values = np.where(np.arange(x.size) % 2, -1e-4, 2e-4)
+    found, _ = steepest(x, values, np.full(x.size, 2e-4), np.full(x.size, 0.5), abs(0.5 + x), (HALF, HALF), HALF)
+    assert np.isfinite(found).all()
