@@ -434,6 +434,57 @@ class PauseSummary:
 
 
 @dataclass(frozen=True)
+class BudgetPart:
+    """One cause in the budget of a run's values, relative to them (k = 1)."""
+
+    cause: str
+    common: bool
+    """Whether all values share it (a column `s_...` of the table)."""
+    median: float
+    largest: float
+    share: float
+    """Of the variance, mean over the values."""
+
+
+@dataclass(frozen=True)
+class BudgetCurve:
+    """Shares of the variance along the curve of one angle of incidence through the plane."""
+
+    theta_i_deg: float
+    theta_r_deg: list[float]
+    """Signed: positive on the mirror side."""
+    shares: list[list[float]]
+    """For each of `BudgetFacts.largest`, one number a value."""
+
+
+@dataclass(frozen=True)
+class BudgetFacts:
+    """The parts of the uncertainties of a run's values (RUN/budget.csv) at one wavelength, largest share first."""
+
+    wavelength_nm: float | None
+    values: int
+    """How many are in it: those within 3 u of zero are not."""
+    median: float
+    highest: float
+    """Of u_brdf / |brdf|."""
+    median_apart: float
+    highest_apart: float
+    """The same without the certificate of the white reference."""
+    parts: list[BudgetPart]
+    largest: list[str]
+    """The causes whose shares are drawn."""
+    curves: list[BudgetCurve]
+    nu_eff: float | None
+    """Smallest effective degrees of freedom; None where no part rests on a scatter."""
+    coarse: int
+    """How many values lie beside a lobe that the plan's steps do not resolve."""
+    left_out: dict[str, str]
+    """Cause -> why it is not in the budget."""
+    monte_carlo: str | None
+    """The verdict of draws of the inputs, where they were asked for."""
+
+
+@dataclass(frozen=True)
 class RunFacts:
     """What a run's own record says of how its table was made."""
 
@@ -457,6 +508,8 @@ class RunFacts:
     health: list[HealthSummary] = field(default_factory=list)
     """Empty for runs from before it was kept, and on rigs that read nothing."""
     pauses: list[PauseSummary] = field(default_factory=list)
+    budget: list[BudgetFacts] = field(default_factory=list)
+    """One a wavelength; empty for runs that an older version reduced."""
 
 
 @dataclass(frozen=True)

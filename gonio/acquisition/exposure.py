@@ -90,6 +90,8 @@ def expected_straight_level_per_s(description: RigDescription) -> float:
     wider = math.radians(max(description.lamp.half_angle_deg, description.camera.lens_half_angle_deg))
     seen = math.pi / solid_angle_of_cone(wider)  # over a white at normal incidence
     return expected_level_per_s(description, Pose(), float(seen)) * (description.reference.attenuation or 1.0)
+
+
 def contradiction(camera: Camera, frame: Frame) -> str:
     """What a frame says of itself that cannot be, or that the rig file contradicts; "" where there is nothing.
 

@@ -60,6 +60,8 @@ PLAN_COLUMNS = ["point", *ANGLES, "flag", "reason"]
 ROWS = 4096
 """So many rows of a plan.csv are read at once."""
 TABLE = ("brdf.csv", "brdf.meta.json")
+BESIDE_TABLE = ("budget.csv", "monte_carlo.csv")
+"""What a reduction writes beside its table."""
 RESTORE = "restore it, or move it away: `gonio measure ... --resume` writes it again"
 RECORDED = ("gonio", "numpy", "scipy", "numba", "pandas", "rawpy")
 
@@ -312,11 +314,19 @@ class Run:
 
     def check_table(self) -> None:
         """Raise `ConfigError` where the folder takes no table: brdf.csv is somebody else's there, or was changed."""
-        require_own(self.path, TABLE)
+        require_own(self.path, (*TABLE, *BESIDE_TABLE))
         check_writable(self.path)
 
-    def write_table(self, table: pd.DataFrame) -> Path:
+    def write_table(self, table: pd.DataFrame, beside: Mapping[str, pd.DataFrame] | None = None) -> Path:
         """Write the measurement table of the run, brdf.csv; one that is there is replaced only if it was written so.
+
+        Parameters
+        ----------
+        table
+            The measurement table.
+        beside
+            Other tables, by their names among `BESIDE_TABLE`. Earlier ones that are not among them are removed: they
+            would speak of other values.
 
         Raises
         ------
@@ -335,7 +345,12 @@ class Run:
                     measurement.write(table, Path(work) / TABLE[0])
                 except ConfigError as error:
                     raise ConfigError(str(error).replace(work, str(self.path))) from None
-                write_own(self.path, {name: (Path(work) / name).read_bytes() for name in TABLE})
+                tables = {name: frame.to_csv(index=False).encode() for name, frame in (beside or {}).items()}
+                write_own(self.path, {name: (Path(work) / name).read_bytes() for name in TABLE} | tables)
+            own = read_manifest(self.path)
+            for name in BESIDE_TABLE:
+                if name not in tables and is_own(self.path / name, own.get(name, ())):
+                    (self.path / name).unlink()
         except OSError as error:
             raise ConfigError(f"{self.path / TABLE[0]}: cannot be written: {error.strerror}") from None
         return self.path / TABLE[0]

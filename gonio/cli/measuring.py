@@ -60,8 +60,15 @@ def measure(
 
 def reduce(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.", show_default=False)],
+    monte_carlo: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", min=100, help="Check the uncertainties by N draws: RUN/monte_carlo.csv.", show_default=False
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the draws.")] = 0,
 ) -> None:
-    """Reduce a run's frames to BRDF with uncertainty: RUN/brdf.csv."""
+    """Reduce a run's frames to BRDF with uncertainty: RUN/brdf.csv, and its parts in RUN/budget.csv."""
     from gonio.acquisition.run import Run
     from gonio.cli import console
     from gonio.reduction import brdf
@@ -69,8 +76,16 @@ def reduce(
     opened = Run.open(run)
     opened.check_table()
     with console.counter("reducing") as progress:
-        table = brdf.reduce(opened, progress=progress)
-    path = opened.write_table(table)
+        found = brdf.reduce_in_parts(opened, progress=progress)
+    table, beside, verdict = found.table, {"budget.csv": found.budget}, ""
+    if monte_carlo is not None:
+        from gonio.reduction import monte_carlo as drawing
+
+        with console.counter("drawing") as progress:
+            drawn = drawing.check(opened, found, monte_carlo, seed, progress)
+        beside["monte_carlo.csv"], verdict = drawn.values, drawn.verdict
+        table.attrs["provenance"]["monte_carlo"] = {"draws": monte_carlo, "seed": seed, "verdict": verdict}
+    path = opened.write_table(table, beside)
     for note in table.attrs["notes"]:  # what the values rest on
         console.note(note)
     good = table[table["flag"] == ""]
@@ -79,6 +94,8 @@ def reduce(
     if len(good):
         relative = float((good["u_brdf"] / good["brdf"].abs()).median())
         console.show(f"median standard uncertainty {100 * relative:.2g} %")
+    if verdict:
+        console.show(verdict)
     for line in _checks(table.attrs["provenance"]["checks"]):
         console.show(line)
 

@@ -25,16 +25,17 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from gonio.geometry import AT_NORMAL, SAME_NOMINAL, Directions
+from gonio.reduction.narrow_lobes import steepest
 from gonio.reduction.spike_overlap import Share, overlap
 from gonio.reduction.spikes import Scene, find, lagrange
 from gonio.typing import Floats
 
 NARROWEST = math.radians(0.2)
 """Points closer than this do not tell a slope: encoder steps and noise would."""
-FALL = 0.5
-"""A curve has a peak at the mirror direction where its logarithm falls by more to the next point."""
 PROBE = math.radians(0.5)
 """Step of differences along a curve."""
+STEEP = math.radians(87.0)
+"""Beyond this angle of reflection the facets of a lobe hide each other: it rises no more as 1 / cos(theta_r)."""
 AT_ONCE = 256
 """Points out of plane whose shapes are computed together: a few megabytes with hundreds of curves."""
 AMONG = 24
@@ -43,7 +44,7 @@ ALIKE = math.radians(10.0)
 """Curves whose angles of difference differ by this much are alike."""
 
 
-def _from_above(d: Directions, azimuth: float) -> Floats:
+def from_above(d: Directions, azimuth: float) -> Floats:
     """(x, y, theta_i) [rad] of one pair of directions, which stay smooth where an angle passes through the normal.
 
     The detector is seen from above the sample. x runs along the goal's plane of incidence, whose azimuth is given, and
@@ -89,9 +90,9 @@ class Curves:
     ) -> None:
         self._half_angles, self._under_filled = half_angles, under_filled
         self._azimuth = goals.phi_i.tolist()
-        self._places = np.array([_from_above(d, a) for d, a in zip(read, self._azimuth, strict=True)]).reshape(-1, 3)
+        self._places = np.array([from_above(d, a) for d, a in zip(read, self._azimuth, strict=True)]).reshape(-1, 3)
         self._x, self._y, self._theta_i = np.ascontiguousarray(self._places.T)
-        across = np.array([_from_above(goal, a)[1] for goal, a in zip(goals, self._azimuth, strict=True)])
+        across = np.array([from_above(goal, a)[1] for goal, a in zip(goals, self._azimuth, strict=True)])
         in_plane = abs(across) < SAME_NOMINAL
         incidence = np.round(goals.theta_i / SAME_NOMINAL)
         self._groups = [np.flatnonzero(incidence == value) for value in np.unique(incidence)]
@@ -110,32 +111,11 @@ class Curves:
         self.bend = np.zeros((len(brdf), 2))
         """Size of the lobe's second derivatives along and across the plane of incidence [1/sr per rad^2]."""
         self._doubt = np.zeros(len(brdf))
-        self.coarse = np.zeros(len(brdf), dtype=bool)
-        """Points beside a peak that falls within one step: nothing tells how steep it is (docs/radiometry.md)."""
-        logs = np.arcsinh(brdf / (2 * small))
+        self._diagonal_doubt = np.zeros(len(brdf))
         near = scene.most > 0.0
-        for line, group in zip(self._lines, self._groups, strict=True):
-            curve = self._column(int(line[0])) if self._alone(line) else line
-            gap = self._fall(curve, logs) if np.count_nonzero(near[curve]) < 3 else 0.0
-            apart = np.hypot(self._x[group] - self._theta_i[group], self._y[group])
-            self.coarse[group] = ~near[group] & (apart < 1.6 * gap)
         for k, group in enumerate(self._groups):
             self._slopes_of(k, group, in_plane)
-
-    def _fall(self, line: npt.NDArray[np.intp], logs: Floats) -> float:
-        """The widest step [rad] of a curve beside the mirror direction over which its peak falls to its foot, or 0."""
-        from_mirror, f = self._from_mirror[line], logs[line]
-        widest = 0.0
-        for side in (from_mirror, -from_mirror):
-            order = np.argsort(side)
-            order = order[side[order] > -0.6 * np.max(np.diff(np.sort(side)), initial=0.0)]
-            steps, falls = np.diff(side[order]), -np.diff(f[order])
-            for k in np.flatnonzero((side[order][:-1] < 0.6 * steps) & (falls > FALL) & (steps > 2 * NARROWEST)):
-                if (
-                    k + 1 >= falls.size or falls[k + 1] < falls[k]
-                ):  # a lobe that the steps resolve falls faster farther out
-                    widest = max(widest, float(steps[k]))
-        return widest
+        self._bound(brdf, u, near)
 
     def _alone(self, line: npt.NDArray[np.intp]) -> bool:
         """Whether a curve is one point, measured once or several times."""
@@ -159,13 +139,39 @@ class Curves:
                 curve = self._column(int(k))
                 place = int(np.flatnonzero(curve == k)[0])
             self.slope[k, 0], self._doubt[k], self.bend[k] = self._along_line(curve, place)
-        diagonal = np.array([self._along_mirror(number, int(k)) if in_plane[k] else 0.0 for k in group])
-        self.slope[group, 2] = diagonal - self.slope[group, 0]
+        ground = float(np.min(self.lobe[line], initial=np.inf))
+        for k in group:
+            diagonal, doubt = self._along_mirror(number, int(k)) if in_plane[k] else (0.0, 0.0)
+            self.slope[k, 2] = diagonal - self.slope[k, 0]
+            # a lobe of facets changes by about tan(theta_i) + tan(theta_r), and a matte ground does not
+            usual = math.tan(abs(self._theta_i[k])) + math.tan(min(abs(self._x[k]), STEEP))
+            self._diagonal_doubt[k] = min(doubt, usual * max(float(self.lobe[k]) - ground, 0.0))
         beyond = group[~in_plane[group]]
         if beyond.size:
             tree = cKDTree(np.stack([self._x[group], np.abs(self._y[group])], axis=1))
             for start in range(0, beyond.size, AT_ONCE):
                 self._beyond(beyond[start : start + AT_ONCE], group, tree)
+
+    def _bound(self, brdf: Floats, u: Floats, near: npt.NDArray[np.bool_]) -> None:
+        """Hold the slopes' uncertainties against the steepest that lobes may be (`gonio.reduction.narrow_lobes`).
+
+        Points that may see a spike (`near`) are left to what is known of that.
+        """
+        apart = max(NARROWEST, 0.5 * sum(self._half_angles))
+        for line in self._lines:
+            columns = [self._column(int(line[0]))] if self._alone(line) else [line]
+            for curve in columns:
+                curve = curve[np.argsort(self._from_mirror[curve], kind="stable")]
+                theta_i, theta_r = self._theta_i[curve], np.abs(self._x[curve])
+                # one or two points do not tell a spike from a narrow lobe
+                values = (self.lobe if np.count_nonzero(near[curve] & self.spikes.told[curve]) >= 3 else brdf)[curve]
+                bound, falls = steepest(
+                    self._from_mirror[curve], values, u[curve], theta_i, theta_r, self._half_angles, apart
+                )
+                own = np.isin(curve, line) & ~near[curve]
+                k, bound, falls = curve[own], bound[own], falls[own]
+                more = np.sqrt(np.maximum(bound**2 - self.slope[k, 0] ** 2, 0.0))
+                self._doubt[k] = np.maximum(more, np.where(falls, np.minimum(self._doubt[k], bound), self._doubt[k]))
 
     def _along_line(self, line: npt.NDArray[np.intp], place: int) -> tuple[float, float, Floats]:
         """Slope of the lobe along its curve, from the nearest points on each side that the cones tell apart.
@@ -278,11 +284,12 @@ class Curves:
         weights = np.exp(-0.5 * (np.array(far) - np.min(far, axis=0)))
         return np.asarray((weights * np.array(values)).sum(axis=0) / weights.sum(axis=0))
 
-    def _along_mirror(self, number: int, k: int) -> float:
+    def _along_mirror(self, number: int, k: int) -> tuple[float, float]:
         """Change of the lobe with theta_i at a fixed distance from the mirror direction, per radian.
 
         From the next curve on either side that reaches so far; at the ends of the angles of incidence from the parabola
-        through the next two.
+        through the next two. And its standard uncertainty: a quarter of what the two sides differ by, or all that two
+        curves on one side do; without two curves nothing tells it.
         """
         sides = []
         for others in (range(number - 1, -1, -1), range(number + 1, len(self._lines))):
@@ -298,20 +305,20 @@ class Curves:
             sides.append(side)
         below, above = sides
         if below and above:
-            slope = _weighted([below[0], above[0]])
+            slope, doubt = _weighted([below[0], above[0]]), 0.25 * abs(below[0][0] - above[0][0])
         elif len(below + above) == 2:
             (near, h), (far, w) = below + above
-            slope = near + (near - far) * h / (w - h)
+            slope, doubt = near + (near - far) * h / (w - h), abs(near - far)
         else:
-            slope = _weighted(below + above)
-        return slope * float(self._size[k])
+            slope, doubt = _weighted(below + above), math.inf
+        return slope * float(self._size[k]), doubt * float(self._size[k])
 
     def value(self, k: int, d: Directions) -> float:
         """f [1/sr] at directions near those of point k."""
         return self._values(k, [d])[0]
 
     def _values(self, k: int, near: list[Directions]) -> list[float]:
-        steps = [_from_above(d, self._azimuth[k]) - self._places[k] for d in near]
+        steps = [from_above(d, self._azimuth[k]) - self._places[k] for d in near]
         out = [float(self.lobe[k] + self.slope[k] @ step) for step in steps]
         if self.spike[k]:  # one call for all of them: calling costs more than computing
             spikes = self.spike[k] * overlap(Directions.stack(near).mirror_offset, *self._half_angles)
@@ -345,10 +352,26 @@ class Curves:
         first = abs(self.slope[k] @ (x.mean(), across.mean(), theta_i.mean()))
         return float(first + 0.5 * self.bend[k] @ (np.var(x - theta_i), np.var(across)))
 
+    def facts(self) -> dict[str, Floats]:
+        """What of each point is known [1/sr, and per rad]: lobe, spike, slopes, their uncertainties, curvatures."""
+        return {
+            "lobe": self.lobe,
+            "spike": self.spike,
+            "u_spike": self.spikes.u_amplitude * self.spikes.told,
+            "slope_x": self.slope[:, 0],
+            "slope_y": self.slope[:, 1],
+            "slope_theta_i": self.slope[:, 2],
+            "u_slope": self._doubt,
+            "u_slope_theta_i": self._diagonal_doubt,
+            "bend_x": self.bend[:, 0],
+            "bend_y": self.bend[:, 1],
+        }
+
     def doubt(self, k: int, plus: Directions) -> float:
         """Standard uncertainty [1/sr] of the odd part of `effects`, where steps are too coarse to tell a slope."""
-        x, y, theta_i = (_from_above(plus, self._azimuth[k]) - self._places[k]).tolist()
-        return float(self._doubt[k]) * math.hypot(x - theta_i, y)  # a lobe moves with the mirror direction
+        x, y, theta_i = (from_above(plus, self._azimuth[k]) - self._places[k]).tolist()
+        # a lobe moves with the mirror direction
+        return math.hypot(float(self._doubt[k]) * math.hypot(x - theta_i, y), float(self._diagonal_doubt[k]) * theta_i)
 
 
 def _weighted(secants: list[tuple[float, float]]) -> float:

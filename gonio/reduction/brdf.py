@@ -19,7 +19,7 @@ import numpy as np
 from gonio.acquisition.plan import ANGLES
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import Directions, mirrored
-from gonio.reduction import angle_sensitivity, light_and_lens, spike_overlap, white_reference
+from gonio.reduction import angle_sensitivity, budget, light_and_lens, spike_overlap, white_reference
 from gonio.reduction.count_rates import Reduced, Rejected, RunFrames, in_threads
 from gonio.reduction.dark_signal import PATTERNS, strongest
 from gonio.reduction.merging import FALSE_ALARMS, noise_is_known
@@ -29,6 +29,7 @@ from gonio.reduction.table import (
     DARK,
     GEOMETRY,
     BandResult,
+    Inputs,
     angle_axes,
     assemble,
     camera_causes,
@@ -48,7 +49,23 @@ if TYPE_CHECKING:
     from gonio.acquisition.run import Run
 
 
+@dataclass(frozen=True, slots=True)
+class Reduction:
+    """A reduced run."""
+
+    table: pd.DataFrame
+    """See `reduce`."""
+    budget: pd.DataFrame
+    """The parts of each value's uncertainty (`gonio.reduction.budget.assemble`), rows as in the table."""
+    bands: list[BandResult]
+
+
 def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> pd.DataFrame:
+    """The measurement table of a run; see `reduce_in_parts`."""
+    return reduce_in_parts(run, progress=progress).table
+
+
+def reduce_in_parts(run: Run, *, progress: Callable[[int, int], None] | None = None) -> Reduction:
     """The measurement table of a run: BRDF [1/sr] with uncertainty for every point of its plan and every band.
 
     Parameters
@@ -61,12 +78,13 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
 
     Returns
     -------
-    pandas.DataFrame
-        As `gonio.measurement` describes it, in the order of the plan. Angles are what the encoders read. `brdf` is NaN
-        where `flag` says why: "blocked", "unreachable" and the plan's other reasons, "saturated" (in every frame),
-        "below_horizon" (at the pose that was read), "moved" (an axis did not stand still), "unsteady" (its encoder
-        trembles), "damaged" (a frame of the point is missing or was changed), "contradictory" (one says of
-        itself what cannot be), "partly_filled" (the beam's edge cuts through the region), "not_measured" (the run
+    Reduction
+        Its table is as `gonio.measurement` describes it, in the order of the plan. Angles are what the encoders read.
+        `brdf` is NaN where `flag` says why: "blocked", "unreachable" and the plan's other reasons, "saturated" (in
+        every frame), "below_horizon" (at the pose that was read), "moved" (an axis did not stand still), "unsteady"
+        (its encoder trembles), "damaged" (a frame of the point is missing or was changed), "contradictory" (one says
+        of itself what cannot be), "unmonitored" (one has no reading of the lamp's monitor), "partly_filled" (the
+        beam's edge cuts through the region), "not_measured" (the run
         ended before).
         Causes: `s_reference` (the certificate), `s_reference_noise` (mean level of the visits), `s_lamp_drift`,
         `s_dark_1` to `s_dark_3` (noise of the dark frames), `s_theta_i_zero`, `s_theta_r_zero` and, with those axes,
@@ -96,7 +114,9 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
     _share_darks(results)
     _share_geometry(results)
     notes = notes_on_damage(frames) + notes_on_darks(frames) + notes_on_camera(frames)
-    return assemble(run, results, notes, frames.clipped)
+    table = assemble(run, results, notes, frames.clipped)
+    table.attrs["provenance"]["not_in_budget"] = budget.left_out(run.description, table)
+    return Reduction(table, budget.assemble(table, results), results)
 
 
 def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected]) -> BandResult:
@@ -105,7 +125,7 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
     rejected = [step for step in steps if isinstance(step, Rejected)]
     fitted, reference = _level(frames, points, visits, band)
     columns, untold, coarse = _columns_of_sides(frames, points, visits[0], fitted, reference.u_rel, band)
-    geometry = columns.pop("geometry")
+    geometry = columns.pop("geometry_causes")
     light_and_lens.add(frames.description, columns, [point.pose for point in points], visits[0].pose, band)
     levels = fitted.at(np.array([point.time_s for point in points]))
     angles = np.array([_angles_deg(point.directions) for point in points]).reshape(-1, len(ANGLES))
@@ -129,6 +149,7 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
         untold=untold,
         coarse=coarse,
         merged=_merged(frames, band, points, visits),
+        inputs=Inputs(points, visits),
     )
 
 
@@ -140,6 +161,8 @@ class _Reference:
     """Mean over the visits [1/sr]; 1 where the lamp itself is the reference."""
     u_rel: float
     """Relative standard uncertainty of that."""
+
+
 def _merged(frames: RunFrames, band: Band, points: list[Reduced], visits: list[Reduced]) -> dict[str, Any]:
     """What merging by pixels left out, in a band; nothing where whole frames were merged."""
     if not frames.description.acquisition.by_pixels:
@@ -241,8 +264,8 @@ def _columns(
 ) -> tuple[dict[str, Floats], Directions, Directions]:
     """BRDF and its uncertainties for the measured points of a band (docs/radiometry.md, "The budget").
 
-    The column "geometry" has a number for every cause of `GeometryErrors`. And the nominal directions of points whose
-    blur by the angles' errors is only bounded, and of those whose slope the plan's steps are too coarse to tell.
+    The column "geometry_causes" has a number for every cause of `GeometryErrors`. And the nominal directions of points
+    whose blur by the angles' errors is only bounded, and of those whose slope the plan's steps are too coarse to tell.
     """
     description = frames.description
     encoder, zeros = _encoder_steps(description), zero_uncertainties(description)
@@ -251,7 +274,8 @@ def _columns(
     brdf = np.array([point.rate for point in points]) / k
     noise = np.array([point.variance for point in points]) / k**2
     prnu = np.array([_prnu(frames.prnu, point, frames.reference[band.channel].count) for point in points])
-    independent = noise + (brdf * prnu) ** 2 + (brdf * fitted.extra(times) / k) ** 2
+    parts = {"noise": noise, "prnu": (brdf * prnu) ** 2, "visits": (brdf * fitted.extra(times) / k) ** 2}
+    independent = sum(parts.values())
     goals = Directions.from_table(frames.run.plan)[[point.point for point in points]]
     goals = _turned_over(goals, bool(len(goals)) and _behind(goals[0]))
     cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
@@ -266,31 +290,40 @@ def _columns(
         "s_reference_noise": -brdf * fitted.noise(times) / k,
         "s_lamp_drift": -brdf * fitted.drift(times) / k,
     }
-    said, even_parts, unresolved = np.zeros((3, len(points)))
+    said, of_steps, even_steps, even_zeros, unresolved = np.zeros((5, len(points)))
     for axis, u in encoder.items():
         odd, even = _effects(description, curves, points, axis, u)
-        said, even_parts, independent = said + odd**2, even_parts + even**2, independent + odd**2
+        said, of_steps, even_steps = said + odd**2, of_steps + odd**2, even_steps + even**2
         unresolved = unresolved + _doubts(description, curves, points, axis, u) ** 2
     for axis, u in zeros.items():
         odd, even = _effects(description, curves, points, axis, u)
-        said, even_parts = said + odd**2, even_parts + even**2
+        said, even_zeros = said + odd**2, even_zeros + even**2
         unresolved = unresolved + _doubts(description, curves, points, axis, u) ** 2
         common[CAUSES[axis]] = odd - brdf * _change_of_cosine(description, visit, axis, u)
-    geometry, even, doubts = _effects_of_geometry(frames, curves, points, visit, brdf)
-    said, even_parts = said + np.sum(geometry**2, axis=1), even_parts + even
-    unresolved = unresolved + doubts
+    geometry, even_geometry, doubts = _effects_of_geometry(frames, curves, points, visit, brdf)
+    said, unresolved = said + np.sum(geometry**2, axis=1), unresolved + doubts
     common |= _camera_columns(description, points, visit, brdf, k)
-    blur = curves.spikes.variance
-    independent = independent + _over_region(description, curves, points, band) ** 2
-    independent = (
-        independent + np.where(curves.spike != 0, np.maximum(blur - said, 0.0), blur + even_parts) + unresolved
-    )
+    blur, spiked = curves.spikes.variance, curves.spike != 0
+    parts |= {
+        # of a spike the blur holds what errors of the angles do evenly
+        "encoder": of_steps + np.where(spiked, 0.0, even_steps),
+        "zeros_even": np.where(spiked, 0.0, even_zeros),
+        "geometry": np.where(spiked, 0.0, even_geometry),
+        "spike_blur": np.where(spiked, np.maximum(blur - said, 0.0), blur),
+        "coarse_steps": unresolved,
+        "region": _over_region(description, curves, points, band) ** 2,
+    }
+    independent = sum(parts.values())
     darks = np.array([np.sum(point.dark**2) for point in points]) / k**2
     shared = darks + np.sum(geometry**2, axis=1)
     combined = np.sqrt(independent + shared + sum(column**2 for column in common.values()))
     bounded = ~curves.spikes.told & (blur > noise)
-    steep = curves.coarse | (unresolved > noise)
-    columns = {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent), "geometry": geometry} | common
+    known = curves.facts()
+    # the steps along a curve, and not those between angles of incidence
+    steep = (unresolved > independent - unresolved) & (known["u_slope"] > known["u_slope_theta_i"])
+    columns = {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent), "geometry_causes": geometry} | common
+    columns |= {name: np.sqrt(part) for name, part in parts.items()} | known
+    columns["coarse"] = steep.astype(float)
     return columns, goals[bounded], goals[steep]
 
 
@@ -321,7 +354,8 @@ def _share_darks(results: list[BandResult]) -> None:
     for result, end in zip(results, ends, strict=True):
         rows = slice(end - result.points.size, end)
         result.columns.update(zip(DARK, columns[rows].T, strict=True))
-        more = [math.hypot(random, math.sqrt(left)) for random, left in zip(u[rows], rest[rows], strict=True)]
+        result.columns["dark"] = np.sqrt(rest[rows])
+        more = [math.hypot(random, left) for random, left in zip(u[rows], result.columns["dark"], strict=True)]
         result.columns["u_random"] = np.array(more)
 
 
@@ -337,6 +371,7 @@ def _share_geometry(results: list[BandResult]) -> None:
     for result, end in zip(results, ends, strict=True):
         rows = slice(end - result.points.size, end)
         result.columns.update(zip(names, columns[rows].T, strict=True))
+        result.columns["geometry"] = np.sqrt(result.columns["geometry"] ** 2 + rest[rows])
         result.columns["u_random"] = np.sqrt(u[rows] ** 2 + rest[rows])
 
 

@@ -38,7 +38,8 @@ def add(
     description
         The rig.
     columns
-        Of the table: `brdf`, `u_brdf` and `u_random` of every point; changed in place.
+        Of the table: `brdf`, `u_brdf` and `u_random` of every point; changed in place. "beam" is the part of `u_random`
+        that is added.
     poses
         What the encoders read at each point.
     visit
@@ -47,8 +48,10 @@ def add(
         Which of the camera's pixels count.
     """
     covariance = covariance_of(description, BEAM)
+    columns["beam"] = np.zeros(len(poses))
     if covariance.any():
         relative, rest = _beam(description, covariance, columns["brdf"], poses, visit, band)
+        columns["beam"] = np.asarray(rest)
         columns["u_random"] = np.hypot(columns["u_random"], rest)
         columns["u_brdf"] = np.hypot(columns["u_brdf"], rest)
         _append(columns, "s_beam", relative)

@@ -32,7 +32,10 @@ SURELY = 25.0
 SEEN = 2.5
 """At an edge rare errors are large. A departure from lobe and spike that they explain is made at most so many sigma."""
 SHAPE = 0.03
-"""Relative error of the lobe's shape under a spike, point by point."""
+"""Relative error of the lobe's shape under a spike, point by point; less where the lobe is known to less than a third
+of this."""
+SMOOTHEST = 0.002
+"""No lobe is known better from its neighbours, relative."""
 WITHIN = 0.03
 """Relative standard deviation of a spike's reflectivity within the cones: what a patch's mean overlap is worth."""
 BESIDE = math.radians(10.0)
@@ -189,6 +192,7 @@ def _fit(scene: Scene, group: Places, near: npt.NDArray[np.bool_], own: Places |
     # at an edge rare errors are larger than the variance says: no such point may tell the lobe
     blur = np.maximum(variance, ((scene.most[k] - share) / FAR) ** 2)
     lobe, u_lobe = _lobe_below(scene, group, near)
+    shape = min(SHAPE, 3.0 * u_lobe)
     theta = float(np.mean(scene.theta_i[group if own is None else own]))
     t = scene.middle[k] - theta
     most = _bound(scene, k, theta)
@@ -199,7 +203,7 @@ def _fit(scene: Scene, group: Places, near: npt.NDArray[np.bool_], own: Places |
     for _ in range(12):
         slope = STEEPEST * max(amplitude, 1e-9 * most)
         prior[2] = 1.0 / slope**2
-        weight = 1.0 / (scene.u[k] ** 2 + amplitude**2 * blur + (SHAPE * lobe) ** 2)
+        weight = 1.0 / (scene.u[k] ** 2 + amplitude**2 * blur + (shape * lobe) ** 2)
         normal = design.T @ (design * weight[:, None]) + np.diag(prior)
         size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
         covariance = np.linalg.pinv(normal / np.outer(size, size), rcond=1e-12, hermitian=True) / np.outer(size, size)
@@ -217,7 +221,7 @@ def _fit(scene: Scene, group: Places, near: npt.NDArray[np.bool_], own: Places |
         tells = float(np.sum(share**2 / np.maximum(variance, 1e-300)))
     if tells < SURELY:
         # errors of the angles that hid most of a spike make its fitted amplitude small, and its fitted error, too
-        highest = _largest(share, variance, values - scaled + 2.0 * np.hypot(scene.u[k], SHAPE * scaled))
+        highest = _largest(share, variance, values - scaled + 2.0 * np.hypot(scene.u[k], shape * scaled))
         u = max(u, min(highest, most))
     common = 0.6 * amplitude * float(np.sum(weight * share * np.sqrt(variance))) / strength if strength > 0 else 0.0
     covariance[1, 1] = u**2
@@ -272,7 +276,7 @@ def _lobe_below(scene: Scene, group: Places, near: npt.NDArray[np.bool_]) -> tup
         if ends[0][1].size and ends[1][1].size:
             four = np.array([ends[0][1][0], left[0], right[0], ends[1][1][0]])
             cubic = lagrange(inside, place[four], logs[four])
-            return np.exp(cubic), max(0.5 * float(np.max(abs(cubic - straight))), noise, 0.01)
+            return np.exp(cubic), max(0.5 * float(np.max(abs(cubic - straight))), noise, SMOOTHEST)
         # between points this far apart a lobe may have risen and fallen by more than they differ
         part = 0.5 if place[right[0]] - place[left[0]] < 2.0 * BESIDE else 1.0
         return np.exp(straight), max(part * float(abs(logs[left[0]] - logs[right[0]])), noise, 0.05)

@@ -16,7 +16,7 @@ from gonio.checks.values import values_of
 from gonio.checks.verdicts import Check, Taken, Visits, of_run, of_values
 from gonio.geometry import Directions
 from gonio.reduction import light_and_lens, white_reference
-from gonio.reduction.count_rates import FULL, RETAKE, RunFrames, camera_parameters
+from gonio.reduction.count_rates import FULL, RETAKE, Reduced, RunFrames, camera_parameters
 from gonio.reduction.dark_signal import COLUMNS
 from gonio.reduction.geometry_errors import zero_u_deg
 from gonio.rig import kinematics
@@ -46,6 +46,16 @@ CAUSES = {"light": "s_theta_i_zero", "camera": "s_theta_r_zero", "tilt": "s_tilt
 
 
 @dataclass(frozen=True, slots=True)
+class Inputs:
+    """What the values of a band were computed from."""
+
+    points: list[Reduced]
+    """Those that have a value, in the order of `BandResult.points`."""
+    visits: list[Reduced]
+    """To the white reference."""
+
+
+@dataclass(frozen=True, slots=True)
 class BandResult:
     """One band of a run: its rows by point, why others have none, and what the attributes say of it."""
 
@@ -53,7 +63,7 @@ class BandResult:
     points: npt.NDArray[np.intp]
     """Those that have a value."""
     columns: dict[str, Floats]
-    """Of the table, a number for each of them."""
+    """Of the table and of its budget, a number for each of them."""
     darks: Floats
     """Change of each value [1/sr] by the noise of the dark frames, see `Reduced.dark`; shape (points, 2, n)."""
     geometry: Floats
@@ -75,6 +85,7 @@ class BandResult:
     """Nominal directions of points that may see a spike of which only a bound is known."""
     coarse: Directions
     """Nominal directions of points beside a lobe that is narrower than the plan's steps."""
+    inputs: Inputs
     merged: dict[str, Any] = field(default_factory=dict)
     """How the frames were merged pixel by pixel; empty where whole frames were."""
 
@@ -298,7 +309,7 @@ def _notes(result: BandResult) -> list[str]:
     if result.coarse:
         out.append(
             f"{name}: values change much from step to step at {_listed(result.coarse)}: u_brdf there rests on "
-            "what neighbouring points leave open, and may be too small; measure in finer steps there"
+            "how steep a lobe may be that the steps do not resolve; measure in finer steps there"
         )
     if result.merged.get("noise") == "poisson":
         out.append(

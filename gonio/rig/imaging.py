@@ -504,6 +504,8 @@ def pixel_on_focus_mm(description: RigDescription) -> float:
     """Width of a pixel in the plane in focus, which faces the camera at the sample's centre [mm]."""
     pitch = 1e-3 * description.camera.pixel_um
     return pitch * description.geometry.camera_distance_mm / image_distance_mm(description)
+
+
 def pixel_on_sample_mm(description: RigDescription, view: View) -> float:
     """The longer side of a pixel on the sample [mm], at its centre."""
     eye = np.asarray(view.camera_mm, dtype=float)

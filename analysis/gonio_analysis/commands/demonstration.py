@@ -99,8 +99,8 @@ def run_demo(out: Path, *, quick: bool) -> Path:
         )
     _say(f"gonio reduce {run}")
     with console.counter("reducing") as counting:
-        table = brdf.reduce(made, progress=counting)
-    made.write_table(table)
+        reduced = brdf.reduce_in_parts(made, progress=counting)
+    made.write_table(reduced.table, {"budget.csv": reduced.budget})
 
     _say(f"gonio fit {run / 'brdf.csv'} --model he-torrance --ior Al")
     result = fit(measurement.read(run / "brdf.csv"), "he-torrance", ior="Al")

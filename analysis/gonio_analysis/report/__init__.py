@@ -12,6 +12,7 @@ from gonio.measurement import Reading
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.parameters import Ior
 from gonio_analysis.report import (
+    budget,
     checks,
     detail,
     figures,
@@ -234,13 +235,18 @@ def _most_values(datasets: Sequence[Dataset]) -> int:
 
 
 def _other_sides(d: Dataset, facts: DatasetSummary) -> list[Drawing]:
-    """The figures of transmission, of polarisation and of the rig's health, where they were measured."""
+    """The figures of transmission, of polarisation, of a run's budget and of the rig's health, where there are any."""
     out: list[Drawing] = []
     if d.transmitted is not None:
         out += transmission.draw(d.transmitted, d.curves, facts.slug, simulated=d.simulated)
     if d.polarisation is not None:
         out += polarisation.draw(d.polarisation, d.name, facts.slug)
-    return out + health.draw(facts.run, facts.slug) + checks.draw(facts.checks, facts.rho_dh, facts.slug)
+    return (
+        out
+        + budget.draw(budget.of(facts.run, facts.wavelength_nm), facts.slug)
+        + health.draw(facts.run, facts.slug)
+        + checks.draw(facts.checks, facts.rho_dh, facts.slug)
+    )
 
 
 def _distinct(names: Sequence[str], sources: Sequence[str]) -> list[str]:

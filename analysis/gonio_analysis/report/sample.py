@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from gonio import geometry
 from gonio.formats.reader import TableBand
-from gonio_analysis.report import appearance, blocks, checks, health, model_choice, polarisation, transmission
+from gonio_analysis.report import appearance, blocks, budget, checks, health, model_choice, polarisation, transmission
 from gonio_analysis.report.blocks import (
     MOST_ROWS,
     Block,
@@ -91,7 +91,9 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
             )
         )
     elif "budget" in by:
-        out += [Figures((*by["budget"], *by.get("budget-angle", ()))), _budget(d)]
+        out.append(Figures((*by["budget"], *by.get("budget-angle", ()))))
+        parts = budget.of(d.run, d.wavelength_nm)
+        out += [_budget(d)] if parts is None else budget.section(parts, by.get(budget.KIND, ()))
     else:
         out.append(
             Paragraph(

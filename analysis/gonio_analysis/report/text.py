@@ -54,6 +54,19 @@ CAUSES = {
     "theta r zero": "zero of the camera arm",
     "tilt zero": "zero of the holder's tilt",
     "azimuth zero": "zero of the azimuth arm",
+    "noise": "photons, read noise, rounding and lamp, from frame to frame",
+    "dark": "noise of the dark frames that differs from value to value",
+    "prnu": "responsivities of the pixels that the reference does not share",
+    "encoder": "encoders read whole steps",
+    "zeros even": "what an axis's zero does to a curved lobe, whichever its sign",
+    "spike blur": "a specular spike blurred by errors of the angles",
+    "coarse steps": "how steep a lobe may be between the plan's points",
+    "region": "curvature of the lobe over the region of interest",
+    "visits": "scatter of single visits to the white reference",
+    "stray light": "stray light in lens and room",
+    "linearity": "departure of the sensor from a straight line",
+    "polarisation": "what lamp and lens polarise",
+    "wavelength": "centre and width of the band",
 }
 """What the causes of an uncertainty are that our own reduction budgets (docs/radiometry.md), by their names."""
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio_analysis.result_records import HealthSummary, PauseSummary, RunFacts, SampleFacts
+from gonio_analysis.selection.run_budget import run_budget
 
 if TYPE_CHECKING:
     from gonio.acquisition.run import Run
@@ -66,6 +67,7 @@ def run_facts(path: Path) -> RunFacts | None:
         else SampleFacts(settings.sample.name, settings.sample.model, dict(settings.sample.parameters)),
         health=health,
         pauses=pauses,
+        budget=run_budget(folder),
     )
 
 

@@ -1,0 +1,130 @@
+"""The uncertainty budget of a run: every part of it in words and numbers, and which of them matters where."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from gonio_analysis.plots.in_plane import COLOURS, FAINT, clean
+from gonio_analysis.report.blocks import Block, Figures, Notes, Paragraph, strong, table
+from gonio_analysis.report.figures import LEGEND_ROW_IN, Drawing, Figure, key
+from gonio_analysis.report.text import CAUSES, cause, number, percent
+from gonio_analysis.result_records import BudgetCurve, BudgetFacts, RunFacts
+
+KIND = "budget-shares"
+REST = "the rest"
+MOST_PANELS = 6
+PANEL_IN = 1.45
+FOOT_IN = 0.45
+COLUMNS = 2
+LEAST = 1e-5
+
+
+def of(run: RunFacts | None, wavelength_nm: float | None) -> BudgetFacts | None:
+    """The budget at one wavelength; None for a table that no run made, or that an older version reduced."""
+    for found in run.budget if run is not None else []:
+        if found.wavelength_nm is None or wavelength_nm is None or abs(found.wavelength_nm - wavelength_nm) < 1e-6:
+            return found
+    return None
+
+
+def draw(found: BudgetFacts | None, slug: str) -> list[Drawing]:
+    """Shares of the variance over the signed angle of reflection, one panel an angle of incidence."""
+    if found is None or not found.curves:
+        return []
+    every = found.curves
+    places = np.unique(np.linspace(0, len(every) - 1, min(len(every), MOST_PANELS)).round().astype(int))
+    curves = [every[k] for k in places]
+    caption = (
+        "What the variance of each value is made of, along the curves in the plane of incidence: the"
+        f" {len(found.largest)} largest causes, and the rest."
+    )
+    if len(curves) < len(every):
+        caption += f" {len(curves)} of {len(every)} angles of incidence are drawn."
+    alt = "Mean share of the variance: " + ", ".join(
+        f"{cause(p.cause)} {percent(p.share)}" for p in found.parts if p.cause in found.largest
+    )
+    rows = -(-len(curves) // COLUMNS)
+    columns = min(len(curves), COLUMNS)
+    legend = -(-(len(found.largest) + 1) // 3)
+    size = (5.6, PANEL_IN * rows + FOOT_IN + LEGEND_ROW_IN * legend)
+    on = partial(_on_panels, curves=curves, names=[*found.largest, REST], rows=rows, columns=columns)
+    return [Drawing(f"{slug}-budget-shares", KIND, "", caption, alt + ".", size, on)]
+
+
+def section(found: BudgetFacts, figures: Sequence[Figure]) -> list[Block]:
+    """The table of the parts, what is not among them, and the figure."""
+    rows = [["combined", percent(found.median), percent(found.highest), percent(1.0), "", CAUSES["combined"]]]
+    rows += [
+        [cause(p.cause), _percent(p.median), _percent(p.largest), _percent(p.share), "common" if p.common else "own",
+         CAUSES.get(p.cause, "")]
+        for p in found.parts
+    ]  # fmt: skip
+    head = ["cause", "median u / f", "largest", "share of variance", "kind", "what it is"]
+    out: list[Block] = [
+        table(
+            "Standard uncertainties (k = 1) relative to the value, and the mean share of the variance. A cause is"
+            " common to all values, or each value has its own.",
+            head,
+            rows,
+            right=(1, 2, 3),
+        )
+    ]
+    words = (
+        f"Expanded uncertainty (k = 2) of the {found.values} values in this budget: median"
+        f" {percent(2 * found.median)}, largest {percent(2 * found.highest)}. Apart from the certificate of the white"
+        f" reference: median {percent(2 * found.median_apart)}, largest {percent(2 * found.highest_apart)}."
+    )
+    if found.nu_eff is not None:
+        words += f" Effective degrees of freedom: at least {number(found.nu_eff, 2)}."
+    if found.coarse:
+        words += (
+            f" {found.coarse} values lie beside a lobe that the plan's steps do not resolve (coarse in budget.csv):"
+            " their uncertainty is that of the steepest lobe that the data allow."
+        )
+    out.append(Paragraph(words))
+    if found.monte_carlo:
+        out.append(Paragraph(f"Checked by drawing the inputs: {found.monte_carlo}."))
+    out += [Figures(tuple(figures))] if figures else []
+    if found.left_out:
+        out.append(Paragraph("Not in the budget:"))
+        out.append(Notes(tuple((strong(cause(name)), f": {why}") for name, why in found.left_out.items())))
+    return out
+
+
+def _percent(value: float) -> str:
+    """A part of a budget: what is far too small to matter is not spelled out."""
+    return f"< {percent(LEAST)}" if 0.0 < value < LEAST else percent(value)
+
+
+def _on_panels(figure: Any, *, curves: list[BudgetCurve], names: list[str], rows: int, columns: int) -> None:
+    from matplotlib.patches import Patch
+
+    high = figure.get_figheight()
+    legend = -(-len(names) // 3)
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    foot = (FOOT_IN + LEGEND_ROW_IN * legend) / high
+    figure.subplots_adjust(0.085, foot, 0.975, 1 - 0.22 / high, hspace=0.36, wspace=0.09)
+    colours = [*(COLOURS[k % len(COLOURS)] for k in range(len(names) - 1)), FAINT]
+    for k, ax in enumerate(axes.flat):
+        clean(ax)
+        if k >= len(curves):
+            ax.set_axis_off()
+            continue
+        curve = curves[k]
+        shares = 100 * np.array(curve.shares)
+        shares = np.vstack([shares, 100 - shares.sum(axis=0)])
+        ax.stackplot(curve.theta_r_deg, shares, colors=colours, lw=0)
+        ax.set_title(f"θi = {curve.theta_i_deg:g}°", fontsize=7.5, loc="left", pad=3)
+        ax.set_xlim(-90, 90)
+        ax.set_xticks(range(-60, 61, 60), [f"{a}°".replace("-", "−") for a in range(-60, 61, 60)])
+        ax.set_ylim(0, 100)
+        ax.set_yticks([0, 50, 100], ["0", "50 %", "100 %"])
+        ax.tick_params(labelsize=7, labelbottom=k + columns >= len(curves))
+        if k + columns >= len(curves):
+            ax.set_xlabel("signed θr", fontsize=7.5)
+    handles = [Patch(color=c, label=cause(n)) for c, n in zip(colours, names, strict=True)]
+    key(figure, handles, 3)

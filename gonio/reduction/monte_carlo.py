@@ -1,0 +1,313 @@
+"""The uncertainty of a run by drawing its inputs: a check of the linear budget (GUM supplement 1, JCGM 101:2008).
+
+Every input is drawn from its own distribution, and each value is computed anew from rates on: level of the white
+reference, BRDF, and what the angles' errors do to it along curves through the measured values. None of the budget's
+columns is drawn, except those that `Check.as_columns` names. docs/budget.md says what is drawn, and how.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gonio.acquisition.plan import ANGLES
+from gonio.geometry import Directions
+from gonio.reduction.angle_sensitivity import NARROWEST, from_above
+from gonio.reduction.count_rates import Reduced
+from gonio.reduction.spike_overlap import over_patch, overlap
+from gonio.reduction.table import COMMON, DARK, BandResult, angle_axes, zero_uncertainties
+from gonio.rig import Pose, kinematics
+from gonio.rig.description import RigDescription
+from gonio.typing import Floats
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from gonio.acquisition.run import Run
+    from gonio.reduction.brdf import Reduction
+
+FEWEST = 100
+"""With fewer draws the ends of a 95 % interval are not told."""
+COVERAGE = 1.959964
+"""Standard deviations of a normal number's 95 % interval."""
+AT_ONCE = 50
+"""Draws that are computed together."""
+STEP = 1e-4
+"""[rad]: of the differences that tell how directions follow the axes, which they do smoothly."""
+FORMULA = ("s_theta_i_zero", "s_theta_r_zero", "s_tilt_zero", "s_azimuth_zero", *COMMON, *DARK)
+"""Columns whose causes are drawn as inputs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What the draws say."""
+
+    values: pd.DataFrame
+    """Rows as in the table: angles, `wavelength_nm`, `brdf`, `u_brdf`; `mc_mean`, `mc_u`, `mc_low`, `mc_high`, the
+    ends of the 95 % interval with equal tails [1/sr]; `delta`, the numerical tolerance of `u_brdf` with one digit;
+    `departs`, the larger distance of an end from brdf -+ 1.96 u_brdf; `agrees` ("yes", "no", "undecided" by so many
+    draws, "" where there is no value)."""
+    draws: int
+    as_columns: list[str]
+    """Causes that were drawn as columns of the table, linearly: how they enter the values is not known here."""
+
+    @property
+    def verdict(self) -> str:
+        """In words."""
+        found = self.values["agrees"]
+        yes, no, open_ = (int((found == word).sum()) for word in ("yes", "no", "undecided"))
+        used = self.values[found != ""]
+        ratio = float((used["mc_u"] / used["u_brdf"]).median()) if len(used) else math.nan
+        most = f", {open_} are not decided by {self.draws} draws" if open_ else ""
+        linear = f"; drawn as linear: {', '.join(self.as_columns)}" if self.as_columns else ""
+        return (
+            f"the linear budget agrees with {self.draws} draws at {yes} of {yes + no + open_} values{most}"
+            f"{f', {no} do not agree' if no else ''} (JCGM 101, 8.1, one digit); u by drawing over u_brdf: median "
+            f"{ratio:.3f}{linear}"
+        )
+
+
+def check(
+    run: Run, reduction: Reduction, draws: int, seed: int = 0, progress: Callable[[int, int], None] | None = None
+) -> Check:
+    """Draw the inputs of a reduced run, and hold its linear uncertainties against what comes out.
+
+    Parameters
+    ----------
+    run, reduction
+        The run, and what `gonio.reduction.brdf.reduce_in_parts` made of it.
+    draws
+        How many, at least `FEWEST`.
+    seed
+        Of the draws.
+    progress
+        Told how many of the draws are done, and how many there are, over all bands.
+    """
+    import pandas as pd
+
+    if draws < FEWEST:
+        raise ValueError(f"a 95 % interval needs at least {FEWEST} draws, not {draws}")
+    table, bands = reduction.table, reduction.bands
+    found = np.full((5, len(table)), math.nan)
+    more = [name for name in table.columns if name.startswith("s_") and name not in FORMULA]
+    for k, band in enumerate(bands):
+        rows = band.points * len(bands) + k
+        if not rows.size:
+            continue
+        columns = table.loc[rows, more].to_numpy(dtype=float)
+        inputs = _Inputs(run.description, Directions.from_table(run.plan)[band.points], band, np.nan_to_num(columns))
+        rng = np.random.default_rng([seed, k])
+        drawn = []
+        for start in range(0, draws, AT_ONCE):
+            drawn.append(inputs.evaluate(rng, min(AT_ONCE, draws - start)))
+            if progress is not None:
+                progress(k * draws + min(start + AT_ONCE, draws), len(bands) * draws)
+        every = np.concatenate(drawn)
+        found[:, rows] = [
+            every.mean(axis=0),
+            every.std(axis=0, ddof=1),
+            *np.quantile(every, [0.025, 0.975], axis=0),
+            band.columns["u_brdf"],
+        ]
+    good = table["flag"].to_numpy() == ""
+    mean, u, low, high, _ = np.where(good, found, math.nan)
+    value, stated = table["brdf"].to_numpy(dtype=float), table["u_brdf"].to_numpy(dtype=float)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        delta = 0.5 * 10.0 ** np.floor(np.log10(stated))
+        departs = np.maximum(abs(value - COVERAGE * stated - low), abs(value + COVERAGE * stated - high))
+    # an end of the interval scatters by sqrt(p (1 - p) / draws) over the density there
+    unsure = math.sqrt(0.025 * 0.975 / draws) / (math.exp(-0.5 * COVERAGE**2) / math.sqrt(2 * math.pi)) * stated
+    agrees = np.where(departs <= delta, "yes", np.where(departs > delta + 2.0 * unsure, "no", "undecided"))
+    out = table[[*ANGLES, "wavelength_nm", "brdf", "u_brdf"]].assign(
+        mc_mean=mean, mc_u=u, mc_low=low, mc_high=high, delta=delta, departs=departs
+    )
+    out["agrees"] = pd.Series(np.where(good, agrees, "").tolist(), dtype=str)
+    out.attrs = {}
+    return Check(out, draws, more)
+
+
+class _Inputs:
+    """The inputs of one band with their distributions, and the values as a function of them."""
+
+    def __init__(self, description: RigDescription, goals: Directions, band: BandResult, columns: Floats) -> None:
+        self._points, self._visits, self._level = band.inputs.points, band.inputs.visits, band.level
+        self._c, self._columns = band.columns, columns
+        self._camera, self._u_rel = description.camera, description.reference.u_rel
+        self._cones = (
+            math.radians(description.lamp.half_angle_deg),
+            math.radians(description.camera.lens_half_angle_deg),
+        )
+        axes = angle_axes(description)
+        self._steps = np.array([math.radians(axes[name].encoder_step_deg) for name in axes])
+        zeros = zero_uncertainties(description)
+        self._zeros = np.array([zeros.get(name, 0.0) for name in axes])
+        azimuths = [float(goal.phi_i) for goal in goals]
+        self._place = np.array([_place(description, p.pose, a) for p, a in zip(self._points, azimuths, strict=True)])
+        self._turns = np.array(
+            [
+                [_turn(description, p.pose, a, axis) for axis in axes]
+                for p, a in zip(self._points, azimuths, strict=True)
+            ]
+        )
+        self._visit_theta = np.array([float(v.directions.theta_i) for v in self._visits])
+        self._visit_turns = np.array([[_turn_of_light(description, v, axis) for axis in axes] for v in self._visits])
+        self._rate = np.array([p.rate for p in self._points])
+        self._sd = np.sqrt([p.variance for p in self._points])
+        self._dark = np.array([p.dark.ravel() for p in self._points])
+        self._times = np.array([p.time_s for p in self._points])
+        self._visit_times = np.array([v.time_s for v in self._visits])
+        self._visit_rel = np.sqrt([v.variance for v in self._visits]) / np.array([v.rate for v in self._visits])
+        self._pixels = np.array([p.pixels for p in self._points])
+        self._shared = np.array([p.shared for p in self._points])
+        lobe = self._c["lobe"]
+        # asinh(lobe / small) is the lobe's logarithm, and goes through zero
+        self._small = max(6.0 * float(np.min(np.sqrt(self._c["noise"] ** 2 + self._c["prnu"] ** 2))), 1e-300)
+        self._log = np.arcsinh(lobe / self._small)
+        self._size = np.hypot(lobe, self._small)
+        reach = sum(self._cones) + 6.0 * float(np.sum(self._zeros + self._steps)) + math.radians(0.2)
+        self._near = (self._c["spike"] > 0) & (_from_mirror(self._place)[1] < reach)
+        g, radius = description.geometry, description.acquisition.roi_radius_mm
+        patches = [over_patch(p.directions, radius, g.light_distance_mm, g.camera_distance_mm) for p in self._points]
+        self._patch = np.array([patch @ _along_x(a) for patch, a in zip(patches, azimuths, strict=True)])
+        self._curves = _curves(goals, self._place, self._log)
+
+    def evaluate(self, rng: np.random.Generator, count: int) -> Floats:
+        """Values [1/sr] of so many draws, shape (count, points)."""
+        c, points, axes = self._c, self._rate.size, self._zeros.size
+        zeros = rng.standard_normal((count, axes)) * self._zeros
+        level = self._levels(rng, count, zeros)
+        rate = self._rate + self._sd * rng.standard_normal((count, points))
+        rate = rate + rng.standard_normal((count, self._dark.shape[1])) @ self._dark.T
+        value = rate / level * self._gains(rng, count) * (1.0 + self._u_rel * rng.standard_normal((count, 1)))
+        errors = zeros[:, None, :] + self._steps * rng.uniform(-0.5, 0.5, (count, points, axes))
+        moved = np.einsum("dpa,pax->dpx", errors, self._turns)
+        value = value - self._changes(rng, moved)
+        # what no input quantity stands for, by its standard uncertainty
+        rest = [c["region"], c["visits"], np.where(c["spike"] > 0, 0.0, c["spike_blur"])]
+        value = value + sum(part * rng.standard_normal((count, points)) for part in rest)
+        value = value + rng.standard_normal((count, self._columns.shape[1])) @ self._columns.T
+        return np.asarray(value)
+
+    def _levels(self, rng: np.random.Generator, count: int, zeros: Floats) -> Floats:
+        """The signal per unit BRDF at the points' times, fitted anew to drawn visits; shape (count, points)."""
+        fitted = self._level
+        errors = zeros[:, None, :] + self._steps * rng.uniform(-0.5, 0.5, (count, len(self._visits), zeros.shape[1]))
+        moved = np.einsum("dva,va->dv", errors, self._visit_turns)
+        light = np.cos(self._visit_theta + moved) / np.cos(self._visit_theta)
+        visits = fitted.at(self._visit_times) * (1.0 + self._visit_rel * rng.standard_normal(light.shape)) / light
+        landing = np.sum((np.tan(self._visit_theta)[:, None] * self._visit_turns * self._steps) ** 2, axis=1) / 12.0
+        weight = 1.0 / ((self._visit_rel**2 + landing) * fitted.at(self._visit_times) ** 2)
+        mean = visits @ weight / weight.sum()
+        if fitted.unknown:
+            return np.asarray(np.repeat(mean[:, None], self._times.size, axis=1))
+        after = self._visit_times - np.average(self._visit_times, weights=weight)
+        slope = (visits - mean[:, None]) @ (weight * after) / np.sum(weight * after**2)
+        line = mean[:, None] + slope[:, None] * (self._times - np.average(self._visit_times, weights=weight))
+        if fitted.straight:
+            return np.asarray(line)
+        order = np.argsort(self._visit_times)
+        between = np.array([np.interp(self._times, self._visit_times[order], row[order]) for row in visits])
+        return np.asarray(between + rng.standard_normal((count, 1)) * 0.5 * (line - between))
+
+    def _gains(self, rng: np.random.Generator, count: int) -> Floats:
+        """Mean responsivity of a point's pixels over that of the reference's, some of which are the same."""
+        prnu, n, shared = self._camera.prnu, self._pixels, self._shared
+        m = max(int(shared.max(initial=0)), max((v.pixels for v in self._visits), default=1))
+        reference = rng.standard_normal((count, 1)) / math.sqrt(m)
+        own = np.sqrt(np.maximum(1.0 / n - shared**2 / (n**2 * m), 0.0)) * rng.standard_normal((count, n.size))
+        return np.asarray((1.0 + prnu * (shared / n * reference + own)) / (1.0 + prnu * reference))
+
+    def _changes(self, rng: np.random.Generator, moved: Floats) -> Floats:
+        """What lobe and spike change by where the axes truly stand elsewhere [1/sr]; `moved`: x, y, theta_i [rad]."""
+        c = self._c
+        dx, dy, di = np.moveaxis(moved, -1, 0)
+        along = dx - di
+        log = np.empty(along.shape)
+        for k, curve in enumerate(self._curves):
+            at = self._place[k, 0] - self._place[k, 2]
+            log[:, k] = (
+                c["slope_x"][k] / self._size[k] * along[:, k]
+                if curve is None
+                else (curve(at + along[:, k]) - curve(at))
+            )
+        log += (c["slope_x"] + c["slope_theta_i"]) / self._size * di + c["slope_y"] / self._size * dy
+        far = np.hypot(along, dy)
+        log += c["u_slope"] / self._size * rng.standard_normal(far.shape) * far
+        log += c["u_slope_theta_i"] / self._size * rng.standard_normal(far.shape) * di
+        before = self._small * np.sinh(self._log)
+        after = self._small * np.sinh(self._log + log)
+        near = np.flatnonzero(self._near)
+        if near.size:
+            amplitude = c["spike"][near] + c["u_spike"][near] * rng.standard_normal((len(along), near.size))
+            before = np.broadcast_to(before, after.shape).copy()
+            before[:, near] += amplitude * overlap(_from_mirror(self._place[near])[1], *self._cones)
+            centre = _from_mirror(self._place[near] + moved[:, near])[0]
+            spots = np.linalg.norm(centre[..., None, :] + self._patch[near], axis=-1)
+            seen = overlap(2.0 * np.arcsin(np.minimum(0.5 * spots, 1.0)), *self._cones)
+            after[:, near] += amplitude * seen.mean(axis=-1)
+        theta_i = self._place[:, 2]
+        return np.asarray(after * np.cos(theta_i + di) / np.cos(theta_i) - before)
+
+
+def _curves(goals: Directions, place: Floats, log: Floats) -> list[Callable[[Floats], Floats] | None]:
+    """For each point the curve of its angle of incidence through the plane, over the distance from the mirror."""
+    from scipy.interpolate import Akima1DInterpolator
+
+    out: list[Callable[[Floats], Floats] | None] = [None] * len(place)
+    in_plane = abs(place[:, 1]) < NARROWEST
+    incidence = np.round(np.degrees(goals.theta_i), 3)
+    for value in np.unique(incidence):
+        line = np.flatnonzero((incidence == value) & in_plane)
+        line = line[np.argsort(place[line, 0] - place[line, 2])]
+        at = place[line, 0] - place[line, 2]
+        if line.size < 4 or np.diff(at).min() < NARROWEST:
+            continue  # points too near to each other tell noise; the reduction's own slopes are used
+        curve = Akima1DInterpolator(at, log[line], method="makima", extrapolate=True)
+        for k in line:
+            out[k] = curve
+    return out
+
+
+def _from_mirror(place: Floats) -> tuple[Floats, Floats]:
+    """`Directions.from_mirror` and `Directions.mirror_offset` of places (x, y, theta_i)."""
+    x, y, theta_i = np.moveaxis(place, -1, 0)
+    d = Directions(theta_i, np.full_like(x, math.pi), np.hypot(x, y), np.arctan2(y, x))
+    return d.from_mirror, d.mirror_offset
+
+
+def _along_x(azimuth: float) -> Floats:
+    """Turns vectors of the sample's frame so that the source of a plane of incidence lies at the azimuth pi."""
+    c, s = math.cos(math.pi - azimuth), math.sin(math.pi - azimuth)
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _seen(description: RigDescription, pose: Pose) -> Directions:
+    """Directions of a pose; behind the sample those mirrored at its plane."""
+    d = kinematics.directions(description, pose)
+    return Directions(d.theta_i, d.phi_i, math.pi - d.theta_r, d.phi_r) if d.theta_r > 0.5 * math.pi else d
+
+
+def _place(description: RigDescription, pose: Pose, azimuth: float) -> Floats:
+    return from_above(_seen(description, pose), azimuth)
+
+
+def _by(pose: Pose, axis: str, step: float) -> Pose:
+    return replace(pose, **{axis: getattr(pose, axis) + step})
+
+
+def _turn(description: RigDescription, pose: Pose, azimuth: float, axis: str) -> Floats:
+    """How x, y and theta_i follow an axis."""
+    there, back = (_place(description, _by(pose, axis, sign * STEP), azimuth) for sign in (1.0, -1.0))
+    return np.asarray((there - back) / (2.0 * STEP))
+
+
+def _turn_of_light(description: RigDescription, visit: Reduced, axis: str) -> float:
+    """How the angle of incidence on the reference follows an axis."""
+    here = float(visit.directions.theta_i)
+    there, back = (float(_seen(description, _by(visit.pose, axis, sign * STEP)).theta_i) for sign in (1.0, -1.0))
+    # at the normal both lead away from it, and the light does not change to first order
+    return 0.0 if here < 2.0 * STEP else (there - back) / (2.0 * STEP)
