@@ -23,15 +23,18 @@ from __future__ import annotations
 
 import datetime
 import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from gonio.config import Strict, numbers_in, parse, read_toml, to_toml
 from gonio.disk import read_file, write_whole
-from gonio.errors import ConfigError
+from gonio.errors import ArgumentError, ConfigError
 from gonio.rig.description import Calibrated, ParameterUncertainty, RigDescription
+from gonio.typing import Floats
 
 FORMAT = 1
 FIXED = {
@@ -153,6 +156,43 @@ def with_calibrations(
 def uncalibrated(description: RigDescription) -> RigDescription:
     """The rig as its own file has it, without the values of calibrations."""
     return with_keys(description, description.calibration.replaced, "rig file")
+
+
+def covariance_of(description: RigDescription, names: Sequence[str]) -> Floats:
+    """The covariance that the rig's calibrations know of some numbers of its file.
+
+    Parameters
+    ----------
+    description
+        A rig with calibrations (`with_calibrations`), or of a run.
+    names
+        Paths of numbers, as `arms.light.zero_offset_deg` or `camera.nonlinearity[0]`, each once.
+
+    Returns
+    -------
+    numpy.ndarray
+        Shape (n, n), in the units of the file. Rows and columns of numbers that no calibration is uncertain of are 0.
+        Where several files know a number, the last one does; files are independent of each other.
+    """
+    out = np.zeros((len(names), len(names)))
+    place = {name: k for k, name in enumerate(names)}
+    if len(place) < len(names):
+        raise ArgumentError("names: a number is named twice")
+    taken: set[str] = set()
+    for known in reversed(description.calibration.known):
+        its = [k for k, name in enumerate(known.parameters) if name in place and name not in taken]
+        at = [place[known.parameters[k]] for k in its]
+        u = np.array(known.u)[its]
+        out[np.ix_(at, at)] = np.array(known.correlation).reshape(2 * (len(known.u),))[np.ix_(its, its)] * np.outer(
+            u, u
+        )
+        taken |= set(known.parameters)
+    return out
+
+
+def known_parameters(description: RigDescription) -> list[str]:
+    """The numbers that the rig's calibrations give an uncertainty for, each once."""
+    return list(dict.fromkeys(name for known in description.calibration.known for name in known.parameters))
 
 
 def _where(values: dict[str, Any], tables: dict[str, Any]) -> dict[str, Any]:

@@ -23,6 +23,8 @@ from gonio.rig.health import Reading
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
+SmallAngle = Annotated[float, Field(ge=-30, le=30)]
+"""Error of alignment [deg]: what is larger is another construction."""
 MAX_BANDS = 10_000
 ROUNDED = 1e-5
 """Of a correlation in a file that a person wrote, with five decimals."""
@@ -77,6 +79,8 @@ class Axis(Strict):
     """A rotary axis: its encoder, its mechanics, and how well its zero is known."""
 
     encoder_step_deg: NonNegative = 0.0
+    encoder_noise_deg: NonNegative = 0.0
+    """Standard deviation of readings around what zero, harmonics and the step say, from landing to landing."""
     backlash_deg: NonNegative = 0.0
     zero_offset_deg: float = 0.0
     """Encoder reading at the true zero, for an approach from below."""
@@ -106,6 +110,16 @@ class ArmAxis(Axis):
     """Where the axis meets metal, if it does: no reading can be beyond, and homing may look for it."""
     approach_deg: float | None = None
     """Instead of `acquisition.approach_deg`, for this axis."""
+    harmonics_deg: tuple[tuple[Annotated[int, Field(ge=1)], float, float], ...] = ()
+    """Errors of the encoder within its turn, rows [order k, C, S]. With r = reading - zero_offset_deg the true angle is
+    r - sum(C cos(k r) + S sin(k r))."""
+    axis_tilt_deg: tuple[SmallAngle, SmallAngle] = (0.0, 0.0)
+    """Direction of the axis: the lab's y turned about the lab's z, then about its x (given as [about x, about z]). Of
+    the azimuth axis: the lab's z turned about y, then about x, [about x, about y]."""
+    axis_offset_mm: tuple[float, float] = (0.0, 0.0)
+    """Where the axis passes by the crossing of the sample's axes: [x, z] in the lab; of the azimuth axis [x, y]."""
+    elevation_deg: SmallAngle = 0.0
+    """How far lamp or lens stands out of the plane perpendicular to the axis, positive toward the lab's y."""
 
     @model_validator(mode="after")
     def _ordered(self) -> ArmAxis:
@@ -120,6 +134,12 @@ class Arms(Strict):
     camera: ArmAxis = ArmAxis()
     azimuth: ArmAxis | None = None
     """The axis that carries the camera arm around the sample normal, where the rig has one."""
+
+    @model_validator(mode="after")
+    def _sound(self) -> Arms:
+        if self.azimuth is not None and self.azimuth.elevation_deg:
+            raise ValueError("azimuth.elevation_deg: nothing stands on this axis but the camera arm; give that one's")
+        return self
 
 
 class Fiducials(Strict):
@@ -166,6 +186,17 @@ class Holder(Axis):
     tilt_zero_offset_deg: float | None = None
     """Instead of `zero_offset_deg`, which is that of both axes."""
     spin_zero_offset_deg: float | None = None
+    surface_offset_mm: float = 0.0
+    """How far the sample's surface lies before the crossing of the axes, along its normal."""
+    surface_tilt_deg: tuple[SmallAngle, SmallAngle] = (0.0, 0.0)
+    """The surface against the spin axis, with which it turns: turned about its own y, then about its x, given as
+    [about x, about y]. Its normal wobbles when the sample is spun."""
+    sample_offset_mm: tuple[float, float] = (0.0, 0.0)
+    """Centre of the sample (of its aperture) beside the spin axis, along the sample's x and y."""
+    spin_axis_tilt_deg: SmallAngle = 0.0
+    """How far the spin axis leans toward the tilt axis (the lab's x) from standing upright on it."""
+    tilt_axis_offset_mm: float = 0.0
+    """How far the tilt axis passes by the spin axis, along the lab's y."""
     sample_diameter_mm: Positive = 20.0
     holder_albedo: Fraction = 0.03
     fiducials: Fiducials | None = None
@@ -219,6 +250,15 @@ class Camera(Strict):
     focal_length_mm: Positive = 100.0
     lens_half_angle_deg: Annotated[float, Field(ge=0, lt=90)] = 0.0
     """Half-angle of the lens's entrance pupil, seen from the sample's centre."""
+    principal_point_px: tuple[float, float] = (0.0, 0.0)
+    """Where the optical axis meets the sensor, from its middle: [columns, rows]."""
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """Brown's polynomial as OpenCV has it: [k1, k2, p1, p2, k3], of image coordinates in image distances."""
+    roll_deg: float = 0.0
+    """The camera turned about its optical axis: its columns' direction toward its rows'."""
+    pointing_deg: tuple[SmallAngle, SmallAngle] = (0.0, 0.0)
+    """How far the optical axis points beside the crossing that its arm carries it around: toward growing columns, and
+    toward growing rows."""
     cos4: bool = False
     vignetting: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Relative loss of light at the corner of the frame beyond cos^4, growing as the fourth power of the radius."""
@@ -532,6 +572,21 @@ class RigDescription(Strict):
         (lower, upper), approach = self.limits_deg()[name], self.approach_deg()[name]
         start = goal_deg - approach
         return max(start, min(lower, goal_deg)) if approach > 0 else min(start, max(upper, goal_deg))
+
+    @property
+    def as_meant(self) -> bool:
+        """Whether the file names no error of alignment that a view of the sample depends on; encoders apart."""
+        arms, holder, camera, none = self.arms, self.holder, self.camera, (0.0, 0.0)
+        return (
+            all(
+                axis is None or (axis.axis_tilt_deg == none and axis.axis_offset_mm == none and not axis.elevation_deg)
+                for axis in (arms.light, arms.camera, arms.azimuth)
+            )
+            and not (holder.surface_offset_mm or holder.spin_axis_tilt_deg or holder.tilt_axis_offset_mm)
+            and holder.surface_tilt_deg == holder.sample_offset_mm == none
+            and not camera.roll_deg
+            and camera.pointing_deg == none
+        )
 
     @model_validator(mode="after")
     def _lens_focuses(self) -> RigDescription:

@@ -50,20 +50,46 @@ class PixelMap:
         self.cols = slice(*cols.indices(camera.width)[:2])
         # The line of sight of the pixel (i, j) is axis + v_i image_y + u_j image_x, with u and v in units of the image
         # distance: it is separable, so that a frame costs two outer sums.
-        scale = 1e-3 * camera.pixel_um / self._image_distance_mm
-        u = (np.arange(self.cols.start, self.cols.stop) - 0.5 * (camera.width - 1)) * scale
-        v = (np.arange(self.rows.start, self.rows.stop) - 0.5 * (camera.height - 1)) * scale
-        axis = -self._camera / np.linalg.norm(self._camera)
+        u, v = _on_sensor(camera, self._image_distance_mm, self.rows, self.cols)
+        self._view = view
         self._by_col = np.asarray(view.image_x, dtype=float)[:, None] * u
-        self._by_row = axis + v[:, None] * np.asarray(view.image_y, dtype=float)
+        self._by_row = view.optical_axis + v[:, None] * np.asarray(view.image_y, dtype=float)
 
     @cached_property
     def _spots(self) -> tuple[Floats, Floats, Floats, Floats]:
         from gonio.rig._sight_lines import spots
 
+        if any(self._camera_model.distortion):
+            return self._spots_of_bent_lines()
         out = np.empty((4, self._by_row.shape[0], self._by_col.shape[1]))
         spots(self._by_row, self._by_col, self._camera, self._source, self._distance_mm, *out)
         return out[0], out[1], out[2], out[3]
+
+    def _spots_of_bent_lines(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """As `gonio.rig._sight_lines.spots`, for lines of sight through a lens with distortion."""
+        lines, eye, source = self.sight_lines, self._camera, self._source
+        with np.errstate(divide="ignore", invalid="ignore"):
+            x, y = (eye[k] - eye[2] * lines[..., k] / lines[..., 2] for k in (0, 1))
+            meets = eye[2] * lines[..., 2] < 0.0
+            inverse = 1.0 / ((source[0] - x) ** 2 + (source[1] - y) ** 2 + source[2] ** 2)
+            cosine = max(source[2], 0.0) * np.sqrt(inverse)
+        return (
+            np.where(meets, x, np.nan),
+            np.where(meets, y, np.nan),
+            np.where(meets, cosine, 0.0),
+            np.where(meets, self._distance_mm**2 * inverse, 0.0),
+        )
+
+    @cached_property
+    def sight_lines(self) -> Floats:
+        """Directions of the lines of sight, of length 1 along the optical axis, shape (rows, columns, 3)."""
+        camera, view = self._camera_model, self._view
+        if not any(camera.distortion):
+            return np.asarray(self._by_row[:, None, :] + self._by_col.T[None, :, :])
+        rows, cols = self.rows, self.cols
+        u, v = _straightened(camera, self._image_distance_mm, rows.start, rows.stop, cols.start, cols.stop)
+        across = u[..., None] * np.asarray(view.image_x) + v[..., None] * np.asarray(view.image_y)
+        return np.asarray(view.optical_axis + across)
 
     @property
     def x_mm(self) -> Floats:
@@ -152,10 +178,68 @@ def pixel_map(
     return PixelMap(description, view, rows, cols)
 
 
+def _middle(camera: Camera) -> tuple[float, float]:
+    """Column and row (fractional) of the principal point."""
+    columns, rows = camera.principal_point_px
+    return 0.5 * (camera.width - 1) + columns, 0.5 * (camera.height - 1) + rows
+
+
+def _on_sensor(camera: Camera, image_distance: float, rows: slice, cols: slice) -> tuple[Floats, Floats]:
+    """Places of columns and of rows on the sensor from the principal point, in image distances."""
+    scale, (column, row) = 1e-3 * camera.pixel_um / image_distance, _middle(camera)
+    return (np.arange(cols.start, cols.stop) - column) * scale, (np.arange(rows.start, rows.stop) - row) * scale
+
+
+def _distorted(camera: Camera, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Where the lens images what a pinhole would image at (x, y), in image distances: Brown's model as OpenCV has it.
+
+    Source: D. C. Brown, "Decentering distortion of lenses", Photogrammetric Engineering 32, 444-462 (1966).
+    """
+    k1, k2, p1, p2, k3 = camera.distortion
+    squared = x * x + y * y
+    radial = 1.0 + squared * (k1 + squared * (k2 + squared * k3))
+    return (
+        x * radial + 2.0 * p1 * x * y + p2 * (squared + 2.0 * x * x),
+        y * radial + p1 * (squared + 2.0 * y * y) + 2.0 * p2 * x * y,
+    )
+
+
+STRAIGHT_STEPS = 100
+STRAIGHT = 1e-12
+"""In image distances: a millionth of a pixel, for any camera."""
+
+
+@lru_cache(maxsize=8)
+def _straightened(
+    camera: Camera, image_distance: float, top: int, bottom: int, left: int, right: int
+) -> tuple[Floats, Floats]:
+    """Where a pinhole would image what each pixel sees, in image distances, each of shape (rows, columns)."""
+    u, v = _on_sensor(camera, image_distance, slice(top, bottom), slice(left, right))
+    u, v = np.meshgrid(u, v)
+    x, y = u, v
+    for _ in range(STRAIGHT_STEPS):
+        bent_x, bent_y = _distorted(camera, x, y)
+        x, y = x + (u - bent_x), y + (v - bent_y)
+        off = max(np.abs(u - bent_x).max(initial=0.0), np.abs(v - bent_y).max(initial=0.0))
+        if not off > STRAIGHT:
+            break
+        if not off < 1e3:
+            break
+    if not off <= STRAIGHT:
+        raise ConfigError(
+            f"camera.distortion = {list(camera.distortion)} images several directions on one pixel of the frame: it "
+            "holds for a smaller part of it; is it given for image coordinates in focal lengths, as OpenCV does?"
+        )
+    for each in (x, y):
+        each.flags.writeable = False
+    return x, y
+
+
 @lru_cache(maxsize=8)
 def _falloff(camera: Camera, image_distance: float, top: int, bottom: int, left: int, right: int) -> Floats:
-    v = (np.arange(top, bottom) - 0.5 * (camera.height - 1)) * 1e-3 * camera.pixel_um
-    u = (np.arange(left, right) - 0.5 * (camera.width - 1)) * 1e-3 * camera.pixel_um
+    column, row = _middle(camera)
+    v = (np.arange(top, bottom) - row) * 1e-3 * camera.pixel_um
+    u = (np.arange(left, right) - column) * 1e-3 * camera.pixel_um
     radius_squared = v[:, None] ** 2 + u[None, :] ** 2
     out = np.ones(radius_squared.shape)
     if camera.cos4:
@@ -313,6 +397,8 @@ def always_holds_sample(description: RigDescription) -> bool:
     No spot of the patch lies farther from the optical axis than its radius, nor nearer to the camera than that allows.
     """
     camera, radius = description.camera, description.acquisition.roi_radius_mm
+    if not description.as_meant or camera.principal_point_px != (0.0, 0.0) or any(camera.distortion):
+        return False
     nearest = description.geometry.camera_distance_mm - radius
     half = 0.5e-3 * camera.pixel_um * min(camera.width, camera.height)
     return nearest > 0 and image_distance_mm(description) * radius <= half * nearest
@@ -331,11 +417,15 @@ def _project(
     camera, eye = description.camera, np.asarray(view.camera_mm, dtype=float)
     x, y = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
     ray = np.stack([x - eye[0], y - eye[1], np.full(x.shape, -eye[2])], axis=-1)
-    depth = ray @ (-eye / np.linalg.norm(eye))
+    depth = ray @ view.optical_axis
     depth = np.where(depth > 0.0, depth, np.nan)
-    scale = image_distance_mm(description) / (1e-3 * camera.pixel_um)
-    columns = scale * (ray @ np.asarray(view.image_x)) / depth + 0.5 * (camera.width - 1)
-    rows = scale * (ray @ np.asarray(view.image_y)) / depth + 0.5 * (camera.height - 1)
+    scale, (column, row) = image_distance_mm(description) / (1e-3 * camera.pixel_um), _middle(camera)
+    if any(camera.distortion):
+        u, v = _distorted(camera, ray @ np.asarray(view.image_x) / depth, ray @ np.asarray(view.image_y) / depth)
+        columns, rows = scale * u + column, scale * v + row
+    else:
+        columns = scale * (ray @ np.asarray(view.image_x)) / depth + column
+        rows = scale * (ray @ np.asarray(view.image_y)) / depth + row
     return np.where(depth > 0.0, columns, np.inf), np.where(depth > 0.0, rows, np.inf)
 
 

@@ -1,25 +1,31 @@
-"""Between the axes of a described rig and the directions at its sample, both ways, in closed form.
+"""Between the axes of a described rig and the directions at its sample, both ways.
 
-The lab frame has its origin on the sample's surface, y along the axis that both arms turn about, and z where the
-untilted sample's normal points. With a and c the angles of light and camera arm, t the tilt and s the spin:
+The lab frame has its origin where the sample's axes cross, on the sample's surface, y along the axis that both arms
+turn about, and z where the untilted sample's normal points. With a and c the angles of light and camera arm, t the tilt
+and s the spin:
 
     light  L = (sin a, 0, cos a)          camera  V = Rz(azimuth) (sin c, 0, cos c)
     normal n = (0, sin t, cos t)          sample frame to lab frame  M = Rx(-t) Rz(s)
 
 The inverse rests on one fact: both arms are perpendicular to y, so y = +-(L x V)/|L x V|, and n . y = sin t. The two
 signs are the two branches: they mirror the arms, change the sign of the tilt and turn the sample by half a turn.
+
+That is the rig as it was meant. Where its description names errors of alignment, `_misaligned` does the same with
+them, and the inverse starts from the closed form and goes on by Newton's method (docs/architecture.md, "From pose to
+pixel"). A pose is what encoders read, less their zeros; `true_pose` takes out what else is wrong with them.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
 from gonio.errors import ConfigError
 from gonio.geometry import AT_LIMIT, EXACTLY_IN_PLANE, PARALLEL, Directions
-from gonio.rig.description import RigDescription
+from gonio.rig.description import ArmAxis, RigDescription
 from gonio.rig.protocols import Pose
 from gonio.rig.ways import Blocked, require_free
 from gonio.typing import Floats
@@ -47,20 +53,48 @@ class Unreachable(ConfigError):
 class View:
     """Source and camera in the frame of the sample: origin at its centre, z its outward normal, x its x axis.
 
-    Positions are in millimetres; `image_x` and `image_y` are the unit vectors along which columns and rows grow. The
-    optical axis points from the camera to the origin, and `image_x`, `image_y`, optical axis are right-handed: the
-    image is not mirrored. `image_y` lies along the axis of the arms.
+    Positions are in millimetres; `image_x` and `image_y` are the unit vectors along which columns and rows grow.
+    `image_x`, `image_y` and the optical axis are right-handed: the image is not mirrored. On a rig without errors the
+    optical axis points from the camera to the origin, and `image_y` lies along the axis of the arms.
     """
 
     source_mm: Floats
     camera_mm: Floats
     image_x: Floats
     image_y: Floats
+    sight: Floats | None = None
+    """Unit vector of the optical axis; None where it points from the camera to the origin."""
+
+    @property
+    def optical_axis(self) -> Floats:
+        """Unit vector from the camera into the middle of what it sees."""
+        eye = np.asarray(self.camera_mm, dtype=float)
+        return -eye / np.linalg.norm(eye) if self.sight is None else self.sight
+
+
+def true_pose(description: RigDescription, pose: Pose) -> Pose:
+    """Where the axes stand when their encoders read a pose: the errors of encoders within their turn taken out.
+
+    The only place where that happens. What stands elsewhere as a pose is what encoders read, less their zeros.
+    """
+    arms, out = description.arms, {}
+    for name, axis in (("light", arms.light), ("camera", arms.camera), ("azimuth", arms.azimuth)):
+        if axis is not None and axis.harmonics_deg:
+            read: float = getattr(pose, name)
+            out[name] = read - encoder_error(axis, read)
+    return replace(pose, **out) if out else pose
+
+
+def encoder_error(axis: ArmAxis, read: float) -> float:
+    """What an encoder reads too much [rad], beside its zero, where it reads an angle [rad]."""
+    return math.radians(sum(c * math.cos(k * read) + s * math.sin(k * read) for k, c, s in axis.harmonics_deg))
 
 
 def view(description: RigDescription, pose: Pose) -> View:
     """Where source and camera are, and how the image lies, in the sample's frame, for a pose of the axes."""
-    light, camera, image_x, image_y = _sample_frame(pose)
+    if not description.as_meant:
+        return _misaligned(description, true_pose(description, pose))
+    light, camera, image_x, image_y = _sample_frame(true_pose(description, pose))
     geometry = description.geometry
     return View(
         source_mm=geometry.light_distance_mm * np.array(light),
@@ -75,8 +109,143 @@ def directions(description: RigDescription, pose: Pose) -> Directions:
 
     The azimuth of a direction along the normal is 0.
     """
-    light, camera, _, _ = _sample_frame(pose)
+    if not description.as_meant:
+        light, camera = _towards(description, pose)
+        return Directions(*_angles(light), *_angles(camera))
+    light, camera, _, _ = _sample_frame(true_pose(description, pose))
     return Directions(*_angles(light), *_angles(camera))
+
+
+def read_pose(description: RigDescription, true: Pose) -> Pose:
+    """What the encoders read where the axes stand: the inverse of `true_pose`."""
+    read = true
+    for _ in range(ENCODER_STEPS):  # errors change slowly with the angle, so that this closes in fast
+        seen = true_pose(description, read)
+        if seen is read or seen == true:
+            break
+        read = Pose(*(r + t - s for r, t, s in zip(*map(astuple, (read, true, seen)), strict=True)))
+    return read
+
+
+ENCODER_STEPS = 60
+"""Enough for errors of 30 deg in a turn; those of an encoder take five."""
+NEWTON_STEPS = 40
+LONGEST_STEP = 0.3
+"""Of one axis in one step [rad]: near a singular pose a longer one leads astray."""
+CLOSE = math.radians(5.0)
+"""Where a rig cannot stand exactly so for its errors of alignment, a pose this close counts."""
+
+
+def _misaligned(description: RigDescription, pose: Pose) -> View:
+    """The view of a rig with errors of alignment, at the true angles of its axes."""
+    arms, holder, camera = description.arms, description.holder, description.camera
+    # each arm: the axis is tilted and displaced, and what it carries stands out of the plane across it
+    onto = _about_x_then(arms.light.axis_tilt_deg, "z") @ _rotation("y", pose.light)
+    lamp = _carried(arms.light, onto, description.geometry.light_distance_mm)
+    onto = _about_x_then(arms.camera.axis_tilt_deg, "z") @ _rotation("y", pose.camera)
+    lens = _carried(arms.camera, onto, description.geometry.camera_distance_mm)
+    axes = onto @ _camera_on_arm(arms.camera.elevation_deg, camera.pointing_deg, camera.roll_deg)
+    if arms.azimuth is not None:
+        upright = _about_x_then(arms.azimuth.axis_tilt_deg, "y")
+        turn = upright @ _rotation("z", pose.azimuth) @ upright.T
+        foot = np.array([*arms.azimuth.axis_offset_mm, 0.0])
+        lens, axes = foot + turn @ (lens - foot), turn @ axes
+    # the lab in the frame of the sample
+    into, surface = _rotation("x", pose.tilt), _about_x_then(holder.surface_tilt_deg, "y")
+    spin = _rotation("y", math.radians(holder.spin_axis_tilt_deg)) @ _rotation("z", pose.spin) @ surface
+    tilted_about = np.array([0.0, holder.tilt_axis_offset_mm, 0.0])
+    centre = np.array([*holder.sample_offset_mm, holder.surface_offset_mm])
+    source, eye = (spin.T @ (into @ (at - tilted_about) + tilted_about) - centre for at in (lamp, lens))
+    image_x, image_y, sight = np.ascontiguousarray((spin.T @ into @ axes).T)
+    return View(source_mm=source, camera_mm=eye, image_x=image_x, image_y=image_y, sight=sight)
+
+
+def _towards(description: RigDescription, pose: Pose) -> tuple[Vector, Vector]:
+    """Unit vectors from the sample's centre to source and camera, on a rig with errors, for a pose that is read."""
+    seen = _misaligned(description, true_pose(description, pose))
+    light, camera = seen.source_mm.tolist(), seen.camera_mm.tolist()
+    return _unit((light[0], light[1], light[2])), _unit((camera[0], camera[1], camera[2]))
+
+
+def _misaligned_pose(description: RigDescription, start: Pose, d: Angles) -> Pose:
+    """The true angles of the axes of a rig with errors of alignment that show the sample from given directions.
+
+    Gauss-Newton's method from the pose that the rig as meant would have. Where the errors leave no pose (an arm that
+    stands out of a plane which no axis can turn), it is the closest one.
+
+    Raises
+    ------
+    Unreachable
+        The closest pose is off by more than `CLOSE`.
+    """
+    names = list(description.axes())
+    wanted = np.array([*_direction(*d[:2]), *_direction(*d[2:])])
+
+    def off(place: Floats) -> Floats:
+        pose = replace(start, **dict(zip(names, place.tolist(), strict=True)))
+        seen = _misaligned(description, pose)
+        ends = [at / np.linalg.norm(at) for at in (seen.source_mm, seen.camera_mm)]
+        return np.asarray(np.concatenate(ends) - wanted)
+
+    at = np.array([getattr(start, name) for name in names])
+    error = off(at)
+    for _ in range(NEWTON_STEPS):
+        size = float(np.linalg.norm(error))
+        if size < AT_LIMIT:
+            break
+        probe = 1e-7
+        slopes = np.stack([(off(at + probe * unit) - error) / probe for unit in np.eye(len(names))], axis=1)
+        step = np.linalg.lstsq(slopes, -error, rcond=1e-6)[0]
+        step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
+        for _ in range(10):
+            then = off(at + step)
+            if float(np.linalg.norm(then)) < size:
+                break
+            step *= 0.5
+        else:
+            break
+        at, error = at + step, then
+    farthest = max(float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])))
+    if farthest > CLOSE:
+        raise Unreachable(
+            "unreachable",
+            f"the rig's errors of alignment keep it {math.degrees(farthest):.1f} deg from these directions",
+            "too far from what the rig can show, for its errors of alignment",
+        )
+    return replace(start, **dict(zip(names, at.tolist(), strict=True)))
+
+
+def _carried(axis: ArmAxis, onto: Floats, distance_mm: float) -> Floats:
+    """Where an arm's lamp or lens is [mm]."""
+    x, z = axis.axis_offset_mm
+    up = math.radians(axis.elevation_deg)
+    out: Floats = np.array([x, 0.0, z]) + onto @ np.array([0.0, distance_mm * math.sin(up), distance_mm * math.cos(up)])
+    return out
+
+
+@lru_cache(maxsize=64)
+def _about_x_then(tilt_deg: tuple[float, float], other: str) -> Floats:
+    """Rx(first) R_other(second), of two small angles [deg]: what it turns is turned about `other` first."""
+    return np.asarray(_rotation("x", math.radians(tilt_deg[0])) @ _rotation(other, math.radians(tilt_deg[1])))
+
+
+@lru_cache(maxsize=64)
+def _camera_on_arm(elevation_deg: float, pointing_deg: tuple[float, float], roll_deg: float) -> Floats:
+    """Columns: image_x, image_y and optical axis in the frame of an arm at 0, which looks down its own z."""
+    down = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
+    columns, rows = (math.radians(angle) for angle in pointing_deg)
+    own = _rotation("y", columns) @ _rotation("x", -rows) @ _rotation("z", math.radians(roll_deg))
+    return np.asarray(_rotation("x", -math.radians(elevation_deg)) @ down @ own)
+
+
+def _rotation(about: str, angle: float) -> Floats:
+    """Right-handed rotation matrix about x, y or z by an angle [rad]."""
+    c, s = math.cos(angle), math.sin(angle)
+    if about == "x":
+        return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+    if about == "y":
+        return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def left_its_side(description: RigDescription, goal: Pose, read: Pose) -> bool:
@@ -174,8 +343,12 @@ def branches(description: RigDescription, d: Directions) -> list[tuple[Pose, Pos
     one = d.floats
     poses = _with_azimuth(description, one) if description.arms.azimuth is not None else _with_holder(description, one)
     out: list[tuple[Pose, Pose | Unreachable]] = []
-    for pose in poses:
+    for meant in poses:
+        pose = meant
         try:
+            if not description.as_meant:
+                pose = _misaligned_pose(description, meant, one)
+            pose = read_pose(description, pose)
             out += [(inside, inside) for inside in _inside_limits(description, pose)]
         except Unreachable as error:
             out.append((pose, error))
