@@ -45,6 +45,8 @@ SPOT_FLOOR_PX = 0.3
 """What the middle of the lamp is off: brightness is not quite even over its image."""
 STEP = 1e-3
 """Of a numerical slope, of `Unknown.within`: a nonlinear model is straight over it, and rounding is far below it."""
+LOST_PX = 1e5
+"""Of what a rig with some values would not see at all."""
 MOST_STEPS = 15
 CLOSED = 0.03
 """Of the last step, in standard deviations."""
@@ -196,32 +198,49 @@ def start_of(description: RigDescription) -> dict[str, Any]:
 
 def predicted(description: RigDescription, s: Sighting, shift: dict[str, float] | None = None) -> tuple[Floats, Floats]:
     """Where a rig would see the spot (n, 2) and the corners (m, 2) of a sighting [px]; `shift`: of axes [deg]."""
-    view = kinematics.view(description, _pose(description, s, shift or {}))
-    spot = np.zeros((0, 2))
-    if s.spot_px is not None:
-        sx, sy, sz = (float(v) for v in view.source_mm)
-        lamp = np.array([[sx, sy, -sz if s.holder == "mirror" else sz]])
-        spot = np.stack(imaging.project(description, view, lamp), axis=1)
-    corners = np.zeros((0, 2))
-    if s.corners:
-        assert description.holder.fiducials is not None
-        flat = corners_mm(description.holder.fiducials).reshape(-1, 2)[list(s.corners)]
-        corners = np.stack(
-            imaging.project(description, view, np.column_stack([flat, np.zeros(len(flat))])), axis=1
+    at = _seen(description, _Axes.of(description), s, shift or {})
+    lamp = int(s.spot_px is not None)
+    return at[:lamp], at[lamp:]
+
+
+@dataclass(frozen=True, slots=True)
+class _Axes:
+    """What the readings of a rig's axes mean: looked up once for all sightings."""
+
+    zero_deg: dict[str, float]
+    play_deg: dict[str, float]
+    """With the sign in which an arm lags that arrived from the other side."""
+
+    @classmethod
+    def of(cls, description: RigDescription) -> _Axes:
+        axes, approach = description.axes(), description.approach_deg()
+        return cls(
+            {name: axis.zero_offset_deg for name, axis in axes.items()},
+            {name: math.copysign(axis.backlash_deg, approach[name] or 1.0) for name, axis in axes.items()},
         )
-    return spot, corners
+
+    def pose(self, s: Sighting, shift: dict[str, float]) -> Pose:
+        """What the axes read where the encoders did, the zeros taken out; play is added where it is open."""
+        return Pose(**{
+            name: math.radians(
+                encoder - self.zero_deg[name] + shift.get(name, 0.0) + (self.play_deg[name] if name in s.against else 0.0)
+            )
+            for name, encoder in s.encoder_deg.items()
+        })  # fmt: skip
 
 
-def _pose(description: RigDescription, s: Sighting, shift: dict[str, float]) -> Pose:
-    """What the axes read where the encoders did, the zeros taken out; play is added where it is open."""
-    axes, approach = description.axes(), description.approach_deg()
-    out = {}
-    for name, encoder in s.encoder_deg.items():
-        angle = encoder - axes[name].zero_offset_deg + shift.get(name, 0.0)
-        if name in s.against:
-            angle += math.copysign(axes[name].backlash_deg, approach[name] or 1.0)
-        out[name] = math.radians(angle)
-    return Pose(**out)
+def _seen(rig: RigDescription, axes: _Axes, s: Sighting, shift: dict[str, float]) -> Floats:
+    """The spot, if there is one, and the corners [px], shape (n, 2)."""
+    view = kinematics.view(rig, axes.pose(s, shift))
+    points = np.zeros((int(s.spot_px is not None) + len(s.corners), 3))
+    if s.corners:
+        assert rig.holder.fiducials is not None
+        points[-len(s.corners) :, :2] = corners_mm(rig.holder.fiducials).reshape(-1, 2)[list(s.corners)]
+    if s.spot_px is not None:
+        points[0] = view.source_mm
+        if s.holder == "mirror":
+            points[0, 2] *= -1.0
+    return np.stack(imaging.project(rig, view, points), axis=1)
 
 
 class Problem:
@@ -248,6 +267,10 @@ class Problem:
         scaled = prior / np.outer(self.within, self.within)
         self._prior = np.linalg.inv(np.linalg.cholesky(scaled + 1e-12 * np.eye(len(scaled))))
         self._whitening: list[Floats] = []
+        self._pixels = [
+            np.array([*([s.spot_px] if s.spot_px is not None else []), *s.corners_px], float).ravel()
+            for s in self.sightings
+        ]
 
     def described(self, x: Floats) -> RigDescription:
         """The rig of some values, given in units of what is expected, from the start."""
@@ -261,10 +284,11 @@ class Problem:
     def whiten(self, x: Floats) -> None:
         """Covariances of the sightings, with the slopes by the axes at some values."""
         rig = self.described(x)
+        axes = _Axes.of(rig)
         steps = {n: math.hypot(a.encoder_step_deg / math.sqrt(12.0), a.encoder_noise_deg) for n, a in rig.axes().items()}
         self._whitening = []
         for s in self.sightings:
-            base = _flat(*predicted(rig, s))
+            base = _seen(rig, axes, s, {}).ravel()
             sigma = np.concatenate([
                 np.full(2 * (s.spot_px is not None), math.hypot(s.u_spot_px, SPOT_FLOOR_PX)),
                 np.full(2 * len(s.corners), math.hypot(s.u_corner_px, CORNER_FLOOR_PX)),
@@ -272,22 +296,23 @@ class Problem:
             covariance = np.diag(sigma**2)
             for name in s.encoder_deg:
                 if steps[name] > 0.0:
-                    slope = (_flat(*predicted(rig, s, {name: 0.01})) - base) / 0.01 * steps[name]
+                    slope = (_seen(rig, axes, s, {name: 0.01}).ravel() - base) / 0.01 * steps[name]
                     covariance += np.outer(slope, slope)
             self._whitening.append(np.linalg.inv(np.linalg.cholesky(covariance)))
 
-    def of_sighting(self, rig: RigDescription, k: int) -> Floats:
-        """Whitened residuals of one sighting."""
-        s = self.sightings[k]
-        seen = np.array([*([s.spot_px] if s.spot_px is not None else []), *s.corners_px]).ravel()
-        with np.errstate(invalid="ignore"):
-            left = self._whitening[k] @ (seen - _flat(*predicted(rig, s)))
-        return np.nan_to_num(left, nan=1e6, posinf=1e6, neginf=-1e6)
+    def of_sightings(self, rig: RigDescription) -> list[Floats]:
+        """Whitened residuals, sighting by sighting; what would lie behind the camera is very far off."""
+        axes = _Axes.of(rig)
+        out = []
+        for s, seen, whitening in zip(self.sightings, self._pixels, self._whitening, strict=True):
+            left = seen - _seen(rig, axes, s, {}).ravel()
+            left[~np.isfinite(left)] = LOST_PX
+            out.append(whitening @ left)
+        return out
 
     def residuals(self, x: Floats) -> Floats:
         """Of all sightings, then of what was expected."""
-        rig = self.described(x)
-        return np.concatenate([*(self.of_sighting(rig, k) for k in range(len(self.sightings))), self._prior @ x])
+        return np.concatenate([*self.of_sightings(self.described(x)), self._prior @ x])
 
     def jacobian(self, x: Floats) -> Floats:
         """Slopes of `residuals`."""
@@ -308,7 +333,7 @@ class Problem:
         for _ in range(MOST_STEPS):
             self.whiten(x)
             left, slopes = self.residuals(x), self.jacobian(x)
-            step = -np.linalg.lstsq(slopes, left, rcond=None)[0]
+            step = -np.linalg.solve(slopes.T @ slopes, slopes.T @ left)
             size, cost = float(np.linalg.norm(slopes @ step)), float(left @ left)
             for _ in range(8):
                 if float(np.sum(self.residuals(x + step) ** 2)) <= cost * (1.0 + 1e-9):
@@ -351,7 +376,7 @@ def solve(
         problem = Problem(description, kept, sought, given)
         x = problem.solved()
         rig = problem.described(x)
-        sizes = [problem.of_sighting(rig, k) for k in range(len(kept))]
+        sizes = problem.of_sightings(rig)
         chi = np.array([float(r @ r) / len(r) if len(r) else 0.0 for r in sizes])
         typical = max(float(np.median(chi)), 1.0)
         bad = [k for k in range(len(kept)) if len(sizes[k]) and float(np.abs(sizes[k]).max()) > FAR * math.sqrt(typical)]
@@ -362,8 +387,10 @@ def solve(
     jacobian = problem.jacobian(x)
     rows = sum(map(len, sizes))
     data, prior = jacobian[:rows], jacobian[rows:]
-    _, singular, right = np.linalg.svd(data, full_matrices=True)
-    singular = np.concatenate([singular, np.zeros(len(x) - len(singular))])
+    square = np.zeros((len(x), len(x)))
+    triangle = np.linalg.qr(data, mode="r")  # which has the singular values of the whole
+    square[: len(triangle)] = triangle
+    _, singular, right = np.linalg.svd(square)
     freedom = rows - float(np.sum(singular**2 / (1.0 + singular**2)))
     chi_square = float(sum(r @ r for r in sizes))
     misfit = chi_square / freedom if freedom > 0 else 1.0
@@ -399,10 +426,6 @@ def _left(rig: RigDescription, s: Sighting) -> tuple[Floats, Floats]:
     spot, corners = predicted(rig, s)
     seen = np.array([s.spot_px]) if s.spot_px is not None else np.zeros((0, 2))
     return seen - spot, np.array(s.corners_px).reshape(-1, 2) - corners
-
-
-def _flat(spot: Floats, corners: Floats) -> Floats:
-    return np.concatenate([spot.ravel(), corners.ravel()])
 
 
 def _numbers(tables: dict[str, Any], paths: Sequence[str]) -> npt.NDArray[np.float64]:

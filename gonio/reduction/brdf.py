@@ -26,6 +26,7 @@ from gonio.reduction.reference_table import brdf_of_reference
 from gonio.reduction.table import (
     CAUSES,
     DARK,
+    GEOMETRY,
     BandResult,
     angle_axes,
     assemble,
@@ -63,7 +64,8 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
         trembles), "damaged" (a frame of the point is missing or was changed), "not_measured" (the run ended before).
         Causes: `s_reference` (the certificate), `s_reference_noise` (mean level of the visits), `s_lamp_drift`,
         `s_dark_1` to `s_dark_3` (noise of the dark frames), `s_theta_i_zero`, `s_theta_r_zero` and, with those axes,
-        `s_tilt_zero`, `s_azimuth_zero`. A plan with points behind the sample gives a column `side`.
+        `s_tilt_zero`, `s_azimuth_zero`; `s_geometry_1` to at most `s_geometry_4` (what a calibration leaves open of the
+        rig's geometry). A plan with points behind the sample gives a column `side`.
 
     Raises
     ------
@@ -84,6 +86,7 @@ def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> p
                 progress(k * count + len(steps), len(run.bands) * count)
         results.append(_reduce_band(frames, band, steps))
     _share_darks(results)
+    _share_geometry(results)
     return assemble(run, results, notes_on_damage(frames) + notes_on_darks(frames))
 
 
@@ -93,6 +96,7 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
     rejected = [step for step in steps if isinstance(step, Rejected)]
     fitted, reference_brdf = _level(frames, points, visits, band)
     columns, untold, coarse = _columns_of_sides(frames, points, visits[0], fitted, band)
+    geometry = columns.pop("geometry")
     levels = fitted.at(np.array([point.time_s for point in points]))
     angles = np.array([_angles_deg(point.directions) for point in points]).reshape(-1, len(ANGLES))
     darks = np.array([point.dark for point in points]).reshape(len(points), 2, PATTERNS)
@@ -102,6 +106,7 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
         points=np.array([point.point for point in points], dtype=np.intp),
         columns=dict(zip(ANGLES, angles.T, strict=True)) | columns,
         darks=darks / levels[:, None, None],
+        geometry=geometry,
         flags=frames.flags | {step.point: step.flag for step in rejected if step.point is not None},
         level=fitted,
         reference_brdf=reference_brdf,
@@ -161,7 +166,7 @@ def _columns_of_sides(
         group = [replace(points[k], directions=_turned_over(points[k].directions, there)) for k in rows]
         found, first, second = _columns(frames, group, visit, fitted, band)
         for name, values in found.items():
-            columns.setdefault(name, np.zeros(len(points)))[rows] = values
+            columns.setdefault(name, np.zeros((len(points), *values.shape[1:])))[rows] = values
         untold += list(_turned_over(first, there))
         coarse += list(_turned_over(second, there))
     return columns, Directions.stack(untold), Directions.stack(coarse)
@@ -182,8 +187,8 @@ def _columns(
 ) -> tuple[dict[str, Floats], Directions, Directions]:
     """BRDF and its uncertainties for the measured points of a band (docs/radiometry.md, "The budget").
 
-    And the nominal directions of points whose blur by the angles' errors is only bounded, and of those whose slope the
-    plan's steps are too coarse to tell.
+    The column "geometry" has a number for every cause of `GeometryErrors`. And the nominal directions of points whose
+    blur by the angles' errors is only bounded, and of those whose slope the plan's steps are too coarse to tell.
     """
     description = frames.description
     encoder, zeros = _encoder_steps(description), zero_uncertainties(description)
@@ -196,7 +201,7 @@ def _columns(
     goals = Directions.from_table(frames.run.plan)[[point.point for point in points]]
     goals = _turned_over(goals, bool(len(goals)) and _behind(goals[0]))
     cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
-    shares = _shares(description, points, [*encoder.items(), *zeros.items()], cones, band)
+    shares = _shares(frames, points, [*encoder.items(), *zeros.items()], cones, band)
     read = Directions.stack([point.directions for point in points])
     curves = angle_sensitivity.Curves(goals, read, brdf, np.sqrt(independent), cones, shares)
     brdf = brdf + curves.spikes.correction
@@ -215,16 +220,20 @@ def _columns(
         said, even_parts = said + odd**2, even_parts + even**2
         unresolved = unresolved + _doubts(description, curves, points, axis, u) ** 2
         common[CAUSES[axis]] = odd - brdf * _change_of_cosine(description, visit, axis, u)
+    geometry, even, doubts = _effects_of_geometry(frames, curves, points, visit, brdf)
+    said, even_parts = said + np.sum(geometry**2, axis=1), even_parts + even
+    unresolved = unresolved + doubts
     blur = curves.spikes.variance
     independent = independent + _over_region(description, curves, points, band) ** 2
     independent = (
         independent + np.where(curves.spike != 0, np.maximum(blur - said, 0.0), blur + even_parts) + unresolved
     )
     darks = np.array([np.sum(point.dark**2) for point in points]) / k**2
-    combined = np.sqrt(independent + darks + sum(column**2 for column in common.values()))
+    shared = darks + np.sum(geometry**2, axis=1)
+    combined = np.sqrt(independent + shared + sum(column**2 for column in common.values()))
     bounded = ~curves.spikes.told & (blur > noise)
     steep = curves.coarse | (unresolved > noise)
-    columns = {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent)} | common
+    columns = {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent), "geometry": geometry} | common
     return columns, goals[bounded], goals[steep]
 
 
@@ -247,10 +256,26 @@ def _share_darks(results: list[BandResult]) -> None:
         result.columns["u_random"] = np.array(more)
 
 
+def _share_geometry(results: list[BandResult]) -> None:
+    """Give all rows the columns of what a calibration leaves open of the geometry; the rest to `u_random`."""
+    effects = np.concatenate([result.geometry for result in results])
+    names = GEOMETRY[: effects.shape[1]]
+    if not effects.size:
+        return
+    u = np.concatenate([result.columns["u_random"] for result in results])
+    columns, rest = strongest(effects, u, len(names))
+    ends = np.cumsum([result.points.size for result in results])
+    for result, end in zip(results, ends, strict=True):
+        rows = slice(end - result.points.size, end)
+        result.columns.update(zip(names, columns[rows].T, strict=True))
+        result.columns["u_random"] = np.sqrt(u[rows] ** 2 + rest[rows])
+
+
 def _encoder_steps(description: RigDescription) -> dict[str, float]:
-    """Standard uncertainty [rad] of a reading in whole steps: uniform over one step."""
+    """Standard uncertainty [rad] of a reading: in whole steps, uniform over one step, and with the encoder's noise."""
     axes = {
-        name: math.radians(axis.encoder_step_deg) / math.sqrt(12.0) for name, axis in angle_axes(description).items()
+        name: math.hypot(math.radians(axis.encoder_step_deg) / math.sqrt(12.0), math.radians(axis.encoder_noise_deg))
+        for name, axis in angle_axes(description).items()
     }
     return {name: u for name, u in axes.items() if u > 0}
 
@@ -273,6 +298,31 @@ def _effects(
     return out[0], out[1]
 
 
+def _effects_of_geometry(
+    frames: RunFrames, curves: angle_sensitivity.Curves, points: list[Reduced], visit: Reduced, brdf: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Odd change [1/sr] of every value by every cause of `GeometryErrors`, shape (points, causes).
+
+    And the sums over the causes of the squares of the even changes and of what the plan's steps leave open of them.
+    """
+    errors = frames.geometry
+    odd, even, doubt = np.zeros((3, len(points), errors.count))
+    if not errors.count:
+        return odd, np.zeros(len(points)), np.zeros(len(points))
+    at_visit = errors.at(visit.pose, "reference")
+    on_reference = [0.5 * (plus.light - minus.light) / at_visit.known.light for plus, minus in at_visit.changed]
+    for k, point in enumerate(points):
+        sights = errors.at(point.pose, "sample")
+        behind = _behind(sights.known.directions)
+        for j, (plus, minus) in enumerate(sights.changed):
+            up, down = (_turned_over(glance.directions, behind) for glance in (plus, minus))
+            odd[k, j], even[k, j] = curves.effects(k, point.directions, up, down)
+            nearer = 0.5 * (plus.distance_factor - minus.distance_factor) / sights.known.distance_factor
+            odd[k, j] += brdf[k] * (nearer - on_reference[j])
+            doubt[k, j] = curves.doubt(k, up)
+    return odd, np.sum(even**2, axis=1), np.sum(doubt**2, axis=1)
+
+
 def _doubts(
     description: RigDescription, curves: angle_sensitivity.Curves, points: list[Reduced], axis: str, u: float
 ) -> Floats:
@@ -281,26 +331,38 @@ def _doubts(
 
 
 def _shares(
-    description: RigDescription,
+    frames: RunFrames,
     points: list[Reduced],
     errors: list[tuple[str, float]],
     cones: tuple[float, float],
     band: Band,
 ) -> list[spike_overlap.Share]:
     """What each point sees of a specular spike."""
+    description = frames.description
     g, radius = description.geometry, description.acquisition.roi_radius_mm
     # beyond six standard deviations of the errors nothing of the mirror image is seen
     blur = 6.0 * sum(u for _, u in errors) + 2.0 * radius * (1.0 / g.light_distance_mm + 1.0 / g.camera_distance_mm)
     out = []
     for point in points:
         d = point.directions
-        if float(d.mirror_offset) >= sum(cones) + blur:
+        changed = _changed(frames, point)
+        turned = sum(float(np.linalg.norm(change.from_mirror - d.from_mirror)) for change in changed)
+        if float(d.mirror_offset) >= sum(cones) + blur + 6.0 * turned:
             out.append(spike_overlap.Share())
             continue
-        moved = Directions.stack([_moved(description, point.pose, axis, u) for axis, u in errors])
+        moved = Directions.stack([*(_moved(description, point.pose, axis, u) for axis, u in errors), *changed])
         patch = spike_overlap.over_patch(d, radius, g.light_distance_mm, g.camera_distance_mm)
         out.append(spike_overlap.blurred_overlap(d, moved, cones, patch, _over_pixels(description, point, band)))
     return out
+
+
+def _changed(frames: RunFrames, point: Reduced) -> list[Directions]:
+    """The directions of a point for one standard deviation of each cause of `GeometryErrors`."""
+    if not frames.geometry.count:
+        return []
+    sights = frames.geometry.at(point.pose, "sample")
+    behind = _behind(sights.known.directions)
+    return [_turned_over(plus.directions, behind) for plus, _ in sights.changed]
 
 
 def _over_region(

@@ -21,6 +21,7 @@ from gonio.disk import read_file
 from gonio.errors import DamagedFrame, DataError
 from gonio.geometry import Directions
 from gonio.reduction.dark_signal import FEW, PATTERNS, Darks, Patterns
+from gonio.reduction.geometry_errors import GeometryErrors
 from gonio.rig import Frame, Pose, Target, kinematics
 from gonio.rig.description import Band, Camera, RigDescription
 from gonio.rig.dng import read_raw
@@ -112,6 +113,7 @@ class RunFrames:
         self.lost_visits: list[str] = []
         """The flags of the visits to the reference without frames."""
         dark: list[FrameRecord] = []
+        self.geometry = GeometryErrors(run.description)
         self._every = run.steps()
         for step in self._every:
             if step.kind == "dark":

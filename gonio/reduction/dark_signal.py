@@ -96,7 +96,7 @@ class Patterns:
         return out
 
 
-def strongest(effects: Floats, u: Floats) -> tuple[Floats, Floats]:
+def strongest(effects: Floats, u: Floats, count: int = COLUMNS) -> tuple[Floats, Floats]:
     """The columns that hold most of a covariance, and the variance that they leave to each value.
 
     Parameters
@@ -105,16 +105,18 @@ def strongest(effects: Floats, u: Floats) -> tuple[Floats, Floats]:
         Change of each value for one standard deviation of each cause, shape (n, causes).
     u
         Independent standard uncertainties, in units of which the columns are the strongest, shape (n,).
+    count
+        How many columns there are at most.
 
     Returns
     -------
-    columns : shape (n, COLUMNS)
+    columns : shape (n, count)
         Each with a negative sum: more dark signal, less light.
     rest : shape (n,)
     """
     scale = np.where(u > 0, u, 1.0)[:, None]
     left, size, _ = np.linalg.svd(effects / scale, full_matrices=False)
-    columns = np.zeros((len(effects), COLUMNS))
-    found = (left * size)[:, :COLUMNS] * scale
+    columns = np.zeros((len(effects), count))
+    found = (left * size)[:, :count] * scale
     columns[:, : found.shape[1]] = np.where(found.sum(axis=0) > 0, -found, found)
     return columns, np.maximum(np.sum(effects**2, axis=1) - np.sum(columns**2, axis=1), 0.0)

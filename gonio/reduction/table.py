@@ -16,6 +16,7 @@ from gonio.geometry import Directions
 from gonio.reduction import white_reference
 from gonio.reduction.count_rates import RETAKE, RunFrames
 from gonio.reduction.dark_signal import COLUMNS
+from gonio.reduction.geometry_errors import zero_u_deg
 from gonio.rig import kinematics
 from gonio.rig.description import Axis, Band, RigDescription
 from gonio.typing import Floats
@@ -33,6 +34,7 @@ NAMED = 10
 """At most so many damaged frames are named in a note."""
 COMMON = ("s_reference", "s_reference_noise", "s_lamp_drift")
 DARK = tuple(f"s_dark_{k + 1}" for k in range(COLUMNS))
+GEOMETRY = tuple(f"s_geometry_{k + 1}" for k in range(4))
 CAUSES = {"light": "s_theta_i_zero", "camera": "s_theta_r_zero", "tilt": "s_tilt_zero", "azimuth": "s_azimuth_zero"}
 """Axes whose zeros are common causes. A spin turns both directions alike: an isotropic surface does not notice it."""
 
@@ -48,6 +50,8 @@ class BandResult:
     """Of the table, a number for each of them."""
     darks: Floats
     """Change of each value [1/sr] by the noise of the dark frames, see `Reduced.dark`; shape (points, 2, n)."""
+    geometry: Floats
+    """Change of each value [1/sr] by the causes of `GeometryErrors`, shape (points, causes)."""
     flags: dict[int, str]
     level: white_reference.Level
     reference_brdf: float
@@ -69,8 +73,11 @@ def angle_axes(description: RigDescription) -> dict[str, Axis]:
 
 
 def zero_uncertainties(description: RigDescription) -> dict[str, float]:
-    """Standard uncertainty [rad] of each zero; both arms are always there, so that tables have the same columns."""
-    axes = {name: math.radians(axis.zero_u_deg) for name, axis in angle_axes(description).items()}
+    """Standard uncertainty [rad] of each zero; both arms are always there, so that tables have the same columns.
+
+    0 where the zero is one of the numbers that `s_geometry_1` and its neighbours hold.
+    """
+    axes = {name: math.radians(u) for name, u in zero_u_deg(description, angle_axes(description)).items()}
     return {name: u for name, u in axes.items() if u > 0 or name in ("light", "camera")}
 
 
@@ -80,6 +87,7 @@ def assemble(run: Run, results: list[BandResult], notes: list[str]) -> pd.DataFr
 
     description, plan = run.description, run.plan
     causes = [*COMMON, *DARK, *(CAUSES[axis] for axis in zero_uncertainties(description))]
+    causes += GEOMETRY[: results[0].geometry.shape[1]]
     numbers = [*ANGLES, "brdf", "u_brdf", "u_random", *causes]
     values = np.full((len(numbers), len(plan), len(results)), math.nan)
     values[: len(ANGLES)] = plan[list(ANGLES)].to_numpy(dtype=float).T[..., None]

@@ -205,6 +205,7 @@ def _distorted(camera: Camera, x: Floats, y: Floats) -> tuple[Floats, Floats]:
 
 
 STRAIGHT_STEPS = 100
+ASTRAY = 1e3
 STRAIGHT = 1e-12
 """In image distances: a millionth of a pixel, for any camera."""
 
@@ -215,23 +216,26 @@ def _straightened(
 ) -> tuple[Floats, Floats]:
     """Where a pinhole would image what each pixel sees, in image distances, each of shape (rows, columns)."""
     u, v = _on_sensor(camera, image_distance, slice(top, bottom), slice(left, right))
-    u, v = np.meshgrid(u, v)
+    x, y = _unbent(camera, *np.meshgrid(u, v))
+    for each in (x, y):
+        each.flags.writeable = False
+    return x, y
+
+
+def _unbent(camera: Camera, u: Floats, v: Floats) -> tuple[Floats, Floats]:
+    """The inverse of `_distorted`, by fixed-point iteration."""
     x, y = u, v
     for _ in range(STRAIGHT_STEPS):
         bent_x, bent_y = _distorted(camera, x, y)
         x, y = x + (u - bent_x), y + (v - bent_y)
         off = max(np.abs(u - bent_x).max(initial=0.0), np.abs(v - bent_y).max(initial=0.0))
-        if not off > STRAIGHT:
-            break
-        if not off < 1e3:
+        if not STRAIGHT < off < ASTRAY:
             break
     if not off <= STRAIGHT:
         raise ConfigError(
             f"camera.distortion = {list(camera.distortion)} images several directions on one pixel of the frame: it "
             "holds for a smaller part of it; is it given for image coordinates in focal lengths, as OpenCV does?"
         )
-    for each in (x, y):
-        each.flags.writeable = False
     return x, y
 
 
@@ -437,6 +441,24 @@ def project(
         columns = scale * (ray @ np.asarray(view.image_x)) / depth + column
         rows = scale * (ray @ np.asarray(view.image_y)) / depth + row
     return np.where(depth > 0.0, columns, np.inf), np.where(depth > 0.0, rows, np.inf)
+
+
+def place(description: RigDescription, view: View, target: Target) -> tuple[float, float]:
+    """Column and row (fractional) on which the centre of a target's patch falls."""
+    column, row = _project(description, view, *_centre(description, target))
+    return float(column), float(row)
+
+
+def spot(description: RigDescription, view: View, column: float, row: float) -> Floats:
+    """Where the line of sight of a place on the sensor (fractional) meets the sample's plane, x and y [mm]."""
+    camera, (middle_column, middle_row) = description.camera, _middle(description.camera)
+    scale = 1e-3 * camera.pixel_um / image_distance_mm(description)
+    u, v = np.array((column - middle_column) * scale), np.array((row - middle_row) * scale)
+    if any(camera.distortion):
+        u, v = _unbent(camera, u, v)
+    line = view.optical_axis + u * view.image_x + v * view.image_y
+    out: Floats = (view.camera_mm - line * (view.camera_mm[2] / line[2]))[:2]
+    return out
 
 
 def _span(pixels: Floats, size: int) -> slice:

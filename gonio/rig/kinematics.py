@@ -25,7 +25,7 @@ import numpy as np
 
 from gonio.errors import ConfigError
 from gonio.geometry import AT_LIMIT, EXACTLY_IN_PLANE, PARALLEL, Directions
-from gonio.rig.description import ArmAxis, RigDescription
+from gonio.rig.description import ArmAxis, Axis, RigDescription
 from gonio.rig.protocols import Pose
 from gonio.rig.ways import Blocked, require_free
 from gonio.typing import Floats
@@ -85,8 +85,10 @@ def true_pose(description: RigDescription, pose: Pose) -> Pose:
     return replace(pose, **out) if out else pose
 
 
-def encoder_error(axis: ArmAxis, read: float) -> float:
+def encoder_error(axis: Axis, read: float) -> float:
     """What an encoder reads too much [rad], beside its zero, where it reads an angle [rad]."""
+    if not isinstance(axis, ArmAxis):
+        return 0.0
     return math.radians(sum(c * math.cos(k * read) + s * math.sin(k * read) for k, c, s in axis.harmonics_deg))
 
 
@@ -223,13 +225,13 @@ def _carried(axis: ArmAxis, onto: Floats, distance_mm: float) -> Floats:
     return out
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)
 def _about_x_then(tilt_deg: tuple[float, float], other: str) -> Floats:
     """Rx(first) R_other(second), of two small angles [deg]: what it turns is turned about `other` first."""
     return np.asarray(_rotation("x", math.radians(tilt_deg[0])) @ _rotation(other, math.radians(tilt_deg[1])))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)
 def _camera_on_arm(elevation_deg: float, pointing_deg: tuple[float, float], roll_deg: float) -> Floats:
     """Columns: image_x, image_y and optical axis in the frame of an arm at 0, which looks down its own z."""
     down = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])

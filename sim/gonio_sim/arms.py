@@ -9,7 +9,8 @@ lags by `backlash_deg`. Every goal is approached from below, from `acquisition.a
 that is negative), which takes up the play if the approach is longer than it; the zero offset is defined for that side.
 The approach never leaves the limits, and is shorter near them. What is left is
 
-    true = encoder - zero_offset_deg - (what the calibration missed, drawn once from N(0, zero_u_deg))
+    true = r - (the encoder's error within its turn at r) - (encoder_noise_deg, drawn at every landing)
+    r    = encoder - zero_offset_deg - (what the calibration missed, drawn once from N(0, zero_u_deg))
     read = encoder in whole counts - zero_offset_deg, or without it where `zero_offset_known = false`
 
 The first offset is the true one (`World.truth`), the second what the rig file or a calibration says.
@@ -26,12 +27,15 @@ import numpy as np
 from gonio.errors import ConfigError
 from gonio.rig import Pose
 from gonio.rig.description import Axis
+from gonio.rig.kinematics import encoder_error
 from gonio.rig.ways import route, touching
 from gonio_sim.world import SETTLE_S, Stream, World
 
 AXES = tuple(field.name for field in fields(Pose))
 LOOK_S = 0.05
 """How finely a way is looked at for collisions: 1.5 deg of an arm at its usual speed."""
+NOISE = 1
+"""Of a landing's random numbers the one for the encoder's noise."""
 ROUNDING = 1e-9
 """A goal this close [rad] to a limit is at the limit."""
 
@@ -45,6 +49,10 @@ class Mechanism:
         self._offset = math.radians(axis.zero_offset_deg)
         self._known_offset = math.radians(known.zero_offset_deg) if known.zero_offset_known else 0.0
         self._zero_error = zero_error
+        self._axis = axis
+        self._noise = 0.0
+        self.noise = math.radians(axis.encoder_noise_deg)
+        """Standard deviation of readings [rad]."""
         self.speed = math.radians(axis.speed_deg_per_s)
         self._rest = rest
         self._play = (0.0, self._backlash) if approach >= 0.0 else (-self._backlash, 0.0)
@@ -54,10 +62,15 @@ class Mechanism:
     def rest(self) -> None:
         """Stand at the rest position, reached from the wrong side: the play is open, as before a first approach."""
         self.encoder = self._rest + self._known_offset
+        self._noise = 0.0
         self.arm = self.encoder + sum(self._play)
 
-    def land(self, start: float, goal: float, within: float) -> None:
-        """Go to `start`, then to the goal; the motor stops at `within`, in [-1/2, 1/2), of its count."""
+    def land(self, start: float, goal: float, within: float, noise: float = 0.0) -> None:
+        """Go to `start`, then to the goal; the motor stops at `within`, in [-1/2, 1/2), of its count.
+
+        The reading is wrong by `noise` [rad], beside what is always wrong with it.
+        """
+        self._noise = noise
         target = goal + self._known_offset
         if self._step > 0.0:
             target = (round(target / self._step) + within) * self._step
@@ -74,7 +87,8 @@ class Mechanism:
     @property
     def true(self) -> float:
         """Where the arm is."""
-        return self.arm - self._offset - self._zero_error
+        error = encoder_error(self._axis, self.encoder - self._offset - self._zero_error) + self._noise
+        return self.arm - self._offset - self._zero_error - error
 
 
 class SimulatedArms:
@@ -152,7 +166,9 @@ class SimulatedArms:
             way = abs(goals[name] - axis.reading) + 2.0 * abs(self._approach[name])
             durations.append(way / axis.speed)
             within = self._world.uniform(Stream.LANDING, self._world.step, self._moves, number)
-            axis.land(self._start(name, goals[name]), goals[name], within)
+            address = Stream.LANDING, self._world.step, self._moves, number, NOISE
+            noise = self._world.normal(*address) * axis.noise if axis.noise else 0.0
+            axis.land(self._start(name, goals[name]), goals[name], within, noise)
         self._moves += 1
         self._world.spend(max(durations) + SETTLE_S)
         self._publish()

@@ -25,7 +25,7 @@ from gonio import geometry
 from gonio.errors import ConfigError
 from gonio.rig import Pose, fiducials
 from gonio.rig.description import Band, Fiducials, Holder, SampleDescription
-from gonio.rig.imaging import PixelMap, image_distance_mm, of_channel, pixel_map
+from gonio.rig.imaging import PixelMap, of_channel, pixel_map
 from gonio.rig.kinematics import View, directions, view
 from gonio.typing import Floats
 from gonio_sim.world import InHolder, World
@@ -105,7 +105,7 @@ class Renderer:
     def _render(self, pose: Pose, band: Band, target: InHolder) -> Floats32:
         from gonio_sim.adaptive_grid import electrons_per_s
 
-        description = self._world.truth
+        description = self._world.optics
         if target == "empty":
             return self._straight_through(pose, band)
         scene = view(description, pose)
@@ -164,25 +164,20 @@ class Renderer:
 
         The lens is focused on the sample's place. From a spot there the lamp and the pupil are caps, as with a mirror.
         """
-        description = self._world.truth
-        still = view(
-            description, Pose(light=pose.light, camera=pose.camera, azimuth=pose.azimuth)
-        )  # in the lab's frame
+        description = self._world.optics
+        # from the frame of the holder at rest; how it stands there makes no difference
+        still = view(description, Pose(light=pose.light, camera=pose.camera, azimuth=pose.azimuth))
         camera, eye, lamp = description.camera, still.camera_mm, still.source_mm
         distance = description.geometry.camera_distance_mm
-        scale = 1e-3 * camera.pixel_um / image_distance_mm(description)
-        u = (np.arange(camera.width) - 0.5 * (camera.width - 1)) * scale
-        v = (np.arange(camera.height) - 0.5 * (camera.height - 1)) * scale
-        across = u[None, :, None] * still.image_x + v[:, None, None] * still.image_y
-        sight = across - eye / np.linalg.norm(eye)
-        to_lamp = lamp - distance * across  # from where the line of sight crosses the plane in focus
+        seen = pixel_map(description, still)
+        sight = seen.sight_lines
+        to_lamp = lamp - (eye + distance * sight)  # from where the line of sight crosses the plane in focus
         away = np.linalg.norm(to_lamp, axis=-1)
-        sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
+        sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
         apart = np.linalg.norm(to_lamp / away[..., None] - sight, axis=-1)
         shared = _shared_disc(
             apart, *(math.radians(h) for h in (description.lamp.half_angle_deg, camera.lens_half_angle_deg))
         )
-        seen = pixel_map(description, view(description, Pose()))
         weight = seen.falloff * (description.geometry.light_distance_mm / away) ** 2
         rate: Floats32 = np.minimum(math.pi * camera.responsivity_e_per_s * weight * shared, BRIGHTEST).astype(
             np.float32
@@ -199,7 +194,7 @@ class Renderer:
         else:
             from gonio.reduction.reference_table import brdf_of_reference
 
-            at_centre = directions(self._world.truth, self._world.pose)
+            at_centre = directions(self._world.optics, self._world.pose)
             certified = brdf_of_reference(self._table, at_centre, band.centre_nm)
 
         def paint(seen: PixelMap, scene: View, disc: Disc, brdf: Floats) -> None:

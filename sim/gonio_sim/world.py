@@ -69,6 +69,8 @@ class World:
         """What who measures knows."""
         self.truth = truth_of(description)
         """The same keys, with what is true."""
+        self.optics = with_exact_encoders(self.truth)
+        """What is true, for `pose`: it says where the axes are, and not what encoders read."""
         self.sample = sample
         self.seed = seed
         self.open = False
@@ -158,6 +160,14 @@ def truth_of(description: RigDescription) -> RigDescription:
     """What is true of a simulated bench: the rig file without calibrations, and over it the file that `truth` names."""
     own = uncalibrated(description)
     return with_keys(own, read_toml(own.truth), own.truth) if own.truth is not None else own
+
+
+def with_exact_encoders(description: RigDescription) -> RigDescription:
+    """A rig whose encoders have no errors within their turn: what they read is where the axes are."""
+    arms = description.arms
+    exact = {name: getattr(arms, name) for name in ("light", "camera", "azimuth")}
+    exact = {n: axis.model_copy(update={"harmonics_deg": ()}) for n, axis in exact.items() if axis is not None}
+    return description.model_copy(update={"arms": arms.model_copy(update=exact)})
 
 
 def key(seed: int, stream: Stream, *address: int) -> np.uint64:

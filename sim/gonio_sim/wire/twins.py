@@ -21,8 +21,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from gonio.config import to_toml
 from gonio.errors import ConfigError
 from gonio.rig import Frame, Pose
-from gonio.rig.description import RigDescription, SampleDescription
+from gonio.rig.description import Axis, RigDescription, SampleDescription
 from gonio.rig.dng import encode_dng
+from gonio.rig.kinematics import encoder_error
 from gonio_sim.camera import SimulatedCamera
 from gonio_sim.render import Renderer
 from gonio_sim.wire import faults as fault_names
@@ -125,6 +126,8 @@ class Follower:
     backlash: float
     offset: float
     zero_error: float
+    axis: Axis
+    """With the errors of its encoder within a turn."""
     from_above: bool = False
     """The rig approaches its goals so: no play then."""
     arm: float = math.nan
@@ -144,7 +147,8 @@ class Follower:
     def true(self) -> float:
         """Where the arm is [rad]."""
         self.follow()
-        return self.arm - self.offset - self.zero_error
+        read = self.encoder() - self.offset - self.zero_error
+        return self.arm - self.offset - self.zero_error - encoder_error(self.axis, read)
 
 
 @dataclass(slots=True)
@@ -207,7 +211,7 @@ class Twins:
         built: dict[str, _Axis] = dict(servos.axes)
         if servos.changer is not None:
             built["changer"] = servos.changer
-        known = description.axes()
+        known = self.world.truth.axes()
         self.servos: dict[str, Servo] = {}
         self.followers: dict[str, Follower] = {}
         for name, axis in built.items():
@@ -220,7 +224,7 @@ class Twins:
                 body = known[name]
                 follower = Follower(
                     self.servos[name], axis, math.radians(body.backlash_deg), math.radians(body.zero_offset_deg),
-                    float(self.world.zero_error[name]), description.approach_deg()[name] < 0,
+                    float(self.world.zero_error[name]), body, description.approach_deg()[name] < 0,
                 )  # fmt: skip
                 self.followers[name] = follower
                 self.servos[name].leaving = follower.follow
@@ -234,7 +238,7 @@ class Twins:
             body = known[name]
             arm = self.followers[name] = StageFollower(
                 twin, stage, math.radians(body.backlash_deg), math.radians(body.zero_offset_deg),
-                float(self.world.zero_error[name]),
+                float(self.world.zero_error[name]), body,
             )  # fmt: skip
             twin.leaving = arm.follow
         self.bus = ServoBus(self.servos.values(), self.faults)

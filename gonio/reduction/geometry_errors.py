@@ -1,0 +1,168 @@
+"""What a calibration leaves open of a rig's geometry, and what that does to the directions of every step.
+
+A calibration knows zeros, encoders, axes, holder, distances and lens with a covariance. Its independent directions are
+the causes: along each of them the rig's description is moved by one standard deviation up and down. At the pose that
+was read the moved rig shows other directions, and the light falls otherwise, at the place of the sensor that the region
+of interest lies around.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gonio.config import numbers_in, with_numbers
+from gonio.errors import ConfigError
+from gonio.geometry import Directions
+from gonio.rig import Pose, Target, imaging, kinematics
+from gonio.rig.calibrated import covariance_of, known_parameters
+from gonio.rig.description import Axis, RigDescription
+
+ARMS = ("zero_offset_deg", "harmonics_deg", "axis_tilt_deg", "axis_offset_mm", "elevation_deg")
+HOLDER = (
+    "zero_offset_deg", "tilt_zero_offset_deg", "spin_zero_offset_deg", "surface_offset_mm", "surface_tilt_deg",
+    "sample_offset_mm", "spin_axis_tilt_deg", "tilt_axis_offset_mm",
+)  # fmt: skip
+CAMERA = ("principal_point_px", "distortion", "roll_deg", "pointing_deg", "focal_length_mm", "pixel_um")
+DISTANCES = ("light_distance_mm", "camera_distance_mm")
+GEOMETRIC = tuple(
+    [f"arms.{arm}.{key}" for arm in ("light", "camera", "azimuth") for key in ARMS]
+    + [f"holder.{key}" for key in HOLDER]
+    + [f"camera.{key}" for key in CAMERA]
+    + [f"geometry.{key}" for key in DISTANCES]
+)
+"""Keys that directions and light at a pose depend on."""
+NEGLIGIBLE = 1e-12
+"""Of a correlation's eigenvalues: rounding."""
+
+
+def zero_keys(description: RigDescription) -> dict[str, str]:
+    """The key that holds the zero of each axis."""
+    out = {name: f"arms.{name}.zero_offset_deg" for name in ("light", "camera", "azimuth")}
+    for name in ("tilt", "spin"):
+        own = getattr(description.holder, f"{name}_zero_offset_deg") is not None
+        out[name] = f"holder.{name}_zero_offset_deg" if own else "holder.zero_offset_deg"
+    return {name: out[name] for name in description.axes()}
+
+
+def zero_u_deg(description: RigDescription, axes: Iterable[str]) -> dict[str, float]:
+    """Standard uncertainty [deg] of the zeros of axes, as far as it is not in `parameters`.
+
+    A calibration that knows a zero is believed, and not `zero_u_deg` of the rig file.
+    """
+    keys, known, common = zero_keys(description), known_parameters(description), parameters(description)
+    out = {}
+    for name in axes:
+        axis: Axis = description.axes()[name]
+        if keys[name] not in known:
+            out[name] = axis.zero_u_deg
+        else:
+            alone = keys[name] not in common
+            out[name] = math.sqrt(float(covariance_of(description, [keys[name]])[0, 0])) if alone else 0.0
+    return out
+
+
+def parameters(description: RigDescription) -> list[str]:
+    """The numbers of a rig's geometry that its calibrations know as a whole, with a covariance.
+
+    Zeros that are all that is known, each by itself, are not among them: they are causes of their own.
+    """
+    known = [name for name in known_parameters(description) if name.split("[")[0] in GEOMETRIC]
+    covariance = covariance_of(description, known)
+    apart = not np.any(covariance - np.diag(np.diag(covariance)))
+    return [] if apart and set(known) <= set(zero_keys(description).values()) else known
+
+
+@dataclass(frozen=True, slots=True)
+class Glance:
+    """What the middle of a region of interest sees."""
+
+    directions: Directions
+    distance_factor: float
+    """(d0 / d)^2, d being its distance from the lamp."""
+
+    @property
+    def light(self) -> float:
+        """How the lamp lights it, relative to normal incidence at the distance d0; 0 from behind."""
+        return max(math.cos(self.directions.theta_i), 0.0) * self.distance_factor
+
+
+@dataclass(frozen=True, slots=True)
+class Sights:
+    """What is seen at one pose that was read."""
+
+    known: Glance
+    """With the rig as it is known."""
+    changed: list[tuple[Glance, Glance]]
+    """With the rig one standard deviation of each cause up and down."""
+
+
+class GeometryErrors:
+    """The independent causes that a calibration's covariance of the geometry consists of.
+
+    Raises
+    ------
+    ConfigError
+        A calibration is uncertain of a number that the run's rig does not have.
+    """
+
+    def __init__(self, description: RigDescription) -> None:
+        self._description = description
+        names = parameters(description)
+        covariance = covariance_of(description, names)
+        u = np.sqrt(np.diag(covariance))
+        known = u > 0.0
+        names, u = [name for name, one in zip(names, known, strict=True) if one], u[known]
+        correlation = covariance[np.ix_(known, known)] / np.outer(u, u)
+        values, vectors = np.linalg.eigh(correlation) if names else (np.zeros(0), np.zeros((0, 0)))
+        kept = values > NEGLIGIBLE * max(len(names), 1)
+        self._tables = description.model_dump(mode="json", exclude={"calibration"}) if names else {}
+        numbers = numbers_in(self._tables)
+        missing = [name for name in names if name not in numbers]
+        if missing:
+            raise ConfigError(
+                f'calibration.known: a calibration is uncertain of {missing[0]}, which the rig "{description.name}" '
+                "has no number for; calibrate again"
+            )
+        steps = (vectors[:, kept] * np.sqrt(values[kept]) * u[:, None]).T
+        self._rigs = [tuple(self._moved(names, numbers, sign * step) for sign in (1.0, -1.0)) for step in steps]
+        self._seen: dict[tuple[Pose, Target], Sights] = {}
+
+    @property
+    def count(self) -> int:
+        """How many causes there are."""
+        return len(self._rigs)
+
+    def _moved(
+        self, names: list[str], numbers: dict[str, float], step: np.ndarray
+    ) -> tuple[RigDescription, dict[str, float]]:
+        """A rig with other numbers, and what its encoders then read otherwise [rad]: its zeros have moved."""
+        by = dict(zip(names, step.tolist(), strict=True))
+        rig = RigDescription.model_validate(with_numbers(self._tables, {n: numbers[n] + v for n, v in by.items()}))
+        axes = self._description.axes()
+        shifts = {name: -math.radians(by.get(key, 0.0)) for name, key in zero_keys(self._description).items()}
+        return rig, {name: shift for name, shift in shifts.items() if shift and axes[name].zero_offset_known}
+
+    def at(self, pose: Pose, target: Target) -> Sights:
+        """What is seen at a pose that was read; bands ask for the same."""
+        key = (pose, target)
+        if key not in self._seen:
+            place = imaging.place(self._description, kinematics.view(self._description, pose), target)
+            known = _glance(self._description, {}, pose, place)
+            changed = [(_glance(*plus, pose, place), _glance(*minus, pose, place)) for plus, minus in self._rigs]
+            self._seen[key] = Sights(known, changed)
+        return self._seen[key]
+
+
+def _glance(rig: RigDescription, shifts: dict[str, float], pose: Pose, place: tuple[float, float]) -> Glance:
+    if shifts:
+        pose = replace(pose, **{name: getattr(pose, name) + by for name, by in shifts.items()})
+    view = kinematics.view(rig, pose)
+    spot = np.append(imaging.spot(rig, view, *place), 0.0)
+    to_source = view.source_mm - spot
+    away = float(np.linalg.norm(to_source))
+    directions = Directions.from_vectors(to_source, view.camera_mm - spot)
+    return Glance(directions, (rig.geometry.light_distance_mm / away) ** 2)
