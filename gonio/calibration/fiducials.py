@@ -25,6 +25,9 @@ from gonio.typing import Floats
 SMALLEST_PX = 24.0
 """Side of a marker in the frame, at its shortest: below 3 pixels a cell the window of a corner holds its neighbours,
 and corners lie up to 1.5 px off."""
+FAR = 4.0
+FEWEST = 8
+"""Corners, of two markers, are too few: a plane has eight unknowns, and some must be left to tell errors."""
 DPI = 600
 MARGIN_MM = 5.0
 
@@ -196,3 +199,30 @@ def pose(
         covariance,
         float(np.sqrt(np.mean(np.sum(left**2, axis=1)))),
     )
+
+
+def consistent(
+    marks: Fiducials, numbers: npt.NDArray[np.intp], pixels: Floats
+) -> tuple[npt.NDArray[np.intp], Floats, float]:
+    """The corners that lie as on one plane, and how far they scatter about it [px]; none where fewer than two markers do.
+
+    Corners that a shadow, a reflection or a neighbour has moved are left out, `FAR` standard deviations off the rest.
+    """
+    import cv2
+
+    nothing = numbers[:0], pixels[:0], 0.0
+    flat = corners_mm(marks).reshape(-1, 2)
+    for _ in range(5):
+        if len(numbers) <= FEWEST:
+            return nothing
+        plane, _ = cv2.findHomography(flat[numbers], pixels, 0)
+        if plane is None:
+            return nothing
+        off = np.linalg.norm(cv2.perspectiveTransform(flat[numbers][None], plane)[0] - pixels, axis=1)
+        sigma = float(np.sqrt(np.median(off**2) / (2.0 * np.log(2.0))))
+        good = off <= FAR * max(sigma, 0.02)
+        if good.all():
+            freedom = 2 * len(numbers) - 8
+            return numbers, pixels, float(np.sqrt(np.sum(off**2) / freedom))
+        numbers, pixels = numbers[good], pixels[good]
+    return nothing

@@ -47,6 +47,9 @@ STEP = 1e-3
 """Of a numerical slope, of `Unknown.within`: a nonlinear model is straight over it, and rounding is far below it."""
 LOST_PX = 1e5
 """Of what a rig with some values would not see at all."""
+LEAST_HARMONIC_DEG = 0.02
+"""What is expected of an encoder's errors where none are seen."""
+HARMONIC_ROUNDS = 4
 MOST_STEPS = 15
 CLOSED = 0.03
 """Of the last step, in standard deviations."""
@@ -251,6 +254,7 @@ class Problem:
         given: tuple[Sequence[str], Floats, Floats] | None = None,
     ) -> None:  # fmt: skip
         """`given`: paths, values and covariance of numbers that something else has told (intrinsics)."""
+        self.x = np.zeros(len(sought) + (len(given[0]) if given else 0))
         self.sightings = list(sightings)
         self._tables = start_of(description)
         self._fixed = description
@@ -264,8 +268,8 @@ class Problem:
             prior[n:, n:] = given[2]
             self.within[n:] = np.sqrt(np.diag(given[2]))
         self.start = start
-        scaled = prior / np.outer(self.within, self.within)
-        self._prior = np.linalg.inv(np.linalg.cholesky(scaled + 1e-12 * np.eye(len(scaled))))
+        self._expected = prior / np.outer(self.within, self.within)
+        self._prior = _whitening(self._expected)
         self._whitening: list[Floats] = []
         self._pixels = [
             np.array([*([s.spot_px] if s.spot_px is not None else []), *s.corners_px], float).ravel()
@@ -298,7 +302,7 @@ class Problem:
                 if steps[name] > 0.0:
                     slope = (_seen(rig, axes, s, {name: 0.01}).ravel() - base) / 0.01 * steps[name]
                     covariance += np.outer(slope, slope)
-            self._whitening.append(np.linalg.inv(np.linalg.cholesky(covariance)))
+            self._whitening.append(_whitening(covariance))
 
     def of_sightings(self, rig: RigDescription) -> list[Floats]:
         """Whitened residuals, sighting by sighting; what would lie behind the camera is very far off."""
@@ -329,7 +333,7 @@ class Problem:
 
         The weights follow: slopes by the axes are those of the fit.
         """
-        x = np.zeros(len(self.unknowns))
+        x = self.x
         for _ in range(MOST_STEPS):
             self.whiten(x)
             left, slopes = self.residuals(x), self.jacobian(x)
@@ -343,7 +347,39 @@ class Problem:
             if size < CLOSED:
                 break
         self.whiten(x)
+        self.x = x
         return x
+
+    def expect_harmonics(self, variance: Floats) -> bool:
+        """Learn from the encoders' errors that are seen how large they are; False where that changes nothing.
+
+        Those of one order have one standard deviation in all arms (an empirical prior): without it a cosine and the
+        zero, which look alike over the range of an arm, would hide in each other also on a rig that has none.
+        `variance`: of the fitted numbers, in units of `within` squared.
+        """
+        changed = False
+        for order in ORDERS:
+            mine = [
+                k for k, u in enumerate(self.unknowns)
+                if "harmonics_deg" in u.path and self._order(u.path) == order
+            ]  # fmt: skip
+            squares = float(np.sum(self.x[mine] ** 2 + variance[mine]))
+            least = (LEAST_HARMONIC_DEG / self.within[mine[0]]) ** 2
+            expected = min((squares + least) / (len(mine) + 1.0), 1.0)
+            changed |= abs(math.log(expected / self._expected[mine[0], mine[0]])) > 0.2
+            self._expected[mine, mine] = expected
+        self._prior = _whitening(self._expected)
+        return changed
+
+    def _order(self, path: str) -> int:
+        _, arm, rest = path.split(".")
+        return int(self._tables["arms"][arm]["harmonics_deg"][int(rest.split("[")[1][:-1])][0])
+
+
+def _whitening(covariance: Floats) -> Floats:
+    """What makes numbers of this covariance independent, with variance 1."""
+    out: Floats = np.linalg.inv(np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance))))
+    return out
 
 
 def solve(
@@ -375,6 +411,11 @@ def solve(
     for _ in range(4):
         problem = Problem(description, kept, sought, given)
         x = problem.solved()
+        for _ in range(HARMONIC_ROUNDS):
+            slopes = problem.jacobian(x)
+            if not problem.expect_harmonics(np.diag(np.linalg.inv(slopes.T @ slopes))):
+                break
+            x = problem.solved()
         rig = problem.described(x)
         sizes = problem.of_sightings(rig)
         chi = np.array([float(r @ r) / len(r) if len(r) else 0.0 for r in sizes])
