@@ -93,6 +93,13 @@ def measured(description: RigDescription, seed: int, *, poses: tuple[int, int, i
     return out
 
 
+def _kinds(sightings: list[geometry.Sighting]) -> str:
+    """How many of each kind."""
+    lamp = [s for s in sightings if s.spot_px is not None]
+    mirror, straight = (sum(s.holder == holder for s in lamp) for holder in ("mirror", "empty"))
+    return f"{mirror} mirror, {straight} straight, {sum(bool(s.corners) for s in sightings)} with markers"
+
+
 def error_of(axis: Any, read_deg: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     """Zero and harmonics of an arm [deg], where its encoder reads."""
     turn = np.radians(read_deg - axis.zero_offset_deg)
@@ -105,7 +112,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser()
     arguments.add_argument("--setups", type=int, default=20)
     arguments.add_argument("--seed", type=int, default=1)
-    arguments.add_argument("--poses", type=int, nargs=4, default=(48, 14, 40, 12), help="mirror, straight, markers, against")
+    arguments.add_argument("--poses", type=int, nargs=4, default=(48, 14, 60, 12), help="mirror, straight, markers, against")
     asked = arguments.parse_args()
     found: dict[str, list[tuple[float, float]]] = {}
     curves: list[float] = []
@@ -139,7 +146,7 @@ def main() -> None:
                for arm in ("light", "camera")]  # fmt: skip
         curves += [math.sqrt(float(np.mean(o**2))) for o in off]
         print(
-            f"{number:3d} {len(sightings)} sightings in {taken:.0f} s, fit in {time.monotonic() - began - taken:.0f} s; misfit "
+            f"{number:3d} {_kinds(sightings)} in {taken:.0f} s, fit in {time.monotonic() - began - taken:.0f} s; misfit "
             f"{fit.misfit:.2f}, {len(fit.dropped)} dropped; arms off by {curves[-2]:.4f} and {curves[-1]:.4f} deg rms; "
             f"{'; '.join(fit.open)}",
             flush=True,

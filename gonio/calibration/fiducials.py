@@ -218,11 +218,44 @@ def consistent(
         plane, _ = cv2.findHomography(flat[numbers], pixels, 0)
         if plane is None:
             return nothing
-        off = np.linalg.norm(cv2.perspectiveTransform(flat[numbers][None], plane)[0] - pixels, axis=1)
+        off = np.linalg.norm(_off_plane(marks, plane, numbers, pixels), axis=1)
         sigma = float(np.sqrt(np.median(off**2) / (2.0 * np.log(2.0))))
         good = off <= FAR * max(sigma, 0.02)
         if good.all():
-            freedom = 2 * len(numbers) - 8
+            freedom = 2 * len(numbers) - 9
             return numbers, pixels, float(np.sqrt(np.sum(off**2) / freedom))
         numbers, pixels = numbers[good], pixels[good]
     return nothing
+
+
+def _off_plane(marks: Fiducials, plane: Any, numbers: npt.NDArray[np.intp], pixels: Floats) -> Floats:
+    """Corners less where a plane has them, less what all are shifted outward from their own markers' middles: ink."""
+    import cv2
+
+    flat = corners_mm(marks)
+    there = cv2.perspectiveTransform(flat.reshape(1, -1, 2), plane)[0]
+    outward = (there.reshape(-1, 4, 2) - there.reshape(-1, 4, 2).mean(axis=1, keepdims=True)).reshape(-1, 2)[numbers]
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    off = pixels - there[numbers]
+    out: Floats = off - np.mean(np.sum(off * outward, axis=1)) * outward
+    return out
+
+
+def middle(marks: Fiducials, numbers: npt.NDArray[np.intp], pixels: Floats) -> Floats:
+    """Where the centre of the markers' circle is in the frame [px], from corners that are `consistent`."""
+    import cv2
+
+    plane, _ = cv2.findHomography(corners_mm(marks).reshape(-1, 2)[numbers], pixels, 0)
+    out: Floats = cv2.perspectiveTransform(np.zeros((1, 1, 2)), plane)[0, 0]
+    return out
+
+
+def on_plane(marks: Fiducials, numbers: npt.NDArray[np.intp], pixels: Floats, size: tuple[int, int]) -> Floats:
+    """How far from the centre each pixel looks at the markers' plane [mm], for a frame of `size` rows and columns."""
+    import cv2
+
+    plane, _ = cv2.findHomography(pixels, corners_mm(marks).reshape(-1, 2)[numbers], 0)
+    rows, columns = np.indices(size)
+    spots = cv2.perspectiveTransform(np.stack([columns, rows], axis=-1).reshape(1, -1, 2).astype(float), plane)[0]
+    out: Floats = np.hypot(spots[:, 0], spots[:, 1]).reshape(size)
+    return out

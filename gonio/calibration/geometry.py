@@ -35,11 +35,13 @@ if TYPE_CHECKING:
 
 ORDERS = (1, 2)
 """Of an encoder's errors within its turn: a disc off its centre, and one that is bent or has two reading heads."""
+INK = "holder.fiducials.marker_mm"
+"""Ink spreads, and a corner's window sees more black than white: both move corners, so this number is no result."""
 KNOWN = 0.5
 """A number is known where its uncertainty is below this share of what was expected of it."""
 TOLD = 1.0
 """Singular value of the scaled, whitened Jacobian below which a direction is not determined: less than expected."""
-CORNER_FLOOR_PX = 0.08
+CORNER_FLOOR_PX = 0.03
 """What corners of printed squares are off beyond their scatter: windows see neighbours, edges lie oblique."""
 SPOT_FLOOR_PX = 0.3
 """What the middle of the lamp is off: brightness is not quite even over its image."""
@@ -172,6 +174,8 @@ def unknowns(description: RigDescription, sightings: Sequence[Sighting]) -> list
         add("holder.surface_tilt_deg[1]", 1.0, "tilt of the surface against the spin axis about y")
         if tilt:
             add("holder.spin_axis_tilt_deg", 1.0, "lean of the spin axis toward the tilt axis")
+    if marks:
+        add(INK, 0.1, "side of the markers, as ink spreads")
     add("camera.roll_deg", 2.0, "roll of the camera")
     add("camera.pointing_deg[0]", 1.0, "pointing of the camera along columns")
     add("camera.pointing_deg[1]", 1.0, "pointing of the camera along rows")
@@ -495,7 +499,7 @@ def _open(fit: Fit, sightings: Sequence[Sighting], null: Floats) -> tuple[str, .
     why = f": no {' and no '.join(missing)}" if missing else ""
     paths = [u.path for u in fit.unknowns]
     zeros = ["arms.light.zero_offset_deg", "arms.camera.zero_offset_deg"]
-    unknown = {u.path: u.words for u, known in zip(fit.unknowns, fit.known, strict=True) if not known}
+    unknown = {u.path: u.words for u, known in zip(fit.unknowns, fit.known, strict=True) if not known and u.path != INK}
     if all(z in unknown for z in zeros):
         i, j = (paths.index(z) for z in zeros)
         c = fit.covariance
@@ -534,7 +538,7 @@ def values_of(fit: Fit) -> tuple[dict[str, Any], list[str], Floats]:
 
     A number that is not known is not written. Where it shares a list with one that is, it stands as in the rig file.
     """
-    keep = [k for k, known in enumerate(fit.known) if known]
+    keep = [k for k, known in enumerate(fit.known) if known and fit.unknowns[k].path != INK]
     rows = {}
     for k, u in enumerate(fit.unknowns):  # cosine and sine of an order belong together
         if "harmonics_deg" in u.path:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 FILE = "sightings.jsonl"
 MIRROR_POSES = 48
 STRAIGHT_POSES = 14
-MARKER_POSES = 40
+MARKER_POSES = 60
 AGAINST_POSES = 12
 FEWEST = 6
 STEEPEST_DEG = 72.0
@@ -40,7 +40,17 @@ AWAY_DEG = 3.0
 """From where an axis comes that has to arrive with its play open, or taken up: more than any play."""
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 INSIDE = 0.85
-"""Of the mirror's radius: its edge may lie a little beside where the rig file has it."""
+INSIDE_UNSURE = 0.6
+SATURATED = 0.97
+"""Of full scale: a pixel as bright may be brighter."""
+SURE, SURE_PX = 12, 0.4
+"""Corners, and their scatter, that show the mirror's edge."""
+"""Of the mirror's radius: its edge may lie a little beside where markers show it, or the rig file alone."""
+SIZE_U = 0.05
+"""Relative standard uncertainty of the sizes of lamp and pupil in the rig file."""
+SPOT_NOISE = 0.02
+"""Of full scale: what does not fit as well as this is no lamp in a mirror, or the mirror's edge is in it."""
+WORST_PX = 0.15
 PIXELS = 4000
 """A spot is fitted in an image that is binned to about so many."""
 
@@ -67,6 +77,8 @@ class GeometryScans(Scans):
         self._across: float | None = None
         """The tilt, as read, at which it is as high as the frame's middle."""
         self._lost = 0
+        self._beside: Floats | None = None
+        """How far from where the rig file has it the sample's centre is in the frame [px], columns and rows."""
 
     # ---- the kinds of sightings ----
 
@@ -114,7 +126,7 @@ class GeometryScans(Scans):
             if abs(light - goals["camera"]) < apart:
                 light += math.copysign(2.0 * apart, -light)
             goals["light"] = light
-            for name, most, k in (("tilt", 35.0, 3), ("spin", 160.0, 4)):
+            for name, most, k in (("tilt", 50.0, 3), ("spin", 160.0, 4)):
                 if name in self._description.axes():
                     goals[name] = most * _spread(number, k)
             if self._try_to_go(goals):
@@ -204,6 +216,17 @@ class GeometryScans(Scans):
         """Frames at the present pose, and what they show; None where they show nothing."""
         rig, frames = self._description, {}
         pose = Pose(**{n: math.radians(self._read(n)) for n in rig.axes()})
+        numbers, pixels, u_corner = np.zeros(0, np.intp), np.zeros((0, 2)), 0.0
+        if marks and rig.holder.fiducials is not None:
+            limits = rig.camera.exposure_limits_s
+            wanted = exposure.expected_exposure_s(rig, pose, rig.holder.fiducials.albedo)
+            frame = self._bench.camera.capture(round(min(max(wanted, limits[0]), limits[1], 2.0), 6))
+            self._require_size(frame)
+            frames["markers"] = frame.mosaic
+            numbers, pixels = fiducials.detect(frame.mosaic, rig.holder.fiducials)
+            numbers, pixels, u_corner = fiducials.consistent(rig.holder.fiducials, numbers, pixels)
+            if len(numbers) >= SURE and u_corner < SURE_PX:
+                self._beside = fiducials.middle(rig.holder.fiducials, numbers, pixels) - self._middle(pose)
         found: tuple[float, float, float] | None = None
         if spot:
             frame = self._bench.camera.capture(self._exposure_s)
@@ -211,17 +234,10 @@ class GeometryScans(Scans):
             frames["lamp"] = frame.mosaic
             light = np.asarray(frame.mosaic, float) - frame.black_level_dn
             if self._spot(frame) >= SPOT_PIXELS:
-                found = spot_of(light / exposure.full_scale_dn(rig.camera, frame), rig, pose if holder == "mirror" else None)
+                inside = self._inside_mirror(pose, numbers, pixels, u_corner) if holder == "mirror" else np.ones(light.shape, bool)
+                found = spot_of(light / exposure.full_scale_dn(rig.camera, frame), rig, inside)
             if found is None:
                 return None
-        numbers, pixels, u_corner = np.zeros(0, np.intp), np.zeros((0, 2)), 0.0
-        if marks and rig.holder.fiducials is not None:
-            limits = rig.camera.exposure_limits_s
-            wanted = exposure.expected_exposure_s(rig, pose, rig.holder.fiducials.albedo)
-            frame = self._bench.camera.capture(round(min(max(wanted, limits[0]), limits[1], 2.0), 6))
-            frames["markers"] = frame.mosaic
-            numbers, pixels = fiducials.detect(frame.mosaic, rig.holder.fiducials)
-            numbers, pixels, u_corner = fiducials.consistent(rig.holder.fiducials, numbers, pixels)
         if found is None and not len(numbers):
             return None
         sighting = Sighting(
@@ -240,6 +256,29 @@ class GeometryScans(Scans):
 
     def _encoder_of(self, name: str) -> float:
         return self._read(name) + self._offset(name)
+
+    def _middle(self, pose: Pose) -> Floats:
+        """Where the sample's centre would be in the frame, by the rig file."""
+        return np.array(imaging.project(self._description, kinematics.view(self._description, pose), np.zeros(3)))
+
+    def _inside_mirror(
+        self, pose: Pose, numbers: npt.NDArray[np.intp], pixels: Floats, u_corner: float
+    ) -> npt.NDArray[np.bool_]:
+        """Pixels that surely see the mirror: as markers in this frame show it, or as the rig file does, shifted to
+        where markers have last shown its middle."""
+        rig = self._description
+        radius_mm = 0.5 * rig.holder.sample_diameter_mm
+        if rig.holder.fiducials is not None and len(numbers) >= SURE and u_corner < SURE_PX:
+            size = (rig.camera.height, rig.camera.width)
+            return fiducials.on_plane(rig.holder.fiducials, numbers, pixels, size) <= INSIDE * radius_mm
+        view = kinematics.view(rig, pose)
+        if view.camera_mm[2] <= 0.0:
+            return np.zeros((rig.camera.height, rig.camera.width), bool)
+        column, row = np.array(rig.camera.principal_point_px) + (0.0 if self._beside is None else self._beside)
+        camera = rig.camera.model_copy(update={"principal_point_px": (float(column), float(row))})
+        seen = imaging.pixel_map(rig.model_copy(update={"camera": camera}), view)
+        inside: npt.NDArray[np.bool_] = np.hypot(seen.x_mm, seen.y_mm) <= INSIDE_UNSURE * radius_mm
+        return inside
 
     def _metered(self) -> float:
         self._meter()
@@ -280,31 +319,29 @@ def reversed_approach(description: RigDescription) -> RigDescription:
     return RigDescription.model_validate(tables)
 
 
-def spot_of(light: Floats, description: RigDescription, pose: Pose | None) -> tuple[float, float, float] | None:
+def spot_of(
+    light: Floats, description: RigDescription, inside: npt.NDArray[np.bool_]
+) -> tuple[float, float, float] | None:
     """Column, row and standard uncertainty [px] of the middle of the lamp in a frame; None where it shows none.
 
     Parameters
     ----------
     light
         Pixels over the black level, in units of full scale.
-    description, pose
-        With a pose, of a mirror: what lies beyond `INSIDE` of its radius is not looked at.
+    description
+        For the sizes of lamp and pupil.
+    inside
+        Pixels that may show the lamp: those of the mirror, or all.
 
     Notes
     -----
-    The lamp's disc, blurred by the lens's pupil, is round in the frame however the mirror lies. The form
-    A exp(-(r / w)^p) + b stands in for it. It needs no whole image: a part of its edge, inside the mirror, tells.
+    The lamp's disc, blurred by the lens's pupil, is round in the frame however the mirror lies. Its brightness at a
+    distance from its middle is what two discs share, as far apart: those of lamp and pupil, as the plane in focus shows
+    them. Their sizes are the rig file's, but for one factor. So no whole image is needed: a part of its edge tells.
     """
     from scipy.optimize import least_squares
 
     camera = description.camera
-    inside = np.ones(light.shape, bool)
-    if pose is not None:
-        view = kinematics.view(description, pose)
-        if view.camera_mm[2] <= 0.0:
-            return None
-        seen = imaging.pixel_map(description, view)
-        inside = np.hypot(seen.x_mm, seen.y_mm) <= INSIDE * 0.5 * description.holder.sample_diameter_mm
     size = max(1, round(math.sqrt(np.count_nonzero(inside) / PIXELS)))
     rows, cols = camera.height // size, camera.width // size
 
@@ -313,31 +350,57 @@ def spot_of(light: Floats, description: RigDescription, pose: Pose | None) -> tu
         return out
 
     whole = binned(inside) == 1.0
-    small = binned(np.clip(light, 0.0, 1.0))
+    small = binned(np.clip(light / SATURATED, 0.0, 1.0))
     y, x = np.nonzero(whole)
     values = small[whole]
     if len(values) < 30 or values.max() < BRIGHT:
         return None
     bright = values > 0.5 * values.max()
     centre = [float(x[bright].mean()), float(y[bright].mean())]
-    width = max(math.sqrt(np.count_nonzero(bright) / math.pi), 1.0)
+    lamp, pupil = (max(r / size, 0.5) for r in _disc_radii_px(description))
+    reach = lamp + pupil
 
-    def form(p: Floats) -> Floats:
+    def left(p: Floats) -> Floats:
         r = np.hypot(x - p[0], y - p[1])
-        out: Floats = p[3] * np.exp(-np.minimum((r / p[2]) ** p[4], 60.0)) + p[5]
-        return out
+        form = np.minimum(p[2] * _shared(r, p[3] * lamp, p[3] * pupil) + p[4], 1.0)  # where it saturates
+        return np.append(form - values, (p[3] - 1.0) / SIZE_U * SPOT_NOISE)
 
-    edge = [-2.0 * width, -2.0 * width, 0.3, 0.1, 1.2, -0.2]
-    bounds = (edge, [cols + 2 * width, rows + 2 * width, 3.0 * max(rows, cols), 2.0, 30.0, 0.5])
-    start = np.clip([*centre, width, float(values.max()), 3.0, 0.0], *bounds)
-    found = least_squares(lambda p: form(p) - values, start, bounds=bounds, x_scale=[1, 1, 1, 0.1, 1, 0.1])
-    variance = 2.0 * found.cost / max(len(values) - 6, 1)
+    found = None
+    for to in ((0.0, 0.0), (0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5)):
+        start = [centre[0] + to[0] * reach, centre[1] + to[1] * reach, float(values.max()), 1.0, 0.0]
+        bounds = ([-reach, -reach, 0.1, 0.6, -0.3], [cols + reach, rows + reach, 50.0, 1.6, 0.6])
+        tried = least_squares(left, np.clip(start, *bounds), bounds=bounds, x_scale=[1, 1, 0.1, 0.05, 0.1])
+        if found is None or tried.cost < found.cost:
+            found = tried
+        if math.sqrt(2.0 * found.cost / len(values)) < SPOT_NOISE:
+            break
+    assert found is not None
+    variance = 2.0 * found.cost / max(len(values) - 5, 1)
     covariance = np.linalg.pinv(found.jac.T @ found.jac) * variance
     u = size * math.sqrt(max(float(covariance[0, 0]), float(covariance[1, 1]), 0.0))
     column, row = (size * float(v) + 0.5 * (size - 1) for v in found.x[:2])
-    if not (0.0 <= column <= camera.width - 1 and 0.0 <= row <= camera.height - 1) or math.sqrt(variance) > 0.1 or u > 5.0:
+    if not (0.0 <= column <= camera.width - 1 and 0.0 <= row <= camera.height - 1) or math.sqrt(variance) > SPOT_NOISE or u > WORST_PX:
         return None
     return column, row, u
+
+
+def _disc_radii_px(description: RigDescription) -> tuple[float, float]:
+    """Radii of the discs of lamp and pupil in the frame, as lines of sight through the plane in focus turn."""
+    g, camera = description.geometry, description.camera
+    pitch_mm = 1e-3 * camera.pixel_um * g.camera_distance_mm / imaging.image_distance_mm(description)
+    turn = (1.0 / g.light_distance_mm + 1.0 / g.camera_distance_mm) * pitch_mm  # [rad] a pixel
+    return math.radians(description.lamp.half_angle_deg) / turn, math.radians(camera.lens_half_angle_deg) / turn
+
+
+def _shared(apart: Floats, a: float, b: float) -> Floats:
+    """Area that two discs of radii a and b share, over that of the smaller one."""
+    small, large = min(a, b), max(a, b)
+    d = np.clip(apart, large - small + 1e-9, large + small)
+    at_a = np.arccos(np.clip((d**2 + small**2 - large**2) / (2.0 * d * small), -1.0, 1.0))
+    at_b = np.arccos(np.clip((d**2 + large**2 - small**2) / (2.0 * d * large), -1.0, 1.0))
+    area = small**2 * (at_a - 0.5 * np.sin(2.0 * at_a)) + large**2 * (at_b - 0.5 * np.sin(2.0 * at_b))
+    out: Floats = np.where(apart <= large - small, 1.0, area / (math.pi * small**2))
+    return out
 
 
 def _spread(number: int, k: int = 0) -> float:
