@@ -309,17 +309,13 @@ def _effects_of_geometry(
     odd, even, doubt = np.zeros((3, len(points), errors.count))
     if not errors.count:
         return odd, np.zeros(len(points)), np.zeros(len(points))
-    at_visit = errors.at(visit.pose, "reference")
-    on_reference = [0.5 * (plus.light - minus.light) / at_visit.known.light for plus, minus in at_visit.changed]
+    light = errors.at(visit.pose, "reference").relative_light
     for k, point in enumerate(points):
-        sights = errors.at(point.pose, "sample")
-        behind = _behind(sights.known.directions)
-        for j, (plus, minus) in enumerate(sights.changed):
-            up, down = (_turned_over(glance.directions, behind) for glance in (plus, minus))
+        factor = errors.at(point.pose, "sample").relative_distance_factor
+        for j, (up, down) in enumerate(_changed(frames, point)):
             odd[k, j], even[k, j] = curves.effects(k, point.directions, up, down)
-            nearer = 0.5 * (plus.distance_factor - minus.distance_factor) / sights.known.distance_factor
-            odd[k, j] += brdf[k] * (nearer - on_reference[j])
             doubt[k, j] = curves.doubt(k, up)
+        odd[k] += brdf[k] * 0.5 * (factor[:, 0] - factor[:, 1] - light[:, 0] + light[:, 1])
     return odd, np.sum(even**2, axis=1), np.sum(doubt**2, axis=1)
 
 
@@ -345,7 +341,7 @@ def _shares(
     out = []
     for point in points:
         d = point.directions
-        changed = _changed(frames, point)
+        changed = [up for up, _ in _changed(frames, point)]
         turned = sum(float(np.linalg.norm(change.from_mirror - d.from_mirror)) for change in changed)
         if float(d.mirror_offset) >= sum(cones) + blur + 6.0 * turned:
             out.append(spike_overlap.Share())
@@ -356,13 +352,13 @@ def _shares(
     return out
 
 
-def _changed(frames: RunFrames, point: Reduced) -> list[Directions]:
-    """The directions of a point for one standard deviation of each cause of `GeometryErrors`."""
+def _changed(frames: RunFrames, point: Reduced) -> list[tuple[Directions, Directions]]:
+    """The directions of a point for one standard deviation of each cause of `GeometryErrors`, up and down."""
     if not frames.geometry.count:
         return []
     sights = frames.geometry.at(point.pose, "sample")
-    behind = _behind(sights.known.directions)
-    return [_turned_over(plus.directions, behind) for plus, _ in sights.changed]
+    behind = bool(sights.known[2] > 0.5 * math.pi)
+    return [(_turned_over(up, behind), _turned_over(down, behind)) for up, down in sights.directions()]
 
 
 def _over_region(

@@ -16,10 +16,11 @@ import numpy as np
 
 from gonio.config import numbers_in, with_numbers
 from gonio.errors import ConfigError
-from gonio.geometry import Directions
+from gonio.geometry import Directions, angles
 from gonio.rig import Pose, Target, imaging, kinematics
 from gonio.rig.calibrated import covariance_of, known_parameters
 from gonio.rig.description import Axis, RigDescription
+from gonio.typing import Floats
 
 ARMS = ("zero_offset_deg", "harmonics_deg", "axis_tilt_deg", "axis_offset_mm", "elevation_deg")
 HOLDER = (
@@ -77,27 +78,30 @@ def parameters(description: RigDescription) -> list[str]:
 
 
 @dataclass(frozen=True, slots=True)
-class Glance:
-    """What the middle of a region of interest sees."""
+class Sights:
+    """What the middle of the region of interest sees at one pose that was read.
 
-    directions: Directions
-    distance_factor: float
-    """(d0 / d)^2, d being its distance from the lamp."""
+    Each as theta_i, phi_i, theta_r, phi_r [rad] and (d0 / d)^2, d being the distance from the lamp.
+    """
+
+    known: Floats
+    """With the rig as it is known."""
+    changed: Floats
+    """With the rig one standard deviation of each cause up and down, shape (causes, 2, 5)."""
 
     @property
-    def light(self) -> float:
-        """How the lamp lights it, relative to normal incidence at the distance d0; 0 from behind."""
-        return max(math.cos(self.directions.theta_i), 0.0) * self.distance_factor
+    def relative_light(self) -> Floats:
+        """How the place is lit, by causes up and down, over how it is lit with the rig as it is known."""
+        return np.asarray(np.cos(self.changed[..., 0]) / np.cos(self.known[0]) * self.relative_distance_factor)
 
+    @property
+    def relative_distance_factor(self) -> Floats:
+        """The same of (d0 / d)^2 alone."""
+        return np.asarray(self.changed[..., 4] / self.known[4])
 
-@dataclass(frozen=True, slots=True)
-class Sights:
-    """What is seen at one pose that was read."""
-
-    known: Glance
-    """With the rig as it is known."""
-    changed: list[tuple[Glance, Glance]]
-    """With the rig one standard deviation of each cause up and down."""
+    def directions(self) -> list[tuple[Directions, Directions]]:
+        """For each cause up and down."""
+        return [(Directions(*up[:4]), Directions(*down[:4])) for up, down in self.changed.tolist()]
 
 
 class GeometryErrors:
@@ -137,7 +141,7 @@ class GeometryErrors:
         return len(self._rigs)
 
     def _moved(
-        self, names: list[str], numbers: dict[str, float], step: np.ndarray
+        self, names: list[str], numbers: dict[str, float], step: Floats
     ) -> tuple[RigDescription, dict[str, float]]:
         """A rig with other numbers, and what its encoders then read otherwise [rad]: its zeros have moved."""
         by = dict(zip(names, step.tolist(), strict=True))
@@ -152,17 +156,18 @@ class GeometryErrors:
         if key not in self._seen:
             place = imaging.place(self._description, kinematics.view(self._description, pose), target)
             known = _glance(self._description, {}, pose, place)
-            changed = [(_glance(*plus, pose, place), _glance(*minus, pose, place)) for plus, minus in self._rigs]
-            self._seen[key] = Sights(known, changed)
+            changed = [[_glance(*moved, pose, place) for moved in rigs] for rigs in self._rigs]
+            self._seen[key] = Sights(known, np.array(changed).reshape(-1, 2, 5))
         return self._seen[key]
 
 
-def _glance(rig: RigDescription, shifts: dict[str, float], pose: Pose, place: tuple[float, float]) -> Glance:
+def _glance(rig: RigDescription, shifts: dict[str, float], pose: Pose, place: tuple[float, float]) -> Floats:
+    """One row of `Sights`."""
     if shifts:
         pose = replace(pose, **{name: getattr(pose, name) + by for name, by in shifts.items()})
     view = kinematics.view(rig, pose)
     spot = np.append(imaging.spot(rig, view, *place), 0.0)
-    to_source = view.source_mm - spot
-    away = float(np.linalg.norm(to_source))
-    directions = Directions.from_vectors(to_source, view.camera_mm - spot)
-    return Glance(directions, (rig.geometry.light_distance_mm / away) ** 2)
+    ends = np.stack([view.source_mm, view.camera_mm]) - spot
+    (theta_i, theta_r), (phi_i, phi_r) = angles(ends)
+    factor = rig.geometry.light_distance_mm**2 / (ends[0] @ ends[0])
+    return np.array([theta_i, phi_i, theta_r, phi_r, factor])

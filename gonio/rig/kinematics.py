@@ -10,21 +10,21 @@ and s the spin:
 The inverse rests on one fact: both arms are perpendicular to y, so y = +-(L x V)/|L x V|, and n . y = sin t. The two
 signs are the two branches: they mirror the arms, change the sign of the tilt and turn the sample by half a turn.
 
-That is the rig as it was meant. Where its description names errors of alignment, `_misaligned` does the same with
-them, and the inverse starts from the closed form and goes on by Newton's method (docs/architecture.md, "From pose to
-pixel"). A pose is what encoders read, less their zeros; `true_pose` takes out what else is wrong with them.
+That is the rig as it was meant. Where its description names errors of alignment, `misalignment` does the same
+with them, and the inverse starts from the closed form and goes on by Newton's method (docs/architecture.md, "From pose
+to pixel"). A pose is what encoders read, less their zeros; `true_pose` takes out what else is wrong with them.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gonio.errors import ConfigError
 from gonio.geometry import AT_LIMIT, EXACTLY_IN_PLANE, PARALLEL, Directions
+from gonio.rig import misalignment
 from gonio.rig.description import ArmAxis, Axis, RigDescription
 from gonio.rig.protocols import Pose
 from gonio.rig.ways import Blocked, require_free
@@ -77,12 +77,31 @@ def true_pose(description: RigDescription, pose: Pose) -> Pose:
 
     The only place where that happens. What stands elsewhere as a pose is what encoders read, less their zeros.
     """
-    arms, out = description.arms, {}
-    for name, axis in (("light", arms.light), ("camera", arms.camera), ("azimuth", arms.azimuth)):
-        if axis is not None and axis.harmonics_deg:
-            read: float = getattr(pose, name)
-            out[name] = read - encoder_error(axis, read)
-    return replace(pose, **out) if out else pose
+    erring = _erring(description)
+    if not erring:
+        return pose
+    return replace(pose, **{n: getattr(pose, n) - encoder_error(axis, getattr(pose, n)) for n, axis in erring.items()})
+
+
+def read_pose(description: RigDescription, true: Pose) -> Pose:
+    """What the encoders read where the axes stand: the inverse of `true_pose`."""
+    erring, out = _erring(description), {}
+    for name, axis in erring.items():
+        stands: float = getattr(true, name)
+        read = stands
+        for _ in range(ENCODER_STEPS):  # errors change slowly with the angle, so that this closes in fast
+            before, read = read, stands + encoder_error(axis, read)
+            if abs(read - before) < 0.1 * AT_LIMIT:
+                break
+        out[name] = read
+    return replace(true, **out) if out else true
+
+
+def _erring(description: RigDescription) -> dict[str, ArmAxis]:
+    """The axes whose encoders have errors within their turn."""
+    arms = description.arms
+    axes = {"light": arms.light, "camera": arms.camera, "azimuth": arms.azimuth}
+    return {name: axis for name, axis in axes.items() if axis is not None and axis.harmonics_deg}
 
 
 def encoder_error(axis: Axis, read: float) -> float:
@@ -112,142 +131,45 @@ def directions(description: RigDescription, pose: Pose) -> Directions:
     The azimuth of a direction along the normal is 0.
     """
     if not description.as_meant:
-        light, camera = _towards(description, pose)
-        return Directions(*_angles(light), *_angles(camera))
+        source, eye, _ = misalignment.ends(description, true_pose(description, pose))
+        return Directions(*_angles(source.tolist()), *_angles(eye.tolist()))
     light, camera, _, _ = _sample_frame(true_pose(description, pose))
     return Directions(*_angles(light), *_angles(camera))
 
 
-def read_pose(description: RigDescription, true: Pose) -> Pose:
-    """What the encoders read where the axes stand: the inverse of `true_pose`."""
-    read = true
-    for _ in range(ENCODER_STEPS):  # errors change slowly with the angle, so that this closes in fast
-        seen = true_pose(description, read)
-        if seen is read or seen == true:
-            break
-        read = Pose(*(r + t - s for r, t, s in zip(*map(astuple, (read, true, seen)), strict=True)))
-    return read
-
-
 ENCODER_STEPS = 60
 """Enough for errors of 30 deg in a turn; those of an encoder take five."""
-NEWTON_STEPS = 40
-LONGEST_STEP = 0.3
-"""Of one axis in one step [rad]: near a singular pose a longer one leads astray."""
 CLOSE = math.radians(5.0)
 """Where a rig cannot stand exactly so for its errors of alignment, a pose this close counts."""
 
 
 def _misaligned(description: RigDescription, pose: Pose) -> View:
     """The view of a rig with errors of alignment, at the true angles of its axes."""
-    arms, holder, camera = description.arms, description.holder, description.camera
-    # each arm: the axis is tilted and displaced, and what it carries stands out of the plane across it
-    onto = _about_x_then(arms.light.axis_tilt_deg, "z") @ _rotation("y", pose.light)
-    lamp = _carried(arms.light, onto, description.geometry.light_distance_mm)
-    onto = _about_x_then(arms.camera.axis_tilt_deg, "z") @ _rotation("y", pose.camera)
-    lens = _carried(arms.camera, onto, description.geometry.camera_distance_mm)
-    axes = onto @ _camera_on_arm(arms.camera.elevation_deg, camera.pointing_deg, camera.roll_deg)
-    if arms.azimuth is not None:
-        upright = _about_x_then(arms.azimuth.axis_tilt_deg, "y")
-        turn = upright @ _rotation("z", pose.azimuth) @ upright.T
-        foot = np.array([*arms.azimuth.axis_offset_mm, 0.0])
-        lens, axes = foot + turn @ (lens - foot), turn @ axes
-    # the lab in the frame of the sample
-    into, surface = _rotation("x", pose.tilt), _about_x_then(holder.surface_tilt_deg, "y")
-    spin = _rotation("y", math.radians(holder.spin_axis_tilt_deg)) @ _rotation("z", pose.spin) @ surface
-    tilted_about = np.array([0.0, holder.tilt_axis_offset_mm, 0.0])
-    centre = np.array([*holder.sample_offset_mm, holder.surface_offset_mm])
-    source, eye = (spin.T @ (into @ (at - tilted_about) + tilted_about) - centre for at in (lamp, lens))
-    image_x, image_y, sight = np.ascontiguousarray((spin.T @ into @ axes).T)
+    source, eye, onto = misalignment.ends(description, pose)
+    image_x, image_y, sight = np.ascontiguousarray((onto @ misalignment.camera_on_arm(description)).T)
     return View(source_mm=source, camera_mm=eye, image_x=image_x, image_y=image_y, sight=sight)
-
-
-def _towards(description: RigDescription, pose: Pose) -> tuple[Vector, Vector]:
-    """Unit vectors from the sample's centre to source and camera, on a rig with errors, for a pose that is read."""
-    seen = _misaligned(description, true_pose(description, pose))
-    light, camera = seen.source_mm.tolist(), seen.camera_mm.tolist()
-    return _unit((light[0], light[1], light[2])), _unit((camera[0], camera[1], camera[2]))
 
 
 def _misaligned_pose(description: RigDescription, start: Pose, d: Angles) -> Pose:
     """The true angles of the axes of a rig with errors of alignment that show the sample from given directions.
 
-    Gauss-Newton's method from the pose that the rig as meant would have. Where the errors leave no pose (an arm that
-    stands out of a plane which no axis can turn), it is the closest one.
+    Where the errors leave no such pose (an arm that stands out of a plane which no axis can turn), it is the closest
+    one.
 
     Raises
     ------
     Unreachable
         The closest pose is off by more than `CLOSE`.
     """
-    names = list(description.axes())
     wanted = np.array([*_direction(*d[:2]), *_direction(*d[2:])])
-
-    def off(place: Floats) -> Floats:
-        pose = replace(start, **dict(zip(names, place.tolist(), strict=True)))
-        seen = _misaligned(description, pose)
-        ends = [at / np.linalg.norm(at) for at in (seen.source_mm, seen.camera_mm)]
-        return np.asarray(np.concatenate(ends) - wanted)
-
-    at = np.array([getattr(start, name) for name in names])
-    error = off(at)
-    for _ in range(NEWTON_STEPS):
-        size = float(np.linalg.norm(error))
-        if size < AT_LIMIT:
-            break
-        probe = 1e-7
-        slopes = np.stack([(off(at + probe * unit) - error) / probe for unit in np.eye(len(names))], axis=1)
-        step = np.linalg.lstsq(slopes, -error, rcond=1e-6)[0]
-        step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
-        for _ in range(10):
-            then = off(at + step)
-            if float(np.linalg.norm(then)) < size:
-                break
-            step *= 0.5
-        else:
-            break
-        at, error = at + step, then
-    farthest = max(float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])))
-    if farthest > CLOSE:
+    pose, off = misalignment.closest_pose(description, start, wanted)
+    if off > CLOSE:
         raise Unreachable(
             "unreachable",
-            f"the rig's errors of alignment keep it {math.degrees(farthest):.1f} deg from these directions",
+            f"the rig's errors of alignment keep it {math.degrees(off):.1f} deg from these directions",
             "too far from what the rig can show, for its errors of alignment",
         )
-    return replace(start, **dict(zip(names, at.tolist(), strict=True)))
-
-
-def _carried(axis: ArmAxis, onto: Floats, distance_mm: float) -> Floats:
-    """Where an arm's lamp or lens is [mm]."""
-    x, z = axis.axis_offset_mm
-    up = math.radians(axis.elevation_deg)
-    out: Floats = np.array([x, 0.0, z]) + onto @ np.array([0.0, distance_mm * math.sin(up), distance_mm * math.cos(up)])
-    return out
-
-
-@lru_cache(maxsize=1024)
-def _about_x_then(tilt_deg: tuple[float, float], other: str) -> Floats:
-    """Rx(first) R_other(second), of two small angles [deg]: what it turns is turned about `other` first."""
-    return np.asarray(_rotation("x", math.radians(tilt_deg[0])) @ _rotation(other, math.radians(tilt_deg[1])))
-
-
-@lru_cache(maxsize=1024)
-def _camera_on_arm(elevation_deg: float, pointing_deg: tuple[float, float], roll_deg: float) -> Floats:
-    """Columns: image_x, image_y and optical axis in the frame of an arm at 0, which looks down its own z."""
-    down = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
-    columns, rows = (math.radians(angle) for angle in pointing_deg)
-    own = _rotation("y", columns) @ _rotation("x", -rows) @ _rotation("z", math.radians(roll_deg))
-    return np.asarray(_rotation("x", -math.radians(elevation_deg)) @ down @ own)
-
-
-def _rotation(about: str, angle: float) -> Floats:
-    """Right-handed rotation matrix about x, y or z by an angle [rad]."""
-    c, s = math.cos(angle), math.sin(angle)
-    if about == "x":
-        return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-    if about == "y":
-        return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return pose
 
 
 def left_its_side(description: RigDescription, goal: Pose, read: Pose) -> bool:
