@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -109,6 +109,8 @@ class Fit:
     """In words, what remains undetermined."""
     residuals_px: list[tuple[Floats, Floats]] = field(default_factory=list)
     """A sighting each: what is left of the spot (n, 2), and of the corners (m, 2)."""
+    sightings: tuple[Sighting, ...] = ()
+    """Those that were used."""
     dropped: tuple[str, ...] = ()
     """What was left out because it lies too far from all else."""
 
@@ -455,10 +457,9 @@ def solve(
         freedom=freedom,
         open=(),
         residuals_px=[_left(rig, s) for s in kept],
+        sightings=tuple(kept),
         dropped=tuple(dropped),
     )
-    from dataclasses import replace
-
     return replace(fit, open=_open(fit, kept, right[singular < TOLD]))
 
 
@@ -600,13 +601,13 @@ def filled(tables: dict[str, Any], rig: RigDescription) -> dict[str, Any]:
     return out
 
 
-def draw(fit: Fit, sightings: Sequence[Sighting]) -> Figure:
+def draw(fit: Fit) -> Figure:
     """What the fit leaves: of the lamp against the light arm, and of the corners against the camera arm."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10, 7), layout="constrained")
     panels = figure.subplots(2, 2, sharex="col")
-    for (spot, corners), s in zip(fit.residuals_px, sightings, strict=False):
+    for (spot, corners), s in zip(fit.residuals_px, fit.sightings, strict=True):
         colour = "tab:blue" if s.holder == "mirror" else "tab:orange"
         for row, what in ((0, "columns"), (1, "rows")):
             if len(spot):

@@ -16,7 +16,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,9 @@ from gonio.config import Strict, parse, read_toml
 from gonio.errors import ConfigError, DataError
 from gonio.rig.fiducials import dictionary_of
 from gonio.typing import Floats
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Grey = npt.NDArray[np.uint8]
 
@@ -522,3 +525,19 @@ def _opened(path: Path) -> Any:
     if not store.isOpened():
         raise ConfigError(f"{path}: is no YAML of OpenCV's")
     return store
+
+
+def draw(found: Intrinsics) -> Figure:
+    """What the fit leaves at every corner, a hundred times enlarged."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 6), layout="constrained")
+    axes = figure.add_subplot()
+    (x, y), (dx, dy) = found.points_px.T, found.residuals_px.T
+    axes.quiver(x, y, dx, dy, angles="xy", scale_units="xy", scale=0.01, width=0.003)
+    axes.plot(x, y, ".", ms=3)
+    axes.set(
+        xlim=(0, found.size[0]), ylim=(found.size[1], 0), aspect="equal", xlabel="column [px]", ylabel="row [px]",
+        title=f"corner - fit, times 100; rms {found.rms_px:.3f} px of {found.corners} corners",
+    )  # fmt: skip
+    return figure
