@@ -91,7 +91,7 @@ class GeometryScans(Scans):
             raise ConfigError("the limits of light and camera leave no mirror direction")
         first = min(angles, key=lambda a: abs(a - 30.0))
         self._begin_mirror(first)
-        self._meter()
+        self._meter(whole=True)  # the image need not lie in the middle: where the camera points is not known yet
         self._sums[first] = self._encoder("camera") + self._encoder("light")
         if "tilt" in self._axes:
             self._across = self._read("tilt")
@@ -103,7 +103,7 @@ class GeometryScans(Scans):
     def straight_frames(self, poses: int = STRAIGHT_POSES) -> None:
         """The holder is empty: the lamp itself, with both arms face to face."""
         difference = self._begin_straight()
-        self._meter()
+        self._meter(whole=True)
         angles = [a for a in self._facing_light() if self._fits("camera", self._camera_at(a, difference), 1.0)]
         if not angles:
             raise ConfigError(self.why_not_facing())
@@ -175,7 +175,7 @@ class GeometryScans(Scans):
                 return
             found = self._look("mirror", keep=False)
             if found is None:
-                if attempt == 0:
+                if attempt < 2:
                     self._meter(whole=True)
                     continue
                 self._lost += 1
@@ -281,7 +281,7 @@ class GeometryScans(Scans):
         return inside
 
     def _metered(self) -> float:
-        self._meter()
+        self._meter(whole=True)
         return self._exposure_s
 
     def _limits(self, name: str) -> tuple[float, float]:

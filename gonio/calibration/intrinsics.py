@@ -396,7 +396,7 @@ class _Fit:
     def solve(self) -> None:
         from scipy.optimize import least_squares
 
-        self.x = least_squares(self._residuals, self.x, self._jacobian, x_scale="jac", method="trf", max_nfev=200).x
+        self.x = least_squares(self._residuals, self.x, self._jacobian, x_scale="jac", method="lm").x
 
     def _project(self, x: Floats, k: int) -> tuple[Floats, Floats]:
         import cv2

@@ -14,9 +14,8 @@ from gonio.calibration import intrinsics
 from gonio.calibration.intrinsics import BoardFile
 from gonio.errors import ConfigError, DataError
 from gonio.rig.fiducials import dictionary_of
-from tests.places import SHARED
+from tests.places import measured
 
-PHOTOGRAPHS = SHARED / "data" / "camera" / "charuco"
 SIZE = (480, 360)
 BOARD = BoardFile(squares=(6, 8), square_mm=20.0, marker_mm=15.0, dictionary="DICT_5X5_100")
 DICTIONARY = dictionary_of("DICT_5X5_100")
@@ -122,19 +121,19 @@ def test_boards_that_cannot_be(tmp_path: Path) -> None:
         intrinsics.read_board(file)
 
 
-@pytest.mark.skipif(not PHOTOGRAPHS.is_dir(), reason="the photographs are not here")
 def test_four_photographs_with_a_published_calibration(tmp_path: Path) -> None:
     """0.25 px is asked for; the published calibration of these photographs leaves 0.182 px, without leaving any out.
 
     Its focal lengths are 452.5 and 456.8 px. The four boards lie within 5 deg of each other, so u is large.
     """
+    photographs = measured("camera/charuco")
     file = tmp_path / "board.toml"
     file.write_text('squares = [5, 7]\nsquare_mm = 40\nmarker_mm = 20\ndictionary = "DICT_6X6_250"\n')
     board, dictionary = intrinsics.read_board(file)
-    found = intrinsics.calibrate(sorted(PHOTOGRAPHS.glob("*.jpg")), board, dictionary, (640, 480))
+    found = intrinsics.calibrate(sorted(photographs.glob("*.jpg")), board, dictionary, (640, 480))
     assert found.rms_px < 0.25
     assert found.rejected <= 5
     u = np.sqrt(np.diag(found.covariance))
     assert abs(found.values["f"] - 454.7) < 2 * u[0]
     with pytest.raises(ConfigError, match="is a dictionary of markers, and not a board"):
-        intrinsics.read_board(PHOTOGRAPHS / "tutorial_dict.yml")
+        intrinsics.read_board(photographs / "tutorial_dict.yml")
