@@ -103,7 +103,9 @@ def _kinds(sightings: list[geometry.Sighting]) -> str:
 def error_of(axis: Any, read_deg: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     """Zero and harmonics of an arm [deg], where its encoder reads."""
     turn = np.radians(read_deg - axis.zero_offset_deg)
-    harmonics = sum((c * np.cos(k * turn) + s * np.sin(k * turn) for k, c, s in axis.harmonics_deg), np.zeros(len(turn)))
+    harmonics = sum(
+        (c * np.cos(k * turn) + s * np.sin(k * turn) for k, c, s in axis.harmonics_deg), np.zeros(len(turn))
+    )
     return np.asarray(axis.zero_offset_deg + harmonics)
 
 
@@ -112,7 +114,9 @@ def main() -> None:
     arguments = argparse.ArgumentParser()
     arguments.add_argument("--setups", type=int, default=20)
     arguments.add_argument("--seed", type=int, default=1)
-    arguments.add_argument("--poses", type=int, nargs=4, default=(48, 14, 60, 12), help="mirror, straight, markers, against")
+    arguments.add_argument(
+        "--poses", type=int, nargs=4, default=(48, 14, 60, 12), help="mirror, straight, markers, against"
+    )
     asked = arguments.parse_args()
     found: dict[str, list[tuple[float, float]]] = {}
     curves: list[float] = []

@@ -148,7 +148,8 @@ def detect(frame: npt.NDArray[Any], marks: Fiducials) -> tuple[npt.NDArray[np.in
     settings.adaptiveThreshWinSizeMax = 53
     settings.minMarkerPerimeterRate = 0.02
     found, ids, _ = cv2.aruco.ArucoDetector(dictionary_of(marks.dictionary), settings).detectMarkers(grey)
-    numbers, pixels = [], []
+    numbers: list[int] = []
+    pixels: list[Floats] = []
     n = dictionary_of(marks.dictionary).markerSize + 2
     for number, corners in zip(np.ravel(ids) if ids is not None else (), found, strict=True):
         k = int(number) - marks.first_id

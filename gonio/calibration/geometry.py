@@ -39,6 +39,11 @@ INK = "holder.fiducials.marker_mm"
 """Ink spreads, and a corner's window sees more black than white: both move corners, so this number is no result."""
 KNOWN = 0.5
 """A number is known where its uncertainty is below this share of what was expected of it."""
+ZERO_KNOWN = 0.15
+"""The same of zeros, of which next to nothing is expected: 1.5 deg. A rig without markers reaches about 1 deg, as far as
+its camera points to the middle; a mirror alone, 2 deg and more."""
+SAID_DEG = 3.0
+"""A sum or difference of zeros that is known as well as this is told in words."""
 TOLD = 1.0
 """Singular value of the scaled, whitened Jacobian below which a direction is not determined: less than expected."""
 CORNER_FLOOR_PX = 0.03
@@ -179,8 +184,8 @@ def unknowns(description: RigDescription, sightings: Sequence[Sighting]) -> list
     if marks:
         add(INK, 0.1, "side of the markers, as ink spreads")
     add("camera.roll_deg", 2.0, "roll of the camera")
-    add("camera.pointing_deg[0]", 1.0, "pointing of the camera along columns")
-    add("camera.pointing_deg[1]", 1.0, "pointing of the camera along rows")
+    add("camera.pointing_deg[0]", 0.5, "pointing of the camera along columns")
+    add("camera.pointing_deg[1]", 0.5, "pointing of the camera along rows")
     add("geometry.light_distance_mm", 0.03 * geometry.light_distance_mm, "distance of the lamp")
     add("geometry.camera_distance_mm", 0.03 * geometry.camera_distance_mm, "distance of the camera")
     return out
@@ -295,7 +300,9 @@ class Problem:
         """Covariances of the sightings, with the slopes by the axes at some values."""
         rig = self.described(x)
         axes = _Axes.of(rig)
-        steps = {n: math.hypot(a.encoder_step_deg / math.sqrt(12.0), a.encoder_noise_deg) for n, a in rig.axes().items()}
+        steps = {
+            n: math.hypot(a.encoder_step_deg / math.sqrt(12.0), a.encoder_noise_deg) for n, a in rig.axes().items()
+        }
         self._whitening = []
         for s in self.sightings:
             base = _seen(rig, axes, s, {}).ravel()
@@ -426,7 +433,9 @@ def solve(
         sizes = problem.of_sightings(rig)
         chi = np.array([float(r @ r) / len(r) if len(r) else 0.0 for r in sizes])
         typical = max(float(np.median(chi)), 1.0)
-        bad = [k for k in range(len(kept)) if len(sizes[k]) and float(np.abs(sizes[k]).max()) > FAR * math.sqrt(typical)]
+        bad = [
+            k for k in range(len(kept)) if len(sizes[k]) and float(np.abs(sizes[k]).max()) > FAR * math.sqrt(typical)
+        ]
         if not bad or len(bad) > 0.2 * len(kept):
             break
         dropped += [_said(kept[k]) for k in bad]
@@ -444,13 +453,14 @@ def solve(
     student = freedom / (freedom - 2.0) if freedom >= FEW else float(FEW)
     covariance = np.linalg.inv(data.T @ data / (max(1.0, misfit) * student) + prior.T @ prior)
     ours = len(sought)
-    known = tuple(bool(covariance[k, k] < KNOWN**2) or k >= ours for k in range(len(x)))
+    enough = [ZERO_KNOWN if u.path.endswith("zero_offset_deg") else KNOWN for u in problem.unknowns]
+    known = tuple(bool(covariance[k, k] < enough[k] ** 2) or k >= ours for k in range(len(x)))
     scale = np.outer(problem.within, problem.within)
     fit = Fit(
         description=rig,
         unknowns=tuple(problem.unknowns),
         values=problem.start + x * problem.within,
-        covariance=covariance * scale,
+        covariance=np.asarray(covariance * scale, float),
         known=known,
         rank=int(np.count_nonzero(singular[: len(x)] >= TOLD)),
         misfit=misfit,
@@ -511,7 +521,7 @@ def _open(fit: Fit, sightings: Sequence[Sighting], null: Floats) -> tuple[str, .
         best = min(together, key=lambda name: together[name][1])
         other = next(name for name in together if name != best)
         value, variance = together[best]
-        if math.sqrt(variance) < KNOWN * 10.0:
+        if math.sqrt(variance) < SAID_DEG:
             out.append(
                 f"light zero and camera zero: their {best} is {value:.3f} deg (u = {math.sqrt(variance):.3f}), their "
                 f"{other} is not known{why}"
@@ -527,7 +537,7 @@ def _open(fit: Fit, sightings: Sequence[Sighting], null: Floats) -> tuple[str, .
             for k in strong:
                 unknown.pop(paths[k], None)
     if unknown:
-        out.append(f"not known better than half of what was expected{why}: {', '.join(unknown.values())}")
+        out.append(f"not known any better than was expected{why}: {', '.join(unknown.values())}")
     return tuple(out)
 
 
@@ -540,7 +550,7 @@ def values_of(fit: Fit) -> tuple[dict[str, Any], list[str], Floats]:
     A number that is not known is not written. Where it shares a list with one that is, it stands as in the rig file.
     """
     keep = [k for k, known in enumerate(fit.known) if known and fit.unknowns[k].path != INK]
-    rows = {}
+    rows: dict[str, list[int]] = {}
     for k, u in enumerate(fit.unknowns):  # cosine and sine of an order belong together
         if "harmonics_deg" in u.path:
             rows.setdefault(u.path.rsplit("[", 1)[0], []).append(k)

@@ -151,7 +151,7 @@ class GeometryScans(Scans):
                 self._look("mirror", against=(odd,))
 
     @property
-    def where(self) -> tuple[dict[str, float] | dict[float, float], float | None]:
+    def where(self) -> tuple[dict[float, float], float | None]:
         """For `against_frames`."""
         return self._sums, self._across
 
@@ -234,7 +234,11 @@ class GeometryScans(Scans):
             frames["lamp"] = frame.mosaic
             light = np.asarray(frame.mosaic, float) - frame.black_level_dn
             if self._spot(frame) >= SPOT_PIXELS:
-                inside = self._inside_mirror(pose, numbers, pixels, u_corner) if holder == "mirror" else np.ones(light.shape, bool)
+                inside = (
+                    self._inside_mirror(pose, numbers, pixels, u_corner)
+                    if holder == "mirror"
+                    else np.ones(light.shape, bool)
+                )
                 found = spot_of(light / exposure.full_scale_dn(rig.camera, frame), rig, inside)
             if found is None:
                 return None
@@ -379,7 +383,11 @@ def spot_of(
     covariance = np.linalg.pinv(found.jac.T @ found.jac) * variance
     u = size * math.sqrt(max(float(covariance[0, 0]), float(covariance[1, 1]), 0.0))
     column, row = (size * float(v) + 0.5 * (size - 1) for v in found.x[:2])
-    if not (0.0 <= column <= camera.width - 1 and 0.0 <= row <= camera.height - 1) or math.sqrt(variance) > SPOT_NOISE or u > WORST_PX:
+    if (
+        not (0.0 <= column <= camera.width - 1 and 0.0 <= row <= camera.height - 1)
+        or math.sqrt(variance) > SPOT_NOISE
+        or u > WORST_PX
+    ):
         return None
     return column, row, u
 

@@ -180,12 +180,12 @@ def _measured(
     from gonio.cli.align import _dark, _put
     from gonio.cli.by_hand import _told_where
     from gonio.errors import ConfigError
-    from gonio.rig import Step
+    from gonio.rig import Device, Step
 
     folder = out.with_name(f"{out.stem}-sightings")
     if folder.exists():
         raise ConfigError(f"{folder}: is there already; fit it with --scans {folder}, or name another --out")
-    devices = ("arms", "light", "camera")
+    devices: tuple[Device, ...] = ("arms", "light", "camera")
     rig = choice.open(seed=seed, confirm=False, by_hand=True)
     bench = Bench(rig, choice.source, devices)
     scans = GeometryScans(bench, search_deg=search, say=console.note, keep=lambda s, f: kept.keep(s, f))

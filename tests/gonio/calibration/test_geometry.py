@@ -78,7 +78,12 @@ def sighted(true: RigDescription) -> Callable[..., list[Sighting]]:
                 lamp=True, marks=True)  # fmt: skip
         for k in range(straight):
             light = (90.0 + rng.uniform(-4, 4)) * (-1) ** k
-            one("empty", (light, light - math.copysign(180.0, light) + rng.uniform(-1, 1), 0.0, 0.0), lamp=True, marks=False)
+            one(
+                "empty",
+                (light, light - math.copysign(180.0, light) + rng.uniform(-1, 1), 0.0, 0.0),
+                lamp=True,
+                marks=False,
+            )
         for _ in range(markers):
             one("mirror", (rng.uniform(-70, 70), rng.uniform(-65, 65), rng.uniform(-45, 45), rng.uniform(-170, 170)),
                 lamp=False, marks=True)  # fmt: skip
@@ -114,7 +119,8 @@ def test_arms_are_known_over_their_range_though_zero_and_cosine_look_alike(
             axis = getattr(rig.arms, arm)
             turn = np.radians(read - axis.zero_offset_deg)
             errors.append(
-                axis.zero_offset_deg + sum(c * np.cos(k * turn) + s * np.sin(k * turn) for k, c, s in axis.harmonics_deg)
+                axis.zero_offset_deg
+                + sum(c * np.cos(k * turn) + s * np.sin(k * turn) for k, c, s in axis.harmonics_deg)
             )
         assert math.sqrt(float(np.mean((errors[0] - errors[1]) ** 2))) < 0.03
 
@@ -136,7 +142,10 @@ def test_what_is_written_reads_as_a_rig(whole: geometry.Fit, filed: RigDescripti
 @pytest.mark.parametrize(
     ("ingredients", "said"),
     [
-        ({"mirror": 12, "seen": False}, "their sum is .* their difference camera - light is not known: no straight-through"),
+        (
+            {"mirror": 12, "seen": False},
+            "their sum is .* their difference camera - light is not known: no straight-through",
+        ),
         ({"straight": 8}, "their difference camera - light is .* their sum is not known: no mirror frames"),
     ],
 )
@@ -160,7 +169,7 @@ def test_without_fiducials_the_zeros_are_known_as_well_as_pointing_is_expected(
     for arm in ("light", "camera"):
         path = f"arms.{arm}.zero_offset_deg"
         assert abs(fit.value(path) - getattr(true.arms, arm).zero_offset_deg) < 3 * fit.u(path)
-        assert 0.1 < fit.u(path) < 5.0
+        assert 0.5 < fit.u(path) < 1.5  # pointing of 0.5 deg, seen at half its size
 
 
 def test_nothing_seen_is_refused(filed: RigDescription) -> None:
