@@ -150,7 +150,7 @@ def main() -> None:
                for arm in ("light", "camera")]  # fmt: skip
         curves += [math.sqrt(float(np.mean(o**2))) for o in off]
         print(
-            f"{number:3d} {_kinds(sightings)} in {taken:.0f} s, fit in {time.monotonic() - began - taken:.0f} s; misfit "
+            f"{number:3d} {_kinds(sightings)} in {taken:.0f} s, fit in {time.monotonic() - began - taken:.0f} s; misfit "  # noqa: E501
             f"{fit.misfit:.2f}, {len(fit.dropped)} dropped; arms off by {curves[-2]:.4f} and {curves[-1]:.4f} deg rms; "
             f"{'; '.join(fit.open)}",
             flush=True,
@@ -164,7 +164,7 @@ def main() -> None:
     for path, pairs in found.items():
         error, u = np.array(pairs).T
         pulls.append(error / u)
-        print(f"{path:36s} error {np.sqrt(np.mean(error**2)):8.4f} rms   u {np.mean(u):8.4f}   pull {np.std(error / u):5.2f}   "
+        print(f"{path:36s} error {np.sqrt(np.mean(error**2)):8.4f} rms   u {np.mean(u):8.4f}   pull {np.std(error / u):5.2f}   "  # noqa: E501
               f"known in {len(pairs)}")  # fmt: skip
     together = np.concatenate(pulls)
     print(f"all pulls: {np.sqrt(np.mean(together**2)):.3f} rms of {len(together)}; "

@@ -186,14 +186,16 @@ class GeometryScans(Scans):
             off = np.array(sighting.spot_px) - 0.5 * np.array([camera.width - 1, camera.height - 1])
             turn = self._turn(sighting, off)
             self._sums[light] = sighting.encoder_deg["camera"] + sighting.encoder_deg["light"] + turn.get("camera", 0.0)
-            if self._across is not None and light == min(self._sums, key=lambda a: abs(abs(a) - 30.0)):
+            if self._across is not None and (number == 0 or sighting.u_spot_px > WORST_PX):
                 self._across += turn.get("tilt", 0.0)
-            if np.all(np.abs(off) < 0.3 * np.array([camera.width, camera.height])) or attempt == 2:
+            good = sighting.u_spot_px <= WORST_PX
+            if good and (np.all(np.abs(off) < 0.3 * np.array([camera.width, camera.height])) or attempt == 2):
                 self._keep_sighting(sighting, frames)
                 return
+            self._lost += attempt == 2
 
     def _turn(self, s: Sighting, off: Floats) -> dict[str, float]:
-        """How far camera and tilt would have to go for the spot to be in the middle [deg], on a rig as its file says."""
+        """How far camera and tilt would have to go for the spot to be in the middle [deg], on a rig as its file says."""  # noqa: E501
         rig, pose = self._description, Pose(**{n: math.radians(self._read(n)) for n in s.encoder_deg})
         names = [n for n in ("camera", "tilt") if n in s.encoder_deg]
         slopes = []
@@ -254,7 +256,7 @@ class GeometryScans(Scans):
             corners_px=tuple((float(c), float(r)) for c, r in pixels),
             u_corner_px=u_corner,
         )
-        if keep:
+        if keep and sighting.u_spot_px <= WORST_PX:
             self._keep_sighting(sighting, frames)
         return sighting, frames
 
@@ -386,7 +388,6 @@ def spot_of(
     if (
         not (0.0 <= column <= camera.width - 1 and 0.0 <= row <= camera.height - 1)
         or math.sqrt(variance) > SPOT_NOISE
-        or u > WORST_PX
     ):
         return None
     return column, row, u

@@ -29,16 +29,16 @@ Given = tuple[list[str], "Floats", "Floats"]
 def geometry(
     rig: Annotated[str, typer.Option(help="A rig's name, or a rig file.", show_default=False)],
     out: Annotated[Path | None, typer.Option(help="The calibration file.", show_default=False)] = None,
-    images: Annotated[Path | None, typer.Option(help="A folder of pictures of a ChArUco board.", show_default=False)] = None,
-    board: Annotated[Path | None, typer.Option(help="The board: a .toml, or OpenCV's .yml.", show_default=False)] = None,
+    images: Annotated[Path | None, typer.Option(help="A folder of pictures of a ChArUco board.", show_default=False)] = None,  # noqa: E501
+    board: Annotated[Path | None, typer.Option(help="The board: a .toml, or OpenCV's .yml.", show_default=False)] = None,  # noqa: E501
     holder: Annotated[
         str | None,
         typer.Option(help="What is put into the holder, by commas: mirror, empty. Without it both, where the arms can "
                           "face each other; with --images, none.", show_default=False),
     ] = None,
-    scans: Annotated[Path | None, typer.Option(help="Kept sightings: fit these again; moves nothing.", show_default=False)] = None,
+    scans: Annotated[Path | None, typer.Option(help="Kept sightings: fit these again; moves nothing.", show_default=False)] = None,  # noqa: E501
     print_fiducials: Annotated[
-        Path | None, typer.Option(help="Write the sheet of the holder's markers (.svg, .png), and nothing else.", show_default=False)
+        Path | None, typer.Option(help="Write the sheet of the holder's markers (.svg, .png), and nothing else.", show_default=False)  # noqa: E501
     ] = None,
     valid_days: Annotated[int, typer.Option(min=1, help="How long the calibration may be used.")] = 365,
     search: Annotated[float, typer.Option(min=1, max=30, help="How far to look for the lamp [deg].")] = 8.0,
@@ -249,7 +249,7 @@ def _finish(
         if given is None:
             notes.append("focal length and distortion were taken as in the rig file: no pictures of a board")
     elif given is not None:
-        paths, values, covariance = given
+        paths, _, covariance = given
         tables = {"camera": {name: description.camera.model_dump(mode="json")[name]
                              for name in ("focal_length_mm", "principal_point_px", "distortion")}}  # fmt: skip
     if intrinsics is not None:
@@ -291,7 +291,7 @@ def _finish(
                      f"{len(intrinsics.images)} pictures, {intrinsics.rejected} left out")  # fmt: skip
     if fit is not None:
         console.show(
-            f"{len(sightings)} sightings determine {fit.rank} of {len(fit.unknowns)} directions; misfit {fit.misfit:.2f}"
+            f"{len(sightings)} sightings determine {fit.rank} of {len(fit.unknowns)} directions; misfit {fit.misfit:.2f}"  # noqa: E501
         )
     _show_open(notes)
     console.show(f"{out}: {len(paths)} numbers, valid until {calibration.valid_until}", str(picture))
