@@ -205,7 +205,7 @@ def pose(
 def consistent(
     marks: Fiducials, numbers: npt.NDArray[np.intp], pixels: Floats
 ) -> tuple[npt.NDArray[np.intp], Floats, float]:
-    """The corners that lie as on one plane, and how far they scatter about it [px]; none where fewer than two markers do.  # noqa: E501
+    """The corners that lie as on one plane, and how far they scatter about it [px]; none of less than three markers.
 
     Corners that a shadow, a reflection or a neighbour has moved are left out, `FAR` standard deviations off the rest.
     """

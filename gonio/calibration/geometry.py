@@ -40,7 +40,7 @@ INK = "holder.fiducials.marker_mm"
 KNOWN = 0.5
 """A number is known where its uncertainty is below this share of what was expected of it."""
 ZERO_KNOWN = 0.15
-"""The same of zeros, of which next to nothing is expected: 1.5 deg. A rig without markers reaches about 1 deg, as far as  # noqa: E501
+"""Of the scaled, whitened Jacobian: a direction with a smaller singular value is not determined."""
 its camera points to the middle; a mirror alone, 2 deg and more."""
 SAID_DEG = 3.0
 """A sum or difference of zeros that is known as well as this is told in words."""

@@ -385,10 +385,7 @@ def spot_of(
     covariance = np.linalg.pinv(found.jac.T @ found.jac) * variance
     u = size * math.sqrt(max(float(covariance[0, 0]), float(covariance[1, 1]), 0.0))
     column, row = (size * float(v) + 0.5 * (size - 1) for v in found.x[:2])
-    if (
-        not (0.0 <= column <= camera.width - 1 and 0.0 <= row <= camera.height - 1)
-        or math.sqrt(variance) > SPOT_NOISE
-    ):
+    if not (0.0 <= column <= camera.width - 1 and 0.0 <= row <= camera.height - 1) or math.sqrt(variance) > SPOT_NOISE:
         return None
     return column, row, u
 

@@ -42,7 +42,7 @@ def test_corners_are_where_the_markers_are(description: RigDescription, camera: 
         view = kinematics.view(rig.world.truth, rig.world.pose)
     numbers, pixels = fiducials.detect(frame.mosaic, marks)
     numbers, pixels, scatter = fiducials.consistent(marks, numbers, pixels)
-    assert len(numbers) >= 20
+    assert len(numbers) >= 16  # of the eight markers, those above and below lie at the frame's edge
     flat = corners_mm(marks).reshape(-1, 2)[numbers]
     points = np.column_stack([flat, np.zeros(len(flat))])
     off = pixels - np.stack(imaging.project(description, view, points), axis=1)
