@@ -40,8 +40,8 @@ INK = "holder.fiducials.marker_mm"
 KNOWN = 0.5
 """A number is known where its uncertainty is below this share of what was expected of it."""
 ZERO_KNOWN = 0.15
-"""Of the scaled, whitened Jacobian: a direction with a smaller singular value is not determined."""
-its camera points to the middle; a mirror alone, 2 deg and more."""
+"""The same of zeros, of which next to nothing is expected: 1.5 deg. A rig without markers reaches about 1 deg, as far
+as its camera points to the middle; a mirror alone, 2 deg and more."""
 SAID_DEG = 3.0
 """A sum or difference of zeros that is known as well as this is told in words."""
 TOLD = 1.0
