@@ -80,6 +80,14 @@ class GeometryScans(Scans):
         self._beside: Floats | None = None
         """How far from where the rig file has it the sample's centre is in the frame [px], columns and rows."""
 
+    def _meter(self, *, whole: bool = False) -> None:
+        """As of an alignment; but the white of the markers must never pass for the lamp, which is far brighter."""
+        super()._meter(whole=whole)
+        if self._description.holder.fiducials is not None:
+            white = exposure.expected_exposure_s(self._description, Pose(), 1.0)
+            shortest = self._description.camera.exposure_limits_s[0]
+            self._exposure_s = max(min(self._exposure_s, round(0.02 * white, 6)), shortest)
+
     # ---- the kinds of sightings ----
 
     def mirror_frames(self, poses: int = MIRROR_POSES) -> None:
