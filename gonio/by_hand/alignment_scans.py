@@ -67,14 +67,7 @@ class Scans:
         angles = [a for a in MIRROR_LIGHT_DEG if self._fits("light", a, 0.0) and self._fits("camera", -a, room)]
         if not angles:
             raise ConfigError("the limits of light and camera leave no mirror direction between 30 and 60 deg")
-        others = {n: 0.0 for n in ("tilt", "spin", "azimuth") if n in self._description.axes()}
-        self._go(light=angles[0], **others)
-        across = next((n for n in ("tilt", "azimuth") if n in self._axes), None)
-        self._find("mirror", -angles[0], across)
-        self._coarse("camera")
-        for name in ("tilt", "azimuth"):
-            if name in self._axes:
-                self._coarse(name)
+        self._begin_mirror(angles[0])
         self._meter()
         first = self._fine("mirror", "camera")
         for name in ("tilt", "azimuth"):
@@ -86,20 +79,38 @@ class Scans:
             self._go(camera=sum_deg - self._encoder("light") - self._offset("camera"))
             self._fine("mirror", "camera")
 
-    def straight_through(self) -> None:
-        """The holder is empty: scans of the camera arm over the lamp itself, with both arms face to face."""
+    def _begin_mirror(self, light: float) -> None:
+        """Find the mirror image of the lamp with the light arm at an angle, and put it into the frame's middle."""
+        others = {n: 0.0 for n in ("tilt", "spin", "azimuth") if n in self._description.axes()}
+        self._go(light=light, **others)
+        across = next((n for n in ("tilt", "azimuth") if n in self._axes), None)
+        self._find("mirror", -light, across)
+        self._coarse("camera")
+        for name in ("tilt", "azimuth"):
+            if name in self._axes:
+                self._coarse(name)
+
+    def _begin_straight(self) -> float:
+        """Find the lamp itself; the difference of both encoders there, camera - light [deg]."""
         angles = self.facing()
         if not angles:
             raise ConfigError(self.why_not_facing())
         self._go(light=angles[0])
         self._find("empty", _face(angles[0]), None)
         self._coarse("camera")
-        difference = self._encoder("camera") - self._encoder("light")
+        return self._encoder("camera") - self._encoder("light")
+
+    def _camera_at(self, light: float, difference: float) -> float:
+        """Where the lamp will be, as read, with the light arm at an angle as read."""
+        turn = 360.0 * round((_face(light) - light - difference) / 360.0)
+        return light + self._offset("light") + difference + turn - self._offset("camera")
+
+    def straight_through(self) -> None:
+        """The holder is empty: scans of the camera arm over the lamp itself, with both arms face to face."""
+        difference = self._begin_straight()
 
         def camera_at(light: float) -> float:
-            """Where the lamp will be, as read, with the light arm at an angle as read."""
-            turn = 360.0 * round((_face(light) - light - difference) / 360.0)
-            return light + self._offset("light") + difference + turn - self._offset("camera")
+            return self._camera_at(light, difference)
 
         room = 1.2 * self._half["camera"]
         angles = [a for a in self._facing_light() if self._fits("camera", camera_at(a), room)][:STRAIGHT]

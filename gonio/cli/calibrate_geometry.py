@@ -1,5 +1,325 @@
-"""`gonio calibrate geometry`."""
+"""`gonio calibrate geometry`: lens, zeros, encoders, axes and holder of a rig, with their covariance."""
 
 from __future__ import annotations
 
-from gonio.cli.calibrate import app as app
+import datetime
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gonio.cli.calibrate import app
+
+if TYPE_CHECKING:
+    from gonio.acquisition.measure import RigChoice
+    from gonio.calibration.geometry import Fit, Sighting
+    from gonio.calibration.intrinsics import Intrinsics
+    from gonio.rig.description import RigDescription
+    from gonio.typing import Floats
+
+__all__ = ["app"]
+
+PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".dng")
+HOLDERS = ("mirror", "empty")
+Given = tuple[list[str], "Floats", "Floats"]
+
+
+@app.command()
+def geometry(
+    rig: Annotated[str, typer.Option(help="A rig's name, or a rig file.", show_default=False)],
+    out: Annotated[Path | None, typer.Option(help="The calibration file.", show_default=False)] = None,
+    images: Annotated[Path | None, typer.Option(help="A folder of pictures of a ChArUco board.", show_default=False)] = None,  # noqa: E501
+    board: Annotated[Path | None, typer.Option(help="The board: a .toml, or OpenCV's .yml.", show_default=False)] = None,  # noqa: E501
+    holder: Annotated[
+        str | None,
+        typer.Option(help="What is put into the holder, by commas: mirror, empty. Without it both, where the arms can "
+                          "face each other; with --images, none.", show_default=False),
+    ] = None,
+    scans: Annotated[Path | None, typer.Option(help="Kept sightings: fit these again; moves nothing.", show_default=False)] = None,  # noqa: E501
+    print_fiducials: Annotated[
+        Path | None, typer.Option(help="Write the sheet of the holder's markers (.svg, .png), and nothing else.", show_default=False)  # noqa: E501
+    ] = None,
+    valid_days: Annotated[int, typer.Option(min=1, help="How long the calibration may be used.")] = 365,
+    search: Annotated[float, typer.Option(min=1, max=30, help="How far to look for the lamp [deg].")] = 8.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of a simulated rig.")] = 0,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nobody: what has to lie in the holder does.")] = False,
+) -> None:  # fmt: skip
+    """Calibrate a rig's geometry: the lens from pictures of a board; zeros, encoders, axes, holder from frames.
+
+    Beside OUT: OUT-sightings/, all that was seen, to fit again with --scans; and OUT-residuals.png.
+    """
+    from gonio.acquisition.measure import find_rig
+    from gonio.errors import ConfigError
+
+    choice = find_rig(rig)
+    if print_fiducials is not None:
+        _print_sheet(choice.description, rig, print_fiducials)
+        return
+    if out is None:
+        raise ConfigError("--out CALIBRATION.toml is missing")
+    if out.exists():
+        raise ConfigError(f"{out}: is there already; name another file with --out")
+    if out.suffix != ".toml" or not out.absolute().parent.is_dir():
+        raise ConfigError(f"--out {out}: must end with .toml, and lie in a folder that is there")
+    if (images is None) != (board is None):
+        raise ConfigError("--images and --board go together: pictures, and the file of the board that they show")
+    holders = _holders(holder)
+    intrinsics = _intrinsics(choice.description, images, board) if images and board else None
+    description, given = choice.description, None
+    if intrinsics is not None:
+        description, given = _with_lens(description, intrinsics)
+    sightings: Sequence[Sighting] = ()
+    if scans is not None:
+        from gonio.calibration.geometry_scans import read_sightings
+
+        if holder is not None:
+            raise ConfigError("--scans fits what was kept: --holder has nothing to do there")
+        sightings = read_sightings(scans)
+        _require_axes(sightings, choice.description, scans)
+    elif holders or intrinsics is None:
+        sightings = _measured(choice, out, holders or None, search=search, seed=seed, yes=yes)
+    _finish(out, choice.description, description, intrinsics, given, sightings, valid_days)
+
+
+def _holders(text: str | None) -> list[str]:
+    from gonio.errors import ConfigError
+
+    names = [name.strip() for name in text.split(",")] if text is not None else []
+    wrong = [name for name in names if name not in HOLDERS]
+    if wrong:
+        raise ConfigError(f'--holder "{text}": "{wrong[0]}" is none of {", ".join(HOLDERS)}')
+    return names
+
+
+def _print_sheet(description: RigDescription, rig: str, file: Path) -> None:
+    from gonio.calibration import fiducials
+    from gonio.cli import console
+    from gonio.errors import ConfigError
+
+    marks = description.holder.fiducials
+    if marks is None:
+        raise ConfigError(
+            f"{rig}: the rig file has no [holder.fiducials]; add it with dictionary, count, marker_mm and ring_mm "
+            "(an empty table takes 8 markers of 6 mm on a circle of 18 mm radius)"
+        )
+    if file.exists():
+        raise ConfigError(f"{file}: is there already; name another file")
+    fiducials.print_sheet(marks, description.holder.sample_diameter_mm, file)
+    console.show(f"{file}: {marks.count} markers of {marks.dictionary}; print at 100 %, and measure the 20 mm")
+
+
+def _require_axes(sightings: Sequence[Sighting], description: RigDescription, scans: Path) -> None:
+    from gonio.errors import DataError
+
+    axes = set(description.axes())
+    for s in sightings:
+        if set(s.encoder_deg) != axes:
+            raise DataError(
+                f"{scans}: was made with the axes {', '.join(s.encoder_deg)}, and the rig has {', '.join(axes)}"
+            )
+        if s.corners and (marks := description.holder.fiducials) is None:
+            raise DataError(f"{scans}: shows markers, and the rig file has no [holder.fiducials]")
+        if s.corners and marks is not None and max(s.corners) >= 4 * marks.count:
+            raise DataError(f"{scans}: shows more markers than holder.fiducials.count = {marks.count}")
+
+
+# ---- the lens ----
+
+
+def _intrinsics(description: RigDescription, images: Path, board: Path) -> Intrinsics:
+    from gonio.calibration import intrinsics
+    from gonio.errors import DataError
+
+    if not images.is_dir():
+        raise DataError(f"{images}: is no folder of pictures")
+    files = sorted(f for f in images.iterdir() if f.suffix.lower() in PICTURES)
+    if not files:
+        raise DataError(f"{images}: holds no picture ({', '.join(PICTURES)})")
+    about, dictionary = intrinsics.read_board(board)
+    return intrinsics.calibrate(files, about, dictionary, (description.camera.width, description.camera.height))
+
+
+def _with_lens(description: RigDescription, found: Intrinsics) -> tuple[RigDescription, Given]:
+    """A rig with the lens of the pictures; and the paths, values and covariance of what is known of it."""
+    import numpy as np
+
+    from gonio.rig.calibrated import with_keys
+
+    camera, v = description.camera, found.values
+    image_mm = 1e-3 * camera.pixel_um * v["f"]
+    focal_mm = 1.0 / (1.0 / image_mm + 1.0 / description.geometry.camera_distance_mm)
+    beside = v["c_x"] - 0.5 * (camera.width - 1), v["c_y"] - 0.5 * (camera.height - 1)
+    keys = {
+        "focal_length_mm": focal_mm, "principal_point_px": list(beside),
+        "distortion": [v["k1"], v["k2"], v["p1"], v["p2"], 0.0],
+    }  # fmt: skip
+    paths = ["camera.focal_length_mm", *(f"camera.principal_point_px[{k}]" for k in (0, 1))]
+    paths += [f"camera.distortion[{k}]" for k in range(4)]
+    scale = np.ones(7)
+    scale[0] = 1e-3 * camera.pixel_um * (focal_mm / image_mm) ** 2
+    values = np.array([focal_mm, *beside, v["k1"], v["k2"], v["p1"], v["p2"]])
+    return (
+        with_keys(description, {"camera": keys}, "the pictures' lens"),
+        (paths, values, found.covariance * np.outer(scale, scale)),
+    )
+
+
+# ---- frames ----
+
+
+def _measured(
+    choice: RigChoice, out: Path, holders: list[str] | None, *, search: float, seed: int, yes: bool
+) -> Sequence[Sighting]:
+    """Drive the rig, and keep what was seen beside OUT."""
+    from dataclasses import replace
+
+    from gonio.by_hand.bench import Bench
+    from gonio.calibration.geometry_scans import GeometryScans, Kept, reversed_approach
+    from gonio.cli import console
+    from gonio.cli.align import _dark, _put
+    from gonio.cli.by_hand import _told_where
+    from gonio.errors import ConfigError
+    from gonio.rig import Device, Step
+
+    folder = out.with_name(f"{out.stem}-sightings")
+    if folder.exists():
+        raise ConfigError(f"{folder}: is there already; fit it with --scans {folder}, or name another --out")
+    devices: tuple[Device, ...] = ("arms", "light", "camera")
+    rig = choice.open(seed=seed, confirm=False, by_hand=True)
+    bench = Bench(rig, choice.source, devices)
+    scans = GeometryScans(bench, search_deg=search, say=console.note, keep=lambda s, f: kept.keep(s, f))
+    wanted = holders or list(HOLDERS)
+    if "empty" in wanted and not scans.facing():
+        if holders is not None and wanted == ["empty"]:
+            raise ConfigError(f"{choice.source}: {scans.why_not_facing()}")
+        console.note(f"{choice.source}: {scans.why_not_facing()}. There are no straight-through frames")
+        wanted.remove("empty")
+    kept = Kept(folder)
+    with _told_where(bench), bench:
+        if "mirror" in wanted:
+            _put(bench, "mirror", yes=yes)
+            scans.mirror_frames()
+            if bench.description.holder.fiducials is not None:
+                scans.marker_frames()
+        sums, across = scans.where
+        if "empty" in wanted:
+            _dark(bench)
+            _put(bench, "empty", yes=yes)
+            scans.straight_frames()
+        _dark(bench)
+    if "mirror" in wanted and any(a.backlash_deg for a in choice.description.axes().values()):
+        straight = replace(choice, description=reversed_approach(choice.description))
+        again = Bench(straight.open(seed=seed, confirm=False, by_hand=True), choice.source, devices)
+        with _told_where(again), again:
+            again.begin(Step(1, "dark"))
+            _put(again, "mirror", yes=yes)
+            backwards = GeometryScans(again, search_deg=search, say=console.note, keep=kept.keep)
+            backwards.against_frames(sums, across)
+            _dark(again)
+    console.note(f"{folder}: {len(kept.sightings)} sightings; lamp dark, arms parked; put the sample back")
+    return kept.sightings
+
+
+# ---- what comes out ----
+
+
+def _finish(
+    out: Path, filed: RigDescription, description: RigDescription, intrinsics: Intrinsics | None,
+    given: Given | None, sightings: Sequence[Sighting], valid_days: int,
+) -> None:  # fmt: skip
+    import numpy as np
+
+    from gonio.calibration import geometry as geometric
+    from gonio.cli import console
+    from gonio.config import numbers_in
+    from gonio.errors import DataError
+    from gonio.rig.calibrated import Calibration, identity, write_calibration
+    from gonio.rig.description import ParameterUncertainty
+
+    fit: Fit | None = None
+    notes: list[str] = []
+    measured: dict[str, Any] = {}
+    if sightings:
+        fit = geometric.solve(description, sightings, given)
+        tables, paths, covariance = geometric.values_of(fit)
+        tables = geometric.filled(tables, description)
+        notes += [*fit.open, *(f"left out, too far from all else: {what}" for what in fit.dropped)]
+        measured = {"sightings": len(sightings), "misfit": fit.misfit, "rank": fit.rank, "of": len(fit.unknowns)}
+        if given is None:
+            notes.append("focal length and distortion were taken as in the rig file: no pictures of a board")
+    elif given is not None:
+        paths, _, covariance = given
+        tables = {"camera": {name: description.camera.model_dump(mode="json")[name]
+                             for name in ("focal_length_mm", "principal_point_px", "distortion")}}  # fmt: skip
+    if intrinsics is not None:
+        tables.setdefault("camera", {}).setdefault("distortion", list(description.camera.distortion))
+        tables["camera"]["distortion"] = [0.0 if v is None else v for v in tables["camera"]["distortion"]]
+        measured |= {
+            "rms_reprojection_px": intrinsics.rms_px, "corners": intrinsics.corners, "rejected": intrinsics.rejected,
+            "images": list(intrinsics.images), "rms_by_image_px": list(intrinsics.rms_by_image_px),
+        }  # fmt: skip
+        notes.append(f"{intrinsics.rejected} of {intrinsics.corners + intrinsics.rejected} corners were left out")
+    if not paths:
+        _show_open(notes)
+        raise DataError(f"{out} is not written: nothing of the rig is determined")
+    u = np.sqrt(np.diag(covariance))
+    correlation = np.clip(covariance / np.outer(u, u), -1.0, 1.0)
+    correlation = 0.5 * (correlation + correlation.T)
+    np.fill_diagonal(correlation, 1.0)
+    today = datetime.date.today()
+    calibration = Calibration(
+        kind="geometry", rig=filed.name, rig_identity=identity(filed), made=today,
+        valid_until=today + datetime.timedelta(days=valid_days), notes=tuple(notes), values=tables,
+        uncertainty=ParameterUncertainty(parameters=paths, u=u.tolist(), correlation=correlation.tolist()),
+        measured=measured,
+    )  # fmt: skip
+    picture = out.with_name(f"{out.stem}-residuals.png")
+    _draw(fit, intrinsics, picture)
+    try:
+        write_calibration(calibration, out)
+    except OSError as error:
+        raise DataError(f"{out}: cannot be written: {error.strerror}") from None
+    was = numbers_in(geometric.start_of(filed))
+    now = numbers_in(tables)
+    table = console.table("key", "value", "u (k = 1)", "was")
+    for path, one in zip(paths, u, strict=True):
+        table.add_row(path, f"{now[path]:.5g}", f"{one:.2g}", f"{was[path]:.5g}" if path in was else "-")
+    console.show(table)
+    if intrinsics is not None:
+        console.show(f"lens: rms reprojection error {intrinsics.rms_px:.3f} px, {intrinsics.corners} corners of "
+                     f"{len(intrinsics.images)} pictures, {intrinsics.rejected} left out")  # fmt: skip
+    if fit is not None:
+        console.show(
+            f"{len(sightings)} sightings determine {fit.rank} of {len(fit.unknowns)} directions; misfit {fit.misfit:.2f}"  # noqa: E501
+        )
+    _show_open(notes)
+    console.show(f"{out}: {len(paths)} numbers, valid until {calibration.valid_until}", str(picture))
+
+
+def _show_open(notes: Sequence[str]) -> None:
+    from gonio.cli import console
+
+    for sentence in notes:
+        console.show(f"note: {sentence}")
+
+
+def _draw(fit: Fit | None, intrinsics: Intrinsics | None, picture: Path) -> None:
+    from io import BytesIO
+
+    from gonio.calibration import geometry as geometric
+    from gonio.calibration import intrinsics as lens
+    from gonio.disk import write_whole
+    from gonio.errors import DataError
+
+    if fit is not None:
+        figure = geometric.draw(fit)
+    else:
+        assert intrinsics is not None
+        figure = lens.draw(intrinsics)
+    drawn = BytesIO()
+    figure.savefig(drawn, format="png", dpi=110)
+    try:
+        write_whole(picture, drawn.getvalue())
+    except OSError as error:
+        raise DataError(f"{picture}: cannot be written: {error.strerror}") from None

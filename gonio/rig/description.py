@@ -11,6 +11,7 @@ An effect that is not named in the file is off. Angles are in degrees here (`_de
 from __future__ import annotations
 
 import datetime
+import math
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -142,6 +143,35 @@ class Arms(Strict):
         return self
 
 
+class Fiducials(Strict):
+    """Square markers printed around the holder's aperture, in the plane of the sample's surface.
+
+    Their centres lie on a circle around the sample's centre, the first on the sample's x axis, then counterclockwise
+    at equal angles. Every marker stands upright: its top edge toward the sample's y.
+    """
+
+    dictionary: str = "DICT_APRILTAG_36h11"
+    """A name of OpenCV's."""
+    first_id: Annotated[int, Field(ge=0)] = 0
+    """Ids count up from it."""
+    count: Annotated[int, Field(ge=3, le=64)] = 8
+    marker_mm: Positive = 6.0
+    """Side of the black square."""
+    ring_mm: Positive = 18.0
+    """Radius of the circle of their centres."""
+    albedo: Fraction = 0.8
+    """Of the paper; the black is as `holder.holder_albedo` (simulation)."""
+
+    @model_validator(mode="after")
+    def _apart(self) -> Fiducials:
+        least = 1.2 * math.sqrt(2.0) * self.marker_mm  # two squares with a white rim, however they stand
+        if 2.0 * self.ring_mm * math.sin(math.pi / self.count) < least:
+            raise ValueError(
+                f"{self.count} markers of {self.marker_mm:g} mm do not fit on a circle of radius {self.ring_mm:g} mm"
+            )
+        return self
+
+
 class Holder(Axis):
     """The sample holder: a tilt axis that lies in the plane of the arms, and a spin about the sample's normal."""
 
@@ -170,6 +200,8 @@ class Holder(Axis):
     """How far the tilt axis passes by the spin axis, along the lab's y."""
     sample_diameter_mm: Positive = 20.0
     holder_albedo: Fraction = 0.03
+    fiducials: Fiducials | None = None
+    """Printed markers around the aperture (`gonio calibrate geometry --print-fiducials`)."""
 
     def of(self, name: str) -> Holder:
         """The holder as one of its axes, "tilt" or "spin", has it."""
@@ -183,6 +215,16 @@ class Holder(Axis):
         for name in ("tilt", "spin"):
             limits, stops = getattr(self, f"{name}_limits_deg"), getattr(self, f"{name}_hard_stops_deg")
             _check_limits(f"{name}_", limits, stops)
+        return self
+
+    @model_validator(mode="after")
+    def _aperture_is_free(self) -> Holder:
+        marks = self.fiducials
+        if marks is not None and marks.ring_mm - 0.75 * marks.marker_mm < 0.5 * self.sample_diameter_mm:
+            raise ValueError(
+                f"fiducials.ring_mm = {marks.ring_mm:g} with markers of {marks.marker_mm:g} mm reaches into the sample "
+                f"(sample_diameter_mm = {self.sample_diameter_mm:g})"
+            )
         return self
 
 

@@ -562,9 +562,19 @@ def _project(
     description: RigDescription, view: View, x: float | Floats, y: float | Floats
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Column and row (fractional) on which spots of the sample's plane fall; infinite for those behind the camera."""
-    camera, eye = description.camera, np.asarray(view.camera_mm, dtype=float)
     x, y = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
-    ray = np.stack([x - eye[0], y - eye[1], np.full(x.shape, -eye[2])], axis=-1)
+    return project(description, view, np.stack([x, y, np.zeros(x.shape)], axis=-1))
+
+
+def project(
+    description: RigDescription, view: View, points_mm: Floats
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Column and row (fractional) on which points fall; infinite for those behind the camera.
+
+    `points_mm`: in the sample's frame, shape (..., 3).
+    """
+    camera, eye = description.camera, np.asarray(view.camera_mm, dtype=float)
+    ray = np.asarray(points_mm, dtype=float) - eye
     depth = ray @ view.optical_axis
     depth = np.where(depth > 0.0, depth, np.nan)
     scale, (column, row) = image_distance_mm(description) / (1e-3 * camera.pixel_um), _middle(camera)

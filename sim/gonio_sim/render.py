@@ -23,8 +23,8 @@ import numpy.typing as npt
 
 from gonio import geometry
 from gonio.errors import ConfigError
-from gonio.rig import Pose
-from gonio.rig.description import Band, SampleDescription
+from gonio.rig import Pose, fiducials
+from gonio.rig.description import Band, Fiducials, Holder, SampleDescription
 from gonio.rig.imaging import PixelMap, of_channel, pixel_map
 from gonio.rig.kinematics import View, directions, view
 from gonio.typing import Floats
@@ -47,6 +47,8 @@ KEPT = 2
 """Scenes kept: the sample's and the reference's."""
 BRIGHTEST = 1e30
 """Electrons a second that stand for infinitely many."""
+FINER = 6
+"""Spots across a pixel where it sees a printed marker."""
 BAND_NODES = 5
 """Wavelengths that the integral over a band is made of."""
 
@@ -115,6 +117,8 @@ class Renderer:
             return np.zeros((description.camera.height, description.camera.width), np.float32)
         seen = pixel_map(description, scene)
         brdf = np.full(seen.weight.shape, 0.0 if behind else description.holder.holder_albedo / math.pi)
+        if description.holder.fiducials is not None and not behind:
+            _paint_fiducials(description.holder, description.holder.fiducials, seen, brdf)
         for disc in self._through(band) if behind else self._discs(band, target):
             disc.paint(seen, scene, disc, brdf)
         # A pixel that sees no plane has no weight. A model may be negative where its formula is bad (Oren-Nayar near
@@ -310,6 +314,35 @@ class Renderer:
 def _black(seen: PixelMap, scene: View, disc: Disc, brdf: Floats) -> None:
     """A trap that gives no light back."""
     brdf[disc.covers(seen)] = 0.0
+
+
+def _paint_fiducials(holder: Holder, marks: Fiducials, seen: PixelMap, brdf: Floats) -> None:
+    """The markers around the aperture: each pixel takes the mean over its own area on the plate, `FINER` squared spots.
+
+    Without that their edges would lie on whole pixels, and corners a third of a pixel off.
+    """
+    x, y = seen.x_mm, seen.y_mm
+    radius = np.hypot(x, y)
+    reach = (0.5 + fiducials.RIM) * math.sqrt(2.0) * marks.marker_mm
+    rows, cols = np.nonzero(np.abs(radius - marks.ring_mm) <= 1.2 * reach)
+    if not len(rows):
+        return
+    part = (np.arange(FINER) + 0.5) / FINER - 0.5
+    slopes = [np.nan_to_num(np.gradient(each, axis=axis)[rows, cols]) for each in (x, y) for axis in (1, 0)]
+    white, bare = np.zeros(len(rows)), np.zeros(len(rows))
+    for across in part:
+        for down in part:
+            here = fiducials.white(
+                marks,
+                x[rows, cols] + across * slopes[0] + down * slopes[1],
+                y[rows, cols] + across * slopes[2] + down * slopes[3],
+            )
+            white += here == 1
+            bare += here == -1
+    printed = bare < FINER**2
+    share = white[printed] / FINER**2
+    value = (share * marks.albedo + (1.0 - share) * holder.holder_albedo) / math.pi
+    brdf[rows[printed], cols[printed]] = value
 
 
 def _shared_disc(apart: Floats, lamp: float, pupil: float) -> Floats:

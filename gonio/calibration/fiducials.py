@@ -1,0 +1,262 @@
+"""Printed markers around the holder's aperture: the sheet to print, their corners in a frame, and the holder's pose.
+
+Single poses of small squares are biased by some hundredths of a degree. So the calibration fits corners themselves,
+those of all frames at once (`gonio.calibration.geometry`); a pose from one frame is for a person who looks.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.calibration.intrinsics import refine, stretched
+from gonio.disk import write_whole
+from gonio.errors import ConfigError, DataError
+from gonio.rig.description import Fiducials, RigDescription
+from gonio.rig.fiducials import RIM, cells, centres_mm, corners_mm, dictionary_of
+from gonio.rig.imaging import image_distance_mm
+from gonio.typing import Floats
+
+SMALLEST_PX = 24.0
+"""Side of a marker in the frame, at its shortest: below 3 pixels a cell the window of a corner holds its neighbours,
+and corners lie up to 1.5 px off."""
+FAR = 4.0
+FEWEST = 8
+"""Corners, of two markers, are too few: a plane has eight unknowns, and some must be left to tell errors."""
+DPI = 600
+MARGIN_MM = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class HolderPose:
+    """Where the holder is against the camera, from one frame."""
+
+    rotation: Floats
+    """From the sample's frame to the camera's (x along columns, y along rows, z along the sight), shape (3, 3)."""
+    translation_mm: Floats
+    """Centre of the sample in the camera's frame."""
+    covariance: Floats
+    """Of a small rotation in the camera's frame [rad] and of the translation [mm], shape (6, 6)."""
+    rms_px: float
+
+
+def print_sheet(marks: Fiducials, aperture_mm: float, file: Path) -> None:
+    """Write the sheet of a holder's markers, to be printed at 100 %, cut along the thin circle and glued on.
+
+    Parameters
+    ----------
+    marks
+        From the rig file, `[holder.fiducials]`.
+    aperture_mm
+        Diameter of the hole in the middle.
+    file
+        Ends with .svg (in millimetres) or .png (600 pixels an inch).
+
+    Raises
+    ------
+    ConfigError
+        Another ending, or a dictionary without so many markers.
+    DataError
+        It cannot be written.
+    """
+    half = marks.ring_mm + (0.5 + RIM) * marks.marker_mm * 1.5 + MARGIN_MM
+    suffix = file.suffix.lower()
+    if suffix == ".svg":
+        data = _svg(marks, aperture_mm, half).encode()
+    elif suffix == ".png":
+        data = _png(marks, aperture_mm, half)
+    else:
+        raise ConfigError(f"{file}: a sheet of markers is written as .svg or .png")
+    try:
+        write_whole(file, data)
+    except OSError as error:
+        raise DataError(f"{file}: cannot be written: {error.strerror}") from None
+
+
+def _svg(marks: Fiducials, aperture_mm: float, half: float) -> str:
+    out = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{2 * half:g}mm" height="{2 * half:g}mm" '
+        f'viewBox="{-half:g} {-half:g} {2 * half:g} {2 * half:g}">',
+        f'<rect x="{-half:g}" y="{-half:g}" width="{2 * half:g}" height="{2 * half:g}" fill="white"/>',
+    ]
+    pattern = cells(marks.dictionary, marks.first_id, marks.count)
+    side = marks.marker_mm / pattern.shape[1]
+    for (cx, cy), one in zip(centres_mm(marks), pattern, strict=True):
+        left, top = cx - 0.5 * marks.marker_mm, -cy - 0.5 * marks.marker_mm  # an svg's y runs down
+        out.append(f'<rect x="{left:.4f}" y="{top:.4f}" width="{marks.marker_mm:g}" height="{marks.marker_mm:g}"/>')
+        out += [
+            f'<rect x="{left + j * side:.4f}" y="{top + i * side:.4f}" width="{side:.4f}" height="{side:.4f}" '
+            'fill="white"/>'
+            for i, j in np.argwhere(one)
+        ]
+    ruler = half - 0.4 * MARGIN_MM
+    out += [
+        f'<circle r="{aperture_mm / 2:g}" fill="none" stroke="black" stroke-width="0.1"/>',
+        f'<path d="M -10 {ruler:g} H 10" stroke="black" stroke-width="0.2"/>',
+        f'<text x="0" y="{ruler - 0.5:g}" font-size="2.2" text-anchor="middle">20 mm - measure it: print at 100 % - '
+        "the first marker lies on the sample's x axis (right)</text>",
+        "</svg>",
+    ]
+    return "\n".join(out) + "\n"
+
+
+def _png(marks: Fiducials, aperture_mm: float, half: float) -> bytes:
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Circle
+
+    inches = 2 * half / 25.4
+    figure = Figure(figsize=(inches, inches))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    pattern = cells(marks.dictionary, marks.first_id, marks.count)
+    for (cx, cy), one in zip(centres_mm(marks), pattern, strict=True):
+        h = 0.5 * marks.marker_mm
+        axes.imshow(one, cmap="gray", vmin=0, vmax=1, extent=(cx - h, cx + h, cy - h, cy + h), interpolation="nearest")
+    axes.add_patch(Circle((0, 0), aperture_mm / 2, fill=False, lw=0.3))
+    axes.plot([-10, 10], [0.4 * MARGIN_MM - half] * 2, "k-", lw=0.6)
+    axes.text(0, 0.5 + 0.4 * MARGIN_MM - half, "20 mm", ha="center", va="bottom", fontsize=6)
+    axes.set(xlim=(-half, half), ylim=(-half, half))
+    axes.axis("off")
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format="png", dpi=DPI)
+    return drawn.getvalue()
+
+
+def detect(frame: npt.NDArray[Any], marks: Fiducials) -> tuple[npt.NDArray[np.intp], Floats]:
+    """The corners of markers in a frame.
+
+    Returns
+    -------
+    numbers
+        Which of the corners of `corners_mm(marks).reshape(-1, 2)`, shape (n,).
+    pixels
+        Column and row of each, the middle of the first pixel at (0, 0), shape (n, 2).
+
+    Notes
+    -----
+    Corners are where the edges of the black square meet in a window no larger than a cell, refined from what OpenCV
+    finds. Markers that look smaller than `SMALLEST_PX`, or stand at the edge of the frame, are left out.
+    """
+    import cv2
+
+    grey = stretched(frame)
+    settings = cv2.aruco.DetectorParameters()
+    settings.adaptiveThreshWinSizeMax = 53
+    settings.minMarkerPerimeterRate = 0.02
+    found, ids, _ = cv2.aruco.ArucoDetector(dictionary_of(marks.dictionary), settings).detectMarkers(grey)
+    numbers: list[int] = []
+    pixels: list[Floats] = []
+    n = dictionary_of(marks.dictionary).markerSize + 2
+    for number, corners in zip(np.ravel(ids) if ids is not None else (), found, strict=True):
+        k = int(number) - marks.first_id
+        square = np.asarray(corners, float).reshape(4, 2)
+        shortest = float(np.linalg.norm(square - np.roll(square, 1, axis=0), axis=1).min())
+        half = max(1, min(5, round(0.9 * shortest / n)))
+        room = np.minimum(square.min(0), np.array(grey.shape[::-1]) - 1 - square.max(0)).min()
+        if not 0 <= k < marks.count or shortest < SMALLEST_PX or room < half + 2:
+            continue
+        refined = refine(grey, square, half)
+        if np.abs(refined - square).max() > 0.25 * shortest:
+            continue
+        numbers += range(4 * k, 4 * k + 4)
+        pixels.append(refined)
+    return np.array(numbers, np.intp), np.concatenate(pixels) if pixels else np.zeros((0, 2))
+
+
+def pose(
+    description: RigDescription, marks: Fiducials, numbers: npt.NDArray[np.intp], pixels: Floats
+) -> HolderPose | None:
+    """The holder against the camera from the corners of one frame; None where fewer than two markers are seen.
+
+    The intrinsics are those of the description.
+    """
+    import cv2
+
+    if len(numbers) < 8:
+        return None
+    camera = description.camera
+    f = image_distance_mm(description) / (1e-3 * camera.pixel_um)
+    centre = [0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]
+    matrix = np.array([[f, 0, centre[0]], [0, f, centre[1]], [0, 0, 1.0]])
+    flat = corners_mm(marks).reshape(-1, 2)[numbers]
+    points = np.column_stack([flat, np.zeros(len(flat))])
+    none = np.zeros(5)
+    good, turn, shift = cv2.solvePnP(points, pixels, matrix, none, flags=cv2.SOLVEPNP_IPPE)
+    if not good:
+        return None
+    turn, shift = cv2.solvePnPRefineLM(points, pixels, matrix, none, turn, shift)
+    seen, slopes = cv2.projectPoints(points, turn, shift, matrix, none)
+    left = pixels - np.asarray(seen).reshape(-1, 2)
+    jacobian = np.asarray(slopes)[:, :6]
+    freedom = max(2 * len(flat) - 6, 1)
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(np.sum(left**2)) / freedom
+    return HolderPose(
+        np.asarray(cv2.Rodrigues(turn)[0]),
+        np.ravel(shift),
+        covariance,
+        float(np.sqrt(np.mean(np.sum(left**2, axis=1)))),
+    )
+
+
+def consistent(
+    marks: Fiducials, numbers: npt.NDArray[np.intp], pixels: Floats
+) -> tuple[npt.NDArray[np.intp], Floats, float]:
+    """The corners that lie as on one plane, and how far they scatter about it [px]; none of less than three markers.
+
+    Corners that a shadow, a reflection or a neighbour has moved are left out, `FAR` standard deviations off the rest.
+    """
+    import cv2
+
+    nothing = numbers[:0], pixels[:0], 0.0
+    flat = corners_mm(marks).reshape(-1, 2)
+    for _ in range(5):
+        if len(numbers) <= FEWEST:
+            return nothing
+        plane, _ = cv2.findHomography(flat[numbers], pixels, 0)
+        if plane is None:
+            return nothing
+        off = np.linalg.norm(_off_plane(marks, plane, numbers, pixels), axis=1)
+        sigma = float(np.sqrt(np.median(off**2) / (2.0 * np.log(2.0))))
+        good = off <= FAR * max(sigma, 0.02)
+        if good.all():
+            freedom = 2 * len(numbers) - 9
+            return numbers, pixels, float(np.sqrt(np.sum(off**2) / freedom))
+        numbers, pixels = numbers[good], pixels[good]
+    return nothing
+
+
+def _off_plane(marks: Fiducials, plane: Any, numbers: npt.NDArray[np.intp], pixels: Floats) -> Floats:
+    """Corners less where a plane has them, less what all are shifted outward from their own markers' middles: ink."""
+    import cv2
+
+    flat = corners_mm(marks)
+    there = cv2.perspectiveTransform(flat.reshape(1, -1, 2), plane)[0]
+    outward = (there.reshape(-1, 4, 2) - there.reshape(-1, 4, 2).mean(axis=1, keepdims=True)).reshape(-1, 2)[numbers]
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    off = pixels - there[numbers]
+    out: Floats = off - np.mean(np.sum(off * outward, axis=1)) * outward
+    return out
+
+
+def middle(marks: Fiducials, numbers: npt.NDArray[np.intp], pixels: Floats) -> Floats:
+    """Where the centre of the markers' circle is in the frame [px], from corners that are `consistent`."""
+    import cv2
+
+    plane, _ = cv2.findHomography(corners_mm(marks).reshape(-1, 2)[numbers], pixels, 0)
+    out: Floats = cv2.perspectiveTransform(np.zeros((1, 1, 2)), plane)[0, 0]
+    return out
+
+
+def on_plane(marks: Fiducials, numbers: npt.NDArray[np.intp], pixels: Floats, size: tuple[int, int]) -> Floats:
+    """How far from the centre each pixel looks at the markers' plane [mm], for a frame of `size` rows and columns."""
+    import cv2
+
+    plane, _ = cv2.findHomography(pixels, corners_mm(marks).reshape(-1, 2)[numbers], 0)
+    rows, columns = np.indices(size)
+    spots = cv2.perspectiveTransform(np.stack([columns, rows], axis=-1).reshape(1, -1, 2).astype(float), plane)[0]
+    out: Floats = np.hypot(spots[:, 0], spots[:, 1]).reshape(size)
+    return out

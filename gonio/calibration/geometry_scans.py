@@ -1,0 +1,499 @@
+"""Frames for a calibration of the geometry: the lamp in a mirror and straight through, the markers at many poses.
+
+The search for the lamp, its exposure and its centring are those of an alignment (`gonio.by_hand.alignment_scans`).
+Every sighting is kept as it is made: a line of `sightings.jsonl`, and the frames that it was found in.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.acquisition import exposure
+from gonio.by_hand.alignment_scans import BRIGHT, SPOT_PIXELS, Scans
+from gonio.calibration import fiducials
+from gonio.calibration.geometry import Sighting
+from gonio.errors import ConfigError, DataError, DeviceError
+from gonio.rig import Pose, imaging, kinematics
+from gonio.rig.description import RigDescription
+from gonio.typing import Floats
+
+if TYPE_CHECKING:
+    from gonio.by_hand.bench import Bench
+
+FILE = "sightings.jsonl"
+MIRROR_POSES = 48
+STRAIGHT_POSES = 14
+MARKER_POSES = 60
+AGAINST_POSES = 12
+FEWEST = 6
+STEEPEST_DEG = 72.0
+"""Beyond it a mirror of the sample's size shows a sliver of the lamp, and markers run together."""
+AWAY_DEG = 3.0
+"""From where an axis comes that has to arrive with its play open, or taken up: more than any play."""
+GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+INSIDE = 0.85
+INSIDE_UNSURE = 0.6
+SATURATED = 0.97
+"""Of full scale: a pixel as bright may be brighter."""
+SURE, SURE_PX = 12, 0.4
+"""Corners, and their scatter, that show the mirror's edge."""
+"""Of the mirror's radius: its edge may lie a little beside where markers show it, or the rig file alone."""
+SIZE_U = 0.05
+"""Relative standard uncertainty of the sizes of lamp and pupil in the rig file."""
+SPOT_NOISE = 0.02
+"""Of full scale: what does not fit as well as this is no lamp in a mirror, or the mirror's edge is in it."""
+WORST_PX = 0.15
+PIXELS = 4000
+"""A spot is fitted in an image that is binned to about so many."""
+
+
+class GeometryScans(Scans):
+    """Takes the sightings of one calibration on an open bench.
+
+    Parameters
+    ----------
+    bench, search_deg, say
+        As of an alignment.
+    keep
+        Is given each sighting with its frames, by a word each, as soon as it is made.
+    """
+
+    def __init__(
+        self, bench: Bench, *, search_deg: float, say: Callable[[str], None],
+        keep: Callable[[Sighting, dict[str, npt.NDArray[Any]]], None],
+    ) -> None:  # fmt: skip
+        super().__init__(bench, search_deg=search_deg, say=say)
+        self._keep_sighting = keep
+        self._sums: dict[float, float] = {}
+        """Sum of both encoders at which the lamp's mirror image is in the middle, by the light's angle as read."""
+        self._across: float | None = None
+        """The tilt, as read, at which it is as high as the frame's middle."""
+        self._lost = 0
+        self._beside: Floats | None = None
+        """How far from where the rig file has it the sample's centre is in the frame [px], columns and rows."""
+
+    def _meter(self, *, whole: bool = False) -> None:
+        """As of an alignment; but the white of the markers must never pass for the lamp, which is far brighter."""
+        super()._meter(whole=whole)
+        if self._description.holder.fiducials is not None:
+            white = exposure.expected_exposure_s(self._description, Pose(), 1.0)
+            shortest = self._description.camera.exposure_limits_s[0]
+            self._exposure_s = max(min(self._exposure_s, round(0.02 * white, 6)), shortest)
+
+    # ---- the kinds of sightings ----
+
+    def mirror_frames(self, poses: int = MIRROR_POSES) -> None:
+        """A mirror is in the holder: the lamp in it, at light angles over the whole range; markers where there are."""
+        clear = 0.5 * math.degrees(kinematics.blocked_cone(self._description)) + 2.0
+        steepest = min(STEEPEST_DEG, *(abs(v) - 1.0 for n in ("light", "camera") for v in self._limits(n)))
+        angles = [float(a) for a in np.linspace(-steepest, steepest, poses) if abs(a) > clear]
+        if not angles:
+            raise ConfigError("the limits of light and camera leave no mirror direction")
+        first = min(angles, key=lambda a: abs(a - 30.0))
+        self._begin_mirror(first)
+        self._meter(whole=True)  # the image need not lie in the middle: where the camera points is not known yet
+        self._sums[first] = self._encoder("camera") + self._encoder("light")
+        if "tilt" in self._axes:
+            self._across = self._read("tilt")
+        order = sorted(angles, key=lambda a: (a * first < 0, abs(a - math.copysign(first, a))))
+        for number, light in enumerate(order):
+            self._mirror_at(light, number)
+        self._require("mirror", len(order))
+
+    def straight_frames(self, poses: int = STRAIGHT_POSES) -> None:
+        """The holder is empty: the lamp itself, with both arms face to face."""
+        difference = self._begin_straight()
+        self._meter(whole=True)
+        angles = [a for a in self._facing_light() if self._fits("camera", self._camera_at(a, difference), 1.0)]
+        if not angles:
+            raise ConfigError(self.why_not_facing())
+        seen = 0
+        for number in range(poses):
+            light = angles[number % len(angles)] + (0.3 * _spread(number) if number >= len(angles) else 0.0)
+            camera = self._camera_at(light, difference) + 0.5 * _spread(number)
+            if not (self._fits("light", light, 0.0) and self._fits("camera", camera, 0.0)):
+                continue
+            self._go(light=light, camera=camera)
+            seen += self._look("empty", marks=False) is not None
+        self._require("empty", seen + self._lost)
+
+    def marker_frames(self, poses: int = MARKER_POSES) -> None:
+        """Markers alone, at poses all over the range of the camera, of tilt and spin."""
+        apart = math.degrees(kinematics.blocked_cone(self._description)) + 5.0
+        for number in range(poses):
+            goals = {"camera": STEEPEST_DEG * _spread(number, 1)}
+            light = 60.0 * _spread(number, 2)
+            if abs(light - goals["camera"]) < apart:
+                light += math.copysign(2.0 * apart, -light)
+            goals["light"] = light
+            for name, most, k in (("tilt", 50.0, 3), ("spin", 160.0, 4)):
+                if name in self._description.axes():
+                    goals[name] = most * _spread(number, k)
+            if self._try_to_go(goals):
+                self._look("mirror", spot=False)
+
+    def against_frames(self, sums: dict[float, float], across: float | None, poses: int = AGAINST_POSES) -> None:
+        """The lamp in the mirror again, each arm in turn arriving from the other side: its play stands open.
+
+        The bench's axes approach from nowhere (`reversed_approach`); `sums`, `across`: where the image was.
+        """
+        self._sums, self._across = dict(sums), across
+        side = {n: math.copysign(1.0, a or 1.0) for n, a in self._description.approach_deg().items()}
+        lights = sorted((a for a in sums if 10.0 < abs(a) < 65.0), key=lambda a: _spread(int(10 * a), 5))
+        self._bench.lamp(True)
+        for number in range(poses if lights else 0):
+            light = lights[number % len(lights)]
+            odd = ("light", "camera")[number % 2]
+            goals = self._mirror_goals(light, number)
+            before = {n: v - AWAY_DEG * side[n] * (-1.0 if n == odd else 1.0) for n, v in goals.items()}
+            if self._try_to_go(before) and self._try_to_go(goals):
+                self._exposure_s = self._exposure_s or self._metered()
+                self._look("mirror", against=(odd,))
+
+    @property
+    def where(self) -> tuple[dict[float, float], float | None]:
+        """For `against_frames`."""
+        return self._sums, self._across
+
+    # ---- one pose ----
+
+    def _mirror_goals(self, light: float, number: int) -> dict[str, float]:
+        near = min(self._sums, key=lambda a: (a * light < 0, abs(a - light)))
+        camera = self._sums[near] - light - self._offset("light") - self._offset("camera") + 0.4 * _spread(number, 1)
+        goals = {"light": light, "camera": camera}
+        if self._across is not None:
+            goals["tilt"] = self._across + 0.2 * _spread(number, 2)
+        if "spin" in self._description.axes():
+            goals["spin"] = 160.0 * _spread(number, 3)
+        return goals
+
+    def _mirror_at(self, light: float, number: int) -> None:
+        """Go where the image should be; where it is far from the middle, go there and look again."""
+        for attempt in range(3):
+            goals = self._mirror_goals(light, number)
+            if not self._try_to_go(goals):
+                return
+            found = self._look("mirror", keep=False)
+            if found is None:
+                if attempt < 2:
+                    self._meter(whole=True)
+                    continue
+                self._lost += 1
+                return
+            sighting, frames = found
+            camera = self._description.camera
+            assert sighting.spot_px is not None
+            off = np.array(sighting.spot_px) - 0.5 * np.array([camera.width - 1, camera.height - 1])
+            turn = self._turn(sighting, off)
+            self._sums[light] = sighting.encoder_deg["camera"] + sighting.encoder_deg["light"] + turn.get("camera", 0.0)
+            if self._across is not None and (number == 0 or sighting.u_spot_px > WORST_PX):
+                self._across += turn.get("tilt", 0.0)
+            good = sighting.u_spot_px <= WORST_PX
+            if good and (np.all(np.abs(off) < 0.3 * np.array([camera.width, camera.height])) or attempt == 2):
+                self._keep_sighting(sighting, frames)
+                return
+            self._lost += attempt == 2
+
+    def _turn(self, s: Sighting, off: Floats) -> dict[str, float]:
+        """How far camera and tilt would have to go for the spot to be in the middle [deg], on a rig as its file says."""  # noqa: E501
+        rig, pose = self._description, Pose(**{n: math.radians(self._read(n)) for n in s.encoder_deg})
+        names = [n for n in ("camera", "tilt") if n in s.encoder_deg]
+        slopes = []
+        for name in names:
+            at = [self._lamp_at(rig, pose, {name: shift}) for shift in (-0.05, 0.05)]
+            slopes.append((at[1] - at[0]) / 0.1)
+        turn = np.linalg.lstsq(np.array(slopes).T, -off, rcond=1e-3)[0]
+        return dict(zip(names, map(float, np.clip(turn, -3.0, 3.0)), strict=True))
+
+    def _lamp_at(self, rig: RigDescription, pose: Pose, shift: dict[str, float]) -> Floats:
+        from dataclasses import replace
+
+        moved = replace(pose, **{n: getattr(pose, n) + math.radians(v) for n, v in shift.items()})
+        view = kinematics.view(rig, moved)
+        return np.array(imaging.project(rig, view, np.asarray(view.source_mm) * [1.0, 1.0, -1.0]))
+
+    def _look(
+        self, holder: str, *, spot: bool = True, marks: bool = True, against: tuple[str, ...] = (), keep: bool = True
+    ) -> tuple[Sighting, dict[str, npt.NDArray[Any]]] | None:
+        """Frames at the present pose, and what they show; None where they show nothing."""
+        rig, frames = self._description, {}
+        pose = Pose(**{n: math.radians(self._read(n)) for n in rig.axes()})
+        numbers, pixels, u_corner = np.zeros(0, np.intp), np.zeros((0, 2)), 0.0
+        if marks and rig.holder.fiducials is not None:
+            limits = rig.camera.exposure_limits_s
+            wanted = exposure.expected_exposure_s(rig, pose, rig.holder.fiducials.albedo)
+            frame = self._bench.camera.capture(round(min(max(wanted, limits[0]), limits[1], 2.0), 6))
+            self._require_size(frame)
+            frames["markers"] = frame.mosaic
+            numbers, pixels = fiducials.detect(frame.mosaic, rig.holder.fiducials)
+            numbers, pixels, u_corner = fiducials.consistent(rig.holder.fiducials, numbers, pixels)
+            if len(numbers) >= SURE and u_corner < SURE_PX:
+                self._beside = fiducials.middle(rig.holder.fiducials, numbers, pixels) - self._middle(pose)
+        found: tuple[float, float, float] | None = None
+        if spot:
+            frame = self._bench.camera.capture(self._exposure_s)
+            self._require_size(frame)
+            frames["lamp"] = frame.mosaic
+            light = np.asarray(frame.mosaic, float) - frame.black_level_dn
+            if self._spot(frame) >= SPOT_PIXELS:
+                inside = (
+                    self._inside_mirror(pose, numbers, pixels, u_corner)
+                    if holder == "mirror"
+                    else np.ones(light.shape, bool)
+                )
+                found = spot_of(light / exposure.full_scale_dn(rig.camera, frame), rig, inside)
+            if found is None:
+                return None
+        if found is None and not len(numbers):
+            return None
+        sighting = Sighting(
+            holder=holder,
+            encoder_deg={n: round(self._encoder_of(n), 6) for n in rig.axes()},
+            against=against,
+            spot_px=(found[0], found[1]) if found else None,
+            u_spot_px=found[2] if found else 0.0,
+            corners=tuple(map(int, numbers)),
+            corners_px=tuple((float(c), float(r)) for c, r in pixels),
+            u_corner_px=u_corner,
+        )
+        if keep and sighting.u_spot_px <= WORST_PX:
+            self._keep_sighting(sighting, frames)
+        return sighting, frames
+
+    def _encoder_of(self, name: str) -> float:
+        return self._read(name) + self._offset(name)
+
+    def _middle(self, pose: Pose) -> Floats:
+        """Where the sample's centre would be in the frame, by the rig file."""
+        return np.array(imaging.project(self._description, kinematics.view(self._description, pose), np.zeros(3)))
+
+    def _inside_mirror(
+        self, pose: Pose, numbers: npt.NDArray[np.intp], pixels: Floats, u_corner: float
+    ) -> npt.NDArray[np.bool_]:
+        """Pixels that surely see the mirror: as markers in this frame show it, or as the rig file does, shifted to
+        where markers have last shown its middle."""
+        rig = self._description
+        radius_mm = 0.5 * rig.holder.sample_diameter_mm
+        if rig.holder.fiducials is not None and len(numbers) >= SURE and u_corner < SURE_PX:
+            size = (rig.camera.height, rig.camera.width)
+            return fiducials.on_plane(rig.holder.fiducials, numbers, pixels, size) <= INSIDE * radius_mm
+        view = kinematics.view(rig, pose)
+        if view.camera_mm[2] <= 0.0:
+            return np.zeros((rig.camera.height, rig.camera.width), bool)
+        column, row = np.array(rig.camera.principal_point_px) + (0.0 if self._beside is None else self._beside)
+        camera = rig.camera.model_copy(update={"principal_point_px": (float(column), float(row))})
+        seen = imaging.pixel_map(rig.model_copy(update={"camera": camera}), view)
+        inside: npt.NDArray[np.bool_] = np.hypot(seen.x_mm, seen.y_mm) <= INSIDE_UNSURE * radius_mm
+        return inside
+
+    def _metered(self) -> float:
+        self._meter(whole=True)
+        return self._exposure_s
+
+    def _limits(self, name: str) -> tuple[float, float]:
+        return self._description.limits_deg()[name]
+
+    def _try_to_go(self, goals: dict[str, float]) -> bool:
+        """Whether the rig can go there, and has."""
+        if not all(self._fits(name, goal, 0.0) for name, goal in goals.items()):
+            return False
+        try:
+            self._bench.goals(**{n: math.radians(a) for n, a in goals.items()})
+        except ConfigError:
+            return False
+        self._go(**goals)
+        return True
+
+    def _require(self, holder: str, tried: int) -> None:
+        if tried - self._lost < min(FEWEST, tried):
+            raise DeviceError(
+                f"the lamp was seen at {tried - self._lost} of {tried} poses with holder {holder}: is the mirror clean "
+                "and whole; does other light flood the frame (gonio rig snap shows it)"
+            )
+        if self._lost:
+            self._say(f"{holder}: at {self._lost} of {tried} poses the lamp was not seen")
+        self._lost = 0
+
+
+def reversed_approach(description: RigDescription) -> RigDescription:
+    """A rig whose axes go straight to their goals: from either side, as they come."""
+    tables = description.model_dump(mode="python")
+    for axis in (*filter(None, tables["arms"].values()),):
+        axis["approach_deg"] = None
+    tables["holder"] |= {"tilt_approach_deg": None, "spin_approach_deg": None}
+    tables["acquisition"]["approach_deg"] = math.copysign(1e-6, description.acquisition.approach_deg or 1.0)
+    return RigDescription.model_validate(tables)
+
+
+def spot_of(
+    light: Floats, description: RigDescription, inside: npt.NDArray[np.bool_]
+) -> tuple[float, float, float] | None:
+    """Column, row and standard uncertainty [px] of the middle of the lamp in a frame; None where it shows none.
+
+    Parameters
+    ----------
+    light
+        Pixels over the black level, in units of full scale.
+    description
+        For the sizes of lamp and pupil.
+    inside
+        Pixels that may show the lamp: those of the mirror, or all.
+
+    Notes
+    -----
+    The lamp's disc, blurred by the lens's pupil, is round in the frame however the mirror lies. Its brightness at a
+    distance from its middle is what two discs share, as far apart: those of lamp and pupil, as the plane in focus shows
+    them. Their sizes are the rig file's, but for one factor. So no whole image is needed: a part of its edge tells.
+    """
+    from scipy.optimize import least_squares
+
+    camera = description.camera
+    size = max(1, round(math.sqrt(np.count_nonzero(inside) / PIXELS)))
+    rows, cols = camera.height // size, camera.width // size
+
+    def binned(image: npt.NDArray[Any]) -> Floats:
+        out: Floats = image[: rows * size, : cols * size].reshape(rows, size, cols, size).mean(axis=(1, 3))
+        return out
+
+    whole = binned(inside) == 1.0
+    small = binned(np.clip(light / SATURATED, 0.0, 1.0))
+    y, x = np.nonzero(whole)
+    values = small[whole]
+    if len(values) < 30 or values.max() < BRIGHT:
+        return None
+    bright = values > 0.5 * values.max()
+    centre = [float(x[bright].mean()), float(y[bright].mean())]
+    lamp, pupil = (max(r / size, 0.5) for r in _disc_radii_px(description))
+    reach = lamp + pupil
+
+    def left(p: Floats) -> Floats:
+        r = np.hypot(x - p[0], y - p[1])
+        form = np.minimum(p[2] * _shared(r, p[3] * lamp, p[3] * pupil) + p[4], 1.0)  # where it saturates
+        return np.append(form - values, (p[3] - 1.0) / SIZE_U * SPOT_NOISE)
+
+    found = None
+    for to in ((0.0, 0.0), (0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5)):
+        start = [centre[0] + to[0] * reach, centre[1] + to[1] * reach, float(values.max()), 1.0, 0.0]
+        bounds = ([-reach, -reach, 0.1, 0.6, -0.3], [cols + reach, rows + reach, 50.0, 1.6, 0.6])
+        tried = least_squares(left, np.clip(start, *bounds), bounds=bounds, x_scale=[1, 1, 0.1, 0.05, 0.1])
+        if found is None or tried.cost < found.cost:
+            found = tried
+        if math.sqrt(2.0 * found.cost / len(values)) < SPOT_NOISE:
+            break
+    assert found is not None
+    variance = 2.0 * found.cost / max(len(values) - 5, 1)
+    covariance = np.linalg.pinv(found.jac.T @ found.jac) * variance
+    u = size * math.sqrt(max(float(covariance[0, 0]), float(covariance[1, 1]), 0.0))
+    column, row = (size * float(v) + 0.5 * (size - 1) for v in found.x[:2])
+    if not (0.0 <= column <= camera.width - 1 and 0.0 <= row <= camera.height - 1) or math.sqrt(variance) > SPOT_NOISE:
+        return None
+    return column, row, u
+
+
+def _disc_radii_px(description: RigDescription) -> tuple[float, float]:
+    """Radii of the discs of lamp and pupil in the frame, as lines of sight through the plane in focus turn."""
+    g, camera = description.geometry, description.camera
+    pitch_mm = 1e-3 * camera.pixel_um * g.camera_distance_mm / imaging.image_distance_mm(description)
+    turn = (1.0 / g.light_distance_mm + 1.0 / g.camera_distance_mm) * pitch_mm  # [rad] a pixel
+    return math.radians(description.lamp.half_angle_deg) / turn, math.radians(camera.lens_half_angle_deg) / turn
+
+
+def _shared(apart: Floats, a: float, b: float) -> Floats:
+    """Area that two discs of radii a and b share, over that of the smaller one."""
+    small, large = min(a, b), max(a, b)
+    d = np.clip(apart, large - small + 1e-9, large + small)
+    at_a = np.arccos(np.clip((d**2 + small**2 - large**2) / (2.0 * d * small), -1.0, 1.0))
+    at_b = np.arccos(np.clip((d**2 + large**2 - small**2) / (2.0 * d * large), -1.0, 1.0))
+    area = small**2 * (at_a - 0.5 * np.sin(2.0 * at_a)) + large**2 * (at_b - 0.5 * np.sin(2.0 * at_b))
+    out: Floats = np.where(apart <= large - small, 1.0, area / (math.pi * small**2))
+    return out
+
+
+def _spread(number: int, k: int = 0) -> float:
+    """In [-1, 1), evenly over many numbers, another sequence for every k (Weyl's)."""
+    return 2.0 * (((number + 1) * math.sqrt((2.0, 3.0, 5.0, 7.0, 11.0, 13.0)[k]) + 0.5 * k * GOLDEN) % 1.0) - 1.0
+
+
+# ---- what is kept ----
+
+
+class Kept:
+    """A folder of sightings and their frames, to which each is added as it is made."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.sightings = folder, []  # type: tuple[Path, list[Sighting]]
+        try:
+            folder.mkdir()
+        except OSError as error:
+            raise DataError(f"{folder}: cannot be made: {error.strerror}") from None
+
+    def keep(self, sighting: Sighting, frames: dict[str, npt.NDArray[Any]]) -> None:
+        """Write the frames, then the line that tells of them."""
+        import cv2
+
+        number = len(self.sightings)
+        names = {}
+        try:
+            for what, mosaic in frames.items():
+                name = f"{number:04d}-{what}.png"
+                good, data = cv2.imencode(".png", mosaic, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+                if not good:
+                    raise DataError(f"{self.folder / name}: this frame cannot be written as a picture")
+                (self.folder / name).write_bytes(data.tobytes())
+                names[what] = name
+            with (self.folder / FILE).open("a", encoding="utf-8") as file:
+                file.write(json.dumps(asdict(sighting) | {"frames": names}) + "\n")
+        except OSError as error:
+            raise DataError(f"{self.folder}: cannot be written: {error.strerror}") from None
+        self.sightings.append(sighting)
+
+
+def read_sightings(path: Path) -> list[Sighting]:
+    """The sightings of a folder that `Kept` wrote, or of its file.
+
+    Raises
+    ------
+    DataError
+        It cannot be read, or a line is no sighting.
+    """
+    file = path / FILE if path.is_dir() else path
+    try:
+        lines = file.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{file}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    out = list(_sightings(lines, file))
+    if not out:
+        raise DataError(f"{file}: holds no sighting")
+    return out
+
+
+def _sightings(lines: list[str], file: Path) -> Iterator[Sighting]:
+    for number, line in enumerate(lines, 1):
+        try:
+            fields: dict[str, Any] = json.loads(line)
+            fields.pop("frames", None)
+            spot = fields["spot_px"]
+            sighting = Sighting(
+                **fields
+                | {
+                    "encoder_deg": {str(n): float(v) for n, v in fields["encoder_deg"].items()},
+                    "against": tuple(fields["against"]),
+                    "spot_px": None if spot is None else (float(spot[0]), float(spot[1])),
+                    "corners": tuple(map(int, fields["corners"])),
+                    "corners_px": tuple((float(c), float(r)) for c, r in fields["corners_px"]),
+                }
+            )
+            numbers = [*(sighting.spot_px or ()), *sighting.encoder_deg.values(), *np.ravel(sighting.corners_px)]
+            if len(sighting.corners) != len(sighting.corners_px) or not np.isfinite(np.array(numbers, float)).all():
+                raise ValueError("not finite, or corners without places")
+        except (ValueError, TypeError, KeyError, IndexError, AttributeError):
+            raise DataError(f"{file}, line {number}: is no sighting of gonio calibrate geometry") from None
+        yield sighting

@@ -1,0 +1,115 @@
+"""Printed markers: what the simulated camera shows of them, and OpenCV finds."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gonio_sim.rig import SIM, SimulatedRig
+
+from gonio.by_hand.bench import Bench
+from gonio.calibration import fiducials
+from gonio.config import parse
+from gonio.errors import ConfigError
+from gonio.rig import imaging, kinematics
+from gonio.rig.description import Fiducials, RigDescription
+from gonio.rig.fiducials import corners_mm
+from tests.command_line import gonio
+
+
+@pytest.fixture(scope="module")
+def description() -> RigDescription:
+    tables = tomllib.loads(SIM.toml)
+    tables["camera"] |= {"width": 400, "height": 300, "pixel_um": 8.0, "focal_length_mm": 50.0}
+    tables["holder"] |= {"fiducials": {}}
+    return parse(RigDescription, tables, "test")
+
+
+@pytest.mark.parametrize(("camera", "tilt"), [(5.0, 0.0), (40.0, 10.0)])
+def test_corners_are_where_the_markers_are(description: RigDescription, camera: float, tilt: float) -> None:
+    """Corners scatter by 0.1 to 0.2 px in frames with noise; together they show no shift, and the holder's pose."""
+    rig = SimulatedRig(description, None, 1, confirm=False)
+    marks = description.holder.fiducials
+    assert marks is not None
+    with Bench(rig, "test") as bench:
+        rig.put("mirror")
+        bench.lamp(True)
+        bench.move(light=math.radians(-30), camera=math.radians(camera), tilt=math.radians(tilt), spin=math.radians(20))
+        frame = bench.camera.capture(0.05)
+        view = kinematics.view(rig.world.truth, rig.world.pose)
+    numbers, pixels = fiducials.detect(frame.mosaic, marks)
+    numbers, pixels, scatter = fiducials.consistent(marks, numbers, pixels)
+    assert len(numbers) >= 16  # of the eight markers, those above and below lie at the frame's edge
+    flat = corners_mm(marks).reshape(-1, 2)[numbers]
+    points = np.column_stack([flat, np.zeros(len(flat))])
+    off = pixels - np.stack(imaging.project(description, view, points), axis=1)
+    assert np.abs(off.mean(axis=0)).max() < 0.1
+    assert off.std() < 0.3
+    assert scatter < 0.3
+    pose = fiducials.pose(description, marks, numbers, pixels)
+    assert pose is not None
+    seen = np.array([view.image_x, view.image_y, view.optical_axis])
+    apart = math.degrees(math.acos(min(1.0, float(pose.rotation[:, 2] @ seen[:, 2]))))
+    u = math.degrees(math.sqrt(float(np.trace(pose.covariance[:3, :3]))))
+    assert apart < max(3 * u, 0.15)  # 0.15 deg: what single poses are biased by near the normal
+
+
+def test_a_spoiled_corner_is_left_out() -> None:
+    marks = Fiducials()
+    flat = corners_mm(marks).reshape(-1, 2)
+    pixels = 200.0 + 7.0 * flat + np.random.default_rng(1).normal(0.0, 0.1, flat.shape)
+    pixels[5] += 3.0
+    numbers, kept, scatter = fiducials.consistent(marks, np.arange(len(flat)), pixels)
+    assert 5 not in numbers
+    assert len(kept) == len(numbers) >= len(flat) - 2
+    assert 0.05 < scatter < 0.15
+
+
+def test_the_sheet_shows_the_markers_that_are_looked_for(tmp_path: Path) -> None:
+    """The picture of the sheet, found by OpenCV, has the corners of the rig file at 600 pixels an inch."""
+    import cv2
+
+    marks, file = Fiducials(), tmp_path / "sheet.png"
+    fiducials.print_sheet(marks, 20.0, file)
+    grey = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+    assert grey is not None
+    numbers, pixels = fiducials.detect(grey, marks)
+    assert len(numbers) == 4 * marks.count
+    scale = 600 / 25.4
+    middle = 0.5 * (np.array(grey.shape[::-1]) - 1.0)
+    there = middle + scale * corners_mm(marks).reshape(-1, 2)[numbers] * [1.0, -1.0]
+    assert np.abs(pixels - there).max() < 2.0  # of 142 pixels a side: matplotlib rounds the page to whole pixels
+    with pytest.raises(ConfigError, match=r"written as .svg or .png"):
+        fiducials.print_sheet(marks, 20.0, tmp_path / "sheet.pdf")
+
+
+def test_markers_have_to_fit_around_the_sample() -> None:
+    tables = tomllib.loads(SIM.toml)
+    tables["holder"] |= {"fiducials": {"ring_mm": 12.0, "count": 4}}
+    with pytest.raises(ConfigError, match="reaches into the sample"):
+        parse(RigDescription, tables, "test")
+    tables["holder"] |= {"fiducials": {"ring_mm": 18.0, "count": 20}}
+    with pytest.raises(ConfigError, match="do not fit on a circle"):
+        parse(RigDescription, tables, "test")
+
+
+def test_command_refuses_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "old.toml").write_text("")
+    (tmp_path / "none").mkdir()
+    for arguments, said in (
+        (["--print-fiducials", "sheet.svg"], "has no [holder.fiducials]"),
+        ([], "--out CALIBRATION.toml is missing"),
+        (["--out", "old.toml"], "is there already"),
+        (["--out", "new.toml", "--images", "none"], "--images and --board go together"),
+        (["--out", "new.toml", "--holder", "window"], '"window" is none of mirror, empty'),
+        (["--out", "new.toml", "--scans", "gone"], "gone"),
+        (["--out", "new.toml", "--images", "none", "--board", "gone.toml"], "holds no picture"),
+    ):
+        done = gonio(tmp_path, "calibrate", "geometry", "--rig", "sim", *arguments)
+        assert done.returncode != 0
+        assert said in done.stderr, done.stderr
+        assert "Traceback" not in done.stderr
+    assert not (tmp_path / "new.toml").exists()

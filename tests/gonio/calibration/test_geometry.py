@@ -1,0 +1,177 @@
+"""The fit of a rig's geometry: sightings of a rig that is known, and what each missing ingredient leaves open."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from gonio_sim.rig import SIM
+
+from gonio.calibration import geometry
+from gonio.calibration.geometry import Sighting
+from gonio.config import parse
+from gonio.errors import DataError
+from gonio.rig.description import RigDescription
+
+STEP_DEG = 0.088
+NOISE_PX = 0.1
+
+
+def tables() -> dict[str, Any]:
+    out = tomllib.loads(SIM.toml)
+    out["camera"] |= {"focal_length_mm": 50.0}
+    out["holder"] |= {"fiducials": {"count": 4, "marker_mm": 8.0, "ring_mm": 18.0}, "zero_offset_deg": 0.0}
+    for arm in ("light", "camera"):
+        out["arms"][arm] |= {"limits_deg": [-95.0, 95.0], "zero_offset_deg": 0.0}
+    return out
+
+
+@pytest.fixture(scope="module")
+def filed() -> RigDescription:
+    """What the rig file says: nothing is wrong."""
+    return parse(RigDescription, tables(), "filed")
+
+
+@pytest.fixture(scope="module")
+def true() -> RigDescription:
+    """What is the case: zeros of several degrees, harmonics, tilted axes."""
+    out = tables()
+    out["arms"]["light"] |= {
+        "zero_offset_deg": 3.2, "harmonics_deg": [[1, 0.2, -0.3]], "axis_tilt_deg": [0.3, -0.2], "elevation_deg": 0.2,
+    }  # fmt: skip
+    out["arms"]["camera"] |= {
+        "zero_offset_deg": -2.1, "harmonics_deg": [[2, -0.1, 0.15]], "axis_tilt_deg": [0.0, 0.25], "elevation_deg": -0.3,  # noqa: E501
+    }  # fmt: skip
+    out["holder"] |= {"tilt_zero_offset_deg": 0.7, "spin_zero_offset_deg": -1.1, "surface_tilt_deg": [0.2, -0.1]}
+    out["camera"] |= {"pointing_deg": [0.2, -0.1], "roll_deg": 0.4}
+    return parse(RigDescription, out, "true")
+
+
+@pytest.fixture(scope="module")
+def sighted(true: RigDescription) -> Callable[..., list[Sighting]]:
+    """Sightings of the true rig, with the errors of encoder steps and of what is read from frames."""
+
+    def made(*, mirror: int = 0, straight: int = 0, markers: int = 0, seen: bool = True) -> list[Sighting]:
+        rng = np.random.default_rng(3)
+        zero = {name: axis.zero_offset_deg for name, axis in true.axes().items()}
+        out = []
+
+        def one(holder: str, angles: tuple[float, ...], *, lamp: bool, marks: bool) -> None:
+            counts = {
+                n: round((a + zero[n]) / STEP_DEG) * STEP_DEG
+                for n, a in zip(("light", "camera", "tilt", "spin"), angles, strict=True)
+            }
+            corners = tuple(range(16)) if marks and seen else ()
+            s = Sighting(holder, counts, (), (0.0, 0.0) if lamp else None, NOISE_PX, corners, ((0.0, 0.0),) * len(corners),  # noqa: E501
+                         NOISE_PX)  # fmt: skip
+            at = geometry.predicted(true, s, {n: float(rng.uniform(-0.5, 0.5)) * STEP_DEG for n in counts})
+            spot, where = (each + rng.normal(0.0, NOISE_PX, each.shape) for each in at)
+            out.append(Sighting(holder, counts, (), (float(spot[0, 0]), float(spot[0, 1])) if lamp else None, NOISE_PX,
+                                corners, tuple((float(c), float(r)) for c, r in where), NOISE_PX))  # fmt: skip
+
+        for light in np.linspace(-70.0, 70.0, mirror) if mirror else ():
+            one("mirror", (light, -light + rng.uniform(-1, 1), rng.uniform(-0.4, 0.4), rng.uniform(-170, 170)),
+                lamp=True, marks=True)  # fmt: skip
+        for k in range(straight):
+            light = (90.0 + rng.uniform(-4, 4)) * (-1) ** k
+            one(
+                "empty",
+                (light, light - math.copysign(180.0, light) + rng.uniform(-1, 1), 0.0, 0.0),
+                lamp=True,
+                marks=False,
+            )
+        for _ in range(markers):
+            one("mirror", (rng.uniform(-70, 70), rng.uniform(-65, 65), rng.uniform(-45, 45), rng.uniform(-170, 170)),
+                lamp=False, marks=True)  # fmt: skip
+        return out
+
+    return made
+
+
+@pytest.fixture(scope="module")
+def whole(filed: RigDescription, sighted: Callable[..., list[Sighting]]) -> geometry.Fit:
+    return geometry.solve(filed, sighted(mirror=20, straight=6, markers=12))
+
+
+def test_all_together_find_the_rig_within_their_uncertainties(whole: geometry.Fit, true: RigDescription) -> None:
+    """34 numbers: the mean square of errors over u is 1 within 0.5, three standard deviations of a chi-square's."""
+    there = geometry._numbers(geometry.start_of(true), [u.path for u in whole.unknowns if "harmonics" not in u.path])
+    at = [k for k, u in enumerate(whole.unknowns) if "harmonics" not in u.path]
+    pulls = (whole.values[at] - there) / np.sqrt(np.diag(whole.covariance)[at])
+    assert np.mean(pulls**2) < 1.8
+    assert np.abs(pulls).max() < 4.0
+    assert whole.u("arms.light.axis_tilt_deg[0]") < 0.03
+    assert 0.5 < whole.misfit < 1.5
+
+
+def test_arms_are_known_over_their_range_though_zero_and_cosine_look_alike(
+    whole: geometry.Fit, true: RigDescription
+) -> None:
+    """0.03 deg: 38 poses with steps of 0.088 deg, sqrt(5 / 38) 0.025 deg of each arm, twice that for both together."""
+    read = np.linspace(-65.0, 65.0, 50)
+    for arm in ("light", "camera"):
+        errors = []
+        for rig in (whole.description, true):
+            axis = getattr(rig.arms, arm)
+            turn = np.radians(read - axis.zero_offset_deg)
+            errors.append(
+                axis.zero_offset_deg
+                + sum(c * np.cos(k * turn) + s * np.sin(k * turn) for k, c, s in axis.harmonics_deg)
+            )
+        assert math.sqrt(float(np.mean((errors[0] - errors[1]) ** 2))) < 0.03
+
+
+def test_what_is_written_reads_as_a_rig(whole: geometry.Fit, filed: RigDescription) -> None:
+    from gonio.config import numbers_in
+    from gonio.rig.calibrated import with_keys
+
+    tables, paths, covariance = geometry.values_of(whole)
+    filled = geometry.filled(tables, filed)
+    assert set(paths) <= set(numbers_in(filled))
+    assert covariance.shape == (len(paths), len(paths))
+    assert geometry.INK not in paths
+    rig = with_keys(filed, filled, "calibration")
+    assert rig.arms.light.zero_offset_known
+    assert rig.arms.light.zero_offset_deg == pytest.approx(whole.value("arms.light.zero_offset_deg"))
+
+
+@pytest.mark.parametrize(
+    ("ingredients", "said"),
+    [
+        (
+            {"mirror": 12, "seen": False},
+            "their sum is .* their difference camera - light is not known: no straight-through",
+        ),
+        ({"straight": 8}, "their difference camera - light is .* their sum is not known: no mirror frames"),
+    ],
+)
+def test_one_ingredient_alone_names_what_is_open_and_does_not_write_it(
+    filed: RigDescription, sighted: Callable[..., list[Sighting]], ingredients: dict[str, Any], said: str
+) -> None:
+    import re
+
+    fit = geometry.solve(filed, sighted(**ingredients))
+    assert any(re.search(said, sentence) for sentence in fit.open)
+    _, paths, _ = geometry.values_of(fit)
+    assert not [p for p in paths if p.endswith("zero_offset_deg") and p.startswith("arms")]
+    assert fit.rank < len(fit.unknowns)
+
+
+def test_without_fiducials_the_zeros_are_known_as_well_as_pointing_is_expected(
+    filed: RigDescription, true: RigDescription, sighted: Callable[..., list[Sighting]]
+) -> None:
+    fit = geometry.solve(filed, sighted(mirror=12, straight=6, seen=False))
+    assert any("no frames of fiducials" in sentence for sentence in fit.open)
+    for arm in ("light", "camera"):
+        path = f"arms.{arm}.zero_offset_deg"
+        assert abs(fit.value(path) - getattr(true.arms, arm).zero_offset_deg) < 3 * fit.u(path)
+        assert 0.5 < fit.u(path) < 1.5  # pointing of 0.5 deg, seen at half its size
+
+
+def test_nothing_seen_is_refused(filed: RigDescription) -> None:
+    with pytest.raises(DataError, match="nothing was seen"):
+        geometry.solve(filed, [Sighting("mirror", dict.fromkeys(filed.axes(), 0.0))])
