@@ -1,4 +1,4 @@
-"""The simulated goniometer as a rig: `sim`, and `sim-ideal` without anything that disturbs."""
+"""The simulated goniometer as a rig: `sim`, `sim-metrology` with finer parts, `sim-ideal` without disturbances."""
 
 from __future__ import annotations
 
@@ -134,3 +134,4 @@ class SimulatedRigPlugin:
 
 SIM = SimulatedRigPlugin("sim")
 SIM_IDEAL = SimulatedRigPlugin("sim-ideal")
+SIM_METROLOGY = SimulatedRigPlugin("sim-metrology")

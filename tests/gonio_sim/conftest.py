@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from gonio_sim.rig import SIM, SIM_IDEAL, SimulatedRig
+from gonio_sim.rig import SIM, SIM_IDEAL, SIM_METROLOGY, SimulatedRig
 
 from gonio.config import parse
 from gonio.rig import Pose, Step
@@ -17,7 +17,7 @@ def describe(base: str = "sim", **changes: dict[str, Any]) -> RigDescription:
 
     A double underscore goes one table down: `arms__light={"backlash_deg": 0.5}`.
     """
-    values = tomllib.loads({"sim": SIM, "sim-ideal": SIM_IDEAL}[base].toml)
+    values = tomllib.loads({"sim": SIM, "sim-ideal": SIM_IDEAL, "sim-metrology": SIM_METROLOGY}[base].toml)
     for path, keys in changes.items():
         table = values
         for name in path.split("__"):

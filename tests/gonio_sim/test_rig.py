@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gonio_sim.rig import SIM, SIM_IDEAL, SimulatedRig
+from gonio_sim.rig import SIM, SIM_IDEAL, SIM_METROLOGY, SimulatedRig
 from gonio_sim.world import World, slot_s
 from scipy import stats
 
@@ -37,7 +37,7 @@ def lit(sim: SimulatedRig) -> None:
 
 
 def test_shipped_rigs_are_found_by_name_and_their_files_open() -> None:
-    for name, plugin in (("sim", SIM), ("sim-ideal", SIM_IDEAL)):
+    for name, plugin in (("sim", SIM), ("sim-ideal", SIM_IDEAL), ("sim-metrology", SIM_METROLOGY)):
         loaded: RigPlugin = plugins.load("gonio.rigs", name)
         assert loaded is plugin
         assert describe(name).rig == name
