@@ -335,20 +335,7 @@ class RunFrames:
     def _shot(self, region: Region, frame: Frame, entry: FrameRecord, channel: Channel) -> Shot:
         camera, darks = self.description.camera, self._darks[region.target]
         values = region.roi.of(linear_dn(camera, frame.mosaic)).astype(float)
-        dark = darks.of(region.roi, frame.exposure_s)
-        linear = values - dark
-        by_camera = np.zeros((len(self._parameters), linear.size))
-        if camera.nonlinearity:
-            black = frame.black_level_dn
-            lit = straightened(camera, values - black)
-            linear = lit - straightened(camera, dark - black)
-            by_camera[: len(camera.nonlinearity)] = by_coefficients(camera, lit)
-        if self._spreads:
-            added, by = self._stray(region, frame, channel)
-            linear = linear - added
-            strays = [name for name in self._parameters if name.startswith("camera.stray")]
-            names = ["camera.stray_light", "camera.stray_halo"]
-            by_camera[len(camera.nonlinearity) :] = -by[[names.index(name) for name in strays]]
+        linear, by_camera = self._freed(region, frame, values, channel)
         gain, full = camera.electrons_per_dn, full_scale_dn(camera, frame)
         lamp = entry.monitor / self._usual if self.description.lamp.monitor and entry.monitor else 1.0
         by_pixels = self.description.acquisition.by_pixels
@@ -363,6 +350,25 @@ class RunFrames:
             electrons=linear * gain if by_pixels else None,
             levels=(values - frame.black_level_dn) / full if by_pixels else None,
         )
+
+    def _freed(self, region: Region, frame: Frame, values: Floats, channel: Channel) -> tuple[Floats, Floats]:
+        """Used pixels [DN] without dark signal, nonlinearity and spread light; derivatives by `camera_parameters`."""
+        camera = self.description.camera
+        dark = self._darks[region.target].of(region.roi, frame.exposure_s)
+        linear = values - dark
+        by_camera = np.zeros((len(self._parameters), linear.size))
+        if camera.nonlinearity:
+            black = frame.black_level_dn
+            lit = straightened(camera, values - black)
+            linear = lit - straightened(camera, dark - black)
+            by_camera[: len(camera.nonlinearity)] = by_coefficients(camera, lit)
+        if self._spreads:
+            added, by = self._stray(region, frame, channel)
+            linear = linear - added
+            strays = [name for name in self._parameters if name.startswith("camera.stray")]
+            names = ["camera.stray_light", "camera.stray_halo"]
+            by_camera[len(camera.nonlinearity) :] = -by[[names.index(name) for name in strays]]
+        return linear, by_camera
 
     def _stray(self, region: Region, frame: Frame, channel: Channel) -> tuple[Floats, Floats]:
         """What the light that a frame spreads adds to the used pixels [DN], and its derivatives by the fractions."""
