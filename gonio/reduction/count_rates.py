@@ -402,7 +402,7 @@ class RunFrames:
         else:
             shots = [shot for shot in taken if shot.peak < USABLE]
             darks_s = self._darks[region.target].exposures_s
-            pooled = Pooled(*pool(self.description, region, shots, darks_s), len(shots)) if shots else None
+            pooled = pool(self.description, region, shots, darks_s) if shots else None
         if pooled is None:
             return Rejected(step.point, "saturated", len(taken))
         of_darks = pooled.of_darks
@@ -457,14 +457,9 @@ class Pooled:
     saturated: float = 0.0
 
 
-def pool(
-    description: RigDescription, region: Region, shots: list[Shot], dark_exposures_s: Floats
-) -> tuple[float, float, float, float, Floats, Floats]:
+def pool(description: RigDescription, region: Region, shots: list[Shot], dark_exposures_s: Floats) -> Pooled:
     """The merged rate of a point's frames [e-/s], and what goes with it.
 
-    That is its variance, the time of the merged frames, and the chi-square of the frames around their mean. Then comes
-    the change of the rate for one standard deviation of the mean dark signal of the shorter and of the longer darks,
-    and last its derivatives by `camera_parameters`.
     Weights come from the pooled rate, not from each frame's own: a frame that is dark by chance gets no larger weight.
     """
     camera, lamp = description.camera, description.lamp
@@ -490,9 +485,15 @@ def pool(
     lines = np.array([shot.leverage for shot in shots])
     of_darks = np.zeros(2)
     of_darks[: charge.size] = -((weights / exposure) @ lines) * np.sqrt(of_pixels * mean_2)
-    chi_square = float(np.sum((rates - pooled) ** 2 / variances))
-    by_camera = weights @ np.array([shot.by_camera for shot in shots])
-    return pooled, float(1.0 / np.sum(1.0 / variances)), float(np.sum(weights * times)), chi_square, of_darks, by_camera
+    return Pooled(
+        rate=pooled,
+        variance=float(1.0 / np.sum(1.0 / variances)),
+        time_s=float(np.sum(weights * times)),
+        chi_square=float(np.sum((rates - pooled) ** 2 / variances)),
+        of_darks=of_darks,
+        by_camera=weights @ np.array([shot.by_camera for shot in shots]),
+        frames=len(shots),
+    )
 
 
 def pool_pixels(description: RigDescription, region: Region, shots: list[Shot], darks: Darks) -> Pooled | None:
