@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 import tomllib
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
@@ -32,8 +33,8 @@ class Strict(BaseModel):
         if not isinstance(values, dict):
             return values
         wrong: list[InitErrorDetails] = []
-        for name in cls.model_fields.keys() & values.keys():
-            if _is_number(cls.model_fields[name].annotation) and (what := _no_number(values[name])):
+        for name in _fields_of_numbers(cls) & values.keys():
+            if what := _no_number(values[name]):
                 error = PydanticCustomError("number", "must be a number, not {what}", {"what": what})
                 wrong.append({"type": error, "loc": (name,), "input": values[name]})
         if wrong:
@@ -46,6 +47,12 @@ def _no_number(value: Any) -> str:
     if isinstance(value, list | tuple):
         return next(filter(None, map(_no_number, value)), "")
     return "true or false" if isinstance(value, bool) else "text" if isinstance(value, str) else ""
+
+
+@cache
+def _fields_of_numbers(table: type[Strict]) -> frozenset[str]:
+    """The keys of a table that hold numbers; asked for at every table that is read."""
+    return frozenset(name for name, field in table.model_fields.items() if _is_number(field.annotation))
 
 
 def _is_number(annotation: Any) -> bool:

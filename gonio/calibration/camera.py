@@ -322,71 +322,15 @@ class _Work:
         standard = photon_transfer.photon_transfer(self.pairs, self.dark_pairs, (self.level, self.slope), self.raw)
         prnu, u_prnu, map_ = self._responsivities(transfer, bent)
         gain = transfer.electrons_per_dn
-        bias = self.dark_mean - self.dark_slope * self.dark_t
-        of_bias = self._noise_of_line(0.0)
-        rows, cols = self.colour.shape
-        filled = np.where(self.defects, float(np.median(bias)), bias)
-        uneven = pixel_statistics.unevenness(filled, of_bias)
-        dsnu = uneven.total * gain
-        u_dsnu = (
-            (uneven.total**2 + of_bias) / max(uneven.total, math.sqrt(of_bias)) * gain / math.sqrt(2.0 * rows * cols)
-        )
-        values: dict[str, Any] = {
-            "electrons_per_dn": gain,
-            "black_level_dn": max(self.level, 0.0),
-            "read_noise_e": transfer.read_noise_e,
-            "dark_current_e_per_s": max(self.slope * gain, 0.0),
-            "dsnu_e": dsnu,
-            "prnu": prnu,
-            "photon_noise": True,
-            "nonlinearity": [float(c) for c in curve.coefficients],
-        }
-        own = {
-            "electrons_per_dn": 0.0,
-            "black_level_dn": self.u_level,
-            "read_noise_e": math.sqrt(
-                max(transfer.u_read_noise_e**2 - (transfer.read_noise_e * transfer.u_gain / transfer.gain) ** 2, 0.0)
-            ),
-            "dark_current_e_per_s": self.u_slope * gain,
-            "dsnu_e": u_dsnu,
-            "prnu": u_prnu,
-        }
-        if transfer.saturated:
-            values["full_well_e"] = transfer.saturation_e
-            own["full_well_e"] = transfer.u_saturation_dn * gain
-        else:
-            self.notes.append("no flat frame saturates: the full well is not determined")
-        if transfer.hidden:
-            self.notes.append("rounding to whole DN hides the read noise: it is at most what is given")
-        names = list(own)
-        covariance = np.diag(np.array(list(own.values())) ** 2)
-        by_gain = np.array([values[n] if n.endswith("_e") or n in ("electrons_per_dn", "dark_current_e_per_s") else 0.0
-                            for n in names])  # fmt: skip
-        covariance += np.outer(by_gain, by_gain) * (transfer.u_gain / transfer.gain) ** 2
+        filled, uneven, u_dsnu = self._unevenness(gain)
+        values, own = self._noise(transfer, (uneven.total * gain, u_dsnu), (prnu, u_prnu))
+        values["nonlinearity"] = [float(c) for c in curve.coefficients]
+        covariance, names = _with_gain(values, own, transfer)
         covariance, names = _with(
             covariance, names, curve.covariance, [f"nonlinearity[{k}]" for k in range(len(curve.coefficients))]
         )
         stray = self._stray(bent, gain, transfer.read_noise_e)
-        measured: dict[str, Any] = {
-            "gain_dn_per_e": transfer.gain,
-            "gain_of_the_standard_dn_per_e": standard.gain,
-            "temporal_dark_noise_dn": transfer.dark_noise_dn,
-            "saturation_capacity_e": transfer.saturation_e,
-            "absolute_threshold_e": transfer.threshold_e,
-            "dynamic_range_db": 20.0 * math.log10(transfer.dynamic_range),
-            "snr_max": transfer.snr_max,
-            "dsnu1288_e": dsnu,
-            "dsnu1288_row_column_pixel_e": [uneven.row * gain, uneven.column * gain, uneven.pixel * gain],
-            "prnu1288": prnu,
-            "lamp_noise": curve.lamp_noise,
-            "parts_of_the_flats": curve.parts,
-            "linearity_chi_square": curve.chi_square,
-            "defects": int(np.count_nonzero(self.defects)),
-            "pairs": len(self.pairs),
-            "dark_frames": len(self.of["dark"]),
-        }
-        if math.isfinite(standard.linearity_error):
-            measured["linearity_error"] = standard.linearity_error
+        measured = self._figures(transfer, standard, curve, uneven, prnu)
         if stray is not None:
             values |= {"stray_light": max(stray.uniform, 0.0)}
             strays = ["stray_light"]
@@ -414,6 +358,83 @@ class _Work:
             rounded, names, covariance, self.notes, {k: _rounded(v) for k, v in measured.items()},
             maps, transfer, curve, self.dark_means,
         )  # fmt: skip
+
+    def _unevenness(self, gain: float) -> tuple[Floats, pixel_statistics.Unevenness, float]:
+        """Each pixel's bias [DN], its spatial standard deviations [DN], and the uncertainty of the total [e-]."""
+        bias = self.dark_mean - self.dark_slope * self.dark_t
+        of_bias = self._noise_of_line(0.0)
+        rows, cols = self.colour.shape
+        filled = np.where(self.defects, float(np.median(bias)), bias)
+        uneven = pixel_statistics.unevenness(filled, of_bias)
+        u_dsnu = (
+            (uneven.total**2 + of_bias) / max(uneven.total, math.sqrt(of_bias)) * gain / math.sqrt(2.0 * rows * cols)
+        )
+        return filled, uneven, u_dsnu
+
+    def _noise(
+        self, transfer: photon_transfer.PhotonTransfer, dsnu: tuple[float, float], prnu: tuple[float, float]
+    ) -> tuple[dict[str, Any], dict[str, float]]:
+        """Keys of the noise model, and the standard uncertainties that they have beside that of the gain."""
+        gain = transfer.electrons_per_dn
+        values: dict[str, Any] = {
+            "electrons_per_dn": gain,
+            "black_level_dn": max(self.level, 0.0),
+            "read_noise_e": transfer.read_noise_e,
+            "dark_current_e_per_s": max(self.slope * gain, 0.0),
+            "dsnu_e": dsnu[0],
+            "prnu": prnu[0],
+            "photon_noise": True,
+        }
+        own = {
+            "electrons_per_dn": 0.0,
+            "black_level_dn": self.u_level,
+            "read_noise_e": math.sqrt(
+                max(transfer.u_read_noise_e**2 - (transfer.read_noise_e * transfer.u_gain / transfer.gain) ** 2, 0.0)
+            ),
+            "dark_current_e_per_s": self.u_slope * gain,
+            "dsnu_e": dsnu[1],
+            "prnu": prnu[1],
+        }
+        if transfer.saturated:
+            values["full_well_e"] = transfer.saturation_e
+            own["full_well_e"] = transfer.u_saturation_dn * gain
+        else:
+            self.notes.append("no flat frame saturates: the full well is not determined")
+        if transfer.hidden:
+            self.notes.append("rounding to whole DN hides the read noise: it is at most what is given")
+        return values, own
+
+    def _figures(
+        self,
+        transfer: photon_transfer.PhotonTransfer,
+        standard: photon_transfer.PhotonTransfer,
+        curve: linearity.Linearity,
+        uneven: pixel_statistics.Unevenness,
+        prnu: float,
+    ) -> dict[str, Any]:
+        """The standard's figures, for people; `standard` has no curve taken out."""
+        gain = transfer.electrons_per_dn
+        out: dict[str, Any] = {
+            "gain_dn_per_e": transfer.gain,
+            "gain_of_the_standard_dn_per_e": standard.gain,
+            "temporal_dark_noise_dn": transfer.dark_noise_dn,
+            "saturation_capacity_e": transfer.saturation_e,
+            "absolute_threshold_e": transfer.threshold_e,
+            "dynamic_range_db": 20.0 * math.log10(transfer.dynamic_range),
+            "snr_max": transfer.snr_max,
+            "dsnu1288_e": uneven.total * gain,
+            "dsnu1288_row_column_pixel_e": [uneven.row * gain, uneven.column * gain, uneven.pixel * gain],
+            "prnu1288": prnu,
+            "lamp_noise": curve.lamp_noise,
+            "parts_of_the_flats": curve.parts,
+            "linearity_chi_square": curve.chi_square,
+            "defects": int(np.count_nonzero(self.defects)),
+            "pairs": len(self.pairs),
+            "dark_frames": len(self.of["dark"]),
+        }
+        if math.isfinite(standard.linearity_error):
+            out["linearity_error"] = standard.linearity_error
+        return out
 
     def _linearity(self, full: float) -> linearity.Linearity:
         taken = self.of["flat"]
@@ -548,6 +569,17 @@ class _Work:
         if not found:
             return None
         return pixel_statistics.temperature_law(*np.array(found).T)
+
+
+def _with_gain(
+    values: dict[str, Any], own: dict[str, float], transfer: photon_transfer.PhotonTransfer
+) -> tuple[Floats, list[str]]:
+    """Covariance of numbers of which those in electrons share the gain's uncertainty."""
+    names = list(own)
+    in_electrons = ("electrons_per_dn", "dark_current_e_per_s")
+    by_gain = np.array([values[name] if name.endswith("_e") or name in in_electrons else 0.0 for name in names])
+    covariance = np.diag(np.array(list(own.values())) ** 2)
+    return covariance + np.outer(by_gain, by_gain) * (transfer.u_gain / transfer.gain) ** 2, names
 
 
 def _with(a: Floats, names: list[str], b: Floats, more: list[str]) -> tuple[Floats, list[str]]:

@@ -290,41 +290,77 @@ def _columns(
         "s_reference_noise": -brdf * fitted.noise(times) / k,
         "s_lamp_drift": -brdf * fitted.drift(times) / k,
     }
-    said, of_steps, even_steps, even_zeros, unresolved = np.zeros((5, len(points)))
-    for axis, u in encoder.items():
-        odd, even = _effects(description, curves, points, axis, u)
-        said, of_steps, even_steps = said + odd**2, of_steps + odd**2, even_steps + even**2
-        unresolved = unresolved + _doubts(description, curves, points, axis, u) ** 2
-    for axis, u in zeros.items():
-        odd, even = _effects(description, curves, points, axis, u)
-        said, even_zeros = said + odd**2, even_zeros + even**2
-        unresolved = unresolved + _doubts(description, curves, points, axis, u) ** 2
-        common[CAUSES[axis]] = odd - brdf * _change_of_cosine(description, visit, axis, u)
-    geometry, even_geometry, doubts = _effects_of_geometry(frames, curves, points, visit, brdf)
-    said, unresolved = said + np.sum(geometry**2, axis=1), unresolved + doubts
-    common |= _camera_columns(description, points, visit, brdf, k)
-    blur, spiked = curves.spikes.variance, curves.spike != 0
-    parts |= {
-        # of a spike the blur holds what errors of the angles do evenly
-        "encoder": of_steps + np.where(spiked, 0.0, even_steps),
-        "zeros_even": np.where(spiked, 0.0, even_zeros),
-        "geometry": np.where(spiked, 0.0, even_geometry),
-        "spike_blur": np.where(spiked, np.maximum(blur - said, 0.0), blur),
-        "coarse_steps": unresolved,
-        "region": _over_region(description, curves, points, band) ** 2,
-    }
+    of_angles = _errors_of_angles(frames, curves, points, visit, brdf)
+    common |= of_angles.zeros | _camera_columns(description, points, visit, brdf, k)
+    parts |= _parts_of_angles(of_angles, curves) | {"region": _over_region(description, curves, points, band) ** 2}
     independent = sum(parts.values())
     darks = np.array([np.sum(point.dark**2) for point in points]) / k**2
-    shared = darks + np.sum(geometry**2, axis=1)
+    shared = darks + np.sum(of_angles.geometry**2, axis=1)
     combined = np.sqrt(independent + shared + sum(column**2 for column in common.values()))
-    bounded = ~curves.spikes.told & (blur > noise)
-    known = curves.facts()
+    bounded = ~curves.spikes.told & (curves.spikes.variance > noise)
+    known, unresolved = curves.facts(), of_angles.unresolved
     # the steps along a curve, and not those between angles of incidence
     steep = (unresolved > independent - unresolved) & (known["u_slope"] > known["u_slope_theta_i"])
-    columns = {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent), "geometry_causes": geometry} | common
+    columns = {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent)}
+    columns |= {"geometry_causes": of_angles.geometry} | common
     columns |= {name: np.sqrt(part) for name, part in parts.items()} | known
     columns["coarse"] = steep.astype(float)
     return columns, goals[bounded], goals[steep]
+
+
+@dataclass(frozen=True, slots=True)
+class _OfAngles:
+    """What errors of the axes and of a calibrated geometry do to the values of a band; variances in 1/sr^2."""
+
+    zeros: dict[str, Floats]
+    """Columns of the table [1/sr]."""
+    geometry: Floats
+    """Odd change [1/sr] by every cause of `GeometryErrors`, shape (points, causes)."""
+    odd: Floats
+    """Variance of all odd changes together."""
+    steps: Floats
+    """That of the odd changes by the encoders' steps alone."""
+    even_steps: Floats
+    """Squares of the even changes: by the encoders' steps, by the zeros, by the geometry."""
+    even_zeros: Floats
+    even_geometry: Floats
+    unresolved: Floats
+    """Of the odd changes, because the plan's steps are coarser than a lobe may be wide."""
+
+
+def _errors_of_angles(
+    frames: RunFrames, curves: angle_sensitivity.Curves, points: list[Reduced], visit: Reduced, brdf: Floats
+) -> _OfAngles:
+    """The changes by every axis's reading and zero, and by what a calibration leaves open of the geometry."""
+    description, columns = frames.description, {}
+    odd_all, steps, even_steps, even_zeros, unresolved = np.zeros((5, len(points)))
+    for axis, u in _encoder_steps(description).items():
+        odd, even = _effects(description, curves, points, axis, u)
+        odd_all, steps, even_steps = odd_all + odd**2, steps + odd**2, even_steps + even**2
+        unresolved = unresolved + _doubts(description, curves, points, axis, u) ** 2
+    for axis, u in zero_uncertainties(description).items():
+        odd, even = _effects(description, curves, points, axis, u)
+        odd_all, even_zeros = odd_all + odd**2, even_zeros + even**2
+        unresolved = unresolved + _doubts(description, curves, points, axis, u) ** 2
+        columns[CAUSES[axis]] = odd - brdf * _change_of_cosine(description, visit, axis, u)
+    geometry, even_geometry, doubts = _effects_of_geometry(frames, curves, points, visit, brdf)
+    odd_all, unresolved = odd_all + np.sum(geometry**2, axis=1), unresolved + doubts
+    return _OfAngles(columns, geometry, odd_all, steps, even_steps, even_zeros, even_geometry, unresolved)
+
+
+def _parts_of_angles(found: _OfAngles, curves: angle_sensitivity.Curves) -> dict[str, Floats]:
+    """The parts of `u_random` that errors of the angles make, as variances.
+
+    Of a spike the blur holds what these errors do evenly.
+    """
+    blur, spiked = curves.spikes.variance, curves.spike != 0
+    return {
+        "encoder": found.steps + np.where(spiked, 0.0, found.even_steps),
+        "zeros_even": np.where(spiked, 0.0, found.even_zeros),
+        "geometry": np.where(spiked, 0.0, found.even_geometry),
+        "spike_blur": np.where(spiked, np.maximum(blur - found.odd, 0.0), blur),
+        "coarse_steps": found.unresolved,
+    }
 
 
 def _camera_columns(

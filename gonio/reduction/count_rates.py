@@ -335,20 +335,7 @@ class RunFrames:
     def _shot(self, region: Region, frame: Frame, entry: FrameRecord, channel: Channel) -> Shot:
         camera, darks = self.description.camera, self._darks[region.target]
         values = region.roi.of(linear_dn(camera, frame.mosaic)).astype(float)
-        dark = darks.of(region.roi, frame.exposure_s)
-        linear = values - dark
-        by_camera = np.zeros((len(self._parameters), linear.size))
-        if camera.nonlinearity:
-            black = frame.black_level_dn
-            lit = straightened(camera, values - black)
-            linear = lit - straightened(camera, dark - black)
-            by_camera[: len(camera.nonlinearity)] = by_coefficients(camera, lit)
-        if self._spreads:
-            added, by = self._stray(region, frame, channel)
-            linear = linear - added
-            strays = [name for name in self._parameters if name.startswith("camera.stray")]
-            names = ["camera.stray_light", "camera.stray_halo"]
-            by_camera[len(camera.nonlinearity) :] = -by[[names.index(name) for name in strays]]
+        linear, by_camera = self._freed(region, frame, values, channel)
         gain, full = camera.electrons_per_dn, full_scale_dn(camera, frame)
         lamp = entry.monitor / self._usual if self.description.lamp.monitor and entry.monitor else 1.0
         by_pixels = self.description.acquisition.by_pixels
@@ -363,6 +350,25 @@ class RunFrames:
             electrons=linear * gain if by_pixels else None,
             levels=(values - frame.black_level_dn) / full if by_pixels else None,
         )
+
+    def _freed(self, region: Region, frame: Frame, values: Floats, channel: Channel) -> tuple[Floats, Floats]:
+        """Used pixels [DN] without dark signal, nonlinearity and spread light; derivatives by `camera_parameters`."""
+        camera = self.description.camera
+        dark = self._darks[region.target].of(region.roi, frame.exposure_s)
+        linear = values - dark
+        by_camera = np.zeros((len(self._parameters), linear.size))
+        if camera.nonlinearity:
+            black = frame.black_level_dn
+            lit = straightened(camera, values - black)
+            linear = lit - straightened(camera, dark - black)
+            by_camera[: len(camera.nonlinearity)] = by_coefficients(camera, lit)
+        if self._spreads:
+            added, by = self._stray(region, frame, channel)
+            linear = linear - added
+            strays = [name for name in self._parameters if name.startswith("camera.stray")]
+            names = ["camera.stray_light", "camera.stray_halo"]
+            by_camera[len(camera.nonlinearity) :] = -by[[names.index(name) for name in strays]]
+        return linear, by_camera
 
     def _stray(self, region: Region, frame: Frame, channel: Channel) -> tuple[Floats, Floats]:
         """What the light that a frame spreads adds to the used pixels [DN], and its derivatives by the fractions."""
@@ -396,7 +402,7 @@ class RunFrames:
         else:
             shots = [shot for shot in taken if shot.peak < USABLE]
             darks_s = self._darks[region.target].exposures_s
-            pooled = Pooled(*pool(self.description, region, shots, darks_s), len(shots)) if shots else None
+            pooled = pool(self.description, region, shots, darks_s) if shots else None
         if pooled is None:
             return Rejected(step.point, "saturated", len(taken))
         of_darks = pooled.of_darks
@@ -451,14 +457,9 @@ class Pooled:
     saturated: float = 0.0
 
 
-def pool(
-    description: RigDescription, region: Region, shots: list[Shot], dark_exposures_s: Floats
-) -> tuple[float, float, float, float, Floats, Floats]:
+def pool(description: RigDescription, region: Region, shots: list[Shot], dark_exposures_s: Floats) -> Pooled:
     """The merged rate of a point's frames [e-/s], and what goes with it.
 
-    That is its variance, the time of the merged frames, and the chi-square of the frames around their mean. Then comes
-    the change of the rate for one standard deviation of the mean dark signal of the shorter and of the longer darks,
-    and last its derivatives by `camera_parameters`.
     Weights come from the pooled rate, not from each frame's own: a frame that is dark by chance gets no larger weight.
     """
     camera, lamp = description.camera, description.lamp
@@ -484,9 +485,15 @@ def pool(
     lines = np.array([shot.leverage for shot in shots])
     of_darks = np.zeros(2)
     of_darks[: charge.size] = -((weights / exposure) @ lines) * np.sqrt(of_pixels * mean_2)
-    chi_square = float(np.sum((rates - pooled) ** 2 / variances))
-    by_camera = weights @ np.array([shot.by_camera for shot in shots])
-    return pooled, float(1.0 / np.sum(1.0 / variances)), float(np.sum(weights * times)), chi_square, of_darks, by_camera
+    return Pooled(
+        rate=pooled,
+        variance=float(1.0 / np.sum(1.0 / variances)),
+        time_s=float(np.sum(weights * times)),
+        chi_square=float(np.sum((rates - pooled) ** 2 / variances)),
+        of_darks=of_darks,
+        by_camera=weights @ np.array([shot.by_camera for shot in shots]),
+        frames=len(shots),
+    )
 
 
 def pool_pixels(description: RigDescription, region: Region, shots: list[Shot], darks: Darks) -> Pooled | None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import datetime
 import math
+from functools import lru_cache
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -444,6 +445,19 @@ class Tunable(Strict):
         return self
 
 
+@lru_cache(maxsize=64)
+def _all_bands(listed: tuple[Band, ...], tunable: Tunable | None) -> tuple[Band, ...]:
+    """Bands by name, and those of a tunable source: some hundred, and a fit asks at every step."""
+    if tunable is None:
+        return listed
+    count = int((tunable.stop_nm - tunable.start_nm) / tunable.step_nm + 1.5)
+    centres = [tunable.start_nm + k * tunable.step_nm for k in range(count)]
+    made = (
+        Band(name=f"{c:g} nm", centre_nm=c, fwhm_nm=tunable.fwhm_nm) for c in centres if c <= tunable.stop_nm + 1e-9
+    )
+    return (*listed, *made)
+
+
 class Bands(Strict):
     """Bands by name, or a tunable source that has one every `step_nm`."""
 
@@ -461,13 +475,7 @@ class Bands(Strict):
 
     def all(self) -> tuple[Band, ...]:
         """Every band, in the order of the file."""
-        out = list(self.list)
-        if self.tunable is not None:
-            t = self.tunable
-            count = int((t.stop_nm - t.start_nm) / t.step_nm + 1.5)
-            centres = [t.start_nm + k * t.step_nm for k in range(count)]
-            out += [Band(name=f"{c:g} nm", centre_nm=c, fwhm_nm=t.fwhm_nm) for c in centres if c <= t.stop_nm + 1e-9]
-        return tuple(out)
+        return _all_bands(self.list, self.tunable)
 
     def containing(self, wavelength_nm: float) -> Band:
         """The band whose full width at half maximum contains a wavelength (the nearest centre, if several do).
