@@ -120,6 +120,8 @@ def with_calibrations(
 ) -> RigDescription:
     """A rig with the values of its `calibration.files`, which lie in `folder` unless their paths are whole.
 
+    A later file that changes a number takes with it what an earlier one knew of its uncertainty.
+
     Raises
     ------
     ConfigError
@@ -127,7 +129,8 @@ def with_calibrations(
     """
     use = description.calibration
     today = today or datetime.date.today()
-    known, remarks, out = [], [], description
+    remarks, out = [], description
+    known: list[Calibrated] = []
     as_filed = description.model_dump(mode="python", exclude_none=True)
     replaced: dict[str, Any] = {}
     for name in use.files:
@@ -137,7 +140,9 @@ def with_calibrations(
         if why and use.when_unfit == "refuse":
             raise ConfigError(f'{path}: {why}; calibrate again, or set calibration.when_unfit = "warn" in the rig file')
         remarks += [f"{path.name} {why}"] * bool(why)
+        before = _numbers(out) if known else {}
         out = with_keys(out, _beside(calibration.values, path), path)
+        known = [_still_of(earlier, before, _numbers(out)) for earlier in known]
         replaced = _laid_over(replaced, _where(calibration.values, as_filed))
         known.append(
             Calibrated(
@@ -159,6 +164,24 @@ def _beside(values: dict[str, Any], path: Path) -> dict[str, Any]:
     if not isinstance(camera, dict) or not isinstance(camera.get("maps"), str):
         return values
     return values | {"camera": camera | {"maps": str((path.parent / camera["maps"]).absolute())}}
+
+
+def _still_of(known: Calibrated, before: dict[str, float], after: dict[str, float]) -> Calibrated:
+    """What a calibration knows of the numbers that a later one left as they were."""
+    kept = [k for k, name in enumerate(known.parameters) if name in after and after[name] == before.get(name)]
+    if len(kept) == len(known.parameters):
+        return known
+    return known.model_copy(
+        update={
+            "parameters": [known.parameters[k] for k in kept],
+            "u": [known.u[k] for k in kept],
+            "correlation": [[known.correlation[j][k] for k in kept] for j in kept],
+        }
+    )
+
+
+def _numbers(description: RigDescription) -> dict[str, float]:
+    return numbers_in(description.model_dump(mode="json", exclude={"calibration"}))
 
 
 def uncalibrated(description: RigDescription) -> RigDescription:

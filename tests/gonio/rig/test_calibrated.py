@@ -6,13 +6,21 @@ import datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from gonio_sim.rig import SIM
 from gonio_sim.world import World
 
 from gonio.acquisition.measure import find_rig
 from gonio.errors import ConfigError
-from gonio.rig.calibrated import Calibration, identity, read_calibration, uncalibrated, write_calibration
+from gonio.rig.calibrated import (
+    Calibration,
+    covariance_of,
+    identity,
+    read_calibration,
+    uncalibrated,
+    write_calibration,
+)
 from gonio.rig.description import ParameterUncertainty
 
 ZERO = "arms.light.zero_offset_deg"
@@ -85,3 +93,21 @@ def test_a_calibration_names_a_parameter_that_it_has(tmp_path: Path) -> None:
     wrong = ParameterUncertainty(parameters=["lamp.noise"], u=[0.01], correlation=[[1.0]])
     with pytest.raises(ValueError, match=r'there is no number "lamp.noise" in \[values\]'):
         _calibration(tmp_path, uncertainty=wrong)
+
+
+def test_a_later_value_without_uncertainty_is_not_as_uncertain_as_the_one_it_replaces(tmp_path: Path) -> None:
+    """And what it leaves as it was stays as well known as before, with its correlations."""
+    names = [ZERO, "arms.camera.zero_offset_deg", "lamp.noise"]
+    values = {"arms": {"light": {"zero_offset_deg": 1.5}, "camera": {"zero_offset_deg": -0.5}}, "lamp": {"noise": 0.01}}
+    known = ParameterUncertainty(
+        parameters=names, u=[0.01, 0.02, 0.003], correlation=[[1.0, 0.1, 0.2], [0.1, 1.0, 0.3], [0.2, 0.3, 1.0]]
+    )
+    write_calibration(_calibration(tmp_path, values=values, uncertainty=known), tmp_path / "first.toml")
+    later = {"arms": {"light": {"zero_offset_deg": 1.6}}, "lamp": {"noise": 0.01}}
+    nothing = ParameterUncertainty(parameters=[], u=[], correlation=[])
+    write_calibration(_calibration(tmp_path, values=later, uncertainty=nothing), tmp_path / "second.toml")
+    found = find_rig(str(_rig(tmp_path, 'calibration.files = ["first.toml", "second.toml"]\n'))).description
+    assert found.arms.light.zero_offset_deg == 1.6
+    expected = np.diag([0.0, 0.02**2, 0.003**2])
+    expected[1, 2] = expected[2, 1] = 0.3 * 0.02 * 0.003
+    np.testing.assert_allclose(covariance_of(found, names), expected, rtol=1e-12)
