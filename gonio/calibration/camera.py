@@ -202,6 +202,17 @@ class _Work:
         each = {t: np.mean([p.variance_dn2 for p in self.dark_pairs if p.exposure_s == t]) for t in set(x)}
         return float(np.sum(share**2 * np.array([each[t] for t in x])))
 
+    def uneven_darks(self) -> tuple[pixel_statistics.Unevenness, float, Floats]:
+        """Unevenness of the dark level at no exposure [DN], the standard uncertainty of its total, and the level."""
+        bias = self.dark_mean - self.dark_slope * self.dark_t
+        filled = np.where(self.defects, float(np.median(bias)), bias)
+        temporal = self._noise_of_line(0.0)
+        uneven = pixel_statistics.unevenness(filled, temporal)
+        # what is subtracted is known from the same pairs: half as many numbers as frames, and a pixel each
+        u_temporal = temporal * math.sqrt(4.0 / (len(self.dark_means[0]) * filled.size))
+        u_variance = math.hypot((uneven.total**2 + temporal) * math.sqrt(2.0 / filled.size), u_temporal)
+        return uneven, u_variance / (2.0 * max(uneven.total, math.sqrt(u_variance))), filled
+
     # ---- flat frames ----
 
     def flats(self) -> None:
@@ -322,15 +333,8 @@ class _Work:
         standard = photon_transfer.photon_transfer(self.pairs, self.dark_pairs, (self.level, self.slope), self.raw)
         prnu, u_prnu, map_ = self._responsivities(transfer, bent)
         gain = transfer.electrons_per_dn
-        bias = self.dark_mean - self.dark_slope * self.dark_t
-        of_bias = self._noise_of_line(0.0)
-        rows, cols = self.colour.shape
-        filled = np.where(self.defects, float(np.median(bias)), bias)
-        uneven = pixel_statistics.unevenness(filled, of_bias)
-        dsnu = uneven.total * gain
-        u_dsnu = (
-            (uneven.total**2 + of_bias) / max(uneven.total, math.sqrt(of_bias)) * gain / math.sqrt(2.0 * rows * cols)
-        )
+        uneven, u_uneven, filled = self.uneven_darks()
+        dsnu, u_dsnu = uneven.total * gain, u_uneven * gain
         values: dict[str, Any] = {
             "electrons_per_dn": gain,
             "black_level_dn": max(self.level, 0.0),
