@@ -202,6 +202,17 @@ class _Work:
         each = {t: np.mean([p.variance_dn2 for p in self.dark_pairs if p.exposure_s == t]) for t in set(x)}
         return float(np.sum(share**2 * np.array([each[t] for t in x])))
 
+    def uneven_darks(self) -> tuple[pixel_statistics.Unevenness, float, Floats]:
+        """Unevenness of the dark level at no exposure [DN], the standard uncertainty of its total, and the level."""
+        bias = self.dark_mean - self.dark_slope * self.dark_t
+        filled = np.where(self.defects, float(np.median(bias)), bias)
+        temporal = self._noise_of_line(0.0)
+        uneven = pixel_statistics.unevenness(filled, temporal)
+        # what is subtracted is known from the same pairs: half as many numbers as frames, and a pixel each
+        u_temporal = temporal * math.sqrt(4.0 / (len(self.dark_means[0]) * filled.size))
+        u_variance = math.hypot((uneven.total**2 + temporal) * math.sqrt(2.0 / filled.size), u_temporal)
+        return uneven, u_variance / (2.0 * max(uneven.total, math.sqrt(u_variance))), filled
+
     # ---- flat frames ----
 
     def flats(self) -> None:
@@ -322,8 +333,8 @@ class _Work:
         standard = photon_transfer.photon_transfer(self.pairs, self.dark_pairs, (self.level, self.slope), self.raw)
         prnu, u_prnu, map_ = self._responsivities(transfer, bent)
         gain = transfer.electrons_per_dn
-        filled, uneven, u_dsnu = self._unevenness(gain)
-        values, own = self._noise(transfer, (uneven.total * gain, u_dsnu), (prnu, u_prnu))
+        uneven, u_uneven, filled = self.uneven_darks()
+        values, own = self._noise(transfer, (uneven.total * gain, u_uneven * gain), (prnu, u_prnu))
         values["nonlinearity"] = [float(c) for c in curve.coefficients]
         covariance, names = _with_gain(values, own, transfer)
         covariance, names = _with(
@@ -358,18 +369,6 @@ class _Work:
             rounded, names, covariance, self.notes, {k: _rounded(v) for k, v in measured.items()},
             maps, transfer, curve, self.dark_means,
         )  # fmt: skip
-
-    def _unevenness(self, gain: float) -> tuple[Floats, pixel_statistics.Unevenness, float]:
-        """Each pixel's bias [DN], its spatial standard deviations [DN], and the uncertainty of the total [e-]."""
-        bias = self.dark_mean - self.dark_slope * self.dark_t
-        of_bias = self._noise_of_line(0.0)
-        rows, cols = self.colour.shape
-        filled = np.where(self.defects, float(np.median(bias)), bias)
-        uneven = pixel_statistics.unevenness(filled, of_bias)
-        u_dsnu = (
-            (uneven.total**2 + of_bias) / max(uneven.total, math.sqrt(of_bias)) * gain / math.sqrt(2.0 * rows * cols)
-        )
-        return filled, uneven, u_dsnu
 
     def _noise(
         self, transfer: photon_transfer.PhotonTransfer, dsnu: tuple[float, float], prnu: tuple[float, float]

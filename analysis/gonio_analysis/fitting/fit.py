@@ -172,17 +172,30 @@ class FitResult:
         level
             Probability that an interval holds the truth.
 
+        Returns
+        -------
+        dict
+            By parameter. Where walking them out meets a lower chi-square than this fit's, they are those of the fit
+            that begins there: this fit stands in a valley of its own, and its values may lie outside.
+            `gonio_analysis.fitting.profile_likelihood.walked` gives that fit, too.
+
         Raises
         ------
         ConfigError
             A parameter was not fitted.
         """
-        from gonio_analysis.fitting.profile_likelihood import profiles
+        from gonio_analysis.fitting.profile_likelihood import walked
 
         for n in names:
             if n not in self.free:
                 raise ConfigError(f"{n} of {self.name} is not fitted; it fits {', '.join(self.free)}")
-        return profiles(self, names or None, level=level).intervals
+        return walked(self, self._again, names or None, level=level)[1]
+
+    def _again(self, start: list[Values]) -> FitResult:
+        """The same fit, begun at other values."""
+        asked = self.problem.asked
+        assert asked is not None  # every problem of a fit was posed
+        return fit(self.data, replace(asked, start=start))
 
     def __repr__(self) -> str:
         found = ", ".join(

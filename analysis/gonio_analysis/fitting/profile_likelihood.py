@@ -131,7 +131,13 @@ def profiles(result: FitResult, names: tuple[str, ...] | None = None, *, level: 
     return Profiles(out, walker.better)
 
 
-def walked(result: FitResult, again: Callable[[list[Values]], FitResult]) -> tuple[FitResult, dict[str, Interval]]:
+def walked(
+    result: FitResult,
+    again: Callable[[list[Values]], FitResult],
+    names: tuple[str, ...] | None = None,
+    *,
+    level: float = LEVEL,
+) -> tuple[FitResult, dict[str, Interval]]:
     """A fit and its intervals; or, where walking them out meets a lower chi-square, those of the fit that begins there.
 
     Parameters
@@ -140,12 +146,14 @@ def walked(result: FitResult, again: Callable[[list[Values]], FitResult]) -> tup
         A fit.
     again
         Fits once more, from these sets of values.
+    names, level
+        As for `profiles`.
     """
-    found = profiles(result)
+    found = profiles(result, names, level=level)
     if found.better is not None:
         other = again([result.problem.values(found.better)])
         if other.goal.total(other.whitened) < result.goal.total(result.whitened):
-            result, found = other, profiles(other)
+            result, found = other, profiles(other, names, level=level)
     return result, found.intervals
 
 

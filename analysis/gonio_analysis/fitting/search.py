@@ -34,6 +34,10 @@ MOST = 5000
 """Values that a search begins with, of more than that."""
 HIGHEST = ("ngan", "cube-root", "relative")
 """Metrics whose valleys are sought apart from that of the logarithms."""
+AT_BOUND = 1e-3
+"""Closer to a bound than this part of its range a parameter has come to its end."""
+SHORT = 12
+"""Steps of a search that begins again inside a bound: enough to see which of several goes lowest."""
 STEP = 1e-4
 """Central differences, on the search scale: an error of 1e-8 relative, far above the rounding of the models."""
 SMALL_STEP = 1e-6
@@ -100,7 +104,33 @@ def search(
         by_metric.sort(key=lambda c: c[0])
         near = [refine(problem, brightest, goal, v, quick=True, limit=25) for _, v in by_metric[:searches]]
         begin += [min(near, key=lambda c: c[1])[0]]
-    return min((approach(problem, data, vector, loss, metric, say) for vector in begin), key=lambda f: f[1])[0]
+    found = min((approach(problem, data, vector, loss, metric, say) for vector in begin), key=lambda f: f[1])
+    if inside := _inside(problem, found[0], [vector for _, vector in candidates]):
+        goal = replace(alone(few, metric), loss=loss)
+        short = [refine(problem, few, goal, vector, quick=True, limit=SHORT) for vector in inside]
+        again = approach(problem, data, min(short, key=lambda f: f[1])[0], loss, metric, say)
+        found = min(found, again, key=lambda f: f[1])
+    return found[0]
+
+
+def _inside(problem: Problem, found: Floats, starts: Sequence[Floats]) -> list[Floats]:
+    """Where to begin again where a search ended on a bound: the same point, with a start in place of the bound.
+
+    A level and an index replace each other along a long valley, which a search may leave by the wrong end. Levels at a
+    bound are where they belong: the model is linear in them.
+    """
+    lower, upper = problem.bounds
+    close = AT_BOUND * (upper - lower)
+    levels = set(problem.known_slopes(found))
+    out = []
+    for k in np.flatnonzero((found <= lower + close) | (found >= upper - close)):
+        if problem.free[k] in levels:
+            continue
+        values = np.unique([start[k] for start in starts])
+        for value in np.union1d(values, 0.5 * (values[1:] + values[:-1])):
+            if lower[k] + close[k] < value < upper[k] - close[k]:
+                out.append(np.where(np.arange(found.size) == k, value, found))
+    return out
 
 
 def _with_brightest(few: Observations, data: Observations) -> Observations:

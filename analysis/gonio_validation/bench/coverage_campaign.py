@@ -7,12 +7,14 @@ alone read, and is looked at again when everything is done.
 from __future__ import annotations
 
 import csv
+import datetime
 import io
 import math
 import shutil
 import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from gonio_analysis.fitting.fit import fit
@@ -24,21 +26,31 @@ from gonio.acquisition.measure import carry_out, find_rig, load_sample
 from gonio.acquisition.plan import ANGLES, load_plan
 from gonio.by_hand import alignment, rig_file
 from gonio.by_hand.alignment_scans import Scans
-from gonio.by_hand.bench import open_rig
-from gonio.config import to_toml
+from gonio.by_hand.bench import Bench, open_rig
+from gonio.calibration import camera, lamp_bench, lamp_stability
+from gonio.calibration.camera_scan import Scan
+from gonio.config import numbers_in, read_toml, to_toml, with_numbers
 from gonio.errors import GonioError, Interrupted
 from gonio.geometry import AROUND_MIRROR, Directions
 from gonio.reduction import brdf
+from gonio.rig.calibrated import Calibration, identity, uncalibrated, with_keys, write_calibration
+from gonio.rig.description import ParameterUncertainty, RigDescription
+from gonio.typing import Floats
 from gonio_validation.bench.coverage_hidden import Campaign
 
 if TYPE_CHECKING:
     import pandas as pd
 
-FORMAT = 1
+FORMAT = 2
 """Of a record."""
 GRAZING = math.radians(65.0)
 EDGE = math.radians(0.3)
 """So far beyond the cones the edge of a spike may be met, by errors of the angles [rad]."""
+SERIES_S = (2700.0, 45.0)
+"""How long the lamp is watched, and how often [s]."""
+PAIRS = 1
+"""Of flats, at each of 23 exposures."""
+STRAYS: tuple[Literal["trap", "edge"], ...] = ("trap", "edge")
 SEARCH_DEG = 8.0
 """How far a scan looks for the lamp: the sum of two zero offsets of 3 deg, and some."""
 
@@ -59,7 +71,7 @@ def carried_out(campaign: Campaign, folder: Path) -> Record:
     record: Record = {
         "format": FORMAT, "campaign": campaign.number, "model": campaign.model, "plan": campaign.plan,
         "truth": campaign.truth, "wavelength_nm": campaign.wavelength_nm, "rig": campaign.rig,
-        "hidden": campaign.true, "zeros": {}, "points": {}, "fit": {}, "failed": None,
+        "hidden": campaign.true, "calibrated": {}, "points": {}, "fit": {}, "failed": None,
     }  # fmt: skip
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -67,9 +79,10 @@ def carried_out(campaign: Campaign, folder: Path) -> Record:
     try:
         _write(campaign, folder)
         rig = folder / "rig.toml"
-        for name, calibrate in CALIBRATIONS.items():
-            step = name
-            rig = calibrate(campaign, rig, record)
+        for error, (name, calibrate) in CALIBRATIONS.items():
+            if error in campaign.errors:
+                step = name
+                rig = calibrate(campaign, rig, record)
         step = "measurement"
         run = carry_out(
             load_plan(folder / "plan.toml"), find_rig(str(rig)), folder / "run",
@@ -105,9 +118,57 @@ def _write(campaign: Campaign, folder: Path) -> None:
 # --- calibrations -------------------------------------------------------------------------------------------------
 
 
+def watch_lamp(campaign: Campaign, rig: Path, record: Record) -> Path:
+    """`gonio calibrate light --only lamp`: noise of the lamp, and how long it takes to warm up."""
+    bench = _bench(campaign, rig)
+    series = rig.with_name("series.csv")
+    with bench:
+        lamp_bench.take_series(bench, *SERIES_S, keep=lambda table: table.to_csv(series, index=False))
+    table = lamp_stability.read_series(series)
+    stability = lamp_stability.fit(*(table[name].to_numpy() for name in lamp_stability.COLUMNS[:3]))
+    stability.require_model()
+    values, names, covariance = lamp_stability.values(stability)
+    u = np.sqrt(np.diag(covariance))
+    safe = np.where(u > 0.0, u, 1.0)
+    uncertainty = {
+        "parameters": [f"lamp.{name}" for name in names],
+        "u": u.tolist(),
+        "correlation": _correlation(covariance, safe),
+    }
+    # the warm-up is not compared: a simulated lamp's begins with the bench's clock, which is before the lamp is lit
+    known = {name: float(one) for name, one in zip(names, u, strict=True) if not name.startswith("warm_up")}
+    _found(campaign, bench.description, record, "lamp", values, known)
+    return _with_file(rig, _calibration("light", bench.description, {"lamp": values}, uncertainty), "light.toml")
+
+
+def certified(campaign: Campaign, rig: Path, record: Record) -> Path:
+    """The calibration file of a geometry that somebody else measured, with an error of his; no file, where none is."""
+    c = campaign.certificate
+    if c is None:
+        return rig
+    description = find_rig(str(rig)).description
+    true = numbers_in(with_keys(description, campaign.true, "truth.toml").model_dump(mode="json"))
+    numbers = {name: true.get(name, 0.0) + off for name, off in zip(c.parameters, c.off, strict=True)}
+    arms = {
+        arm: {
+            "zero_offset_deg": 0.0,
+            **{k: v for k, v in campaign.true["arms"][arm].items() if not k.startswith("zero_")},
+            **c.values["arms"][arm],
+        }
+        for arm in ("light", "camera")
+    }
+    for arm in arms.values():
+        for key in ("encoder_step_deg", "backlash_deg"):
+            arm.pop(key, None)
+    holder = {"tilt_zero_offset_deg": 0.0, "spin_zero_offset_deg": 0.0, "surface_tilt_deg": [0.0, 0.0]}
+    values = with_numbers({"arms": arms, "holder": holder | c.values["holder"]}, numbers)
+    uncertainty = {"parameters": c.parameters, "u": c.u, "correlation": c.correlation}
+    return _with_file(rig, _calibration("geometry", description, values, uncertainty), "geometry.toml")
+
+
 def align(campaign: Campaign, rig: Path, record: Record) -> Path:
-    """`gonio rig align`: the rig file with the zeros that were found; as it is, where nothing is hidden."""
-    bench = open_rig(str(rig), seed=campaign.seed, only=("arms", "light", "camera"))
+    """`gonio rig align`: the rig file with the zeros that were found; as it is, where they are known."""
+    bench = _bench(campaign, rig)
     description = bench.description
     if all(axis.zero_offset_known for axis in description.axes().values()):
         return rig
@@ -124,15 +185,95 @@ def align(campaign: Campaign, rig: Path, record: Record) -> Path:
     aligned = rig.with_name("aligned.toml")
     rig_file.write_values(rig, alignment.zero_values(found, description), out=aligned)
     arms, holder = campaign.true["arms"], campaign.true["holder"]
-    true = {name: arms[name]["zero_offset_deg"] for name in arms} | {"tilt": holder["tilt_zero_offset_deg"]}
-    record["zeros"] = {
-        name: {"true": true[name], "value": zero.offset_deg, "u": zero.u_deg} for name, zero in found.zeros.items()
+    true = {name: arms[name]["zero_offset_deg"] for name in ("light", "camera")}
+    true["tilt"] = holder["tilt_zero_offset_deg"]
+    record["calibrated"] |= {
+        f"zero of {name}": {"true": true[name], "value": zero.offset_deg, "u": zero.u_deg}
+        for name, zero in found.zeros.items()
     }
     return aligned
 
 
-CALIBRATIONS = {"alignment": align}
-"""By name: what takes the campaign, the rig file as it stands and the record, and gives the rig file to go on with."""
+def calibrate_camera(campaign: Campaign, rig: Path, record: Record) -> Path:
+    """`gonio calibrate camera`: gain, noise, linearity, maps, vignetting and stray light."""
+    bench = _bench(campaign, rig)
+    frames = rig.with_name("camera-frames")
+    frames.mkdir()
+    scan = Scan(bench, frames, pairs=PAIRS, say=lambda text: None)
+    with bench:
+        bench.put("reference")
+        scan.go()
+        scan.darks()
+        scan.flats()
+        scan.field()
+        for kind in STRAYS:
+            bench.lamp(False)
+            bench.put(kind)
+            scan.stray(kind)
+        bench.put("sample")
+    description = uncalibrated(bench.description)
+    found = camera.calibrate(scan.frames, description, bench.band.channel)
+    assert found.maps is not None
+    maps = rig.with_name("camera-maps.npz")
+    found.maps.write(maps)
+    u = dict(zip(found.names, np.sqrt(np.diag(found.covariance)), strict=True))
+    _found(campaign, bench.description, record, "camera", found.values, u)
+    return _with_file(rig, found.file(description, valid_until=None, maps=maps.name), "camera.toml")
+
+
+def _bench(campaign: Campaign, rig: Path) -> Bench:
+    bench = open_rig(str(rig), seed=campaign.seed, only=("arms", "light", "camera"))
+    bench.choose_band(campaign.wavelength_nm)
+    return bench
+
+
+def _calibration(
+    kind: Literal["geometry", "light"], description: RigDescription, values: Record, uncertainty: Record
+) -> Calibration:
+    return Calibration(
+        kind=kind, rig=description.name, rig_identity=identity(description), made=datetime.date.today(),
+        values=values, uncertainty=ParameterUncertainty(**uncertainty),
+    )  # fmt: skip
+
+
+def _correlation(covariance: Floats, u: Floats) -> list[list[float]]:
+    """Rounding may leave a correlation of a number with itself that is not 1."""
+    out = np.clip(covariance / np.outer(u, u), -1.0, 1.0)
+    np.fill_diagonal(out, 1.0)
+    return [[float(x) for x in row] for row in out]
+
+
+def _with_file(rig: Path, calibration: Calibration, name: str) -> Path:
+    """The rig file, with one calibration more."""
+    write_calibration(calibration, rig.with_name(name))
+    tables = read_toml(rig)
+    files = tables.setdefault("calibration", {}).setdefault("files", [])
+    files.append(name)
+    rig.write_text(to_toml(tables), encoding="utf-8")
+    return rig
+
+
+def _found(
+    campaign: Campaign, description: RigDescription, record: Record, table: str, values: Record, u: Mapping[str, float]
+) -> None:
+    """Note what came out of a table of the rig file, beside what is true."""
+    true = numbers_in(with_keys(description, campaign.true, "truth.toml").model_dump(mode="json")[table])
+    found = numbers_in(values)
+    record["calibrated"] |= {
+        f"{table}.{name}": {"true": true[name], "value": found[name], "u": float(u[name])}
+        for name in u
+        if name in true and u[name] > 0.0
+    }
+
+
+CALIBRATIONS: dict[str, tuple[str, Callable[[Campaign, Path, Record], Path]]] = {
+    "lamp": ("calibration of the lamp", watch_lamp),
+    "geometry": ("certificate of the geometry", certified),
+    "zeros": ("alignment", align),
+    "camera": ("calibration of the camera", calibrate_camera),
+}
+"""By the error that it is for, in their order: its name, and what takes the campaign, the rig file as it stands and the
+record, and gives the rig file to go on with."""
 
 
 # --- comparison with the truth ------------------------------------------------------------------------------------

@@ -21,6 +21,14 @@ Angles = tuple[float, float, float, float]
 """theta_i, phi_i, theta_r, phi_r [deg]."""
 METALS = {"Al": 0.96 + 6.69j, "Au": 0.26 + 2.55j, "Fe": 2.9 + 3.05j, "glass": 1.5 + 0.0j}
 """Optical constants at about 550 nm, for He-Torrance; a campaign uses one at its own wavelength as if it held there."""
+CERTIFIED = {
+    "arms.light.zero_offset_deg": 0.015, "arms.camera.zero_offset_deg": 0.015, "holder.tilt_zero_offset_deg": 0.015,
+    "arms.light.harmonics_deg[0][1]": 0.01, "arms.light.harmonics_deg[0][2]": 0.01,
+    "arms.camera.harmonics_deg[0][1]": 0.01, "arms.camera.harmonics_deg[0][2]": 0.01,
+    "arms.light.axis_tilt_deg[0]": 0.015, "arms.light.axis_tilt_deg[1]": 0.015, "arms.camera.elevation_deg": 0.015,
+    "holder.surface_tilt_deg[0]": 0.015, "holder.surface_tilt_deg[1]": 0.015,
+}  # fmt: skip
+"""What the certificate of a geometry knows, each with about what standard uncertainty [deg]."""
 BENCH: Tables = {
     "rig": "sim",
     "name": "blind goniometer",
@@ -32,7 +40,8 @@ BENCH: Tables = {
         "width": 96, "height": 72, "pixel_um": 20.0, "cos4": True, "bits": 16, "quantised": False,
         "electrons_per_dn": 0.165, "exposure_limits_s": [1e-5, 60.0],
     },
-    "reference": {"how": "swap", "albedo": 0.97, "every": 8, "frames": 8},
+    # smaller than the field of view: what is dark around it tells the camera's linearity
+    "reference": {"how": "swap", "albedo": 0.97, "every": 8, "frames": 8, "diameter_mm": 8.0},
     "bands": {"tunable": {"start_nm": 400.0, "stop_nm": 700.0, "step_nm": 10.0, "fwhm_nm": 10.0}},
     "acquisition": {"frames": 2, "dark_frames": 8},
 }  # fmt: skip
@@ -46,6 +55,21 @@ class Drawn:
     """What the rig file says."""
     true: Tables = field(default_factory=dict)
     """What the truth file says."""
+    certificate: Certificate | None = None
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What somebody else's calibration of a bench says: how far it is off, drawn from the covariance that it states."""
+
+    parameters: tuple[str, ...]
+    """Paths of numbers of the rig file."""
+    off: tuple[float, ...]
+    """Certified value less the true one."""
+    u: tuple[float, ...]
+    correlation: tuple[tuple[float, ...], ...]
+    values: Tables
+    """What it says beside these numbers."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +105,10 @@ class Campaign:
     """The rig file."""
     true: Tables
     """The truth file."""
+    errors: tuple[str, ...]
+    """Names of its causes."""
+    certificate: Certificate | None
+    """Of its geometry, where the bench has one."""
 
 
 def campaign(seed: int, number: int, only: Sequence[str] = (), most: int = 40) -> Campaign:
@@ -101,12 +129,14 @@ def campaign(seed: int, number: int, only: Sequence[str] = (), most: int = 40) -
     if len(points) > most:
         points = tuple(points[k] for k in sorted(rng.choice(len(points), most, replace=False)))
     wavelength = float(rng.choice(np.arange(450.0, 651.0, 10.0)))
-    drawn = [cause.draw(_generator(seed, number, cause.name)) for cause in chosen(only)]
+    causes = chosen(only)
+    drawn = [cause.draw(_generator(seed, number, cause.name)) for cause in causes]
     rig = merged(BENCH, _instrument(_generator(seed, number, "instrument")), *(d.known for d in drawn))
     noise = int(_generator(seed, number, "noise").integers(1 << 31))
-    return Campaign(
-        number, noise, model, given, truth, ior, plan, points, wavelength, rig, merged(*(d.true for d in drawn))
-    )
+    true = merged(*(d.true for d in drawn))
+    certificate = next((d.certificate for d in drawn if d.certificate is not None), None)
+    errors = tuple(cause.name for cause in causes)
+    return Campaign(number, noise, model, given, truth, ior, plan, points, wavelength, rig, true, errors, certificate)
 
 
 def chosen(only: Sequence[str]) -> list[Cause]:
@@ -144,14 +174,14 @@ def _even(rng: np.random.Generator, low: float, high: float, digits: int = 4) ->
 
 
 def _instrument(rng: np.random.Generator) -> Tables:
-    """What the laboratory knows rightly: distances, cones, the lens's falloff."""
+    """What the laboratory knows rightly: distances and cones."""
     return {
         "geometry": {
             "light_distance_mm": _even(rng, 800.0, 1200.0, 0),
             "camera_distance_mm": _even(rng, 800.0, 1200.0, 0),
         },
         "lamp": {"half_angle_deg": _even(rng, 0.3, 0.8, 2)},
-        "camera": {"lens_half_angle_deg": _even(rng, 0.3, 0.8, 2), "vignetting": _even(rng, 0.0, 0.2, 2)},
+        "camera": {"lens_half_angle_deg": _even(rng, 0.3, 0.8, 2)},
     }
 
 
@@ -180,8 +210,49 @@ def _encoders(rng: np.random.Generator) -> Drawn:
     return Drawn(axes([0.2] * 3), axes([_even(rng, 0.0, 0.3, 3) for _ in range(3)]))
 
 
+def _geometry(rng: np.random.Generator) -> Drawn:
+    if rng.random() < 0.5:
+        return Drawn()  # a bench whose axes are straight: where its zeros are hidden, `gonio rig align` finds them
+    true = {
+        "arms": {
+            "light": {"harmonics_deg": [[1, *_several(rng, 2, 0.1)]], "axis_tilt_deg": _several(rng, 2, 0.3)},
+            "camera": {"harmonics_deg": [[2, *_several(rng, 2, 0.1)]], "elevation_deg": _even(rng, -0.3, 0.3)},
+        },
+        "holder": {"surface_tilt_deg": _several(rng, 2, 0.3)},
+    }
+    some = len(CERTIFIED)
+    u = np.array(list(CERTIFIED.values())) * rng.uniform(0.5, 1.5, some)
+    mixed = rng.standard_normal((some, 4))  # four errors that all have a part in, and one of each its own
+    covariance = mixed @ mixed.T + 2.0 * np.eye(some)
+    size = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(size, size)
+    np.fill_diagonal(correlation, 1.0)
+    correlation = np.clip(correlation, -1.0, 1.0)
+    off = u * (np.linalg.cholesky(correlation) @ rng.standard_normal(some))
+    known = {"zero_offset_known": True}
+    return Drawn(
+        true=true,
+        certificate=Certificate(
+            tuple(CERTIFIED), tuple(off.tolist()), tuple(u.tolist()), tuple(map(tuple, correlation.tolist())),
+            {"arms": {"light": known, "camera": known}, "holder": known},
+        ),
+    )  # fmt: skip
+
+
+def _several(rng: np.random.Generator, count: int, limit: float) -> list[float]:
+    return [_even(rng, -limit, limit) for _ in range(count)]
+
+
 def _lamp(rng: np.random.Generator) -> Drawn:
-    return Drawn({"lamp": {"noise": _even(rng, 0.001, 0.008)}})
+    return Drawn(
+        {"lamp": {"noise": 0.003}},
+        {
+            "lamp": {
+                "noise": _even(rng, 0.001, 0.008), "warm_up_loss": _even(rng, 0.02, 0.08),
+                "warm_up_time_constant_s": _even(rng, 150.0, 450.0, 0),
+            }
+        },
+    )  # fmt: skip
 
 
 def _drift(rng: np.random.Generator) -> Drawn:
@@ -190,16 +261,17 @@ def _drift(rng: np.random.Generator) -> Drawn:
 
 def _camera(rng: np.random.Generator) -> Drawn:
     gain = _even(rng, 2.0, 4.0, 2)
-    return Drawn(
-        {
-            "camera": {
-                "photon_noise": True, "bits": 12, "quantised": True, "electrons_per_dn": gain,
-                "full_well_e": round(4100.0 * gain), "read_noise_e": _even(rng, 2.0, 8.0, 2),
-                "dark_current_e_per_s": _even(rng, 1.0, 20.0, 1), "prnu": _even(rng, 0.002, 0.01),
-                "dsnu_e": _even(rng, 0.5, 4.0, 2),
-            }
-        }
-    )  # fmt: skip
+    sheet = {
+        "photon_noise": True, "bits": 12, "quantised": True, "electrons_per_dn": 3.0, "full_well_e": 11700.0,
+        "read_noise_e": 5.0, "dark_current_e_per_s": 8.0, "prnu": 0.005, "dsnu_e": 2.0,
+    }  # fmt: skip
+    true = {
+        "electrons_per_dn": gain, "full_well_e": round(3900.0 * gain), "read_noise_e": _even(rng, 2.0, 8.0, 2),
+        "dark_current_e_per_s": _even(rng, 1.0, 20.0, 1), "prnu": _even(rng, 0.002, 0.01),
+        "dsnu_e": _even(rng, 0.5, 4.0, 2), "nonlinearity": [_even(rng, -0.015, 0.015)],
+        "stray_light": _even(rng, 0.005, 0.02), "vignetting": _even(rng, 0.0, 0.2, 2),
+    }  # fmt: skip
+    return Drawn({"camera": sheet}, {"camera": true})
 
 
 def _reference(rng: np.random.Generator) -> Drawn:
@@ -214,8 +286,16 @@ CAUSES = (
     Cause(
         "zeros",
         "zero offsets of light and camera (up to 3 deg) and of the tilt (up to 1.5 deg)",
-        "`gonio rig align`: scans over a mirror and straight through, with their uncertainty",
+        "`gonio rig align`: scans over a mirror and straight through, with their uncertainty; or the certificate below",
         _zeros,
+    ),
+    Cause(
+        "geometry",
+        "in every second campaign, by chance: encoder harmonics (0.1 deg), a tilted axis of the light arm, a camera "
+        "that stands out of the plane, a surface that is not normal to the spin (0.3 deg each)",
+        "a calibration file with these and the zeros: the truth and an error that is drawn from the covariance that "
+        "the file states (0.005 to 0.02 deg, correlated)",
+        _geometry,
     ),
     Cause(
         "encoders",
@@ -223,12 +303,18 @@ CAUSES = (
         "the step stands in the rig file; the backlash there is 0.2 deg, and every goal is approached from below",
         _encoders,
     ),
-    Cause("lamp", "noise from frame to frame (0.1 to 0.8 %)", "its standard deviation stands in the rig file", _lamp),
+    Cause(
+        "lamp",
+        "a warm-up of 2 to 8 % with a time constant of 150 to 450 s; noise from frame to frame (0.1 to 0.8 %)",
+        "`gonio calibrate light --only lamp`: how long to wait, and the noise",
+        _lamp,
+    ),
     Cause("drift", "drift of the lamp, up to 3 % an hour either way", "visits to the white reference", _drift),
     Cause(
         "camera",
-        "photon noise, read noise, dark current, PRNU and DSNU of every pixel",
-        "gain and standard deviations stand in the rig file; each run has its dark frames",
+        "gain (2 to 4 e-/DN), read noise, dark current, PRNU and DSNU of every pixel, nonlinearity up to 1.5 %, stray "
+        "light of 0.5 to 2 %, vignetting",
+        "`gonio calibrate camera`: dark frames, flats, fields, a trap and a knife edge; each run has its dark frames",
         _camera,
     ),
     Cause(

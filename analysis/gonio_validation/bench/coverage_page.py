@@ -39,7 +39,7 @@ KINDS = {
     "joint": "BRDF, all points together",
     "parameters": "fitted parameters",
     "joint parameters": "fitted parameters, all together",
-    "zeros": "calibrated zeros",
+    "calibrated": "calibrated",
 }
 PULL_LIMITS = (0.9, 1.1)
 """What the standard deviation of pulls should lie between."""
@@ -137,7 +137,7 @@ def _hidden(s: Coverage) -> Group:
     ]
     words = (
         "Drawn anew for every campaign, and read by the simulated devices alone. Distances, the cones of lamp and "
-        "lens, the lens's falloff, the wavelength, the kind of model and a metal's optical constants are known rightly."
+        "lens, the beam, the wavelength, the kind of model and a metal's optical constants are known rightly."
     )
     shown = table("", ["error", "hidden", "what the laboratory knows", "here"], rows)
     return section([Heading(2, "What is hidden"), Paragraph(words, "note"), shown], "hidden")

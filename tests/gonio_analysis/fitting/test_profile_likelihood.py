@@ -107,6 +107,10 @@ def test_a_lower_valley_that_is_met_on_the_way_is_begun_from() -> None:
     assert result.chi_square < stuck.chi_square - 1.0
     assert not result.parameters["ior"].at_bound
     assert all(intervals[name].holds(value) for name, value in truth.items())
+    own = stuck.intervals("ior")  # which know the lower valley, too
+    assert set(own) == {"ior"}
+    # walked out from starts of their own, each end to 0.02 of 1.96; without that valley it is the bound, 200
+    assert own["ior"].high == pytest.approx(intervals["ior"].high, rel=0.02)
 
 
 def test_values_that_a_model_meets_exactly_leave_a_point_and_no_error() -> None:

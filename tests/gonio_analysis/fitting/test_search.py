@@ -6,7 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.problem import FitRequest, pose
+
+from gonio.models import build
+from tests.gonio_analysis.synthetic import measure
 
 
 def test_values_to_the_search_scale_and_back() -> None:
@@ -36,3 +40,16 @@ def test_slopes_are_those_of_the_scale() -> None:
         up, down = (problem.values(vector + s * np.eye(vector.size)[k])[name] for s in (step, -step))
         # a central difference: roundings of 1e-16 over 1e-6, and step^2
         assert problem.slope(vector)[k] == pytest.approx((up - down) / (2 * step), rel=1e-8)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_search_that_ends_on_a_bound_begins_again_inside(seed: int) -> None:
+    """Around one mirror direction a low level with a Fresnel factor of 1 looks like a high one with that of glass."""
+    truth = {"k_d": 0.0375, "k_s": 1.8773, "c": 0.2605, "ior": 1.7549}
+    views = np.arange(-11.0, 51.0, 1.7)
+    table = measure(build("blinn", dict(truth)), noise=0.01, seed=seed, incidences=(19.2,), views=views)
+    found, near = fit(table, "blinn"), fit(table, "blinn", start=[truth])
+    assert found.chi_square is not None
+    assert near.chi_square is not None
+    assert found.chi_square == pytest.approx(near.chi_square, abs=0.1)  # a tenth of what one parameter may cost
+    assert not found.parameters["ior"].at_bound
