@@ -219,7 +219,7 @@ def _of_band(result: BandResult, flags: list[str], clipped: float) -> list[Check
     return of_run(taken, visits, result.band.name)
 
 
-def _calibrations(description: RigDescription) -> list[dict[str, str]]:
+def _calibrations(description: RigDescription) -> list[dict[str, str | None]]:
     """The calibration files whose values the run was measured and is reduced with."""
     return [
         {
@@ -227,7 +227,7 @@ def _calibrations(description: RigDescription) -> list[dict[str, str]]:
             "file": known.file,
             "sha256": known.sha256,
             "made": str(known.made),
-            "valid_until": str(known.valid_until) if known.valid_until is not None else "no end",
+            "valid_until": str(known.valid_until) if known.valid_until is not None else None,
         }
         for known in description.calibration.known
     ]
