@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -128,7 +129,8 @@ def _take(
     if wavelength is not None:
         bench.choose_band(wavelength)
     folder.mkdir()
-    scan = Scan(bench, folder, pairs=pairs, say=console.note)
+    counter = partial(console.counter, lines=True)
+    scan = Scan(bench, folder, pairs=pairs, say=console.note, counter=counter)
     try:
         with _told_where(bench), bench:
             _put(bench, "reference", yes=yes)
