@@ -37,5 +37,5 @@ def test_titles_of_the_panels_keep_clear_of_the_scales() -> None:
     shown = [label for ax in figure.axes for label in ax.get_yticklabels() + ax.get_xticklabels() if label.get_text()]
     for ax in figure.axes:
         (title,) = (t for t in (ax.title, ax._left_title) if t.get_text())  # type: ignore[attr-defined]
-        box = title.get_window_extent().padded(title.get_fontsize() * figure.dpi / 72)  # a letter around
+        box = title.get_window_extent().padded(float(title.get_fontsize()) * figure.dpi / 72)  # a letter around
         assert not [label.get_text() for label in shown if box.overlaps(label.get_window_extent())]
