@@ -80,8 +80,10 @@ class RigChoice:
             raise
 
 
-def find_rig(name: str) -> RigChoice:
+def find_rig(name: str, *, without: str = "") -> RigChoice:
     """A rig by the name of its entry point, or by the path of a rig file whose key `rig` names the entry point.
+
+    `without` is the kind of calibrations to pass over: those that are about to be made again.
 
     Raises
     ------
@@ -107,7 +109,7 @@ def find_rig(name: str) -> RigChoice:
             description = description.model_copy(update={"camera": camera})
         if description.truth is not None:
             description = description.model_copy(update={"truth": str((path.parent / description.truth).absolute())})
-        description = with_calibrations(description, path.parent)
+        description = with_calibrations(description, path.parent, without=without)
         try:
             return RigChoice(plugins.load("gonio.rigs", description.rig), description, name)
         except ConfigError as error:

@@ -18,7 +18,7 @@ from gonio.config import Strict
 from gonio.disk import read_file
 from gonio.errors import ConfigError
 from gonio.formats.native import meta_path
-from gonio.rig.description import RigDescription, SampleDescription
+from gonio.rig.description import CalibrationUse, RigDescription, SampleDescription
 
 FORMAT = 1
 NAMED_FILES = {
@@ -100,14 +100,35 @@ def differences(was: Settings, now: Settings) -> list[str]:
         out.append(f'plan: the points or wavelengths of "{now.run.plan}" are not those of "{was.run.plan}"')
     if was.run.seed != now.run.seed:
         out.append(f"seed: {was.run.seed} in the run, {now.run.seed} now")
+    out += _other_calibrations(was.rig, now.rig)
     out += _differing_keys("rig", *(_comparable(one.rig).model_dump(mode="json") for one in (was, now)))
     samples = [s.model_dump(mode="json") if s is not None else {} for s in (was.sample, now.sample)]
     return out + _differing_keys("sample", *samples)
 
 
+def _other_calibrations(was: RigDescription, now: RigDescription) -> list[str]:
+    """Calibrations that only one of two has, or that differ in content, a line each: their covariance is the run's."""
+    before, after = ({known.file: known for known in rig.calibration.known} for rig in (was, now))
+    out = []
+    for file in dict.fromkeys([*before, *after]):
+        old, new = before.get(file), after.get(file)
+        if old is None:
+            out.append(f"calibration {file}: not in the run")
+        elif new is None:
+            out.append(f"calibration {file}: in the run, and not in the rig file now")
+        elif old.sha256 != new.sha256:
+            out.append(f"calibration {file}: made on {old.made} in the run, and another one, made on {new.made}, now")
+    return out
+
+
 def _comparable(description: RigDescription) -> RigDescription:
-    """Of files that the rig names the content counts, not where they lie; what pauses a run may change."""
-    description = description.model_copy(update={"suspend": {}})
+    """Of files that the rig names the content counts, not where they lie; what pauses a run may change.
+
+    So may what only warns of calibrations. Which these are is compared by `_other_calibrations`; the keys that they
+    give, and what these keys replaced, with all others.
+    """
+    use = CalibrationUse(replaced=description.calibration.replaced)
+    description = description.model_copy(update={"suspend": {}, "calibration": use})
     for table, key in NAMED_FILES:
         path = getattr(getattr(description, table), key)
         if path is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Literal
 
@@ -38,11 +39,23 @@ EDGE_MM = 0.5
 """Pixels that see the screen so close to its edge do not count: the lens blurs it."""
 
 
+def _uncounted(what: str) -> AbstractContextManager[Callable[[int, int], None]]:
+    return nullcontext(lambda done, total: None)
+
+
 class Scan:
     """Takes the frames, one kind after the other, and keeps each in a folder as it comes."""
 
-    def __init__(self, bench: Bench, folder: Path, *, pairs: int = 2, say: Callable[[str], None] = print) -> None:
-        self._bench, self._folder, self._pairs, self._say = bench, folder, pairs, say
+    def __init__(
+        self,
+        bench: Bench,
+        folder: Path,
+        *,
+        pairs: int = 2,
+        say: Callable[[str], None] = print,
+        counter: Callable[[str], AbstractContextManager[Callable[[int, int], None]]] = _uncounted,
+    ) -> None:
+        self._bench, self._folder, self._pairs, self._say, self._counter = bench, folder, pairs, say, counter
         self.frames: list[CameraFrame] = []
 
     def go(self) -> None:
@@ -56,9 +69,7 @@ class Scan:
         short, longest = exposure.dark_exposures_s(self._bench.description)
         times = [short, longest / 4, longest / 2, longest]
         self._say(f"dark frames: {DARK_FRAMES} at each of {len(times)} exposures up to {longest:g} s")
-        for t in times:
-            for _ in range(DARK_FRAMES):
-                self._take("dark", t)
+        self._take_all("dark", times * DARK_FRAMES)  # a camera that grows warm is as warm at every exposure
 
     def flats(self) -> None:
         """Pairs over the white reference from dark to full, in an order in which no drift looks like a level."""
@@ -67,9 +78,7 @@ class Scan:
         times = self._times(np.concatenate([LOW, HIGH]) / metered.level_per_s)
         shuffled = [float(t) for t in np.random.default_rng(0).permutation(np.repeat(times, self._pairs))]
         self._say(f"flats: {len(shuffled)} pairs at {len(times)} exposures from {times[0]:.3g} to {times[-1]:.3g} s")
-        for t in shuffled:
-            self._take("flat", t)
-            self._take("flat", t)
+        self._take_all("flat", [t for t in shuffled for _ in range(2)])
         self._bench.lamp(False)
 
     def stray(self, kind: Literal["trap", "edge"]) -> None:
@@ -78,8 +87,7 @@ class Scan:
         black = self._black(kind)
         t = float(self._times(np.array([self._meter(kind).exposure_s]))[0])
         self._say(f"{kind}: {STRAY_FRAMES} frames of {t:.3g} s")
-        for _ in range(STRAY_FRAMES):
-            self._take(kind, t, black)
+        self._take_all(kind, [t] * STRAY_FRAMES, black)
         self._bench.lamp(False)
 
     def field(self) -> None:
@@ -119,6 +127,13 @@ class Scan:
                 "needs exposures that are what they say"
             )
         return frame
+
+    def _take_all(self, kind: Kind, times: list[float], black: tuple[slice, slice] | None = None) -> None:
+        """One frame after the other; whoever watches is told."""
+        with self._counter(f"{kind} frames") as told:
+            for done, t in enumerate(times, 1):
+                self._take(kind, t, black)
+                told(done, len(times))
 
     def _take(
         self, kind: Kind, exposure_s: float, black: tuple[slice, slice] | None = None, pose: Pose | None = None

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from gonio.acquisition import exposure
 from gonio.acquisition.schedule import reference_pose
@@ -15,8 +16,10 @@ from gonio.calibration import beam
 from gonio.calibration.lamp_stability import COLUMNS
 from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.geometry import Directions
+from gonio.reduction import stray_light
 from gonio.rig import Frame, Pose, Step, imaging, kinematics
 from gonio.rig.description import RigDescription
+from gonio.rig.sensor_response import linear_dn, straightened
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -37,6 +40,7 @@ def take_series(
     every_s: float,
     *,
     keep: Callable[[pd.DataFrame], None],
+    told: Callable[[int, int], None] = lambda done, total: None,
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
     """Frames of the white from the moment that the lamp is lit.
@@ -53,6 +57,8 @@ def take_series(
     keep
         Gets the table, with the columns of `lamp_stability.COLUMNS` and with `monitor` where the lamp has one; whatever
         ends the series early, it gets what there is. (Then the camera's black level takes the place of dark frames.)
+    told
+        Called with the seconds that are done, and with how many there are.
     sleep
         Waits.
 
@@ -90,9 +96,10 @@ def take_series(
             for _ in range(BURST):
                 taken.add(bench.camera.capture(metered.exposure_s), region, lit_s, _monitor(bench))
             due = max(due + every_s, bench.time_s() - lit_s)
+            told(round(min(due, duration_s)), round(duration_s))
         bench.lamp(False)
-        darks = [region.of(bench.camera.capture(metered.exposure_s).mosaic) for _ in range(DARK_FRAMES)]
-        dark = float(np.mean(np.array(darks, float)))
+        darks = [bench.camera.capture(metered.exposure_s) for _ in range(DARK_FRAMES)]
+        dark = float(np.mean([_linear(description, frame, region.of(frame.mosaic)) for frame in darks]))
     finally:
         bench.light.off()
         if taken.rows:
@@ -120,7 +127,8 @@ class _Series:
                 f"{self.rows[-1]['time_s']:g} s: times must grow"
             )
         self.black_level_dn, self._pixels = frame.black_level_dn, region.count
-        row = {"time_s": max(time_s, 0.0), "mean_dn": float(pixels.mean()), "exposure_s": frame.exposure_s}
+        mean = float(_linear(self._description, frame, region.of(frame.mosaic)).mean())
+        row = {"time_s": max(time_s, 0.0), "mean_dn": mean, "exposure_s": frame.exposure_s}
         self.rows.append(row | ({} if monitor is None else {"monitor": monitor}))
 
     def table(self, dark_dn: float) -> pd.DataFrame:
@@ -135,11 +143,17 @@ class _Series:
         return out[[*COLUMNS, *(["monitor"] if "monitor" in out else [])]]
 
 
-def take_flats(bench: Bench, *, keep: Callable[[pd.DataFrame], None]) -> None:
+def take_flats(
+    bench: Bench,
+    *,
+    keep: Callable[[pd.DataFrame], None],
+    told: Callable[[int, int], None] = lambda done, total: None,
+) -> None:
     """Flats of the white at several camera angles.
 
-    `keep` gets a table with the columns of `beam.COLUMNS`, whatever ends the flats early. The lamp has to be warm: what
-    it changes from flat to flat does not matter, what it changes in shape does.
+    `keep` gets a table with the columns of `beam.COLUMNS`, whatever ends the flats early; `told` how many flats are
+    taken, and of how many. The lamp has to be warm: what it changes from flat to flat does not matter, what it changes
+    in shape does. The camera's nonlinearity and stray light are taken out, as far as the rig file knows them.
 
     Raises
     ------
@@ -174,12 +188,13 @@ def take_flats(bench: Bench, *, keep: Callable[[pd.DataFrame], None]) -> None:
             darks = [bench.camera.capture(metered.exposure_s) for _ in range(DARK_FRAMES)]
             for shot in shots:
                 _require(description, shot, np.asarray(region.of(shot.mosaic), float))
-            dark = np.mean([np.asarray(d.mosaic, float) for d in darks], axis=0)
-            mean = np.mean([np.asarray(s.mosaic, float) for s in shots], axis=0) - dark
+            dark, lit = (np.mean([_linear(description, f, f.mosaic) for f in some], axis=0) for some in (darks, shots))
+            mean = _without_stray_light(description, lit - dark, bench.band.channel)
             t = shots[0].exposure_s
             noise = _noise(description, np.maximum(mean, 0.0), t) / math.sqrt(FLAT_FRAMES)
             noise = np.hypot(noise, _noise(description, np.zeros_like(mean), t) / math.sqrt(DARK_FRAMES))
             tables.append(beam.blocks(description, landed, mean / t, noise / t, number))
+            told(number, len(poses))
     finally:
         bench.light.off()
         if tables:
@@ -239,6 +254,22 @@ def _require(description: RigDescription, frame: Frame, pixels: Floats) -> None:
             f"a frame of {frame.exposure_s:g} s saturates: the lamp grew too bright for the exposure that it was given "
             "when it was lit; set a lower acquisition.exposure_target in the rig file"
         )
+
+
+def _linear(description: RigDescription, frame: Frame, values: npt.NDArray[Any]) -> Floats:
+    """What pixels read [DN], with the camera's response curve and nonlinearity taken out."""
+    camera = description.camera
+    above = np.asarray(linear_dn(camera, values), float) - frame.black_level_dn
+    return straightened(camera, above) + frame.black_level_dn
+
+
+def _without_stray_light(description: RigDescription, signal: Floats, channel: imaging.Channel) -> Floats:
+    """A frame's signal [DN] without the light that lens and sensor spread, as the rig file tells it."""
+    camera = description.camera
+    rows, cols = np.indices(signal.shape)
+    spread = stray_light.spread(camera, signal, 0.0, channel)
+    added, _ = spread.at(rows.ravel(), cols.ravel())
+    return np.asarray(signal - added.reshape(signal.shape))
 
 
 def _noise(description: RigDescription, signal_dn: Floats | float, exposure_s: float) -> Floats:

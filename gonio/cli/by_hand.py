@@ -409,22 +409,22 @@ def _scan_file(axis: str, out: Path | None) -> Path:
 # ---- inside ----
 
 
-def choice_of(rig: str) -> RigChoice:
-    """The rig; a lamp is used by hand without its warm-up."""
+def choice_of(rig: str, *, without: str = "") -> RigChoice:
+    """The rig, without calibrations of one kind; a lamp is used by hand without its warm-up."""
     from gonio.acquisition.measure import find_rig
 
-    choice = find_rig(rig)
+    choice = find_rig(rig, without=without)
     description = choice.description
     cold = description.lamp.model_copy(update={"warm_up_s": 0.0})
     return replace(choice, description=description.model_copy(update={"lamp": cold}))
 
 
-def bench_of(rig: str, *only: Device, sample: Path | None = None, seed: int = 0) -> Bench:
-    """The rig with those devices to open (all, without names), and not entered yet."""
+def bench_of(rig: str, *only: Device, sample: Path | None = None, seed: int = 0, without: str = "") -> Bench:
+    """The rig with those devices to open (all, without names), and not entered yet; see `choice_of`."""
     from gonio.acquisition.measure import load_sample
     from gonio.by_hand.bench import Bench
 
-    choice = choice_of(rig)
+    choice = choice_of(rig, without=without)
     described = load_sample(sample) if sample is not None else None
     return Bench(choice.open(sample=described, seed=seed, by_hand=True), choice.source, only)
 

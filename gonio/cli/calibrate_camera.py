@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from gonio.by_hand.bench import Bench
     from gonio.calibration.camera import CameraCalibration
     from gonio.calibration.camera_frames import CameraFrame
+    from gonio.rig.description import RigDescription
 
 __all__ = ["app"]
 
@@ -56,7 +58,7 @@ def camera(
     from gonio.calibration.camera_frames import read_list
     from gonio.cli import console
     from gonio.errors import ConfigError
-    from gonio.rig.calibrated import uncalibrated, write_calibration
+    from gonio.rig.calibrated import write_calibration
 
     kinds = [kind.strip() for kind in only.split(",") if kind.strip()]
     if unknown := [kind for kind in kinds if kind not in ("flats", "trap", "edge")]:
@@ -69,15 +71,14 @@ def camera(
     for name in (out, maps, picture) if frames is not None else (out, maps, picture, folder):
         if name.exists():
             raise ConfigError(f"{name}: is there already; name another file with --out")
-    # what was measured before is not to be taken out of what is measured now
-    known = find_rig(rig).description
-    if known.camera.response and not response:
+    # what was measured before of the camera is not to be taken out of what is measured now
+    description = find_rig(rig, without="camera").description
+    if not response and _has_response(description, rig):
         raise ConfigError(
             f"{rig}: the camera has a response curve (camera.response): photon transfer is for linear cameras, "
             f"and its noise "
             "stays that of the rig file; --response measures the curve again"
         )
-    description = uncalibrated(known)
     band = _band(description, wavelength)
     if frames is None:
         taken = _take(rig, folder, kinds, pairs=pairs, wavelength=wavelength, seed=seed, yes=yes)
@@ -100,6 +101,15 @@ def camera(
     console.show(*written)
 
 
+def _has_response(description: RigDescription, rig: str) -> bool:
+    """Whether the rig file, or a calibration that it names, gives the camera a response curve."""
+    from gonio.rig.calibrated import read_calibration
+
+    files = [Path(rig).parent / name for name in description.calibration.files]
+    given = [read_calibration(file).values.get("camera") for file in files]
+    return bool(description.camera.response) or any(isinstance(keys, dict) and keys.get("response") for keys in given)
+
+
 def _band(description: Any, wavelength: float | None) -> Any:
     from gonio.by_hand.bench import EYE_NM
 
@@ -115,11 +125,12 @@ def _take(
     from gonio.calibration.camera_scan import Scan
     from gonio.cli import console
 
-    bench = bench_of(rig, "arms", "light", "camera", seed=seed)
+    bench = bench_of(rig, "arms", "light", "camera", seed=seed, without="camera")
     if wavelength is not None:
         bench.choose_band(wavelength)
     folder.mkdir()
-    scan = Scan(bench, folder, pairs=pairs, say=console.note)
+    counter = partial(console.counter, lines=True)
+    scan = Scan(bench, folder, pairs=pairs, say=console.note, counter=counter)
     try:
         with _told_where(bench), bench:
             _put(bench, "reference", yes=yes)

@@ -66,9 +66,10 @@ def light(
         raise ConfigError(f"{out}: is there already; name another file with --out")
     given = [series, flats, spectra, lines, lamp_polariser, camera_polariser]
     found = _Found()
-    description = choice_of(rig).description
+    # what was measured before of the light is not to be taken out of what is measured now
+    description = choice_of(rig, without="light").description
     if not any(given):
-        bench = bench_of(rig, "arms", "light", "camera", seed=seed)
+        bench = bench_of(rig, "arms", "light", "camera", seed=seed, without="light")
         if wavelength is not None:
             bench.choose_band(wavelength)
         _put_white(bench, yes=yes)
@@ -77,6 +78,7 @@ def light(
                 series = _take_series(bench, out, 60.0 * minutes, every)
             if only != "lamp":
                 flats = _take_flats(bench, out)
+                found.notes += _of_the_camera(description)
         console.note("lamp dark, arms parked")
     if series is not None:
         _lamp(series, description, out, found)
@@ -241,7 +243,8 @@ def _take_series(bench: Bench, out: Path, duration_s: float, every_s: float) -> 
 
     file = _free(out, "series", ".csv")
     console.note(f"watching the lamp for {duration_s / 60:g} minutes from when it is lit; it should be cold now")
-    lamp_bench.take_series(bench, duration_s, every_s, keep=lambda table: _keep(table, file))
+    with console.counter("watching the lamp: seconds", lines=True) as told:
+        lamp_bench.take_series(bench, duration_s, every_s, keep=lambda table: _keep(table, file), told=told)
     return file
 
 
@@ -251,8 +254,20 @@ def _take_flats(bench: Bench, out: Path) -> Path:
 
     file = _free(out, "flats", ".csv")
     console.note("flats of the white at several camera angles")
-    lamp_bench.take_flats(bench, keep=lambda table: _keep(table, file))
+    with console.counter("flats", lines=True) as told:
+        lamp_bench.take_flats(bench, keep=lambda table: _keep(table, file), told=told)
     return file
+
+
+def _of_the_camera(description: RigDescription) -> list[str]:
+    """What flats rest on that the rig file, with its calibrations, does not say."""
+    camera = description.camera
+    if camera.stray_light or camera.stray_halo or camera.nonlinearity:
+        return []
+    return [
+        "the rig file knows no stray light and no nonlinearity of the camera: the beam holds what there is of them. "
+        "`gonio calibrate camera` first, and name its file in the rig file"
+    ]
 
 
 def _keep(table: pd.DataFrame, file: Path) -> None:

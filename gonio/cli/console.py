@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 LINES = 20
 """At most about so many lines of progress where there is no terminal."""
+UNTOLD_S = 3.0
+"""Work that is done sooner writes none of them."""
 
 
 def show(*things: RenderableType) -> None:
@@ -72,14 +74,32 @@ def values(live: Live) -> str:
 
 
 @contextlib.contextmanager
-def counter(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Somebody who is told how much of a work is done: a bar on a terminal, which goes when it is done; else nobody."""
+def counter(what: str, *, lines: bool = False) -> Iterator[Callable[[int, int], None]]:
+    """Somebody who is told how much of a work is done: a bar on a terminal, which goes when it is done.
+
+    Elsewhere nobody; with `lines` a few lines with the time that is left.
+    """
     if not sys.stderr.isatty():
-        yield lambda done, total: None
+        yield _counted(what) if lines else lambda done, total: None
         return
     with _progress_bar(what, _console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _counted(what: str) -> Callable[[int, int], None]:
+    """A counter that writes at most about `LINES` lines, and none in the first seconds."""
+    began, told = time.monotonic(), [0.0]
+
+    def line(done: int, total: int) -> None:
+        elapsed = time.monotonic() - began
+        part = done / total
+        if elapsed < UNTOLD_S or done >= total or not done or part - told[0] < 1.0 / LINES:
+            return
+        told[0] = part
+        note(f"{what}: {done} of {total}, about {duration(elapsed / part - elapsed)} left")
+
+    return line
 
 
 def _progress_bar(what: str, console: Console, *, transient: bool = False) -> ProgressBar:

@@ -37,6 +37,8 @@ def measure(
         plans.describe(asked, chosen)
         console.note("nothing was moved or written (--dry-run)")
         return
+    for warning in plans.unfit(chosen.description):
+        console.note(warning)
     with console.progress() as progress:
         run = carry_out(
             asked,
@@ -75,13 +77,13 @@ def reduce(
 
     opened = Run.open(run)
     opened.check_table()
-    with console.counter("reducing") as progress:
+    with console.counter("reducing", lines=True) as progress:
         found = brdf.reduce_in_parts(opened, progress=progress)
     table, beside, verdict = found.table, {"budget.csv": found.budget}, ""
     if monte_carlo is not None:
         from gonio.reduction import monte_carlo as drawing
 
-        with console.counter("drawing") as progress:
+        with console.counter("drawing", lines=True) as progress:
             drawn = drawing.check(opened, found, monte_carlo, seed, progress)
         beside["monte_carlo.csv"], verdict = drawn.values, drawn.verdict
         table.attrs["provenance"]["monte_carlo"] = {"draws": monte_carlo, "seed": seed, "verdict": verdict}

@@ -11,6 +11,7 @@ import typer
 if TYPE_CHECKING:
     from gonio.acquisition.measure import RigChoice
     from gonio.acquisition.plan import Assessed, Plan
+    from gonio.rig.description import RigDescription
 
 app = typer.Typer(help="Look at plans.", no_args_is_help=True)
 
@@ -71,10 +72,23 @@ def describe(plan: Plan, rig: RigChoice | None) -> None:
     seconds = estimate_s(steps, rig.description, len(bands))
     console.show(
         f"rig: {rig.description.name}",
+        *calibrations(rig.description),
         f"bands: {', '.join(f'{b.name} (centre {b.centre_nm:g} nm, width {b.fwhm_nm:g} nm)' for b in bands)}",
         f"{len(steps)} steps with {visits} visits to the white reference; about {console.duration(seconds)} "
         "on the rig's clock, for a matt sample of albedo 0.5",
     )
+
+
+def calibrations(description: RigDescription) -> list[str]:
+    """The calibrations that a rig is used with, and a warning of each that is unfit."""
+    use = description.calibration
+    files = [f"{known.file} ({known.kind}, made on {known.made})" for known in use.known]
+    return [*([f"calibrations: {', '.join(files)}"] if files else []), *unfit(description)]
+
+
+def unfit(description: RigDescription) -> list[str]:
+    """A warning of each calibration that is used although it is unfit."""
+    return [f"warning: calibration {remark}; it is used all the same" for remark in description.calibration.remarks]
 
 
 def _reasons(points: list[Assessed]) -> list[tuple[tuple[str, str], int]]:

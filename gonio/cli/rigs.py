@@ -59,9 +59,12 @@ def check(
 
     from gonio.acquisition.measure import find_rig
     from gonio.cli import console
+    from gonio.cli.plans import calibrations
     from gonio.errors import DeviceError
 
     choice = find_rig(rig)
+    for line in calibrations(choice.description):
+        console.note(line)
     rows = checks(choice, move=move)
     table = console.table("check", "found", "verdict", title=choice.description.name)
     for what, found, good in rows:

@@ -22,7 +22,7 @@ def check_run(run: Folder) -> None:
     from gonio.cli import console
     from gonio.errors import DataError
 
-    with console.counter("reading") as progress:
+    with console.counter("reading", lines=True) as progress:
         found = repair.check(run, progress=progress)
     wrong = [text for number in sorted(found.damaged) for text in found.damaged[number]]
     strange = [f"frames/{name} is not named by the journal" for name in found.orphans]
@@ -40,7 +40,7 @@ def repair_run(run: Folder) -> None:
     from gonio.acquisition.run import Run
     from gonio.cli import console
 
-    with console.counter("reading") as progress:
+    with console.counter("reading", lines=True) as progress:
         done = repair.repair(run, progress=progress)
     if done is None:
         console.show(f"{run}: journal and frames are whole; nothing was changed")

@@ -179,9 +179,11 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
             "seed": run.seed,
             "reference": [_account(result) for result in results],
             "filling": filling(description),
+            **({"calibrations": used} if (used := _calibrations(description)) else {}),
             **({"merge": [result.merged for result in results]} if description.acquisition.by_pixels else {}),
         },
-        notes=notes
+        notes=[f"calibration {remark}; it was used all the same" for remark in description.calibration.remarks]
+        + notes
         + _notes_on_zeros(description)
         + light_and_lens.notes(description, results)
         + [note for result in results for note in _notes(result)],
@@ -215,6 +217,20 @@ def _of_band(result: BandResult, flags: list[str], clipped: float) -> list[Check
     )
     taken = Taken(result.frames, result.left_out, result.scatter, result.freedom, clipped, flags)
     return of_run(taken, visits, result.band.name)
+
+
+def _calibrations(description: RigDescription) -> list[dict[str, str | None]]:
+    """The calibration files whose values the run was measured and is reduced with."""
+    return [
+        {
+            "kind": known.kind,
+            "file": known.file,
+            "sha256": known.sha256,
+            "made": str(known.made),
+            "valid_until": str(known.valid_until) if known.valid_until is not None else None,
+        }
+        for known in description.calibration.known
+    ]
 
 
 def _account(result: BandResult) -> dict[str, float | str | list[float] | None]:

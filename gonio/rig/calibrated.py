@@ -116,11 +116,12 @@ def with_keys(description: RigDescription, values: dict[str, Any], source: str |
 
 
 def with_calibrations(
-    description: RigDescription, folder: str | Path, today: datetime.date | None = None
+    description: RigDescription, folder: str | Path, today: datetime.date | None = None, *, without: str = ""
 ) -> RigDescription:
     """A rig with the values of its `calibration.files`, which lie in `folder` unless their paths are whole.
 
     A later file that changes a number takes with it what an earlier one knew of its uncertainty.
+    Files of the kind `without` are passed over: those that are about to be made again.
 
     Raises
     ------
@@ -136,6 +137,8 @@ def with_calibrations(
     for name in use.files:
         path = Path(folder) / name
         calibration = read_calibration(path)
+        if calibration.kind == without:
+            continue
         why = calibration.unfit(description, today)
         if why and use.when_unfit == "refuse":
             raise ConfigError(f'{path}: {why}; calibrate again, or set calibration.when_unfit = "warn" in the rig file')

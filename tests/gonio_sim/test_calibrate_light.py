@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from gonio.calibration import lamp_bench
 from gonio.config import numbers_in, to_toml
 from gonio.errors import DeviceError
 from gonio.rig import Frame
-from gonio.rig.calibrated import read_calibration
+from gonio.rig.calibrated import Calibration, identity, read_calibration, write_calibration
 from tests.command_line import gonio
 from tests.gonio_sim.conftest import describe
 
@@ -144,3 +145,38 @@ def test_lines_and_polarisers_are_written_with_their_covariance(tmp_path: Path) 
     assert found.values["bands"]["tunable"]["start_nm"] == pytest.approx(400.55, abs=0.1)
     assert found.values["lamp"]["polarisation"]["degree"] == pytest.approx(0.03, abs=1e-6)
     assert found.uncertainty.correlation[0][1] < 0.0
+
+
+def test_a_beam_is_found_behind_a_camera_that_bends_and_spreads_light_as_far_as_that_is_known(tmp_path: Path) -> None:
+    bent = {"nonlinearity": (-0.02,), "stray_light": 0.02, "stray_halo": 0.01, "stray_halo_px": 8.0, "vignetting": 0.2}
+    write(tmp_path, TRUTH | {"camera": bent}, camera={"width": 96, "height": 80, "pixel_um": 32.0} | bent)
+    said = gonio(tmp_path, "calibrate", "light", "--rig", "rig.toml", "--out", "light.toml", "--only", "beam")
+    assert said.returncode == 0, said.stderr
+    found = read_calibration(tmp_path / "light.toml")
+    u = dict(zip(found.uncertainty.parameters, found.uncertainty.u, strict=True))
+    values, true = numbers_in(found.values), numbers_in(TRUTH)
+    for name in (f"lamp.beam.{key}" for key in TRUTH["lamp"]["beam"]):  # type: ignore[attr-defined]
+        assert abs(values[name] - true[name]) < 4.0 * u[name], name  # five numbers; without the correction 13 u
+    assert "stray light" not in said.stderr
+    write(tmp_path, TRUTH | {"camera": bent})
+    again = gonio(tmp_path, "calibrate", "light", "--rig", "rig.toml", "--out", "blind.toml", "--only", "beam")
+    assert "no stray light" in again.stderr  # nobody knows of it: the note says so
+
+
+@pytest.mark.parametrize("kind", ["camera", "light"])
+def test_a_calibration_that_is_out_of_date_does_not_keep_its_successor_from_being_made(
+    tmp_path: Path, kind: str
+) -> None:
+    write(tmp_path)
+    description = find_rig(str(tmp_path / "rig.toml")).description
+    old = Calibration(
+        kind=kind, rig=description.name, rig_identity=identity(description),  # type: ignore[arg-type]
+        made=datetime.date(2020, 1, 1), valid_until=datetime.date(2020, 2, 1), values={"lamp": {"noise": 0.5}},
+    )  # fmt: skip
+    write_calibration(old, tmp_path / "old.toml")
+    rig = tomllib.loads((tmp_path / "rig.toml").read_text())
+    (tmp_path / "rig.toml").write_text(to_toml(rig | {"calibration": {"files": ["old.toml"]}}))
+    assert "is out of date" in gonio(tmp_path, "rig", "check", "--rig", "rig.toml").stderr
+    only = ["--only", "flats"] if kind == "camera" else ["--only", "beam"]
+    done = gonio(tmp_path, "calibrate", kind, "--rig", "rig.toml", "--out", "new.toml", *only)
+    assert done.returncode == 0, done.stderr

@@ -11,7 +11,7 @@ import numpy as np
 from gonio_analysis.plots.in_plane import COLOURS, FAINT, clean
 from gonio_analysis.report.blocks import Block, Figures, Notes, Paragraph, strong, table
 from gonio_analysis.report.figures import LEGEND_ROW_IN, Drawing, Figure, key
-from gonio_analysis.report.text import CAUSES, cause, number, percent
+from gonio_analysis.report.text import CAUSES, cause, meaning, number, percent
 from gonio_analysis.result_records import BudgetCurve, BudgetFacts, RunFacts
 
 KIND = "budget-shares"
@@ -39,7 +39,7 @@ def draw(found: BudgetFacts | None, slug: str) -> list[Drawing]:
     places = np.unique(np.linspace(0, len(every) - 1, min(len(every), MOST_PANELS)).round().astype(int))
     curves = [every[k] for k in places]
     caption = (
-        "What the variance of each value is made of, along the curves in the plane of incidence: the"
+        "Shares of the variance: what that of each value is made of, along the curves in the plane of incidence. The"
         f" {len(found.largest)} largest causes, and the rest."
     )
     if len(curves) < len(every):
@@ -60,7 +60,7 @@ def section(found: BudgetFacts, figures: Sequence[Figure]) -> list[Block]:
     rows = [["combined", percent(found.median), percent(found.highest), percent(1.0), "", CAUSES["combined"]]]
     rows += [
         [cause(p.cause), _percent(p.median), _percent(p.largest), _percent(p.share), "common" if p.common else "own",
-         CAUSES.get(p.cause, "")]
+         meaning(p.cause, common=p.common)]
         for p in found.parts
     ]  # fmt: skip
     head = ["cause", "median u / f", "largest", "share of variance", "kind", "what it is"]
@@ -118,7 +118,7 @@ def _on_panels(figure: Any, *, curves: list[BudgetCurve], names: list[str], rows
         shares = 100 * np.array(curve.shares)
         shares = np.vstack([shares, 100 - shares.sum(axis=0)])
         ax.stackplot(curve.theta_r_deg, shares, colors=colours, lw=0)
-        ax.set_title(f"θi = {curve.theta_i_deg:g}°", fontsize=7.5, loc="left", pad=3)
+        ax.set_title(f"θi = {curve.theta_i_deg:g}°", fontsize=7.5, pad=4)  # in the middle: the label 100 % is left
         ax.set_xlim(-90, 90)
         ax.set_xticks(range(-60, 61, 60), [f"{a}°".replace("-", "−") for a in range(-60, 61, 60)])
         ax.set_ylim(0, 100)

@@ -30,9 +30,12 @@ def section(s: Summary) -> Group:
             rows += [("seed", str(r.seed)), ("steps", str(r.steps)), ("bands", ", ".join(r.bands))]
             rows.append(("versions", _versions(r)))
         given = dict(d.provenance)
-        given.pop("checks", None)  # they have a section of their own
+        for name in ("checks", "not_in_budget", "monte_carlo"):
+            given.pop(name, None)  # they have sections of their own
+        calibrations = given.pop("calibrations", [])
         visits = given.pop("reference", []) if d.run else []
         rows += list(_flat(given))
+        rows += [("calibration", _calibration(one)) for one in calibrations]
         rows += [("white reference", _reference(band)) for band in visits]
         out += [Heading(3, d.title), facts(rows)]
     return blocks.section(out, "provenance")
@@ -53,6 +56,12 @@ def _flat(values: Any, prefix: str = "") -> Iterable[tuple[str, str]]:
     else:
         shown = ", ".join(map(str, values)) if isinstance(values, list) else values
         yield prefix.replace("_", " "), number(shown, 5) if isinstance(shown, float) else str(shown)
+
+
+def _calibration(used: Mapping[str, Any]) -> str:
+    """A calibration file that the run was measured with."""
+    until = f"valid until {used['valid_until']}" if used["valid_until"] else "valid without an end"
+    return f"{used['kind']}: {used['file']}, made on {used['made']}, {until}; SHA-256 {used['sha256']}"
 
 
 def _reference(band: Mapping[str, Any]) -> str:

@@ -28,7 +28,7 @@ from gonio_analysis.report.blocks import (
     table,
 )
 from gonio_analysis.report.figures import Figure
-from gonio_analysis.report.text import CAUSES, cause, difference, number, percent, with_u
+from gonio_analysis.report.text import cause, difference, meaning, number, percent, with_u
 from gonio_analysis.report.viewer import View
 from gonio_analysis.result_records import DatasetSummary, ModelSummary, ParameterSummary, RunFacts, Summary
 
@@ -320,7 +320,7 @@ def _metrics(s: Summary, d: DatasetSummary) -> list[Block]:
 
 
 def _budget(d: DatasetSummary) -> Table:
-    rows = [[cause(p.cause), percent(p.median), percent(p.p95), CAUSES.get(p.cause, "")] for p in d.budget]
+    rows = [[cause(p.cause), percent(p.median), percent(p.p95), meaning(p.cause, common=True)] for p in d.budget]
     return table(
         "Standard uncertainties relative to the value.",
         ["cause", "median", "95th percentile", "what it is"],

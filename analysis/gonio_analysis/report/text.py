@@ -66,9 +66,22 @@ CAUSES = {
     "stray light": "stray light in lens and room",
     "linearity": "departure of the sensor from a straight line",
     "polarisation": "what lamp and lens polarise",
-    "wavelength": "centre and width of the band",
+    "wavelength": "centre of the band",
+    "bandwidth": "width of the band",
+    "beam": "profile of the beam over sample and reference",
+    "geometry": "calibrated geometry: zeros, axes, distances, lens",
 }
 """What the causes of an uncertainty are that our own reduction budgets (docs/radiometry.md), by their names."""
+BOTH = ("beam", "geometry")
+"""Causes of which a part is common to all values, and each value has a part of its own."""
+
+
+def meaning(name: str, *, common: bool) -> str:
+    """What a cause is, in words: a number behind its name tells one independent pattern of an error from others."""
+    stem, _, pattern = name.rpartition(" ")
+    if name not in CAUSES and pattern.isdigit():
+        return f"{CAUSES[stem]}: pattern {pattern}" if stem in CAUSES else ""
+    return CAUSES.get(name, "") + (": what differs from value to value" if name in BOTH and not common else "")
 
 
 def cause(name: str) -> str:

@@ -1,0 +1,41 @@
+"""The budget in a report: its words, and its figure."""
+
+from __future__ import annotations
+
+import pytest
+from gonio_analysis.report import budget
+from gonio_analysis.report.text import meaning
+from gonio_analysis.result_records import BudgetCurve
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from gonio.reduction import table
+from gonio.reduction.budget import COMPONENTS
+
+CAMERA = ("s_linearity", "s_linearity_2", "s_stray_light", "s_stray_light_2")
+COMMON = (*table.COMMON, *table.DARK, *table.GEOMETRY, *table.LIGHT, *table.CAUSES.values(), *CAMERA)
+
+
+@pytest.mark.parametrize("common", [True, False])
+def test_every_cause_that_a_reduction_budgets_is_told_in_words_of_its_own(common: bool) -> None:
+    names = [name.removeprefix("s_").replace("_", " ") for name in (COMMON if common else COMPONENTS)]
+    words = [meaning(name, common=common) for name in names]
+    assert all(words), dict(zip(names, words, strict=True))
+    assert len(set(words)) == len(words)
+
+
+def test_a_common_part_and_an_own_part_of_one_cause_are_told_apart() -> None:
+    assert meaning("beam", common=True) != meaning("beam", common=False)
+
+
+def test_titles_of_the_panels_keep_clear_of_the_scales() -> None:
+    curves = [BudgetCurve(theta, [-60.0, 0.0, 60.0], [[0.5, 0.4, 0.6], [0.2, 0.3, 0.2]]) for theta in (0, 30, 60, 75)]
+    figure = Figure(figsize=(5.6, 2 * budget.PANEL_IN + budget.FOOT_IN))
+    FigureCanvasAgg(figure)
+    budget._on_panels(figure, curves=curves, names=["a", "b", budget.REST], rows=2, columns=2)
+    figure.draw_without_rendering()
+    shown = [label for ax in figure.axes for label in ax.get_yticklabels() + ax.get_xticklabels() if label.get_text()]
+    for ax in figure.axes:
+        (title,) = (t for t in (ax.title, ax._left_title) if t.get_text())  # type: ignore[attr-defined]
+        box = title.get_window_extent().padded(float(title.get_fontsize()) * figure.dpi / 72)  # a letter around
+        assert not [label.get_text() for label in shown if box.overlaps(label.get_window_extent())]
