@@ -238,10 +238,9 @@ class _Axes:
 
     def pose(self, s: Sighting, shift: dict[str, float]) -> Pose:
         """What the axes read where the encoders did, the zeros taken out; play is added where it is open."""
+        play = {name: self.play_deg[name] for name in s.against}
         return Pose(**{
-            name: math.radians(
-                encoder - self.zero_deg[name] + shift.get(name, 0.0) + (self.play_deg[name] if name in s.against else 0.0)  # noqa: E501
-            )
+            name: math.radians(encoder - self.zero_deg[name] + shift.get(name, 0.0) + play.get(name, 0.0))
             for name, encoder in s.encoder_deg.items()
         })  # fmt: skip
 
@@ -282,7 +281,8 @@ class Problem:
             prior[n:, n:] = given[2]
             self.within[n:] = np.sqrt(np.diag(given[2]))
         self.start = start
-        self._expected = prior / np.outer(self.within, self.within)
+        self._at_first = prior / np.outer(self.within, self.within)
+        self._expected = self._at_first.copy()
         self._prior = _whitening(self._expected)
         self._whitening: list[Floats] = []
         self._pixels = [
@@ -372,6 +372,7 @@ class Problem:
         Those of one order have one standard deviation in all arms (an empirical prior): without it a cosine and the
         zero, which look alike over the range of an arm, would hide in each other also on a rig that has none.
         The numbers follow along the slopes at the fit, so that what is learnt and what is fitted close in together.
+        Of an order with a number that the sightings do not determine nothing is learnt: few data would make it small.
         """
         rows = sum(map(len, self._pixels))
         left, slopes = self.residuals(self.x)[:rows], self.jacobian(self.x)[:rows]
@@ -380,10 +381,12 @@ class Problem:
             k: self._order(u.path) for k, u in enumerate(self.unknowns) if "harmonics_deg" in u.path
         }  # fmt: skip
         before = np.diag(self._expected).copy()
+        alone = np.diag(np.linalg.inv(told + np.linalg.inv(self._at_first)))
+        learnt = {o for o in orders.values() if all(alone[k] < KNOWN**2 for k, its in orders.items() if its == o)}
         for _ in range(LEARNING_STEPS):
             covariance = np.linalg.inv(told + np.linalg.inv(self._expected))
             x, last = covariance @ pull, np.diag(self._expected).copy()
-            for order in set(orders.values()):
+            for order in learnt:
                 mine = [k for k, its in orders.items() if its == order]
                 squares = float(np.sum(x[mine] ** 2 + np.diag(covariance)[mine]))
                 least = (LEAST_HARMONIC_DEG / self.within[mine[0]]) ** 2

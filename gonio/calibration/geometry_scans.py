@@ -203,7 +203,7 @@ class GeometryScans(Scans):
             self._lost += attempt == 2
 
     def _turn(self, s: Sighting, off: Floats) -> dict[str, float]:
-        """How far camera and tilt would have to go for the spot to be in the middle [deg], on a rig as its file says."""  # noqa: E501
+        """How far camera and tilt have to go for the spot to be in the middle [deg], if the rig file were true."""
         rig, pose = self._description, Pose(**{n: math.radians(self._read(n)) for n in s.encoder_deg})
         names = [n for n in ("camera", "tilt") if n in s.encoder_deg]
         slopes = []

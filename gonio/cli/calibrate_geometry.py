@@ -30,16 +30,24 @@ Given = tuple[list[str], "Floats", "Floats"]
 def geometry(
     rig: Annotated[str, typer.Option(help="A rig's name, or a rig file.", show_default=False)],
     out: Annotated[Path | None, typer.Option(help="The calibration file.", show_default=False)] = None,
-    images: Annotated[Path | None, typer.Option(help="A folder of pictures of a ChArUco board.", show_default=False)] = None,  # noqa: E501
-    board: Annotated[Path | None, typer.Option(help="The board: a .toml, or OpenCV's .yml.", show_default=False)] = None,  # noqa: E501
+    images: Annotated[
+        Path | None, typer.Option(help="A folder of pictures of a ChArUco board.", show_default=False)
+    ] = None,
+    board: Annotated[
+        Path | None, typer.Option(help="The board: a .toml, or OpenCV's .yml.", show_default=False)
+    ] = None,
     holder: Annotated[
         str | None,
         typer.Option(help="What is put into the holder, by commas: mirror, empty. Without it both, where the arms can "
                           "face each other; with --images, none.", show_default=False),
     ] = None,
-    scans: Annotated[Path | None, typer.Option(help="Kept sightings: fit these again; moves nothing.", show_default=False)] = None,  # noqa: E501
+    scans: Annotated[
+        Path | None, typer.Option(help="Kept sightings: fit these again; moves nothing.", show_default=False)
+    ] = None,
     print_fiducials: Annotated[
-        Path | None, typer.Option(help="Write the sheet of the holder's markers (.svg, .png), and nothing else.", show_default=False)  # noqa: E501
+        Path | None,
+        typer.Option(help="Write the sheet of the holder's markers (.svg, .png), and nothing else.",
+                     show_default=False),
     ] = None,
     valid_days: Annotated[int, typer.Option(min=1, help="How long the calibration may be used.")] = 365,
     search: Annotated[float, typer.Option(min=1, max=30, help="How far to look for the lamp [deg].")] = 8.0,
@@ -80,7 +88,8 @@ def geometry(
         sightings = read_sightings(scans)
         _require_axes(sightings, choice.description, scans)
     elif holders or intrinsics is None:
-        sightings = _measured(choice, out, holders or None, search=search, share=QUICK if quick else 1.0, seed=seed, yes=yes)
+        share = QUICK if quick else 1.0
+        sightings = _measured(choice, out, holders or None, search=search, share=share, seed=seed, yes=yes)
     _finish(out, choice.description, description, intrinsics, given, sightings, valid_days)
 
 
@@ -294,7 +303,8 @@ def _finish(
                      f"{len(intrinsics.images)} pictures, {intrinsics.rejected} left out")  # fmt: skip
     if fit is not None:
         console.show(
-            f"{len(sightings)} sightings determine {fit.rank} of {len(fit.unknowns)} directions; misfit {fit.misfit:.2f}"  # noqa: E501
+            f"{len(sightings)} sightings determine {fit.rank} of {len(fit.unknowns)} directions; "
+            f"misfit {fit.misfit:.2f}"
         )
     _show_open(notes)
     console.show(f"{out}: {len(paths)} numbers, valid until {calibration.valid_until}", str(picture))
