@@ -31,13 +31,13 @@ from gonio.rig.description import RigDescription
 RANGE_DEG = 70.0
 
 
-def rig_tables() -> dict[str, Any]:
+def rig_tables(limit_deg: float = 95.0) -> dict[str, Any]:
     """The rig file that everybody knows: `sim` with printed markers, a wider view and arms that can face each other."""
     tables = tomllib.loads(SIM.toml)
     tables["camera"] |= {"width": 400, "height": 300, "pixel_um": 8.0, "focal_length_mm": 50.0}
     tables["holder"] |= {"fiducials": {}}
     for arm in ("light", "camera"):
-        tables["arms"][arm] |= {"limits_deg": [-95.0, 95.0], "zero_offset_deg": 0.0, "zero_u_deg": 0.0}
+        tables["arms"][arm] |= {"limits_deg": [-limit_deg, limit_deg], "zero_offset_deg": 0.0, "zero_u_deg": 0.0}
     tables["holder"] |= {"zero_offset_deg": 0.0, "zero_u_deg": 0.0}
     return tables
 
@@ -115,7 +115,10 @@ def main() -> None:
     arguments.add_argument("--setups", type=int, default=20)
     arguments.add_argument("--seed", type=int, default=1)
     arguments.add_argument(
-        "--poses", type=int, nargs=4, default=(48, 14, 60, 12), help="mirror, straight, markers, against"
+        "--poses", type=int, nargs=4, default=(96, 40, 120, 24), help="mirror, straight, markers, against"
+    )
+    arguments.add_argument(
+        "--limits", type=float, nargs="+", default=(95.0, 120.0), help="of both arms [deg], one set-up after the other"
     )
     asked = arguments.parse_args()
     found: dict[str, list[tuple[float, float]]] = {}
@@ -123,12 +126,12 @@ def main() -> None:
     failed = 0
     for number in range(asked.setups):
         rng = np.random.default_rng([asked.seed, number])
-        truth = hidden(rng)
+        truth, limit = hidden(rng), asked.limits[number % len(asked.limits)]
         began = time.monotonic()
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "truth.toml"
             file.write_text(to_toml(truth))
-            description = parse(RigDescription, rig_tables() | {"truth": str(file)}, "hidden")
+            description = parse(RigDescription, rig_tables(limit) | {"truth": str(file)}, "hidden")
             try:
                 sightings = measured(description, number, poses=tuple(asked.poses))
                 taken = time.monotonic() - began
@@ -150,9 +153,9 @@ def main() -> None:
                for arm in ("light", "camera")]  # fmt: skip
         curves += [math.sqrt(float(np.mean(o**2))) for o in off]
         print(
-            f"{number:3d} {_kinds(sightings)} in {taken:.0f} s, fit in {time.monotonic() - began - taken:.0f} s; misfit "  # noqa: E501
-            f"{fit.misfit:.2f}, {len(fit.dropped)} dropped; arms off by {curves[-2]:.4f} and {curves[-1]:.4f} deg rms; "
-            f"{'; '.join(fit.open)}",
+            f"{number:3d} {_kinds(sightings)} in {taken:.0f} s, fit in {time.monotonic() - began - taken:.0f} s; "
+            f"misfit {fit.misfit:.2f}, {len(fit.dropped)} dropped; limits +-{limit:g} deg, "
+            f"arms off by {curves[-2]:.4f} and {curves[-1]:.4f} deg rms; {'; '.join(fit.open)}",
             flush=True,
         )
     print(f"{failed} of {asked.setups} failed")
@@ -164,8 +167,10 @@ def main() -> None:
     for path, pairs in found.items():
         error, u = np.array(pairs).T
         pulls.append(error / u)
-        print(f"{path:36s} error {np.sqrt(np.mean(error**2)):8.4f} rms   u {np.mean(u):8.4f}   pull {np.std(error / u):5.2f}   "  # noqa: E501
-              f"known in {len(pairs)}")  # fmt: skip
+        print(
+            f"{path:36s} error {np.sqrt(np.mean(error**2)):8.4f} rms   u {np.mean(u):8.4f}   "
+            f"pull {np.sqrt(np.mean((error / u) ** 2)):5.2f}   known in {len(pairs)}"
+        )
     together = np.concatenate(pulls)
     print(f"all pulls: {np.sqrt(np.mean(together**2)):.3f} rms of {len(together)}; "
           f"within 2 u: {np.mean(np.abs(together) < 2):.3f}")  # fmt: skip

@@ -28,6 +28,14 @@ and corners lie up to 1.5 px off."""
 FAR = 4.0
 FEWEST = 8
 """Corners, of two markers, are too few: a plane has eight unknowns, and some must be left to tell errors."""
+EDGE = (0.12, 0.88)
+"""Which part of an edge is used: at its ends the other edges come in."""
+EDGE_CELLS, EDGE_SAMPLES, PLATEAU = 0.7, 12, 3
+"""How far across an edge brightness is read, in cells: the black border is one wide. Samples to each side, and how many
+of them at the ends are surely black or white."""
+MOST_ACROSS_PX = 5.0
+PARALLEL = 0.2
+"""Sine of the angle between two edges below which they do not meet well."""
 DPI = 600
 MARGIN_MM = 5.0
 
@@ -138,12 +146,14 @@ def detect(frame: npt.NDArray[Any], marks: Fiducials) -> tuple[npt.NDArray[np.in
 
     Notes
     -----
-    Corners are where the edges of the black square meet in a window no larger than a cell, refined from what OpenCV
-    finds. Markers that look smaller than `SMALLEST_PX`, or stand at the edge of the frame, are left out.
+    Corners are where straight lines along the four edges of the black square meet. OpenCV's refinement of single
+    corners is off by up to 0.2 px where one corner of a square stands alone and its edges lie oblique to the pixels;
+    OpenCV only says where to look. Markers that look smaller than `SMALLEST_PX`, or stand at the edge of the frame, are
+    left out.
     """
     import cv2
 
-    grey = stretched(frame)
+    grey, plain = stretched(frame), np.asarray(frame, np.float32)
     settings = cv2.aruco.DetectorParameters()
     settings.adaptiveThreshWinSizeMax = 53
     settings.minMarkerPerimeterRate = 0.02
@@ -159,12 +169,57 @@ def detect(frame: npt.NDArray[Any], marks: Fiducials) -> tuple[npt.NDArray[np.in
         room = np.minimum(square.min(0), np.array(grey.shape[::-1]) - 1 - square.max(0)).min()
         if not 0 <= k < marks.count or shortest < SMALLEST_PX or room < half + 2:
             continue
-        refined = refine(grey, square, half)
-        if np.abs(refined - square).max() > 0.25 * shortest:
+        refined = _edges_meet(plain, _edges_meet(plain, refine(grey, square, half), n), n)
+        if not np.abs(refined - square).max() <= 0.25 * shortest:
             continue
         numbers += range(4 * k, 4 * k + 4)
         pixels.append(refined)
     return np.array(numbers, np.intp), np.concatenate(pixels) if pixels else np.zeros((0, 2))
+
+
+def _edges_meet(frame: npt.NDArray[np.float32], square: Floats, n: int) -> Floats:
+    """The corners of a black square on white, `n` cells wide, from about where they are; NaN where edges are not seen.
+
+    Across each edge brightness rises from black to white within a pixel or two. The area under the rise says where the
+    edge is, however it lies to the pixels: a pixel's value is a mean over its area.
+    """
+    import cv2
+
+    after = np.roll(square, -1, axis=0)
+    along = after - square
+    length = np.linalg.norm(along, axis=1)
+    if not np.isfinite(length).all() or length.min() <= 0.0:
+        return np.full((4, 2), np.nan)
+    along = along / length[:, None]
+    outward = np.stack([along[:, 1], -along[:, 0]], axis=1)
+    if np.sum((square - square.mean(axis=0)) * outward) < 0.0:
+        outward = -outward
+    x, y = square.T
+    area = 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
+    places = np.linspace(*EDGE, max(int(length.max()), 8))
+    lines = []
+    for k in range(4):
+        half = min(EDGE_CELLS * area / (length[k] * n), MOST_ACROSS_PX)  # of a cell, across the edge
+        across = np.linspace(-half, half, 2 * EDGE_SAMPLES + 1)
+        on_edge = square[k] + places[:, None] * (after[k] - square[k])
+        at = (on_edge[:, None, :] + across[None, :, None] * outward[k]).astype(np.float32)
+        rise = cv2.remap(frame, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        black, white = rise[:, :PLATEAU].mean(), rise[:, -PLATEAU:].mean()
+        if white <= black:
+            return np.full((4, 2), np.nan)
+        share = np.trapezoid((rise - black) / (white - black), across, axis=1)
+        edge = on_edge + (half - share)[:, None] * outward[k]
+        middle = edge.mean(axis=0)
+        direction = np.linalg.svd(edge - middle)[2][0]
+        lines.append((middle, direction))
+    out = []
+    for k in range(4):  # corner k: where the edge that ends there meets the one that begins
+        (a, d), (b, e) = lines[k - 1], lines[k]
+        turn = d[0] * e[1] - d[1] * e[0]
+        if abs(turn) < PARALLEL:
+            return np.full((4, 2), np.nan)
+        out.append(a + d * ((b[0] - a[0]) * e[1] - (b[1] - a[1]) * e[0]) / turn)
+    return np.array(out)
 
 
 def pose(

@@ -57,6 +57,9 @@ LOST_PX = 1e5
 LEAST_HARMONIC_DEG = 0.02
 """What is expected of an encoder's errors where none are seen."""
 HARMONIC_ROUNDS = 4
+LEARNING_STEPS = 200
+LEARNT = 0.1
+"""Of the logarithm of an expected variance: a change below it moves no number by a tenth of what it is uncertain."""
 MOST_STEPS = 15
 CLOSED = 0.03
 """Of the last step, in standard deviations."""
@@ -235,10 +238,9 @@ class _Axes:
 
     def pose(self, s: Sighting, shift: dict[str, float]) -> Pose:
         """What the axes read where the encoders did, the zeros taken out; play is added where it is open."""
+        play = {name: self.play_deg[name] for name in s.against}
         return Pose(**{
-            name: math.radians(
-                encoder - self.zero_deg[name] + shift.get(name, 0.0) + (self.play_deg[name] if name in s.against else 0.0)  # noqa: E501
-            )
+            name: math.radians(encoder - self.zero_deg[name] + shift.get(name, 0.0) + play.get(name, 0.0))
             for name, encoder in s.encoder_deg.items()
         })  # fmt: skip
 
@@ -279,7 +281,8 @@ class Problem:
             prior[n:, n:] = given[2]
             self.within[n:] = np.sqrt(np.diag(given[2]))
         self.start = start
-        self._expected = prior / np.outer(self.within, self.within)
+        self._at_first = prior / np.outer(self.within, self.within)
+        self._expected = self._at_first.copy()
         self._prior = _whitening(self._expected)
         self._whitening: list[Floats] = []
         self._pixels = [
@@ -363,26 +366,36 @@ class Problem:
         self.x = x
         return x
 
-    def expect_harmonics(self, variance: Floats) -> bool:
+    def expect_harmonics(self) -> bool:
         """Learn from the encoders' errors that are seen how large they are; False where that changes nothing.
 
         Those of one order have one standard deviation in all arms (an empirical prior): without it a cosine and the
         zero, which look alike over the range of an arm, would hide in each other also on a rig that has none.
-        `variance`: of the fitted numbers, in units of `within` squared.
+        The numbers follow along the slopes at the fit, so that what is learnt and what is fitted close in together.
+        Of an order with a number that the sightings do not determine nothing is learnt: few data would make it small.
         """
-        changed = False
-        for order in ORDERS:
-            mine = [
-                k for k, u in enumerate(self.unknowns)
-                if "harmonics_deg" in u.path and self._order(u.path) == order
-            ]  # fmt: skip
-            squares = float(np.sum(self.x[mine] ** 2 + variance[mine]))
-            least = (LEAST_HARMONIC_DEG / self.within[mine[0]]) ** 2
-            expected = min((squares + least) / (len(mine) + 1.0), 1.0)
-            changed |= abs(math.log(expected / self._expected[mine[0], mine[0]])) > 0.2
-            self._expected[mine, mine] = expected
+        rows = sum(map(len, self._pixels))
+        left, slopes = self.residuals(self.x)[:rows], self.jacobian(self.x)[:rows]
+        told, pull, x = slopes.T @ slopes, slopes.T @ (slopes @ self.x - left), self.x
+        orders = {
+            k: self._order(u.path) for k, u in enumerate(self.unknowns) if "harmonics_deg" in u.path
+        }  # fmt: skip
+        before = np.diag(self._expected).copy()
+        alone = np.diag(np.linalg.inv(told + np.linalg.inv(self._at_first)))
+        learnt = {o for o in orders.values() if all(alone[k] < KNOWN**2 for k, its in orders.items() if its == o)}
+        for _ in range(LEARNING_STEPS):
+            covariance = np.linalg.inv(told + np.linalg.inv(self._expected))
+            x, last = covariance @ pull, np.diag(self._expected).copy()
+            for order in learnt:
+                mine = [k for k, its in orders.items() if its == order]
+                squares = float(np.sum(x[mine] ** 2 + np.diag(covariance)[mine]))
+                least = (LEAST_HARMONIC_DEG / self.within[mine[0]]) ** 2
+                self._expected[mine, mine] = min((squares + least) / (len(mine) + 1.0), 1.0)
+            if np.abs(np.log(np.diag(self._expected) / last)).max() < 0.01:
+                break
         self._prior = _whitening(self._expected)
-        return changed
+        self.x = np.asarray(x, float)
+        return bool(np.abs(np.log(np.diag(self._expected) / before)).max() > LEARNT)
 
     def _order(self, path: str) -> int:
         _, arm, rest = path.split(".")
@@ -425,8 +438,7 @@ def solve(
         problem = Problem(description, kept, sought, given)
         x = problem.solved()
         for _ in range(HARMONIC_ROUNDS):
-            slopes = problem.jacobian(x)
-            if not problem.expect_harmonics(np.diag(np.linalg.inv(slopes.T @ slopes))):
+            if not problem.expect_harmonics():
                 break
             x = problem.solved()
         rig = problem.described(x)

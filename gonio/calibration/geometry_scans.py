@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from gonio.by_hand.bench import Bench
 
 FILE = "sightings.jsonl"
-MIRROR_POSES = 48
-STRAIGHT_POSES = 14
-MARKER_POSES = 60
-AGAINST_POSES = 12
+MIRROR_POSES = 96
+STRAIGHT_POSES = 40
+MARKER_POSES = 120
+AGAINST_POSES = 24
 FEWEST = 6
 STEEPEST_DEG = 72.0
 """Beyond it a mirror of the sample's size shows a sliver of the lamp, and markers run together."""
@@ -112,18 +112,18 @@ class GeometryScans(Scans):
         """The holder is empty: the lamp itself, with both arms face to face."""
         difference = self._begin_straight()
         self._meter(whole=True)
-        angles = [a for a in self._facing_light() if self._fits("camera", self._camera_at(a, difference), 1.0)]
+        lower, upper = self._limits("light")
+        everywhere = np.linspace(lower, upper, max(round(20 * (upper - lower)), 1))
+        angles = [float(a) for a in everywhere if self._fits("camera", self._camera_at(float(a), difference), 0.5)]
         if not angles:
             raise ConfigError(self.why_not_facing())
-        seen = 0
         for number in range(poses):
-            light = angles[number % len(angles)] + (0.3 * _spread(number) if number >= len(angles) else 0.0)
-            camera = self._camera_at(light, difference) + 0.5 * _spread(number)
-            if not (self._fits("light", light, 0.0) and self._fits("camera", camera, 0.0)):
-                continue
-            self._go(light=light, camera=camera)
-            seen += self._look("empty", marks=False) is not None
-        self._require("empty", seen + self._lost)
+            light = angles[round((number + 0.5) / poses * len(angles) - 0.5)]
+            if self._try_to_go({"light": light, "camera": self._camera_at(light, difference) + 0.5 * _spread(number)}):
+                self._lost += self._look("empty", marks=False) is None
+            else:
+                self._lost += 1
+        self._require("empty", poses)
 
     def marker_frames(self, poses: int = MARKER_POSES) -> None:
         """Markers alone, at poses all over the range of the camera, of tilt and spin."""
@@ -203,7 +203,7 @@ class GeometryScans(Scans):
             self._lost += attempt == 2
 
     def _turn(self, s: Sighting, off: Floats) -> dict[str, float]:
-        """How far camera and tilt would have to go for the spot to be in the middle [deg], on a rig as its file says."""  # noqa: E501
+        """How far camera and tilt have to go for the spot to be in the middle [deg], if the rig file were true."""
         rig, pose = self._description, Pose(**{n: math.radians(self._read(n)) for n in s.encoder_deg})
         names = [n for n in ("camera", "tilt") if n in s.encoder_deg]
         slopes = []

@@ -22,6 +22,7 @@ __all__ = ["app"]
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".dng")
 HOLDERS = ("mirror", "empty")
+QUICK = 0.25
 Given = tuple[list[str], "Floats", "Floats"]
 
 
@@ -29,19 +30,28 @@ Given = tuple[list[str], "Floats", "Floats"]
 def geometry(
     rig: Annotated[str, typer.Option(help="A rig's name, or a rig file.", show_default=False)],
     out: Annotated[Path | None, typer.Option(help="The calibration file.", show_default=False)] = None,
-    images: Annotated[Path | None, typer.Option(help="A folder of pictures of a ChArUco board.", show_default=False)] = None,  # noqa: E501
-    board: Annotated[Path | None, typer.Option(help="The board: a .toml, or OpenCV's .yml.", show_default=False)] = None,  # noqa: E501
+    images: Annotated[
+        Path | None, typer.Option(help="A folder of pictures of a ChArUco board.", show_default=False)
+    ] = None,
+    board: Annotated[
+        Path | None, typer.Option(help="The board: a .toml, or OpenCV's .yml.", show_default=False)
+    ] = None,
     holder: Annotated[
         str | None,
         typer.Option(help="What is put into the holder, by commas: mirror, empty. Without it both, where the arms can "
                           "face each other; with --images, none.", show_default=False),
     ] = None,
-    scans: Annotated[Path | None, typer.Option(help="Kept sightings: fit these again; moves nothing.", show_default=False)] = None,  # noqa: E501
+    scans: Annotated[
+        Path | None, typer.Option(help="Kept sightings: fit these again; moves nothing.", show_default=False)
+    ] = None,
     print_fiducials: Annotated[
-        Path | None, typer.Option(help="Write the sheet of the holder's markers (.svg, .png), and nothing else.", show_default=False)  # noqa: E501
+        Path | None,
+        typer.Option(help="Write the sheet of the holder's markers (.svg, .png), and nothing else.",
+                     show_default=False),
     ] = None,
     valid_days: Annotated[int, typer.Option(min=1, help="How long the calibration may be used.")] = 365,
     search: Annotated[float, typer.Option(min=1, max=30, help="How far to look for the lamp [deg].")] = 8.0,
+    quick: Annotated[bool, typer.Option("--quick", help="A quarter of the poses: known half as well.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of a simulated rig.")] = 0,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nobody: what has to lie in the holder does.")] = False,
 ) -> None:  # fmt: skip
@@ -78,7 +88,8 @@ def geometry(
         sightings = read_sightings(scans)
         _require_axes(sightings, choice.description, scans)
     elif holders or intrinsics is None:
-        sightings = _measured(choice, out, holders or None, search=search, seed=seed, yes=yes)
+        share = QUICK if quick else 1.0
+        sightings = _measured(choice, out, holders or None, search=search, share=share, seed=seed, yes=yes)
     _finish(out, choice.description, description, intrinsics, given, sightings, valid_days)
 
 
@@ -169,12 +180,13 @@ def _with_lens(description: RigDescription, found: Intrinsics) -> tuple[RigDescr
 
 
 def _measured(
-    choice: RigChoice, out: Path, holders: list[str] | None, *, search: float, seed: int, yes: bool
+    choice: RigChoice, out: Path, holders: list[str] | None, *, search: float, share: float, seed: int, yes: bool
 ) -> Sequence[Sighting]:
-    """Drive the rig, and keep what was seen beside OUT."""
+    """Drive the rig, and keep what was seen beside OUT; `share`: of the poses."""
     from dataclasses import replace
 
     from gonio.by_hand.bench import Bench
+    from gonio.calibration import geometry_scans as poses
     from gonio.calibration.geometry_scans import GeometryScans, Kept, reversed_approach
     from gonio.cli import console
     from gonio.cli.align import _dark, _put
@@ -199,14 +211,14 @@ def _measured(
     with _told_where(bench), bench:
         if "mirror" in wanted:
             _put(bench, "mirror", yes=yes)
-            scans.mirror_frames()
+            scans.mirror_frames(round(share * poses.MIRROR_POSES))
             if bench.description.holder.fiducials is not None:
-                scans.marker_frames()
+                scans.marker_frames(round(share * poses.MARKER_POSES))
         sums, across = scans.where
         if "empty" in wanted:
             _dark(bench)
             _put(bench, "empty", yes=yes)
-            scans.straight_frames()
+            scans.straight_frames(round(share * poses.STRAIGHT_POSES))
         _dark(bench)
     if "mirror" in wanted and any(a.backlash_deg for a in choice.description.axes().values()):
         straight = replace(choice, description=reversed_approach(choice.description))
@@ -215,7 +227,7 @@ def _measured(
             again.begin(Step(1, "dark"))
             _put(again, "mirror", yes=yes)
             backwards = GeometryScans(again, search_deg=search, say=console.note, keep=kept.keep)
-            backwards.against_frames(sums, across)
+            backwards.against_frames(sums, across, round(share * poses.AGAINST_POSES))
             _dark(again)
     console.note(f"{folder}: {len(kept.sightings)} sightings; lamp dark, arms parked; put the sample back")
     return kept.sightings
@@ -291,7 +303,8 @@ def _finish(
                      f"{len(intrinsics.images)} pictures, {intrinsics.rejected} left out")  # fmt: skip
     if fit is not None:
         console.show(
-            f"{len(sightings)} sightings determine {fit.rank} of {len(fit.unknowns)} directions; misfit {fit.misfit:.2f}"  # noqa: E501
+            f"{len(sightings)} sightings determine {fit.rank} of {len(fit.unknowns)} directions; "
+            f"misfit {fit.misfit:.2f}"
         )
     _show_open(notes)
     console.show(f"{out}: {len(paths)} numbers, valid until {calibration.valid_until}", str(picture))

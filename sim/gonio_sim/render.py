@@ -330,12 +330,13 @@ def _paint_fiducials(holder: Holder, marks: Fiducials, seen: PixelMap, brdf: Flo
     part = (np.arange(FINER) + 0.5) / FINER - 0.5
     slopes = [np.nan_to_num(np.gradient(each, axis=axis)[rows, cols]) for each in (x, y) for axis in (1, 0)]
     white, bare = np.zeros(len(rows)), np.zeros(len(rows))
+    x, y = x[rows, cols], y[rows, cols]
     for across in part:
         for down in part:
             here = fiducials.white(
                 marks,
-                x[rows, cols] + across * slopes[0] + down * slopes[1],
-                y[rows, cols] + across * slopes[2] + down * slopes[3],
+                x + across * slopes[0] + down * slopes[1],
+                y + across * slopes[2] + down * slopes[3],
             )
             white += here == 1
             bare += here == -1

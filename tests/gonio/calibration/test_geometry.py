@@ -44,7 +44,8 @@ def true() -> RigDescription:
         "zero_offset_deg": 3.2, "harmonics_deg": [[1, 0.2, -0.3]], "axis_tilt_deg": [0.3, -0.2], "elevation_deg": 0.2,
     }  # fmt: skip
     out["arms"]["camera"] |= {
-        "zero_offset_deg": -2.1, "harmonics_deg": [[2, -0.1, 0.15]], "axis_tilt_deg": [0.0, 0.25], "elevation_deg": -0.3,  # noqa: E501
+        "zero_offset_deg": -2.1, "harmonics_deg": [[2, -0.1, 0.15]], "axis_tilt_deg": [0.0, 0.25],
+        "elevation_deg": -0.3,
     }  # fmt: skip
     out["holder"] |= {"tilt_zero_offset_deg": 0.7, "spin_zero_offset_deg": -1.1, "surface_tilt_deg": [0.2, -0.1]}
     out["camera"] |= {"pointing_deg": [0.2, -0.1], "roll_deg": 0.4}
@@ -66,8 +67,8 @@ def sighted(true: RigDescription) -> Callable[..., list[Sighting]]:
                 for n, a in zip(("light", "camera", "tilt", "spin"), angles, strict=True)
             }
             corners = tuple(range(16)) if marks and seen else ()
-            s = Sighting(holder, counts, (), (0.0, 0.0) if lamp else None, NOISE_PX, corners, ((0.0, 0.0),) * len(corners),  # noqa: E501
-                         NOISE_PX)  # fmt: skip
+            nowhere = (0.0, 0.0) if lamp else None
+            s = Sighting(holder, counts, (), nowhere, NOISE_PX, corners, ((0.0, 0.0),) * len(corners), NOISE_PX)
             at = geometry.predicted(true, s, {n: float(rng.uniform(-0.5, 0.5)) * STEP_DEG for n in counts})
             spot, where = (each + rng.normal(0.0, NOISE_PX, each.shape) for each in at)
             out.append(Sighting(holder, counts, (), (float(spot[0, 0]), float(spot[0, 1])) if lamp else None, NOISE_PX,
