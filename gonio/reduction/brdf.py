@@ -149,7 +149,7 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
         untold=untold,
         coarse=coarse,
         merged=_merged(frames, band, points, visits),
-        inputs=Inputs(points, visits),
+        inputs=Inputs(points, visits, frames.prnu),
     )
 
 
@@ -323,6 +323,7 @@ def _columns(
     steep = (unresolved > independent - unresolved) & (known["u_slope"] > known["u_slope_theta_i"])
     columns = {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent), "geometry_causes": geometry} | common
     columns |= {name: np.sqrt(part) for name, part in parts.items()} | known
+    columns["geometry_slopes"] = np.sqrt(doubts)
     columns["coarse"] = steep.astype(float)
     return columns, goals[bounded], goals[steep]
 
@@ -413,8 +414,8 @@ def _effects_of_geometry(
     odd, even, doubt = np.zeros((3, len(points), errors.count))
     if not errors.count:
         return odd, np.zeros(len(points)), np.zeros(len(points))
-    if frames.description.reference.how == "beam":  # the lamp itself, seen whole, is as bright wherever it stands
-        light = np.ones((errors.count, 2))
+    if frames.description.reference.how == "beam":
+        light = errors.straight_through(visit.pose)
     else:
         light = errors.at(visit.pose, "reference").relative_light
     for k, point in enumerate(points):
