@@ -16,6 +16,7 @@ import numpy as np
 
 from gonio.acquisition.plan import ANGLES
 from gonio.geometry import Directions
+from gonio.reduction import white_reference
 from gonio.reduction.angle_sensitivity import NARROWEST, from_above
 from gonio.reduction.count_rates import Reduced
 from gonio.reduction.spike_overlap import over_patch, overlap
@@ -228,8 +229,8 @@ class _Inputs:
         if fitted.straight:
             return np.asarray(line)
         order = np.argsort(self._visit_times)
-        between = np.array([np.interp(self._times, self._visit_times[order], row[order]) for row in visits])
-        return np.asarray(between + rng.standard_normal((count, 1)) * 0.5 * (line - between))
+        between = white_reference.between(self._visit_times[order], visits[:, order], self._times)
+        return np.asarray(between + rng.standard_normal((count, 1)) * fitted.drift(self._times))
 
     def _gains(self, rng: np.random.Generator, count: int) -> Floats:
         """Mean responsivity of a point's pixels over that of the reference's, some of which are the same."""
