@@ -292,13 +292,12 @@ def _columns(
     }
     said, of_steps, even_steps, even_zeros, unresolved = np.zeros((5, len(points)))
     for axis, u in encoder.items():
-        odd, even = _effects(description, curves, points, axis, u)
+        odd, even, doubt = _effects(description, curves, points, axis, u)
         said, of_steps, even_steps = said + odd**2, of_steps + odd**2, even_steps + even**2
-        unresolved = unresolved + _doubts(description, curves, points, axis, u) ** 2
+        unresolved = unresolved + doubt**2
     for axis, u in zeros.items():
-        odd, even = _effects(description, curves, points, axis, u)
-        said, even_zeros = said + odd**2, even_zeros + even**2
-        unresolved = unresolved + _doubts(description, curves, points, axis, u) ** 2
+        odd, even, doubt = _effects(description, curves, points, axis, u)
+        said, even_zeros, unresolved = said + odd**2, even_zeros + even**2, unresolved + doubt**2
         common[CAUSES[axis]] = odd - brdf * _change_of_cosine(description, visit, axis, u)
     geometry, even_geometry, doubts = _effects_of_geometry(frames, curves, points, visit, brdf)
     said, unresolved = said + np.sum(geometry**2, axis=1), unresolved + doubts
@@ -393,14 +392,17 @@ def _moved(description: RigDescription, pose: Pose, axis: str, by: float) -> Dir
 
 def _effects(
     description: RigDescription, curves: angle_sensitivity.Curves, points: list[Reduced], axis: str, u: float
-) -> tuple[Floats, Floats]:
-    """Odd and even change [1/sr] of every value when an axis truly stands +-u [rad] from where it is read."""
-    out = np.zeros((2, len(points)))
+) -> tuple[Floats, Floats, Floats]:
+    """Odd and even change [1/sr] of every value when an axis truly stands +-u [rad] from where it is read.
+
+    And how uncertain [1/sr] the odd ones are, because steps are coarser than the lobe is wide.
+    """
+    out = np.zeros((3, len(points)))
     if u > 0:
         for k, point in enumerate(points):
             plus, minus = (_moved(description, point.pose, axis, by) for by in (u, -u))
-            out[:, k] = curves.effects(k, point.directions, plus, minus)
-    return out[0], out[1]
+            out[:, k] = *curves.effects(k, point.directions, plus, minus), curves.doubt(k, plus)
+    return out[0], out[1], out[2]
 
 
 def _effects_of_geometry(
@@ -425,13 +427,6 @@ def _effects_of_geometry(
             doubt[k, j] = curves.doubt(k, up)
         odd[k] += brdf[k] * 0.5 * (factor[:, 0] - factor[:, 1] - light[:, 0] + light[:, 1])
     return odd, np.sum(even**2, axis=1), np.sum(doubt**2, axis=1)
-
-
-def _doubts(
-    description: RigDescription, curves: angle_sensitivity.Curves, points: list[Reduced], axis: str, u: float
-) -> Floats:
-    """How uncertain [1/sr] the odd changes of `_effects` are, because steps are coarser than the lobe is wide."""
-    return np.array([curves.doubt(k, _moved(description, p.pose, axis, u)) for k, p in enumerate(points)])
 
 
 def _shares(
