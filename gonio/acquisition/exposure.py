@@ -314,7 +314,7 @@ class _Planned:
         if np.min(weights) == 0.0 or not self._rates.any():
             return math.inf
         of_mean = float(np.mean(1.0 / weights)) / self._count
-        return of_mean / float(self._rates.mean()) ** 2 + self._description.lamp.noise**2 / len(plan)
+        return of_mean / float(self._rates.mean()) ** 2 + self._description.lamp.frame_noise**2 / len(plan)
 
     def _weights(self, exposure_s: float) -> Floats:
         """1 / variance [s^2/e-^2] of a pixel of each class in one frame; 0 where it may saturate."""

@@ -306,7 +306,7 @@ def _check_frame(rig: RigChoice, steps: list[Step]) -> None:
     for step in steps:
         if step.kind == "reference" and reference.how == "beam":
             try:
-                imaging.straight_through(description)
+                imaging.straight_through(description, kinematics.view(description, step.pose))
             except ConfigError as error:
                 raise ConfigError(f"{rig.source}: {error}") from None
         elif step.kind == "reference":

@@ -149,7 +149,7 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
         untold=untold,
         coarse=coarse,
         merged=_merged(frames, band, points, visits),
-        inputs=Inputs(points, visits),
+        inputs=Inputs(points, visits, frames.prnu),
     )
 
 
@@ -304,6 +304,7 @@ def _columns(
     columns = {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent)}
     columns |= {"geometry_causes": of_angles.geometry} | common
     columns |= {name: np.sqrt(part) for name, part in parts.items()} | known
+    columns["geometry_slopes"] = np.sqrt(doubts)
     columns["coarse"] = steep.astype(float)
     return columns, goals[bounded], goals[steep]
 
@@ -335,13 +336,12 @@ def _errors_of_angles(
     description, columns = frames.description, {}
     odd_all, steps, even_steps, even_zeros, unresolved = np.zeros((5, len(points)))
     for axis, u in _encoder_steps(description).items():
-        odd, even = _effects(description, curves, points, axis, u)
+        odd, even, doubt = _effects(description, curves, points, axis, u)
         odd_all, steps, even_steps = odd_all + odd**2, steps + odd**2, even_steps + even**2
-        unresolved = unresolved + _doubts(description, curves, points, axis, u) ** 2
+        unresolved = unresolved + doubt**2
     for axis, u in zero_uncertainties(description).items():
-        odd, even = _effects(description, curves, points, axis, u)
-        odd_all, even_zeros = odd_all + odd**2, even_zeros + even**2
-        unresolved = unresolved + _doubts(description, curves, points, axis, u) ** 2
+        odd, even, doubt = _effects(description, curves, points, axis, u)
+        odd_all, even_zeros, unresolved = odd_all + odd**2, even_zeros + even**2, unresolved + doubt**2
         columns[CAUSES[axis]] = odd - brdf * _change_of_cosine(description, visit, axis, u)
     geometry, even_geometry, doubts = _effects_of_geometry(frames, curves, points, visit, brdf)
     odd_all, unresolved = odd_all + np.sum(geometry**2, axis=1), unresolved + doubts
@@ -428,14 +428,17 @@ def _moved(description: RigDescription, pose: Pose, axis: str, by: float) -> Dir
 
 def _effects(
     description: RigDescription, curves: angle_sensitivity.Curves, points: list[Reduced], axis: str, u: float
-) -> tuple[Floats, Floats]:
-    """Odd and even change [1/sr] of every value when an axis truly stands +-u [rad] from where it is read."""
-    out = np.zeros((2, len(points)))
+) -> tuple[Floats, Floats, Floats]:
+    """Odd and even change [1/sr] of every value when an axis truly stands +-u [rad] from where it is read.
+
+    And how uncertain [1/sr] the odd ones are, because steps are coarser than the lobe is wide.
+    """
+    out = np.zeros((3, len(points)))
     if u > 0:
         for k, point in enumerate(points):
             plus, minus = (_moved(description, point.pose, axis, by) for by in (u, -u))
-            out[:, k] = curves.effects(k, point.directions, plus, minus)
-    return out[0], out[1]
+            out[:, k] = *curves.effects(k, point.directions, plus, minus), curves.doubt(k, plus)
+    return out[0], out[1], out[2]
 
 
 def _effects_of_geometry(
@@ -449,8 +452,8 @@ def _effects_of_geometry(
     odd, even, doubt = np.zeros((3, len(points), errors.count))
     if not errors.count:
         return odd, np.zeros(len(points)), np.zeros(len(points))
-    if frames.description.reference.how == "beam":  # the lamp itself, seen whole, is as bright wherever it stands
-        light = np.ones((errors.count, 2))
+    if frames.description.reference.how == "beam":
+        light = errors.straight_through(visit.pose)
     else:
         light = errors.at(visit.pose, "reference").relative_light
     for k, point in enumerate(points):
@@ -460,13 +463,6 @@ def _effects_of_geometry(
             doubt[k, j] = curves.doubt(k, up)
         odd[k] += brdf[k] * 0.5 * (factor[:, 0] - factor[:, 1] - light[:, 0] + light[:, 1])
     return odd, np.sum(even**2, axis=1), np.sum(doubt**2, axis=1)
-
-
-def _doubts(
-    description: RigDescription, curves: angle_sensitivity.Curves, points: list[Reduced], axis: str, u: float
-) -> Floats:
-    """How uncertain [1/sr] the odd changes of `_effects` are, because steps are coarser than the lobe is wide."""
-    return np.array([curves.doubt(k, _moved(description, p.pose, axis, u)) for k, p in enumerate(points)])
 
 
 def _shares(

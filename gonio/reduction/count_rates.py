@@ -59,6 +59,8 @@ class Region:
     per_weight: Floats
     """What makes a used pixel's signal the region's: `gonio.rig.filling.per_weight`, over the pixels' responsivities
     where they are mapped."""
+    lit: Roi
+    """Those of its pixels that the beam falls on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +102,7 @@ class Reduced:
     left_out: int
     """Frames that are not used, because a pixel of the region is nearly full."""
     pixels: int
+    """How many the light falls on."""
     by_camera: Floats
     """Derivatives of the rate by `camera_parameters`."""
     shared: int
@@ -192,7 +195,7 @@ class RunFrames:
                 if region is not None:
                     boxes[region.target] = _around(region.roi, boxes.get(region.target))
                     if region.target == "reference":
-                        self.reference.setdefault(channel, region.roi)
+                        self.reference.setdefault(channel, region.lit)
                     else:
                         if seen[channel] % spacing == 0:
                             regions[channel].append(region.roi)
@@ -226,7 +229,11 @@ class RunFrames:
         view = kinematics.view(self.description, step.pose)
         if target == "reference" and self.description.reference.how == "beam":
             region = roi(self.description, view, target, channel)
-            return Region(region, target, 1.0 / straight_through_weight(self.description, region, channel))
+            per_weight = 1.0 / straight_through_weight(self.description, view, region, channel)
+            if self._maps is not None:  # none of the lamp's light may be left out, that on defects neither
+                known = np.where(self._maps.defects, 1.0, self._maps.responsivity)
+                per_weight = per_weight / region.of(known).astype(float)
+            return Region(region, target, per_weight, region)
         if kinematics.left_its_side(self.description, step.goal, step.pose):
             return None
         region = roi(self.description, view, target, channel)
@@ -239,7 +246,11 @@ class RunFrames:
         per_weight = filling.per_weight(self.description, view, seen, region, channel)
         if responsivity is not None:
             per_weight = per_weight / np.asarray(responsivity, dtype=float)
-        return Region(region, target, per_weight) if math.isfinite(per_weight.max()) else None
+        lit = region
+        if filling.filling(self.description) == "under":
+            spot = region.mask & (seen.lit > 0.5)
+            lit = replace(region, mask=spot if spot.any() else region.mask)
+        return Region(region, target, per_weight, lit) if math.isfinite(per_weight.max()) else None
 
     def _remaining_prnu(self, boxes: dict[Target, tuple[slice, slice]]) -> float:
         if self._maps is None:
@@ -374,10 +385,14 @@ class RunFrames:
         """What the light that a frame spreads adds to the used pixels [DN], and its derivatives by the fractions."""
         camera, place = self.description.camera, region.roi
         level, slope = self._dark_means[channel]
-        values = linear_dn(camera, frame.mosaic)
-        found = stray_light.spread(camera, values, level + slope * frame.exposure_s, channel)
+        values, dark = linear_dn(camera, frame.mosaic), level + slope * frame.exposure_s
         full = frame.black_level_dn + full_scale_dn(camera, frame)
         self.full = max(self.full, float(np.mean(values >= full)))
+        if camera.nonlinearity:
+            black = frame.black_level_dn
+            values = straightened(camera, values - black)
+            dark = float(straightened(camera, np.array(dark - black)))
+        found = stray_light.spread(camera, values, dark, channel)
         rows, cols = np.nonzero(place.mask)
         return found.at(rows + place.rows.start, cols + place.cols.start)
 
@@ -417,9 +432,9 @@ class RunFrames:
             chi_square=pooled.chi_square,
             frames=pooled.frames,
             left_out=len(taken) - pooled.frames,
-            pixels=region.roi.count,
+            pixels=region.lit.count,
             by_camera=pooled.by_camera,
-            shared=region.roi.shared(reference) if reference is not None else 0,
+            shared=region.lit.shared(reference) if reference is not None else 0,
             directions=kinematics.directions(self.description, step.pose),
             pose=step.pose,
             point=step.point,
@@ -462,8 +477,7 @@ def pool(description: RigDescription, region: Region, shots: list[Shot], dark_ex
 
     Weights come from the pooled rate, not from each frame's own: a frame that is dark by chance gets no larger weight.
     """
-    camera, lamp = description.camera, description.lamp
-    of_lamp = lamp.monitor_noise if lamp.monitor else lamp.noise
+    camera, of_lamp = description.camera, description.lamp.frame_noise
     exposure = np.array([shot.exposure_s for shot in shots])
     rates, times = np.array([shot.rate for shot in shots]), np.array([shot.time_s for shot in shots])
     count = region.per_weight.size

@@ -20,6 +20,7 @@ from gonio.geometry import Directions, angles
 from gonio.rig import Pose, Target, imaging, kinematics
 from gonio.rig.calibrated import covariance_of, known_parameters
 from gonio.rig.description import Axis, RigDescription
+from gonio.rig.filling import filling
 from gonio.typing import Floats
 
 ARMS = ("zero_offset_deg", "harmonics_deg", "axis_tilt_deg", "axis_offset_mm", "elevation_deg")
@@ -89,14 +90,20 @@ class Sights:
     changed: Floats
     """With the rig one standard deviation of each cause up and down, shape (causes, 2, 5)."""
 
+    under_filled: bool = False
+    """The flux of the whole beam is known: it does not depend on where the place is, and spreads as cos(theta_r)."""
+
     @property
     def relative_light(self) -> Floats:
-        """How the place is lit, by causes up and down, over how it is lit with the rig as it is known."""
-        return np.asarray(np.cos(self.changed[..., 0]) / np.cos(self.known[0]) * self.relative_distance_factor)
+        """The signal of a white there, by causes up and down, over that with the rig as it is known."""
+        which = 2 if self.under_filled else 0
+        return np.asarray(np.cos(self.changed[..., which]) / np.cos(self.known[which]) * self.relative_distance_factor)
 
     @property
     def relative_distance_factor(self) -> Floats:
         """The same of (d0 / d)^2 alone."""
+        if self.under_filled:
+            return np.ones(self.changed.shape[:2])
         return np.asarray(self.changed[..., 4] / self.known[4])
 
     def directions(self) -> list[tuple[Directions, Directions]]:
@@ -150,6 +157,18 @@ class GeometryErrors:
         shifts = {name: -math.radians(by.get(key, 0.0)) for name, key in zero_keys(self._description).items()}
         return rig, {name: shift for name, shift in shifts.items() if shift and axes[name].zero_offset_known}
 
+    def straight_through(self, pose: Pose) -> Floats:
+        """The signal of the lamp seen straight through, per unit BRDF, by causes up and down; shape (causes, 2).
+
+        Over that with the rig as it is known. The lamp is seen whole wherever it stands, and distances count alone.
+        """
+
+        def scale(rig: RigDescription) -> float:
+            return imaging.straight_through_scale(rig, kinematics.view(rig, pose))
+
+        known, changed = scale(self._description), [[scale(rig) for rig, _ in rigs] for rigs in self._rigs]
+        return np.array(changed).reshape(-1, 2) / known
+
     def at(self, pose: Pose, target: Target) -> Sights:
         """What is seen at a pose that was read; bands ask for the same."""
         key = (pose, target)
@@ -157,7 +176,8 @@ class GeometryErrors:
             place = imaging.place(self._description, kinematics.view(self._description, pose), target)
             known = _glance(self._description, {}, pose, place)
             changed = [[_glance(*moved, pose, place) for moved in rigs] for rigs in self._rigs]
-            self._seen[key] = Sights(known, np.array(changed).reshape(-1, 2, 5))
+            under = filling(self._description) == "under"
+            self._seen[key] = Sights(known, np.array(changed).reshape(-1, 2, 5), under)
         return self._seen[key]
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from gonio.rig import Pose, imaging, kinematics
 from gonio.rig.calibrated import covariance_of
 from gonio.rig.description import Band, Beam, Polarisation, RigDescription
+from gonio.rig.filling import filling
 from gonio.rig.protocols import Target
 from gonio.typing import Floats
 
@@ -48,6 +49,8 @@ def add(
         Which of the camera's pixels count.
     """
     covariance = covariance_of(description, BEAM)
+    if filling(description) == "under":  # the whole beam is seen, on the sample as on the reference
+        covariance = np.zeros_like(covariance)
     columns["beam"] = np.zeros(len(poses))
     if covariance.any():
         relative, rest = _beam(description, covariance, columns["brdf"], poses, visit, band)

@@ -112,7 +112,7 @@ def merge(description: RigDescription, stack: Stack) -> Merged | None:
     come from a pixel's neighbours, whose noise is independent of its own: given these, the estimate is linear in the
     data, and unbiased.
     """
-    camera, lamp = description.camera, description.lamp.noise
+    camera, lamp = description.camera, description.lamp.frame_noise
     t = stack.exposures_s[:, None]
     rates = stack.electrons / t
     bright = _levels_around(stack) >= _usable(camera)

@@ -16,12 +16,14 @@ import numpy as np
 
 from gonio.acquisition.plan import ANGLES
 from gonio.geometry import Directions
+from gonio.reduction import white_reference
 from gonio.reduction.angle_sensitivity import NARROWEST, from_above
 from gonio.reduction.count_rates import Reduced
 from gonio.reduction.spike_overlap import over_patch, overlap
 from gonio.reduction.table import COMMON, DARK, BandResult, angle_axes, zero_uncertainties
 from gonio.rig import Pose, kinematics
 from gonio.rig.description import RigDescription
+from gonio.rig.filling import filling
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -136,13 +138,17 @@ class _Inputs:
     def __init__(self, description: RigDescription, goals: Directions, band: BandResult, columns: Floats) -> None:
         self._points, self._visits, self._level = band.inputs.points, band.inputs.visits, band.level
         self._c, self._columns = band.columns, columns
-        self._camera, self._u_rel = description.camera, description.reference.u_rel
+        c = band.columns
+        self._u_rel = float(np.max(abs(c["s_reference"] / np.where(c["brdf"] != 0, c["brdf"], np.inf)), initial=0.0))
+        self._prnu = band.inputs.prnu
+        self._under = filling(description) == "under"
         self._cones = (
             math.radians(description.lamp.half_angle_deg),
             math.radians(description.camera.lens_half_angle_deg),
         )
         axes = angle_axes(description)
         self._steps = np.array([math.radians(axes[name].encoder_step_deg) for name in axes])
+        self._trembles = np.array([math.radians(axes[name].encoder_noise_deg) for name in axes])
         zeros = zero_uncertainties(description)
         self._zeros = np.array([zeros.get(name, 0.0) for name in axes])
         azimuths = [float(goal.phi_i) for goal in goals]
@@ -153,8 +159,13 @@ class _Inputs:
                 for p, a in zip(self._points, azimuths, strict=True)
             ]
         )
-        self._visit_theta = np.array([float(v.directions.theta_i) for v in self._visits])
-        self._visit_turns = np.array([[_turn_of_light(description, v, axis) for axis in axes] for v in self._visits])
+        # the lamp itself, seen whole, is as bright wherever it stands
+        beam = description.reference.how == "beam"
+        which = "theta_r" if self._under else "theta_i"
+        self._visit_theta = np.array([0.0 if beam else float(getattr(v.directions, which)) for v in self._visits])
+        self._visit_turns = np.array([
+            [0.0 if beam else _turn_of(which, description, v, axis) for axis in axes] for v in self._visits
+        ])  # fmt: skip
         self._rate = np.array([p.rate for p in self._points])
         self._sd = np.sqrt([p.variance for p in self._points])
         self._dark = np.array([p.dark.ravel() for p in self._points])
@@ -168,7 +179,8 @@ class _Inputs:
         self._small = max(6.0 * float(np.min(np.sqrt(self._c["noise"] ** 2 + self._c["prnu"] ** 2))), 1e-300)
         self._log = np.arcsinh(lobe / self._small)
         self._size = np.hypot(lobe, self._small)
-        reach = sum(self._cones) + 6.0 * float(np.sum(self._zeros + self._steps)) + math.radians(0.2)
+        errors = float(np.sum(self._zeros + self._steps + self._trembles))
+        reach = sum(self._cones) + 6.0 * errors + math.radians(0.2)
         self._near = (self._c["spike"] > 0) & (_from_mirror(self._place)[1] < reach)
         g, radius = description.geometry, description.acquisition.roi_radius_mm
         patches = [over_patch(p.directions, radius, g.light_distance_mm, g.camera_distance_mm) for p in self._points]
@@ -183,23 +195,30 @@ class _Inputs:
         rate = self._rate + self._sd * rng.standard_normal((count, points))
         rate = rate + rng.standard_normal((count, self._dark.shape[1])) @ self._dark.T
         value = rate / level * self._gains(rng, count) * (1.0 + self._u_rel * rng.standard_normal((count, 1)))
-        errors = zeros[:, None, :] + self._steps * rng.uniform(-0.5, 0.5, (count, points, axes))
+        errors = zeros[:, None, :] + self._readings(rng, (count, points, axes))
         moved = np.einsum("dpa,pax->dpx", errors, self._turns)
         value = value - self._changes(rng, moved)
         # what no input quantity stands for, by its standard uncertainty
         rest = [c["region"], c["visits"], np.where(c["spike"] > 0, 0.0, c["spike_blur"])]
+        rest += [c[name] for name in ("geometry", "geometry_slopes", "beam") if c[name].any()]
         value = value + sum(part * rng.standard_normal((count, points)) for part in rest)
         value = value + rng.standard_normal((count, self._columns.shape[1])) @ self._columns.T
         return np.asarray(value)
 
+    def _readings(self, rng: np.random.Generator, shape: tuple[int, int, int]) -> Floats:
+        """Errors of encoders: within a step, and their noise where there is any."""
+        out = self._steps * rng.uniform(-0.5, 0.5, shape)
+        return out + self._trembles * rng.standard_normal(shape) if self._trembles.any() else out
+
     def _levels(self, rng: np.random.Generator, count: int, zeros: Floats) -> Floats:
         """The signal per unit BRDF at the points' times, fitted anew to drawn visits; shape (count, points)."""
         fitted = self._level
-        errors = zeros[:, None, :] + self._steps * rng.uniform(-0.5, 0.5, (count, len(self._visits), zeros.shape[1]))
+        errors = zeros[:, None, :] + self._readings(rng, (count, len(self._visits), zeros.shape[1]))
         moved = np.einsum("dva,va->dv", errors, self._visit_turns)
         light = np.cos(self._visit_theta + moved) / np.cos(self._visit_theta)
         visits = fitted.at(self._visit_times) * (1.0 + self._visit_rel * rng.standard_normal(light.shape)) / light
-        landing = np.sum((np.tan(self._visit_theta)[:, None] * self._visit_turns * self._steps) ** 2, axis=1) / 12.0
+        of_reading = self._steps**2 / 12.0 + self._trembles**2
+        landing = np.sum((np.tan(self._visit_theta)[:, None] * self._visit_turns) ** 2 * of_reading, axis=1)
         weight = 1.0 / ((self._visit_rel**2 + landing) * fitted.at(self._visit_times) ** 2)
         mean = visits @ weight / weight.sum()
         if fitted.unknown:
@@ -210,12 +229,12 @@ class _Inputs:
         if fitted.straight:
             return np.asarray(line)
         order = np.argsort(self._visit_times)
-        between = np.array([np.interp(self._times, self._visit_times[order], row[order]) for row in visits])
-        return np.asarray(between + rng.standard_normal((count, 1)) * 0.5 * (line - between))
+        between = white_reference.between(self._visit_times[order], visits[:, order], self._times)
+        return np.asarray(between + rng.standard_normal((count, 1)) * fitted.drift(self._times))
 
     def _gains(self, rng: np.random.Generator, count: int) -> Floats:
         """Mean responsivity of a point's pixels over that of the reference's, some of which are the same."""
-        prnu, n, shared = self._camera.prnu, self._pixels, self._shared
+        prnu, n, shared = self._prnu, self._pixels, self._shared
         m = max(int(shared.max(initial=0)), max((v.pixels for v in self._visits), default=1))
         reference = rng.standard_normal((count, 1)) / math.sqrt(m)
         own = np.sqrt(np.maximum(1.0 / n - shared**2 / (n**2 * m), 0.0)) * rng.standard_normal((count, n.size))
@@ -249,8 +268,12 @@ class _Inputs:
             spots = np.linalg.norm(centre[..., None, :] + self._patch[near], axis=-1)
             seen = overlap(2.0 * np.arcsin(np.minimum(0.5 * spots, 1.0)), *self._cones)
             after[:, near] += amplitude * seen.mean(axis=-1)
-        theta_i = self._place[:, 2]
-        return np.asarray(after * np.cos(theta_i + di) / np.cos(theta_i) - before)
+        if self._under:
+            theta = np.hypot(self._place[:, 0], self._place[:, 1])
+            turned = np.hypot(self._place[:, 0] + dx, self._place[:, 1] + dy)
+        else:
+            theta, turned = self._place[:, 2], self._place[:, 2] + di
+        return np.asarray(after * np.cos(turned) / np.cos(theta) - before)
 
 
 def _curves(goals: Directions, place: Floats, log: Floats) -> list[Callable[[Floats], Floats] | None]:
@@ -305,9 +328,11 @@ def _turn(description: RigDescription, pose: Pose, azimuth: float, axis: str) ->
     return np.asarray((there - back) / (2.0 * STEP))
 
 
-def _turn_of_light(description: RigDescription, visit: Reduced, axis: str) -> float:
-    """How the angle of incidence on the reference follows an axis."""
-    here = float(visit.directions.theta_i)
-    there, back = (float(_seen(description, _by(visit.pose, axis, sign * STEP)).theta_i) for sign in (1.0, -1.0))
+def _turn_of(which: str, description: RigDescription, visit: Reduced, axis: str) -> float:
+    """How the angle that the signal of the reference has the cosine of follows an axis."""
+    here = float(getattr(visit.directions, which))
+    there, back = (
+        float(getattr(_seen(description, _by(visit.pose, axis, sign * STEP)), which)) for sign in (1.0, -1.0)
+    )
     # at the normal both lead away from it, and the light does not change to first order
     return 0.0 if here < 2.0 * STEP else (there - back) / (2.0 * STEP)

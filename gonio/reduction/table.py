@@ -53,6 +53,8 @@ class Inputs:
     """Those that have a value, in the order of `BandResult.points`."""
     visits: list[Reduced]
     """To the white reference."""
+    prnu: float
+    """Relative standard deviation of the pixels' responsivities, after maps where there are any."""
 
 
 @dataclass(frozen=True, slots=True)

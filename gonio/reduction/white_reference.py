@@ -14,6 +14,8 @@ REJECTED = 0.01
 """A straight line whose chi-square is rarer than this does not describe the visits."""
 SAME_TIME_S = 1e-3
 """Visits closer than this count as one time: no drift is told from them."""
+SMOOTH = 4
+"""So many visits tell how the level bends between them."""
 EXTRAPOLATED = 0.1
 """Largest relative change of the level that a line may make farther outside of the visits than these are apart. Beyond
 it a rate over the level is not linear in the level's error any more, and the level may turn negative."""
@@ -25,8 +27,10 @@ class Level:
 
     Where the visits lie on a straight line within their noise, K(t) = level + slope (t - centre), whose two
     parameters are uncorrelated; `departure` and `extra` are zero. Otherwise K is interpolated linearly between the
-    visits, and constant beyond the first and the last. `departure` is then half of the difference between that and the
-    line, `extra` what the noise of the nearest visits, and jumps between them, add to the noise of the mean level.
+    visits, and constant beyond the first and the last; `SMOOTH` visits and more by monotone cubics (Fritsch and
+    Carlson). `departure` is then what the cubics differ by from linear interpolation, and half of what a visit differs
+    by from the cubics through the others; with up to `SMOOTH` visits half of the difference from the line. `extra` is
+    what the noise of the nearest visits, and jumps between them, add to the noise of the mean level.
     Where the visits do not tell the lamp's drift, K is their mean, `slope` and `u_slope` are zero, and `unknown` says
     why; `extra` is then what they scatter beyond their noise.
     """
@@ -48,7 +52,7 @@ class Level:
 
     def at(self, time_s: Floats) -> Floats:
         """K at given times."""
-        return self._line(time_s) if self.straight else np.interp(time_s, self.times_s, self.values)
+        return self._line(time_s) if self.straight else between(self.times_s, self.values, time_s)
 
     def noise(self, time_s: Floats) -> Floats:
         """Change of K for one standard deviation of the mean level."""
@@ -58,7 +62,16 @@ class Level:
         """Change of K for one standard deviation of the drift."""
         if self.straight:
             return self.u_slope * (time_s - self.centre_s)
-        return 0.5 * (self._line(time_s) - self.at(time_s))
+        if len(self.times_s) <= SMOOTH:  # a visit cannot be held against the others
+            return 0.5 * (self._line(time_s) - self.at(time_s))
+        bend = np.interp(time_s, self.times_s, self.values) - self.at(time_s)
+        inner = range(1, len(self.times_s) - 1)
+        others = [
+            float(between(np.delete(self.times_s, k), np.delete(self.values, k), self.times_s[k : k + 1])[0])
+            for k in inner
+        ]
+        off = np.interp(time_s, self.times_s[1:-1], others - self.values[1:-1])
+        return np.asarray(bend + 0.5 * off)
 
     def extra(self, time_s: Floats) -> Floats:
         """Standard deviation of K from single visits, beyond that of the mean level; and from jumps between two."""
@@ -85,6 +98,18 @@ class Level:
 
     def _line(self, time_s: Floats) -> Floats:
         return self.level + self.slope * (time_s - self.centre_s)
+
+
+def between(times_s: Floats, values: Floats, wanted_s: Floats) -> Floats:
+    """K interpolated between visits, constant beyond them; by monotone cubics where there are `SMOOTH` visits.
+
+    `values` has the shape (..., n), for n ascending times.
+    """
+    from scipy.interpolate import PchipInterpolator, interp1d
+
+    within = np.clip(wanted_s, times_s[0], times_s[-1]) - times_s[0]
+    how = PchipInterpolator if len(times_s) >= SMOOTH else interp1d
+    return np.asarray(how(times_s - times_s[0], values, axis=-1)(within))
 
 
 def fit(times_s: Floats, values: Floats, variances: Floats, wanted_s: Floats | None = None) -> Level:

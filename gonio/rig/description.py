@@ -287,6 +287,11 @@ class Lamp(Strict):
     """Profile of the beam over the sample; None: even."""
     polarisation: Polarisation = Polarisation()
 
+    @property
+    def frame_noise(self) -> float:
+        """Relative standard deviation from frame to frame of what the reduction takes for the lamp's light."""
+        return self.monitor_noise if self.monitor else self.noise
+
 
 class Camera(Strict):
     """The camera in the terms of EMVA 1288, and its lens."""

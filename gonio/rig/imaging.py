@@ -415,7 +415,7 @@ def roi(description: RigDescription, view: View, target: Target = "sample", chan
         The camera is in the plane, or does not see the target's centre.
     """
     if target == "reference" and description.reference.how == "beam":
-        return straight_through(description, channel)
+        return straight_through(description, view, channel)
     camera, centre = description.camera, _centre(description, target)
     if view.camera_mm[2] == 0:
         raise ConfigError("the camera is in the sample's plane: it sees no region of interest")
@@ -455,8 +455,10 @@ def straight_radius_mm(description: RigDescription) -> float:
     return float(np.radians(half_angle)) / (1.0 / g.light_distance_mm + 1.0 / g.camera_distance_mm)
 
 
-def straight_through(description: RigDescription, channel: Channel = "mono") -> Roi:
+def straight_through(description: RigDescription, view: View, channel: Channel = "mono") -> Roi:
     """The pixels that hold the whole lamp, seen straight through an empty holder, and a margin around it.
+
+    The lamp's middle is where a view has it: arms that are not quite in one plane show it beside the frame's.
 
     Raises
     ------
@@ -469,6 +471,14 @@ def straight_through(description: RigDescription, channel: Channel = "mono") -> 
             'reference.how = "beam" needs lamp.half_angle_deg or camera.lens_half_angle_deg: nothing says how much of '
             "the frame the lamp fills"
         )
+    g, beam = description.geometry, description.lamp.beam_diameter_mm
+    lens = g.camera_distance_mm * float(np.tan(np.radians(camera.lens_half_angle_deg)))
+    needed = 2.0 * lens * g.light_distance_mm / (g.light_distance_mm + g.camera_distance_mm)
+    if beam is not None and beam < needed:
+        raise ConfigError(
+            f'reference.how = "beam": a beam of lamp.beam_diameter_mm = {beam:g} mm at the sample does not fill the '
+            f"lens behind it, which takes {needed:.3g} mm: take a wider beam, or a white reference"
+        )
     pitch = pixel_on_focus_mm(description)
     half = 0.5 * pitch * min(camera.width, camera.height)
     if radius > half:
@@ -477,27 +487,39 @@ def straight_through(description: RigDescription, channel: Channel = "mono") -> 
             f"plane in focus (a margin of {100 * (AROUND - 1):.0f} % included), and the frame holds {half:.1f} mm: "
             "take a smaller lens aperture, a shorter focal length, or a smaller lamp"
         )
+    column, row = (float(place) for place in project(description, view, view.source_mm))
+    edge = pitch * min(column + 0.5, row + 0.5, camera.width - 0.5 - column, camera.height - 0.5 - row)
+    if not edge >= radius / AROUND:
+        raise ConfigError(
+            f'reference.how = "beam": the lamp, seen straight through, has its middle on column {column:.0f}, row '
+            f"{row:.0f}, and the {camera.width} x {camera.height} frame does not hold it whole: align the arms"
+        )
     rows, cols = slice(0, camera.height), slice(0, camera.width)
-    v = (np.arange(camera.height) - 0.5 * (camera.height - 1)) * pitch
-    u = (np.arange(camera.width) - 0.5 * (camera.width - 1)) * pitch
+    v, u = (np.arange(camera.height) - row) * pitch, (np.arange(camera.width) - column) * pitch
     inside = v[:, None] ** 2 + u[None, :] ** 2 <= radius**2
     return Roi(rows, cols, inside & of_channel(camera.pattern, channel, rows, cols))
 
 
-def straight_through_weight(description: RigDescription, region: Roi, channel: Channel = "mono") -> Floats:
+def straight_through_weight(description: RigDescription, view: View, region: Roi, channel: Channel = "mono") -> Floats:
     """By what the rate of each pixel of `straight_through` is divided, so that their mean is that of a unit BRDF.
 
-    The sum of the rates over the lens's falloff, times the area of a pixel in the plane in focus and (1/d_i + 1/d_r)^2,
-    is what the sample would give per unit BRDF at normal incidence [e- sr/s]: neither the lamp's solid angle nor the
-    lens's is in it. Derived in docs/radiometry.md, "The lamp as the reference".
+    The sum of the rates over the lens's falloff, times `straight_through_scale`, is what the sample would give per unit
+    BRDF at normal incidence [e- sr/s]: neither the lamp's solid angle nor the lens's is in it. Derived in
+    docs/radiometry.md, "The lamp as the reference".
     """
-    g, camera = description.geometry, description.camera
-    area = pixel_on_focus_mm(description) ** 2 * (1.0 / g.light_distance_mm + 1.0 / g.camera_distance_mm) ** 2
+    camera, area = description.camera, straight_through_scale(description, view)
     falloff = _falloff(camera, image_distance_mm(description), 0, camera.height, 0, camera.width)[region.mask]
     # pixels of one colour of a mosaic stand for all
-    every = region.count if channel == "mono" else straight_through(description).count
+    pattern = camera.pattern
+    every = region.count * (1.0 if channel == "mono" or pattern == "mono" else len(pattern) / pattern.count(channel))
     out: Floats = falloff * (description.reference.attenuation or 1.0) / (area * every)
     return out
+
+
+def straight_through_scale(description: RigDescription, view: View) -> float:
+    """Area of a pixel in the plane in focus, times (D / (d_i d_r))^2, D being the way from lamp to lens [sr]."""
+    g, apart = description.geometry, float(np.linalg.norm(np.asarray(view.source_mm) - np.asarray(view.camera_mm)))
+    return pixel_on_focus_mm(description) ** 2 * (apart / (g.light_distance_mm * g.camera_distance_mm)) ** 2
 
 
 def pixel_on_focus_mm(description: RigDescription) -> float:

@@ -195,3 +195,20 @@ def test_visits_that_cannot_be_used_are_counted_by_their_flags() -> None:
     lost, alone = white_reference.notes(fitted, 1, ["moved", "saturated", "moved"], "550 nm")
     assert lost == "550 nm: 3 of 4 visits to the white reference cannot be used (2 moved, 1 saturated)"
     assert alone.startswith("550 nm: one visit to the white reference only")
+
+
+@pytest.mark.parametrize(("loss", "most"), [(0.03, 1e-3), (0.01, 7e-4)])
+def test_a_lamp_that_warms_up_is_followed_between_the_visits(loss: float, most: float) -> None:
+    """By 3 % with a time constant of 400 s, visits every 300 s that know the level to 0.05 %."""
+    times, noise = np.linspace(0.0, 3000.0, 11), 5e-4
+    at = np.linspace(0.0, 3000.0, 61)
+    pulls, u = [], []
+    for seed in range(100):
+        values = (1.0 - loss * np.exp(-times / 400.0)) * (1 + noise * np.random.default_rng(seed).standard_normal(11))
+        fitted = white_reference.fit(times, values, (noise * values) ** 2)
+        assert not fitted.straight
+        u.append(np.sqrt(fitted.noise(at) ** 2 + fitted.drift(at) ** 2 + fitted.extra(at) ** 2))
+        pulls.append((fitted.at(at) - 1.0 + loss * np.exp(-at / 400.0)) / u[-1])
+    # never too small, and a quarter of the 0.22 % that half of the departure from a line comes to
+    assert 0.6 < np.std(pulls) < 1.1
+    assert np.median(u) < most
