@@ -85,3 +85,20 @@ def test_a_calibration_names_a_parameter_that_it_has(tmp_path: Path) -> None:
     wrong = ParameterUncertainty(parameters=["lamp.noise"], u=[0.01], correlation=[[1.0]])
     with pytest.raises(ValueError, match=r'there is no number "lamp.noise" in \[values\]'):
         _calibration(tmp_path, uncertainty=wrong)
+
+
+@pytest.mark.parametrize(
+    ("values", "why"),
+    [
+        ({"camera": {"width": 320}}, "make another rig of it"),
+        ({"arms": {"light": {"encoder_step_deg": 0.1}}}, "make another rig of it"),
+        ({"rig": "lab"}, "values.rig: a calibration gives values for"),
+        ({"calibration": {"files": ["other.toml"]}}, "values.calibration: a calibration gives"),
+        ({"truth": "truth.toml"}, "values.truth: a calibration gives"),
+    ],
+)
+def test_a_calibration_makes_no_other_rig_of_it(tmp_path: Path, values: dict[str, Any], why: str) -> None:
+    none = ParameterUncertainty(parameters=[], u=[], correlation=[])
+    write_calibration(_calibration(tmp_path, values=values, uncertainty=none), tmp_path / "geometry.toml")
+    with pytest.raises(ConfigError, match=why):
+        find_rig(str(_rig(tmp_path, 'calibration.files = ["geometry.toml"]\n')))
