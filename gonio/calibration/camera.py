@@ -39,6 +39,8 @@ PAIR = 5.0
 BIASED_PAIR = 0.005
 MAP_LEVELS = 0.2, 0.8
 """Of the brightest flats: flats of which the map of responsivities is made."""
+NOT_BLACK = 0.25
+"""Share of the mean that a lens may spread: from here on it is no lens, but something bright where black should be."""
 
 Say = Callable[[str], None]
 
@@ -522,6 +524,12 @@ class _Work:
             self.notes.append("no frames of a trap or an edge: stray light is not determined")
             return None
         found = stray_light.fit(black, camera, self.channel)
+        if found.uniform + found.halo > NOT_BLACK:
+            raise DataError(
+                f"{(self.of['trap'] + self.of['edge'])[0].path.parent}: what shall be black in the frames of trap and "
+                f"edge is at {100 * (found.uniform + found.halo):.3g} % of the frames' mean, and no lens spreads more "
+                f"than {100 * NOT_BLACK:g} %: did a black trap lie in the holder, and is it at black_px?"
+            )
         if found.uniform < -3.0 * math.sqrt(found.covariance[0, 0]):
             self.notes.append(
                 f"stray_light comes out as {found.uniform:.2g}, and is taken for 0: are the dark frames of this day?"

@@ -106,7 +106,12 @@ def read_list(folder: str | Path) -> list[CameraFrame]:
 
 
 def _listed(path: Path) -> list[CameraFrame]:
-    rows = list(csv.DictReader(io.StringIO(read_file(path).decode("utf-8-sig"))))
+    try:
+        rows = list(csv.DictReader(io.StringIO(read_file(path).decode("utf-8-sig"))))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{path}: is no table of text with commas: {error}") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from None
     out = []
     for number, row in enumerate(rows, 2):
         where = f"{path}, line {number}"

@@ -33,6 +33,8 @@ NEEDED = 16.0
 TIME_CONSTANTS = 3.0
 """A series must last so many time constants of the warm-up: a shorter one cannot tell it from a drift."""
 STRETCHES = 24
+STEEPEST = 0.1
+"""Gain an hour from which a rise without a bend is taken for the beginning of a warm-up: lamps that are warm lose."""
 REJECTED = 1e-3
 """A series whose stretches depart from the model more rarely than this by chance is refused."""
 CLIP = 4.0
@@ -84,6 +86,12 @@ class Stability:
 
     def require_model(self) -> None:
         """Raise `DataError` where the lamp does not follow the model; the message says where it departs."""
+        per_hour = 3600.0 * self.drift_per_s
+        if not self.loss and per_hour > STEEPEST + 3.0 * 3600.0 * math.sqrt(self.covariance[3, 3]):
+            raise DataError(
+                f"the lamp gains {100 * per_hour:.2g} % an hour over a series of {self.duration_s:.0f} s: that is the "
+                "beginning of a warm-up, and no drift; measure for longer"
+            )
         if self.probability >= REJECTED:
             return
         time_s, departure, deviations = self.worst

@@ -156,7 +156,11 @@ def _put(bench: Bench, what: str, *, yes: bool) -> None:
     from gonio.errors import DeviceError
 
     bench.lamp(False)
+    if bench.description.reference.how == "axis":  # the rig itself turns the white reference into the beam
+        bench.present("reference" if what in ("reference", "edge") else "sample")
     if hasattr(bench, "put") and bench.put(what):
+        return
+    if what == "reference" and bench.description.reference.how == "axis":
         return
     if yes:
         console.note(f"{PROMPTS[what]} (--yes: taken as done)")

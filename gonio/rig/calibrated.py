@@ -44,6 +44,10 @@ FIXED = {
 """Keys that tell one rig from another, beside its name, driver, axes and encoders: no calibration changes them."""
 
 
+TABLES = ("geometry", "arms", "holder", "lamp", "camera", "reference", "bands")
+"""Of the rig file: what a calibration may have measured."""
+
+
 class Calibration(Strict):
     """A calibration file."""
 
@@ -143,8 +147,14 @@ def with_calibrations(
         if why and use.when_unfit == "refuse":
             raise ConfigError(f'{path}: {why}; calibrate again, or set calibration.when_unfit = "warn" in the rig file')
         remarks += [f"{path.name} {why}"] * bool(why)
+        _require_calibrated(calibration.values, path)
         before = _numbers(out) if known else {}
         out = with_keys(out, _beside(calibration.values, path), path)
+        if identity(out) != identity(description):
+            raise ConfigError(
+                f"{path}: [values] make another rig of it: no calibration changes axes, encoder_step_deg, the camera's "
+                f"{', '.join(FIXED['camera'])}, or reference.how"
+            )
         known = [_still_of(earlier, before, _numbers(out)) for earlier in known]
         replaced = _laid_over(replaced, _where(calibration.values, as_filed))
         known.append(
@@ -159,6 +169,12 @@ def with_calibrations(
         )
     use = use.model_copy(update={"known": tuple(known), "replaced": replaced, "remarks": tuple(remarks)})
     return out.model_copy(update={"calibration": use})
+
+
+def _require_calibrated(values: dict[str, Any], path: Path) -> None:
+    wrong = [name for name in values if name not in TABLES]
+    if wrong:
+        raise ConfigError(f"{path}: values.{wrong[0]}: a calibration gives values for {', '.join(TABLES)} alone")
 
 
 def _beside(values: dict[str, Any], path: Path) -> dict[str, Any]:

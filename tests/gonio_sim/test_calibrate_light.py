@@ -15,6 +15,7 @@ from gonio.acquisition.measure import find_rig
 from gonio.by_hand.bench import Bench
 from gonio.calibration import lamp_bench
 from gonio.config import numbers_in, to_toml
+from gonio.disk import write_whole
 from gonio.errors import DeviceError
 from gonio.rig import Frame
 from gonio.rig.calibrated import Calibration, identity, read_calibration, write_calibration
@@ -180,3 +181,21 @@ def test_a_calibration_that_is_out_of_date_does_not_keep_its_successor_from_bein
     only = ["--only", "flats"] if kind == "camera" else ["--only", "beam"]
     done = gonio(tmp_path, "calibrate", kind, "--rig", "rig.toml", "--out", "new.toml", *only)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_beginning_of_a_warm_up_does_not_pass_for_a_drift(tmp_path: Path) -> None:
+    write(tmp_path)
+    t = np.repeat(np.arange(0.0, 245.0, 15.0), 4) + np.tile([0.0, 0.1, 0.2, 0.3], 17)
+    level = 1.0 - 0.06 * np.exp(-t / 400.0)  # four minutes of a lamp that needs half an hour
+    signal = 500.0 * level * (1.0 + 0.003 * np.random.default_rng(0).standard_normal(t.size))
+    table = pd.DataFrame({"time_s": t, "signal_dn_per_s": signal, "u_shot_dn_per_s": 0.1, "exposure_s": 0.01})
+    table.to_csv(tmp_path / "short.csv", index=False)
+    said = gonio(tmp_path, "calibrate", "light", "--rig", "rig.toml", "--out", "light.toml", "--series", "short.csv")
+    assert (said.returncode, (tmp_path / "light.toml").exists()) == (1, False)
+    assert "measure for longer" in said.stderr
+
+
+def test_a_file_that_cannot_be_written_is_named_as_its_user_knows_it(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match=r"light\.toml") as caught:
+        write_whole(tmp_path / "nowhere" / "light.toml", b"")
+    assert ".new" not in str(caught.value)

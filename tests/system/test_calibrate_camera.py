@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ import numpy.typing as npt
 import pytest
 from gonio_sim.rig import SIM, SIM_IDEAL
 
+from gonio.cli import calibrate_camera
 from gonio.config import read_toml
 from gonio.measurement import read
 from gonio.rig.dng import read_raw, write_dng
@@ -285,3 +287,39 @@ def test_response_of_a_video_camera_goes_through_a_run(here: Command, tmp_path: 
     assert away[1] < 0.02  # steps of 8 bits, and the reference's own error of 0.2 %
     assert any("taken for linear" in note for note in bent.attrs["notes"])
     assert not any("taken for linear" in note for note in straight.attrs["notes"])
+
+
+def test_a_trap_that_is_none_is_refused(bench: Path, tmp_path: Path) -> None:
+    shutil.copytree(bench / "camera-frames", tmp_path / "frames")
+    rows = list(csv.DictReader((tmp_path / "frames" / "frames.csv").read_text().splitlines()))
+    flat = next(row for row in rows if row["kind"] == "flat" and float(row["exposure_s"]) > 0.05)
+    for row in rows:
+        if row["kind"] == "trap":  # somebody left the white in the holder
+            shutil.copy(tmp_path / "frames" / flat["file"], tmp_path / "frames" / row["file"])
+            row["exposure_s"] = flat["exposure_s"]
+    with (tmp_path / "frames" / "frames.csv").open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, rows[0])
+        writer.writeheader()
+        writer.writerows(row for row in rows if row["kind"] != "edge")
+    done = gonio(tmp_path, "calibrate", "camera", "--rig", str(bench / "rig.toml"), "--frames", "frames")
+    assert (done.returncode, (tmp_path / "camera.toml").exists()) == (1, False)
+    assert "did a black trap lie in the holder" in done.stderr
+
+
+def test_a_rig_that_turns_its_reference_into_the_beam_does_so() -> None:
+    """Nobody is asked to put it into the holder, where it would not be what the flats show."""
+    bench = MagicMock(spec=["description", "lamp", "present"])
+    bench.description.reference.how = "axis"
+    calibrate_camera._put(bench, "reference", yes=False)
+    for what in ("trap", "edge"):
+        calibrate_camera._put(bench, what, yes=True)
+    assert [call.args for call in bench.present.call_args_list] == [("reference",), ("sample",), ("reference",)]
+
+
+def test_a_list_of_frames_that_is_no_text_is_named(tmp_path: Path) -> None:
+    (tmp_path / "frames").mkdir()
+    (tmp_path / "rig.toml").write_text(small(SIM.toml))
+    (tmp_path / "frames" / "frames.csv").write_bytes(b"\xff\xfe\x00")
+    done = gonio(tmp_path, "calibrate", "camera", "--rig", "rig.toml", "--frames", "frames")
+    assert done.returncode == 2
+    assert "frames.csv: is no table of text" in done.stderr

@@ -40,6 +40,8 @@ COUNTS = 4096
 START_DEG = {"light": -40.0, "camera": 40.0}
 """Where the arms hang when the power comes."""
 TARGET_FILE = "target"
+IN_HOLDER: tuple[InHolder, ...] = ("mirror", "empty", "trap", "edge")
+"""What a person may put there besides sample and white reference."""
 ROOM = 0.05
 """Light in the room, against a white sample under the lamp."""
 
@@ -367,10 +369,9 @@ class Twins:
         changer, said = self._devices.servos.changer, ""
         with contextlib.suppress(OSError):
             said = (self._folder / TARGET_FILE).read_text().strip()
-        if said == "mirror":
-            return "mirror"
-        if said == "empty":
-            return "empty"
+        for put in IN_HOLDER:
+            if said == put:
+                return put
         if changer is None:
             return "reference" if said == "reference" else "sample"
         per_turn = changer.direction * changer.gear_ratio

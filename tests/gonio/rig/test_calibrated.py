@@ -111,3 +111,20 @@ def test_a_later_value_without_uncertainty_is_not_as_uncertain_as_the_one_it_rep
     expected = np.diag([0.0, 0.02**2, 0.003**2])
     expected[1, 2] = expected[2, 1] = 0.3 * 0.02 * 0.003
     np.testing.assert_allclose(covariance_of(found, names), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("values", "why"),
+    [
+        ({"camera": {"width": 320}}, "make another rig of it"),
+        ({"arms": {"light": {"encoder_step_deg": 0.1}}}, "make another rig of it"),
+        ({"rig": "lab"}, "values.rig: a calibration gives values for"),
+        ({"calibration": {"files": ["other.toml"]}}, "values.calibration: a calibration gives"),
+        ({"truth": "truth.toml"}, "values.truth: a calibration gives"),
+    ],
+)
+def test_a_calibration_makes_no_other_rig_of_it(tmp_path: Path, values: dict[str, Any], why: str) -> None:
+    none = ParameterUncertainty(parameters=[], u=[], correlation=[])
+    write_calibration(_calibration(tmp_path, values=values, uncertainty=none), tmp_path / "geometry.toml")
+    with pytest.raises(ConfigError, match=why):
+        find_rig(str(_rig(tmp_path, 'calibration.files = ["geometry.toml"]\n')))
