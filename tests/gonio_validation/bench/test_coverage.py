@@ -11,7 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gonio_validation.bench import coverage, coverage_campaign, coverage_hidden, coverage_judgement
+from gonio_validation.bench import (
+    coverage,
+    coverage_campaign,
+    coverage_hidden,
+    coverage_judgement,
+    coverage_page,
+)
 from gonio_validation.commands import bench as app
 from scipy.special import ndtri
 from typer.testing import CliRunner
@@ -160,6 +166,7 @@ def faked(monkeypatch: pytest.MonkeyPatch, *, stop_at: int | None = None) -> lis
         return record(campaign.number)
 
     monkeypatch.setattr(coverage_campaign, "carried_out", carried_out)
+    monkeypatch.setattr(coverage_page, "drawn", lambda summary: [])  # whole campaigns are drawn above
     return done
 
 
