@@ -11,13 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gonio_validation.bench import (
-    coverage,
-    coverage_campaign,
-    coverage_hidden,
-    coverage_judgement,
-    coverage_page,
-)
+from gonio_validation.bench import coverage, coverage_campaign, coverage_hidden, coverage_judgement
 from gonio_validation.commands import bench as app
 from scipy.special import ndtri
 from typer.testing import CliRunner
@@ -166,7 +160,7 @@ def faked(monkeypatch: pytest.MonkeyPatch, *, stop_at: int | None = None) -> lis
         return record(campaign.number)
 
     monkeypatch.setattr(coverage_campaign, "carried_out", carried_out)
-    monkeypatch.setattr(coverage_page, "drawn", lambda summary: [])  # whole campaigns are drawn above
+    monkeypatch.setattr("gonio_validation.bench.coverage_page.drawn", lambda summary: [])  # that of whole ones is above
     return done
 
 
