@@ -322,9 +322,20 @@ class _Work:
         standard = photon_transfer.photon_transfer(self.pairs, self.dark_pairs, (self.level, self.slope), self.raw)
         prnu, u_prnu, map_ = self._responsivities(transfer, bent)
         gain = transfer.electrons_per_dn
-        filled, uneven, u_dsnu = self._unevenness(gain)
-        values, own = self._noise(transfer, (uneven.total * gain, u_dsnu), (prnu, u_prnu))
-        values["nonlinearity"] = [float(c) for c in curve.coefficients]
+        bias = self.dark_mean - self.dark_slope * self.dark_t
+        of_bias = self._noise_of_line(0.0)
+        rows, cols = self.colour.shape
+        filled = np.where(self.defects, float(np.median(bias)), bias)
+        uneven = pixel_statistics.unevenness(filled, of_bias)
+        dsnu = uneven.total * gain
+        u_dsnu = (
+            (uneven.total**2 + of_bias) / max(uneven.total, math.sqrt(of_bias)) * gain / math.sqrt(2.0 * rows * cols)
+        )
+        values: dict[str, Any] = {
+            "nonlinearity": [float(c) for c in curve.coefficients],
+        }
+        noise, own = self._noise(transfer, (dsnu, u_dsnu), (prnu, u_prnu))
+        values |= noise
         covariance, names = _with_gain(values, own, transfer)
         covariance, names = _with(
             covariance, names, curve.covariance, [f"nonlinearity[{k}]" for k in range(len(curve.coefficients))]
@@ -359,24 +370,12 @@ class _Work:
             maps, transfer, curve, self.dark_means,
         )  # fmt: skip
 
-    def _unevenness(self, gain: float) -> tuple[Floats, pixel_statistics.Unevenness, float]:
-        """Each pixel's bias [DN], its spatial standard deviations [DN], and the uncertainty of the total [e-]."""
-        bias = self.dark_mean - self.dark_slope * self.dark_t
-        of_bias = self._noise_of_line(0.0)
-        rows, cols = self.colour.shape
-        filled = np.where(self.defects, float(np.median(bias)), bias)
-        uneven = pixel_statistics.unevenness(filled, of_bias)
-        u_dsnu = (
-            (uneven.total**2 + of_bias) / max(uneven.total, math.sqrt(of_bias)) * gain / math.sqrt(2.0 * rows * cols)
-        )
-        return filled, uneven, u_dsnu
-
     def _noise(
         self, transfer: photon_transfer.PhotonTransfer, dsnu: tuple[float, float], prnu: tuple[float, float]
     ) -> tuple[dict[str, Any], dict[str, float]]:
         """Keys of the noise model, and the standard uncertainties that they have beside that of the gain."""
         gain = transfer.electrons_per_dn
-        values: dict[str, Any] = {
+        out: dict[str, Any] = {
             "electrons_per_dn": gain,
             "black_level_dn": max(self.level, 0.0),
             "read_noise_e": transfer.read_noise_e,
@@ -396,13 +395,13 @@ class _Work:
             "prnu": prnu[1],
         }
         if transfer.saturated:
-            values["full_well_e"] = transfer.saturation_e
+            out["full_well_e"] = transfer.saturation_e
             own["full_well_e"] = transfer.u_saturation_dn * gain
         else:
             self.notes.append("no flat frame saturates: the full well is not determined")
         if transfer.hidden:
             self.notes.append("rounding to whole DN hides the read noise: it is at most what is given")
-        return values, own
+        return out, own
 
     def _figures(
         self,
