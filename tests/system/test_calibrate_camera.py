@@ -17,9 +17,6 @@ import numpy.typing as npt
 import pytest
 from gonio_sim.rig import SIM, SIM_IDEAL
 
-from gonio.acquisition.measure import find_rig
-from gonio.calibration.camera import calibrate
-from gonio.calibration.camera_frames import read_list
 from gonio.config import read_toml
 from gonio.measurement import read
 from gonio.rig.dng import read_raw, write_dng
@@ -257,6 +254,10 @@ def darkened(bench: Path, folder: Path, count: int) -> Path:
 
 
 def test_a_pair_that_differs_is_left_out_and_named(bench: Path, tmp_path: Path) -> None:
+    from gonio.acquisition.measure import find_rig
+    from gonio.calibration.camera import calibrate
+    from gonio.calibration.camera_frames import read_list
+
     rig = find_rig(str(bench / "rig.toml")).description
     found = calibrate(read_list(darkened(bench, tmp_path / "one", 1)), rig)
     kept = read_toml(bench / "camera.toml")["measured"]["pairs"]
