@@ -20,3 +20,9 @@ for _number, _usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIG
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--rig", help="try the contracts (tests/contracts) on this rig alone: a rig file, or a rig's name")
     parser.addoption("--sample", help="the sample file that a simulated rig is given with --rig")
+
+
+@pytest.fixture(autouse=True)
+def _no_waiting_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files are written without waiting until a busy disk has them: no test cuts the power. Commands do wait."""
+    monkeypatch.setattr("os.fsync", lambda descriptor: None)

@@ -46,7 +46,6 @@ INSIDE = 0.9
 """Part of the white's radius whose spots count: its edge is not as white."""
 FORESHORTENED = 1.3
 """The cosine of the steepest camera angle must be at least so many times that of the most oblique one."""
-CURVATURES = ("xx_per_mm2", "xy_per_mm2", "yy_per_mm2")
 
 
 @dataclass(frozen=True, slots=True)

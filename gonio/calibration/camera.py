@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio.calibration import linearity, photon_transfer, pixel_statistics, response, stray_light, vignetting
+from gonio.calibration import black_frames, linearity, photon_transfer, pixel_statistics, response, vignetting
 from gonio.calibration.camera_frames import CameraFrame
 from gonio.errors import DataError
 from gonio.reduction.stray_light import spread
@@ -377,7 +377,7 @@ class _Work:
     ) -> tuple[dict[str, Any], dict[str, float]]:
         """Keys of the noise model, and the standard uncertainties that they have beside that of the gain."""
         gain = transfer.electrons_per_dn
-        values: dict[str, Any] = {
+        out: dict[str, Any] = {
             "electrons_per_dn": gain,
             "black_level_dn": max(self.level, 0.0),
             "read_noise_e": transfer.read_noise_e,
@@ -397,13 +397,13 @@ class _Work:
             "prnu": prnu[1],
         }
         if transfer.saturated:
-            values["full_well_e"] = transfer.saturation_e
+            out["full_well_e"] = transfer.saturation_e
             own["full_well_e"] = transfer.u_saturation_dn * gain
         else:
             self.notes.append("no flat frame saturates: the full well is not determined")
         if transfer.hidden:
             self.notes.append("rounding to whole DN hides the read noise: it is at most what is given")
-        return values, own
+        return out, own
 
     def _figures(
         self,
@@ -488,8 +488,8 @@ class _Work:
         left = np.where(region, prnu * math.sqrt(temporal / max(prnu**2 + temporal, 1e-30)), prnu)
         return prnu, u, (responsivity, left)
 
-    def _stray(self, camera: Camera, gain: float, read_noise_e: float) -> stray_light.StrayLight | None:
-        black: list[stray_light.BlackFrame] = []
+    def _stray(self, camera: Camera, gain: float, read_noise_e: float) -> black_frames.StrayLight | None:
+        black: list[black_frames.BlackFrame] = []
         groups: dict[tuple[str, float, str], list[CameraFrame]] = {}
         for f in self.of["trap"] + self.of["edge"]:
             if f.black is None:
@@ -518,12 +518,12 @@ class _Work:
             electrons = max(float(region.mean()) * gain, 0.0) + max(self.slope * gain * exposure, 0.0)
             variance = (electrons + read_noise_e**2) / gain**2 + 1.0 / 12.0
             black.append(
-                stray_light.BlackFrame(signal, group[0].black, variance / len(group) + self._noise_of_line(exposure))
+                black_frames.BlackFrame(signal, group[0].black, variance / len(group) + self._noise_of_line(exposure))
             )
         if not black:
             self.notes.append("no frames of a trap or an edge: stray light is not determined")
             return None
-        found = stray_light.fit(black, camera, self.channel)
+        found = black_frames.fit(black, camera, self.channel)
         if found.uniform + found.halo > NOT_BLACK:
             raise DataError(
                 f"{(self.of['trap'] + self.of['edge'])[0].path.parent}: what shall be black in the frames of trap and "
@@ -536,7 +536,7 @@ class _Work:
             )
         return found
 
-    def _vignetting(self, camera: Camera, stray: stray_light.StrayLight | None) -> vignetting.Vignetting | None:
+    def _vignetting(self, camera: Camera, stray: black_frames.StrayLight | None) -> vignetting.Vignetting | None:
         if not self.of["field"]:
             return None
         groups: dict[tuple[Pose, float], list[CameraFrame]] = {}

@@ -124,11 +124,6 @@ class PhotonTransfer:
         """Signal-to-noise ratio at saturation."""
         return math.sqrt(self.saturation_e)
 
-    def snr(self, electrons: Floats) -> Floats:
-        """Of the linear model, without fixed patterns (6.7)."""
-        e = np.asarray(electrons, dtype=float)
-        return np.asarray(e / np.sqrt((self.dark_noise_dn / self.gain) ** 2 + e))
-
 
 def saturation_index(variances: Floats) -> int:
     """Where the variance of flats in ascending order is largest (6.6): beyond it pixels fill up."""

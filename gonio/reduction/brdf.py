@@ -298,7 +298,7 @@ def _columns(
     shared = darks + np.sum(of_angles.geometry**2, axis=1)
     combined = np.sqrt(independent + shared + sum(column**2 for column in common.values()))
     bounded = ~curves.spikes.told & (curves.spikes.variance > noise)
-    known, unresolved = curves.facts(), of_angles.unresolved
+    known, unresolved, doubts = curves.facts(), of_angles.unresolved, of_angles.of_geometry
     # the steps along a curve, and not those between angles of incidence
     steep = (unresolved > independent - unresolved) & (known["u_slope"] > known["u_slope_theta_i"])
     columns = {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent)}
@@ -327,6 +327,8 @@ class _OfAngles:
     even_geometry: Floats
     unresolved: Floats
     """Of the odd changes, because the plan's steps are coarser than a lobe may be wide."""
+    of_geometry: Floats
+    """The part of `unresolved` that is the geometry's."""
 
 
 def _errors_of_angles(
@@ -345,7 +347,7 @@ def _errors_of_angles(
         columns[CAUSES[axis]] = odd - brdf * _change_of_cosine(description, visit, axis, u)
     geometry, even_geometry, doubts = _effects_of_geometry(frames, curves, points, visit, brdf)
     odd_all, unresolved = odd_all + np.sum(geometry**2, axis=1), unresolved + doubts
-    return _OfAngles(columns, geometry, odd_all, steps, even_steps, even_zeros, even_geometry, unresolved)
+    return _OfAngles(columns, geometry, odd_all, steps, even_steps, even_zeros, even_geometry, unresolved, doubts)
 
 
 def _parts_of_angles(found: _OfAngles, curves: angle_sensitivity.Curves) -> dict[str, Floats]:

@@ -81,7 +81,6 @@ class Tether:
 
 @pytest.fixture
 def tethered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Tether]:
-    monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
     monkeypatch.setattr(folder_camera, "RELEASE_S", PATIENCE_S)
     monkeypatch.setattr(folder_camera, "WHOLE_S", 0.3)  # the twin writes a damaged file at once
     exposed: list[float] = []

@@ -50,7 +50,6 @@ def described(rules: dict[str, Any] | None = None, contact: dict[str, Any] | Non
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
     monkeypatch.setattr(tether, "FILE_LATE_S", 0.5)
     monkeypatch.setattr(suspending, "LOOK_S", 0.02)
     monkeypatch.setattr(faults, "LASTS_S", PASSES_S)
