@@ -118,7 +118,7 @@ def test_command_refuses_in_one_line(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("turn_deg", [10.0, 28.0, 45.0, 65.0])
 def test_corners_of_squares_oblique_to_the_pixels_are_not_turned_about_their_middles(turn_deg: float) -> None:
-    """0.05 px: what is drawn has no noise, 8 subdivisions of a pixel and 12 bits; single corners were 0.1 to 0.2 off."""
+    """What is drawn has no noise: what is left is pixels. OpenCV's single corners are turned by 0.1 to 0.2 px here."""
     marks, pitch_mm, size, parts = Fiducials(), 0.152, (320, 320), 8
     turn = np.exp(-1j * np.radians(turn_deg))  # rows run down
 
