@@ -165,11 +165,11 @@ def main() -> None:
           f"{np.max(curves):.4f} (largest)")  # fmt: skip
     pulls = []
     for path, pairs in found.items():
-        error, u = np.array(pairs).T
-        pulls.append(error / u)
+        off_by, u = np.array(pairs).T
+        pulls.append(off_by / u)
         print(
-            f"{path:36s} error {np.sqrt(np.mean(error**2)):8.4f} rms   u {np.mean(u):8.4f}   "
-            f"pull {np.sqrt(np.mean((error / u) ** 2)):5.2f}   known in {len(pairs)}"
+            f"{path:36s} error {np.sqrt(np.mean(off_by**2)):8.4f} rms   u {np.mean(u):8.4f}   "
+            f"pull {np.sqrt(np.mean((off_by / u) ** 2)):5.2f}   known in {len(pairs)}"
         )
     together = np.concatenate(pulls)
     print(f"all pulls: {np.sqrt(np.mean(together**2)):.3f} rms of {len(together)}; "

@@ -46,9 +46,9 @@ SAID_DEG = 3.0
 """A sum or difference of zeros that is known as well as this is told in words."""
 TOLD = 1.0
 """Singular value of the scaled, whitened Jacobian below which a direction is not determined: less than expected."""
-CORNER_FLOOR_PX = 0.03
+CORNER_FLOOR_PX = 0.01
 """What corners of printed squares are off beyond their scatter: windows see neighbours, edges lie oblique."""
-SPOT_FLOOR_PX = 0.3
+SPOT_FLOOR_PX = 0.1
 """What the middle of the lamp is off: brightness is not quite even over its image."""
 STEP = 1e-3
 """Of a numerical slope, of `Unknown.within`: a nonlinear model is straight over it, and rounding is far below it."""
