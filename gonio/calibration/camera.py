@@ -199,19 +199,25 @@ class _Work:
 
     def _noise_of_line(self, exposure_s: float) -> float:
         """Temporal variance [DN^2] of a pixel's dark line at an exposure: of the frames that it is made of."""
+        return self._noise_and_u(exposure_s)[0]
+
+    def _noise_and_u(self, exposure_s: float) -> tuple[float, float]:
+        """That variance, and its standard uncertainty."""
         x = self.dark_means[0]
-        share = 1.0 / len(x) + (exposure_s - x.mean()) * (x - x.mean()) / np.sum((x - x.mean()) ** 2)
-        each = {t: np.mean([p.variance_dn2 for p in self.dark_pairs if p.exposure_s == t]) for t in set(x)}
-        return float(np.sum(share**2 * np.array([each[t] for t in x])))
+        share = (1.0 / len(x) + (exposure_s - x.mean()) * (x - x.mean()) / np.sum((x - x.mean()) ** 2)) ** 2
+        variance = u_square = 0.0
+        for t in set(x):
+            pairs, weight = [p for p in self.dark_pairs if p.exposure_s == t], float(np.sum(share[x == t]))
+            variance += weight * float(np.mean([p.variance_dn2 for p in pairs]))
+            u_square += weight**2 * float(np.sum([p.u_variance**2 for p in pairs])) / len(pairs) ** 2
+        return variance, math.sqrt(u_square)
 
     def uneven_darks(self) -> tuple[pixel_statistics.Unevenness, float, Floats]:
         """Unevenness of the dark level at no exposure [DN], the standard uncertainty of its total, and the level."""
         bias = self.dark_mean - self.dark_slope * self.dark_t
         filled = np.where(self.defects, float(np.median(bias)), bias)
-        temporal = self._noise_of_line(0.0)
+        temporal, u_temporal = self._noise_and_u(0.0)
         uneven = pixel_statistics.unevenness(filled, temporal)
-        # what is subtracted is known from the same pairs: half as many numbers as frames, and a pixel each
-        u_temporal = temporal * math.sqrt(4.0 / (len(self.dark_means[0]) * filled.size))
         u_variance = math.hypot((uneven.total**2 + temporal) * math.sqrt(2.0 / filled.size), u_temporal)
         return uneven, u_variance / (2.0 * max(uneven.total, math.sqrt(u_variance))), filled
 

@@ -128,8 +128,8 @@ def test_a_certificate_is_off_by_what_it_states(tmp_path: Path) -> None:
     rig = coverage_campaign.certified(c, tmp_path / "rig.toml", {})
     description = find_rig(str(rig)).description
     true, found = (numbers_in(d.model_dump(mode="json")) for d in (truth_of(description), description))
-    for name, off in zip(known.parameters, known.off, strict=True):
-        assert found[name] == pytest.approx(true[name] + off, abs=1e-12)
+    for name, error in zip(known.parameters, known.off, strict=True):
+        assert found[name] == pytest.approx(true[name] + error, abs=1e-12)
     assert np.sqrt(np.diag(covariance_of(description, known.parameters))) == pytest.approx(known.u)
     assert all(axis.zero_offset_known for axis in description.axes().values())
 
