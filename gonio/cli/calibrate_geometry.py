@@ -62,7 +62,7 @@ def geometry(
     from gonio.acquisition.measure import find_rig
     from gonio.errors import ConfigError
 
-    choice = find_rig(rig)
+    choice = find_rig(rig, without="geometry")
     if print_fiducials is not None:
         _print_sheet(choice.description, rig, print_fiducials)
         return
