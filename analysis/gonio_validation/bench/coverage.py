@@ -6,13 +6,14 @@ where it stood, and a larger number of campaigns adds to those that are there.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import datetime
+import fcntl
 import io
 import json
-import re
 import shutil
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -35,7 +36,6 @@ POINTS, FEW_POINTS = 40, 15
 """At most, of a campaign's plan."""
 SETTINGS = "coverage.toml"
 """In the folder: what its campaigns were drawn from."""
-RECORD = re.compile(r"(\d{5,})\.json")
 
 Step = Callable[[int, int], None]
 
@@ -117,21 +117,23 @@ def make(
     folder = Path(out)
     try:
         _begin(folder, settings)
-        missing = [k for k in range(total) if not _record(folder, k)]
-        done = total - len(missing)
-        step(done, total)
-        try:
-            for _ in parallel.each(_carry_out, [Job(k, settings, folder) for k in missing], workers=jobs):
-                done += 1
-                step(done, total)
-        except (KeyboardInterrupt, Interrupted):
-            done = sum(_record(folder, k) is not None for k in range(total))
-            raise Interrupted(
-                f"{folder}: {done} of {total} campaigns are done and kept; the same command goes on with the others"
-            ) from None
-        shutil.rmtree(folder / "work", ignore_errors=True)
-        records = [record for k in range(total) if (record := _record(folder, k)) is not None]
-        write(summary(records, settings, quick=quick, command=command), records, folder)
+        with _alone(folder):
+            shutil.rmtree(folder / "work", ignore_errors=True)  # of campaigns that were cut short
+            missing = [k for k in range(total) if not _record(folder, k)]
+            done = total - len(missing)
+            step(done, total)
+            try:
+                for _ in parallel.each(_carry_out, [Job(k, settings, folder) for k in missing], workers=jobs):
+                    done += 1
+                    step(done, total)
+            except (KeyboardInterrupt, Interrupted):
+                done = sum(_record(folder, k) is not None for k in range(total))
+                raise Interrupted(
+                    f"{folder}: {done} of {total} campaigns are done and kept; the same command goes on with the others"
+                ) from None
+            shutil.rmtree(folder / "work", ignore_errors=True)
+            records = [record for k in range(total) if (record := _record(folder, k)) is not None]
+            write(summary(records, settings, quick=quick, command=command), records, folder)
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be written: {error.strerror}") from None
     return folder / "index.html"
@@ -158,7 +160,19 @@ def _begin(folder: Path, settings: Settings) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         write_whole(file, to_toml(settings.model_dump(mode="json")).encode())
     (folder / "campaigns").mkdir(exist_ok=True)
-    shutil.rmtree(folder / "work", ignore_errors=True)  # of campaigns that were cut short
+
+
+@contextlib.contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Nobody else works in a folder meanwhile."""
+    with open(folder / SETTINGS, "rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ConfigError(
+                f"{folder}: another bench coverage is at work there; wait until it has ended, or stop it"
+            ) from None
+        yield
 
 
 def _said(value: object) -> str:

@@ -41,8 +41,6 @@ KINDS = {
     "joint parameters": "fitted parameters, all together",
     "calibrated": "calibrated",
 }
-PULL_LIMITS = (0.9, 1.1)
-"""What the standard deviation of pulls should lie between."""
 
 
 def render(s: Coverage, figures: Sequence[Figure]) -> Page:

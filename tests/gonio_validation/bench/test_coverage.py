@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import math
 import re
@@ -215,6 +216,18 @@ def test_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytest.Monkey
     coverage.make(other, campaigns=10, jobs=1)
     kept, whole = ((folder / "campaigns.csv").read_bytes() for folder in (out, other))
     assert kept == whole
+
+
+def test_two_commands_do_not_work_in_one_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    faked(monkeypatch)
+    out = tmp_path / "found"
+    coverage.make(out, campaigns=1, jobs=1)
+    (out / "work" / "00001").mkdir(parents=True)
+    with open(out / "coverage.toml", "rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        with pytest.raises(ConfigError, match="another bench coverage is at work there"):
+            coverage.make(out, campaigns=2, jobs=1)
+    assert (out / "work" / "00001").is_dir()
 
 
 def test_other_campaigns_are_not_mixed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
