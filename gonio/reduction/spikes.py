@@ -270,16 +270,19 @@ def _lobe_below(scene: Scene, group: Places, near: npt.NDArray[np.bool_]) -> tup
         ]
         inside = np.clip(x, place[left[0]], place[right[0]])
         straight = np.interp(inside, place[[left[0], right[0]]], logs[[left[0], right[0]]])
+        open_ = 0.0
         if min(abs(place[left[0]]), abs(place[right[0]])) > BESIDE:
-            return np.exp(straight), 10.0  # a lobe may stand there whole between them
+            # a lobe may stand there whole between them: what lies above the line may be lobe as well as spike
+            above = float(np.max(scene.brdf[k] * np.exp(-straight))) - 1.0
+            open_ = min(max(10.0 * above, 0.05), 10.0)
         noise = float(np.max(scene.u[line[[left[0], right[0]]]] / scene.brdf[line[[left[0], right[0]]]]))
         if ends[0][1].size and ends[1][1].size:
             four = np.array([ends[0][1][0], left[0], right[0], ends[1][1][0]])
             cubic = lagrange(inside, place[four], logs[four])
-            return np.exp(cubic), max(0.5 * float(np.max(abs(cubic - straight))), noise, SMOOTHEST)
+            return np.exp(cubic), max(0.5 * float(np.max(abs(cubic - straight))), noise, SMOOTHEST, open_)
         # between points this far apart a lobe may have risen and fallen by more than they differ
         part = 0.5 if place[right[0]] - place[left[0]] < 2.0 * BESIDE else 1.0
-        return np.exp(straight), max(part * float(abs(logs[left[0]] - logs[right[0]])), noise, 0.05)
+        return np.exp(straight), max(part * float(abs(logs[left[0]] - logs[right[0]])), noise, 0.05, open_)
     apart = np.hypot(scene.across[free], scene.aside[free])
     if apart.size and apart.min() < BESIDE:
         nearest = free[np.argsort(apart)[:4]]
