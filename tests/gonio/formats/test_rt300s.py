@@ -228,4 +228,4 @@ def test_repeats_of_sample_and_blank_give_uncertainties(tmp_path: Path) -> None:
     # one signal of the sample, and the mean of nine of the blank; 36 and 96 degrees of freedom know them to 12 %
     expected = math.hypot(0.02, 0.01 / 3.0) / (math.pi * np.cos(np.deg2rad(frame["theta_r_deg"])))
     np.testing.assert_allclose(frame["u_brdf"], expected, rtol=0.36)
-    np.testing.assert_allclose(frame["u_random"], frame["u_brdf"])
+    np.testing.assert_allclose(frame["u_random"], frame["u_brdf"], rtol=1e-12)  # no cause is common: one number, twice
