@@ -66,9 +66,9 @@ class Durations:
         self.description, self.bands = description, tuple(bands)
         axes, approach, limits = description.axes(), description.approach_deg(), description.limits_deg()
         self._names = tuple(axes)
-        self._speed = np.radians([axis.speed_deg_per_s for axis in axes.values()])
-        self._approach = np.radians([approach[name] for name in axes])
-        self._limits = np.radians([limits[name] for name in axes]).T
+        self.speed = np.radians([axis.speed_deg_per_s for axis in axes.values()])
+        self.approach = np.radians([approach[name] for name in axes])
+        self.limits = np.radians([limits[name] for name in axes]).T
 
     # ---- moves ----
 
@@ -104,11 +104,11 @@ class Durations:
         All axes move at once, twice: first those that stand beyond the place where their approach begins go there, then
         all go to their goals. An axis that stands at its goal stays.
         """
-        begin = approach_starts(goals, self._approach, self._limits)
+        begin = approach_starts(goals, self.approach, self.limits)
         moving = np.abs(goals - starts) > SAME_PLACE
-        back = moving & ((starts - begin) * np.sign(self._approach) > SAME_PLACE)
-        first = np.where(back, np.abs(begin - starts) / self._speed, 0.0).max(axis=-1)
-        second = np.where(moving, np.abs(goals - np.where(back, begin, starts)) / self._speed, 0.0).max(axis=-1)
+        back = moving & ((starts - begin) * np.sign(self.approach) > SAME_PLACE)
+        first = np.where(back, np.abs(begin - starts) / self.speed, 0.0).max(axis=-1)
+        second = np.where(moving, np.abs(goals - np.where(back, begin, starts)) / self.speed, 0.0).max(axis=-1)
         return np.asarray(first + second + SETTLE_S * moving.any(axis=-1) + SETTLE_S * back.any(axis=-1))
 
     # ---- frames ----

@@ -6,7 +6,7 @@ import contextlib
 import math
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,6 +21,7 @@ from gonio.rig.description import RigDescription, SampleDescription
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from gonio.acquisition.choosing import Chooser
     from gonio.acquisition.progress import Progress
     from gonio.acquisition.run import Run
     from gonio.acquisition.stop import Stop
@@ -184,7 +185,6 @@ def carry_out(
     GonioError
         See `gonio.acquisition.loop.measure`, `Run.create`, `Run.resume` and the rig's own documentation.
     """
-    from gonio.acquisition.choosing import chooser_of
     from gonio.acquisition.loop import measure
     from gonio.acquisition.progress import Silent
     from gonio.acquisition.run import Run
@@ -195,10 +195,9 @@ def carry_out(
 
     out = Path(out)
     progress = progress or Silent()
-    plan.bands(rig.description)
-    plan, chooser = chooser_of(plan, rig.description)
-    request = Request(plan, rig.description, sample, seed, command)
     begun_before = resume and begun(out)
+    plan, rig, points, chooser = prepared(plan, rig, out if begun_before else None)
+    request = Request(plan, rig.description, sample, seed, command, points)
     _check_patches(rig, sample)
     steps: Sequence[Step] = [] if begun_before else rig.schedule(plan, request.points)
     device = _open(rig, out, sample, seed, resume, yes)
@@ -222,6 +221,45 @@ def carry_out(
                     error.args = (_with_state(error, device, stop, entered=entered),)
             raise
     return run
+
+
+def prepared(
+    plan: Plan, rig: RigChoice, begun: Path | None = None
+) -> tuple[Plan, RigChoice, list[Assessed] | None, Chooser | None]:
+    """What a plan asks of a run on a rig: the plan in its order, the rig with the plan's visits to the reference.
+
+    With them come its points as the rig sees them, where they had to be looked at for the order, and the chooser of an
+    adaptive plan. `begun` is the folder of a run that is gone on with: its order is taken.
+
+    Raises
+    ------
+    ConfigError
+        A wavelength lies in no band of the rig, the reference cannot be reached, or the chooser is wrong.
+    DataError
+        The points of the run are damaged.
+    """
+    from gonio.acquisition.choosing import chooser_of
+
+    plan.bands(rig.description)
+    if plan.reference_every is not None:
+        reference = rig.description.reference.model_copy(update={"every": plan.reference_every})
+        rig = replace(rig, description=rig.description.model_copy(update={"reference": reference}))
+    plan, chooser = chooser_of(plan, rig.description)
+    if plan.order == "as-written":
+        return plan, rig, None, chooser
+    from gonio.acquisition.duration import Durations
+    from gonio.acquisition.ordering import as_begun, ordered
+    from gonio.acquisition.plan import assess
+    from gonio.acquisition.run import Run
+    from gonio.acquisition.schedule import reference_pose
+
+    if begun is not None and (begun / "plan.csv").is_file():
+        return as_begun(plan, Run.open(begun).planned.angles_deg.tolist()), rig, None, chooser
+    description = rig.description
+    durations = Durations(description, plan.bands(description))
+    points = assess(plan, description)
+    plan, points = ordered(plan, points, durations, reference_pose(description), description.reference.every)
+    return plan, rig, points, chooser
 
 
 def _with_state(error: GonioError, device: Rig, stop: Stop, *, entered: bool) -> str:
@@ -251,12 +289,9 @@ def check(
     plan: Plan, rig: RigChoice, out: Path, *, sample: SampleDescription | None, seed: int, resume: bool, yes: bool
 ) -> None:
     """Raise what `carry_out` would raise before it touches a device; its parameters."""
-    from gonio.acquisition.choosing import chooser_of
-
-    plan.bands(rig.description)
-    plan, _ = chooser_of(plan, rig.description)
+    plan, rig, points, _ = prepared(plan, rig)
     _check_patches(rig, sample)
-    rig.schedule(plan)
+    rig.schedule(plan, points)
     _open(rig, out, sample, seed, resume, yes)
 
 

@@ -65,11 +65,13 @@ class Request:
     seed: int
     command: str
     """The command line, for the record."""
+    assessed: list[Assessed] | None = None
+    """What `assess` made of the plan, where it has been called already."""
 
     @cached_property
     def points(self) -> list[Assessed]:
         """The plan's points, as `description` sees them: a second for ten thousand."""
-        return assess(self.plan, self.description)
+        return assess(self.plan, self.description) if self.assessed is None else self.assessed
 
 
 def settings_for(request: Request, description: RigDescription) -> Settings:
