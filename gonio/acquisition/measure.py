@@ -187,6 +187,7 @@ def carry_out(
     """
     from gonio.acquisition.loop import measure
     from gonio.acquisition.progress import Silent
+    from gonio.acquisition.remaining import Remaining
     from gonio.acquisition.run import Run
     from gonio.acquisition.run_folder import begun
     from gonio.acquisition.run_settings import Request
@@ -214,6 +215,7 @@ def carry_out(
                 entered = True
                 if not begun_before:
                     run = stack.enter_context(Run.create(out, request))
+                progress.expects(Remaining.of_run(run, steps, simulated=device.repeatable))
                 measure(device, run, steps, progress, stop, chooser)
         except GonioError as error:
             if entered or isinstance(error, Interrupted):

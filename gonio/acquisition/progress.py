@@ -5,9 +5,13 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from gonio.rig import Step
+
+if TYPE_CHECKING:
+    from gonio.acquisition.records import StepRecord
+    from gonio.acquisition.remaining import Remaining
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,10 +25,15 @@ class Live:
     """Of the brightest used pixel, as a fraction of full scale."""
     exposure_s: float
     flag: str
+    record: StepRecord | None = None
+    """What the journal says of the step."""
 
 
 class Progress(Protocol):
     """Somebody who watches a measurement."""
+
+    def expects(self, remaining: Remaining) -> None:
+        """Before `start`: who can say how long the rest takes, when told what was taken."""
 
     def start(self, steps: int, done: int) -> None:
         """Before the first step: how many steps the run has, and how many are done."""
@@ -49,6 +58,9 @@ def _nothing() -> Iterator[None]:
 
 class Silent:
     """Nobody watches."""
+
+    def expects(self, remaining: Remaining) -> None:
+        """Nothing."""
 
     def start(self, steps: int, done: int) -> None:
         """Nothing."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -14,9 +15,12 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from gonio.acquisition.progress import Live, Progress
+    from gonio.acquisition.remaining import Remaining, TimeLeft
 
 LINES = 20
 """At most about so many lines of progress where there is no terminal."""
+UNSURE = 0.02
+"""An uncertainty of a time below this share of it is not said."""
 UNTOLD_S = 3.0
 """Work that is done sooner writes none of them."""
 
@@ -73,6 +77,54 @@ def values(live: Live) -> str:
     return f"{what}; {signal}{live.exposure_s:.3g} s" + (f"  [{live.flag}]" if live.flag else "")
 
 
+def time_left(left: TimeLeft | None) -> str:
+    """How long something takes yet, with its uncertainty where that matters; "" where nobody knows."""
+    if left is None:
+        return ""
+    unsure = left.u_seconds >= max(UNSURE * left.seconds, 1.0)
+    return f"{duration(left.seconds)}" + (f" ± {duration(left.u_seconds)}" if unsure else "") + " left"
+
+
+class _Rest:
+    """Times the steps of a measurement, and says how long the rest takes."""
+
+    def __init__(self) -> None:
+        self._remaining: Remaining | None = None
+        self._since_s = 0.0
+        self._said_s = -math.inf
+        self._words = ""
+
+    def expects(self, remaining: Remaining) -> None:
+        self._remaining = remaining
+
+    def start(self) -> None:
+        self._since_s = time.monotonic()
+
+    def more(self, steps: int) -> None:
+        if self._remaining is not None:
+            self._remaining.more(steps)
+
+    def step(self, live: Live) -> None:
+        before_s, self._since_s = self._since_s, time.monotonic()
+        if self._remaining is not None and live.record is not None:
+            self._remaining.took(live.record, self._since_s - before_s)
+
+    @contextlib.contextmanager
+    def paused(self) -> Iterator[None]:
+        """Time that is nobody's."""
+        began_s = time.monotonic()
+        try:
+            yield
+        finally:
+            self._since_s += time.monotonic() - began_s
+
+    def words(self, every_s: float = 0.0) -> str:
+        """What is left, in words that are that old at most."""
+        if self._remaining is not None and time.monotonic() - self._said_s >= every_s:
+            self._words, self._said_s = time_left(self._remaining.left), time.monotonic()
+        return self._words
+
+
 @contextlib.contextmanager
 def counter(what: str, *, lines: bool = False) -> Iterator[Callable[[int, int], None]]:
     """Somebody who is told how much of a work is done: a bar on a terminal, which goes when it is done.
@@ -102,7 +154,7 @@ def _counted(what: str) -> Callable[[int, int], None]:
     return line
 
 
-def _progress_bar(what: str, console: Console, *, transient: bool = False) -> ProgressBar:
+def _progress_bar(what: str, console: Console, *, transient: bool = False, own_rest: bool = False) -> ProgressBar:
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -113,32 +165,32 @@ def _progress_bar(what: str, console: Console, *, transient: bool = False) -> Pr
     )
 
     columns = (TextColumn(what), BarColumn(None), MofNCompleteColumn(), TimeElapsedColumn())
-    left = (TextColumn("left"), TimeRemainingColumn())
-    return Progress(*columns, *left, console=console, expand=True, transient=transient)
+    rest = (TextColumn("left"), TimeRemainingColumn()) if not own_rest else (TextColumn("{task.fields[left]}"),)
+    return Progress(*columns, *rest, console=console, expand=True, transient=transient)
 
 
 class _Lines:
     """Progress in a log file."""
 
     def __init__(self) -> None:
-        self._steps, self._done, self._began, self._at_start = 0, 0, 0.0, 0
+        self._steps, self._done, self._rest = 0, 0, _Rest()
+        self.expects, self.paused = self._rest.expects, self._rest.paused
 
     def start(self, steps: int, done: int) -> None:
-        self._steps, self._done, self._at_start, self._began = steps, done, done, time.monotonic()
+        self._steps, self._done = steps, done
+        self._rest.start()
         note(f"{steps - done} steps to take" + (f", {done} of {steps} were done before" if done else ""))
 
     def more(self, steps: int) -> None:
         self._steps += steps
+        self._rest.more(steps)
 
     def step(self, live: Live) -> None:
         self._done += 1
+        self._rest.step(live)
         if self._done * LINES // self._steps > (self._done - 1) * LINES // self._steps:
-            elapsed = time.monotonic() - self._began
-            left = elapsed / (self._done - self._at_start) * (self._steps - self._done)
-            note(f"{self._done:>{len(str(self._steps))}}/{self._steps}  {duration(left)} left  {values(live)}")
-
-    def paused(self) -> contextlib.AbstractContextManager[None]:
-        return contextlib.nullcontext()
+            words = (f"{self._done:>{len(str(self._steps))}}/{self._steps}", self._rest.words(), values(live))
+            note("  ".join(filter(None, words)))
 
     def say(self, text: str) -> None:
         note(text)
@@ -150,9 +202,10 @@ class _Bar:
     def __init__(self, console: Console) -> None:
         from rich.live import Live as Screen
 
-        self._bar = _progress_bar("measuring", console)
-        self._task = self._bar.add_task("", total=None)
-        self._text = ""
+        self._bar = _progress_bar("measuring", console, own_rest=True)
+        self._task = self._bar.add_task("", total=None, left="")
+        self._text, self._rest = "", _Rest()
+        self.expects = self._rest.expects
         self.screen = Screen(get_renderable=self._render, console=console, refresh_per_second=8)
         self._console = console
 
@@ -163,20 +216,24 @@ class _Bar:
         return Group(self._bar, Text(self._text, style="dim", no_wrap=True, overflow="ellipsis"))
 
     def start(self, steps: int, done: int) -> None:
-        self._bar.reset(self._task, total=steps, completed=done)
+        self._rest.start()
+        self._bar.reset(self._task, total=steps, completed=done, left=self._rest.words())
 
     def more(self, steps: int) -> None:
+        self._rest.more(steps)
         self._bar.update(self._task, total=(self._bar.tasks[0].total or 0.0) + steps)
 
     def step(self, live: Live) -> None:
         self._text = values(live)
-        self._bar.advance(self._task)
+        self._rest.step(live)
+        self._bar.update(self._task, advance=1, left=self._rest.words(every_s=1.0))
 
     @contextlib.contextmanager
     def paused(self) -> Iterator[None]:
         self.screen.stop()
         try:
-            yield
+            with self._rest.paused():
+                yield
         finally:
             self.screen.start()
 
