@@ -13,13 +13,12 @@ from dataclasses import astuple, dataclass
 import numpy as np
 
 from gonio.acquisition import exposure
+from gonio.acquisition.schedule import EXPECTED_ALBEDO
 from gonio.rig import Pose, Step
 from gonio.rig.description import Band, RigDescription
 from gonio.rig.ways import Blocked, route
 from gonio.typing import Floats
 
-EXPECTED_REFLECTANCE = 0.5
-"""What a sample is taken for where nobody knows better: its reflectance factor, which is pi times its BRDF."""
 SETTLE_S = 0.2
 """From the end of a move until the axes are known to stand still."""
 SAME_PLACE = math.radians(1e-6)
@@ -122,14 +121,14 @@ class Durations:
             Of any kind.
         reflectance
             Of a point: its reflectance factor, pi times its BRDF, alike in all bands or by a band's name; by default
-            `EXPECTED_REFLECTANCE`.
+            `EXPECTED_ALBEDO`.
         """
         acquisition, overhead = self.description.acquisition, self.description.camera.frame_overhead_s
         if step.kind == "dark":
             return sum(acquisition.dark_frames * (t + overhead) for t in exposure.dark_exposures_s(self.description))
         if step.kind == "point" and isinstance(reflectance, Mapping):
             return math.fsum(self._band_s(step, reflectance[band.name]) for band in self.bands)
-        known = 1.0 if step.kind == "reference" else EXPECTED_REFLECTANCE
+        known = 1.0 if step.kind == "reference" else EXPECTED_ALBEDO
         if step.kind == "point" and isinstance(reflectance, int | float):
             known = float(reflectance)
         return len(self.bands) * self._band_s(step, known)
@@ -150,6 +149,17 @@ class Durations:
             shortest = description.camera.exposure_limits_s[0]
             one = max(acquisition.exposure_target / exposure.expected_straight_level_per_s(description), shortest)
         return (reference.frames + 1) * (one + overhead)
+
+    def frames(self, step: Step) -> int:
+        """How many frames of a step are kept, in all bands; metering frames are not."""
+        acquisition = self.description.acquisition
+        if step.kind == "dark":
+            return acquisition.dark_frames * len(exposure.dark_exposures_s(self.description))
+        if acquisition.u_rel_target is not None:
+            albedo = 1.0 if step.kind == "reference" else EXPECTED_ALBEDO
+            return len(self.bands) * len(exposure.expected_bracket(self.description, step.pose, albedo))
+        each = self.description.reference.frames if step.kind == "reference" else acquisition.frames + 1
+        return len(self.bands) * each
 
     # ---- steps ----
 

@@ -206,7 +206,9 @@ class Remaining:
             seconds = share * float(every.sum()) * found.value
             total += seconds
             variance += (seconds * found.u_log) ** 2
-            variance += min(ALIKE, whole + self._more) * share * float((every**2).sum()) * (found.value * found.scatter) ** 2
+            variance += (
+                min(ALIKE, whole + self._more) * share * float((every**2).sum()) * (found.value * found.scatter) ** 2
+            )
             if share > 1.0 and len(sample) > 1:
                 variance += (found.value * share) ** 2 * len(sample) * float(np.var(every))
         return TimeLeft(total, math.sqrt(variance))

@@ -13,6 +13,9 @@ from gonio.rig.description import RigDescription
 from gonio.rig.kinematics import Unreachable, reach, view
 from gonio.rig.ways import Blocked, require_free
 
+EXPECTED_ALBEDO = 0.5
+"""What estimates take the sample for where nobody knows better: its reflectance factor, pi times its BRDF."""
+
 
 def reference_pose(description: RigDescription) -> Pose:
     """The pose for visits to the white reference.

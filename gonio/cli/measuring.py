@@ -34,7 +34,7 @@ def measure(
     described = load_sample(sample) if sample is not None else None
     if dry_run:
         check(asked, chosen, out, sample=described, seed=seed, resume=resume, yes=yes)
-        plans.describe(asked, chosen)
+        plans.describe(asked, chosen, out=out)
         console.note("nothing was moved or written (--dry-run)")
         return
     for warning in plans.unfit(chosen.description):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,13 +10,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from gonio.acquisition.measure import RigChoice
     from gonio.acquisition.plan import Assessed, Plan
+    from gonio.rig import Step
     from gonio.rig.description import RigDescription
 
 app = typer.Typer(help="Look at plans.", no_args_is_help=True)
 
 SHOWN = 12
+"""Angles that stand in one cell of a table."""
+ROWS = 24
+"""Angles of incidence that have a row of their own."""
 
 
 @app.callback()
@@ -29,54 +36,169 @@ def show(
     rig: Annotated[
         str | None, typer.Option(help="The rig that shall measure it: a name or a rig file.", show_default=False)
     ] = None,
+    left_out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Write the points that the rig leaves out, and why.", show_default=False),
+    ] = None,
 ) -> None:
     """Show the points of a plan. With a rig also what it cannot reach and why, and how long it takes."""
     from gonio.acquisition.measure import find_rig
     from gonio.acquisition.plan import load_plan
+    from gonio.errors import ConfigError
 
-    describe(load_plan(plan), find_rig(rig) if rig is not None else None)
+    if left_out is not None and rig is None:
+        raise ConfigError("--left-out: what is left out depends on the rig; name one with --rig")
+    if left_out is not None and (left_out.exists() or left_out.is_symlink()):
+        raise ConfigError(f"--left-out: {left_out} is there already; name another file")
+    describe(load_plan(plan), find_rig(rig) if rig is not None else None, left_out=left_out)
 
 
-def describe(plan: Plan, rig: RigChoice | None) -> None:
-    """Print a plan, as a rig sees it if there is one."""
-    from gonio.acquisition.duration import Durations
+def describe(plan: Plan, rig: RigChoice | None, *, out: Path | None = None, left_out: Path | None = None) -> None:
+    """Print a plan, as a rig sees it if there is one.
+
+    Parameters
+    ----------
+    plan, rig
+        What is shown.
+    out
+        Where a run would go: what is free there is told.
+    left_out
+        A file for the points that the rig cannot measure.
+    """
+    from gonio.acquisition.measure import prepared
     from gonio.acquisition.plan import Assessed, assess
     from gonio.cli import console
 
-    points = [Assessed(p, None) for p in plan.points] if rig is None else assess(plan, rig.description)
-    by_incidence: dict[float, list[_Place]] = {}
-    for place in _places(plan, points):
-        by_incidence.setdefault(place.assessed.point.theta_i_deg, []).append(place)
-    headings = ["theta_i", "theta_r\nin plane", "dphi\nout of plane", "points"]
+    written, points = plan, [Assessed(p, None) for p in plan.points]
     if rig is not None:
-        headings += ["measured", "not measured:\ntheta_r, or theta_r/dphi"]
-    table = console.table(*headings, title=f"{plan.name}: {len(points)} points, angles in degrees")
-    for theta_i, group in sorted(by_incidence.items()):
-        signed = sorted(place.signed_deg for place in group if place.in_plane)
-        dphi = sorted({place.dphi_deg for place in group if not place.in_plane})
-        row = [f"{theta_i:g}", _span(signed), ", ".join(f"{d:g}" for d in dphi[:SHOWN]), str(len(group))]
-        if rig is not None:
-            row += [str(sum(place.assessed.pose is not None for place in group)), _missing(group)]
-        table.add_row(*row)
-    console.show(table)
+        plan, rig, seen, _ = prepared(plan, rig)
+        points = assess(plan, rig.description) if seen is None else seen
+    console.show(_table(plan, points, with_rig=rig is not None))
+    visits = Counter(Counter(plan.points).values())
+    for number, count in sorted(visits.items()):
+        if number > 1:
+            console.show(f"{count} points are measured {number} times each, spread over the run")
     if plan.repeated:
         console.show(f"{plan.repeated} points occur more than once; each is measured once")
+    if plan.below_horizon:
+        console.show(f"{plan.below_horizon} half vectors need a detector below the horizon; they are left out")
+    if plan.adaptive is not None:
+        console.show(
+            f"adaptive: {plan.adaptive.how} chooses more points as the run grows, in {plan.adaptive.budget_h:g} h"
+        )
     if rig is None:
         console.show(f"wavelengths: {', '.join(f'{w:g} nm' for w in plan.wavelength_nm)}")
         return
     bands = plan.bands(rig.description)
-    steps = rig.schedule(plan, points)
-    visits = sum(step.kind == "reference" for step in steps)
     for (flag, cause), count in _reasons(points):
         console.show(f"{count} {flag}: {cause}")
-    seconds = Durations(rig.description, bands).total_s(steps)
+    if left_out is not None:
+        console.show(f"{left_out}: {_write_left_out(points, left_out)} points with their reasons")
     console.show(
         f"rig: {rig.description.name}",
         *calibrations(rig.description),
         f"bands: {', '.join(f'{b.name} (centre {b.centre_nm:g} nm, width {b.fwhm_nm:g} nm)' for b in bands)}",
-        f"{len(steps)} steps with {visits} visits to the white reference; about {console.duration(seconds)} "
-        "on the rig's clock, for a matt sample of albedo 0.5",
+        *_effort(written, points, rig, rig.schedule(plan, points), out),
     )
+
+
+def _effort(written: Plan, points: list[Assessed], rig: RigChoice, steps: list[Step], out: Path | None) -> list[str]:
+    """What measuring takes: time by its parts, order, frames, bytes."""
+    from gonio.acquisition.duration import Durations
+    from gonio.acquisition.schedule import Schedule
+    from gonio.cli.console import duration
+    from gonio.rig.dng import expected_bytes
+
+    durations = Durations(rig.description, written.bands(rig.description))
+    visits = sum(step.kind == "reference" for step in steps)
+    parts = durations.parts(steps)
+    named = [
+        ("travel", parts.travel_s), ("frames", parts.frames_s), ("white reference", parts.reference_s),
+        ("dark", parts.dark_s), ("warm-up", parts.warm_up_s),
+    ]  # fmt: skip
+    lines = [
+        f"{len(steps)} steps with {visits} visits to the white reference; about {duration(parts.total_s)} "
+        "on the rig's clock, for a matt sample of albedo 0.5",
+        "time: " + ", ".join(f"{name} {duration(seconds)}" for name, seconds in named if seconds),
+    ]
+    if written.order == "short":
+        poses = {a.point: a.pose for a in points if a.pose is not None}
+        as_written = [poses[point] for point in written.points if point in poses]
+        before_s = durations.parts(Schedule(rig.description, range(len(as_written)), as_written.__getitem__)).travel_s
+        lines.append(f"order: short; as written the travel would take {duration(before_s)}")
+    frames = sum(map(durations.frames, steps))
+    needed = frames * expected_bytes(rig.description.camera)
+    lines.append(f"{frames} frames, about {_size(needed)} on the disk")
+    if out is not None:
+        free = _free(out)
+        lines[-1] += f"; {_size(free)} are free there"
+        if free < needed:
+            lines.append(f"warning: {out} has no room for that; free some, or choose another folder")
+    return lines
+
+
+def _free(folder: Path) -> int:
+    """Free bytes on the disk of a folder that may not be there yet."""
+    import shutil
+
+    there = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
+    return shutil.disk_usage(there).free
+
+
+def _size(count: float) -> str:
+    """Bytes, for people."""
+    for unit in ("bytes", "kB", "MB"):
+        if count < 1000:
+            return f"{count:.3g} {unit}"
+        count /= 1000
+    return f"{count:.3g} GB"
+
+
+def _write_left_out(points: list[Assessed], path: Path) -> int:
+    """Write the points without a pose, with flag and reason; how many there are."""
+    import csv
+    import io
+
+    from gonio.acquisition.plan import ANGLES
+    from gonio.disk import write_whole
+    from gonio.errors import ConfigError
+
+    lost = [a for a in points if a.pose is None]
+    text = io.StringIO()
+    lines = csv.writer(text, lineterminator="\n")
+    lines.writerow([*ANGLES, "flag", "reason"])
+    lines.writerows([*(repr(getattr(a.point, name)) for name in ANGLES), a.flag, a.reason] for a in lost)
+    try:
+        write_whole(path, text.getvalue().encode())
+    except OSError as error:
+        raise ConfigError(f"--left-out: {path}: cannot be written: {error.strerror}") from None
+    return len(lost)
+
+
+def _table(plan: Plan, points: list[Assessed], *, with_rig: bool) -> Table:
+    """The points by their angles of incidence."""
+    from gonio.cli import console
+
+    by_incidence: dict[float, list[_Place]] = {}
+    for place in _places(plan, points):
+        by_incidence.setdefault(place.assessed.point.theta_i_deg, []).append(place)
+    headings = ["theta_i", "theta_r\nin plane", "dphi\nout of plane", "points"]
+    if with_rig:
+        headings += ["measured", "not measured:\ntheta_r, or theta_r/dphi"]
+    table = console.table(*headings, title=f"{plan.name}: {len(points)} points, angles in degrees")
+    groups = [(f"{theta_i:g}", group) for theta_i, group in sorted(by_incidence.items())]
+    if len(groups) > ROWS:
+        rest = groups[ROWS - 1 :]
+        named = f"{rest[0][0]} to {rest[-1][0]}\n({len(rest)} angles)"
+        groups = [*groups[: ROWS - 1], (named, [place for _, group in rest for place in group])]
+    for name, group in groups:
+        signed = sorted(place.signed_deg for place in group if place.in_plane)
+        dphi = sorted({place.dphi_deg for place in group if not place.in_plane})
+        row = [name, _span(signed), _azimuths(dphi), str(len(group))]
+        if with_rig:
+            row += [str(sum(place.assessed.pose is not None for place in group)), _missing(group)]
+        table.add_row(*row)
+    return table
 
 
 def calibrations(description: RigDescription) -> list[str]:
@@ -103,11 +225,23 @@ def _missing(group: list[_Place]) -> str:
     for place in group:
         a = place.assessed
         if a.pose is None:
-            angles = f"{place.signed_deg:g}" if place.in_plane else f"{a.point.theta_r_deg:g}/{place.dphi_deg:g}"
+            angles = f"{place.signed_deg:.5g}" if place.in_plane else f"{a.point.theta_r_deg:.4g}/{place.dphi_deg:.4g}"
             out.setdefault(a.flag, []).append(angles)
-    return "; ".join(
-        f"{flag}: {', '.join(angles[:SHOWN])}{' ...' if len(angles) > SHOWN else ''}" for flag, angles in out.items()
-    )
+    return "; ".join(f"{flag}: {_listed(list(dict.fromkeys(angles)))}" for flag, angles in out.items())
+
+
+def _listed(angles: list[str]) -> str:
+    """All of a few, some of many."""
+    if len(angles) <= SHOWN:
+        return ", ".join(angles)
+    return f"{', '.join(angles[: SHOWN // 2])} and {len(angles) - SHOWN // 2} more"
+
+
+def _azimuths(dphi: list[float]) -> str:
+    """All of a few, the range of many."""
+    if len(dphi) <= SHOWN:
+        return ", ".join(f"{d:.5g}" for d in dphi)
+    return f"{dphi[0]:.4g} to {dphi[-1]:.4g}\n({len(dphi)} azimuths)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,4 +267,4 @@ def _places(plan: Plan, points: list[Assessed]) -> list[_Place]:
 
 
 def _span(angles: list[float]) -> str:
-    return "" if not angles else f"{angles[0]:g}" if len(angles) == 1 else f"{angles[0]:g} to {angles[-1]:g}"
+    return "" if not angles else " to ".join(f"{angle:.4g}" for angle in dict.fromkeys((angles[0], angles[-1])))

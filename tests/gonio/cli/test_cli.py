@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -77,6 +79,72 @@ def test_plan_show_tells_what_cannot_be_measured_and_how_long_it_takes(tmp_path:
     assert "blocked: -20" in on_rig.stdout
     assert "1 blocked: the bodies of source and detector block 3.2 deg around retro" in on_rig.stdout
     assert "visits to the white reference; about" in on_rig.stdout
+
+
+GRID = """name = "grid"
+wavelength_nm = [550]
+order = "short"
+reference_every = 50
+[[half_vector]]
+theta_i_deg = [20, 70]
+theta_h_deg = { stop = 40, count = 30, spacing = "square" }
+phi_h_deg = { start = 0, stop = 345, step = 15 }
+[[sweep]]
+theta_i_deg = [45]
+theta_r_deg = [-45, 0, 45]
+repeats = 2
+"""
+
+
+def test_plan_show_of_a_large_grid_is_a_page_that_can_be_read(tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").write_text(GRID)
+    done = gonio(tmp_path, "plan", "show", "plan.toml", "--rig", "sim", "--left-out", "lost.csv")
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.splitlines()) < 40
+    assert max(map(len, done.stdout.splitlines())) <= 120
+    assert "azimuths)" in done.stdout
+    assert "3 points are measured 2 times each, spread over the run" in done.stdout
+    assert "half vectors need a detector below the horizon; they are left out" in done.stdout
+    assert "order: short; as written the travel would take" in done.stdout
+    for part in ("time: travel ", "frames ", "white reference ", "dark "):
+        assert part in done.stdout
+    with open(tmp_path / "lost.csv", newline="") as file:
+        lost = list(csv.DictReader(file))
+    counted = [int(line.split()[0]) for line in done.stdout.splitlines() if re.match(r"\d+ (blocked|unreach)", line)]
+    assert len(lost) == sum(counted) > 0
+    assert all(row["flag"] in ("blocked", "unreachable") and row["reason"] for row in lost)
+    assert ("45.0", "45.0", "0.0") in {(row["theta_i_deg"], row["theta_r_deg"], row["phi_r_deg"]) for row in lost}
+    again = gonio(tmp_path, "plan", "show", "plan.toml", "--rig", "sim", "--left-out", "lost.csv")
+    assert again.returncode == 2
+    assert "lost.csv is there already" in again.stderr
+    alone = gonio(tmp_path, "plan", "show", "plan.toml", "--left-out", "other.csv")
+    assert (alone.returncode, "--rig" in alone.stderr) == (2, True)
+
+
+def test_many_angles_of_incidence_share_a_row(tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").write_text(
+        'name = "p"\nwavelength_nm = [550]\n'
+        "[[sweep]]\ntheta_i_deg = { start = 0, stop = 60, step = 0.5 }\ntheta_r_deg = [10]\n"
+    )
+    done = gonio(tmp_path, "plan", "show", "plan.toml")
+    assert "11.5 to 60" in done.stdout
+    assert "(98 angles)" in done.stdout
+    assert len(done.stdout.splitlines()) < 40
+
+
+def test_a_dry_run_says_what_the_disk_needs(tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").write_text('name = "p"\nwavelength_nm = [550]\n[[sweep]]\n' + "theta_i_deg = [45]\n"
+                                        "theta_r_deg = [0, 20]\n")  # fmt: skip
+    (tmp_path / "s.toml").write_text('name = "grey"\nmodel = "lambert"\n')
+    command = ("measure", "plan.toml", "--rig", "sim", "--sample", "s.toml", "--out", "run")
+    dry = gonio(tmp_path, *command, "--dry-run")
+    found = re.search(r"(\d+) frames, about ([\d.]+) MB on the disk; .* free there", dry.stdout)
+    assert found is not None, dry.stdout
+    assert not (tmp_path / "run").exists()
+    assert gonio(tmp_path, *command).returncode == 0
+    files = list((tmp_path / "run" / "frames").iterdir())
+    assert len(files) == int(found[1])
+    assert sum(file.stat().st_size for file in files) == pytest.approx(1e6 * float(found[2]), rel=0.01)  # of 3 digits
 
 
 @pytest.mark.parametrize(
