@@ -26,7 +26,7 @@ DIGITS = 12
 class Hemisphere(Repeated):
     """Directions of the detector that share the hemisphere, or a cap of it, evenly: each has the same solid angle.
 
-    Around the pole lie rings of equal parts [Leopardi2006]_. Each ring has a point in the half-plane of the mirror.
+    Around the pole lie rings of equal parts (Leopardi 2006). Each ring has a point in the half-plane of the mirror.
     """
 
     theta_i_deg: AngleList
@@ -182,7 +182,7 @@ def even_cap(count: int, half_angle: float) -> tuple[Floats, Floats]:
 
     The cap is cut into `count` parts of one solid angle: a round one at the pole, and rings that are cut into equal
     parts, as square as whole numbers allow. A direction lies in the middle of its part; the first of each ring at the
-    azimuth pi.
+    azimuth pi. Leopardi 2006, section 3.
 
     Parameters
     ----------
@@ -190,11 +190,6 @@ def even_cap(count: int, half_angle: float) -> tuple[Floats, Floats]:
         At least 1.
     half_angle
         Of the cap [rad, above 0 to pi/2].
-
-    References
-    ----------
-    .. [Leopardi2006] P. Leopardi, A partition of the unit sphere into regions of equal area and small diameter, ETNA 25
-       (2006) 309.
     """
     part = float(solid_angle_of_cone(half_angle)) / count
     pole = float(half_angle_of_cone(part))
