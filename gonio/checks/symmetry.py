@@ -23,6 +23,8 @@ DIFFERENT = 0.10
 SIGNIFICANCE = 0.01
 """Of a chi-square: one good run in a hundred is beyond it."""
 FEWEST = 3
+VISITS = 9
+"""Neighbours by which values in one direction are found."""
 MOST_VALUES = 50_000
 """Values that are compared, evenly taken."""
 
@@ -111,20 +113,29 @@ def symmetries(data: Values) -> list[Pairs]:
 
 
 def repeats(data: Values) -> Pairs | None:
-    """Values measured in one direction (within 0.02 degrees); None for fewer than three pairs."""
+    """Values measured in one direction (within 0.02 degrees); None for fewer than three pairs.
+
+    Of many visits to one direction the first two make a pair, the next two another: no value is in two of them.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    if len(data) < 2:
+    count = len(data)
+    if count < 2:
         return None
     here = _fixed(data.directions)
-    distance, near = cKDTree(here).query(here, k=2, distance_upper_bound=SAME_DIRECTION)
-    i = np.arange(len(data))
-    other = np.where(near[:, 0] == i, near[:, 1], near[:, 0])
-    close = np.isfinite(np.where(near[:, 0] == i, distance[:, 1], distance[:, 0]))
-    pairs = np.sort(np.stack([i[close], other[close]], axis=1), axis=1)
-    pairs = np.asarray(np.unique(pairs, axis=0))
-    _, first = np.unique(pairs[:, 0], return_index=True)  # of three alike values two pairs share one
-    return _compared(data, pairs[first], "repeats", "measured again in the same direction")
+    distance, near = cKDTree(here).query(here, k=min(VISITS, count), distance_upper_bound=SAME_DIRECTION)
+    i, at = np.nonzero(np.isfinite(distance))
+    joined = coo_array((np.ones(i.size, dtype=bool), (i, near[i, at])), shape=(count, count))
+    _, group = connected_components(joined, directed=False)
+    order = np.argsort(group, kind="stable")
+    begins = np.flatnonzero(np.diff(group[order], prepend=-1))
+    place = np.arange(count) - np.repeat(begins, np.diff(begins, append=count))
+    first = np.flatnonzero((place[:-1] % 2 == 0) & (place[1:] == place[:-1] + 1))
+    pairs = np.stack([order[first], order[first + 1]], axis=1)
+    close = np.linalg.norm(here[pairs[:, 0]] - here[pairs[:, 1]], axis=1) <= SAME_DIRECTION
+    return _compared(data, np.asarray(pairs[close]), "repeats", "measured again in the same direction")
 
 
 def _azimuths(at: Directions) -> Floats:

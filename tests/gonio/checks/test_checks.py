@@ -252,3 +252,19 @@ def test_an_integral_of_revolution_is_right_for_lobes_of_revolution() -> None:
         # logarithms between steps of a quarter of the width miss 1 % of it; sin(alpha) < alpha
         assert revolved(theta_i, spike, theta_r) == pytest.approx(expected, rel=0.03)
         assert revolved(theta_i, np.full(theta_i.size, 0.5 / np.pi), theta_r) == pytest.approx(0.5, rel=0.01)
+
+
+@pytest.mark.parametrize(("directions", "visits", "pairs"), [(1, 8, 4), (2, 5, 4), (3, 3, 3), (5, 2, 5), (40, 12, 240)])
+def test_visits_to_few_directions_are_compared_two_by_two(directions: int, visits: int, pairs: int) -> None:
+    """No value is in two pairs, so that the chi-square counts each once."""
+    rng = np.random.default_rng(directions)
+    once = np.stack([np.full(directions, 0.7), np.zeros(directions), rng.uniform(0, 1.2, directions),
+                     rng.uniform(0, 6.0, directions)])  # fmt: skip
+    at = Directions(*np.tile(once, visits))
+    found = repeats(drawn(4, at, matte(at)))
+    assert found is not None
+    assert found.pairs == pairs
+    moved = Directions(at.theta_i, at.phi_i, at.theta_r + rng.uniform(0, np.radians(0.01), at.theta_r.size), at.phi_r)
+    again = repeats(drawn(4, moved, matte(moved)))
+    assert again is not None
+    assert again.pairs == pairs
