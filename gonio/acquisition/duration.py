@@ -6,6 +6,7 @@ really taken corrects it (`gonio.acquisition.remaining`).
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass
@@ -63,6 +64,8 @@ class Durations:
 
     def __init__(self, description: RigDescription, bands: Sequence[Band]) -> None:
         self.description, self.bands = description, tuple(bands)
+        self.detours = bool(description.bodies)
+        """Whether a move may have to go by other poses."""
         axes, approach, limits = description.axes(), description.approach_deg(), description.limits_deg()
         self._names = tuple(axes)
         self.speed = np.radians([axis.speed_deg_per_s for axis in axes.values()])
@@ -77,7 +80,7 @@ class Durations:
         Where there is no free way it is that of the direct one: such a step is flagged, and nobody moves.
         """
         stations = [goal]
-        if self.description.bodies and start != goal:
+        if self.detours and start != goal:
             try:
                 stations = route(self.description, start, goal)
             except Blocked:
@@ -87,6 +90,13 @@ class Durations:
             total += float(self.direct_s(self.angles([here]), self.angles([station]))[0])
             here = station
         return total
+
+    def way_s(self, stations: Sequence[Pose]) -> float:
+        """Duration of the moves from each of some poses to the next [s], as `move_s`."""
+        if self.detours:
+            return math.fsum(self.move_s(a, b) for a, b in itertools.pairwise(stations))
+        angles = self.angles(stations)
+        return float(self.direct_s(angles[:-1], angles[1:]).sum())
 
     def moves_s(self, start: Pose, goals: Sequence[Pose]) -> Floats:
         """Durations [s] of the direct moves from one pose to each of many; ways around bodies are not looked for."""
@@ -177,18 +187,18 @@ class Durations:
         """How long a step takes, from a pose [s]; parameters as in `frames_s`."""
         return self.step(here, step, reflectance).total_s
 
-    def each(self, steps: Iterable[Step], here: Pose | None = None) -> list[Parts]:
-        """What each of a sequence of steps takes; `here` is where the axes stand before it (all at 0)."""
-        at, out = here or Pose(), []
-        for step in steps:
-            out.append(self.step(at, step))
-            at = at if step.kind == "dark" else step.pose
-        return out
-
     def parts(self, steps: Iterable[Step], here: Pose | None = None) -> Parts:
-        """What a sequence of steps takes, with the lamp's warm-up before it."""
-        columns = zip(*map(astuple, self.each(steps, here)), strict=True)
-        return Parts(*map(math.fsum, columns)) + Parts(warm_up_s=self.description.lamp.warm_up_s)
+        """What a sequence of steps takes, with the lamp's warm-up before it.
+
+        `here` is where the axes stand before (all at 0).
+        """
+        stations, seconds = [here or Pose()], {"point": 0.0, "reference": 0.0, "dark": 0.0}
+        for step in steps:
+            seconds[step.kind] += self.frames_s(step)
+            if step.kind != "dark":
+                stations.append(step.pose)
+        warm_up_s = self.description.lamp.warm_up_s
+        return Parts(self.way_s(stations), seconds["point"], seconds["reference"], seconds["dark"], warm_up_s)
 
     def total_s(self, steps: Iterable[Step], here: Pose | None = None) -> float:
         """How long a sequence of steps takes [s], with the lamp's warm-up before it."""

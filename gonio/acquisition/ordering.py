@@ -5,7 +5,6 @@ The order is that of plan.csv, so that a run goes on by the order that it was be
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -135,7 +134,4 @@ def _travel_s(poses: Sequence[Pose], durations: Durations, reference: Pose, ever
         stations.append(pose)
         if (every and (k + 1) % every == 0) or k + 1 == len(poses):
             stations.append(reference)
-    if durations.description.bodies:
-        return sum(durations.move_s(a, b) for a, b in itertools.pairwise(stations))
-    angles = durations.angles(stations)
-    return float(durations.direct_s(angles[:-1], angles[1:]).sum())
+    return durations.way_s(stations)
