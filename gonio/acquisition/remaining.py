@@ -11,7 +11,7 @@ import math
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -30,8 +30,10 @@ SAMPLED = 256
 """So many of the steps that are left are worked out, and stand for all."""
 PRIOR = math.log(1.5)
 """How far a rig file is off before anything is measured: standard deviation of the logarithm of a time's ratio."""
-FEWEST_SCATTER = 0.05
-"""Times scatter by no less: a first step that takes what it should proves little."""
+SCATTER, KNOWN = 0.3, 3.0
+"""How far times scatter before that is seen, and as many steps' worth that is believed: one step proves little."""
+UNSEEN = math.log(2.0)
+"""How unsure the time of steps is of whose kind none was taken yet, on a simulated rig."""
 ALIKE = 10
 """Neighbouring points have like exposures: so many steps tell as much as one that was picked at random."""
 OUTLIER = 4.0
@@ -69,7 +71,8 @@ def ratio(expected: Sequence[float], taken: Sequence[float], prior: float = PRIO
         return Ratio(1.0, prior, prior)
     off = np.log(real / wanted)
     middle = float(np.median(off))
-    scatter = max(1.4826 * float(np.median(np.abs(off - middle))), FEWEST_SCATTER)
+    seen = 1.4826 * float(np.median(np.abs(off - middle)))
+    scatter = math.sqrt((wanted.size * seen**2 + KNOWN * SCATTER**2) / (wanted.size + KNOWN))
     reach = max(OUTLIER * scatter, math.log(2.0))
     drawn_in = wanted * np.exp(np.clip(off, middle - reach, middle + reach))
     found = math.log(float(drawn_in.sum() / wanted.sum()))
@@ -219,7 +222,7 @@ class Remaining:
         if name in pairs:
             return ratio(*pairs[name], math.inf)
         expected, taken = ([x for pair in pairs.values() for x in pair[k]] for k in range(2))
-        return ratio(expected, taken, math.inf)  # of a kind that is still to come
+        return replace(ratio(expected, taken, math.inf), u_log=UNSEEN)
 
     def _expected(self, before: Pose, step: Step) -> Mapping[str, float]:
         return {step.kind: 1.0} if self._simulated else asdict(self._durations.step(before, step))

@@ -226,7 +226,7 @@ class _Bar:
     def step(self, live: Live) -> None:
         self._text = values(live)
         self._rest.step(live)
-        self._bar.update(self._task, advance=1, left=self._rest.words(every_s=1.0))
+        self._bar.update(self._task, advance=1, left=self._rest.words(every_s=0.5))
 
     @contextlib.contextmanager
     def paused(self) -> Iterator[None]:
