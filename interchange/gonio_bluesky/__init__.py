@@ -1,0 +1,1 @@
+"""Bluesky: a run as documents of its event model, and a rig as its devices."""
