@@ -12,7 +12,13 @@ from typing import Any, Literal
 from gonio.errors import ConfigError, GonioError
 
 Group = Literal[
-    "gonio.rigs", "gonio.cameras", "gonio.stages", "gonio.models", "gonio.commands", "gonio.exports"
+    "gonio.rigs",
+    "gonio.cameras",
+    "gonio.stages",
+    "gonio.models",
+    "gonio.choosers",
+    "gonio.exports",
+    "gonio.commands",
 ]
 
 
