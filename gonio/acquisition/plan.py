@@ -27,6 +27,7 @@ from gonio.geometry import Directions
 from gonio.rig import Pose, filling
 from gonio.rig.description import Band, Positive, RigDescription
 from gonio.rig.kinematics import Unreachable, reach, view
+from gonio.rig.laboratory import Laboratory
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 MAX_POINTS = 1_000_000
@@ -174,6 +175,7 @@ class PlanFile(Strict):
     sweep: tuple[Sweep, ...] = ()
     points: tuple[PointsFile, ...] = ()
     adaptive: Adaptive | None = None
+    laboratory: Laboratory | None = None
 
     @field_validator("wavelength_nm", mode="before")
     @classmethod
@@ -216,6 +218,8 @@ class Plan:
     source: str
     adaptive: Adaptive | None = None
     """What is to be chosen beyond these points."""
+    laboratory: Laboratory | None = None
+    """Who measures what, for records; no part of what tells plans apart."""
 
     @property
     def directions(self) -> Directions:
@@ -284,7 +288,7 @@ def load_plan(path: str | Path) -> Plan:
     for point in every:
         first.setdefault(_identity(point), point)
     repeated = len(every) - len(first)
-    return Plan(file.name, file.wavelength_nm, tuple(first.values()), repeated, str(path), file.adaptive)
+    return Plan(file.name, file.wavelength_nm, tuple(first.values()), repeated, str(path), file.adaptive, file.laboratory)
 
 
 def read_points(path: Path) -> list[Point]:

@@ -26,8 +26,8 @@ def convert(
         str | None,
         typer.Option(
             "--to",
-            help="Format of OUT, where its ending does not tell; mitsuba, radiance, gltf or principled (Blender); of a "
-            "run bluesky.",
+            help="Format of OUT, where its ending does not tell; mitsuba, radiance, gltf or principled (Blender); "
+            "datacite; of a run bluesky.",
             show_default=False,
         ),
     ] = None,
@@ -82,6 +82,10 @@ def convert(
             remarks = translation.write(translation.of_rows(rows), target, to)
         else:
             remarks = measured.write(rows, target, to)
+    elif to == "datacite":
+        from gonio.formats import datacite
+
+        remarks = datacite.write(table, target)
     else:
         remarks = measurement.write(table, target, format=to)
     for remark in remarks:

@@ -310,6 +310,8 @@ class _Documents:
         }
         if sample is not None:
             out["sample"] = sample.model_dump(mode="json", exclude_none=True)
+        if settings.laboratory is not None:
+            out["laboratory"] = settings.laboratory.stated()
         return cast("Json", _named(out))
 
     def _stop(self) -> Json:

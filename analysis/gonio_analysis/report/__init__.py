@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gonio.measurement import Reading
 from gonio_analysis.curves.in_plane import Normalise
@@ -100,6 +100,7 @@ def make(
             for sample, table in many.items():
                 found.append((sample, spec if len(many) == 1 else f"{spec}:{sample}", table, run))
         check_models(models)
+        _cite([table for _, _, table, _ in found], stage.work, progress)
         apart, found = _apart(found, wavelength_nm, u_rel)
         names = _distinct([sample for sample, *_ in found], [source for _, source, *_ in found])
         examined = partial(
@@ -139,6 +140,20 @@ def make(
                 progress=progress,
             )
     return Path(out) / "index.html"
+
+
+def _cite(tables: Sequence[pd.DataFrame], folder: Path, progress: Callable[[str], None]) -> None:
+    """Write `datacite.json` of one measurement whose laboratory is stated; say what is missing for it."""
+    from gonio.formats import datacite, stated
+
+    if len(tables) != 1 or stated.laboratory_of(tables[0]) is None:
+        return
+    try:
+        content = datacite.record(tables[0], Path("datacite.json"))
+    except ConfigError as error:
+        progress(f"not written: {error}")
+        return
+    (folder / "datacite.json").write_bytes(datacite.encode(content))
 
 
 def _apart(
