@@ -288,7 +288,8 @@ def load_plan(path: str | Path) -> Plan:
     for point in every:
         first.setdefault(_identity(point), point)
     repeated = len(every) - len(first)
-    return Plan(file.name, file.wavelength_nm, tuple(first.values()), repeated, str(path), file.adaptive, file.laboratory)
+    points = tuple(first.values())
+    return Plan(file.name, file.wavelength_nm, points, repeated, str(path), file.adaptive, file.laboratory)
 
 
 def read_points(path: Path) -> list[Point]:

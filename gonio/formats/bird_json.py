@@ -25,7 +25,7 @@ from gonio import __version__
 from gonio.errors import DataError
 from gonio.formats.native import checked_attributes
 from gonio.formats.reader import ANGLES, Format, fold, table, write_bytes
-from gonio.formats.stated import get, laboratory_of, require
+from gonio.formats.stated import Need, get, laboratory_of, require
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -365,13 +365,14 @@ def _unstated(frame: pd.DataFrame) -> dict[str, Any]:
 
 
 _SIZES = ("diameter_mm", "length_mm", "width_mm", "height_mm", "thickness_mm")
-_NEEDED = (
+_NEEDED: tuple[Need, ...] = (
     "organisation", "contact", "email",
     "address.country", "address.city", "address.street", "address.building", "address.postal_code",
     "sample.type", "sample.shape", tuple(f"sample.{key}" for key in _SIZES), "sample.zero_azimuth",
 )  # fmt: skip
-_NEEDED_OF_A_MEASUREMENT = (
-    "temperature_c", "instrument.lamp", "instrument.beam_diameter_mm", "instrument.camera", "instrument.camera_range_nm",
+_NEEDED_OF_A_MEASUREMENT: tuple[Need, ...] = (
+    "temperature_c",
+    "instrument.lamp", "instrument.beam_diameter_mm", "instrument.camera", "instrument.camera_range_nm",
 )  # fmt: skip
 
 
@@ -381,7 +382,11 @@ def _stated(frame: pd.DataFrame, stated: dict[str, Any], path: Path) -> dict[str
     provenance = attrs["provenance"]
     simulated = _is_simulated(provenance)
     named = attrs.get("sample")
-    needed = [*_NEEDED, *([] if named else ["sample.name"]), *([] if simulated else _NEEDED_OF_A_MEASUREMENT)]
+    needed: list[Need] = [
+        *_NEEDED,
+        *([] if named else ["sample.name"]),
+        *([] if simulated else _NEEDED_OF_A_MEASUREMENT),
+    ]
     require(stated, needed, "BiRD JSON", path)
 
     def of(key: str) -> Any:
@@ -420,7 +425,7 @@ def _stated(frame: pd.DataFrame, stated: dict[str, Any], path: Path) -> dict[str
             contact_person=of("contact"),
         ),
         "description": of("description") or f"BRDF of {sample['name']}",
-        "instrumentation": "NA" if simulated else _instrumentation(attrs, stated),
+        "instrumentation": "NA" if simulated else _instrumentation(frame, stated),
         "sample": sample,
         "environment": _environment(stated) or "NA",
     }
@@ -433,8 +438,8 @@ def _mm(value: float) -> dict[str, Any]:
     return {"value": value, "unit": "mm"}
 
 
-def _instrumentation(attrs: Mapping[str, Any], stated: dict[str, Any]) -> dict[str, Any]:
-    instrument = stated["instrument"]
+def _instrumentation(frame: pd.DataFrame, stated: dict[str, Any]) -> dict[str, Any]:
+    attrs, instrument = frame.attrs, stated["instrument"]
     shortest, longest = instrument["camera_range_nm"]
     range_nm = {"min_value": shortest, "max_value": longest, "unit": "nm"}
     out = {
@@ -473,8 +478,8 @@ def remarks(frame: pd.DataFrame) -> list[str]:
     if "reduced_by" not in provenance or "bird" in provenance or laboratory_of(frame) is not None:
         return []
     return [
-        'organisation, address, contact and the sample\'s type, shape and size stand as "unknown" in the file: nobody has '
-        "stated them; a table [laboratory] in the plan or the rig file does (docs/interchange.md)"
+        'organisation, address, contact and the sample\'s type, shape and size stand as "unknown" in the file: nobody '
+        "has stated them; a table [laboratory] in the plan or the rig file does (docs/interchange.md)"
     ]
 
 

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 from gonio.errors import ConfigError
 from gonio.formats.reader import write_bytes
-from gonio.formats.stated import get, laboratory_of, require
+from gonio.formats.stated import Need, get, laboratory_of, require
 
 if TYPE_CHECKING:
     import pandas as pd
 
 _SCHEMA = "http://datacite.org/schema/kernel-4"
-_NEEDED = ("creators", "publication_year", ("publisher", "organisation"))
+_NEEDED: tuple[Need, ...] = ("creators", "publication_year", ("publisher", "organisation"))
 
 
 def record(frame: pd.DataFrame, path: Path) -> dict[str, Any]:
@@ -35,7 +35,7 @@ def record(frame: pd.DataFrame, path: Path) -> dict[str, Any]:
             "the rig file of its run (docs/interchange.md)"
         )
     named = get(stated, "sample.name") or frame.attrs.get("sample")
-    needed = [*_NEEDED, *([] if named else [("title", "sample.name")])]
+    needed: list[Need] = [*_NEEDED, *([] if named else [("title", "sample.name")])]
     require(stated, needed, "a DataCite record", path)
     simulated = (frame.attrs.get("provenance") or {}).get("simulated") is True
     what = "Simulated measurement" if simulated else "Measurement"

@@ -11,6 +11,9 @@ from gonio.errors import ConfigError
 if TYPE_CHECKING:
     import pandas as pd
 
+Need = str | tuple[str, ...]
+"""A key that a record needs; of several keys in a tuple one is enough."""
+
 
 def laboratory_of(frame: pd.DataFrame) -> dict[str, Any] | None:
     """The table `[laboratory]` of the run that a table was reduced from; None where it had none."""
@@ -27,11 +30,8 @@ def get(stated: Mapping[str, Any], key: str) -> Any:
     return inner
 
 
-def require(stated: Mapping[str, Any], keys: Sequence[str | tuple[str, ...]], what: str, path: Path) -> None:
-    """Raise `ConfigError` that names every key that a record needs and nobody has stated.
-
-    Of keys in a tuple one is enough.
-    """
+def require(stated: Mapping[str, Any], keys: Sequence[Need], what: str, path: Path) -> None:
+    """Raise `ConfigError` that names every key that a record needs and nobody has stated."""
     missing = [
         one if isinstance(one, str) else f"{one[0]} (or {', '.join(one[1:])})"
         for one in keys

@@ -10,8 +10,8 @@
     stop                  how it ended
 
 Everything follows from the files of the run: the same run gives the same documents, and a run that has grown gives
-those that it gave, and more. Nothing of Bluesky is needed to write them. Where `event_model` is installed, every document
-is checked against its models. docs/interchange.md says what each key holds.
+those that it gave, and more. Nothing of Bluesky is needed to write them. Where `event_model` is installed, every
+document is checked against its models. docs/interchange.md says what each key holds.
 """
 
 from __future__ import annotations
@@ -138,8 +138,9 @@ def read(path: str | Path) -> Iterator[Document]:
     number = 0
     try:
         with gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb") as file:
-            for number, line in enumerate(file, 1):
+            for line in file:
                 kind, document = json.loads(line)
+                number += 1
                 yield kind, document
     except OSError as error:
         if isinstance(error, gzip.BadGzipFile):
@@ -155,11 +156,10 @@ def _checker() -> tuple[Callable[[str, Json], None], list[str]]:
         from event_model import DocumentNames, basemodels, schema_validators
         from jsonschema import ValidationError
     except ImportError:
-        text = (
-            'the documents were written unchecked: event-model is not installed (pip install "gonio[bluesky]" brings it)'
-        )
-        return (lambda kind, document: None), [text]
-    many = {"event": basemodels.Event, "datum_page": basemodels.DatumPage}  # fifty times as fast as the schemas
+        how = 'pip install "gonio[bluesky]" brings it'
+        return (lambda kind, document: None), [f"the documents are unchecked: event-model is not installed ({how})"]
+    # fifty times as fast as the schemas
+    many: dict[str, Any] = {"event": basemodels.Event, "datum_page": basemodels.DatumPage}
 
     def check(kind: str, document: Json) -> None:
         try:

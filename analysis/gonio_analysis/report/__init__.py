@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gonio.errors import ConfigError
 from gonio.measurement import Reading
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.parameters import Ior
@@ -35,6 +36,9 @@ from gonio_analysis.selection.choice import candidates
 from gonio_analysis.selection.compare import Dataset, check_models, examine
 from gonio_analysis.selection.run_record import run_facts
 from gonio_analysis.selection.transmission import Transmitted, transmitted
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Measured = tuple[str, str, Any, RunFacts | None]
 """A sample's name, where it comes from, its table, and what its run says."""
