@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import datetime
 import gzip
+import hashlib
 import io
 import json
 import math
@@ -33,7 +34,7 @@ from typing import IO, TYPE_CHECKING, Any, cast
 from gonio.acquisition.journal import Event
 from gonio.acquisition.plan import ANGLES
 from gonio.acquisition.run import TABLE, Run
-from gonio.disk import read_file, read_manifest, require_name
+from gonio.disk import is_own, read_file, read_manifest, require_name
 from gonio.errors import ConfigError, DataError
 from gonio.rig.dng import read_raw
 
@@ -234,6 +235,8 @@ class _Documents:
         self._run_uid = uuid.uuid5(SPACE, identity)
         self._streams: dict[str, _Stream] = {}
         self._angles = run.points.angles_deg
+        folder = run.path / "frames"
+        self._there = frozenset(os.listdir(folder)) if folder.is_dir() else frozenset()
         self._missing: list[str] = []
 
     def all(self) -> Iterator[Document]:
@@ -400,8 +403,7 @@ class _Documents:
     def _datum_page(self, steps: list[Event]) -> Json:
         resource = self._uid("frames")
         listed = [event["frames"] for event in steps]
-        for frames in listed:
-            self._missing += [f["file"] for f in frames if not self._run.frame_path(f["file"]).exists()]
+        self._missing += [f["file"] for frames in listed for f in frames if f["file"] not in self._there]
         names = ("file", "band", "exposure_s", "time_s", "lamp", "monitor", "sha256")
         return {
             "resource": resource,
@@ -424,8 +426,8 @@ class _Documents:
             data["point"] = event["point"]
             data |= dict(zip(ANGLES, map(float, self._angles[event["point"]]), strict=True))
         data |= {
+            **{f"{axis}_deg": math.degrees(event["pose"][axis]) for axis in self._axes},
             "goal_deg": self._pose(event["goal"]),
-            "pose_deg": self._pose(event["pose"]),
             "pose_after_deg": self._pose(event.get("pose_after")),
             "time_s": event["time_s"],
             "flag": event["flag"],
@@ -451,7 +453,8 @@ class _Documents:
         keys = {"step": _integer("journal")}
         if name == "primary":
             keys |= {"point": _integer("plan")} | {angle: _number("plan", "deg") for angle in ANGLES}
-        keys |= {key: _array("journal", axes, "deg", "axis") for key in ("goal_deg", "pose_deg", "pose_after_deg")}
+        keys |= {f"{axis}_deg": _number("journal", "deg") for axis in self._axes}
+        keys |= {key: _array("journal", axes, "deg", "axis") for key in ("goal_deg", "pose_after_deg")}
         keys |= {"time_s": _number("journal", "s"), "flag": _text("journal")}
         if name != "dark":
             keys["exposure_s"] = _array("journal", bands, "s", "band")
@@ -487,31 +490,24 @@ class _Documents:
         yield self._event("journal", event["n"], _seconds(event["wall"]), data)
 
     def _reduced(self) -> Iterator[Document]:
-        """The rows of the table; common causes together, their names in the descriptor."""
+        """The rows of the table."""
         path = self._run.path / TABLE[0]
         if not os.path.lexists(path):
             return
         from gonio import measurement
-        from gonio.disk import is_own
 
         if not is_own(path, read_manifest(self._run.path).get(path.name, ())):
             self._remarks.append(f"{path}: was changed after it was written, and is left out (no stream `reduced`)")
             return
         frame = measurement.read(path)
-        causes = [name for name in frame.columns if name.startswith("s_")]
-        single = [name for name in frame.columns if name not in causes]
-        units = {"brdf": "1/sr", "u_brdf": "1/sr", "u_random": "1/sr", "wavelength_nm": "nm"}
+        units = dict.fromkeys(ANGLES, "deg") | {"wavelength_nm": "nm", "brdf": "1/sr", "u_brdf": "1/sr"}
+        units |= {name: "1/sr" for name in frame.columns if name == "u_random" or name.startswith("s_")}
         keys = {
-            name: _text("table") if frame[name].dtype.kind not in "fiu"
-            else _number("table", "deg" if name in ANGLES else units.get(name, ""))
-            for name in single
-        }  # fmt: skip
-        keys["common"] = _array("table", len(causes), "1/sr", "cause")
+            name: _number("table", units.get(name, "")) if frame[name].dtype.kind in "fiu" else _text("table")
+            for name in frame.columns
+        }
         provenance = frame.attrs.get("provenance") or {}
-        import hashlib
-
         configuration = {
-            "causes": causes,
             "sha256": hashlib.sha256(read_file(path)).hexdigest(),
             "reduced_by": str(provenance.get("reduced_by", "")),
             "quantity": str(frame.attrs.get("quantity", "brdf")),
@@ -519,8 +515,7 @@ class _Documents:
         yield "descriptor", self._descriptor("reduced", keys, configuration, "reduction")
         columns = {name: [_finite(value) for value in frame[name].tolist()] for name in frame.columns}
         for row in range(len(frame)):
-            data = {name: columns[name][row] for name in single}
-            data["common"] = [columns[name][row] for name in causes]
+            data = {name: values[row] for name, values in columns.items()}
             yield self._event("reduced", row, self._known.last_time, data)
 
 
