@@ -422,7 +422,7 @@ class _GatedRig:
 def measurement(
     plan: str | Path | Plan,
     *,
-    rig: str,
+    rig: str | RigChoice,
     out: str | Path,
     sample: str | Path | SampleDescription | None = None,
     seed: int = 0,
@@ -436,7 +436,7 @@ def measurement(
     plan
         A plan file, or a plan as `points_plan` makes it.
     rig
-        "sim", another entry point, or the path of a rig file.
+        "sim", another entry point, or the path of a rig file; or what `find_rig` makes of them.
     out
         The folder of the run, empty or absent; with `resume` one that has begun.
     sample, seed
@@ -451,7 +451,7 @@ def measurement(
     ConfigError
         Plan, rig or sample is wrong, or no point can be reached. Entering it raises what `gonio measure` would say.
     """
-    choice = find_rig(rig)
+    choice = find_rig(rig) if isinstance(rig, str) else rig
     loaded = plan if isinstance(plan, Plan) else load_plan(plan)
     if loaded.adaptive is not None:
         raise ConfigError(f"{loaded.source}: [adaptive] chooses its points itself; measure it with `gonio measure`")
