@@ -372,7 +372,8 @@ _NEEDED: tuple[Need, ...] = (
 )  # fmt: skip
 _NEEDED_OF_A_MEASUREMENT: tuple[Need, ...] = (
     "temperature_c",
-    "instrument.lamp", "instrument.beam_diameter_mm", "instrument.camera", "instrument.camera_range_nm",
+    "instrument.lamp", "instrument.lamp_type", "instrument.lamp_power_w", "instrument.lamp_range_nm",
+    "instrument.beam_diameter_mm", "instrument.camera", "instrument.camera_range_nm",
 )  # fmt: skip
 
 
@@ -440,18 +441,27 @@ def _mm(value: float) -> dict[str, Any]:
 
 def _instrumentation(frame: pd.DataFrame, stated: dict[str, Any]) -> dict[str, Any]:
     attrs, instrument = frame.attrs, stated["instrument"]
-    shortest, longest = instrument["camera_range_nm"]
-    range_nm = {"min_value": shortest, "max_value": longest, "unit": "nm"}
+    lit, seen = (
+        {"min_value": instrument[key][0], "max_value": instrument[key][1], "unit": "nm"}
+        for key in ("lamp_range_nm", "camera_range_nm")
+    )
+    diameter = instrument["beam_diameter_mm"]
+    area = {"value": math.pi / 4.0 * diameter**2, "unit": "mm^2"}
     out = {
         "name": str(attrs["provenance"]["rig"]),
         "illumination_system": {
             "name": instrument["lamp"],
-            "source": {"name": instrument["lamp"]},
-            "beam": {"shape": "circular", "dimensions": {"diameter": _mm(instrument["beam_diameter_mm"])}},
+            "source": {
+                "name": instrument["lamp"],
+                "type": instrument["lamp_type"],
+                "power": {"value": instrument["lamp_power_w"], "unit": "W"},
+                "wl_range": lit,
+            },
+            "beam": {"shape": "circular", "dimensions": {"diameter": _mm(diameter), "area": area}},
         },
         "detection_system": {
             "name": instrument["camera"],
-            "sensors": [{"name": instrument["camera"], "spectral_response_range": range_nm}],
+            "sensors": [{"name": instrument["camera"], "spectral_response_range": seen}],
             "solid_angle": {"value": attrs["receiver_solid_angle_sr"], "unit": "sr"},
         },
     }

@@ -62,7 +62,13 @@ class Instrument(Strict):
     manufacturer: Words | None = None
     serial_number: Words | None = None
     lamp: Words | None = None
+    lamp_type: Words | None = None
+    """As "xenon arc" or "LED"."""
+    lamp_power_w: Positive | None = None
+    lamp_range_nm: tuple[Positive, Positive] | None = None
+    """Shortest and longest wavelength of its light."""
     beam_diameter_mm: Positive | None = None
+    """On the sample."""
     camera: Words | None = None
     camera_range_nm: tuple[Positive, Positive] | None = None
     """Shortest and longest wavelength that the sensor answers to."""
