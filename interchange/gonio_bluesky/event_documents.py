@@ -428,11 +428,11 @@ class _Documents:
         data |= {
             **{f"{axis}_deg": math.degrees(event["pose"][axis]) for axis in self._axes},
             "goal_deg": self._pose(event["goal"]),
-            "pose_after_deg": self._pose(event.get("pose_after")),
             "time_s": event["time_s"],
             "flag": event["flag"],
         }
         if name != "dark":
+            data["pose_after_deg"] = self._pose(event.get("pose_after"))
             longest = {f["band"]: f["exposure_s"] for f in sorted(frames, key=lambda f: float(f["exposure_s"]))}
             data["exposure_s"] = [longest.get(band) for band in self._bands]
             data["level_per_s"] = [levels.get(band) for band in self._bands]
@@ -444,8 +444,8 @@ class _Documents:
         data["frames"] = f"{self._uid('frames')}/{event['n']}"
         yield self._event(name, event["n"], _seconds(event["wall"]), data)
 
-    def _pose(self, pose: Mapping[str, float] | None) -> list[float] | None:
-        return None if pose is None else [math.degrees(pose[axis]) for axis in self._axes]
+    def _pose(self, pose: Mapping[str, float] | None) -> list[float | None]:
+        return [None if pose is None else math.degrees(pose[axis]) for axis in self._axes]
 
     def _step_keys(self, name: str) -> dict[str, Json]:
         axes, bands = len(self._axes), len(self._bands)
@@ -454,9 +454,10 @@ class _Documents:
         if name == "primary":
             keys |= {"point": _integer("plan")} | {angle: _number("plan", "deg") for angle in ANGLES}
         keys |= {f"{axis}_deg": _number("journal", "deg") for axis in self._axes}
-        keys |= {key: _array("journal", axes, "deg", "axis") for key in ("goal_deg", "pose_after_deg")}
+        keys |= {"goal_deg": _array("journal", axes, "deg", "axis")}
         keys |= {"time_s": _number("journal", "s"), "flag": _text("journal")}
         if name != "dark":
+            keys["pose_after_deg"] = _array("journal", axes, "deg", "axis")
             keys["exposure_s"] = _array("journal", bands, "s", "band")
             keys["level_per_s"] = _array("journal", bands, "1/s", "band")
         if self._known.numbers:

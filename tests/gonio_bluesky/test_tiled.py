@@ -27,7 +27,7 @@ def test_tiled_reads_back_every_key_bit_for_bit(tmp_path: Path) -> None:
     from tests.gonio.numpy_rig import PLAN
 
     (tmp_path / "plan.toml").write_text(PLAN)
-    choice = RigChoice(Plugin(), describe(), "numpy")
+    choice = RigChoice(Plugin(options={"pushes": {3: 99}}), describe(), "numpy")  # a step without frames
     run = carry_out(load_plan(tmp_path / "plan.toml"), choice, tmp_path / "RUN", sample=SAMPLE)
     run.write_table(brdf.reduce(Run.open(run.path)))
     write(str(run.path), tmp_path / "run.jsonl")
