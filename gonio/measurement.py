@@ -168,7 +168,7 @@ def write(frame: pd.DataFrame, path: str | Path, *, format: str | None = None) -
     if "transmission" not in chosen.carries:
         reflection_only(frame, path, chosen.title)
     chosen.write(frame, path)
-    lost = []
+    lost = chosen.remarks(frame) if chosen.remarks is not None else []
     if "mueller" not in chosen.carries and set(MUELLER) & set(frame.columns):
         lost.append(f"{chosen.title} has no room for Mueller matrices: m01 to m33 are not written")
     if "uncertainty" not in chosen.carries and frame["u_brdf"].notna().any():

@@ -1,4 +1,4 @@
-"""Entry points: rigs, cameras, models and commands, ours and a stranger's alike."""
+"""Entry points: rigs, cameras, models, commands and exports of runs, ours and a stranger's alike."""
 
 from __future__ import annotations
 
@@ -11,7 +11,15 @@ from typing import Any, Literal
 
 from gonio.errors import ConfigError, GonioError
 
-Group = Literal["gonio.rigs", "gonio.cameras", "gonio.stages", "gonio.models", "gonio.choosers", "gonio.commands"]
+Group = Literal[
+    "gonio.rigs",
+    "gonio.cameras",
+    "gonio.stages",
+    "gonio.models",
+    "gonio.choosers",
+    "gonio.exports",
+    "gonio.commands",
+]
 
 
 _added: dict[tuple[Group, str], EntryPoint] = {}

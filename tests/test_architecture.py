@@ -19,6 +19,7 @@ PACKAGES = {
     "gonio_scenes": ROOT / "scenes" / "gonio_scenes",
     "gonio_analysis": ROOT / "analysis" / "gonio_analysis",
     "gonio_validation": ROOT / "analysis" / "gonio_validation",
+    "gonio_bluesky": ROOT / "interchange" / "gonio_bluesky",
 }
 GROUND = {f"gonio.{name}" for name in ("errors", "disk", "config", "geometry", "typing")}
 """What everything may stand on, and what is not counted."""

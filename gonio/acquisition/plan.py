@@ -30,6 +30,7 @@ from gonio.geometry import Directions
 from gonio.rig import Pose, filling
 from gonio.rig.description import Band, Positive, RigDescription
 from gonio.rig.kinematics import Unreachable, reach, view
+from gonio.rig.laboratory import Laboratory
 
 SAME_DEG = 1e-7
 """Points closer than this in every angle [deg] are one point: above rounding, and far below an encoder's step."""
@@ -72,6 +73,7 @@ class PlanFile(Strict):
     hemisphere: tuple[Hemisphere, ...] = ()
     points: tuple[PointsFile, ...] = ()
     adaptive: Adaptive | None = None
+    laboratory: Laboratory | None = None
 
     @field_validator("wavelength_nm", mode="before")
     @classmethod
@@ -124,6 +126,8 @@ class Plan:
     """Points between two visits to the white reference; None: as the rig file says."""
     below_horizon: int = 0
     """How many directions of half-vector grids were left out because no light can take them."""
+    laboratory: Laboratory | None = None
+    """Who measures what, for records; no part of what tells plans apart."""
 
     @property
     def directions(self) -> Directions:
@@ -203,7 +207,7 @@ def load_plan(path: str | Path) -> Plan:
         )
     return Plan(
         file.name, file.wavelength_nm, points, repeated, str(path), file.adaptive, file.order, file.reference_every,
-        below,
+        below, file.laboratory,
     )  # fmt: skip
 
 

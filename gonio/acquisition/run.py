@@ -53,6 +53,7 @@ from gonio.disk import (
 )
 from gonio.errors import ConfigError, DataError
 from gonio.rig.description import Band, RigDescription, SampleDescription
+from gonio.rig.laboratory import Laboratory
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -128,7 +129,10 @@ class Run:
             files, description = named_files(request.description)
             settings = settings_for(request, description)
             plan = _plan_csv(request.points).encode()
-            toml = to_toml(settings.model_dump(mode="json", exclude_none=True)).encode()
+            tables = settings.model_dump(mode="json", exclude_none=True)
+            if settings.laboratory is not None:
+                tables["laboratory"] = settings.laboratory.stated()
+            toml = to_toml(tables).encode()
             write_own(path, files | {"plan.csv": plan, "run.toml": toml})
             sync_folder(path)
         except BaseException as error:
@@ -175,6 +179,7 @@ class Run:
                     + "\n".join(f"  {line}" for line in differing[:8])
                     + "\nresume with what it was begun with, or measure into a new folder"
                 )
+            run._state(settings_for(request, request.description).laboratory)
             if not os.path.lexists(path / "plan.csv"):
                 write_own(path, {"plan.csv": _plan_csv(request.points).encode()})
             (path / "frames").mkdir(exist_ok=True)
@@ -368,6 +373,15 @@ class Run:
         except OSError as error:
             raise DataError(f"{self.path / CHOSEN}: cannot be written: {error.strerror}") from None
         self.append(event)
+
+    def _state(self, laboratory: Laboratory | None) -> None:
+        """Keep what rig file and plan say now of who measures what, where it differs from what the run has."""
+        if laboratory is None or laboratory == self.settings.laboratory:
+            return
+        tables = tomllib.loads(read_file(self.path / "run.toml").decode()) | {"laboratory": laboratory.stated()}
+        write_own(self.path, {"run.toml": to_toml(tables).encode()})
+        self.settings = self.settings.model_copy(update={"laboratory": laboratory})
+        self.append({"event": "remark", "message": "[laboratory] of run.toml is what rig file and plan say now"})
 
     def take_back(self, damaged: Mapping[int, Sequence[str]]) -> list[str]:
         """Say in the journal which steps count no more, because of which frames; what is wrong with each frame."""

@@ -19,6 +19,7 @@ from gonio.disk import read_file
 from gonio.errors import ConfigError
 from gonio.formats.native import meta_path
 from gonio.rig.description import CalibrationUse, RigDescription, SampleDescription
+from gonio.rig.laboratory import Laboratory, merged
 
 FORMAT = 1
 NAMED_FILES = {
@@ -53,6 +54,8 @@ class Settings(Strict):
     sample: SampleDescription | None = None
     adaptive: Adaptive | None = None
     """What was to be chosen beyond the points of plan.csv."""
+    laboratory: Laboratory | None = None
+    """Who measured what, as rig file and plan say; a later sitting may say it better."""
 
 
 @dataclass(frozen=True)
@@ -92,9 +95,10 @@ def settings_for(request: Request, description: RigDescription) -> Settings:
             seed=request.seed,
         ),
         versions=versions,
-        rig=description,
+        rig=description.model_copy(update={"laboratory": None}),
         sample=request.sample,
         adaptive=request.plan.adaptive,
+        laboratory=merged(description.laboratory, request.plan.laboratory),
     )
 
 

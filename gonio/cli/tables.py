@@ -26,7 +26,8 @@ def convert(
         str | None,
         typer.Option(
             "--to",
-            help="Format of OUT, where its ending does not tell; mitsuba, radiance, gltf or principled (Blender).",
+            help="Format of OUT, where its ending does not tell; mitsuba, radiance, gltf or principled (Blender); "
+            "datacite; of a run bluesky.",
             show_default=False,
         ),
     ] = None,
@@ -38,11 +39,14 @@ def convert(
     ] = None,
 ) -> None:
     """Convert a measurement, or a model, to another file format. By file ending, or by a format's name."""
-    from gonio import measurement
+    from gonio import measurement, plugins
     from gonio.cli import console
     from gonio.errors import ConfigError
 
     how = reading(columns, blank)
+    if target_format in plugins.available("gonio.exports"):
+        _export(source, target, target_format, source_format or columns or blank or wavelength_nm)
+        return
     to: str | None = "gltf" if target_format is None and target.suffix.lower() in (".gltf", ".glb") else target_format
     is_model = source.endswith(".toml")
     if is_model and (columns, blank) != (None, None):
@@ -78,12 +82,31 @@ def convert(
             remarks = translation.write(translation.of_rows(rows), target, to)
         else:
             remarks = measured.write(rows, target, to)
+    elif to == "datacite":
+        from gonio.formats import datacite
+
+        remarks = datacite.write(table, target)
     else:
         remarks = measurement.write(table, target, format=to)
     for remark in remarks:
         console.note(remark)
     remember([source], how)
     console.show(f"{target}: {len(table)} values")
+
+
+def _export(source: str, target: Path, name: str, more: object) -> None:
+    """A whole run, as an entry point of the group `gonio.exports` writes it."""
+    from gonio import plugins
+    from gonio.cli import console
+    from gonio.errors import ConfigError
+
+    if more is not None or not Path(source).is_dir():
+        what = "goes with --to alone" if more is not None else "is no folder"
+        raise ConfigError(f"{source}: {what}; --to {name} takes a run as `gonio measure` has written it")
+    *remarks, done = plugins.load("gonio.exports", name)(source, target)
+    for remark in remarks:
+        console.note(remark)
+    console.show(f"{target}: {done}")
 
 
 _TRANSLATED = ("gltf", "principled")

@@ -29,6 +29,8 @@ _MODULES = (
     "merl",
     "rgl",
 )
+_ALSO = {"bird-json": "bird"}
+"""Other names of formats, for --from and --to."""
 SNIFFED_BYTES = 65536
 
 
@@ -48,6 +50,7 @@ def named(name: str) -> Format:
         There is none (with the nearest name).
     """
     formats = all_formats()
+    name = _ALSO.get(name, name)
     if name not in formats:
         near = difflib.get_close_matches(name, formats, n=1)
         hint = f'did you mean "{near[0]}"?' if near else f"known: {', '.join(formats)}"

@@ -14,6 +14,7 @@ import json
 import math
 import re
 import uuid
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, cast
@@ -24,6 +25,7 @@ from gonio import __version__
 from gonio.errors import DataError
 from gonio.formats.native import checked_attributes
 from gonio.formats.reader import ANGLES, Format, fold, table, write_bytes
+from gonio.formats.stated import Need, get, laboratory_of, require
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -302,7 +304,7 @@ def write(frame: pd.DataFrame, path: Path) -> None:
         keep("sample", "The sample that a row belongs to.", "string", "")
     if adhoc:
         data["adhoc_variables"] = adhoc
-    content = {"metadata": _metadata(frame), "data": data}
+    content = {"metadata": _metadata(frame, path), "data": data}
     try:
         text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
     except (TypeError, ValueError) as error:
@@ -310,7 +312,7 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     write_bytes(path, text.encode() + b"\n")
 
 
-def _metadata(frame: pd.DataFrame) -> dict[str, Any]:
+def _metadata(frame: pd.DataFrame, path: Path) -> dict[str, Any]:
     attrs = frame.attrs
     provenance = attrs.get("provenance") or {}
     attributes = {key: value for key, value in attrs.items() if key not in ("provenance", "source_file")}
@@ -319,12 +321,29 @@ def _metadata(frame: pd.DataFrame) -> dict[str, Any]:
     if isinstance(given, dict) and given:
         section = given.get("adhoc_section")
         return given | {"adhoc_section": (section if isinstance(section, dict) else {}) | {"gonio": attributes}}
-    unknown = "unknown"
     values = frame["brdf"].to_numpy(np.float64).tobytes().hex()
-    return {
+    out = {
         "schema": _SCHEMA,
         "id": f"urn:uuid:{uuid.uuid5(uuid.NAMESPACE_OID, values)}",
         "type": "BRDF",
+        "method": "simulation" if _is_simulated(provenance) else "measurement",
+        "software": {"name": "gonio", "version": __version__},
+        "adhoc_section": {"gonio": attributes},
+    }
+    stated = laboratory_of(frame)
+    return out | (_unstated(frame) if stated is None else _stated(frame, stated, path))
+
+
+def _is_simulated(provenance: Mapping[str, Any]) -> bool:
+    told = provenance.get("simulated")
+    return told if isinstance(told, bool) else str(provenance.get("rig", "")).startswith("sim")
+
+
+def _unstated(frame: pd.DataFrame) -> dict[str, Any]:
+    """What the schema requires, of a table of which nobody has said whose it is."""
+    attrs, unknown = frame.attrs, "unknown"
+    provenance = attrs.get("provenance") or {}
+    return {
         "timestamp": datetime.now(UTC).isoformat(timespec="seconds"),
         "provenance": {
             "organization": str(provenance.get("organization", unknown)),
@@ -333,9 +352,7 @@ def _metadata(frame: pd.DataFrame) -> dict[str, Any]:
             "contact_person": unknown,
         },
         "description": f"BRDF of {attrs.get('sample') or 'a sample'}",
-        "method": "simulation" if str(provenance.get("rig", "")).startswith("sim") else "measurement",
         "instrumentation": "NA",
-        "software": {"name": "gonio", "version": __version__},
         "sample": {
             "name": str(attrs.get("sample") or unknown),
             "type": unknown,
@@ -344,8 +361,136 @@ def _metadata(frame: pd.DataFrame) -> dict[str, Any]:
             "zero_azimuth_location": "the sample's x axis",
         },
         "environment": "NA",
-        "adhoc_section": {"gonio": attributes},
     }
+
+
+_SIZES = ("diameter_mm", "length_mm", "width_mm", "height_mm", "thickness_mm")
+_NEEDED: tuple[Need, ...] = (
+    "organisation", "contact", "email",
+    "address.country", "address.city", "address.street", "address.building", "address.postal_code",
+    "sample.type", "sample.shape", tuple(f"sample.{key}" for key in _SIZES), "sample.zero_azimuth",
+)  # fmt: skip
+_NEEDED_OF_A_MEASUREMENT: tuple[Need, ...] = (
+    "temperature_c",
+    "instrument.lamp", "instrument.lamp_type", "instrument.lamp_power_w", "instrument.lamp_range_nm",
+    "instrument.beam_diameter_mm", "instrument.camera", "instrument.camera_range_nm",
+)  # fmt: skip
+
+
+def _stated(frame: pd.DataFrame, stated: dict[str, Any], path: Path) -> dict[str, Any]:
+    """The same from `[laboratory]`; `ConfigError` names every key that is missing."""
+    attrs = frame.attrs
+    provenance = attrs["provenance"]
+    simulated = _is_simulated(provenance)
+    named = attrs.get("sample")
+    needed: list[Need] = [
+        *_NEEDED,
+        *([] if named else ["sample.name"]),
+        *([] if simulated else _NEEDED_OF_A_MEASUREMENT),
+    ]
+    require(stated, needed, "BiRD JSON", path)
+
+    def of(key: str) -> Any:
+        return get(stated, key)
+
+    def there(**values: Any) -> dict[str, Any]:
+        return {key: value for key, value in values.items() if value is not None}
+
+    address = there(
+        country=of("address.country"),
+        county=of("address.county"),
+        city=of("address.city"),
+        street=of("address.street"),
+        building_nr=of("address.building"),
+        room_nr=of("address.room"),
+        postal_code=of("address.postal_code"),
+    )
+    sample = there(
+        name=of("sample.name") or named,
+        type=of("sample.type"),
+        shape=of("sample.shape"),
+        dimensions={key.removesuffix("_mm"): _mm(of(f"sample.{key}")) for key in _SIZES if of(f"sample.{key}")},
+        zero_azimuth_location=of("sample.zero_azimuth"),
+        manufacturer=of("sample.manufacturer"),
+        treatment=of("sample.treatment"),
+    )
+    if of("sample.material"):
+        sample["materials"] = [{"name": of("sample.material")}]
+    out = {
+        "timestamp": str(of("measured") or datetime.now(UTC).isoformat(timespec="seconds")),
+        "provenance": there(
+            organization=of("organisation"),
+            location=address,
+            website=of("website"),
+            email=of("email"),
+            contact_person=of("contact"),
+        ),
+        "description": of("description") or f"BRDF of {sample['name']}",
+        "instrumentation": "NA" if simulated else _instrumentation(frame, stated),
+        "sample": sample,
+        "environment": _environment(stated) or "NA",
+    }
+    if of("license") and of("rights_holder"):
+        out["license"] = there(type=of("license"), link=of("license_link"), rights_holder=of("rights_holder"))
+    return out
+
+
+def _mm(value: float) -> dict[str, Any]:
+    return {"value": value, "unit": "mm"}
+
+
+def _instrumentation(frame: pd.DataFrame, stated: dict[str, Any]) -> dict[str, Any]:
+    attrs, instrument = frame.attrs, stated["instrument"]
+    lit, seen = (
+        {"min_value": instrument[key][0], "max_value": instrument[key][1], "unit": "nm"}
+        for key in ("lamp_range_nm", "camera_range_nm")
+    )
+    diameter = instrument["beam_diameter_mm"]
+    area = {"value": math.pi / 4.0 * diameter**2, "unit": "mm^2"}
+    out = {
+        "name": str(attrs["provenance"]["rig"]),
+        "illumination_system": {
+            "name": instrument["lamp"],
+            "source": {
+                "name": instrument["lamp"],
+                "type": instrument["lamp_type"],
+                "power": {"value": instrument["lamp_power_w"], "unit": "W"},
+                "wl_range": lit,
+            },
+            "beam": {"shape": "circular", "dimensions": {"diameter": _mm(diameter), "area": area}},
+        },
+        "detection_system": {
+            "name": instrument["camera"],
+            "sensors": [{"name": instrument["camera"], "spectral_response_range": seen}],
+            "solid_angle": {"value": attrs["receiver_solid_angle_sr"], "unit": "sr"},
+        },
+    }
+    more = {"manufacturer": instrument.get("manufacturer"), "serial_number": instrument.get("serial_number")}
+    more["operator_name"] = stated.get("operator")
+    return out | {key: value for key, value in more.items() if value is not None}
+
+
+def _environment(stated: dict[str, Any]) -> dict[str, Any]:
+    if "temperature_c" not in stated:
+        return {}
+    temperature: dict[str, Any] = {"value": stated["temperature_c"], "unit": "°C"}
+    if "u_temperature_c" in stated:
+        temperature |= {"uncertainty": stated["u_temperature_c"], "uncertainty_unit": "°C"}
+    out: dict[str, Any] = {"temperature": temperature}
+    if "relative_humidity_percent" in stated:
+        out["relative_humidity"] = {"value": stated["relative_humidity_percent"], "unit": "%"}
+    return out
+
+
+def remarks(frame: pd.DataFrame) -> list[str]:
+    """What stands as "unknown" in the file of a run of ours, and how to state it."""
+    provenance = frame.attrs.get("provenance") or {}
+    if "reduced_by" not in provenance or "bird" in provenance or laboratory_of(frame) is not None:
+        return []
+    return [
+        'organisation, address, contact and the sample\'s type, shape and size stand as "unknown" in the file: nobody '
+        "has stated them; a table [laboratory] in the plan or the rig file does (docs/interchange.md)"
+    ]
 
 
 FORMAT = Format(
@@ -357,6 +502,7 @@ FORMAT = Format(
     ),
     read=read,
     write=write,
+    remarks=remarks,
     max_bytes=64 * 2**20,
     carries=frozenset({"uncertainty", "flag", "solid angle"}),
 )

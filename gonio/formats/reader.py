@@ -58,6 +58,8 @@ class Format:
     read: Callable[[bytes, Path], pd.DataFrame]
     """The table in a file's bytes; the path is for messages and for what lies beside the file."""
     write: Callable[[pd.DataFrame, Path], None] | None = None
+    remarks: Callable[[pd.DataFrame], list[str]] | None = None
+    """What a reader of a written file should know, a sentence each."""
     write_model: Callable[[Model, str, Path], None] | None = None
     """Writes an isotropic model, with a name, at the directions of the format: for renderers."""
     max_bytes: int = MAX_BYTES

@@ -21,6 +21,7 @@ from pydantic import Field, model_validator
 from gonio.config import Strict, numbers_in
 from gonio.errors import ConfigError
 from gonio.rig.health import Reading
+from gonio.rig.laboratory import Laboratory
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -654,6 +655,8 @@ class RigDescription(Strict):
     devices: dict[str, Any] = Field(default_factory=dict)
     """Ports, ids and dialects: checked by the rig's own driver."""
     calibration: CalibrationUse = CalibrationUse()
+    laboratory: Laboratory | None = None
+    """Whose rig it is; a run has it under its own name, with what the plan says."""
     truth: str | None = None
     """Simulation: a file of rig keys, beside the rig file, that says what is true of the bench and that nobody knows
     who measures there. The simulated devices read it; nothing that plans, measures or reduces does."""

@@ -6,8 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from gonio.errors import ConfigError
 from gonio.measurement import Reading
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.parameters import Ior
@@ -35,6 +36,9 @@ from gonio_analysis.selection.choice import candidates
 from gonio_analysis.selection.compare import Dataset, check_models, examine
 from gonio_analysis.selection.run_record import run_facts
 from gonio_analysis.selection.transmission import Transmitted, transmitted
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Measured = tuple[str, str, Any, RunFacts | None]
 """A sample's name, where it comes from, its table, and what its run says."""
@@ -100,6 +104,7 @@ def make(
             for sample, table in many.items():
                 found.append((sample, spec if len(many) == 1 else f"{spec}:{sample}", table, run))
         check_models(models)
+        _cite([table for _, _, table, _ in found], stage.work, progress)
         apart, found = _apart(found, wavelength_nm, u_rel)
         names = _distinct([sample for sample, *_ in found], [source for _, source, *_ in found])
         examined = partial(
@@ -139,6 +144,20 @@ def make(
                 progress=progress,
             )
     return Path(out) / "index.html"
+
+
+def _cite(tables: Sequence[pd.DataFrame], folder: Path, progress: Callable[[str], None]) -> None:
+    """Write `datacite.json` of one measurement whose laboratory is stated; say what is missing for it."""
+    from gonio.formats import datacite, stated
+
+    if len(tables) != 1 or stated.laboratory_of(tables[0]) is None:
+        return
+    try:
+        content = datacite.record(tables[0], Path("datacite.json"))
+    except ConfigError as error:
+        progress(f"not written: {error}")
+        return
+    (folder / "datacite.json").write_bytes(datacite.encode(content))
 
 
 def _apart(

@@ -113,7 +113,8 @@ def test_a_round_trip_keeps_everything(tmp_path: Path, small: pd.DataFrame) -> N
     assert back.attrs["sample"] == "tile 7"
 
 
-def test_files_fit_the_schemas(tmp_path: Path, small: pd.DataFrame, shared: Callable[[str], Path]) -> None:
+def validator(shared: Callable[[str], Path]) -> Any:
+    """Of the project's own schemas."""
     jsonschema = pytest.importorskip("jsonschema")
     from referencing import Registry, Resource
 
@@ -124,8 +125,11 @@ def test_files_fit_the_schemas(tmp_path: Path, small: pd.DataFrame, shared: Call
     ]  # that one is not JSON, and no other refers to it
     registry = Registry().with_resources((schema["$id"], Resource.from_contents(schema)) for schema in schemas)
     (top,) = (schema for schema in schemas if schema["$id"].endswith("/brdf_json_schema_v1.0.json"))
-    validator = jsonschema.Draft202012Validator(top, registry=registry)
+    return jsonschema.Draft202012Validator(top, registry=registry)
 
+
+def test_files_fit_the_schemas(tmp_path: Path, small: pd.DataFrame, shared: Callable[[str], Path]) -> None:
+    schema = validator(shared)
     polarised = small.copy()
     polarised["polarisation"] = ["ss", "sp", "ps", "pp"] * 3
     own = measurement.read(shared("bird_json/example.brdf"))
@@ -134,7 +138,7 @@ def test_files_fit_the_schemas(tmp_path: Path, small: pd.DataFrame, shared: Call
     for number, frame in enumerate((small, full(small.copy()), polarised, own, band)):
         path = tmp_path / f"{number}.brdf"
         measurement.write(frame, path)
-        assert [error.message for error in validator.iter_errors(json.loads(path.read_text(encoding="utf-8")))] == []
+        assert [error.message for error in schema.iter_errors(json.loads(path.read_text(encoding="utf-8")))] == []
         pd.testing.assert_frame_equal(measurement.read(path), frame, check_exact=True)
 
 

@@ -1,0 +1,108 @@
+"""A DataCite record (metadata schema 4, as JSON) of a measured table, from what its laboratory states.
+
+It is what a repository asks for when data get a DOI. Without `laboratory.doi` the record has none yet.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gonio.errors import ConfigError
+from gonio.formats.reader import write_bytes
+from gonio.formats.stated import Need, get, laboratory_of, require
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_SCHEMA = "http://datacite.org/schema/kernel-4"
+_NEEDED: tuple[Need, ...] = ("creators", "publication_year", ("publisher", "organisation"))
+
+
+def record(frame: pd.DataFrame, path: Path) -> dict[str, Any]:
+    """The record of a table; `path` is for messages.
+
+    Raises
+    ------
+    ConfigError
+        The table states no laboratory, or not all that a record needs; the message names every key that is missing.
+    """
+    stated = laboratory_of(frame)
+    if stated is None:
+        raise ConfigError(
+            f"{path}: the table does not say whose it is: a DataCite record needs a table [laboratory] in the plan or "
+            "the rig file of its run (docs/interchange.md)"
+        )
+    named = get(stated, "sample.name") or frame.attrs.get("sample")
+    needed: list[Need] = [*_NEEDED, *([] if named else [("title", "sample.name")])]
+    require(stated, needed, "a DataCite record", path)
+    simulated = (frame.attrs.get("provenance") or {}).get("simulated") is True
+    what = "Simulated measurement" if simulated else "Measurement"
+    out: dict[str, Any] = {
+        "schemaVersion": _SCHEMA,
+        "types": {"resourceTypeGeneral": "Dataset", "resourceType": f"{what} of a BRDF"},
+        "creators": [_creator(one) for one in stated["creators"]],
+        "titles": [{"title": stated.get("title") or f"BRDF of {named}"}],
+        "publisher": {"name": stated.get("publisher") or stated["organisation"]},
+        "publicationYear": str(stated["publication_year"]),
+        "subjects": [{"subject": "BRDF"}, {"subject": "goniometry"}],
+        "formats": ["text/csv"],
+        "sizes": [f"{len(frame)} values"],
+    }
+    if "measured" in stated:
+        out["dates"] = [{"date": str(stated["measured"])[:10], "dateType": "Collected"}]
+    if "doi" in stated:
+        out["doi"] = stated["doi"]
+    if "contact" in stated:
+        contact: dict[str, Any] = {"contributorType": "ContactPerson", "name": stated["contact"]}
+        if "organisation" in stated:
+            contact["affiliation"] = [{"name": stated["organisation"]}]
+        out["contributors"] = [contact]
+    if "license" in stated:
+        rights = {"rights": stated["license"]}
+        out["rightsList"] = [rights | ({"rightsUri": stated["license_link"]} if "license_link" in stated else {})]
+    if "description" in stated:
+        out["descriptions"] = [{"description": stated["description"], "descriptionType": "Abstract"}]
+    if "funding" in stated:
+        names = {"funder": "funderName", "award": "awardNumber", "title": "awardTitle"}
+        out["fundingReferences"] = [{names[key]: value for key, value in one.items()} for one in stated["funding"]]
+    return out
+
+
+def encode(content: dict[str, Any]) -> bytes:
+    """A record as a file has it."""
+    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False).encode() + b"\n"
+
+
+def write(frame: pd.DataFrame, path: Path) -> list[str]:
+    """Write the record of a table.
+
+    Returns
+    -------
+    list of str
+        That there is no DOI yet, where that is so.
+
+    Raises
+    ------
+    ConfigError
+        As `record` does, or the file cannot be written.
+    """
+    content = record(frame, path)
+    write_bytes(path, encode(content))
+    return [] if "doi" in content else ["the record has no DOI yet: laboratory.doi, once there is one"]
+
+
+def _creator(stated: dict[str, Any]) -> dict[str, Any]:
+    out: dict[str, Any] = {"name": stated["name"]}
+    family, comma, first = stated["name"].partition(",")
+    if comma and first.strip():
+        out |= {"nameType": "Personal", "familyName": family.strip(), "givenName": first.strip()}
+    if "orcid" in stated:
+        out["nameType"] = "Personal"
+        identifier = f"https://orcid.org/{stated['orcid']}"
+        scheme = {"nameIdentifierScheme": "ORCID", "schemeUri": "https://orcid.org"}
+        out["nameIdentifiers"] = [{"nameIdentifier": identifier, **scheme}]
+    if "affiliation" in stated:
+        out["affiliation"] = [{"name": stated["affiliation"]}]
+    return out

@@ -1,0 +1,301 @@
+"""A rig as Bluesky's devices: its axes, its lamp and its camera, by the protocols of `bluesky.protocols`.
+
+    import gonio
+    from gonio_bluesky import devices
+
+    with devices(gonio.open_rig("sim", sample="sample.toml")) as rig:
+        RE(list_scan([rig.camera], rig.axis["camera"], [10, 20, 30]))
+
+Angles are degrees here, as a person reads them. One thread owns the devices: what Bluesky asks of several at once is
+done one after the other. Leaving the context darkens the lamp and parks the arms, whatever happened.
+
+These are the devices and no more: no reference, no dark frames, no uncertainties. `gonio_bluesky.measurement` measures
+BRDFs.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
+
+from gonio.errors import ArgumentError, ConfigError
+from gonio_bluesky.status import Owner, Status
+
+if TYPE_CHECKING:
+    from gonio.by_hand.bench import Bench
+
+Value = TypeVar("Value")
+Reading = dict[str, Any]
+DARK = "dark"
+
+
+class Named:
+    """What every device has: a name, and readings with a time."""
+
+    parent = None
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    @staticmethod
+    def _readings(values: dict[str, Any]) -> dict[str, Reading]:
+        now = time.time()
+        return {key: {"value": value, "timestamp": now} for key, value in values.items()}
+
+
+def number(source: str, units: str = "", **more: Any) -> dict[str, Any]:
+    """The data key of a number."""
+    return {"source": source, "dtype": "number", "dtype_numpy": "<f8", "shape": [], "units": units, **more}
+
+
+class Axis(Named):
+    """One axis of a rig, in degrees: movable, readable, locatable, stoppable, checkable."""
+
+    def __init__(self, owner: Owner, rig: Bench, name: str) -> None:
+        super().__init__(f"{name}_axis" if name in ("light", "camera") else name)
+        self._owner, self._rig, self._axis = owner, rig, name
+        self._setpoint: float | None = None
+        self._stopped: bool | None = None
+        """Whether it was stopped during this move, and then whether the plan wanted that."""
+
+    @property
+    def hints(self) -> dict[str, Any]:
+        """What is plotted of it."""
+        return {"fields": [self.name]}
+
+    def check_value(self, value: float) -> None:
+        """Raise `ConfigError` where a goal [deg] is outside the axis's limits; nothing moves."""
+        if not math.isfinite(value):
+            raise ArgumentError(f"{self._axis} = {value}: must be a finite angle [deg]")
+        self._rig.check({self._axis: math.radians(value)})
+
+    def set(self, value: float) -> Status:
+        """Drive there [deg]; the status is done when it has landed. A goal beyond a limit raises before it moves."""
+        value = float(value)
+        self.check_value(value)
+
+        def move() -> None:
+            self._stopped = None
+            self._rig.move(**{self._axis: math.radians(value)})
+
+        status = self._owner.begin(move, self._ended)
+        self._setpoint = value
+        return status
+
+    def _ended(self, error: BaseException | None) -> BaseException | None:
+        """A move that was stopped as planned has ended well where it stands; one that was cut off has failed."""
+        if self._stopped is None:
+            return error
+        return None if self._stopped else error or ConfigError(f"the axis {self._axis} was stopped on its way")
+
+    def stop(self, success: bool = True) -> None:
+        """Stop every axis of the rig at once, in the middle of a move too."""
+        self._stopped = bool(success)
+        self._rig.arms.stop()
+
+    def locate(self) -> dict[str, float]:
+        """Where it was sent, and what its encoder reads [deg]."""
+        there = self._degrees()
+        return {"setpoint": there if self._setpoint is None else self._setpoint, "readback": there}
+
+    def read(self) -> dict[str, Reading]:
+        """What the encoder reads, and where it was sent [deg]."""
+        at = self.locate()
+        return self._readings({self.name: at["readback"], f"{self.name}_setpoint": at["setpoint"]})
+
+    def describe(self) -> dict[str, Any]:
+        """The data keys of `read`."""
+        lower, upper = self._rig.description.limits_deg()[self._axis]
+        limits = {"limits": {"control": {"low": lower, "high": upper}}}
+        source = f"arms.{self._axis}"
+        return {
+            self.name: number(source, "deg", **limits),
+            f"{self.name}_setpoint": number(source, "deg", **limits),
+        }
+
+    def _degrees(self) -> float:
+        return math.degrees(getattr(self._owner.ask(self._rig.arms.read), self._axis))
+
+
+class Lamp(Named):
+    """The lamp: set to the name of a band, to a wavelength [nm], or to "dark"."""
+
+    def __init__(self, owner: Owner, rig: Bench) -> None:
+        super().__init__("lamp")
+        self._owner, self._rig, self._state = owner, rig, DARK
+
+    def check_value(self, value: str | float) -> None:
+        """Raise `ConfigError` where the rig has no such band."""
+        self._wavelength_nm(value)
+
+    def _wavelength_nm(self, value: str | float) -> float | None:
+        if value == DARK:
+            return None
+        bands = self._rig.description.bands
+        if isinstance(value, str):
+            known = {band.name: band.centre_nm for band in bands.all()}
+            if value not in known:
+                rig, listed = self._rig.description.name, ", ".join(known)
+                raise ConfigError(f'the rig "{rig}" has no band "{value}": it has {listed}, and "dark"')
+            return known[value]
+        return bands.containing(float(value)).centre_nm
+
+    def set(self, value: str | float) -> Status:
+        """Light a band, or darken; the status is done when the lamp has settled."""
+        wavelength_nm = self._wavelength_nm(value)
+
+        def switch() -> None:
+            self._state = DARK
+            self._rig.lamp(wavelength_nm is not None, wavelength_nm=wavelength_nm)
+            if wavelength_nm is not None:
+                self._state = self._rig.band.name
+
+        return self._owner.begin(switch, lambda error: error)
+
+    def read(self) -> dict[str, Reading]:
+        """The band that is lit, or "dark"."""
+        return self._readings({self.name: self._state})
+
+    def describe(self) -> dict[str, Any]:
+        """The data key of `read`."""
+        names = [*(band.name for band in self._rig.description.bands.all()), DARK]
+        return {self.name: {"source": "light", "dtype": "string", "shape": [], "choices": names}}
+
+
+class Setting(Named, Generic[Value]):
+    """A number that is kept, and used later."""
+
+    def __init__(self, name: str, value: Value, units: str) -> None:
+        super().__init__(name)
+        self.value, self._units = value, units
+
+    def set(self, value: Value) -> Status:
+        """Keep it."""
+        self.value = value
+        return Status.finished()
+
+    def read(self) -> dict[str, Reading]:
+        """What is kept."""
+        return self._readings({self.name: self.value})
+
+    def describe(self) -> dict[str, Any]:
+        """The data key of `read`."""
+        return {self.name: number("setting", self._units)}
+
+
+NUMBERS = {
+    "exposure_s": "s",
+    "mean_dn": "DN",
+    "median_dn": "DN",
+    "max_dn": "DN",
+    "brightest_level": "",
+    "saturated_fraction": "",
+    "patch_pixels": "",
+    "patch_mean_dn": "DN",
+    "patch_median_dn": "DN",
+    "patch_max_dn": "DN",
+    "patch_brightest_level": "",
+    "patch_saturated_fraction": "",
+}
+"""What is read of a frame. The patch is what a measurement of the sample would use; NaN where it is out of sight."""
+
+
+class Camera(Named):
+    """The camera: a frame at a trigger, of which numbers are read. With a folder the frame itself is kept, as DNG."""
+
+    def __init__(self, owner: Owner, rig: Bench, folder: Path | None) -> None:
+        super().__init__("camera")
+        self._owner, self._rig, self._folder = owner, rig, folder
+        self.exposure_s: Setting[float | None] = Setting("camera_exposure_s", None, "s")
+        """How long to expose [s]; None: what a matt white surface would need with the lamp on."""
+        self._numbers: dict[str, float] | None = None
+        self._file, self._taken = "", 0
+
+    @property
+    def hints(self) -> dict[str, Any]:
+        """What is plotted of it."""
+        return {"fields": [f"{self.name}_patch_mean_dn"]}
+
+    def trigger(self) -> Status:
+        """Take a frame; the status is done when it is there, and in its file."""
+
+        def take() -> None:
+            file = None
+            while self._folder is not None and (file is None or file.exists()):
+                self._taken += 1
+                file = self._folder / f"{self._taken:06d}.dng"
+            shot = self._rig.snap(file, exposure_s=self.exposure_s.value)
+            self._numbers = shot.numbers()
+            self._file = str(file) if file is not None else ""
+
+        return self._owner.begin(take, lambda error: error)
+
+    def read(self) -> dict[str, Reading]:
+        """Numbers of the last frame; `ConfigError` where none was taken."""
+        if self._numbers is None:
+            raise ConfigError("the camera has taken no frame yet: trigger it before it is read")
+        values: dict[str, Any] = {f"{self.name}_{key}": self._numbers.get(key, math.nan) for key in NUMBERS}
+        return self._readings(values | ({f"{self.name}_file": self._file} if self._folder is not None else {}))
+
+    def describe(self) -> dict[str, Any]:
+        """The data keys of `read`."""
+        out: dict[str, Any] = {f"{self.name}_{key}": number("camera", units) for key, units in NUMBERS.items()}
+        if self._folder is not None:
+            out[f"{self.name}_file"] = {"source": "camera", "dtype": "string", "shape": []}
+        return out
+
+
+class Devices:
+    """The devices of a rig; see `devices`."""
+
+    def __init__(self, rig: Bench, folder: Path | None) -> None:
+        self._owner, self._rig = Owner(), rig
+        self.axis = {name: Axis(self._owner, rig, name) for name in rig.description.axes()}
+        """By their names in the rig file: light, camera, tilt, spin, azimuth."""
+        self.lamp = Lamp(self._owner, rig)
+        self.camera = Camera(self._owner, rig, folder)
+
+    @property
+    def all(self) -> list[Any]:
+        """Every device: axes, lamp, camera."""
+        return [*self.axis.values(), self.lamp, self.camera]
+
+    def __enter__(self) -> Self:
+        try:
+            self._owner.ask(self._rig.__enter__)
+        except BaseException:
+            self._owner.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self._owner.ask(lambda: self._rig.__exit__(kind, error, trace))
+        finally:
+            self._owner.close()
+
+
+def devices(rig: Bench, *, frames: str | Path | None = None) -> Devices:
+    """The devices of a rig, for Bluesky's plans.
+
+    Parameters
+    ----------
+    rig
+        As `gonio.open_rig` gives it, not entered: `with devices(gonio.open_rig("sim")) as rig:` enters and leaves it.
+    frames
+        A folder that takes the raw frames (DNG), numbered; without it they are not kept.
+
+    Raises
+    ------
+    ConfigError
+        The folder is not there.
+    """
+    folder = Path(frames) if frames is not None else None
+    if folder is not None and not folder.is_dir():
+        raise ConfigError(f"{folder}: there is no such folder, and the frames are to be kept there")
+    return Devices(rig, folder)

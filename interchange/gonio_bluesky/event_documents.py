@@ -1,0 +1,585 @@
+"""A run as documents of Bluesky's event model, as `gonio convert RUN OUT --to bluesky` writes them: one JSON line each.
+
+    start                 metadata: plan, rig, sample, seed, versions, laboratory
+    baseline              the rig's configuration, one event
+    resource, datum_page  the folder of raw frames, and which of them a step has
+    primary               an event for every point that was measured
+    reference, dark       the visits to the white reference, and the dark steps
+    journal               what else happened: sittings, remarks, interruptions, choices
+    reduced               the rows of the table, where the run has been reduced
+    stop                  how it ended
+
+Everything follows from the files of the run: the same run gives the same documents, and a run that has grown gives
+those that it gave, and more. Nothing of Bluesky is needed to write them. Where `event_model` is installed, every
+document is checked against its models. docs/interchange.md says what each key holds.
+"""
+
+from __future__ import annotations
+
+import datetime
+import gzip
+import hashlib
+import io
+import json
+import math
+import os
+import re
+import uuid
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, cast
+
+from gonio.acquisition.journal import Event
+from gonio.acquisition.plan import ANGLES
+from gonio.acquisition.run import TABLE, Run
+from gonio.disk import is_own, read_file, read_manifest, require_name
+from gonio.errors import ConfigError, DataError
+from gonio.rig.dng import read_raw
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+Json = dict[str, Any]
+Document = tuple[str, Json]
+"""Its kind (start, descriptor, event, ...), and what it holds."""
+
+SPEC = "GONIO_FRAMES"
+"""What `resource` documents call the folder of frames; `Frames` reads it."""
+SPACE = uuid.UUID("5b8f7a8e-4a0c-5c7b-9d5e-0f2a3c1d7e64")
+"""Name space of the documents' identifiers, drawn once."""
+STREAMS = {"point": "primary", "reference": "reference", "dark": "dark"}
+PAGE = 500
+"""So many steps are read ahead, to write what is said of their frames as one document."""
+
+
+class Frames:
+    """The frames of a run, for readers of Bluesky documents: `handler_registry={"GONIO_FRAMES": Frames}`.
+
+    Parameters
+    ----------
+    folder
+        Where the raw files lie.
+    """
+
+    specs = frozenset({SPEC})
+
+    def __init__(self, folder: str | Path, **_: object) -> None:
+        self._folder = Path(folder)
+
+    def __call__(self, files: Sequence[str], **_: object) -> npt.NDArray[np.uint16]:
+        """The raw frames of a step [DN], shape (frames, height, width); none have the shape (0, 0, 0)."""
+        import numpy as np
+
+        frames = [read_raw(self._folder / name).mosaic for name in files]
+        return np.stack(frames) if frames else np.empty((0, 0, 0), np.uint16)
+
+
+def write(source: str, target: Path) -> list[str]:
+    """Write the documents of a run, one JSON array `[kind, document]` a line; compressed where the name ends in .gz.
+
+    Returns
+    -------
+    list of str
+        What a reader should know: what is missing in the run, and whether the documents were checked.
+
+    Raises
+    ------
+    ConfigError
+        `source` is no run, or `target` cannot be written.
+    DataError
+        The run is damaged, or a document does not fit the event model; nothing is written then.
+    """
+    run = Run.open(source)
+    if not len(run.events()):
+        raise ConfigError(f"{source}: nothing has been measured in this run yet")
+    require_name(target)
+    if target.is_dir():
+        raise ConfigError(f"{target}: is a folder; name the file to write, as {target / 'run.jsonl'}")
+    check, remarks = _checker()
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.new")
+    counted = 0
+    try:
+        with ExitStack() as stack:
+            raw = stack.enter_context(temporary.open("wb"))
+            out: IO[bytes] = raw
+            if target.suffix == ".gz":  # without name and time, so that the same run gives the same bytes
+                out = stack.enter_context(cast("IO[bytes]", gzip.GzipFile("", "wb", fileobj=raw, mtime=0)))
+            text = stack.enter_context(io.TextIOWrapper(out, encoding="utf-8", newline="\n"))
+            for kind, document in documents(run, remarks):
+                check(kind, document)
+                text.write(json.dumps([kind, document], ensure_ascii=False, allow_nan=False) + "\n")
+                counted += 1
+            text.flush()
+            if out is not raw:
+                out.close()
+            raw.flush()
+            os.fsync(raw.fileno())
+        temporary.replace(target)
+    except OSError as error:
+        raise ConfigError(f"{target}: cannot be written: {error.strerror}") from None
+    finally:
+        temporary.unlink(missing_ok=True)
+    return [*remarks, f"{counted} documents"]
+
+
+def read(path: str | Path) -> Iterator[Document]:
+    """The documents of a file that `write` has written, in their order.
+
+    Raises
+    ------
+    ConfigError
+        There is no such file.
+    DataError
+        It is damaged; the message names the line.
+    """
+    path = Path(path)
+    number = 0
+    try:
+        with gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb") as file:
+            for line in file:
+                kind, document = json.loads(line)
+                number += 1
+                yield kind, document
+    except OSError as error:
+        if isinstance(error, gzip.BadGzipFile):
+            raise DataError(f"{path}: is not compressed with gzip, or damaged") from None
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except (ValueError, EOFError) as error:
+        raise DataError(f"{path}: line {number + 1}: is no document of a run: {error}") from None
+
+
+def _checker() -> tuple[Callable[[str, Json], None], list[str]]:
+    """What refuses a document that does not fit the event model, and what to say where that is not installed."""
+    try:
+        from event_model import DocumentNames, basemodels, schema_validators
+        from jsonschema import ValidationError
+    except ImportError:
+        how = 'pip install "gonio[bluesky]" brings it'
+        return (lambda kind, document: None), [f"the documents are unchecked: event-model is not installed ({how})"]
+    # fifty times as fast as the schemas
+    many: dict[str, Any] = {"event": basemodels.Event, "datum_page": basemodels.DatumPage}
+
+    def check(kind: str, document: Json) -> None:
+        try:
+            if kind in many:
+                many[kind].model_validate(document, strict=True)
+            else:
+                schema_validators[DocumentNames[kind]].validate(document)
+        except (ValueError, ValidationError) as error:
+            raise DataError(f"a document ({kind}) does not fit the event model: {error}") from None
+
+    return check, []
+
+
+def documents(run: Run, remarks: list[str] | None = None) -> Iterator[Document]:
+    """The documents of a run, in their order.
+
+    Parameters
+    ----------
+    run
+        Opened for reading; it may be unfinished, and another process may be measuring into it.
+    remarks
+        Takes sentences for a person: frames that are missing, a table that was left out.
+
+    Raises
+    ------
+    DataError
+        Journal, points or table are damaged.
+    """
+    remarks = [] if remarks is None else remarks
+    yield from _Documents(run, remarks).all()
+
+
+@dataclass
+class _Stream:
+    """A descriptor, and how many events it has."""
+
+    uid: str
+    keys: list[str]
+    count: int = 0
+
+
+@dataclass
+class _Known:
+    """What a first look at the journal tells."""
+
+    counting: set[int] = field(default_factory=set)
+    """Numbers of the lines of steps that count: those that were not lost, or taken again."""
+    numbers: list[str] = field(default_factory=list)
+    """What is read of the rig's health in numbers, as `device quantity`."""
+    words: list[str] = field(default_factory=list)
+    """The same, in words."""
+    units: dict[str, str] = field(default_factory=dict)
+    ended: str = "session"
+    """The last event that says whether the run goes on."""
+    message: str = ""
+    first: Event = field(default_factory=dict)
+    last_time: float = 0.0
+
+
+class _Documents:
+    """The documents of one run."""
+
+    def __init__(self, run: Run, remarks: list[str]) -> None:
+        self._run, self._remarks, self._settings = run, remarks, run.settings
+        self._axes = list(run.description.axes())
+        self._bands = [band.name for band in run.bands]
+        self._events = run.events()
+        self._known = self._look()
+        first = self._known.first
+        self._start_s = _seconds(self._settings.run.created)
+        identity = json.dumps([run.key, self._settings.run.created, first.get("wall"), first.get("crc")])
+        self._run_uid = uuid.uuid5(SPACE, identity)
+        self._streams: dict[str, _Stream] = {}
+        self._angles = run.points.angles_deg
+        folder = run.path / "frames"
+        self._there = frozenset(os.listdir(folder)) if folder.is_dir() else frozenset()
+        self._missing: list[str] = []
+
+    def all(self) -> Iterator[Document]:
+        """Every document."""
+        yield "start", self._start()
+        yield from self._baseline()
+        yield "resource", self._resource()
+        page: list[Event] = []
+        for event in self._events:
+            if event["event"] != "step" or event["n"] in self._known.counting:
+                page.append(event)
+            if len(page) == PAGE:
+                yield from self._page(page)
+                page = []
+        yield from self._page(page)
+        yield from self._reduced()
+        if self._missing:
+            more = f" and {len(self._missing) - 1} more" if len(self._missing) > 1 else ""
+            self._remarks.append(
+                f"{self._missing[0]}{more}: named by the journal and not there; `gonio run check {self._run.path}` "
+                "says what is wrong"
+            )
+        yield "stop", self._stop()
+
+    def _look(self) -> _Known:
+        known, lines = _Known(), dict[int, int]()
+        numbers: dict[str, None] = {}
+        words: dict[str, None] = {}
+        for event in self._events:
+            kind = event["event"]
+            if not known.first:
+                known.first = event
+            if kind == "step":
+                lines[event["step"]] = event["n"]
+                for device, quantity, value, unit in event.get("health", ()):
+                    (words if isinstance(value, str) else numbers)[f"{device} {quantity}"] = None
+                    known.units[f"{device} {quantity}"] = unit
+            elif kind == "lost":
+                for number in event["steps"]:
+                    lines.pop(int(number), None)
+            if kind in ("session", "end", "interrupted", "device_error", "lost"):
+                known.ended, known.message = kind, event.get("message", "")
+            known.last_time = max(known.last_time, _seconds(event["wall"]))
+        known.counting = set(lines.values())
+        known.numbers, known.words = list(numbers), list(words)
+        return known
+
+    def _uid(self, *parts: object) -> str:
+        return str(uuid.uuid5(self._run_uid, "/".join(map(str, parts))))
+
+    # ---- start and stop ----
+
+    def _start(self) -> Json:
+        settings, header = self._settings, self._settings.run
+        sample = settings.sample
+        out: Json = {
+            "uid": str(self._run_uid),
+            "time": self._start_s,
+            "plan_name": header.plan,
+            "plan_type": "gonio",
+            "plan_sha256": header.plan_sha256,
+            "wavelength_nm": list(header.wavelength_nm),
+            "bands": list(header.bands),
+            "motors": list(ANGLES),
+            "detectors": ["camera"],
+            "num_points": sum(1 for flag in self._run.points.flags if not flag),
+            "hints": {"dimensions": [[[name], "primary"] for name in ANGLES]},
+            "rig": {"name": settings.rig.name, "driver": header.rig},
+            "simulated": sample is not None,
+            "seed": header.seed,
+            "command": header.command,
+            "versions": dict(settings.versions),
+            "run_folder": str(self._run.path.absolute()),
+        }
+        if sample is not None:
+            out["sample"] = sample.model_dump(mode="json", exclude_none=True)
+        if settings.laboratory is not None:
+            out["laboratory"] = settings.laboratory.stated()
+        return cast("Json", _named(out))
+
+    def _stop(self) -> Json:
+        known = self._known
+        told = {
+            "end": ("success", ""),
+            "interrupted": ("abort", known.message),
+            "device_error": ("fail", known.message),
+            "lost": ("abort", "frames of some steps were lost, and their steps are not taken again yet"),
+        }
+        unfinished = "the journal says no end: the run goes on, or its process was killed"
+        status, reason = told.get(known.ended, ("abort", unfinished))
+        return {
+            "uid": self._uid("stop"),
+            "run_start": str(self._run_uid),
+            "time": known.last_time,
+            "exit_status": status,
+            "reason": reason,
+            "num_events": {name: stream.count for name, stream in self._streams.items()},
+        }
+
+    # ---- streams ----
+
+    def _descriptor(self, name: str, keys: dict[str, Json], configuration: Mapping[str, Any], device: str) -> Json:
+        """The descriptor of a stream; another set of keys gives another one, as the event model has it."""
+        config_keys = {key: _key_of(value, "run.toml") for key, value in configuration.items()}
+        hinted = [key for key in ("level_per_s", "brdf", "event") if key in keys][:1]
+        document: Json = {
+            "run_start": str(self._run_uid),
+            "time": self._start_s,
+            "name": name,
+            "data_keys": {key: value | {"object_name": device} for key, value in keys.items()},
+            "object_keys": {device: list(keys)},
+            "configuration": {
+                device: {
+                    "data": dict(configuration),
+                    "timestamps": dict.fromkeys(configuration, self._start_s),
+                    "data_keys": config_keys,
+                }
+            },
+            "hints": {device: {"fields": hinted}},
+        }
+        uid = self._uid("descriptor", name, json.dumps(document, sort_keys=True))
+        self._streams[name] = _Stream(uid, list(keys))
+        return {"uid": uid} | document
+
+    def _event(self, name: str, number: object, time: float, data: Json) -> Document:
+        stream = self._streams[name]
+        stream.count += 1
+        return "event", {
+            "uid": self._uid("event", name, number),
+            "descriptor": stream.uid,
+            "time": time,
+            "seq_num": stream.count,
+            "data": data,
+            "timestamps": dict.fromkeys(data, time),
+            "filled": {"frames": False} if "frames" in data else {},
+        }
+
+    def _baseline(self) -> Iterator[Document]:
+        """The rig as run.toml has it: a number, a list of numbers or a word for each key; other lists as JSON."""
+        values = dict(_flat(self._settings.rig.model_dump(mode="json", exclude_none=True)))
+        keys = {name: _key_of(value, "run.toml") for name, value in values.items()}
+        yield "descriptor", self._descriptor("baseline", keys, {}, "rig")
+        yield self._event("baseline", 0, self._start_s, values)
+
+    def _resource(self) -> Json:
+        return {
+            "uid": self._uid("frames"),
+            "run_start": str(self._run_uid),
+            "spec": SPEC,
+            "root": str(self._run.path.absolute()),
+            "resource_path": "frames",
+            "resource_kwargs": {},
+            "path_semantics": "posix",
+        }
+
+    def _page(self, events: list[Event]) -> Iterator[Document]:
+        """The frames of some steps, then their events."""
+        steps = [event for event in events if event["event"] == "step"]
+        if steps:
+            yield "datum_page", self._datum_page(steps)
+        for event in events:
+            yield from self._step(event) if event["event"] == "step" else self._happened(event)
+
+    def _datum_page(self, steps: list[Event]) -> Json:
+        resource = self._uid("frames")
+        listed = [event["frames"] for event in steps]
+        self._missing += [f["file"] for frames in listed for f in frames if f["file"] not in self._there]
+        names = ("file", "band", "exposure_s", "time_s", "lamp", "monitor", "sha256")
+        return {
+            "resource": resource,
+            "datum_id": [f"{resource}/{event['n']}" for event in steps],
+            "datum_kwargs": {
+                f"{name}s" if name == "file" else name: [[frame.get(name) for frame in frames] for frames in listed]
+                for name in names
+            }
+            # a folder is one asset: without this Tiled would list it once for every event
+            | {"indices": [{"start": 0, "stop": 0}] * len(steps)},
+        }
+
+    def _step(self, event: Event) -> Iterator[Document]:
+        name = STREAMS[event["kind"]]
+        if name not in self._streams:
+            yield "descriptor", self._descriptor(name, self._step_keys(name), self._step_configuration(), "goniometer")
+        frames, levels = event["frames"], event.get("level_per_s") or {}
+        data: Json = {"step": event["step"]}
+        if name == "primary":
+            data["point"] = event["point"]
+            data |= dict(zip(ANGLES, map(float, self._angles[event["point"]]), strict=True))
+        data |= {
+            **{f"{axis}_deg": math.degrees(event["pose"][axis]) for axis in self._axes},
+            "goal_deg": self._pose(event["goal"]),
+            "time_s": event["time_s"],
+            "flag": event["flag"],
+        }
+        if name != "dark":
+            data["pose_after_deg"] = self._pose(event.get("pose_after"))
+            longest = {f["band"]: f["exposure_s"] for f in sorted(frames, key=lambda f: float(f["exposure_s"]))}
+            data["exposure_s"] = [longest.get(band) for band in self._bands]
+            data["level_per_s"] = [levels.get(band) for band in self._bands]
+        read = {f"{device} {quantity}": value for device, quantity, value, _ in event.get("health", ())}
+        if self._known.numbers:
+            data["health"] = [read.get(name) for name in self._known.numbers]
+        if self._known.words:
+            data["health_words"] = json.dumps({name: read[name] for name in self._known.words if name in read})
+        data["frames"] = f"{self._uid('frames')}/{event['n']}"
+        yield self._event(name, event["n"], _seconds(event["wall"]), data)
+
+    def _pose(self, pose: Mapping[str, float] | None) -> list[float | None]:
+        return [None if pose is None else math.degrees(pose[axis]) for axis in self._axes]
+
+    def _step_keys(self, name: str) -> dict[str, Json]:
+        axes, bands = len(self._axes), len(self._bands)
+        camera = self._run.description.camera
+        keys = {"step": _integer("journal")}
+        if name == "primary":
+            keys |= {"point": _integer("plan")} | {angle: _number("plan", "deg") for angle in ANGLES}
+        keys |= {f"{axis}_deg": _number("journal", "deg") for axis in self._axes}
+        keys |= {"goal_deg": _array("journal", axes, "deg", "axis")}
+        keys |= {"time_s": _number("journal", "s"), "flag": _text("journal")}
+        if name != "dark":
+            keys["pose_after_deg"] = _array("journal", axes, "deg", "axis")
+            keys["exposure_s"] = _array("journal", bands, "s", "band")
+            keys["level_per_s"] = _array("journal", bands, "1/s", "band")
+        if self._known.numbers:
+            keys["health"] = _array("journal", len(self._known.numbers), "", "reading")
+        if self._known.words:
+            keys["health_words"] = _text("journal")
+        keys["frames"] = {
+            "source": "camera",
+            "dtype": "array",
+            "dtype_numpy": "<u2",
+            "shape": [None, camera.height, camera.width],
+            "dims": ["frame", "row", "column"],
+            "units": "DN",
+            "external": "FILESTORE:",
+        }
+        return keys
+
+    def _step_configuration(self) -> Json:
+        known = self._known
+        out: Json = {"axes": self._axes, "bands": self._bands}
+        if known.numbers:
+            out |= {"health": known.numbers, "health_units": [known.units[name] for name in known.numbers]}
+        return out
+
+    def _happened(self, event: Event) -> Iterator[Document]:
+        if "journal" not in self._streams:
+            keys = {"event": _text("journal"), "message": _text("journal"), "content": _text("journal")}
+            yield "descriptor", self._descriptor("journal", keys, {}, "journal")
+        content = {key: value for key, value in event.items() if key not in ("n", "wall", "crc", "event")}
+        data = {"event": event["event"], "message": str(event.get("message", "")), "content": json.dumps(content)}
+        yield self._event("journal", event["n"], _seconds(event["wall"]), data)
+
+    def _reduced(self) -> Iterator[Document]:
+        """The rows of the table."""
+        path = self._run.path / TABLE[0]
+        if not os.path.lexists(path):
+            return
+        from gonio import measurement
+
+        if not is_own(path, read_manifest(self._run.path).get(path.name, ())):
+            self._remarks.append(f"{path}: was changed after it was written, and is left out (no stream `reduced`)")
+            return
+        frame = measurement.read(path)
+        units = dict.fromkeys(ANGLES, "deg") | {"wavelength_nm": "nm", "brdf": "1/sr", "u_brdf": "1/sr"}
+        units |= {name: "1/sr" for name in frame.columns if name == "u_random" or name.startswith("s_")}
+        keys = {
+            name: _number("table", units.get(name, "")) if frame[name].dtype.kind in "fiu" else _text("table")
+            for name in frame.columns
+        }
+        provenance = frame.attrs.get("provenance") or {}
+        configuration = {
+            "sha256": hashlib.sha256(read_file(path)).hexdigest(),
+            "reduced_by": str(provenance.get("reduced_by", "")),
+            "quantity": str(frame.attrs.get("quantity", "brdf")),
+        }
+        yield "descriptor", self._descriptor("reduced", keys, configuration, "reduction")
+        columns = {name: [_finite(value) for value in frame[name].tolist()] for name in frame.columns}
+        for row in range(len(frame)):
+            data = {name: values[row] for name, values in columns.items()}
+            yield self._event("reduced", row, self._known.last_time, data)
+
+
+def _seconds(wall: str) -> float:
+    """Seconds since 1970 of a time of day (UTC) as run.toml and journal hold it."""
+    return datetime.datetime.fromisoformat(wall).timestamp()
+
+
+def _finite(value: Any) -> Any:
+    """A value as JSON has it: null for a number that is not known."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _number(source: str, units: str = "") -> Json:
+    return {"source": source, "dtype": "number", "dtype_numpy": "<f8", "shape": [], "units": units}
+
+
+def _integer(source: str) -> Json:
+    return {"source": source, "dtype": "integer", "dtype_numpy": "<i8", "shape": []}
+
+
+def _text(source: str) -> Json:
+    return {"source": source, "dtype": "string", "shape": []}
+
+
+def _array(source: str, length: int, units: str, dim: str) -> Json:
+    out = {"source": source, "dtype": "array", "dtype_numpy": "<f8", "shape": [length], "dims": [dim]}
+    return out | ({"units": units} if units else {})
+
+
+def _key_of(value: Any, source: str) -> Json:
+    """The data key of a value of the configuration."""
+    if isinstance(value, bool):
+        return {"source": source, "dtype": "boolean", "shape": []}
+    if isinstance(value, int):
+        return _integer(source)
+    if isinstance(value, float):
+        return _number(source)
+    if isinstance(value, list):
+        text = any(isinstance(one, str) for one in value)
+        return _array(source, len(value), "", "entry") | ({"dtype_numpy": "<U64"} if text else {})
+    return _text(source)
+
+
+_NOT_IN_NAMES = re.compile(r"[^\w-]+")
+
+
+def _named(value: Any) -> Any:
+    """Nested tables with names that the event model takes: no dots and no slashes."""
+    if isinstance(value, dict):
+        return {_NOT_IN_NAMES.sub("_", str(key)): _named(inner) for key, inner in value.items()}
+    return [_named(inner) for inner in value] if isinstance(value, list) else value
+
+
+def _flat(tables: Mapping[str, Any], where: str = "") -> Iterable[tuple[str, Any]]:
+    """Nested tables as one, by names such as `geometry_light_distance_mm`."""
+    for key, value in tables.items():
+        name = _NOT_IN_NAMES.sub("_", f"{where}_{key}" if where else key)
+        if isinstance(value, dict):
+            yield from _flat(value, name)
+        elif isinstance(value, list) and not all(
+            isinstance(one, int | float) and not isinstance(one, bool) for one in value
+        ):
+            yield name, json.dumps(value, ensure_ascii=False)
+        else:
+            yield name, value

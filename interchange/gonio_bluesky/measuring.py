@@ -1,0 +1,486 @@
+"""A measurement that Bluesky drives: its plan names the points, and the rig's own engine takes each of them whole.
+
+    from gonio_bluesky import measurement
+
+    with measurement("plan.toml", rig="sim", sample="sample.toml", seed=5, out="RUN") as m:
+        RE(list_scan([m.camera], *m.points()))
+
+RUN is then what `gonio measure plan.toml --rig sim --sample sample.toml --seed 5 --out RUN` would have made, and
+`gonio reduce RUN` makes the same table of it. The four directions are movable. They are numbers until the camera is
+triggered: then the engine drives the arms, finds the exposures and takes the frames of every band. Darks and visits to
+the white reference come between the points where they belong.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from gonio.acquisition import measure
+from gonio.acquisition.measure import RigChoice, find_rig, load_sample
+from gonio.acquisition.plan import Plan, Point, canonical, load_plan
+from gonio.acquisition.run import Run, command_line
+from gonio.acquisition.run_folder import begun
+from gonio.errors import ArgumentError, ConfigError, Interrupted
+from gonio.rig import Frame, Pose, Step
+from gonio_bluesky.devices import Named, Reading, number
+from gonio_bluesky.status import Status
+
+if TYPE_CHECKING:
+    from gonio.rig import Rig
+    from gonio.rig.description import RigDescription, SampleDescription
+
+DIRECTIONS = ("theta_i", "phi_i", "theta_r", "phi_r")
+DIGITS = 7
+"""Angles [deg] that agree in so many decimals are one, as in a plan (`gonio.acquisition.plan.SAME_DEG`)."""
+
+
+class Direction(Named):
+    """One of the four angles of a point [deg]: movable, readable, locatable, stoppable; used at the next trigger."""
+
+    def __init__(self, measurement: Measurement, name: str) -> None:
+        super().__init__(name)
+        self._measurement = measurement
+        self.value = 0.0
+
+    @property
+    def hints(self) -> dict[str, Any]:
+        """What is plotted of it."""
+        return {"fields": [self.name]}
+
+    def check_value(self, value: float) -> None:
+        """Raise `ConfigError` where no direction has such an angle [deg]."""
+        lower, upper = {"theta_i": (0.0, 90.0), "theta_r": (-180.0, 180.0)}.get(self.name, (-360.0, 360.0))
+        if not lower <= value <= upper:
+            raise ConfigError(f"{self.name} = {value:g} deg is outside {lower:g} to {upper:g} deg")
+
+    def set(self, value: float) -> Status:
+        """Name the angle of the next point [deg]."""
+        self.check_value(float(value))
+        self.value = float(value)
+        return Status.finished()
+
+    def stop(self, success: bool = True) -> None:
+        """Nothing moves by `set`. Where the plan has failed, the measurement ends after the step that it is in."""
+        if not success:
+            self._measurement.interrupt()
+
+    def locate(self) -> dict[str, float]:
+        """The angle that was named [deg]; what the encoders read is in the readings of the camera."""
+        return {"setpoint": self.value, "readback": self.value}
+
+    def read(self) -> dict[str, Reading]:
+        """The angle that was named [deg]."""
+        return self._readings({self.name: self.value})
+
+    def describe(self) -> dict[str, Any]:
+        """The data key of `read`."""
+        return {self.name: number("plan", "deg")}
+
+
+class StepCamera(Named):
+    """Triggering it takes the whole step of the point that the directions name."""
+
+    def __init__(self, measurement: Measurement) -> None:
+        super().__init__("camera")
+        self._measurement = measurement
+
+    @property
+    def hints(self) -> dict[str, Any]:
+        """What is plotted of it."""
+        return {"fields": [f"{self.name}_level_per_s"]}
+
+    def trigger(self) -> Status:
+        """Take the step; the status is done when its frames have been taken.
+
+        Raises `ConfigError`, before anything moves, where the directions are no point of the plan, or not its next.
+        """
+        return self._measurement.take()
+
+    def read(self) -> dict[str, Reading]:
+        """Which step it was, and where the axes stood; NaN and step -1 for a point that the rig cannot measure."""
+        return self._readings({f"{self.name}_{key}": value for key, value in self._measurement.last.items()})
+
+    def describe(self) -> dict[str, Any]:
+        """The data keys of `read`."""
+        units = {"exposure_s": "s", "level_per_s": "1/s", "time_s": "s"}
+        out: dict[str, Any] = {}
+        for key in self._measurement.last:
+            whole = key in ("step", "point")
+            key_of = number("engine", units.get(key, "deg" if key.endswith("_deg") else ""))
+            out[f"{self.name}_{key}"] = key_of | ({"dtype": "integer", "dtype_numpy": "<i8"} if whole else {})
+        return out
+
+
+class Measurement:
+    """A run that goes on point by point; see `measurement`.
+
+    `theta_i`, `phi_i`, `theta_r`, `phi_r` are the movable directions, `camera` is the detector.
+    """
+
+    def __init__(self, plan: Plan, choice: RigChoice, out: Path, given: dict[str, Any]) -> None:
+        self._plan, self._choice, self._out, self._given = plan, choice, out, given
+        self.theta_i, self.phi_i, self.theta_r, self.phi_r = (Direction(self, name) for name in DIRECTIONS)
+        self.camera = StepCamera(self)
+        steps = choice.schedule(plan)
+        self._scheduled = len(steps)
+        self._order = [step.point for step in steps if step.point is not None]
+        self._measurable = frozenset(self._order)
+        self._rows = {_key(point): row for row, point in reversed(list(enumerate(plan.points)))}
+        self._next = 0
+        """In `_order`; all before it are done."""
+        self._gate = _Gate(self._scheduled)
+        self._done: set[int] = set()
+        self._thread: threading.Thread | None = None
+        self.last: dict[str, Any] = {}
+        """What the camera reads of the last point."""
+        self._note(None)
+
+    @property
+    def directions(self) -> list[Direction]:
+        """theta_i, phi_i, theta_r, phi_r."""
+        return [self.theta_i, self.phi_i, self.theta_r, self.phi_r]
+
+    def points(self) -> list[Any]:
+        """What `list_scan` takes after its detectors: each direction, and its angles [deg] in the order of the run.
+
+        Points that the rig cannot measure come last; at them nothing moves.
+        """
+        rest = [row for row in range(len(self._plan.points)) if row not in self._measurable]
+        listed = [self._plan.points[row] for row in [*self._order, *rest]]
+        angles = [[getattr(point, f"{name}_deg") for point in listed] for name in DIRECTIONS]
+        return [part for pair in zip(self.directions, angles, strict=True) for part in pair]
+
+    @property
+    def complete(self) -> bool:
+        """Whether every point that the rig can measure has been."""
+        return self._done >= self._measurable
+
+    # ---- what the devices ask for ----
+
+    def take(self) -> Status:
+        """Take the step of the point that the directions name."""
+        row = self._row()
+        if row in self._done or row not in self._measurable:
+            self._note(row)
+            return Status.finished()
+        while self._order[self._next] in self._done:
+            self._next += 1
+        expected = self._order[self._next]
+        if row != expected:
+            raise ConfigError(
+                f"{self._said(self._plan.points[row])} is not the next point of the run: that is "
+                f"{self._said(self._plan.points[expected])}. A run has one order, and points() has it"
+            )
+        status = Status()
+
+        def taken(error: BaseException | None) -> None:
+            if error is None:
+                self._done.add(row)
+                self._note(row)
+            status.finish(error)
+
+        self._gate.want(row, taken)
+        return status
+
+    def interrupt(self) -> None:
+        """End the measurement after the step that it is in; it can be resumed."""
+        self._gate.end(whole=False)
+
+    def _row(self) -> int:
+        point = canonical(*(direction.value for direction in self.directions))
+        row = self._rows.get(_key(point))
+        if row is not None:
+            return row
+        raise ConfigError(f"{self._said(point)} is no point of the plan {self._plan.source}: points() has them")
+
+    @staticmethod
+    def _said(point: Point) -> str:
+        return ", ".join(f"{name} = {getattr(point, f'{name}_deg'):g}" for name in DIRECTIONS) + " deg"
+
+    def _note(self, row: int | None) -> None:
+        seen = self._gate.seen if row is not None and row == self._gate.row else _Seen()
+        axes = self._choice.description.axes()
+        pose = seen.pose
+        self.last = {
+            "point": -1 if row is None else row,
+            "step": seen.step,
+            "exposure_s": seen.exposure_s,
+            "level_per_s": seen.level_per_s,
+            "time_s": seen.time_s,
+        } | {f"{name}_deg": math.nan if pose is None else math.degrees(getattr(pose, name)) for name in axes}
+
+    # ---- the engine, in a thread of its own ----
+
+    def __enter__(self) -> Self:
+        if self._given["resume"] and begun(self._out):
+            run = Run.open(self._out)
+            self._done = {step.point for step in run.steps() if step.point is not None}
+        choice = replace(self._choice, plugin=_Gated(self._choice.plugin, self._gate))
+        self._thread = threading.Thread(target=self._measure, args=(choice,), name="gonio-bluesky-engine")
+        self._thread.start()
+        try:
+            self._gate.wait_until_open()
+        except BaseException:
+            self._close(whole=False)
+            raise
+        return self
+
+    def _measure(self, choice: RigChoice) -> None:
+        error: BaseException | None = None
+        try:
+            measure.carry_out(self._plan, choice, self._out, command=command_line(), **self._given)
+        except BaseException as raised:  # whoever waits is told
+            error = raised
+        self._gate.left(error)
+
+    def _close(self, *, whole: bool) -> None:
+        self._gate.end(whole=whole)
+        if self._thread is not None:
+            self._thread.join()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._close(whole=self.complete and error is None)
+        failed = self._gate.error
+        if error is None and failed is not None and not isinstance(failed, Interrupted):
+            raise failed
+
+
+class _Seen:
+    """What has been seen of a step while it was taken."""
+
+    def __init__(self, step: int = -1) -> None:
+        self.step = step
+        self.pose: Pose | None = None
+        self.exposure_s = self.level_per_s = self.time_s = math.nan
+
+
+class _Gate:
+    """Where the engine waits until Bluesky wants its next step."""
+
+    def __init__(self, scheduled: int) -> None:
+        self._scheduled = scheduled
+        self._changed = threading.Condition()
+        self._open = self._over = False
+        self._ending: bool | None = None
+        """None: goes on. True: what is left of the schedule is taken. False: it ends as it stands."""
+        self._told: Any = None
+        self._begun = False
+        self.row: int | None = None
+        """The point that is wanted, or was last."""
+        self.seen = _Seen()
+        self.error: BaseException | None = None
+
+    # from Bluesky's side
+
+    def wait_until_open(self) -> None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._open or self._over)
+            if self.error is not None:
+                raise self.error
+
+    def want(self, row: int, told: Any) -> None:
+        with self._changed:
+            if self._over:
+                error = self.error or Interrupted("the measurement has ended")
+                told(error)
+                return
+            self.row, self._told, self._begun, self.seen = row, told, False, _Seen()
+            self._changed.notify_all()
+
+    def end(self, *, whole: bool) -> None:
+        with self._changed:
+            if self._ending is None:
+                self._ending = whole
+            self._changed.notify_all()
+
+    # from the engine's side
+
+    def entered(self) -> None:
+        with self._changed:
+            self._open = True
+            self._changed.notify_all()
+
+    def pass_by(self, step: Step) -> None:
+        """Called before a step: what was wanted is there, if this is another; then wait until this one is wanted."""
+        if step.index >= self._scheduled:
+            return  # visits to the reference that belong to the step that is wanted, or to a resumed run
+        with self._changed:
+            if self._begun and step.index != self.seen.step:
+                self._tell(None)
+            self._changed.wait_for(lambda: self._told is not None or self._ending is not None)
+            if self._ending is False or (self._ending and step.kind == "point"):
+                raise Interrupted("stopped")
+            if step.kind == "point" and not self._begun:
+                self._begun, self.seen = True, _Seen(step.index)
+
+    def left(self, error: BaseException | None) -> None:
+        with self._changed:
+            self._over, self.error = True, error
+            if self._told is not None:
+                self._tell(error or (None if self._begun else Interrupted("the measurement has ended")))
+            self._changed.notify_all()
+
+    def _tell(self, error: BaseException | None) -> None:
+        told, self._told, self._begun = self._told, None, False
+        told(error)
+
+
+class _Gated:
+    """A rig's plugin whose rigs wait at a gate."""
+
+    def __init__(self, plugin: Any, gate: _Gate) -> None:
+        self._plugin, self._gate = plugin, gate
+        self.toml: str = plugin.toml
+
+    def open(self, description: RigDescription, *, sample: SampleDescription | None, seed: int, confirm: bool) -> Rig:
+        """The rig, built."""
+        return _GatedRig(self._plugin.open(description, sample=sample, seed=seed, confirm=confirm), self._gate)
+
+
+class _Watched:
+    """A device whose results are noted; all else is its own."""
+
+    def __init__(self, device: Any, gate: _Gate) -> None:
+        self._device, self._gate = device, gate
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._device, name)
+
+
+class _WatchedArms(_Watched):
+    def move(self, goal: Pose) -> Pose:
+        pose: Pose = self._device.move(goal)
+        self._gate.seen.pose = pose
+        return pose
+
+
+class _WatchedCamera(_Watched):
+    def capture(self, exposure_s: float) -> Frame:
+        frame: Frame = self._device.capture(exposure_s)
+        seen = self._gate.seen
+        if math.isnan(seen.time_s):
+            seen.time_s = frame.time_s
+        top = (float(frame.mosaic.max()) - frame.black_level_dn) / (frame.white_level_dn - frame.black_level_dn)
+        seen.exposure_s, seen.level_per_s = frame.exposure_s, top / frame.exposure_s
+        return frame
+
+
+class _GatedRig:
+    """A rig that waits at a gate before every step."""
+
+    def __init__(self, rig: Rig, gate: _Gate) -> None:
+        self._rig, self._gate = rig, gate
+        self.arms: Any = _WatchedArms(rig.arms, gate)
+        self.camera: Any = _WatchedCamera(rig.camera, gate)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name == "_rig":
+            raise AttributeError(name)
+        return getattr(self._rig, name)
+
+    @property
+    def description(self) -> RigDescription:
+        return self._rig.description
+
+    @property
+    def light(self) -> Any:
+        return self._rig.light
+
+    @property
+    def repeatable(self) -> bool:
+        return self._rig.repeatable
+
+    def begin(self, step: Step) -> None:
+        self._gate.pass_by(step)
+        self._rig.begin(step)
+
+    def present(self, target: Any) -> None:
+        self._rig.present(target)
+
+    def time_s(self) -> float:
+        return self._rig.time_s()
+
+    def __enter__(self) -> Self:
+        self._rig.__enter__()
+        self._gate.entered()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._rig.__exit__(kind, error, trace)
+
+
+def measurement(
+    plan: str | Path | Plan,
+    *,
+    rig: str | RigChoice,
+    out: str | Path,
+    sample: str | Path | SampleDescription | None = None,
+    seed: int = 0,
+    resume: bool = False,
+    yes: bool = False,
+) -> Measurement:
+    """A run into the folder `out`, point by point as a Bluesky plan asks for them. Enter it: that opens the rig.
+
+    Parameters
+    ----------
+    plan
+        A plan file, or a plan as `points_plan` makes it.
+    rig
+        "sim", another entry point, or the path of a rig file; or what `find_rig` makes of them.
+    out
+        The folder of the run, empty or absent; with `resume` one that has begun.
+    sample, seed
+        Of a simulated rig.
+    resume
+        Go on with a run: points that it has are not taken again.
+    yes
+        Ask for no confirmation when sample and reference are swapped by hand.
+
+    Raises
+    ------
+    ConfigError
+        Plan, rig or sample is wrong, or no point can be reached. Entering it raises what `gonio measure` would say.
+    """
+    choice = find_rig(rig) if isinstance(rig, str) else rig
+    loaded = plan if isinstance(plan, Plan) else load_plan(plan)
+    if loaded.adaptive is not None:
+        raise ConfigError(f"{loaded.source}: [adaptive] chooses its points itself; measure it with `gonio measure`")
+    described = load_sample(sample) if isinstance(sample, (str, Path)) else sample
+    return Measurement(loaded, choice, Path(out), {"sample": described, "seed": seed, "resume": resume, "yes": yes})
+
+
+def points_plan(name: str, wavelength_nm: Sequence[float], points: Sequence[Sequence[float]]) -> Plan:
+    """A plan of some points, each of them theta_i, phi_i, theta_r, phi_r [deg], theta_r signed or not.
+
+    Raises `ConfigError` where an angle is out of range, or there are none.
+    """
+    if not len(points) or not len(wavelength_nm):
+        raise ArgumentError("a plan needs points and wavelengths")
+    listed: dict[tuple[float, ...], Point] = {}
+    for row, angles in enumerate(points):
+        if len(angles) != 4 or not all(math.isfinite(angle) for angle in angles):
+            raise ArgumentError(f"point {row}: four finite angles [deg] are needed, not {list(angles)}")
+        point = canonical(*map(float, angles))
+        if not 0.0 <= point.theta_i_deg <= 90.0:
+            raise ArgumentError(f"point {row}: theta_i = {angles[0]:g} deg is outside 0 to 90 deg")
+        listed.setdefault(_key(point), point)
+    return Plan(name, tuple(map(float, wavelength_nm)), tuple(listed.values()), len(points) - len(listed), name)
+
+
+def _key(point: Point) -> tuple[float, ...]:
+    """Equal for points with the same directions; along the normal there is no azimuth."""
+    out: list[float] = []
+    for theta, phi in ((point.theta_i_deg, point.phi_i_deg), (point.theta_r_deg, point.phi_r_deg)):
+        polar = round(theta, DIGITS)
+        out += [polar, round(phi, DIGITS) % 360.0 if polar else 0.0]
+    return tuple(out)

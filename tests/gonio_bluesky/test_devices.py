@@ -1,0 +1,172 @@
+"""A rig's axes, lamp and camera as Bluesky's devices."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gonio_bluesky import Devices, devices
+
+from gonio.by_hand.bench import Bench, open_rig
+from gonio.errors import ArgumentError, ConfigError, DeviceError
+from gonio.rig import Pose
+from gonio.rig.dng import read_raw
+from tests.gonio.numpy_rig import SAMPLE, NumpyRig, describe
+
+pytest.importorskip("bluesky", reason="bluesky is not installed (extra bluesky)")
+from bluesky import RunEngine, protocols
+from bluesky.plans import list_scan
+
+IN_TIME_S = 60.0
+"""What has not ended by then hangs: it takes milliseconds."""
+
+
+@dataclass
+class SlowRig(NumpyRig):
+    """A rig whose arms are on their way until they are stopped, or let go on."""
+
+    on_the_way: threading.Event = field(default_factory=threading.Event)
+    go_on: threading.Event = field(default_factory=threading.Event)
+    threads: set[str] = field(default_factory=set)
+
+    def move(self, goal: Pose) -> Pose:
+        self.threads.add(threading.current_thread().name)
+        self.on_the_way.set()
+        assert self.go_on.wait(IN_TIME_S)
+        if "stop" in self.log:
+            raise DeviceError("the arms were stopped")
+        return super().move(goal)
+
+    def stop(self) -> None:
+        super().stop()
+        self.go_on.set()
+
+
+@pytest.fixture
+def slow() -> Iterator[tuple[SlowRig, Devices]]:
+    rig = SlowRig(describe())
+    with devices(Bench(rig)) as found:
+        yield rig, found
+        rig.go_on.set()
+
+
+def test_they_are_what_the_protocols_say() -> None:
+    found = devices(Bench(NumpyRig(describe())))
+    for axis in found.axis.values():
+        for protocol in (
+            protocols.Movable, protocols.Readable, protocols.Locatable, protocols.Stoppable, protocols.Checkable,
+            protocols.HasHints,
+        ):  # fmt: skip
+            assert isinstance(axis, protocol)
+    assert isinstance(found.lamp, protocols.Movable)
+    assert isinstance(found.lamp, protocols.Readable)
+    assert isinstance(found.camera, protocols.Triggerable)
+    assert isinstance(found.camera, protocols.Readable)
+    assert len({device.name for device in found.all}) == len(found.all) == 6
+
+
+def test_an_axis_moves_in_degrees_and_its_status_ends_when_it_has_landed(slow: tuple[SlowRig, Devices]) -> None:
+    rig, found = slow
+    status = found.axis["light"].set(30.0)
+    assert isinstance(status, protocols.Status)
+    assert rig.on_the_way.wait(IN_TIME_S)
+    assert not status.done
+    rig.go_on.set()
+    assert status.exception(IN_TIME_S) is None
+    assert status.success
+    assert rig.pose.light == math.radians(30.0)
+    assert found.axis["light"].locate() == {"setpoint": 30.0, "readback": math.degrees(math.radians(30.0))}
+    assert found.axis["light"].describe()["light_axis"]["units"] == "deg"
+    assert rig.threads == {"gonio-bluesky_0"}, "one thread owns the devices"
+
+
+def test_stop_works_in_the_middle_of_a_move(slow: tuple[SlowRig, Devices]) -> None:
+    rig, found = slow
+    axis = found.axis["camera"]
+    status = axis.set(40.0)
+    assert rig.on_the_way.wait(IN_TIME_S)
+    axis.stop()
+    assert status.exception(IN_TIME_S) is None, "a plan that stops an axis has not failed"
+    assert rig.pose.camera == 0.0
+
+
+def test_a_move_that_is_cut_off_has_failed(slow: tuple[SlowRig, Devices]) -> None:
+    rig, found = slow
+    axis = found.axis["camera"]
+    status = axis.set(40.0)
+    assert rig.on_the_way.wait(IN_TIME_S)
+    axis.stop(success=False)
+    assert isinstance(status.exception(IN_TIME_S), DeviceError)
+
+
+@pytest.mark.parametrize(("goal", "error"), [(500.0, ConfigError), (math.nan, ArgumentError)])
+def test_a_goal_outside_the_limits_raises_before_anything_moves(
+    slow: tuple[SlowRig, Devices], goal: float, error: type[Exception]
+) -> None:
+    rig, found = slow
+    for ask in (found.axis["camera"].set, found.axis["camera"].check_value):
+        with pytest.raises(error, match="camera"):
+            ask(goal)
+    assert not rig.on_the_way.is_set()
+
+
+def test_leaving_darkens_and_parks_whatever_happens() -> None:
+    rig = NumpyRig(describe())
+    with contextlib.suppress(RuntimeError), devices(Bench(rig)) as found:
+        found.lamp.set("red 650").wait(IN_TIME_S)
+        found.axis["light"].set(30.0).wait(IN_TIME_S)
+        assert rig.lit
+        raise RuntimeError("a plan that fails")
+    assert (rig.lit, rig.inside, rig.pose) == (False, False, Pose())
+
+
+def test_the_lamp_takes_bands_wavelengths_and_dark() -> None:
+    rig = NumpyRig(describe())
+    with devices(Bench(rig)) as found:
+        assert found.lamp.read()["lamp"]["value"] == "dark"
+        for goal, name in (("red 650", "red 650"), (551.0, "green, 550"), ("dark", "dark")):
+            found.lamp.set(goal).wait(IN_TIME_S)
+            assert found.lamp.read()["lamp"]["value"] == name
+            assert rig.lit == (name != "dark")
+        with pytest.raises(ConfigError, match='no band "blue": it has green, 550, red 650, and "dark"'):
+            found.lamp.set("blue")
+
+
+def test_the_camera_reads_numbers_of_its_frame_and_keeps_it(tmp_path: Path) -> None:
+    with devices(Bench(NumpyRig(describe())), frames=tmp_path) as found:
+        with pytest.raises(ConfigError, match="no frame yet"):
+            found.camera.read()
+        found.lamp.set(550).wait(IN_TIME_S)
+        found.camera.exposure_s.set(0.02)
+        for number in (1, 2):
+            found.camera.trigger().wait(IN_TIME_S)
+            values = {name: reading["value"] for name, reading in found.camera.read().items()}
+            assert list(values) == list(found.camera.describe())
+            kept = read_raw(values["camera_file"])
+            assert Path(values["camera_file"]).name == f"{number:06d}.dng"
+            assert kept.exposure_s == values["camera_exposure_s"] == 0.02
+            assert float(np.mean(kept.mosaic)) == values["camera_mean_dn"]
+            assert values["camera_patch_pixels"] > 10
+    with pytest.raises(ConfigError, match="no such folder"):
+        devices(Bench(NumpyRig(describe())), frames=tmp_path / "none")
+
+
+def test_a_list_scan_over_an_axis_of_sim() -> None:
+    seen = []
+    goals = [10.0, 20.0, 35.0]
+    with devices(open_rig("sim", sample=SAMPLE)) as found:
+        found.lamp.set(550).wait(IN_TIME_S)
+        found.camera.exposure_s.set(0.02)
+        engine = RunEngine({}, context_managers=[])
+        engine(list_scan([found.camera], found.axis["camera"], goals), lambda kind, doc: seen.append((kind, doc)))
+    rows = [doc["data"] for kind, doc in seen if kind == "event"]
+    assert [row["camera_axis_setpoint"] for row in rows] == goals
+    # a step of the encoder (0.088 deg) is the most that an axis stands off its goal
+    assert [row["camera_axis"] for row in rows] == pytest.approx(goals, abs=0.088)
+    assert all(row["camera_patch_mean_dn"] > row["camera_median_dn"] * 0.5 > 0 for row in rows)
