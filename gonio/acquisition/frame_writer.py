@@ -1,5 +1,8 @@
 """Frames on their way to the disk: written in a thread of their own, whole or not at all, each with its label.
 
+A frame is written under a temporary name. It gets its own, synced, with those that were written since, by
+`Store.commit`: the disk takes many small files together in a third of the time that it takes for one after the other.
+
 The label says which step of which run a frame belongs to. That of the last frame of a step holds all that the journal
 will say of the step, so that a journal that was lost can be made again (`gonio.acquisition.repair`).
 """
@@ -17,14 +20,17 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from gonio.acquisition.records import FrameFile, FrameLabel, FrameRecord, StepRecord
-from gonio.disk import read_file, sync_folder, write_whole
+from gonio.disk import Staged, read_file, sync_folder
 from gonio.errors import DataError
 from gonio.rig import Frame, Pose, Step
 from gonio.rig.description import Band
-from gonio.rig.dng import read_record, write_dng
+from gonio.rig.dng import encode_dng, read_record
 
 WAITING = 8
 """How many frames may wait for the disk before the camera has to."""
+MOST_STAGED, MOST_STAGED_BYTES = 128, 8_000_000
+"""So many files, or bytes, wait to be synced together."""
+_compact = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 NAME = re.compile(r"(\d{6,})-\w+-\d{2,}\.\w+(\.json)?", re.ASCII)
 """Names of frames, and of the labels of frames whose files are the camera's own."""
 BESIDE = ".json"
@@ -37,40 +43,61 @@ class Store:
         self._folder = folder
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="gonio-frames")
         self._room = threading.Semaphore(WAITING)
+        self._staged: list[Staged] = []
+        """The thread's: written, and not committed."""
+        self._bytes = 0
+        """Of those."""
 
     def put(self, frame: Frame, name: str, label: Callable[[], FrameLabel]) -> Future[FrameFile]:
-        """Begin to write a frame; the future says what its file is, once that is on the disk.
+        """Begin to write a frame; the future says what its file is, once that is written (see `commit`).
 
         `label` is called when all frames before this one are there.
         """
         self._room.acquire()
         return self._pool.submit(self._write, frame, self._folder / name, label)
 
+    def commit(self) -> Future[None]:
+        """Begin to bring all frames that were put before to the disk, under their names; done once they are there."""
+        return self._pool.submit(self._commit)
+
     def _write(self, frame: Frame, path: Path, label: Callable[[], FrameLabel]) -> FrameFile:
         try:
-            text = json.dumps(label().to_json(), separators=(",", ":"), allow_nan=False)
+            text = _compact(label().to_json())
             if frame.file is None:
-                write_dng(replace(frame, record=text), path)
+                data = encode_dng(replace(frame, record=text))
             else:  # the camera's own file is kept as it is
-                write_whole(path.with_name(path.name + BESIDE), text.encode())
-                write_whole(path, frame.file.read_bytes())
-            with path.open("rb") as file:
-                return FrameFile(hashlib.file_digest(file, "sha256").hexdigest(), file.tell())
+                self._stage(path.with_name(path.name + BESIDE), text.encode())
+                data = frame.file.read_bytes()
+            self._stage(path, data)
+            return FrameFile(hashlib.sha256(data).hexdigest(), len(data))
         except OSError as error:
             raise DataError(f"{path}: cannot be written: {error.strerror}") from None
         finally:
             self._room.release()
 
-    def sync(self) -> None:
-        """Wait until the names of the frames are on the disk too."""
+    def _stage(self, path: Path, data: bytes) -> None:
+        self._staged.append(Staged(path, data))
+        self._bytes += len(data)
+        if len(self._staged) >= MOST_STAGED or self._bytes >= MOST_STAGED_BYTES:
+            self._settle()
+
+    def _settle(self) -> None:
+        self._bytes = 0
+        while self._staged:
+            self._staged.pop(0).settle()
+
+    def _commit(self) -> None:
         try:
+            self._settle()
             sync_folder(self._folder)
         except OSError as error:
-            raise DataError(f"{self._folder}: cannot be written: {error.strerror}") from None
+            raise DataError(f"{error.filename or self._folder}: cannot be written: {error.strerror}") from None
 
     def close(self) -> None:
-        """End the thread; frames that wait are not written any more."""
+        """End the thread; frames that wait are not written any more, and those without a commit are removed."""
         self._pool.shutdown(cancel_futures=True)
+        for staged in self._staged:
+            staged.drop()
 
 
 @dataclass(slots=True)

@@ -10,6 +10,7 @@ import contextlib
 import itertools
 import logging
 import math
+import time
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -38,6 +39,11 @@ log = logging.getLogger("gonio.devices")
 
 ATTEMPTS = 3
 """How often a step is taken whose arms do not stand still."""
+PACE_STEPS = 64
+FAST_STEP_S = 0.02
+"""The last `PACE_STEPS` steps took less each: then steps are synced together."""
+TOGETHER_S = 0.2
+"""For so long at most, and then while as many more are taken."""
 MOVED_STEPS = 2.5
 """An axis has moved where its readbacks before and after the frames differ by more steps: encoders flicker by one."""
 MOVED_DEG = 0.01
@@ -158,7 +164,14 @@ class _Session:
         self._description = rig.description
         self._lit = False
         self._target: Target | None = None
-        self._pending: deque[_Taken] = deque()
+        self._taken_steps: list[_Taken] = []
+        """Their frames are being written."""
+        self._committing: tuple[Future[None], list[_Taken]] | None = None
+        """Steps whose frames are on their way to the disk; nothing is waited for before the next ones are."""
+        self._committed_s = -math.inf
+        """When these were sent there, on the computer's clock."""
+        self._begun_s: deque[float] = deque(maxlen=PACE_STEPS)
+        """When the last steps began, on the computer's clock."""
         self._store = Store(run.path / "frames")
         self._names = slugs(run.bands)
         self._done = run.steps()
@@ -195,9 +208,15 @@ class _Session:
             self._reference = min(self._reference or taken.record, taken.record, key=lambda record: record.step)
         if step.kind == "point" and taken.record.frames:
             self._last = taken.record
-        self._pending.append(taken)
-        while len(self._pending) > 1:
-            self._write(self._pending.popleft())
+        self._taken_steps.append(taken)
+        if not self._hurried() or time.monotonic() - self._committed_s > TOGETHER_S:
+            self._commit()
+
+    def _hurried(self) -> bool:
+        """Whether steps come so fast that the disk, which syncs them one by one, would be what they wait for."""
+        now, count = time.monotonic(), len(self._begun_s)
+        self._begun_s.append(now)
+        return count == PACE_STEPS and now - self._begun_s[0] < PACE_STEPS * FAST_STEP_S
 
     def _undisturbed(self, step: Step) -> _Taken:
         """A step during which no rule of `[suspend]` was broken; one that was is waited for, and the step taken again.
@@ -242,15 +261,28 @@ class _Session:
 
     def finish(self) -> None:
         """Journal every step that has been taken whole."""
-        while self._pending:
-            self._write(self._pending.popleft())
+        if self._taken_steps:
+            self._commit()
+        self._journal()
 
-    def _write(self, taken: _Taken) -> None:
-        pairs = zip(taken.record.frames, taken.files, strict=True)
-        frames = tuple(frame.stored(file.result()) for frame, file in pairs)
-        self._store.sync()
-        self._run.append(replace(taken.record, frames=frames).to_json())
-        self._progress.step(taken.live)
+    def _commit(self) -> None:
+        """Send the frames of the steps taken to the disk, and journal those that were sent before."""
+        self._journal()
+        self._committed_s = time.monotonic()
+        self._committing, self._taken_steps = (self._store.commit(), self._taken_steps), []
+
+    def _journal(self) -> None:
+        """Wait for the frames that are on their way to the disk, and journal their steps."""
+        if self._committing is None:
+            return
+        (done, steps), self._committing = self._committing, None
+        done.result()
+        with self._run.together():
+            for taken in steps:
+                pairs = zip(taken.record.frames, taken.files, strict=True)
+                frames = tuple(frame.stored(file.result()) for frame, file in pairs)
+                self._run.append(replace(taken.record, frames=frames).to_json())
+                self._progress.step(taken.live)
 
     def _dark(self, step: Step) -> _Taken:
         self._darken()

@@ -305,6 +305,11 @@ class Run:
         assert self.journal is not None, "a run that was opened for reading takes no events"
         return self.journal.append(event)
 
+    def together(self) -> contextlib.AbstractContextManager[None]:
+        """Events that go to the disk at once; see `Journal.together`."""
+        assert self.journal is not None, "a run that was opened for reading takes no events"
+        return self.journal.together()
+
     def take_back(self, damaged: Mapping[int, Sequence[str]]) -> list[str]:
         """Say in the journal which steps count no more, because of which frames; what is wrong with each frame."""
         what = [text for number in sorted(damaged) for text in damaged[number]]
