@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
+import itertools
 import os
 import re
 import stat
@@ -58,11 +59,11 @@ def write_whole(path: Path, data: bytes) -> None:
     Staged(path, data).settle()
 
 
+_STAGED = itertools.count()
+
+
 class Staged:
     """A file that is written under a temporary name in its folder, to be synced and renamed by `settle`.
-
-    The disk begins to write it at once. Of many files that were staged the first to be synced waits for most of what
-    the others need: a file system keeps what it knows of all of them in one journal.
 
     Raises
     ------
@@ -74,21 +75,30 @@ class Staged:
 
     def __init__(self, path: Path, data: bytes) -> None:
         self.path = path
-        self._temporary = os.path.join(path.parent, f".{path.name}.{os.getpid()}.new")
+        number = f"{os.getpid()}{next(_STAGED):09d}"  # a file may be staged twice, and the later one counts
+        self._temporary = os.path.join(path.parent, f".{path.name}.{number}.new")
         self._handle = -1
         try:
             self._handle = os.open(self._temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o666)
             left = memoryview(data)
             while len(left):
                 left = left[os.write(self._handle, left) :]
-            if hasattr(os, "posix_fadvise"):
-                os.posix_fadvise(self._handle, 0, 0, os.POSIX_FADV_DONTNEED)
         except OSError as error:
             self.drop()
             raise self._named(error) from None
         except BaseException:  # a signal
             self.drop()
             raise
+
+    def begin(self) -> None:
+        """Let the disk begin to write it, where the system takes such a hint.
+
+        Of many files that have begun, the first to be synced waits for most of what the others need: a file system
+        keeps what it knows of all of them in one journal.
+        """
+        if hasattr(os, "posix_fadvise"):
+            with contextlib.suppress(OSError):
+                os.posix_fadvise(self._handle, 0, 0, os.POSIX_FADV_DONTNEED)
 
     def settle(self) -> None:
         """Wait until it is on the disk, and give it its name; raises `OSError`, and nothing lies beside it then."""

@@ -134,12 +134,12 @@ class Timed(Silent):
 
     def __init__(self, every: int, most: int | None = None) -> None:
         self.every, self.most, self.count = every, most, 0
-        self.marks: list[tuple[int, float, float, float]] = []
+        self.marks: list[tuple[int, float, float, float, float]] = []
 
     def step(self, live: Live) -> None:
         """After every step."""
         if self.count % self.every == 0:
-            self.marks.append((self.count, time.perf_counter(), time.process_time(), memory_mb()))
+            self.marks.append((self.count, time.perf_counter(), time.process_time(), memory_mb(), time.thread_time()))
         self.count += 1
         if self.count == self.most:
             raise Interrupted("left before its end")
@@ -193,9 +193,10 @@ def main() -> None:
             profile.disable()
         ended, steps = time.perf_counter(), watcher.count
         print(f"before the first step: {watcher.marks[0][1] - began:.2f} s; {steps} steps in {ended - began:.1f} s")
-        for (n0, w0, c0, _), (n1, w1, c1, m1) in zip(watcher.marks, watcher.marks[1:], strict=False):
+        for (n0, w0, c0, _, t0), (n1, w1, c1, m1, t1) in zip(watcher.marks, watcher.marks[1:], strict=False):
             each = 1e3 / (n1 - n0)
-            print(f"steps {n0:>6} to {n1:>6}: {(w1 - w0) * each:.3f} ms a step, processor {(c1 - c0) * each:.3f} ms, memory {m1:.1f} MB")
+            spent = f"processor {(c1 - c0) * each:.3f} ms (main thread {(t1 - t0) * each:.3f})"
+            print(f"steps {n0:>6} to {n1:>6}: {(w1 - w0) * each:.3f} ms a step, {spent}, memory {m1:.1f} MB")
         if profile is not None:
             pstats.Stats(profile).sort_stats("tottime").print_stats(40)
             return
@@ -207,7 +208,8 @@ def main() -> None:
         again = Timed(1)
         began = time.perf_counter()
         carry_out(plan, rig, folder / "run", sample=SAMPLE, resume=True, progress=again)
-        print(f"resumed: first step after {again.marks[0][1] - began:.2f} s, {again.count} steps, memory {memory_mb():.1f} MB")
+        first = again.marks[0][1] - began
+        print(f"resumed: first step after {first:.2f} s, {again.count} steps, memory {memory_mb():.1f} MB")
         shutil.rmtree(folder / "run")
 
 

@@ -13,7 +13,8 @@ import hashlib
 import json
 import re
 import threading
-from collections import Counter
+import time
+from collections import Counter, deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -21,15 +22,17 @@ from pathlib import Path
 
 from gonio.acquisition.records import FrameFile, FrameLabel, FrameRecord, StepRecord
 from gonio.disk import Staged, read_file, sync_folder
-from gonio.errors import DataError
+from gonio.errors import ArgumentError, DataError
 from gonio.rig import Frame, Pose, Step
 from gonio.rig.description import Band
 from gonio.rig.dng import encode_dng, read_record
 
 WAITING = 8
 """How many frames may wait for the disk before the camera has to."""
-MOST_STAGED, MOST_STAGED_BYTES = 128, 8_000_000
-"""So many files, or bytes, wait to be synced together."""
+MOST_STAGED = 128
+"""So many files at most wait to be synced together."""
+LARGE = 1_000_000
+"""A frame of so many bytes is synced by itself."""
 _compact = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 NAME = re.compile(r"(\d{6,})-\w+-\d{2,}\.\w+(\.json)?", re.ASCII)
 """Names of frames, and of the labels of frames whose files are the camera's own."""
@@ -43,18 +46,32 @@ class Store:
         self._folder = folder
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="gonio-frames")
         self._room = threading.Semaphore(WAITING)
-        self._staged: list[Staged] = []
-        """The thread's: written, and not committed."""
-        self._bytes = 0
-        """Of those."""
+        self._staged: deque[Staged] = deque()
+        """Written, and not yet synced; taken from it by the thread alone."""
+        self.at_once = False
+        """Whether frames are written where they are put: a camera that takes no time gains nothing by the thread."""
+        self.waited_s = 0.0
+        """How long `put` has waited for the disk."""
 
     def put(self, frame: Frame, name: str, label: Callable[[], FrameLabel]) -> Future[FrameFile]:
         """Begin to write a frame; the future says what its file is, once that is written (see `commit`).
 
         `label` is called when all frames before this one are there.
         """
-        self._room.acquire()
-        return self._pool.submit(self._write, frame, self._folder / name, label)
+        path, began = self._folder / name, time.monotonic()
+        if self.at_once:
+            out: Future[FrameFile] = Future()
+            try:
+                out.set_result(self._write(frame, path, label))
+            except (DataError, ArgumentError) as error:
+                out.set_exception(error)
+            if len(self._staged) >= MOST_STAGED:
+                self._pool.submit(self._settle).result()
+        else:
+            self._room.acquire()
+            out = self._pool.submit(self._in_thread, frame, path, label)
+        self.waited_s += time.monotonic() - began
+        return out
 
     def commit(self) -> Future[None]:
         """Begin to bring all frames that were put before to the disk, under their names; done once they are there."""
@@ -71,33 +88,45 @@ class Store:
             self._stage(path, data)
             return FrameFile(hashlib.sha256(data).hexdigest(), len(data))
         except OSError as error:
-            raise DataError(f"{path}: cannot be written: {error.strerror}") from None
+            raise _not_written(path, error) from None
+
+    def _in_thread(self, frame: Frame, path: Path, label: Callable[[], FrameLabel]) -> FrameFile:
+        try:
+            file = self._write(frame, path, label)
+            if len(self._staged) >= MOST_STAGED or file.bytes >= LARGE:
+                self._settle()
+            return file
+        except OSError as error:
+            raise _not_written(path, error) from None
         finally:
             self._room.release()
 
     def _stage(self, path: Path, data: bytes) -> None:
         self._staged.append(Staged(path, data))
-        self._bytes += len(data)
-        if len(self._staged) >= MOST_STAGED or self._bytes >= MOST_STAGED_BYTES:
-            self._settle()
 
     def _settle(self) -> None:
-        self._bytes = 0
-        while self._staged:
-            self._staged.pop(0).settle()
+        count = len(self._staged)
+        for k in range(count if count > 1 else 0):
+            self._staged[k].begin()
+        for _ in range(count):
+            self._staged.popleft().settle()
 
     def _commit(self) -> None:
         try:
             self._settle()
             sync_folder(self._folder)
         except OSError as error:
-            raise DataError(f"{error.filename or self._folder}: cannot be written: {error.strerror}") from None
+            raise _not_written(error.filename or self._folder, error) from None
 
     def close(self) -> None:
         """End the thread; frames that wait are not written any more, and those without a commit are removed."""
         self._pool.shutdown(cancel_futures=True)
         for staged in self._staged:
             staged.drop()
+
+
+def _not_written(path: str | Path, error: OSError) -> DataError:
+    return DataError(f"{path}: cannot be written: {error.strerror}")
 
 
 @dataclass(slots=True)

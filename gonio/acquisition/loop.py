@@ -40,7 +40,7 @@ log = logging.getLogger("gonio.devices")
 ATTEMPTS = 3
 """How often a step is taken whose arms do not stand still."""
 PACE_STEPS = 64
-FAST_STEP_S = 0.02
+FAST_STEP_S = 0.01
 """The last `PACE_STEPS` steps took less each: then steps are synced together."""
 TOGETHER_S = 0.2
 """For so long at most, and then while as many more are taken."""
@@ -171,7 +171,9 @@ class _Session:
         self._committed_s = -math.inf
         """When these were sent there, on the computer's clock."""
         self._begun_s: deque[float] = deque(maxlen=PACE_STEPS)
-        """When the last steps began, on the computer's clock."""
+        """When the last steps were taken, on a clock that stands still while the disk is waited for."""
+        self._waited_s = 0.0
+        """How long the disk was waited for so far."""
         self._store = Store(run.path / "frames")
         self._names = slugs(run.bands)
         self._done = run.steps()
@@ -214,9 +216,11 @@ class _Session:
 
     def _hurried(self) -> bool:
         """Whether steps come so fast that the disk, which syncs them one by one, would be what they wait for."""
-        now, count = time.monotonic(), len(self._begun_s)
+        now = time.monotonic() - self._store.waited_s - self._waited_s
         self._begun_s.append(now)
-        return count == PACE_STEPS and now - self._begun_s[0] < PACE_STEPS * FAST_STEP_S
+        fast = len(self._begun_s) == PACE_STEPS and now - self._begun_s[0] < PACE_STEPS * FAST_STEP_S
+        self._store.at_once = fast
+        return fast
 
     def _undisturbed(self, step: Step) -> _Taken:
         """A step during which no rule of `[suspend]` was broken; one that was is waited for, and the step taken again.
@@ -276,6 +280,7 @@ class _Session:
         if self._committing is None:
             return
         (done, steps), self._committing = self._committing, None
+        began = time.monotonic()
         done.result()
         with self._run.together():
             for taken in steps:
@@ -283,6 +288,7 @@ class _Session:
                 frames = tuple(frame.stored(file.result()) for frame, file in pairs)
                 self._run.append(replace(taken.record, frames=frames).to_json())
                 self._progress.step(taken.live)
+        self._waited_s += time.monotonic() - began
 
     def _dark(self, step: Step) -> _Taken:
         self._darken()

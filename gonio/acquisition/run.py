@@ -220,7 +220,7 @@ class Run:
         """The seed of a simulated rig."""
         return self.settings.run.seed
 
-    @property
+    @cached_property
     def bands(self) -> tuple[Band, ...]:
         """The bands that every point is measured in, in order."""
         known = {band.name: band for band in self.description.bands.all()}
@@ -288,7 +288,7 @@ class Run:
         self._index.go_on(events)
         return Steps(events, self._index)
 
-    @property
+    @cached_property
     def key(self) -> str:
         """What tells the frames of this run from those of others: a hash of plan, seed, rig and sample."""
         run, sample = self.settings.run, self.settings.sample

@@ -11,7 +11,6 @@ import contextlib
 import datetime
 import math
 import struct
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import lru_cache
@@ -98,35 +97,27 @@ def encode_dng(frame: Frame) -> bytes:
     rows, columns = frame.mosaic.shape
     bits = 12 if frame.white_level_dn <= 4095 else 16
     strip = _pack(frame.mosaic) if bits == 12 else np.ascontiguousarray(frame.mosaic, dtype="<u2")
-    moment = _EPOCH + datetime.timedelta(seconds=frame.time_s)
-    stamp = _entry(2, _text(moment.strftime("%Y:%m:%d %H:%M:%S")))
-    exif = {
-        33434: _entry(5, _rational(frame.exposure_s)),  # ExposureTime
-        34855: _entry(3, [100]),  # ISO; LibRaw reads it here only
-        36867: stamp,  # DateTimeOriginal
-        37521: _entry(2, _text(f"{moment.microsecond:06d}")),  # SubSecTimeOriginal
-    }
-    main = dict(_of_every_frame(rows, columns, bits, frame.pattern, frame.black_level_dn, frame.white_level_dn))
-    main[306] = stamp
+    kind = (rows, columns, bits, frame.pattern, frame.black_level_dn, frame.white_level_dn)
+    empty, at = _head(*kind, len(frame.record))
+    t = _EPOCH + datetime.timedelta(seconds=frame.time_s)
+    stamp = f"{t.year:04d}:{t.month:02d}:{t.day:02d} {t.hour:02d}:{t.minute:02d}:{t.second:02d}".encode()
+    head = bytearray(empty)
+    struct.pack_into("<II", head, at[33434], *_rational(frame.exposure_s))
+    for tag, value in ((36867, stamp), (306, stamp), (37521, f"{t.microsecond:06d}".encode())):
+        head[at[tag] : at[tag] + len(value)] = value
     if frame.record:
-        main[270] = _entry(2, _text(frame.record))  # ImageDescription
-    header_size = 8
-    at_exif = header_size + _size(main)
-    start = -(-(at_exif + _size(exif)) // 16) * 16
-    main[273], main[34665] = _entry(4, [start]), _entry(4, [at_exif])
-    head = struct.pack("<2sHI", b"II", 42, header_size) + _directory(main, header_size) + _directory(exif, at_exif)
-    return head.ljust(start, b"\0") + strip.tobytes()
+        head[at[270] : at[270] + len(frame.record)] = frame.record.encode("ascii")
+    return b"".join((head, strip.data))
 
 
-_Entry = tuple[int, int, bytes]
-"""Type, count and value of a tag."""
-
-
-@lru_cache(64)
-def _of_every_frame(
-    rows: int, columns: int, bits: int, pattern: str, black_dn: float, white_dn: float
-) -> dict[int, _Entry]:
-    """The main directory of frames of one kind; where strip and EXIF lie, the stamp and the record are the frame's."""
+@lru_cache(256)
+def _head(
+    rows: int, columns: int, bits: int, pattern: str, black_dn: float, white_dn: float, record: int
+) -> tuple[bytes, dict[int, int]]:
+    """All that stands before the strip in frames of one kind with records of one length, and where the values of tags
+    lie in it; exposure, times and record are left empty.
+    """
+    stamp = _text("0000:00:00 00:00:00")
     main: dict[int, tuple[int, Any]] = {
         254: (4, [0]),  # the full image
         256: (4, [columns]),
@@ -143,6 +134,7 @@ def _of_every_frame(
         279: (4, [rows * ((bits * columns + 7) // 8)]),
         284: (3, [1]),
         305: (2, _text("gonio")),
+        306: (2, stamp),
         34665: (4, [0]),  # EXIF directory
         50706: (1, [1, 4, 0, 0]),
         50707: (1, [1, 1, 0, 0]),
@@ -157,7 +149,21 @@ def _of_every_frame(
         main[33422] = (1, ["RGB".index(colour) for colour in pattern])
     else:
         main[50721] = (10, [1, 1])
-    return {tag: _entry(kind, items) for tag, (kind, items) in main.items()}
+    if record:
+        main[270] = (2, bytes(record + 1))  # ImageDescription
+    exif: dict[int, tuple[int, Any]] = {
+        33434: (5, [0, 0]),  # ExposureTime
+        34855: (3, [100]),  # ISO; LibRaw reads it here only
+        36867: (2, stamp),  # DateTimeOriginal
+        37521: (2, _text("000000")),  # SubSecTimeOriginal
+    }
+    header_size = 8
+    at_exif = header_size + len(_directory(main, header_size)[0])
+    behind, at = _directory(exif, at_exif)
+    start = -(-(at_exif + len(behind)) // 16) * 16
+    main[273], main[34665] = (4, [start]), (4, [at_exif])
+    front, at_main = _directory(main, header_size)
+    return (struct.pack("<2sHI", b"II", 42, header_size) + front + behind).ljust(start, b"\0"), at | at_main
 
 
 def _pack(mosaic: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint8]:
@@ -178,30 +184,22 @@ def _text(text: str) -> bytes:
     return text.encode("ascii") + b"\0"
 
 
-def _entry(kind: int, items: bytes | Sequence[int]) -> _Entry:
-    code, size = _TYPES[kind]
-    data = items if isinstance(items, bytes) else struct.pack(f"<{len(items)}{code[0]}", *items)
-    return kind, len(data) // size, data
-
-
-def _size(entries: dict[int, _Entry]) -> int:
-    """Bytes of a directory with its values."""
-    return 2 + 12 * len(entries) + 4 + sum(-(-len(data) // 2) * 2 for _, _, data in entries.values() if len(data) > 4)
-
-
-def _directory(entries: dict[int, _Entry], offset: int) -> bytes:
-    """A TIFF image file directory that starts at `offset`, with its values behind it."""
-    heads, values = [struct.pack("<H", len(entries))], []
-    behind = offset + 2 + 12 * len(entries) + 4
-    for tag, (kind, count, data) in sorted(entries.items()):
+def _directory(tags: dict[int, tuple[int, Any]], offset: int) -> tuple[bytes, dict[int, int]]:
+    """A TIFF image file directory that starts at `offset`, with its values behind it, and where each value lies."""
+    entries, values, at = struct.pack("<H", len(tags)), b"", {}
+    behind = offset + 2 + 12 * len(tags) + 4
+    for tag, (kind, items) in sorted(tags.items()):
+        code, size = _TYPES[kind]
+        data = items if kind == 2 else struct.pack(f"<{len(items)}{code[0]}", *items)
+        entries += struct.pack("<HHI", tag, kind, len(data) // size)
         if len(data) <= 4:
-            heads.append(struct.pack("<HHI4s", tag, kind, count, data))
+            at[tag] = offset + len(entries)
+            entries += data.ljust(4, b"\0")
         else:
-            heads.append(struct.pack("<HHII", tag, kind, count, behind))
-            data += b"\0" * (len(data) % 2)
-            values.append(data)
-            behind += len(data)
-    return b"".join((*heads, b"\0\0\0\0", *values))
+            at[tag] = behind + len(values)
+            entries += struct.pack("<I", at[tag])
+            values += data + b"\0" * (len(data) % 2)
+    return entries + b"\0\0\0\0" + values, at
 
 
 def read_raw(path: str | Path, data: bytes | None = None) -> Frame:
