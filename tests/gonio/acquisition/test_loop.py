@@ -479,16 +479,16 @@ def test_a_patch_counts_in_the_poses_that_are_used(plan: Plan, tmp_path: Path) -
 def test_a_full_disk_ends_the_run_and_it_can_go_on(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:
     from gonio.acquisition import frame_writer
 
-    write, count = write_dng, 0
+    write, count = frame_writer.Staged, 0
 
-    def fills_up(frame: object, path: Path) -> None:
+    def fills_up(path: Path, data: bytes) -> frame_writer.Staged:
         nonlocal count
         count += 1
         if count > 12:
             raise OSError(28, "No space left on device")
-        write(frame, path)  # type: ignore[arg-type]
+        return write(path, data)
 
-    monkeypatch.setattr(frame_writer, "write_dng", fills_up)
+    monkeypatch.setattr(frame_writer, "Staged", fills_up)
     with pytest.raises(DataError, match="No space left"):
         measure("run")
     monkeypatch.undo()
