@@ -23,13 +23,14 @@ from gonio import __version__
 from gonio.acquisition import exposure
 from gonio.acquisition.choosing import Chooser
 from gonio.acquisition.frame_writer import Files, Store, slugs
+from gonio.acquisition.holding import Holding
 from gonio.acquisition.progress import Live, Progress
 from gonio.acquisition.records import FrameFile, StepRecord
 from gonio.acquisition.run import Batch, Run
 from gonio.acquisition.schedule import batch_steps
 from gonio.acquisition.stop import Stop
 from gonio.acquisition.suspending import Cause, Suspended, Watch
-from gonio.errors import DeviceError, Disturbed, Interrupted
+from gonio.errors import DeviceError, Disturbed, Interrupted, PassingFault
 from gonio.rig import Frame, Pose, Reading, Rig, Step, Target
 from gonio.rig.description import Band, RigDescription
 from gonio.rig.imaging import Roi, require_frame, roi
@@ -225,6 +226,7 @@ class _Session:
         self._waited_s = 0.0
         """How long the disk was waited for so far."""
         self._store = Store(run.path / "frames")
+        self._holding = Holding(run, progress, stop, rig.time_s, self._darken)
         self._names = slugs(run.bands)
         self._done = run.steps()
         self._last: StepRecord | None = None
@@ -254,7 +256,16 @@ class _Session:
                 self._wait(step, causes)
 
     def take(self, step: Step) -> None:
-        """Take a step; journal the one before it, whose frames were being written meanwhile."""
+        """Take a step; journal the one before it, whose frames were being written meanwhile.
+
+        Where a person has asked for a pause, or the disk has no room, it is waited for before that.
+        """
+        if self._holding.wanted(step):
+            self.finish()
+            lit = self._lit
+            self._holding.before(step)
+            if lit:
+                self._after_darkness(step)
         taken = self._undisturbed(step)
         if step.kind == "reference" and not taken.record.flag:
             self._reference = min(self._reference or taken.record, taken.record, key=lambda record: record.step)
@@ -278,17 +289,33 @@ class _Session:
         What happened to the lamp meanwhile nobody knows: on a laboratory rig a point is preceded by a visit to the
         reference then, unless that would need a person.
         """
+        faults = 0
         while True:
-            before_s, resumed = self._last_s, self._resumed
+            before_s, resumed, lit = self._last_s, self._resumed, self._lit
             try:
                 self._rig.begin(step)
                 return self._dark(step) if step.kind == "dark" else self._lit_step(step)
             except Suspended as suspended:
                 self._wait(step, suspended.causes)
+                lit = True
+            except PassingFault as fault:
+                faults += 1
+                self.finish()
+                self._holding.after(fault, step, faults)
+                lit = lit or self._lit
             if self._rig.repeatable:
                 self._last_s, self._resumed = before_s, resumed
-            elif step.kind == "point" and self._description.reference.how not in ("swap", "beam"):
-                self.take(self._numbers.another())
+            if lit:
+                self._after_darkness(step)
+
+    def _after_darkness(self, step: Step) -> None:
+        """A visit to the reference before a point, where the lamp was dark: on a laboratory rig it is another lamp now.
+
+        Where a person swaps the reference there is none, because nobody may be there.
+        """
+        by_hand = self._description.reference.how in ("swap", "beam")
+        if step.kind == "point" and not self._rig.repeatable and not by_hand:
+            self.take(self._numbers.another())
 
     def _wait(self, step: Step, causes: Sequence[Cause]) -> None:
         self.finish()

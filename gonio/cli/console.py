@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from gonio.acquisition.progress import Live, Progress
+    from gonio.acquisition.stop import Pause
 
 LINES = 20
 """At most about so many lines of progress where there is no terminal."""
@@ -58,9 +59,12 @@ def duration(seconds: float) -> str:
     return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
-def progress() -> contextlib.AbstractContextManager[Progress]:
-    """Somebody who shows a measurement: a bar with a line of live values on a terminal, a few plain lines elsewhere."""
-    return _on_terminal() if sys.stderr.isatty() else contextlib.nullcontext(_Lines())
+def progress(pause: Pause | None = None) -> contextlib.AbstractContextManager[Progress]:
+    """Somebody who shows a measurement: a bar with a line of live values on a terminal, a few plain lines elsewhere.
+
+    With `pause` its keys are heard where a terminal is there to press them on (`gonio.cli.keys`).
+    """
+    return _on_terminal(pause) if sys.stderr.isatty() else contextlib.nullcontext(_Lines())
 
 
 def values(live: Live) -> str:
@@ -147,8 +151,13 @@ class _Lines:
 class _Bar:
     """Progress on a terminal."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, pause: Pause | None) -> None:
         from rich.live import Live as Screen
+
+        from gonio.cli.keys import Keys
+
+        self._pause = pause
+        self.keys = Keys(pause) if pause is not None and Keys.possible() else contextlib.nullcontext()
 
         self._bar = _progress_bar("measuring", console)
         self._task = self._bar.add_task("", total=None)
@@ -160,7 +169,11 @@ class _Bar:
         from rich.console import Group
         from rich.text import Text
 
-        return Group(self._bar, Text(self._text, style="dim", no_wrap=True, overflow="ellipsis"))
+        lines = [Text(self._text, style="dim", no_wrap=True, overflow="ellipsis")]
+        if self._pause is not None and self._pause.attended:
+            said = "pausing: c goes on, q ends the run" if self._pause.requested else "p pauses, q ends the run"
+            lines.append(Text(said, style="bold" if self._pause.requested else "dim", no_wrap=True))
+        return Group(self._bar, *lines)
 
     def start(self, steps: int, done: int) -> None:
         self._bar.reset(self._task, total=steps, completed=done)
@@ -175,9 +188,11 @@ class _Bar:
     @contextlib.contextmanager
     def paused(self) -> Iterator[None]:
         self.screen.stop()
+        self.keys.__exit__(None, None, None)
         try:
             yield
         finally:
+            self.keys.__enter__()
             self.screen.start()
 
     def say(self, text: str) -> None:
@@ -185,9 +200,9 @@ class _Bar:
 
 
 @contextlib.contextmanager
-def _on_terminal() -> Iterator[Progress]:
-    bar = _Bar(_console(stderr=True))
-    with bar.screen:
+def _on_terminal(pause: Pause | None) -> Iterator[Progress]:
+    bar = _Bar(_console(stderr=True), pause)
+    with bar.screen, bar.keys:
         yield bar
 
 
