@@ -1,12 +1,12 @@
-"""Runs that are killed at random, whose journals are torn, and whose disks are full: every one resumes to the same table.
+"""Runs that are killed at random, with torn journals and full disks: every one resumes to the same table.
 
     python tools/kill_campaign.py [--times 100] [--seed 0] [--plan PLAN.toml --sample SAMPLE.toml --rig sim]
 
 Each time one of these happens to a run of `gonio measure`, in turn:
 
 - kill: SIGKILL at a random moment;
-- tear: the same, and the last line of the journal is cut at a random byte, or its end is zeros, as a power cut leaves it;
-- full: no file may grow beyond a random size, so that a write fails in its middle (RLIMIT_FSIZE, which needs no root).
+- tear: the same, and the last line of the journal is cut at a random byte; zeros may follow, as a power cut leaves it;
+- full: no file may grow beyond a random size, so that a write fails in its middle (RLIMIT_FSIZE needs no root).
 
 Then the run is resumed, with the next such event, and in the end to its end. After every event it is asserted that no
 step that was journalled is lost, and that none is there twice; in the end that the table is the one of a run that
@@ -79,7 +79,7 @@ def strike(how: str, call: list[str], out: Path, whole: int, draw: random.Random
     process = subprocess.Popen(call, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL)
     began, patience_s = time.monotonic(), draw.uniform(0.0, 4.0)
     while process.poll() is None:
-        if (target < 0 and time.monotonic() - began > patience_s) or (target >= 0 and len(lines(out)) > target):
+        if (target < 0 and time.monotonic() - began > patience_s) or (target >= 0 and len(steps(out)) > target):
             time.sleep(draw.uniform(0.0, 0.05))
             process.send_signal(signal.SIGKILL)
             break

@@ -39,7 +39,8 @@ def measure(plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Meas
 
     def go(out: str, *, rig: Any = None, description: RigDescription | None = None, **changes: Any) -> Run:
         choice = RigChoice(rig or Plugin(), description or describe(), "numpy")
-        return carry_out(plan, choice, tmp_path / out, **({"sample": SAMPLE, "seed": 1} | changes))
+        arguments: dict[str, Any] = {"sample": SAMPLE, "seed": 1} | changes
+        return carry_out(plan, choice, tmp_path / out, **arguments)
 
     return go
 
@@ -198,7 +199,9 @@ def test_a_run_that_cannot_fit_is_refused_before_anything_is_touched(
     assert not (tmp_path / "run").exists()
     assert not rig.opened[0].log
     with pytest.raises(ConfigError, match="are free"):
-        check(plan, RigChoice(rig, describe(), "numpy"), tmp_path / "run", sample=SAMPLE, seed=0, resume=False, yes=False)
+        check(
+            plan, RigChoice(rig, describe(), "numpy"), tmp_path / "run", sample=SAMPLE, seed=0, resume=False, yes=False
+        )
 
 
 def test_what_a_run_needs_is_what_it_takes(measure: Measure) -> None:
@@ -231,7 +234,7 @@ def test_a_disk_that_stays_full_ends_the_run_which_can_go_on(
     with monkeypatch.context() as full:
         full.setattr(holding, "ROOM_UNATTENDED_S", 0.0)
         full.setattr(holding, "free_bytes", Disk(*[PLENTY] * 5, NOTHING))
-        with pytest.raises(DataError, match=r"0 bytes are free, and step 4 needs .*; make room, then go on with --resume"):
+        with pytest.raises(DataError, match=r"0 bytes are free, and step 4 needs .*; make room, then go on"):
             measure("run", rig=rig)
     assert not rig.opened[0].lit
     assert rig.opened[0].log[-1] == "park"
