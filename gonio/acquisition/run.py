@@ -18,6 +18,7 @@ import csv
 import hashlib
 import json
 import os
+import re
 import sys
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -60,6 +61,8 @@ if TYPE_CHECKING:
 PLAN_COLUMNS = ["point", *ANGLES, "flag", "reason"]
 ROWS = 4096
 """So many rows of a plan.csv are read at once."""
+_LIT = re.compile(rb'\{"n":\d+,"event":"(session|continued)"')
+_STEP_LINE = re.compile(rb'\{"n":\d+,"event":"step"')
 CHOSEN = "chosen.json"
 """A copy of the journal's events "chosen", for `gonio run repair`."""
 TABLE = ("brdf.csv", "brdf.meta.json")
@@ -334,6 +337,26 @@ class Run:
             self._index = Index()
         self._index.go_on(self.events())
         return self._index
+
+    @cached_property
+    def lit_anew_s(self) -> list[float]:
+        """When the lamp was lit after it had been dark [s, rig's clock]: at later sittings, and after waits.
+
+        Empty for a simulated run: there time does not go by between two sittings.
+        """
+        out: list[float] = []
+        if self.sample is not None:
+            return out
+        events, waiting, first = self.events(), False, True
+        for line in events.lines(range(len(events))):
+            if _LIT.match(line):
+                waiting = True
+            elif waiting and _STEP_LINE.match(line):
+                event = json.loads(line)
+                if not first:
+                    out.append(float(event["time_s"]))
+                waiting = first = False
+        return out
 
     @cached_property
     def key(self) -> str:
