@@ -48,6 +48,10 @@ class Store:
         self._room = threading.Semaphore(WAITING)
         self._staged: deque[Staged] = deque()
         """Written, and not yet synced; taken from it by the thread alone."""
+        self._failed: DataError | None = None
+        self._settling: Future[None] = Future()
+        """What brings the files that were staged before to the disk, while more are."""
+        self._settling.set_result(None)
         self.at_once = False
         """Whether frames are written where they are put: a camera that takes no time gains nothing by the thread."""
         self.waited_s = 0.0
@@ -66,7 +70,8 @@ class Store:
             except (DataError, ArgumentError) as error:
                 out.set_exception(error)
             if len(self._staged) >= MOST_STAGED:
-                self._pool.submit(self._settle).result()
+                self._settling.result()
+                self._settling = self._pool.submit(self._settle)
         else:
             self._room.acquire()
             out = self._pool.submit(self._in_thread, frame, path, label)
@@ -96,8 +101,6 @@ class Store:
             if len(self._staged) >= MOST_STAGED or file.bytes >= LARGE:
                 self._settle()
             return file
-        except OSError as error:
-            raise _not_written(path, error) from None
         finally:
             self._room.release()
 
@@ -105,18 +108,25 @@ class Store:
         self._staged.append(Staged(path, data))
 
     def _settle(self) -> None:
+        """Bring what is staged to the disk. Once that has failed nothing is committed any more: a frame is missing."""
+        if self._failed is not None:
+            raise self._failed
         count = len(self._staged)
-        for k in range(count if count > 1 else 0):
-            self._staged[k].begin()
-        for _ in range(count):
-            self._staged.popleft().settle()
+        try:
+            for k in range(count if count > 1 else 0):
+                self._staged[k].begin()
+            for _ in range(count):
+                self._staged.popleft().settle()
+        except OSError as error:
+            self._failed = _not_written(error.filename or self._folder, error)
+            raise self._failed from None
 
     def _commit(self) -> None:
+        self._settle()
         try:
-            self._settle()
             sync_folder(self._folder)
         except OSError as error:
-            raise _not_written(error.filename or self._folder, error) from None
+            raise _not_written(self._folder, error) from None
 
     def close(self) -> None:
         """End the thread; frames that wait are not written any more, and those without a commit are removed."""

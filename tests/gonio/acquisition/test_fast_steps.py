@@ -15,7 +15,9 @@ from gonio.acquisition import loop
 from gonio.acquisition.journal import Events
 from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import Plan, load_plan
+from gonio.acquisition.repair import find_damage
 from gonio.acquisition.run import Run
+from gonio.errors import DataError
 from gonio.rig import Frame, Step
 from gonio.rig.description import Acquisition, Bands, Reference, RigDescription, SampleDescription
 from tests.gonio.numpy_rig import BANDS, SAMPLE, NumpyRig, describe
@@ -125,3 +127,27 @@ def test_a_kill_among_fast_steps_loses_nothing_that_was_journalled(
     assert list(run.steps()) == list(measure(plan, tmp_path / "whole").steps())
     named = {frame.file for step in run.steps() for frame in step.frames}
     assert {path.name for path in (run.path / "frames").iterdir()} == named
+
+
+@pytest.mark.parametrize("at", [100, 399, 480])
+def test_a_disk_that_fails_among_fast_steps_leaves_no_line_without_its_frames(
+    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
+) -> None:
+    monkeypatch.setattr(loop, "FAST_STEP_S", 10.0)
+    synced = 0
+
+    def fails(descriptor: int) -> None:
+        nonlocal synced
+        if os.readlink(f"/proc/self/fd/{descriptor}").endswith(".new"):
+            synced += 1
+            if synced == at:
+                raise OSError(5, "Input/output error")
+
+    with monkeypatch.context() as broken:
+        broken.setattr("os.fsync", fails)
+        with pytest.raises(DataError, match="Input/output error"):
+            measure(plan, tmp_path / "cut")
+    cut = Run.open(tmp_path / "cut")
+    assert not find_damage(cut, whole=True).damaged
+    assert not [path for path in (cut.path / "frames").iterdir() if path.name.endswith(".new")]
+    assert list(measure(plan, tmp_path / "cut", resume=True).steps()) == list(measure(plan, tmp_path / "whole").steps())
