@@ -6,6 +6,8 @@ and what to do. Each class carries the exit code that the command line ends with
 
 from __future__ import annotations
 
+from typing import Literal
+
 
 class GonioError(Exception):
     """Anything that the workbench reports to a person; the command line prints it without a traceback."""
@@ -41,6 +43,23 @@ class DeviceError(GonioError):
     """A device does not answer, refuses, or lands where it should not (exit code 3)."""
 
     exit_code = 3
+
+
+class PassingFault(DeviceError):
+    """A fault that often passes by itself: no frame came, a lamp gave no answer. What was exposed counts for nothing,
+    and the step may be taken again after a while (exit code 3).
+
+    Parameters
+    ----------
+    message
+        What is wrong, after what the driver itself has tried.
+    kind
+        Which device: a key of `gonio.acquisition.holding.WAITS_S`.
+    """
+
+    def __init__(self, message: str, kind: Literal["camera", "lamp"]) -> None:
+        super().__init__(message)
+        self.kind = kind
 
 
 class Disturbed(DeviceError):

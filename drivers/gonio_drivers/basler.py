@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 
 from gonio.config import Strict, parse
-from gonio.errors import ConfigError, DeviceError
+from gonio.errors import ConfigError, DeviceError, PassingFault
 from gonio.rig import Frame
 from gonio.rig.description import Positive, RigDescription
 
@@ -86,7 +86,7 @@ class BaslerCamera:
             begun = time.monotonic()
             result = self._camera.GrabOne(round(1e3 * (exposure_s + self._settings.timeout_s)))
             if not result.GrabSucceeded():
-                raise DeviceError(f"the Basler camera gives no frame: {result.GetErrorDescription()}")
+                raise PassingFault(f"the Basler camera gives no frame: {result.GetErrorDescription()}", "camera")
             mosaic = np.array(result.Array, dtype=np.uint16)
         except genicam.GenericException as error:
             raise DeviceError(f"the Basler camera gives no frame: {error}") from None

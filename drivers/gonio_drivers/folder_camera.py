@@ -23,7 +23,7 @@ from typing import Self
 
 import serial
 
-from gonio.errors import ConfigError, DataError, DeviceError
+from gonio.errors import ConfigError, DataError, DeviceError, PassingFault
 from gonio.rig import Frame
 from gonio.rig.description import RigDescription
 from gonio.rig.dng import read_raw
@@ -116,7 +116,7 @@ class FolderCamera:
             if attempt:
                 log.warning("camera: a good file at attempt %d", attempt + 1)
             return frame
-        raise DeviceError(f"camera: {last}; {TRIES} attempts failed")
+        raise PassingFault(f"camera: {last}; {TRIES} attempts failed", "camera")
 
     # ---- one exposure ----
 

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.config import Strict, parse
-from gonio.errors import ConfigError, DeviceError
+from gonio.errors import ConfigError, DeviceError, PassingFault
 from gonio.rig import Frame
 from gonio.rig.description import NonNegative, Positive, RigDescription
 
@@ -142,7 +142,9 @@ class GenICamCamera:
                 if left <= 0:
                     said = f"{incomplete} frames with parts missing" if incomplete else "no frame"
                     within = f"within {self._settings.timeout_s:g} s"
-                    raise DeviceError(f"the {self._who} gives {said} {within}; check cable, network and power")
+                    raise PassingFault(
+                        f"the {self._who} gives {said} {within}; check cable, network and power", "camera"
+                    )
                 buffer = self._camera.try_fetch(timeout=left, is_raw=True)  # `fetch` waits for ever for a whole frame
                 arrived = time.monotonic()
                 if buffer is None:  # the time is over, or it had parts missing

@@ -18,7 +18,7 @@ from typing import Self
 
 from gonio.config import Strict, parse
 from gonio.disk import write_whole
-from gonio.errors import ArgumentError, ConfigError, DeviceError, GonioError, Interrupted
+from gonio.errors import ArgumentError, ConfigError, DeviceError, GonioError, Interrupted, PassingFault
 from gonio.rig import Device, Frame, Health, Step, Target, ask_for
 from gonio.rig.description import Camera, RigDescription, SampleDescription
 from gonio.rig.imaging import require_frame
@@ -89,7 +89,7 @@ class GuardedCamera:
                 log.warning("%s during an exposure; the frame is taken again", reset)
                 continue
             return replace(frame, time_s=begun)
-        raise DeviceError(f"the lamp on {self._light} does not stay as it is set, over {RETAKES} exposures")
+        raise PassingFault(f"the lamp on {self._light} does not stay as it is set, over {RETAKES} exposures", "lamp")
 
 
 class LabRig:

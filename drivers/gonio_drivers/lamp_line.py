@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import serial
 
-from gonio.errors import DeviceError
+from gonio.errors import DeviceError, PassingFault
 from gonio_drivers import ports
 from gonio_drivers.dialect import Dialect
 
@@ -118,7 +118,7 @@ class LampLine:
 
     def _disappointment(self, command: str, reply: str) -> DeviceError:
         if not reply:
-            return DeviceError(f'the lamp on {self._name} does not answer "{command}"')
+            return PassingFault(f'the lamp on {self._name} does not answer "{command}"', "lamp")
         return Nak(f'the lamp on {self._name} answers "{command}" with "{reply}"')
 
     def number(self, query: str, pattern: str) -> float:

@@ -16,7 +16,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from gonio.errors import ConfigError, DeviceError
+from gonio.errors import ConfigError, DeviceError, PassingFault
 from gonio.rig import Frame
 from gonio.rig.description import RigDescription
 from gonio_drivers import settings
@@ -128,11 +128,11 @@ class UvcCamera:
         stamped = float(self._capture.get(cv2.CAP_PROP_POS_MSEC))
         for _ in range(self._camera.drop):
             if not self._capture.grab():
-                raise DeviceError(f"the video camera {self._camera.device} gives no frames")
+                raise PassingFault(f"the video camera {self._camera.device} gives no frames", "camera")
         while True:
             good, image = self._capture.read()
             if not good or image is None:
-                raise DeviceError(f"the video camera {self._camera.device} gives no frames")
+                raise PassingFault(f"the video camera {self._camera.device} gives no frames", "camera")
             # V4L2 stamps frames with the monotonic clock; where a camera has no stamps, or such of another clock, which
             # show by lying in the future, the time of arrival must do
             stamp, now = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1e3, time.monotonic()

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import errno
 import fcntl
 import json
 import os
@@ -30,11 +31,12 @@ Event = Json
 """A line: its `event` says what kind it is. Those of steps are `gonio.acquisition.records.StepRecord`."""
 
 MARK = b',"crc":"'
+_compact = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 
 
 def encode(event: Event) -> bytes:
     """One line of a journal, with its checksum and its end."""
-    body = json.dumps(event, separators=(",", ":"), allow_nan=False).encode()[:-1]
+    body = _compact(event).encode()[:-1]
     return body + MARK + b'%08x"}\n' % zlib.crc32(body)
 
 
@@ -207,6 +209,7 @@ class Journal:
         self._file = _lock(path)
         self._one_at_a_time = threading.Lock()
         """A driver's thread may have something to remark while a step is written."""
+        self._sync_later = False
         try:
             self._starts, good = _scan(path)
             self._file.truncate(good)
@@ -226,13 +229,33 @@ class Journal:
         with self._one_at_a_time:
             return self._append(event)
 
+    @contextlib.contextmanager
+    def together(self) -> Iterator[None]:
+        """What is appended meanwhile goes to the disk at the end, at once. A process that is killed loses none of it.
+
+        Raises
+        ------
+        DataError
+            The disk fails.
+        """
+        self._sync_later = True
+        try:
+            yield
+        finally:
+            self._sync_later = False
+            try:
+                os.fsync(self._file.fileno())
+            except OSError as error:
+                raise DataError(f"{self.path}: cannot be written: {error.strerror}") from None
+
     def _append(self, event: Event) -> Event:
         event = {"n": len(self._starts), **event, "wall": now()}
         line, before = encode(event), os.fstat(self._file.fileno()).st_size
         try:
             if self._file.write(line) != len(line):
-                raise OSError(28, "no space left on the device")
-            os.fsync(self._file.fileno())
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            if not self._sync_later:
+                os.fsync(self._file.fileno())
             self._starts.append(before)
         except BaseException as error:  # a signal too: file and events must not tell different stories
             del self._starts[event["n"] :]

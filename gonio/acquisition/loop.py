@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
+import time
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -22,13 +23,14 @@ from gonio import __version__
 from gonio.acquisition import exposure
 from gonio.acquisition.choosing import Chooser
 from gonio.acquisition.frame_writer import Files, Store, slugs
+from gonio.acquisition.holding import Holding
 from gonio.acquisition.progress import Live, Progress
 from gonio.acquisition.records import FrameFile, StepRecord
 from gonio.acquisition.run import Batch, Run
 from gonio.acquisition.schedule import batch_steps
 from gonio.acquisition.stop import Stop
 from gonio.acquisition.suspending import Cause, Suspended, Watch
-from gonio.errors import DeviceError, Disturbed, Interrupted
+from gonio.errors import DeviceError, Disturbed, Interrupted, PassingFault
 from gonio.rig import Frame, Pose, Reading, Rig, Step, Target
 from gonio.rig.description import Band, RigDescription
 from gonio.rig.imaging import Roi, require_frame, roi
@@ -39,6 +41,11 @@ log = logging.getLogger("gonio.devices")
 
 ATTEMPTS = 3
 """How often a step is taken whose arms do not stand still."""
+PACE_STEPS = 64
+FAST_STEP_S = 0.01
+"""The last `PACE_STEPS` steps took less each: then steps are synced together."""
+TOGETHER_S = 0.2
+"""For so long at most, and then while as many more are taken."""
 MOVED_STEPS = 2.5
 """An axis has moved where its readbacks before and after the frames differ by more steps: encoders flicker by one."""
 MOVED_DEG = 0.01
@@ -208,13 +215,24 @@ class _Session:
         self._description = rig.description
         self._lit = False
         self._target: Target | None = None
-        self._pending: deque[_Taken] = deque()
+        self._taken_steps: list[_Taken] = []
+        """Their frames are being written."""
+        self._committing: tuple[Future[None], list[_Taken]] | None = None
+        """Steps whose frames are on their way to the disk; nothing is waited for before the next ones are."""
+        self._committed_s = -math.inf
+        """When these were sent there, on the computer's clock."""
+        self._begun_s: deque[float] = deque(maxlen=PACE_STEPS)
+        """When the last steps were taken, on a clock that stands still while the disk is waited for."""
+        self._waited_s = 0.0
+        """How long the disk was waited for so far."""
         self._store = Store(run.path / "frames")
+        self._holding = Holding(run, progress, stop, rig.time_s, self._darken)
         self._names = slugs(run.bands)
         self._done = run.steps()
         self._last: StepRecord | None = None
         """The last point of this sitting that has frames."""
         self._reference = next((s for s in self._done if s.kind == "reference" and not s.flag), None)
+        self._angles = run.points.angles_deg
         self._last_s = -math.inf
         """When the last frame that counts was taken."""
         if not rig.repeatable and self._done:
@@ -238,15 +256,32 @@ class _Session:
                 self._wait(step, causes)
 
     def take(self, step: Step) -> None:
-        """Take a step; journal the one before it, whose frames were being written meanwhile."""
+        """Take a step; journal the one before it, whose frames were being written meanwhile.
+
+        Where a person has asked for a pause, or the disk has no room, it is waited for before that.
+        """
+        if self._holding.wanted(step):
+            self.finish()
+            lit = self._lit
+            self._holding.before(step)
+            if lit:
+                self._after_darkness(step)
         taken = self._undisturbed(step)
         if step.kind == "reference" and not taken.record.flag:
             self._reference = min(self._reference or taken.record, taken.record, key=lambda record: record.step)
         if step.kind == "point" and taken.record.frames:
             self._last = taken.record
-        self._pending.append(taken)
-        while len(self._pending) > 1:
-            self._write(self._pending.popleft())
+        self._taken_steps.append(taken)
+        if not self._hurried() or time.monotonic() - self._committed_s > TOGETHER_S:
+            self._commit()
+
+    def _hurried(self) -> bool:
+        """Whether steps come so fast that the disk, which syncs them one by one, would be what they wait for."""
+        now = time.monotonic() - self._store.waited_s - self._waited_s
+        self._begun_s.append(now)
+        fast = len(self._begun_s) == PACE_STEPS and now - self._begun_s[0] < PACE_STEPS * FAST_STEP_S
+        self._store.at_once = fast
+        return fast
 
     def _undisturbed(self, step: Step) -> _Taken:
         """A step during which no rule of `[suspend]` was broken; one that was is waited for, and the step taken again.
@@ -254,17 +289,33 @@ class _Session:
         What happened to the lamp meanwhile nobody knows: on a laboratory rig a point is preceded by a visit to the
         reference then, unless that would need a person.
         """
+        faults = 0
         while True:
-            before_s, resumed = self._last_s, self._resumed
+            before_s, resumed, lit = self._last_s, self._resumed, self._lit
             try:
                 self._rig.begin(step)
                 return self._dark(step) if step.kind == "dark" else self._lit_step(step)
             except Suspended as suspended:
                 self._wait(step, suspended.causes)
+                lit = True
+            except PassingFault as fault:
+                faults += 1
+                self.finish()
+                self._holding.after(fault, step, faults)
+                lit = lit or self._lit
             if self._rig.repeatable:
                 self._last_s, self._resumed = before_s, resumed
-            elif step.kind == "point" and self._description.reference.how not in ("swap", "beam"):
-                self.take(self._numbers.another())
+            if lit:
+                self._after_darkness(step)
+
+    def _after_darkness(self, step: Step) -> None:
+        """A visit to the reference before a point, where the lamp was dark: on a laboratory rig it is another lamp now.
+
+        Where a person swaps the reference there is none, because nobody may be there.
+        """
+        by_hand = self._description.reference.how in ("swap", "beam")
+        if step.kind == "point" and not self._rig.repeatable and not by_hand:
+            self.take(self._numbers.another())
 
     def _wait(self, step: Step, causes: Sequence[Cause]) -> None:
         self.finish()
@@ -291,15 +342,30 @@ class _Session:
 
     def finish(self) -> None:
         """Journal every step that has been taken whole."""
-        while self._pending:
-            self._write(self._pending.popleft())
+        if self._taken_steps:
+            self._commit()
+        self._journal()
 
-    def _write(self, taken: _Taken) -> None:
-        pairs = zip(taken.record.frames, taken.files, strict=True)
-        frames = tuple(frame.stored(file.result()) for frame, file in pairs)
-        self._store.sync()
-        self._run.append(replace(taken.record, frames=frames).to_json())
-        self._progress.step(taken.live)
+    def _commit(self) -> None:
+        """Send the frames of the steps taken to the disk, and journal those that were sent before."""
+        self._journal()
+        self._committed_s = time.monotonic()
+        self._committing, self._taken_steps = (self._store.commit(), self._taken_steps), []
+
+    def _journal(self) -> None:
+        """Wait for the frames that are on their way to the disk, and journal their steps."""
+        if self._committing is None:
+            return
+        (done, steps), self._committing = self._committing, None
+        began = time.monotonic()
+        done.result()
+        with self._run.together():
+            for taken in steps:
+                pairs = zip(taken.record.frames, taken.files, strict=True)
+                frames = tuple(frame.stored(file.result()) for frame, file in pairs)
+                self._run.append(replace(taken.record, frames=frames).to_json())
+                self._progress.step(taken.live)
+        self._waited_s += time.monotonic() - began
 
     def _dark(self, step: Step) -> _Taken:
         self._darken()
@@ -449,9 +515,9 @@ class _Session:
         """The last point before a step in the schedule that has frames of a band."""
         at = bisect_left(self._done.numbers, step.index)
         for k in range(at - 1, -1, -1):
-            record = self._done[k]
-            if self._last is not None and self._last.step > record.step:
+            if self._last is not None and self._last.step > self._done.numbers[k]:
                 break
+            record = self._done[k]
             if record.kind == "point" and any(frame.band == band.name for frame in record.frames):
                 return record
         return self._last
@@ -511,7 +577,9 @@ class _Session:
         )
         if files is not None:
             files.close(record)
-        angles = None if step.point is None else tuple(map(float, self._run.points.angles_deg[step.point]))
+        if step.point is not None and step.point >= len(self._angles):  # chosen since
+            self._angles = self._run.points.angles_deg
+        angles = None if step.point is None else tuple(map(float, self._angles[step.point]))
         exposure_s = max((frame.exposure_s for frame in frames), default=0.0)
         live = Live(step, angles, level, exposure_s, flag, record)  # type: ignore[arg-type]
         return _Taken(record, files.written if files is not None else [], live)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from gonio.acquisition.choosing import Chooser
     from gonio.acquisition.progress import Progress
     from gonio.acquisition.run import Run
-    from gonio.acquisition.stop import Stop
+    from gonio.acquisition.stop import Pause, Stop
     from gonio.rig import Pose, Rig, RigPlugin, Step, Target
 
 SHOWN = 20
@@ -153,6 +153,7 @@ def carry_out(
     command: str = "",
     progress: Progress | None = None,
     last: bool = False,
+    pause: Pause | None = None,
 ) -> Run:
     """Measure a plan into a folder. Everything that can be wrong is checked before the folder is made.
 
@@ -174,6 +175,8 @@ def carry_out(
         Who watches; nobody by default.
     last
         The process ends where this is left by an error: Ctrl-C is not heard any more then.
+    pause
+        Who may ask the run to wait between two steps, beside SIGTSTP and SIGCONT.
 
     Returns
     -------
@@ -202,7 +205,9 @@ def carry_out(
     _check_patches(rig, sample)
     steps: Sequence[Step] = [] if begun_before else rig.schedule(plan, request.points)
     device = _open(rig, out, sample, seed, resume, yes)
-    with Stop(progress, last=last) as stop:
+    if not begun_before:
+        _check_room(out, rig, plan, len(steps), progress, yes)
+    with Stop(progress, last=last, pause=pause) as stop:
         entered = False
         try:
             with contextlib.ExitStack() as stack:
@@ -210,6 +215,7 @@ def carry_out(
                     run = stack.enter_context(Run.resume(out, request))
                     _say_what_was_found(run, progress)
                     steps = going_on(plan, rig.description, run.planned.flags)
+                    _check_room(out, rig, plan, len(steps) - len(run.steps()), progress, yes)
                 with rig.naming():
                     stack.enter_context(device)
                 entered = True
@@ -291,10 +297,15 @@ def check(
     plan: Plan, rig: RigChoice, out: Path, *, sample: SampleDescription | None, seed: int, resume: bool, yes: bool
 ) -> None:
     """Raise what `carry_out` would raise before it touches a device; its parameters."""
+    from gonio.acquisition.progress import Silent
+    from gonio.acquisition.run_folder import begun
+
     plan, rig, points, _ = prepared(plan, rig)
     _check_patches(rig, sample)
-    rig.schedule(plan, points)
+    steps = rig.schedule(plan, points)
     _open(rig, out, sample, seed, resume, yes)
+    if not (resume and begun(out)):
+        _check_room(out, rig, plan, len(steps), Silent(), yes)
 
 
 def _open(rig: RigChoice, out: Path, sample: SampleDescription | None, seed: int, resume: bool, yes: bool) -> Rig:
@@ -315,6 +326,22 @@ def _open(rig: RigChoice, out: Path, sample: SampleDescription | None, seed: int
     else:
         check_new(out)
     return device
+
+
+def _check_room(out: Path, rig: RigChoice, plan: Plan, steps: int, progress: Progress, yes: bool) -> None:
+    """Raise `ConfigError` where the disk has no room for so many steps; with `yes` that is only said."""
+    from gonio.acquisition.holding import Bytes, free_bytes, size
+
+    needed, free = Bytes(rig.description, len(plan.bands(rig.description))).of_run(steps), free_bytes(out)
+    if needed <= free:
+        return
+    text = f"{out}: {steps} steps need about {size(needed)} on the disk, and {size(free)} are free"
+    if not yes:
+        raise ConfigError(
+            f"{text}: make room, choose a folder on another disk, or measure fewer points or frames; --yes measures "
+            "all the same, and waits where the disk is full"
+        )
+    progress.say(f"{text}; the run waits where it is full (--yes)")
 
 
 def _check_patches(rig: RigChoice, sample: SampleDescription | None) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, fields
 from typing import Any, Literal, Self, TypeVar
 
 from gonio.errors import DataError
@@ -21,6 +21,7 @@ Kind = Literal["dark", "reference", "point"]
 Parsed = TypeVar("Parsed")
 
 LABEL_FORMAT = "gonio-frame-1"
+AXES = tuple(field.name for field in fields(Pose))
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +54,18 @@ class FrameRecord:
 
     def stored(self, file: FrameFile) -> FrameRecord:
         """This frame, with what its file is."""
-        return replace(self, sha256=file.sha256, bytes=file.bytes)
+        return FrameRecord(
+            self.file, self.band, self.exposure_s, self.time_s, self.lamp, file.sha256, file.bytes, self.monitor
+        )
 
     def to_json(self) -> Json:
         """As it stands in the journal."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
+        out: Json = {"file": self.file, "band": self.band, "exposure_s": self.exposure_s, "time_s": self.time_s}
+        out["lamp"] = self.lamp
+        for name in ("sha256", "bytes", "monitor"):
+            if (value := getattr(self, name)) is not None:
+                out[name] = value
+        return out
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
@@ -115,15 +123,15 @@ class StepRecord:
             "kind": self.kind,
             "point": self.point,
             "time_s": self.time_s,
-            "goal": asdict(self.goal),
-            "pose": asdict(self.pose),
+            "goal": _axes(self.goal),
+            "pose": _axes(self.pose),
         }
         if self.pose_time_s is not None:
             out["pose_time_s"] = self.pose_time_s
         if self.pose_after is not None:
-            out |= {"pose_after": asdict(self.pose_after), "pose_after_time_s": self.pose_after_time_s}
+            out |= {"pose_after": _axes(self.pose_after), "pose_after_time_s": self.pose_after_time_s}
         if self.pose_spread is not None:
-            out["pose_spread"] = asdict(self.pose_spread)
+            out["pose_spread"] = _axes(self.pose_spread)
         if self.level_per_s is not None:
             out["level_per_s"] = dict(self.level_per_s)
         if self.health:
@@ -185,7 +193,7 @@ class FrameLabel:
         out: Json = {"format": LABEL_FORMAT, "run": self.run, "step": self.step, "kind": self.kind, "point": self.point}
         out |= {"frame": self.number, "of": self.count, **self.frame.to_json()}
         if self.goal is not None and self.pose is not None:
-            out |= {"goal": asdict(self.goal), "pose": asdict(self.pose), "pose_time_s": self.pose_time_s}
+            out |= {"goal": _axes(self.goal), "pose": _axes(self.pose), "pose_time_s": self.pose_time_s}
         return out if self.record is None else out | {"event": self.record.to_json()}
 
     @classmethod
@@ -211,6 +219,10 @@ class FrameLabel:
             values.get("pose_time_s"),
             None if record is None else StepRecord._of(record),
         )
+
+
+def _axes(pose: Pose) -> Json:
+    return {name: getattr(pose, name) for name in AXES}
 
 
 def _parsed(what: str, parse: Callable[[], Parsed]) -> Parsed:

@@ -18,6 +18,7 @@ import csv
 import hashlib
 import json
 import os
+import re
 import sys
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -61,6 +62,8 @@ if TYPE_CHECKING:
 PLAN_COLUMNS = ["point", *ANGLES, "flag", "reason"]
 ROWS = 4096
 """So many rows of a plan.csv are read at once."""
+_LIT = re.compile(rb'\{"n":\d+,"event":"(session|continued)"')
+_STEP_LINE = re.compile(rb'\{"n":\d+,"event":"step"')
 CHOSEN = "chosen.json"
 """A copy of the journal's events "chosen", for `gonio run repair`."""
 TABLE = ("brdf.csv", "brdf.meta.json")
@@ -239,7 +242,7 @@ class Run:
         """The seed of a simulated rig."""
         return self.settings.run.seed
 
-    @property
+    @cached_property
     def bands(self) -> tuple[Band, ...]:
         """The bands that every point is measured in, in order."""
         known = {band.name: band for band in self.description.bands.all()}
@@ -340,7 +343,27 @@ class Run:
         self._index.go_on(self.events())
         return self._index
 
-    @property
+    @cached_property
+    def lit_anew_s(self) -> list[float]:
+        """When the lamp was lit after it had been dark [s, rig's clock]: at later sittings, and after waits.
+
+        Empty for a simulated run: there time does not go by between two sittings.
+        """
+        out: list[float] = []
+        if self.sample is not None:
+            return out
+        events, waiting, first = self.events(), False, True
+        for line in events.lines(range(len(events))):
+            if _LIT.match(line):
+                waiting = True
+            elif waiting and _STEP_LINE.match(line):
+                event = json.loads(line)
+                if not first:
+                    out.append(float(event["time_s"]))
+                waiting = first = False
+        return out
+
+    @cached_property
     def key(self) -> str:
         """What tells the frames of this run from those of others: a hash of plan, seed, rig and sample."""
         run, sample = self.settings.run, self.settings.sample
@@ -356,6 +379,11 @@ class Run:
         """Write an event to the journal; see `Journal.append`."""
         assert self.journal is not None, "a run that was opened for reading takes no events"
         return self.journal.append(event)
+
+    def together(self) -> contextlib.AbstractContextManager[None]:
+        """Events that go to the disk at once; see `Journal.together`."""
+        assert self.journal is not None, "a run that was opened for reading takes no events"
+        return self.journal.together()
 
     def grow(self, batch: Batch, why: Mapping[str, Any]) -> None:
         """Say in the journal what was chosen, and why; `CHOSEN` has it too, for a journal that gets lost.

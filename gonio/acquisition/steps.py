@@ -34,7 +34,7 @@ class Index:
         """Read the events that were not there before."""
         for at, line in enumerate(events.lines(range(self._seen, len(events))), self._seen):
             found = _STEP.match(line)
-            if found is not None and found[2] is not None:
+            if found is not None and found[1] == b"step" and found[2] is not None:
                 self.lines[int(found[2])] = at
             elif found is None or found[1] in (b"step", b"lost", b"chosen", b"enough"):
                 self._note(at, json.loads(line))

@@ -1,8 +1,9 @@
-"""Stopping a measurement by a signal: once finishes the step, twice stops at once."""
+"""Stopping a measurement by a signal: once finishes the step, twice stops at once. Pausing it, and letting it go on."""
 
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -11,6 +12,34 @@ from typing import Any, Self
 
 from gonio.acquisition.progress import Progress
 from gonio.errors import Interrupted
+
+
+class Pause:
+    """Whether a person wants a run to wait between two steps.
+
+    Ctrl-Z (SIGTSTP) asks for that in place of stopping the process: a process that stands still looks after no rig.
+    """
+
+    def __init__(self) -> None:
+        self.requested = False
+        self.by = ""
+        """What has asked."""
+        self.attended = False
+        """Whether somebody is at the terminal, who has keys for it."""
+
+    def ask(self, by: str) -> None:
+        """Wait after this step."""
+        self.by, self.requested = by, True
+
+    def go_on(self) -> None:
+        """Wait no more."""
+        self.requested = False
+
+    @property
+    def how(self) -> str:
+        """How the run goes on, for a person."""
+        keys = "c goes on, q ends the run; or " if self.attended else ""
+        return f"{keys}`kill -CONT {os.getpid()}` goes on, Ctrl-C or `kill {os.getpid()}` ends the run"
 
 
 class Stop:
@@ -25,15 +54,19 @@ class Stop:
         Who is told.
     last
         The process ends after this: where it was left by an error no signal is heard any more.
+    pause
+        Who is told of SIGTSTP, and of SIGCONT.
     """
 
     SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-    def __init__(self, progress: Progress, *, last: bool = False) -> None:
+    def __init__(self, progress: Progress, *, last: bool = False, pause: Pause | None = None) -> None:
         self.requested = 0
+        self.pause = pause or Pause()
         self._progress, self._last = progress, last
         self._held = self._raised = False
         self._before: dict[signal.Signals, Any] = {}
+        self._between: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
@@ -41,6 +74,10 @@ class Stop:
             if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # under nohup a lost terminal means nothing
                 wanted.remove(signal.SIGHUP)
             self._before = {number: signal.signal(number, self._request) for number in wanted}
+            if signal.getsignal(signal.SIGTSTP) is not signal.SIG_IGN:
+                self._between = {
+                    number: signal.signal(number, self._hold) for number in (signal.SIGTSTP, signal.SIGCONT)
+                }
         return self
 
     def __exit__(
@@ -48,6 +85,8 @@ class Stop:
     ) -> None:
         for number, before in self._before.items():
             signal.signal(number, signal.SIG_IGN if self._last and error is not None else before)
+        for number, before in self._between.items():
+            signal.signal(number, before)
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
@@ -65,10 +104,19 @@ class Stop:
             return
         if self.requested == 1:
             self._held = True  # a second signal must not tear the start of the thread
-            # from a thread: the signal may have come in the middle of a line that is being printed
-            text = "finishing this step, then parking; once more stops every axis at once"
-            threading.Thread(target=self._progress.say, args=(text,)).start()
+            self._say("finishing this step, then parking; once more stops every axis at once")
             self._held = False
         if self.requested > 1 and not self._raised:
             self._raised = True
             raise Interrupted("stopped at once, in the middle of a step")
+
+    def _hold(self, number: int, frame: FrameType | None) -> None:
+        if number == signal.SIGCONT:
+            self.pause.go_on()
+        elif not self.pause.requested:
+            self.pause.ask("SIGTSTP (Ctrl-Z)")
+            self._say("pausing after this step")
+
+    def _say(self, text: str) -> None:
+        # from a thread: the signal may have come in the middle of a line that is being printed
+        threading.Thread(target=self._progress.say, args=(text,)).start()

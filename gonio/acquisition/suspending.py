@@ -175,10 +175,10 @@ class Watch:
                     | {"time_s": float(time_s())}
                 )
                 longest = self._rules[cause.rule].longest_s
-                progress.say(f"waiting, at most {_duration(longest)}: {cause}; Ctrl-C ends the run, to be resumed")
+                progress.say(f"waiting, at most {lasting(longest)}: {cause}; Ctrl-C ends the run, to be resumed")
             if any(self._rules[name].dark for name in since):
                 darken()
-            for _ in _naps(LOOK_S):
+            for _ in naps(LOOK_S):
                 if stop.requested:
                     raise Interrupted(f"stopped while waiting ({causes[0]}),")
             for cause in causes:
@@ -192,7 +192,7 @@ class Watch:
             causes = self.broken(readings, lit=lit, waiting=tuple(since))
         waited = time.monotonic() - begun
         run.append({"event": "continued", "step": step.index, "waited_s": round(waited, 1), "time_s": float(time_s())})
-        progress.say(f"going on after {_duration(waited)}; step {step.index} is taken again")
+        progress.say(f"going on after {lasting(waited)}; step {step.index} is taken again")
 
 
 def _plain(r: Reading) -> Reading:
@@ -203,7 +203,8 @@ def _plain(r: Reading) -> Reading:
     return Reading(r.device, r.quantity, value if math.isfinite(value) else str(value), r.unit)
 
 
-def _naps(seconds: float) -> Iterator[None]:
+def naps(seconds: float) -> Iterator[None]:
+    """So long, in naps after which a caller can look whether to go on."""
     end = time.monotonic() + seconds
     yield
     while (left := end - time.monotonic()) > 0:
@@ -211,5 +212,6 @@ def _naps(seconds: float) -> Iterator[None]:
         yield
 
 
-def _duration(seconds: float) -> str:
+def lasting(seconds: float) -> str:
+    """A duration, for a person."""
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from gonio.acquisition.progress import Live, Progress
     from gonio.acquisition.remaining import Remaining, TimeLeft
+    from gonio.acquisition.stop import Pause
 
 LINES = 20
 """At most about so many lines of progress where there is no terminal."""
@@ -62,9 +63,12 @@ def duration(seconds: float) -> str:
     return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
-def progress() -> contextlib.AbstractContextManager[Progress]:
-    """Somebody who shows a measurement: a bar with a line of live values on a terminal, a few plain lines elsewhere."""
-    return _on_terminal() if sys.stderr.isatty() else contextlib.nullcontext(_Lines())
+def progress(pause: Pause | None = None) -> contextlib.AbstractContextManager[Progress]:
+    """Somebody who shows a measurement: a bar with a line of live values on a terminal, a few plain lines elsewhere.
+
+    With `pause` its keys are heard where a terminal is there to press them on (`gonio.cli.keys`).
+    """
+    return _on_terminal(pause) if sys.stderr.isatty() else contextlib.nullcontext(_Lines())
 
 
 def values(live: Live) -> str:
@@ -199,9 +203,13 @@ class _Lines:
 class _Bar:
     """Progress on a terminal."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, pause: Pause | None) -> None:
         from rich.live import Live as Screen
 
+        from gonio.cli.keys import Keys
+
+        self._pause = pause
+        self.keys = Keys(pause) if pause is not None and Keys.possible() else contextlib.nullcontext()
         self._bar = _progress_bar("measuring", console, own_rest=True)
         self._task = self._bar.add_task("", total=None, left="")
         self._text, self._rest = "", _Rest()
@@ -213,7 +221,11 @@ class _Bar:
         from rich.console import Group
         from rich.text import Text
 
-        return Group(self._bar, Text(self._text, style="dim", no_wrap=True, overflow="ellipsis"))
+        lines = [Text(self._text, style="dim", no_wrap=True, overflow="ellipsis")]
+        if self._pause is not None and self._pause.attended:
+            said = "pausing: c goes on, q ends the run" if self._pause.requested else "p pauses, q ends the run"
+            lines.append(Text(said, style="bold" if self._pause.requested else "dim", no_wrap=True))
+        return Group(self._bar, *lines)
 
     def start(self, steps: int, done: int) -> None:
         self._rest.start()
@@ -231,10 +243,12 @@ class _Bar:
     @contextlib.contextmanager
     def paused(self) -> Iterator[None]:
         self.screen.stop()
+        self.keys.__exit__(None, None, None)
         try:
             with self._rest.paused():
                 yield
         finally:
+            self.keys.__enter__()
             self.screen.start()
 
     def say(self, text: str) -> None:
@@ -242,9 +256,9 @@ class _Bar:
 
 
 @contextlib.contextmanager
-def _on_terminal() -> Iterator[Progress]:
-    bar = _Bar(_console(stderr=True))
-    with bar.screen:
+def _on_terminal(pause: Pause | None) -> Iterator[Progress]:
+    bar = _Bar(_console(stderr=True), pause)
+    with bar.screen, bar.keys:
         yield bar
 
 

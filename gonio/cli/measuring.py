@@ -24,10 +24,11 @@ def measure(
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask for no confirmation.")] = False,
 ) -> None:
-    """Measure a plan on a rig: raw frames and a journal in a folder. Ctrl-C finishes the step and parks."""
+    """Measure a plan on a rig: raw frames and a journal in a folder. Ctrl-C finishes the step and parks; p pauses."""
     from gonio.acquisition.measure import carry_out, check, find_rig, load_sample
     from gonio.acquisition.plan import load_plan
     from gonio.acquisition.run import command_line
+    from gonio.acquisition.stop import Pause
     from gonio.cli import console, plans
 
     asked, chosen = load_plan(plan), find_rig(rig)
@@ -39,7 +40,8 @@ def measure(
         return
     for warning in plans.unfit(chosen.description):
         console.note(warning)
-    with console.progress() as progress:
+    pause = Pause()
+    with console.progress(pause) as progress:
         run = carry_out(
             asked,
             chosen,
@@ -51,6 +53,7 @@ def measure(
             command=command_line(),
             progress=progress,
             last=True,
+            pause=pause,
         )
     flags = run.points.flags
     points, skipped = sum(not flag for flag in flags), _flags(flags)  # every step is done where this is reached

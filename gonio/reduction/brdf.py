@@ -212,7 +212,7 @@ def _level(
     variances = np.array([visit.variance for visit in visits]) + landing * rates**2
     times = np.array([visit.time_s for visit in visits])
     wanted = np.array([point.time_s for point in points])
-    fitted = white_reference.fit(times, rates / known, variances / known**2, wanted)
+    fitted = white_reference.fit(times, rates / known, variances / known**2, wanted, run.lit_anew_s)
     return fitted, _Reference(float(known.mean()), u_rel)
 
 

@@ -229,7 +229,7 @@ class _Inputs:
         if fitted.straight:
             return np.asarray(line)
         order = np.argsort(self._visit_times)
-        between = white_reference.between(self._visit_times[order], visits[:, order], self._times)
+        between = white_reference.between(self._visit_times[order], visits[:, order], fitted.held(self._times))
         return np.asarray(between + rng.standard_normal((count, 1)) * fitted.drift(self._times))
 
     def _gains(self, rng: np.random.Generator, count: int) -> Floats:

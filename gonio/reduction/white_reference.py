@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +32,8 @@ class Level:
     Carlson). `departure` is then what the cubics differ by from linear interpolation, and half of what a visit differs
     by from the cubics through the others; with up to `SMOOTH` visits half of the difference from the line. `extra` is
     what the noise of the nearest visits, and jumps between them, add to the noise of the mean level.
+    Where the lamp was dark in between, as from one day to the next, K is not interpolated across that time: a point
+    after the last visit of its sitting (`held`) has the K of that visit, and `extra` what the lamp drifts meanwhile.
     Where the visits do not tell the lamp's drift, K is their mean, `slope` and `u_slope` are zero, and `unknown` says
     why; `extra` is then what they scatter beyond their noise.
     """
@@ -49,10 +52,30 @@ class Level:
     """Why a drift of the lamp is in neither K nor its uncertainty; "" where the visits tell it."""
     scatter: float = 0.0
     """Standard deviation of K around a constant level, where the visits differ by more than their noise."""
+    lit_s: Floats = field(default_factory=lambda: np.empty(0))
+    """When the lamp was lit anew; empty where it shone from the first visit to the last."""
 
     def at(self, time_s: Floats) -> Floats:
         """K at given times."""
-        return self._line(time_s) if self.straight else between(self.times_s, self.values, time_s)
+        return self._line(time_s) if self.straight else between(self.times_s, self.values, self.held(time_s))
+
+    def held(self, time_s: Floats) -> Floats:
+        """The time nearest to each that lies between two visits to which the lamp was lit without a break."""
+        if self.straight or not len(self.lit_s):
+            return time_s
+        sitting, of_visit = (np.searchsorted(self.lit_s, t, side="right") for t in (time_s, self.times_s))
+        out = np.array(time_s, dtype=float)
+        for k in np.unique(of_visit):
+            inside = self.times_s[of_visit == k]
+            out = np.where(sitting == k, np.clip(out, inside[0], inside[-1]), out)
+        return out
+
+    @property
+    def _steepest(self) -> float:
+        """How fast K changes at most between two visits of one sitting; where no sitting has two, between any."""
+        slopes = np.abs(np.diff(self.values) / np.diff(self.times_s))
+        together = np.diff(np.searchsorted(self.lit_s, self.times_s, side="right")) == 0
+        return float(slopes[together].max() if together.any() else slopes.max())
 
     def noise(self, time_s: Floats) -> Floats:
         """Change of K for one standard deviation of the mean level."""
@@ -62,6 +85,7 @@ class Level:
         """Change of K for one standard deviation of the drift."""
         if self.straight:
             return self.u_slope * (time_s - self.centre_s)
+        time_s = self.held(time_s)
         if len(self.times_s) <= SMOOTH:  # a visit cannot be held against the others
             return 0.5 * (self._line(time_s) - self.at(time_s))
         bend = np.interp(time_s, self.times_s, self.values) - self.at(time_s)
@@ -77,9 +101,12 @@ class Level:
         """Standard deviation of K from single visits, beyond that of the mean level; and from jumps between two."""
         if self.straight:
             return np.full(np.shape(time_s), self.scatter)
+        held = self.held(time_s)
+        away = self._steepest * (time_s - held) if len(self.lit_s) else np.zeros(np.shape(time_s))
+        time_s = held
         share = np.stack([np.interp(time_s, self.times_s, row) for row in np.eye(len(self.times_s))])
         of_visits = np.maximum(np.einsum("vt,v->t", share**2, self.variances) - self.u_level**2, 0.0)
-        return np.asarray(np.sqrt(of_visits + self._jumps(time_s)))
+        return np.asarray(np.sqrt(of_visits + self._jumps(time_s) + away**2))
 
     def _jumps(self, time_s: Floats) -> Floats:
         """Variance of K where it changes between two visits by more than the intervals beside that let expect.
@@ -112,7 +139,13 @@ def between(times_s: Floats, values: Floats, wanted_s: Floats) -> Floats:
     return np.asarray(how(times_s - times_s[0], values, axis=-1)(within))
 
 
-def fit(times_s: Floats, values: Floats, variances: Floats, wanted_s: Floats | None = None) -> Level:
+def fit(
+    times_s: Floats,
+    values: Floats,
+    variances: Floats,
+    wanted_s: Floats | None = None,
+    lit_s: Sequence[float] = (),
+) -> Level:
     """Fit the level of the visits by weighted least squares; see `Level`.
 
     Visits at one time (within `SAME_TIME_S`) count as one, with their mean. One time gives a constant level without
@@ -125,6 +158,8 @@ def fit(times_s: Floats, values: Floats, variances: Floats, wanted_s: Floats | N
         Of each visit: when it was [s], the signal per unit BRDF [e- sr/s], and that signal's variance.
     wanted_s : (m,) array, optional
         When the level will be asked for [s]; between the visits, if it is not given.
+    lit_s : sequence of float, optional
+        When the lamp was lit anew [s], if it was dark in between.
     """
     order = np.argsort(times_s, kind="stable")
     every = times_s[order], values[order], variances[order]
@@ -153,7 +188,8 @@ def fit(times_s: Floats, values: Floats, variances: Floats, wanted_s: Floats | N
                 f"{outside.max():.3g} s away from them",
             )
     chi_square = chi_square if freedom else 0.0
-    return Level(centre, level, u_level, slope, u_slope, straight, chi_square, times_s, values, variances)
+    lit = np.sort(np.asarray(lit_s, dtype=float))
+    return Level(centre, level, u_level, slope, u_slope, straight, chi_square, times_s, values, variances, lit_s=lit)
 
 
 def _constant(times_s: Floats, values: Floats, variances: Floats, unknown: str) -> Level:

@@ -13,6 +13,7 @@ import math
 import struct
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -59,7 +60,6 @@ def write_dng(frame: Frame, path: str | Path) -> None:
         The file cannot be written.
     """
     path = Path(path)
-    _check(frame)
     try:
         write_whole(path, encode_dng(frame))
     except OSError as error:
@@ -89,58 +89,84 @@ def _check(frame: Frame) -> None:
 
 
 def encode_dng(frame: Frame) -> bytes:
-    """The bytes of the DNG file of a frame; see `write_dng`, which checks the frame."""
+    """The bytes of the DNG file of a frame.
+
+    Raises
+    ------
+    ArgumentError
+        See `write_dng`.
+    """
+    _check(frame)
     rows, columns = frame.mosaic.shape
     bits = 12 if frame.white_level_dn <= 4095 else 16
     strip = _pack(frame.mosaic) if bits == 12 else np.ascontiguousarray(frame.mosaic, dtype="<u2")
-    exposure, moment = _rational(frame.exposure_s), _EPOCH + datetime.timedelta(seconds=frame.time_s)
-    stamp = _text(moment.strftime("%Y:%m:%d %H:%M:%S"))
-    exif = {
-        33434: (5, exposure),  # ExposureTime
-        34855: (3, [100]),  # ISO; LibRaw reads it here only
-        36867: (2, stamp),  # DateTimeOriginal
-        37521: (2, _text(f"{moment.microsecond:06d}")),  # SubSecTimeOriginal
-    }
+    kind = (rows, columns, bits, frame.pattern, frame.black_level_dn, frame.white_level_dn)
+    empty, at = _head(*kind, len(frame.record))
+    t = _EPOCH + datetime.timedelta(seconds=frame.time_s)
+    stamp = f"{t.year:04d}:{t.month:02d}:{t.day:02d} {t.hour:02d}:{t.minute:02d}:{t.second:02d}".encode()
+    head = bytearray(empty)
+    struct.pack_into("<II", head, at[33434], *_rational(frame.exposure_s))
+    for tag, value in ((36867, stamp), (306, stamp), (37521, f"{t.microsecond:06d}".encode())):
+        head[at[tag] : at[tag] + len(value)] = value
+    if frame.record:
+        head[at[270] : at[270] + len(frame.record)] = frame.record.encode("ascii")
+    return b"".join((head, strip.data))
+
+
+@lru_cache(256)
+def _head(
+    rows: int, columns: int, bits: int, pattern: str, black_dn: float, white_dn: float, record: int
+) -> tuple[bytes, dict[int, int]]:
+    """All that stands before the strip in frames of one kind with records of one length, and where the values of tags
+    lie in it; exposure, times and record are left empty.
+    """
+    stamp = _text("0000:00:00 00:00:00")
     main: dict[int, tuple[int, Any]] = {
         254: (4, [0]),  # the full image
         256: (4, [columns]),
         257: (4, [rows]),
         258: (3, [bits]),
         259: (3, [1]),  # uncompressed
-        262: (3, [34892 if frame.pattern == "mono" else 32803]),  # LinearRaw or CFA
+        262: (3, [34892 if pattern == "mono" else 32803]),  # LinearRaw or CFA
         271: (2, _text("gonio")),
         272: (2, _text("gonio goniometer camera")),
-        273: (4, [0]),  # where the strip starts, filled in below
+        273: (4, [0]),  # where the strip starts
         274: (3, [1]),
         277: (3, [1]),
         278: (4, [rows]),
-        279: (4, [strip.nbytes]),
+        279: (4, [rows * ((bits * columns + 7) // 8)]),
         284: (3, [1]),
         305: (2, _text("gonio")),
         306: (2, stamp),
-        34665: (4, [0]),  # EXIF directory, filled in below
+        34665: (4, [0]),  # EXIF directory
         50706: (1, [1, 4, 0, 0]),
         50707: (1, [1, 1, 0, 0]),
         50708: (2, _text("gonio goniometer camera")),
-        50714: (5, _rational(frame.black_level_dn)),
-        50717: (4, [round(frame.white_level_dn)]),
+        50714: (5, _rational(black_dn)),
+        50717: (4, [round(white_dn)]),
         50721: (10, [1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1]),  # ColorMatrix1: identity
         50778: (3, [23]),  # D50
     }
-    if frame.record:
-        main[270] = (2, _text(frame.record))  # ImageDescription
-    if frame.pattern != "mono":
+    if pattern != "mono":
         main[33421] = (3, [2, 2])
-        main[33422] = (1, ["RGB".index(colour) for colour in frame.pattern])
+        main[33422] = (1, ["RGB".index(colour) for colour in pattern])
     else:
         main[50721] = (10, [1, 1])
+    if record:
+        main[270] = (2, bytes(record + 1))  # ImageDescription
+    exif: dict[int, tuple[int, Any]] = {
+        33434: (5, [0, 0]),  # ExposureTime
+        34855: (3, [100]),  # ISO; LibRaw reads it here only
+        36867: (2, stamp),  # DateTimeOriginal
+        37521: (2, _text("000000")),  # SubSecTimeOriginal
+    }
     header_size = 8
-    main_size = len(_directory(main, header_size))
-    exif_bytes = _directory(exif, header_size + main_size)
-    start = -(-(header_size + main_size + len(exif_bytes)) // 16) * 16
-    main[273], main[34665] = (4, [start]), (4, [header_size + main_size])
-    head = struct.pack("<2sHI", b"II", 42, header_size) + _directory(main, header_size) + exif_bytes
-    return head.ljust(start, b"\0") + strip.tobytes()
+    at_exif = header_size + len(_directory(main, header_size)[0])
+    behind, at = _directory(exif, at_exif)
+    start = -(-(at_exif + len(behind)) // 16) * 16
+    main[273], main[34665] = (4, [start]), (4, [at_exif])
+    front, at_main = _directory(main, header_size)
+    return (struct.pack("<2sHI", b"II", 42, header_size) + front + behind).ljust(start, b"\0"), at | at_main
 
 
 def expected_bytes(camera: Camera) -> int:
@@ -157,29 +183,32 @@ def _pack(mosaic: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint8]:
     return packed
 
 
-def _rational(value: float) -> list[int]:
+@lru_cache(1024)
+def _rational(value: float) -> tuple[int, int]:
     fraction = Fraction(value).limit_denominator(int(_LARGEST / max(value, 1.0)))
-    return [fraction.numerator, fraction.denominator]
+    return fraction.numerator, fraction.denominator
 
 
 def _text(text: str) -> bytes:
     return text.encode("ascii") + b"\0"
 
 
-def _directory(tags: dict[int, tuple[int, Any]], offset: int) -> bytes:
-    """A TIFF image file directory that starts at `offset`, with its values behind it."""
-    entries, values = b"", b""
+def _directory(tags: dict[int, tuple[int, Any]], offset: int) -> tuple[bytes, dict[int, int]]:
+    """A TIFF image file directory that starts at `offset`, with its values behind it, and where each value lies."""
+    entries, values, at = struct.pack("<H", len(tags)), b"", {}
     behind = offset + 2 + 12 * len(tags) + 4
     for tag, (kind, items) in sorted(tags.items()):
         code, size = _TYPES[kind]
         data = items if kind == 2 else struct.pack(f"<{len(items)}{code[0]}", *items)
         entries += struct.pack("<HHI", tag, kind, len(data) // size)
         if len(data) <= 4:
+            at[tag] = offset + len(entries)
             entries += data.ljust(4, b"\0")
         else:
-            entries += struct.pack("<I", behind + len(values))
+            at[tag] = behind + len(values)
+            entries += struct.pack("<I", at[tag])
             values += data + b"\0" * (len(data) % 2)
-    return struct.pack("<H", len(tags)) + entries + b"\0\0\0\0" + values
+    return entries + b"\0\0\0\0" + values, at
 
 
 def read_raw(path: str | Path, data: bytes | None = None) -> Frame:

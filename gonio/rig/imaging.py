@@ -421,18 +421,20 @@ def roi(description: RigDescription, view: View, target: Target = "sample", chan
         raise ConfigError("the camera is in the sample's plane: it sees no region of interest")
     radius = description.acquisition.roi_radius_mm
     longest = pixel_on_sample_mm(description, view)
-    column, row = _project(description, view, *centre)
+    cosines, sines = _ring()
+    reach = max(radius, longest)
+    spots = np.zeros((len(cosines) + 1, 3))
+    spots[:-1, 0], spots[:-1, 1] = centre[0] + reach * cosines, centre[1] + reach * sines
+    spots[-1, :2] = centre
+    columns, rows = project(description, view, spots)
+    column, row = columns[-1], rows[-1]
     if not (-0.5 <= column < camera.width - 0.5 and -0.5 <= row < camera.height - 0.5):
         raise ConfigError(
             f"the centre of the {target} at x = {centre[0]:g} mm, y = {centre[1]:g} mm falls on column {column:.0f}, "
             f"row {row:.0f}, outside the {camera.width} x {camera.height} frame; see reference.offset_mm, "
             "camera.pixel_um and camera.focal_length_mm in the rig file"
         )
-    turn = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
-    reach = max(radius, longest)
-    columns, rows = _project(description, view, centre[0] + reach * np.cos(turn), centre[1] + reach * np.sin(turn))
-    box_rows = _span(np.append(rows, row), camera.height)
-    box_cols = _span(np.append(columns, column), camera.width)
+    box_rows, box_cols = _span(rows, camera.height), _span(columns, camera.width)
     seen = pixel_map(description, view, box_rows, box_cols)
     distance = (seen.x_mm - centre[0]) ** 2 + (seen.y_mm - centre[1]) ** 2
     distance[~of_channel(camera.pattern, channel, box_rows, box_cols) | ~seen.sees_plane] = np.inf
@@ -440,6 +442,13 @@ def roi(description: RigDescription, view: View, target: Target = "sample", chan
     if not inside.any():
         inside = distance <= max(longest**2, distance.min())
     return Roi(box_rows, box_cols, inside)
+
+
+@lru_cache(1)
+def _ring() -> tuple[Floats, Floats]:
+    """Cosines and sines of places once round the edge of a patch."""
+    turn = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
+    return np.cos(turn), np.sin(turn)
 
 
 AROUND = 1.15
@@ -531,8 +540,9 @@ def pixel_on_focus_mm(description: RigDescription) -> float:
 def pixel_on_sample_mm(description: RigDescription, view: View) -> float:
     """The longer side of a pixel on the sample [mm], at its centre."""
     eye = np.asarray(view.camera_mm, dtype=float)
-    pitch = 1e-3 * description.camera.pixel_um * np.linalg.norm(eye) / image_distance_mm(description)
-    return float(pitch * np.linalg.norm(eye) / abs(eye[2]))
+    distance = np.linalg.norm(eye)
+    pitch = 1e-3 * description.camera.pixel_um * distance / image_distance_mm(description)
+    return float(pitch * distance / abs(eye[2]))
 
 
 def patch_extent(description: RigDescription, view: View, target: Target = "sample") -> tuple[float, ...]:
@@ -542,8 +552,8 @@ def patch_extent(description: RigDescription, view: View, target: Target = "samp
     k + 1/2. Infinite where a part of the patch does not lie in front of the camera.
     """
     (x, y), radius = _centre(description, target), description.acquisition.roi_radius_mm
-    turn = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
-    columns, rows = _project(description, view, x + radius * np.cos(turn), y + radius * np.sin(turn))
+    cosines, sines = _ring()
+    columns, rows = _project(description, view, x + radius * cosines, y + radius * sines)
     return float(columns.min()), float(columns.max()), float(rows.min()), float(rows.max())
 
 
@@ -640,8 +650,8 @@ def of_channel(
 
     Every pixel does for the channel "mono", and on a sensor without a mosaic.
     """
+    if channel == "mono" or pattern == "mono":
+        return np.ones((max(rows.stop - rows.start, 0), max(cols.stop - cols.start, 0)), dtype=bool)
     i = np.arange(rows.start, rows.stop)[:, None] % 2
     j = np.arange(cols.start, cols.stop)[None, :] % 2
-    if channel == "mono" or pattern == "mono":
-        return np.ones(np.broadcast_shapes(i.shape, j.shape), dtype=bool)
     return np.asarray(np.array(list(pattern)).reshape(2, 2)[i, j] == channel)

@@ -18,11 +18,12 @@ from gonio.acquisition.progress import Live, Silent
 from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
 from gonio.config import to_toml
+from gonio.disk import Staged
 from gonio.errors import ConfigError, DataError, DeviceError, GonioError, Interrupted
 from gonio.reduction import brdf
 from gonio.rig import Frame, Pose
 from gonio.rig.description import Holder, Reference, RigDescription
-from gonio.rig.dng import read_raw, write_dng
+from gonio.rig.dng import read_raw
 from tests.gonio.numpy_rig import PLAN, SAMPLE, NumpyRig, Plugin, describe
 
 Measure = Callable[..., Run]
@@ -479,16 +480,16 @@ def test_a_patch_counts_in_the_poses_that_are_used(plan: Plan, tmp_path: Path) -
 def test_a_full_disk_ends_the_run_and_it_can_go_on(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:
     from gonio.acquisition import frame_writer
 
-    write, count = write_dng, 0
+    write, count = Staged, 0
 
-    def fills_up(frame: object, path: Path) -> None:
+    def fills_up(path: Path, data: bytes) -> Staged:
         nonlocal count
         count += 1
         if count > 12:
             raise OSError(28, "No space left on device")
-        write(frame, path)  # type: ignore[arg-type]
+        return write(path, data)
 
-    monkeypatch.setattr(frame_writer, "write_dng", fills_up)
+    monkeypatch.setattr(frame_writer, "Staged", fills_up)
     with pytest.raises(DataError, match="No space left"):
         measure("run")
     monkeypatch.undo()

@@ -1,0 +1,153 @@
+"""Steps that come faster than the disk takes them one by one: fewer syncs, the same record, nothing lost."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gonio.acquisition import loop
+from gonio.acquisition.journal import Events
+from gonio.acquisition.measure import RigChoice, carry_out
+from gonio.acquisition.plan import Plan, load_plan
+from gonio.acquisition.repair import find_damage
+from gonio.acquisition.run import Run
+from gonio.errors import DataError
+from gonio.rig import Frame, Step
+from gonio.rig.description import Acquisition, Bands, Reference, RigDescription, SampleDescription
+from tests.gonio.numpy_rig import BANDS, SAMPLE, NumpyRig, describe
+
+POINTS = 240
+
+
+@dataclass
+class Instant(NumpyRig):
+    """A camera that takes no time: every frame is the same. The process dies in a step, if asked."""
+
+    dies_at: int = -1
+    _mosaic: np.ndarray = field(default_factory=lambda: np.full((48, 64), 2300, dtype=np.uint16))
+
+    def begin(self, step: Step) -> None:
+        super().begin(step)
+        if step.index == self.dies_at:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def capture(self, exposure_s: float) -> Frame:
+        camera = self.description.camera
+        time_s, self.frame = self.time_s(), self.frame + 1
+        return Frame(self._mosaic, exposure_s, camera.black_level_dn, camera.white_level_dn, time_s=time_s)
+
+
+@dataclass
+class Opens:
+    dies_at: int = -1
+    toml: str = ""
+
+    def open(
+        self, description: RigDescription, *, sample: SampleDescription | None, seed: int, confirm: bool
+    ) -> Instant:
+        return Instant(description, seed, dies_at=self.dies_at)
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Plan:
+    (tmp_path / "plan.toml").write_text(
+        'name = "many"\nwavelength_nm = [550]\n[[sweep]]\ntheta_i_deg = [20]\n'
+        f"theta_r_deg = {[round(30 + 0.1 * k, 3) for k in range(POINTS)]}\n"
+    )
+    return load_plan(tmp_path / "plan.toml")
+
+
+def measure(plan: Plan, out: Path, *, dies_at: int = -1, resume: bool = False) -> Run:
+    description = describe(
+        bands=Bands(list=BANDS[:1]),
+        reference=Reference(every=100, frames=2),
+        acquisition=Acquisition(frames=1, dark_frames=2, roi_radius_mm=3.0),
+    )
+    return carry_out(plan, RigChoice(Opens(dies_at), description, "instant"), out, sample=SAMPLE, resume=resume)
+
+
+@pytest.fixture
+def counted(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+    """How often the journal and other files were synced, and the journal was read."""
+    counts: Counter[str] = Counter()
+    opened = Events._open
+
+    def sync(descriptor: int) -> None:
+        counts["journal" if os.readlink(f"/proc/self/fd/{descriptor}").endswith("journal.jsonl") else "others"] += 1
+
+    def read(events: Events) -> object:
+        counts["read"] += 1
+        return opened(events)
+
+    monkeypatch.setattr("os.fsync", sync)
+    monkeypatch.setattr(Events, "_open", read)
+    return counts
+
+
+def test_fast_steps_share_their_syncs_and_the_record_is_the_same(
+    plan: Plan, tmp_path: Path, counted: Counter[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(loop, "FAST_STEP_S", 10.0)  # every machine is fast enough
+    together = measure(plan, tmp_path / "together")
+    fast = Counter(counted)
+    counted.clear()
+    monkeypatch.setattr(loop, "FAST_STEP_S", 0.0)
+    single = measure(plan, tmp_path / "single")
+    assert list(together.steps()) == list(single.steps())
+    assert len(together.steps()) == POINTS + 5  # a dark, and visits before, after 100, after 200 and at the end
+    assert counted["journal"] >= POINTS
+    # 64 steps show the pace; then the clock decides, and a machine that is busy needs more than a few
+    assert fast["journal"] < loop.PACE_STEPS + (POINTS - loop.PACE_STEPS) / 2
+    assert fast["others"] <= counted["others"]
+    assert fast["read"] < 20, "the journal is not read again at every step"
+
+
+def test_a_kill_among_fast_steps_loses_nothing_that_was_journalled(
+    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(loop, "FAST_STEP_S", 10.0)
+    monkeypatch.setattr(loop, "TOGETHER_S", 0.01)
+    child = os.fork()
+    if child == 0:
+        try:
+            measure(plan, tmp_path / "cut", dies_at=200)
+        finally:
+            os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
+    before = list(Run.open(tmp_path / "cut").steps())
+    assert len(before) >= loop.PACE_STEPS
+    run = measure(plan, tmp_path / "cut", resume=True)
+    assert list(run.steps())[: len(before)] == before
+    assert list(run.steps()) == list(measure(plan, tmp_path / "whole").steps())
+    named = {frame.file for step in run.steps() for frame in step.frames}
+    assert {path.name for path in (run.path / "frames").iterdir()} == named
+
+
+@pytest.mark.parametrize("at", [100, 399, 480])
+def test_a_disk_that_fails_among_fast_steps_leaves_no_line_without_its_frames(
+    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
+) -> None:
+    monkeypatch.setattr(loop, "FAST_STEP_S", 10.0)
+    synced = 0
+
+    def fails(descriptor: int) -> None:
+        nonlocal synced
+        if os.readlink(f"/proc/self/fd/{descriptor}").endswith(".new"):
+            synced += 1
+            if synced == at:
+                raise OSError(5, "Input/output error")
+
+    with monkeypatch.context() as broken:
+        broken.setattr("os.fsync", fails)
+        with pytest.raises(DataError, match="Input/output error"):
+            measure(plan, tmp_path / "cut")
+    cut = Run.open(tmp_path / "cut")
+    assert not find_damage(cut, whole=True).damaged
+    assert not [path for path in (cut.path / "frames").iterdir() if path.name.endswith(".new")]
+    assert list(measure(plan, tmp_path / "cut", resume=True).steps()) == list(measure(plan, tmp_path / "whole").steps())
