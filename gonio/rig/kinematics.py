@@ -254,9 +254,13 @@ def reach(description: RigDescription, d: Directions) -> Pose:
             return pose
         except Blocked as error:
             blocked.append(error)
-    reasons, touching = (list(dict.fromkeys(each)) for each in (map(str, blocked), (e.bodies for e in blocked)))
+    causes: dict[str, dict[str, None]] = {}
+    for error in blocked:
+        causes.setdefault(error.what, {})[error.bodies] = None
     raise Unreachable(
-        "blocked", "blocked: " + "; or ".join(reasons), "the way there would touch: " + "; or ".join(touching)
+        "blocked",
+        "blocked: " + "; or ".join(dict.fromkeys(map(str, blocked))),
+        "; or ".join(f"{what} {'; or '.join(bodies)}" for what, bodies in causes.items()),
     )
 
 

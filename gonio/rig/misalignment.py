@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from gonio.geometry import AT_LIMIT
-from gonio.rig.description import ArmAxis, RigDescription
+from gonio.rig.description import ArmAxis, Arms, Holder, RigDescription
 from gonio.rig.protocols import Pose
 from gonio.typing import Floats
 
@@ -56,6 +56,39 @@ def ends(description: RigDescription, pose: Pose) -> tuple[Floats, Floats, Float
     centre = np.array([*holder.sample_offset_mm, holder.surface_offset_mm])
     shift = onto_sample @ tilted_about - into @ tilted_about - centre
     return into @ lamp + shift, into @ lens + shift, into @ onto, into @ of_light[:, 1]
+
+
+@lru_cache(maxsize=64)
+def frames(arms: Arms, holder: Holder) -> Floats:
+    """How the axes of a rig stand, shape (4, 3, 4): a rotation, and a shift [mm] in the last column.
+
+    Of the light arm's axis, of the camera arm's, of the azimuth axis, and of the spin axis on the tilt axis. What is
+    carried stands at `shift + rotation Ry(arm) p`; the azimuth turns that, and the tilt what is spun, around `shift`.
+    """
+    out = np.zeros((4, 3, 4))
+    for k, arm in enumerate((arms.light, arms.camera)):
+        out[k, :, :3] = _about_x_after(arm.axis_tilt_deg, "z")
+        out[k, :, 3] = arm.axis_offset_mm[0], 0.0, arm.axis_offset_mm[1]
+    out[2, :, :3] = np.eye(3)
+    if arms.azimuth is not None:
+        out[2, :, :3] = _about_x_after(arms.azimuth.axis_tilt_deg, "y")
+        out[2, :2, 3] = arms.azimuth.axis_offset_mm
+    out[3, :, :3] = _rotation("y", math.radians(holder.spin_axis_tilt_deg))
+    out[3, 1, 3] = holder.tilt_axis_offset_mm
+    return out
+
+
+def patch(holder: Holder) -> tuple[Floats, Floats]:
+    """The middle of the sample [mm], and its axes as columns, in the frame of what is on the spin axis."""
+    surface = _about_x_after(holder.surface_tilt_deg, "y")
+    centre: Floats = surface @ np.array([*holder.sample_offset_mm, holder.surface_offset_mm])
+    return centre, surface
+
+
+def head(axis: ArmAxis, distance_mm: float) -> tuple[float, float, float]:
+    """Where lamp or lens is on its arm [mm]."""
+    up = math.radians(axis.elevation_deg)
+    return 0.0, distance_mm * math.sin(up), distance_mm * math.cos(up)
 
 
 def camera_on_arm(description: RigDescription) -> Floats:
@@ -118,8 +151,7 @@ def _closer(description: RigDescription, start: Pose, wanted: Floats) -> tuple[P
 def _carried(axis: ArmAxis, onto: Floats, distance_mm: float) -> Floats:
     """Where an arm's lamp or lens is in the lab [mm]."""
     x, z = axis.axis_offset_mm
-    up = math.radians(axis.elevation_deg)
-    out: Floats = np.array([x, 0.0, z]) + onto @ np.array([0.0, distance_mm * math.sin(up), distance_mm * math.cos(up)])
+    out: Floats = np.array([x, 0.0, z]) + onto @ np.array(head(axis, distance_mm))
     return out
 
 
