@@ -48,9 +48,7 @@ def carried(on: int, angles: Floats, frames: Floats, onto: Floats, shift: Floats
             for i in range(3):
                 for j in range(3):
                     x, y, z = upright[j, 0], upright[j, 1], upright[j, 2]
-                    turn[i, j] = (
-                        upright[i, 0] * (c * x - s * y) + upright[i, 1] * (s * x + c * y) + upright[i, 2] * z
-                    )
+                    turn[i, j] = upright[i, 0] * (c * x - s * y) + upright[i, 1] * (s * x + c * y) + upright[i, 2] * z
             _after(turn, frames[2, :, 3], onto, shift)
     elif on in (TILT, SPIN):
         if on == SPIN:
@@ -83,9 +81,7 @@ def placed(on: Any, points: Floats, count: int, angles: Floats, frames: Floats, 
         if k == 1 and on[1] != on[0]:
             carried(on[1], angles, frames, onto, shift)
         for i in range(3):
-            out[k, i] = (
-                onto[i, 0] * points[k, 0] + onto[i, 1] * points[k, 1] + onto[i, 2] * points[k, 2] + shift[i]
-            )
+            out[k, i] = onto[i, 0] * points[k, 0] + onto[i, 1] * points[k, 1] + onto[i, 2] * points[k, 2] + shift[i]
 
 
 @njit()

@@ -511,9 +511,7 @@ def _carrier(on: str) -> str:
     return "holder" if on in ("tilt", "spin") else on
 
 
-def _shapes(
-    bodies: tuple[Body, ...], cables: tuple[Cable, ...], geometry: Geometry, arms: Arms
-) -> tuple[Shape, ...]:
+def _shapes(bodies: tuple[Body, ...], cables: tuple[Cable, ...], geometry: Geometry, arms: Arms) -> tuple[Shape, ...]:
     """The two heads, the bodies, and the cables that hang."""
     heads = []
     for name, on, axis, distance, radius in (
