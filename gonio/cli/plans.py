@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gonio.errors import ConfigError
+
 if TYPE_CHECKING:
     from gonio.acquisition.measure import RigChoice
     from gonio.acquisition.plan import Assessed, Plan
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Look at plans.", no_args_is_help=True)
 
 SHOWN = 12
+PICTURES = (".png", ".svg", ".pdf")
 
 
 @app.callback()
@@ -29,12 +32,45 @@ def show(
     rig: Annotated[
         str | None, typer.Option(help="The rig that shall measure it: a name or a rig file.", show_default=False)
     ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OUT.png|svg",
+            help="Draw the rig from the side and from above, and a map of the points.",
+            show_default=False,
+        ),
+    ] = None,
+    step: Annotated[
+        int | None,
+        typer.Option(help="Of the picture: number of the step; by default the most crowded one.", show_default=False),
+    ] = None,
 ) -> None:
     """Show the points of a plan. With a rig also what it cannot reach and why, and how long it takes."""
     from gonio.acquisition.measure import find_rig
     from gonio.acquisition.plan import load_plan
 
-    describe(load_plan(plan), find_rig(rig) if rig is not None else None)
+    if (picture is not None or step is not None) and (rig is None or picture is None):
+        raise ConfigError("--picture shows a plan on a rig: give --rig too, and --step goes with --picture")
+    loaded, chosen = load_plan(plan), find_rig(rig) if rig is not None else None
+    if picture is not None and picture.suffix.lower() not in PICTURES:
+        raise ConfigError(f"--picture {picture}: a picture ends in {' or '.join(PICTURES)}")
+    describe(loaded, chosen)
+    if picture is not None and chosen is not None:
+        _draw(loaded, chosen, picture, step)
+
+
+def _draw(plan: Plan, rig: RigChoice, file: Path, step: int | None) -> None:
+    from gonio.acquisition import plan_picture
+    from gonio.acquisition.plan import assess
+    from gonio.cli import console
+
+    points = assess(plan, rig.description)
+    figure = plan_picture.draw(plan, points, rig.schedule(plan, points), rig.description, step)
+    try:
+        figure.savefig(file, dpi=150)
+    except OSError as error:
+        raise ConfigError(f"{file}: cannot be written: {error.strerror}") from None
+    console.show(f"picture: {file}")
 
 
 def describe(plan: Plan, rig: RigChoice | None) -> None:

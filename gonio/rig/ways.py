@@ -154,6 +154,11 @@ class Space:
             return read + beyond * sum(math.hypot(c, s) for _, c, s in rows)
         return read - sum(c * math.cos(k * read) + s * math.sin(k * read) for k, c, s in rows)
 
+    def read(self, axis: int, true: float) -> float:
+        """About what an encoder reads where its axis stands [rad]: good to a hundredth of the encoder's error."""
+        first = 2.0 * true - self.true(axis, true)
+        return first + true - self.true(axis, first)
+
     def true_angles(self, angles: Sequence[float]) -> Floats:
         """`true` of all axes."""
         return np.array([self.true(k, value) for k, value in enumerate(angles)])
@@ -229,6 +234,47 @@ def gaps(description: RigDescription, poses: Sequence[Pose]) -> list[dict[tuple[
 
 def _ends(cable: Shape) -> tuple[str, str]:
     return f"{cable.body}, {cable.on[0]} end", f"{cable.body}, {cable.on[1]} end"
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """A body where it stands: all within `radius` of the hull of some points of the lab, shape (n, 3) [mm]."""
+
+    name: str
+    on: tuple[str, str]
+    points: Floats
+    radius: float
+    cable: bool
+
+
+def outlines(description: RigDescription, pose: Pose) -> list[Outline]:
+    """The two heads, the bodies, and the cables that hang, for a picture."""
+    from gonio.rig import _gaps
+
+    space = _space_of(description)
+    angles, out = space.true_angles(_angles(pose)), []
+    for shape in space.shapes:
+        points = np.empty((len(shape.points), 3))
+        on = np.array([CARRIERS.index(each) for each in shape.on])
+        _gaps.placed(on, np.array(shape.points), len(points), angles, space.frames, points)
+        out.append(Outline(shape.body, shape.on, points, shape.radius, shape.cable))
+    return out
+
+
+def cable_ends(description: RigDescription, pose: Pose, cable: Cable) -> Floats:
+    """Where the two ends of a cable are in the lab, shape (2, 3) [mm]."""
+    from gonio.rig import _gaps
+
+    space, out = _space_of(description), np.empty((2, 3))
+    on = np.array([CARRIERS.index(cable.from_on), CARRIERS.index(cable.to_on)])
+    points = np.array([cable.from_mm, cable.to_mm])
+    _gaps.placed(on, points, 2, space.true_angles(_angles(pose)), space.frames, out)
+    return out
+
+
+def resting(description: RigDescription) -> Pose:
+    """The rest position: light on its lower limit, camera on its upper one, the others at 0."""
+    return Pose(*_space_of(description).rest)
 
 
 # ---- ways ----
@@ -314,7 +360,9 @@ def _require_box(space: Space, start: Angles, goal: Angles, planned: bool) -> No
             torn = group.kinds[pair] == _gaps.TIED
             verb, bodies = ("tear the cable", one.body) if torn else ("touch:", f"{one.body} and {other.body}")
             where = ", ".join(
-                f"{NAMES[k]} {round(math.degrees(near[k]), 1) + 0.0:g}" for k in group.axes if NAMES[k] in space.names
+                f"{NAMES[k]} {round(math.degrees(space.read(k, near[k])), 1) + 0.0:g}"
+                for k in group.axes
+                if NAMES[k] in space.names
             )
             raise Blocked(
                 f"the way from {space.said(start)} to {space.said(goal)} would {verb} {bodies}"
