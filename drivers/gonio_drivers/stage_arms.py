@@ -233,7 +233,7 @@ class StageArms:
 
     def _legs(self, goals: dict[str, float]) -> list[dict[str, float]]:
         """What to move one after the other, so that no bodies touch; all at once where an axis is absent."""
-        if not self._description.bodies or self.absent:
+        if not self._description.looks_ahead or self.absent:
             return [goals]
         return ways.legs(self._description, self._readback().pose, goals)
 

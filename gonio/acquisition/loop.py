@@ -419,7 +419,7 @@ class _Session:
 
     def _move(self, goal: Pose) -> Pose:
         """Drive to a goal, by other poses where bodies would touch on the way; where the arms landed."""
-        if not self._description.bodies:
+        if not self._description.looks_ahead:
             return self._rig.arms.move(goal)
         for leg in route(self._description, self._rig.arms.read(), goal):
             pose = self._rig.arms.move(leg)

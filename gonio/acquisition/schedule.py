@@ -30,7 +30,7 @@ def reference_pose(description: RigDescription) -> Pose:
         return _straight(description)
     point = canonical(reference.theta_i_deg, 0.0, reference.theta_r_deg, 180.0)
     try:
-        pose = reach(description, point.directions)
+        pose = reach(description, point.directions, nearby=True)
     except Unreachable as error:
         raise ConfigError(
             f'rig "{description.name}": [reference] theta_i_deg = {reference.theta_i_deg:g}, '

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gonio.errors import ConfigError
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -23,6 +25,7 @@ SHOWN = 12
 """Angles that stand in one cell of a table."""
 ROWS = 24
 """Angles of incidence that have a row of their own."""
+PICTURES = (".png", ".svg", ".pdf")
 
 
 @app.callback()
@@ -40,17 +43,51 @@ def show(
         Path | None,
         typer.Option(metavar="FILE.csv", help="Write the points that the rig leaves out, and why.", show_default=False),
     ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OUT.png|svg",
+            help="Draw the rig from the side and from above, and a map of the points.",
+            show_default=False,
+        ),
+    ] = None,
+    step: Annotated[
+        int | None,
+        typer.Option(help="Of the picture: number of the step; by default the most crowded one.", show_default=False),
+    ] = None,
 ) -> None:
     """Show the points of a plan. With a rig also what it cannot reach and why, and how long it takes."""
     from gonio.acquisition.measure import find_rig
     from gonio.acquisition.plan import load_plan
-    from gonio.errors import ConfigError
 
     if left_out is not None and rig is None:
         raise ConfigError("--left-out: what is left out depends on the rig; name one with --rig")
     if left_out is not None and (left_out.exists() or left_out.is_symlink()):
         raise ConfigError(f"--left-out: {left_out} is there already; name another file")
-    describe(load_plan(plan), find_rig(rig) if rig is not None else None, left_out=left_out)
+    if (picture is not None or step is not None) and (rig is None or picture is None):
+        raise ConfigError("--picture shows a plan on a rig: give --rig too, and --step goes with --picture")
+    loaded, chosen = load_plan(plan), find_rig(rig) if rig is not None else None
+    if picture is not None and picture.suffix.lower() not in PICTURES:
+        raise ConfigError(f"--picture {picture}: a picture ends in {' or '.join(PICTURES)}")
+    describe(loaded, chosen, left_out=left_out)
+    if picture is not None and chosen is not None:
+        _draw(loaded, chosen, picture, step)
+
+
+def _draw(plan: Plan, rig: RigChoice, file: Path, step: int | None) -> None:
+    from gonio.acquisition import plan_picture
+    from gonio.acquisition.measure import prepared
+    from gonio.acquisition.plan import assess
+    from gonio.cli import console
+
+    plan, rig, seen, _ = prepared(plan, rig)
+    points = assess(plan, rig.description) if seen is None else seen
+    figure = plan_picture.draw(plan, points, rig.schedule(plan, points), rig.description, step)
+    try:
+        figure.savefig(file, dpi=150)
+    except OSError as error:
+        raise ConfigError(f"{file}: cannot be written: {error.strerror}") from None
+    console.show(f"picture: {file}")
 
 
 def describe(plan: Plan, rig: RigChoice | None, *, out: Path | None = None, left_out: Path | None = None) -> None:
@@ -161,7 +198,6 @@ def _write_left_out(points: list[Assessed], path: Path) -> int:
 
     from gonio.acquisition.plan import ANGLES
     from gonio.disk import write_whole
-    from gonio.errors import ConfigError
 
     lost = [a for a in points if a.pose is None]
     text = io.StringIO()

@@ -78,6 +78,31 @@ class Body(Strict):
         return self
 
 
+class Cable(Strict):
+    """A cable between two parts of the rig, fixed at either end. Points are given as those of a `Body`."""
+
+    name: str
+    from_on: Literal["bench", "light", "camera", "tilt", "spin"]
+    from_mm: Point
+    to_on: Literal["bench", "light", "camera", "tilt", "spin"]
+    to_mm: Point
+    length_mm: Positive
+    """Between the two ends. They never come further apart than this, in a straight line."""
+    radius_mm: NonNegative = 3.0
+    sag_mm: NonNegative | None = None
+    """How far the cable hangs, at most, beside the straight line between its ends. All that is so close to that line
+    counts as a body. None: the cable is led (chain, reel, springs), and nothing runs into it."""
+
+    @model_validator(mode="after")
+    def _between_two(self) -> Cable:
+        if self.from_on == self.to_on:
+            raise ValueError(
+                f'cable "{self.name}": both ends are on "{self.from_on}", where nothing moves them apart; a cable '
+                "that only follows one part is one of its bodies"
+            )
+        return self
+
+
 class Axis(Strict):
     """A rotary axis: its encoder, its mechanics, and how well its zero is known."""
 
@@ -652,6 +677,8 @@ class RigDescription(Strict):
     """What pauses a run, by a name of the user's (`gonio.acquisition.suspending`)."""
     bodies: tuple[Body, ...] = ()
     """What could touch on its way. Where there are any, the two balls of `geometry` belong to them."""
+    cables: tuple[Cable, ...] = ()
+    """What could be torn on its way, or caught."""
     devices: dict[str, Any] = Field(default_factory=dict)
     """Ports, ids and dialects: checked by the rig's own driver."""
     calibration: CalibrationUse = CalibrationUse()
@@ -694,6 +721,11 @@ class RigDescription(Strict):
         (lower, upper), approach = self.limits_deg()[name], self.approach_deg()[name]
         start = goal_deg - approach
         return max(start, min(lower, goal_deg)) if approach > 0 else min(start, max(upper, goal_deg))
+
+    @property
+    def looks_ahead(self) -> bool:
+        """Whether the file names anything that could touch, or be torn, on a way."""
+        return bool(self.bodies or self.cables)
 
     @property
     def as_meant(self) -> bool:

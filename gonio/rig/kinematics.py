@@ -17,13 +17,14 @@ to pixel"). A pose is what encoders read, less their zeros; `true_pose` takes ou
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gonio.errors import ConfigError
-from gonio.geometry import AT_LIMIT, EXACTLY_IN_PLANE, PARALLEL, Directions
+from gonio.geometry import AT_LIMIT, EXACTLY_IN_PLANE, PARALLEL, SAME_ANGLE, Directions
 from gonio.rig import misalignment
 from gonio.rig.description import ArmAxis, Axis, RigDescription
 from gonio.rig.protocols import Pose
@@ -143,8 +144,13 @@ def directions(description: RigDescription, pose: Pose) -> Directions:
 
 ENCODER_STEPS = 60
 """Enough for errors of 30 deg in a turn; those of an encoder take five."""
+ASIDE, SIDES = (math.radians(3.0), math.radians(15.0)), 8
+"""How far beside given directions a rig with errors of alignment looks for a start, and on how many sides."""
 CLOSE = math.radians(5.0)
-"""Where a rig cannot stand exactly so for its errors of alignment, a pose this close counts."""
+"""Where a rig cannot stand exactly so for its errors of alignment, a pose this close counts: of a rig that has not the
+axes for it, and for the white reference."""
+CLOSE_ENOUGH = SAME_ANGLE
+"""Of a rig that has an axis for every direction, around the few that its errors close: one angle of a curve."""
 
 
 def _misaligned(description: RigDescription, pose: Pose) -> View:
@@ -154,26 +160,56 @@ def _misaligned(description: RigDescription, pose: Pose) -> View:
     return View(source_mm=source, camera_mm=eye, image_x=image_x, image_y=image_y, sight=sight, beam_y=beam_y)
 
 
-def _misaligned_pose(description: RigDescription, start: Pose, d: Angles) -> Pose:
-    """The true angles of the axes of a rig with errors of alignment that show the sample from given directions.
+def _misaligned_poses(description: RigDescription, d: Angles, nearby: bool) -> list[tuple[Pose, Pose | Unreachable]]:
+    """The true angles of the axes of a rig with errors of alignment that show the sample from given directions: by
+    each pose of the closed form, or why there is none.
 
     Where the errors leave no such pose (an arm that stands out of a plane which no axis can turn), it is the closest
     one.
-
-    Raises
-    ------
-    Unreachable
-        The closest pose is off by more than `CLOSE`.
     """
     wanted = np.array([*_direction(*d[:2]), *_direction(*d[2:])])
-    pose, off = misalignment.closest_pose(description, start, wanted)
-    if off > CLOSE:
-        raise Unreachable(
+    found = [(meant, *misalignment.closest_pose(description, meant, wanted)) for meant in _closed_form(description, d)]
+    whole = len(description.axes()) >= misalignment.DIRECTIONS
+    if whole and any(off > misalignment.CONVERGED for *_, off in found):
+        # near a singular pose the way may end in a place from which every step leads away
+        exact, closest = misalignment.poses_around(description, _around(description, d), wanted)
+        found = [each for each in found if each[2] <= misalignment.CONVERGED]
+        found += [(pose, pose, 0.0) for pose in exact] or ([] if found else [(closest[0], *closest)])
+    out: list[tuple[Pose, Pose | Unreachable]] = []
+    for meant, pose, off in found:
+        error = Unreachable(
             "unreachable",
             f"the rig's errors of alignment keep it {math.degrees(off):.1f} deg from these directions",
             "too far from what the rig can show, for its errors of alignment",
         )
-    return pose
+        close = CLOSE_ENOUGH if whole and not nearby else CLOSE
+        out.append((pose, pose) if off <= close else (meant, error))
+    return out
+
+
+def _around(description: RigDescription, d: Angles) -> list[Pose]:
+    """Poses of the closed form for directions some degrees beside given ones, all around."""
+    light, camera = np.array(_direction(*d[:2])), np.array(_direction(*d[2:]))
+    out: list[Pose] = []
+    for off in ASIDE:
+        for k in range(SIDES):
+            one = _beside(light, off, k * TURN / SIDES)
+            other = _beside(camera, off, (3 * k + 1) * TURN / SIDES)
+            for i, r in ((light, other), (one, camera), (one, other)):
+                beside = (*_angles((i[0], i[1], abs(i[2]))), *_angles((r[0], r[1], r[2])))
+                with contextlib.suppress(Unreachable):
+                    out += _closed_form(description, beside)
+    return out
+
+
+def _beside(direction: Floats, off: float, toward: float) -> Floats:
+    """A direction turned by an angle [rad], toward the side that another says."""
+    x = np.cross(direction, (0.0, 1.0, 0.0) if abs(direction[1]) < 0.7 else (1.0, 0.0, 0.0))
+    x /= np.linalg.norm(x)
+    out: Floats = math.cos(off) * direction + math.sin(off) * (
+        math.cos(toward) * x + math.sin(toward) * np.cross(direction, x)
+    )
+    return out
 
 
 def left_its_side(description: RigDescription, goal: Pose, read: Pose) -> bool:
@@ -205,7 +241,7 @@ def blocked_cone(description: RigDescription) -> float:
     )
 
 
-def reach(description: RigDescription, d: Directions) -> Pose:
+def reach(description: RigDescription, d: Directions, *, nearby: bool = False) -> Pose:
     """The pose that shows the sample from given directions.
 
     Of the two branches the one inside all limits is taken; where both are, the one with the smaller spin, then the one
@@ -220,6 +256,8 @@ def reach(description: RigDescription, d: Directions) -> Pose:
     d : Directions
         One pair of them: theta_i in [0, pi/2], theta_r in [0, pi] (beyond pi/2 the camera stands behind the sample and
         sees transmission), azimuths in any turn.
+    nearby : bool
+        Where the rig's errors of alignment close these directions, take a pose up to `CLOSE` beside them.
 
     Raises
     ------
@@ -239,7 +277,7 @@ def reach(description: RigDescription, d: Directions) -> Pose:
         raise Unreachable("blocked", f"source and detector are {math.degrees(apart):.1f} deg apart: {cause}", cause)
     fitting: list[Pose] = []
     failed: list[Unreachable] = []
-    for _, verdict in branches(description, d):
+    for _, verdict in branches(description, d, nearby=nearby):
         if isinstance(verdict, Pose):
             fitting.append(verdict)
         else:
@@ -254,13 +292,19 @@ def reach(description: RigDescription, d: Directions) -> Pose:
             return pose
         except Blocked as error:
             blocked.append(error)
-    reasons, touching = (list(dict.fromkeys(each)) for each in (map(str, blocked), (e.bodies for e in blocked)))
+    by_what: dict[str, dict[str, None]] = {}
+    for each in blocked:
+        by_what.setdefault(each.what, {})[each.bodies] = None
     raise Unreachable(
-        "blocked", "blocked: " + "; or ".join(reasons), "the way there would touch: " + "; or ".join(touching)
+        "blocked",
+        "blocked: " + "; or ".join(dict.fromkeys(map(str, blocked))),
+        "; or ".join(f"{what} {'; or '.join(bodies)}" for what, bodies in by_what.items()),
     )
 
 
-def branches(description: RigDescription, d: Directions) -> list[tuple[Pose, Pose | Unreachable]]:
+def branches(
+    description: RigDescription, d: Directions, *, nearby: bool = False
+) -> list[tuple[Pose, Pose | Unreachable]]:
     """Every pose that would show the sample from given directions; with each, itself inside all limits, or why not.
 
     An axis whose limits are wider than a turn has a pose for each of its windings.
@@ -269,18 +313,27 @@ def branches(description: RigDescription, d: Directions) -> list[tuple[Pose, Pos
     the directions.
     """
     one = d.floats
-    poses = _with_azimuth(description, one) if description.arms.azimuth is not None else _with_holder(description, one)
+    found: list[tuple[Pose, Pose | Unreachable]]
+    if description.as_meant:
+        found = [(pose, pose) for pose in _closed_form(description, one)]
+    else:
+        found = _misaligned_poses(description, one, nearby)
     out: list[tuple[Pose, Pose | Unreachable]] = []
-    for meant in poses:
-        pose = meant
+    for meant, verdict in found:
+        if isinstance(verdict, Unreachable):
+            out.append((meant, verdict))
+            continue
+        pose = read_pose(description, verdict)
         try:
-            if not description.as_meant:
-                pose = _misaligned_pose(description, meant, one)
-            pose = read_pose(description, pose)
             out += [(inside, inside) for inside in _inside_limits(description, pose)]
         except Unreachable as error:
             out.append((pose, error))
     return out
+
+
+def _closed_form(description: RigDescription, d: Angles) -> list[Pose]:
+    """The poses of a rig that is as it was meant."""
+    return _with_azimuth(description, d) if description.arms.azimuth is not None else _with_holder(description, d)
 
 
 def _preference(pose: Pose) -> tuple[float, bool, bool, float]:

@@ -6,15 +6,15 @@ and z of the lab (docs/architecture.md, "From pose to pixel").
 
 from __future__ import annotations
 
-import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
 from gonio.geometry import AT_LIMIT
-from gonio.rig.description import ArmAxis, RigDescription
+from gonio.rig.description import ArmAxis, Arms, Holder, RigDescription
 from gonio.rig.protocols import Pose
 from gonio.typing import Floats
 
@@ -28,8 +28,11 @@ CONVERGED = 1e-9
 """Directions that differ by less [rad] are the same."""
 DIRECTIONS = 4
 """Numbers that two directions are made of: a rig with as many axes can show all of them."""
-ASIDE = 0.5
-"""From where else to start, in each axis [rad]."""
+FEW_STEPS, MANY_STEPS, BEST = 8, 200, 12
+"""Of `poses_around`."""
+ALIKE = 1e-6
+"""Poses that differ by less [rad] are the same."""
+NAMES = ("light", "camera", "tilt", "spin", "azimuth")
 FLAT = 1e-6
 """Combinations of axes that turn the directions less than this, per radian, are left alone."""
 
@@ -58,6 +61,39 @@ def ends(description: RigDescription, pose: Pose) -> tuple[Floats, Floats, Float
     return into @ lamp + shift, into @ lens + shift, into @ onto, into @ of_light[:, 1]
 
 
+@lru_cache(maxsize=64)
+def frames(arms: Arms, holder: Holder) -> Floats:
+    """How the axes of a rig stand, shape (4, 3, 4): a rotation, and a shift [mm] in the last column.
+
+    Of the light arm's axis, of the camera arm's, of the azimuth axis, and of the spin axis on the tilt axis. What is
+    carried stands at `shift + rotation Ry(arm) p`; the azimuth turns that, and the tilt what is spun, around `shift`.
+    """
+    out = np.zeros((4, 3, 4))
+    for k, arm in enumerate((arms.light, arms.camera)):
+        out[k, :, :3] = _about_x_after(arm.axis_tilt_deg, "z")
+        out[k, :, 3] = arm.axis_offset_mm[0], 0.0, arm.axis_offset_mm[1]
+    out[2, :, :3] = np.eye(3)
+    if arms.azimuth is not None:
+        out[2, :, :3] = _about_x_after(arms.azimuth.axis_tilt_deg, "y")
+        out[2, :2, 3] = arms.azimuth.axis_offset_mm
+    out[3, :, :3] = _rotation("y", math.radians(holder.spin_axis_tilt_deg))
+    out[3, 1, 3] = holder.tilt_axis_offset_mm
+    return out
+
+
+def patch(holder: Holder) -> tuple[Floats, Floats]:
+    """The middle of the sample [mm], and its axes as columns, in the frame of what is on the spin axis."""
+    surface = _about_x_after(holder.surface_tilt_deg, "y")
+    centre: Floats = surface @ np.array([*holder.sample_offset_mm, holder.surface_offset_mm])
+    return centre, surface
+
+
+def head(axis: ArmAxis, distance_mm: float) -> tuple[float, float, float]:
+    """Where lamp or lens is on its arm [mm]."""
+    up = math.radians(axis.elevation_deg)
+    return 0.0, distance_mm * math.sin(up), distance_mm * math.cos(up)
+
+
 def camera_on_arm(description: RigDescription) -> Floats:
     """Columns: image_x, image_y and optical axis in the frame of the camera arm, whose z points to where it stands."""
     camera = description.camera
@@ -65,22 +101,58 @@ def camera_on_arm(description: RigDescription) -> Floats:
 
 
 def closest_pose(description: RigDescription, start: Pose, wanted: Floats) -> tuple[Pose, float]:
-    """The pose that brings source and detector to given directions, or closest to them, and how far off it is [rad].
+    """The pose that brings source and detector to given directions, or as close as the way from a start leads, and how
+    far off it is [rad].
 
     Gauss-Newton's method over all axes that the rig has. `wanted` is the unit vector to the source, and after it that
     to the detector.
     """
-    pose, off = _closer(description, start, wanted)
-    names = list(description.axes())
-    if off > CONVERGED and len(names) >= DIRECTIONS:
-        # near a singular pose the way may end in a place from which every step leads away
-        for signs in itertools.product((-ASIDE, ASIDE), repeat=len(names)):
-            aside = replace(start, **{name: getattr(start, name) + by for name, by in zip(names, signs, strict=True)})
-            found = _closer(description, aside, wanted)
-            pose, off = min((pose, off), found, key=lambda each: each[1])
-            if off <= CONVERGED:
-                break
-    return pose, off
+    return _closer(description, start, wanted)
+
+
+def poses_around(
+    description: RigDescription, starts: Sequence[Pose], wanted: Floats
+) -> tuple[list[Pose], tuple[Pose, float]]:
+    """Where no way from the closed form leads to given directions: the poses that show them, and the closest found.
+
+    Close to retro the arms' plane may lie anyhow, and at a pole the azimuth; so the ways begin from many `starts`. All
+    of them go some steps, and the `BEST` go on to their ends.
+    """
+    from gonio.rig import _solving
+
+    axes = np.array([NAMES.index(name) for name in description.axes()])
+    centre, surface = patch(description.holder)
+    heads = np.array(
+        [
+            head(description.arms.light, description.geometry.light_distance_mm),
+            head(description.arms.camera, description.geometry.camera_distance_mm),
+        ]
+    )
+    rig = wanted, frames(description.arms, description.holder), heads, centre, np.ascontiguousarray(surface)
+    first = []
+    for start in starts:
+        place = np.empty(len(NAMES))
+        left = _solving.closer(
+            np.array([getattr(start, name) for name in NAMES]), axes, *rig, FEW_STEPS, AT_LIMIT, place
+        )
+        first.append((float(left), place))
+    exact: list[Pose] = []
+    closest: tuple[Pose, float] = starts[0], math.inf
+    for _, begun in sorted(first, key=lambda each: each[0])[:BEST]:
+        place = np.empty(len(NAMES))
+        _solving.closer(begun, axes, *rig, MANY_STEPS, AT_LIMIT, place)
+        pose, left = Pose(**dict(zip(NAMES, place.tolist(), strict=True))), np.empty(6)
+        _solving.beside(place, *rig, left)
+        off = max(float(np.linalg.norm(left[:3])), float(np.linalg.norm(left[3:])))
+        if off < closest[1]:
+            closest = pose, off
+        if off <= CONVERGED and not any(_alike(pose, other) for other in exact):
+            exact.append(pose)
+    return exact, closest
+
+
+def _alike(one: Pose, other: Pose) -> bool:
+    return all(abs(math.remainder(getattr(one, n) - getattr(other, n), math.tau)) < ALIKE for n in NAMES)
 
 
 def _closer(description: RigDescription, start: Pose, wanted: Floats) -> tuple[Pose, float]:
@@ -118,8 +190,7 @@ def _closer(description: RigDescription, start: Pose, wanted: Floats) -> tuple[P
 def _carried(axis: ArmAxis, onto: Floats, distance_mm: float) -> Floats:
     """Where an arm's lamp or lens is in the lab [mm]."""
     x, z = axis.axis_offset_mm
-    up = math.radians(axis.elevation_deg)
-    out: Floats = np.array([x, 0.0, z]) + onto @ np.array([0.0, distance_mm * math.sin(up), distance_mm * math.cos(up)])
+    out: Floats = np.array([x, 0.0, z]) + onto @ np.array(head(axis, distance_mm))
     return out
 
 

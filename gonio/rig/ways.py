@@ -1,4 +1,4 @@
-"""Ways between poses on which no two bodies of a rig come too close to each other.
+"""Ways between poses on which no two bodies of a rig come too close to each other, and no cable is torn.
 
 Axes move at their own speeds and are held up by corrections, so nobody knows the pose in the middle of a move. A move
 of several axes at once therefore counts as free only where *every* combination of their angles on the way is free, the
@@ -8,6 +8,9 @@ where that is not free either, both go by the rest position.
 A box in the space of angles is free if the gap between two bodies in its middle is larger than what they can move from
 there to its corners: no more than the sum over the axes of lever times angle. If not, the box is halved. That proves
 that a whole way is free; samples along it would not.
+
+What is planned has a little more to spare than what is driven (`PLANNED_MM`, `LANDING`): so a way that was found when
+a run was planned is found again from where the axes landed.
 """
 
 from __future__ import annotations
@@ -15,13 +18,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
 
 from gonio.errors import ConfigError
-from gonio.rig.description import Body, Geometry, RigDescription
+from gonio.rig import misalignment
+from gonio.rig.description import Arms, Body, Cable, Geometry, Holder, RigDescription
 from gonio.rig.protocols import Pose
 from gonio.typing import Floats
 
@@ -35,42 +39,76 @@ LANDING = math.radians(0.2)
 """How far beyond the ends of its way an axis may stand, by the tolerance of a landing."""
 FINEST_MM = 0.25
 """Gaps smaller than this beyond the clearance are none."""
+PLANNED_MM = FINEST_MM
+"""Beyond the clearance, where a run is planned: a way with so much to spare is proved free by any finer look at it."""
+SKIN_MM = 0.1
+"""Bodies that are flush with the sample's surface, within so much, do not stand in its light."""
+RIM = 12
+"""Corners of what stands for the disc of a lamp, of a lens, or of what is measured of the sample."""
 MOST_BOXES = 20_000
 """A way that is not proved free by then counts as blocked."""
-MOST_STRIPS = 8
-"""A box is covered by at most so many capsules each way."""
+MOST_KEPT = 200_000
+"""Verdicts on boxes that are kept."""
 GROUPS = ((0,), (1, 4), (2, 3))
 """The axes of the light arm, of the camera arm and of the holder."""
+SINGLY = ((0,), (1,), (4,), (2, 3))
+"""As `GROUPS`, where the camera arm does not turn and go round at once."""
 
 
 class Blocked(ConfigError):
-    """There is no free way; the message says which bodies would touch, and where."""
+    """There is no free way; the message says which bodies would touch, and where.
 
-    def __init__(self, message: str, bodies: str) -> None:
+    `what` and `bodies` are the same without the numbers, as in "the way there would touch:" and "lamp and post".
+    """
+
+    def __init__(self, message: str, what: str, bodies: str) -> None:
         super().__init__(message)
-        self.bodies = bodies
+        self.what, self.bodies = what, bodies
 
 
 @dataclass(frozen=True, slots=True)
-class Capsule:
-    """All that lies within `radius` of a line, in the frame of what carries it [mm]."""
+class Shape:
+    """All that lies within `radius` of the hull of some points, each in the frame of what carries it [mm]."""
 
     body: str
-    on: str
-    ends: tuple[Vector, Vector]
+    on: tuple[str, str]
+    """What carries the first point, and what the others: only a cable is carried by two."""
+    points: tuple[Vector, ...]
     radius: float
+    cable: bool = False
 
-    def levers(self) -> dict[int, float]:
-        """How far a point of the line moves at most for one radian of an axis [mm], by the axis's number."""
+    def levers(self, frames: Floats) -> dict[int, float]:
+        """How far it moves at most for one radian of an axis [mm], by the axis's number."""
+        out: dict[int, float] = {}
+        for place, point in enumerate(self.points):
+            for axis, lever in _levers(self.on[min(place, 1)], point, frames).items():
+                out[axis] = max(out.get(axis, 0.0), lever)
+        return out
 
-        def longest(*directions: int) -> float:
-            return max(math.hypot(*(end[k] for k in directions)) for end in self.ends)
 
-        whole = longest(0, 1, 2)
-        return {
-            "bench": {}, "light": {0: longest(0, 2)}, "camera": {1: longest(0, 2), 4: whole},
-            "tilt": {2: longest(1, 2)}, "spin": {2: whole, 3: longest(0, 1)},
-        }[self.on]  # fmt: skip
+def _levers(on: str, point: Vector, frames: Floats) -> dict[int, float]:
+    x, y, z = point
+    whole, beside = math.hypot(x, y, z), abs(float(frames[3, 1, 3]))
+    off_azimuth = math.dist(frames[1, :, 3], frames[2, :, 3])
+    return {
+        "bench": {}, "light": {0: math.hypot(x, z)}, "camera": {1: math.hypot(x, z), 4: whole + off_azimuth},
+        "tilt": {2: math.hypot(y, z) + beside}, "spin": {2: whole + beside, 3: math.hypot(x, y)},
+    }[on]  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Pairs:
+    """Bodies two by two, which some axes move against each other; arrays as of `gonio.rig._gaps.first_too_close`."""
+
+    axes: tuple[int, ...]
+    shapes: tuple[tuple[Shape, Shape], ...]
+    kinds: np.ndarray
+    on: np.ndarray
+    points: Floats
+    counts: np.ndarray
+    levers: Floats
+    distances: Floats
+    """That two bodies have to keep, radii and clearance included; or that the ends of a cable may be apart [mm]."""
 
 
 @dataclass(frozen=True)
@@ -83,26 +121,47 @@ class Space:
     limits: tuple[tuple[float, float], ...]
     """By axis of `NAMES` [rad]."""
     approach: Angles
-    pairs: tuple[tuple[Capsule, Capsule], ...]
-    on: np.ndarray
-    """What carries either of two, as numbers of `_gaps`, shape (pairs, 2)."""
-    lines: Floats
-    """Shape (pairs, 2, 2, 3) [mm]."""
-    levers: Floats
-    """Shape (pairs, 5) [mm]."""
-    distances: Floats
-    """Between two lines where their bodies are as close as they may come [mm]."""
+    frames: Floats
+    clearance: float
+    shapes: tuple[Shape, ...]
+    groups: tuple[Pairs, ...]
+    harmonics: tuple[tuple[tuple[int, float, float], ...], ...]
+    """Of the encoder of each axis of `NAMES` [rad]."""
+    known: dict[tuple[object, ...], tuple[int, tuple[float, ...]]] = field(default_factory=dict)
+    """Verdicts on boxes of angles."""
 
-    def box(self, start: Angles, goal: Angles) -> tuple[Floats, Floats]:
-        """The smallest and the largest angle of each axis on the way, its approach included."""
+    def box(self, start: Angles, goal: Angles, around: float) -> tuple[Floats, Floats]:
+        """The smallest and the largest angle of each axis on the way, its approach included.
+
+        An axis that stays where it is may be sent there once more, and then approaches too.
+        """
         lows, highs = np.array(start), np.array(start)
         for k, name in enumerate(NAMES):
-            if name in self.names and goal[k] != start[k]:
+            if name in self.names:
                 (lower, upper), before = self.limits[k], goal[k] - self.approach[k]
                 before = max(before, min(lower, goal[k])) if self.approach[k] > 0 else min(before, max(upper, goal[k]))
-                lows[k] = min(start[k], goal[k], before) - LANDING
-                highs[k] = max(start[k], goal[k], before) + LANDING
+                lows[k] = self.true(k, min(start[k], goal[k], before) - around, -1.0)
+                highs[k] = self.true(k, max(start[k], goal[k], before) + around, 1.0)
         return lows, highs
+
+    def true(self, axis: int, read: float, beyond: float = 0.0) -> float:
+        """Where an axis stands when its encoder reads an angle [rad].
+
+        With `beyond` -1 or 1: what it stands beyond in no case when it reads more, or less.
+        """
+        rows = self.harmonics[axis]
+        if beyond and sum(k * math.hypot(c, s) for k, c, s in rows) >= 1.0:  # the two need not grow together
+            return read + beyond * sum(math.hypot(c, s) for _, c, s in rows)
+        return read - sum(c * math.cos(k * read) + s * math.sin(k * read) for k, c, s in rows)
+
+    def read(self, axis: int, true: float) -> float:
+        """About what an encoder reads where its axis stands [rad]: good to a hundredth of the encoder's error."""
+        first = 2.0 * true - self.true(axis, true)
+        return first + true - self.true(axis, first)
+
+    def true_angles(self, angles: Sequence[float]) -> Floats:
+        """`true` of all axes."""
+        return np.array([self.true(k, value) for k, value in enumerate(angles)])
 
     def said(self, angles: Sequence[float]) -> str:
         """For people."""
@@ -116,24 +175,11 @@ def route(description: RigDescription, start: Pose, goal: Pose) -> list[Pose]:
     Raises
     ------
     Blocked
-        Two bodies would touch on every way that is tried.
+        Two bodies would touch, or a cable be torn, on every way that is tried.
     """
-    if not description.bodies:
+    if not description.looks_ahead:
         return [goal]
-    space = _space_of(description)
-    here, there, rest = _angles(start), _angles(goal), space.rest
-    first: Blocked | None = None
-    for stations in ((there,), (_with_holder(rest, here), _with_holder(rest, there), there), (rest, there)):
-        try:
-            out, at = [], here
-            for station in stations:
-                out += _legs(space, at, station) if station != at else []
-                at = station
-            return [Pose(*leg) for leg in out] or [goal]
-        except Blocked as blocked:
-            first = first or blocked
-    assert first is not None
-    raise first
+    return [Pose(*leg) for leg in _route(_space_of(description), _angles(start), _angles(goal))] or [goal]
 
 
 def legs(description: RigDescription, start: Pose, goals: dict[str, float]) -> list[dict[str, float]]:
@@ -143,51 +189,144 @@ def legs(description: RigDescription, start: Pose, goals: dict[str, float]) -> l
 
 
 def require_free(description: RigDescription, pose: Pose) -> None:
-    """Raise `Blocked` where there is no free way from the rest position to a pose, or none back.
+    """Raise `Blocked` where bodies are too close at a pose, or in the light there, or where there is no free way from
+    the rest position to it, or none back.
 
-    So between any two poses that are free in this sense there is a way: by the rest position.
+    So between any two poses that are free in this sense there is a way: by the rest position. That holds too where the
+    axes have landed up to `LANDING` beside them.
     """
-    if description.bodies:
-        rest = Pose(*_space_of(description).rest)
-        route(description, rest, pose)
-        route(description, pose, rest)
+    if not description.looks_ahead:
+        return
+    space, here = _space_of(description), _angles(pose)
+    _require_apart(space, here)
+    _require_lit(description, space, here)
+    if here != space.rest:
+        _way(space, space.rest, here, planned=True)
+        _way(space, here, space.rest, planned=True)
 
 
 def touching(description: RigDescription, pose: Pose) -> list[tuple[str, str]]:
-    """The pairs of bodies that are in each other, without any clearance."""
+    """The pairs of bodies that are in each other, without any clearance; of a torn cable its two ends."""
+    return [names for names, gap in gaps(description, [pose])[0].items() if gap < 0.0]
+
+
+def gaps(description: RigDescription, poses: Sequence[Pose]) -> list[dict[tuple[str, str], float]]:
+    """How far every two bodies are apart at each pose [mm]; of a cable how much longer it is than its ends are apart.
+
+    Bodies that are in each other have a gap below 0 where one of them has a radius, and -`SKIN_MM` where neither has.
+    """
     from gonio.rig import _gaps
 
-    space, angles = _space_of(description), np.array(_angles(pose))
-    clearance, ends, out = description.geometry.clearance_mm, np.empty((2, 2, 3)), []
-    for pair, (one, other) in enumerate(space.pairs):
-        for which in range(2):
-            for end in range(2):
-                _gaps.placed(space.on[pair, which], space.lines[pair, which, end], angles, ends[which, end])
-        if _gaps.between_lines(*ends[0], *ends[1]) < space.distances[pair] - clearance:
-            out.append((one.body, other.body))
-    return list(dict.fromkeys(out))
+    space = _space_of(description)
+    angles = np.array([space.true_angles(_angles(pose)) for pose in poses]).reshape(-1, len(NAMES))
+    out: list[dict[tuple[str, str], float]] = [{} for _ in poses]
+    for group in space.groups:
+        found = np.empty((len(poses), len(group.shapes)))
+        _gaps.spares(group.kinds, group.on, group.points, group.counts, group.distances, space.frames, angles, found)
+        for row, values in zip(out, found.tolist(), strict=True):
+            for (one, other), kind, spare in zip(group.shapes, group.kinds.tolist(), values, strict=True):
+                names = _ends(one) if kind == _gaps.TIED else (one.body, other.body)
+                gap = spare + (0.0 if kind == _gaps.TIED else space.clearance)
+                solid = kind == _gaps.APART and one.radius + other.radius == 0.0 and gap <= 0.0
+                row[names] = min(row.get(names, math.inf), -SKIN_MM if solid else gap)
+    return out
+
+
+def _ends(cable: Shape) -> tuple[str, str]:
+    return f"{cable.body}, {cable.on[0]} end", f"{cable.body}, {cable.on[1]} end"
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """A body where it stands: all within `radius` of the hull of some points of the lab, shape (n, 3) [mm]."""
+
+    name: str
+    on: tuple[str, str]
+    points: Floats
+    radius: float
+    cable: bool
+
+
+def outlines(description: RigDescription, pose: Pose) -> list[Outline]:
+    """The two heads, the bodies, and the cables that hang, for a picture."""
+    from gonio.rig import _gaps
+
+    space = _space_of(description)
+    angles, out = space.true_angles(_angles(pose)), []
+    for shape in space.shapes:
+        points = np.empty((len(shape.points), 3))
+        on = np.array([CARRIERS.index(each) for each in shape.on])
+        _gaps.placed(on, np.array(shape.points), len(points), angles, space.frames, points)
+        out.append(Outline(shape.body, shape.on, points, shape.radius, shape.cable))
+    return out
+
+
+def cable_ends(description: RigDescription, pose: Pose, cable: Cable) -> Floats:
+    """Where the two ends of a cable are in the lab, shape (2, 3) [mm]."""
+    from gonio.rig import _gaps
+
+    space, out = _space_of(description), np.empty((2, 3))
+    on = np.array([CARRIERS.index(cable.from_on), CARRIERS.index(cable.to_on)])
+    points = np.array([cable.from_mm, cable.to_mm])
+    _gaps.placed(on, points, 2, space.true_angles(_angles(pose)), space.frames, out)
+    return out
+
+
+def resting(description: RigDescription) -> Pose:
+    """The rest position: light on its lower limit, camera on its upper one, the others at 0."""
+    return Pose(*_space_of(description).rest)
+
+
+# ---- ways ----
+
+
+def _route(space: Space, start: Angles, goal: Angles) -> list[Angles]:
+    try:
+        return _way(space, start, goal)
+    except Blocked as blocked:
+        try:
+            return _way(space, start, space.rest) + _way(space, space.rest, goal)
+        except Blocked:
+            raise blocked from None
+
+
+def _way(space: Space, start: Angles, goal: Angles, *, planned: bool = False) -> list[Angles]:
+    """From start to goal, straight, or with the holder turned while the arms are at rest."""
+    first: Blocked | None = None
+    for stations in ((goal,), (_with_holder(space.rest, start), _with_holder(space.rest, goal), goal)):
+        try:
+            out, at = [], start
+            for station in stations:
+                out += _legs(space, at, station, planned) if station != at else []
+                at = station
+            return out
+        except Blocked as blocked:
+            first = first or blocked
+    assert first is not None
+    raise first
 
 
 def _with_holder(angles: Angles, holder: Angles) -> Angles:
     return angles[0], angles[1], holder[2], holder[3], angles[4]
 
 
-def _legs(space: Space, start: Angles, goal: Angles) -> list[Angles]:
+def _legs(space: Space, start: Angles, goal: Angles, planned: bool) -> list[Angles]:
     """From start to goal, all axes at once, or one group of axes after the other."""
     try:
-        _require_box(space, start, goal)
+        _require_box(space, start, goal, planned)
         return [goal]
     except Blocked as blocked:
         first = blocked
-    moving = [group for group in GROUPS if any(start[k] != goal[k] for k in group)]
-    for order in itertools.permutations(moving) if len(moving) > 1 else ():
-        legs = list(_one_by_one(start, goal, order))
-        try:
-            for before, after in itertools.pairwise([start, *legs]):
-                _require_box(space, before, after)
-            return legs
-        except Blocked:
-            continue
+    for groups in (GROUPS, SINGLY) if start[4] != goal[4] else (GROUPS,):
+        moving = [group for group in groups if any(start[k] != goal[k] for k in group)]
+        for order in itertools.permutations(moving) if len(moving) > 1 else ():
+            legs = list(_one_by_one(start, goal, order))
+            try:
+                for before, after in itertools.pairwise([start, *legs]):
+                    _require_box(space, before, after, planned)
+                return legs
+            except Blocked:
+                continue
     raise first
 
 
@@ -199,25 +338,133 @@ def _one_by_one(start: Angles, goal: Angles, order: Sequence[Sequence[int]]) -> 
         yield here[0], here[1], here[2], here[3], here[4]
 
 
-def _require_box(space: Space, start: Angles, goal: Angles) -> None:
+def _require_box(space: Space, start: Angles, goal: Angles, planned: bool) -> None:
     """Raise `Blocked` unless every combination of angles between start and goal, approach included, is free."""
     from gonio.rig import _gaps
 
-    lows, highs = space.box(start, goal)
-    pair, at = _gaps.first_too_close(
-        space.on, space.lines, space.levers, space.distances, FINEST_MM, MOST_BOXES, lows, highs
-    )
-    if pair >= 0:
-        one, other = (capsule.body for capsule in space.pairs[pair])
+    lows, highs = space.box(start, goal, 2.0 * LANDING if planned else LANDING)
+    for number, group in enumerate(space.groups):
+        key = (number, planned, *(float(ends[k]) for ends in (lows, highs) for k in group.axes))
+        if key not in space.known:
+            if len(space.known) >= MOST_KEPT:
+                space.known.clear()
+            more = np.where(group.kinds == _gaps.APART, PLANNED_MM, -PLANNED_MM) if planned else 0.0
+            pair, at = _gaps.first_too_close(
+                group.kinds, group.on, group.points, group.counts, group.levers, group.distances + more, space.frames,
+                FINEST_MM, MOST_BOXES, lows, highs,
+            )  # fmt: skip
+            space.known[key] = int(pair), tuple(at.tolist())
+        pair, near = space.known[key]
+        if pair >= 0:
+            one, other = group.shapes[pair]
+            torn = group.kinds[pair] == _gaps.TIED
+            verb, bodies = ("tear the cable", one.body) if torn else ("touch:", f"{one.body} and {other.body}")
+            where = ", ".join(
+                f"{NAMES[k]} {round(math.degrees(space.read(k, near[k])), 1) + 0.0:g}"
+                for k in group.axes
+                if NAMES[k] in space.names
+            )
+            raise Blocked(
+                f"the way from {space.said(start)} to {space.said(goal)} would {verb} {bodies}"
+                + (f", near {where} deg" if where else ""),
+                f"the way there would {verb}", bodies,
+            )  # fmt: skip
+
+
+def _require_apart(space: Space, at: Angles) -> None:
+    """Raise `Blocked` where bodies are closer than the clearance at a pose, or a cable is too short there."""
+    from gonio.rig import _gaps
+
+    angles = space.true_angles(at)[None, :]
+    for group in space.groups:
+        found = np.empty((1, len(group.shapes)))
+        _gaps.spares(group.kinds, group.on, group.points, group.counts, group.distances, space.frames, angles, found)
+        pair = int(np.argmin(found)) if found.size else 0
+        if not found.size or found[0, pair] > 0.0:
+            continue
+        one, other = group.shapes[pair]
+        if group.kinds[pair] == _gaps.TIED:
+            raise Blocked(
+                f"at {space.said(at)} the cable {one.body} is {-found[0, pair]:.1f} mm too short",
+                "where the point is measured, too short: the cable", one.body,
+            )  # fmt: skip
+        gap = found[0, pair] + space.clearance
+        apart = f"are {gap:.1f} mm apart, and geometry.clearance_mm = {space.clearance:g}"
+        if gap <= 0.0:
+            apart = "are in each other"
         raise Blocked(
-            f"the way from {space.said(start)} to {space.said(goal)} would touch: {one} and {other}, near "
-            f"{space.said(at)}",
-            f"{one} and {other}",
-        )
+            f"at {space.said(at)} {one.body} and {other.body} {apart}",
+            "where the point is measured, too close:", f"{one.body} and {other.body}",
+        )  # fmt: skip
 
 
 def _angles(pose: Pose) -> Angles:
     return pose.light, pose.camera, pose.tilt, pose.spin, pose.azimuth
+
+
+# ---- light ----
+
+
+def beams(description: RigDescription, pose: Pose) -> tuple[Floats, Floats]:
+    """The light from the lamp to what is measured of the sample, and from there to the lens: hulls of points in the
+    lab, each of shape (2 `RIM`, 3) [mm]; the first half lies on the sample."""
+    from gonio.rig import _gaps
+
+    space = _space_of(description)
+    angles, geometry = space.true_angles(_angles(pose)), description.geometry
+    onto, shift = np.empty((3, 3)), np.empty(3)
+    _gaps.carried(_gaps.SPIN, angles, space.frames, onto, shift)
+    centre, surface = misalignment.patch(description.holder)
+    middle, axes = onto @ centre + shift, onto @ surface
+    out = []
+    for name, axis, distance, half_angle_deg in (
+        ("light", description.arms.light, geometry.light_distance_mm, description.lamp.half_angle_deg),
+        ("camera", description.arms.camera, geometry.camera_distance_mm, description.camera.lens_half_angle_deg),
+    ):
+        _gaps.carried(CARRIERS.index(name), angles, space.frames, onto, shift)
+        end = onto @ np.array(misalignment.head(axis, distance)) + shift
+        toward = (end - middle) / np.linalg.norm(end - middle)
+        across = np.cross(toward, onto[:, 1])
+        across /= np.linalg.norm(across)
+        outward = math.copysign(1.0, float(toward @ axes[:, 2])) * axes[:, 2]
+        rim = _rim(middle, axes[:, 0], axes[:, 1], description.acquisition.roi_radius_mm)
+        disc = _rim(end, across, np.cross(toward, across), distance * math.tan(math.radians(half_angle_deg)))
+        both = np.concatenate([rim, disc])
+        height = (both - middle) @ outward
+        out.append(both + np.maximum(SKIN_MM - height, 0.0)[:, None] * outward)  # nothing comes through the surface
+    return out[0], out[1]
+
+
+def _rim(centre: Floats, x: Floats, y: Floats, radius: float) -> Floats:
+    turn = 2.0 * math.pi * np.arange(RIM) / RIM
+    out: Floats = centre + radius / math.cos(math.pi / RIM) * (
+        np.cos(turn)[:, None] * x + np.sin(turn)[:, None] * y
+    )  # around the circle
+    return out
+
+
+def _require_lit(description: RigDescription, space: Space, at: Angles) -> None:
+    """Raise `Blocked` where a body stands between lamp and sample, or between sample and camera.
+
+    What is on an arm does not stand in its own beam. Nor does a body that the sample lies in: a holder, whose opening
+    its capsule or box does not have.
+    """
+    from gonio.rig import _gaps
+
+    hulls = beams(description, Pose(*at))
+    angles, room = space.true_angles(at), np.empty((8, 3))
+    middle = np.ascontiguousarray([hulls[0][:RIM].mean(axis=0)])
+    for shape in space.shapes:
+        on = np.array([CARRIERS.index(each) for each in shape.on])
+        count, points = len(shape.points), np.array(shape.points)
+        _gaps.placed(on, points, count, angles, space.frames, room)
+        if _gaps.between(room, count, middle, 1, 0.0, np.inf) <= shape.radius:
+            continue
+        for hull, arm, words in zip(hulls, ("light", "camera"), ("of the light", "of the camera's sight"), strict=True):
+            if arm not in shape.on and _gaps.between(room, count, hull, len(hull), 0.0, np.inf) <= shape.radius:
+                raise Blocked(
+                    f"at {space.said(at)} {shape.body} stands in the way {words}", f"in the way {words}:", shape.body
+                )
 
 
 # ---- bodies ----
@@ -225,15 +472,18 @@ def _angles(pose: Pose) -> Angles:
 
 def _space_of(description: RigDescription) -> Space:
     return _space(
-        description.bodies, description.geometry, tuple(description.limits_deg().items()),
-        tuple(description.approach_deg().items()),
+        description.bodies, description.cables, description.geometry, description.arms, description.holder,
+        tuple(description.limits_deg().items()), tuple(description.approach_deg().items()),
     )  # fmt: skip
 
 
 @lru_cache(16)
 def _space(
     bodies: tuple[Body, ...],
+    cables: tuple[Cable, ...],
     geometry: Geometry,
+    arms: Arms,
+    holder: Holder,
     limits_deg: tuple[tuple[str, tuple[float, float]], ...],
     approach_deg: tuple[tuple[str, float], ...],
 ) -> Space:
@@ -241,63 +491,97 @@ def _space(
     rest = {name: min(max(0.0, lower), upper) for name, (lower, upper) in limits.items()}
     rest |= {"light": limits["light"][0], "camera": limits["camera"][1]}  # out of each other's way
     approach = {name: math.radians(value) for name, value in approach_deg}
-    pairs = _pairs(bodies, geometry)
-    levers = np.zeros((len(pairs), len(NAMES)))
-    for k, pair in enumerate(pairs):
-        for capsule in pair:
-            for axis, lever in capsule.levers().items():
-                levers[k, axis] += lever
+    frames = misalignment.frames(arms, holder)
+    shapes = _shapes(bodies, cables, geometry, arms)
+    by_axes: dict[tuple[int, ...], list[tuple[int, Shape, Shape, float]]] = {}
+    for kind, one, other, distance in _pairs(shapes, cables, geometry):
+        axes = tuple(sorted({*one.levers(frames), *other.levers(frames)}))
+        by_axes.setdefault(axes, []).append((kind, one, other, distance))
+    encoders = {"light": arms.light, "camera": arms.camera, "azimuth": arms.azimuth}
+    rows = [axis.harmonics_deg if (axis := encoders.get(name)) is not None else () for name in NAMES]
     return Space(
         names=tuple(limits),
         rest=_angles(Pose(**rest)),
         limits=tuple(limits.get(name, (0.0, 0.0)) for name in NAMES),
         approach=_angles(Pose(**approach)),
-        pairs=pairs,
-        on=np.array([[CARRIERS.index(capsule.on) for capsule in pair] for pair in pairs]).reshape(-1, 2),
-        lines=np.array([[capsule.ends for capsule in pair] for pair in pairs]).reshape(-1, 2, 2, 3),
-        levers=levers,
-        distances=np.array([one.radius + other.radius + geometry.clearance_mm for one, other in pairs]),
+        frames=frames,
+        clearance=geometry.clearance_mm,
+        shapes=shapes,
+        groups=tuple(_together(axes, pairs, frames) for axes, pairs in by_axes.items()),
+        harmonics=tuple(tuple((k, math.radians(c), math.radians(s)) for k, c, s in each) for each in rows),
     )
 
 
-def _pairs(bodies: tuple[Body, ...], geometry: Geometry) -> tuple[tuple[Capsule, Capsule], ...]:
-    """Every two capsules that can move against each other."""
-    heads = [
-        _ball("source head", "light", geometry.light_distance_mm, geometry.light_body_radius_mm),
-        _ball("camera head", "camera", geometry.camera_distance_mm, geometry.camera_body_radius_mm),
-    ]
-    capsules = [head for head in heads if head.radius > 0.0] + [part for body in bodies for part in _parts(body)]
-    return tuple((a, b) for a, b in itertools.combinations(capsules, 2) if _carrier(a.on) != _carrier(b.on))
+def _together(axes: tuple[int, ...], pairs: list[tuple[int, Shape, Shape, float]], frames: Floats) -> Pairs:
+    points, levers = np.zeros((len(pairs), 2, 8, 3)), np.zeros((len(pairs), len(NAMES)))
+    for number, (_, *shapes, _) in enumerate(pairs):
+        for which, shape in enumerate(shapes):
+            points[number, which, : len(shape.points)] = shape.points
+            for axis, lever in shape.levers(frames).items():
+                levers[number, axis] += lever
+    return Pairs(
+        axes=axes,
+        shapes=tuple((one, other) for _, one, other, _ in pairs),
+        kinds=np.array([kind for kind, *_ in pairs]),
+        on=np.array([[[CARRIERS.index(on) for on in shape.on] for shape in shapes] for _, *shapes, _ in pairs]),
+        points=points,
+        counts=np.array([[len(shape.points) for shape in shapes] for _, *shapes, _ in pairs]),
+        levers=levers,
+        distances=np.array([distance for *_, distance in pairs]),
+    )
+
+
+def _pairs(
+    shapes: Sequence[Shape], cables: Sequence[Cable], geometry: Geometry
+) -> Iterator[tuple[int, Shape, Shape, float]]:
+    """Every two shapes that can move against each other, and the two ends of each cable.
+
+    Cables may lie on each other, and on what carries their own ends.
+    """
+    from gonio.rig import _gaps
+
+    for one, other in itertools.combinations(shapes, 2):
+        if (one.cable and other.cable) or {*map(_carrier, one.on)} & {*map(_carrier, other.on)}:
+            continue
+        yield _gaps.APART, one, other, one.radius + other.radius + geometry.clearance_mm
+    for cable in cables:
+        ends = [
+            Shape(cable.name, (on, other), (at,), 0.0, cable=True)
+            for on, other, at in (
+                (cable.from_on, cable.to_on, cable.from_mm),
+                (cable.to_on, cable.from_on, cable.to_mm),
+            )
+        ]
+        yield _gaps.TIED, ends[0], ends[1], cable.length_mm
 
 
 def _carrier(on: str) -> str:
     return "holder" if on in ("tilt", "spin") else on
 
 
-def _ball(name: str, on: str, distance: float, radius: float) -> Capsule:
-    centre = (0.0, 0.0, distance)
-    return Capsule(name, on, (centre, centre), radius)
+def _shapes(bodies: tuple[Body, ...], cables: tuple[Cable, ...], geometry: Geometry, arms: Arms) -> tuple[Shape, ...]:
+    """The two heads, the bodies, and the cables that hang."""
+    heads = []
+    for name, on, axis, distance, radius in (
+        ("source head", "light", arms.light, geometry.light_distance_mm, geometry.light_body_radius_mm),
+        ("camera head", "camera", arms.camera, geometry.camera_distance_mm, geometry.camera_body_radius_mm),
+    ):
+        if radius > 0.0:
+            heads.append(Shape(name, (on, on), (misalignment.head(axis, distance),), radius))
+    hanging = [
+        Shape(c.name, (c.from_on, c.to_on), (c.from_mm, c.to_mm), c.radius_mm + c.sag_mm, cable=True)
+        for c in cables
+        if c.sag_mm is not None
+    ]
+    return (*heads, *map(_shape, bodies), *hanging)
 
 
-def _parts(body: Body) -> list[Capsule]:
-    """The capsules that cover a body; a box is covered by bundles along its longest edge, and a little larger so."""
+def _shape(body: Body) -> Shape:
     if body.from_mm is not None and body.to_mm is not None and body.radius_mm is not None:
-        return [Capsule(body.name, body.on, (body.from_mm, body.to_mm), body.radius_mm)]
+        points = (body.from_mm,) if body.from_mm == body.to_mm else (body.from_mm, body.to_mm)
+        return Shape(body.name, (body.on, body.on), points, body.radius_mm)
     assert body.centre_mm is not None
     assert body.size_mm is not None
-    size, centre = body.size_mm, body.centre_mm
-    order = sorted(range(3), key=lambda k: size[k])
-    cell = size[order[0]] / 2
-    counts = [min(MOST_STRIPS, math.ceil(size[k] / cell)) for k in order[:2]]
-    steps = [size[k] / count for k, count in zip(order, counts, strict=False)]
-    out = []
-    for places in itertools.product(*(range(count) for count in counts)):
-        ends: list[list[float]] = [list(centre), list(centre)]
-        for k, place, step in zip(order, places, steps, strict=False):
-            for end in ends:
-                end[k] += (place + 0.5) * step - size[k] / 2
-        ends[0][order[2]] -= size[order[2]] / 2
-        ends[1][order[2]] += size[order[2]] / 2
-        line = (ends[0][0], ends[0][1], ends[0][2]), (ends[1][0], ends[1][1], ends[1][2])
-        out.append(Capsule(body.name, body.on, line, math.hypot(*steps) / 2))
-    return out
+    sides = [(c - s / 2, c + s / 2) for c, s in zip(body.centre_mm, body.size_mm, strict=True)]
+    corners = tuple((x, y, z) for x in sides[0] for y in sides[1] for z in sides[2])
+    return Shape(body.name, (body.on, body.on), corners, 0.0)

@@ -172,7 +172,7 @@ class SimulatedArms:
         self._moves += 1
         self._world.spend(max(durations) + SETTLE_S)
         self._publish()
-        if self._world.description.bodies:
+        if self._world.description.looks_ahead:
             self._collide(before, goals)
 
     def _collide(self, before: Pose, goals: Mapping[str, float]) -> None:
