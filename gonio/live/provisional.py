@@ -38,8 +38,8 @@ class Values:
     """1/sr."""
     u: Floats
     """Standard uncertainty [1/sr] of what is counted here."""
-    visits: list[tuple[float, float, float]]
-    """Of each visit to the reference: time [s], its level over that of the first, standard uncertainty of that."""
+    visits: list[tuple[int, float, float]]
+    """Of each visit to the reference: its step, its level over that of the first, standard uncertainty of that."""
 
 
 class Provisional:
@@ -83,7 +83,8 @@ class Provisional:
         for k, band in enumerate(self._run.bands):
             taken = [(number, rates[k]) for number, rates in sorted(self._rates.items())]
             points = [(number, r) for number, r in taken if r is not None and r.point is not None]
-            visits = [r for _, r in taken if r is not None and r.point is None]
+            visited = [(number, r) for number, r in taken if r is not None and r.point is None]
+            visits = [r for _, r in visited]
             if not visits:
                 continue
             try:
@@ -107,14 +108,15 @@ class Provisional:
                     Directions.stack([r.directions for _, r in points]),
                     brdf,
                     u,
-                    [_visit(visit, first) for visit in sorted(visits, key=lambda visit: visit.time_s)],
+                    [(number, *_over(r, first)) for number, r in sorted(visited, key=lambda pair: pair[1].time_s)],
                 )
             )
         return out
 
 
-def _visit(visit: Reduced, first: Reduced) -> tuple[float, float, float]:
+def _over(visit: Reduced, first: Reduced) -> tuple[float, float]:
+    """The level of a visit over that of the first one, and the standard uncertainty of that."""
     ratio = visit.rate / first.rate
     own = math.sqrt(visit.variance) / abs(visit.rate)
     u = 0.0 if visit is first else abs(ratio) * math.hypot(own, math.sqrt(first.variance) / abs(first.rate))
-    return visit.time_s, ratio, u
+    return ratio, u

@@ -56,6 +56,8 @@ class Story:
     """The name of the last frame that shows something, and the number of its step."""
     why: dict[str, str] = field(default_factory=dict)
     """For what the run waits, by rule."""
+    visits_s: dict[int, float] = field(default_factory=dict)
+    """When each visit to the reference was written down [s since 1970], by its step."""
     stopped: str = ""
     """How it came to its end, or ""."""
     _durations: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
@@ -104,6 +106,8 @@ class Story:
         self._waited, self.stopped, self.why = False, "", {}
         number, point, flag = int(event["step"]), event.get("point"), str(event.get("flag", ""))
         self.done[number] = str(event.get("kind", ""))
+        if event.get("kind") == "reference":
+            self.visits_s[number] = at
         self.total = max(self.total, len(self.done))
         if self.sittings:
             self.sittings[-1].steps += 1

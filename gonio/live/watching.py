@@ -1,7 +1,7 @@
 """A run that is being measured, or was: its journal as events of a page, its values so far, its last frame.
 
-Everything here reads. A thread looks at the journal every `POLL_S`. Another one reduces frames, only while somebody
-looks at a page, and only in time that no other program wants.
+Everything here reads. A thread looks at the journal every `POLL_S`. Another one reduces frames while somebody looks
+at a page: with the lowest priority, and in a tenth of its time at most.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import json
 import os
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -36,8 +37,12 @@ LOOK_S = 1.0
 """So often it is told how much room the disk has, and whether the process that measures lives."""
 PICTURE_S = 1.0
 """A frame is made a picture of at most so often."""
-MADE_S = 1.0
-"""Values are handed on at most so often."""
+TOLD_S = 0.7
+"""Values are handed on so often, while there are more to come."""
+PATIENCE_S = 5.0
+"""A step that is being reduced at the end is waited for so long at most."""
+SHARE = 0.1
+"""Of a processor, while the run goes on: the time that reducing may take."""
 
 
 class Watched:
@@ -66,8 +71,10 @@ class Watched:
         self._ended = False
         self._life = 0
         """Goes up where all is read anew."""
-        self._waiting: list[Event] = []
-        """Steps that are not reduced yet, and "lost" among them."""
+        self._first: deque[Event] = deque()
+        """What is reduced before all else, in order: darks, visits to the reference, and what was lost."""
+        self._points: deque[Event] = deque()
+        """Points that are not reduced yet; the newest one is the next."""
         self._steps: dict[int, Event] = {}
         self._picture: tuple[str, bytes] | None = None
         self._pictured = -PICTURE_S
@@ -78,22 +85,32 @@ class Watched:
         ]
 
     def __enter__(self) -> Self:
-        for thread in self._threads:
-            thread.start()
+        try:
+            for thread in self._threads:
+                thread.start()
+        except BaseException:
+            self.close()
+            raise
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Follow no more."""
         with self._news:
             self._ended = True
             self._news.notify_all()
-        self._threads[0].join()
+        for thread in self._threads:
+            if thread.ident is not None:
+                thread.join(PATIENCE_S)
 
     @property
     def behind(self) -> int:
         """How many steps are not reduced yet."""
-        return len(self._waiting)
+        return len(self._first) + len(self._points)
 
     def events_after(self, number: int) -> list[dict[str, Any]]:
         """What a page knows of the journal's events beyond the first `number`."""
@@ -115,6 +132,8 @@ class Watched:
         """Read what is new in the journal; whether there was something."""
         new = False
         for events in self._follower.poll():
+            if self._ended:
+                break
             if self._follower.lives != self._life:
                 self._begin_anew()
             if self.run is None and events:
@@ -131,15 +150,25 @@ class Watched:
                 self.log.append(*out)
             if reduced:
                 with self._news:
-                    self._waiting += reduced
+                    for event in reduced:
+                        self._wait_for(event)
                     self._news.notify_all()
         return new
+
+    def _wait_for(self, event: Event) -> None:
+        if event.get("event") == "lost":
+            gone = set(event.get("steps", []))
+            self._points = deque(step for step in self._points if step["step"] not in gone)
+            self._first = deque(step for step in self._first if step.get("step") not in gone)
+        (self._points if event.get("kind") == "point" else self._first).append(event)
 
     def _begin_anew(self) -> None:
         """Another journal is in the place of the one that was read."""
         with self._news:
             self._life = self._follower.lives
-            self.story, self.run, self._waiting, self.values = Story(), None, [], []
+            self.story, self.run, self.values = Story(), None, []
+            self._first.clear()
+            self._points.clear()
         self.log.restart()
         self.log.tell("hello", {"journal": self._follower.identity})
 
@@ -192,6 +221,7 @@ class Watched:
             "why": "; ".join(text for text in (why, self._follower.damaged, self.problem) if text),
             "done": len(story.done),
             "total": story.total,
+            "events": len(self.log),
             "points": sum(kind == "point" for kind in story.done.values()),
             "flagged": story.flagged,
             "step_s": rounded(step_s, 3) if step_s is not None else None,
@@ -210,7 +240,7 @@ class Watched:
 
     def _reduce(self) -> None:
         give_way()
-        made, made_s = 0, -MADE_S
+        made, told_s = -1, -TOLD_S
         provisional: Provisional | None = None
         while True:
             with self._news:
@@ -219,31 +249,37 @@ class Watched:
                     return
                 if not self._is_wanted():
                     continue
-                life, run = self._life, self.run
-                waiting, self._waiting = self._waiting[:8], self._waiting[8:]
+                life, run, event = self._life, self.run, self._first.popleft() if self._first else self._points.pop()
+            began = time.monotonic()
             if made != life or provisional is None:
-                provisional, made = Provisional(run), life  # type: ignore[arg-type]
-            self._reduce_some(provisional, waiting)
-            if not self._waiting or time.monotonic() - made_s >= MADE_S:
-                made_s = time.monotonic()
+                assert run is not None, "a step is there after its run was opened"
+                provisional, made = Provisional(run), life
+            self._reduce_one(provisional, event)
+            if not self.behind or time.monotonic() - told_s >= TOLD_S:
+                told_s = time.monotonic()
                 values = provisional.values()
-                if life == self._life:
+                with self._news:
+                    if life != self._life:
+                        continue
                     self.values = values
-                    if self._changed is not None:
-                        self._changed(self)
+                if self._changed is not None:
+                    self._changed(self)
+            if not self.story.stopped:
+                with self._news:
+                    worked = time.monotonic() - began
+                    self._news.wait_for(lambda: self._ended, worked * (1.0 / SHARE - 1.0))
 
     def _is_wanted(self) -> bool:
-        return bool(self._waiting) and self.run is not None and (self.wanted or self.log.listeners > 0)
+        return self.behind > 0 and self.run is not None and (self.wanted or self.log.listeners > 0)
 
-    def _reduce_some(self, provisional: Provisional, waiting: list[Event]) -> None:
-        for event in waiting:
-            if event.get("event") == "lost":
-                provisional.drop(map(int, event.get("steps", [])))
-                continue
-            try:
-                provisional.add(StepRecord.from_json(event))
-            except (GonioError, OSError) as error:
-                self.log.tell("problem", {"text": f"step {event.get('step')} is not shown: {error}"})
+    def _reduce_one(self, provisional: Provisional, event: Event) -> None:
+        if event.get("event") == "lost":
+            provisional.drop(map(int, event.get("steps", [])))
+            return
+        try:
+            provisional.add(StepRecord.from_json(event))
+        except (GonioError, OSError) as error:
+            self.log.tell("problem", {"text": f"step {event.get('step')} is not shown: {error}"})
 
     # --- the last frame ----------------------------------------------------------------------------------------------
 
@@ -257,7 +293,6 @@ class Watched:
                     time.sleep(max(0.0, self._pictured + PICTURE_S - time.monotonic()))
                     event = self._steps.get(number)
                     step = StepRecord.from_json(event) if event is not None else None
-                    give_way()
                     with contextlib.suppress(GonioError, OSError):
                         self._picture = name, png(run.description, read_raw(run.frame_path(name)), step)
                         self._pictured = time.monotonic()
@@ -265,7 +300,6 @@ class Watched:
 
 
 def give_way() -> None:
-    """Run the thread that calls this only where no other program wants the processor."""
-    if hasattr(os, "SCHED_IDLE"):
-        with contextlib.suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    """Let every other program go before the thread that calls this."""
+    with contextlib.suppress(AttributeError, OSError):
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 19)

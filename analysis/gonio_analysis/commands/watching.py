@@ -21,7 +21,7 @@ class _Curves:
 
     def __init__(self) -> None:
         self._version = 0
-        self._made: tuple[int, bytes] = (0, watching.encoded(watching.so_far("", [], [], 0)))
+        self._made: tuple[int, bytes] = (0, watching.encoded(watching.so_far("", [], [], {}, 0)))
         self._one = threading.Lock()
         self.watched: Watched | None = None
 
@@ -35,7 +35,9 @@ class _Curves:
             if watched is not None and self._made[0] != self._version:
                 version = self._version
                 name = watched.path.absolute().name
-                shown = watching.so_far(name, watched.values, watched.story.angles_deg, watched.behind)
+                shown = watching.so_far(
+                    name, watched.values, watched.story.angles_deg, watched.story.visits_s, watched.behind
+                )
                 self._made = version, watching.encoded(shown)
             return Content(self._made[1], "application/json")
 

@@ -121,7 +121,7 @@
       root.append(
         html("div", { class: "choices" }, ...choices),
         boxes("Curves", order, this.labels, "curve"),
-        boxes("Shown", [...data.points, ...data.models], this.series, "series"),
+        ...(data.points.length + data.models.length > 1 ? [boxes("Shown", [...data.points, ...data.models], this.series, "series")] : []),
         this.stage, this.output, ...(data.note ? [html("p", { class: "note" }, data.note)] : []),
       );
       this.resized.observe(this.stage);

@@ -45,7 +45,7 @@
     if (event.event === "step") {
       steps += 1;
       const t = Date.parse(event.wall) / 3.6e6;
-      if (event.kind !== "dark") levels.push([t, event.level, event.kind]);
+      if (event.kind !== "dark") levels.push([t, event.level]);
       for (const [device, quantity, value, unit] of event.health || []) {
         if (typeof value !== "number" || unit === "deg") continue;
         if (!health.has(quantity)) health.set(quantity, { unit, devices: new Map() });
@@ -258,7 +258,7 @@
   let due = 0;
   function draw(...what) {
     for (const name of what) dirty.add(name);
-    if (!due) due = setTimeout(() => requestAnimationFrame(paint), dirty.has("status") ? 0 : 60);
+    if (!due) due = setTimeout(paint, dirty.has("status") ? 0 : 60);
   }
   function paint() {
     const now = new Set(dirty);
@@ -273,49 +273,69 @@
     }, 150);
   }
 
+  // --- requests go through a worker: what fails in a page's own name fills its console ----------------------------------
+  const WORK = `onmessage = async ({ data: [id, url, method] }) => {
+    try {
+      const answer = await fetch(url, { method, cache: "no-store" });
+      postMessage([id, answer.status, answer.ok ? await answer.blob() : null]);
+    } catch {
+      postMessage([id, 0, null]);
+    }
+  };`;
+  const worker = new Worker(URL.createObjectURL(new Blob([WORK], { type: "text/javascript" })));
+  const waiting = new Map();
+  worker.addEventListener("message", ({ data: [id, code, body] }) => {
+    waiting.get(id)({ code, body });
+    waiting.delete(id);
+  });
+  let requests = 0;
+  /** The status code of an answer (0 where none came) and its body, a blob. */
+  function get(path, method = "GET") {
+    return new Promise((done) => {
+      waiting.set(requests += 1, done);
+      worker.postMessage([requests, new URL(path, location.href).href, method]);
+    });
+  }
+
   // --- values and the last frame ---------------------------------------------------------------------------------------
   let fetching = false, newest = 0, fetched = 0;
   async function fetchCurves() {
     if (fetching || fetched === newest) return;
     fetching = true;
-    const version = newest;
-    try {
-      const answer = await fetch(ask("curves", `&v=${version}`), { cache: "no-store" });
-      if (answer.ok) {
-        curves = await answer.json();
-        fetched = version;
-        if (curves.view && curves.view.waves.length) {
-          $("no-curves").hidden = true;
-          $("curves").show(curves.view);
-        }
-        text("behind", curves.says);
-        draw("charts", "map");
+    const version = newest, { code, body } = await get(ask("curves", `&v=${version}`));
+    if (code === 200) {
+      curves = JSON.parse(await body.text());
+      fetched = version;
+      if (curves.view) {
+        $("no-curves").hidden = true;
+        $("curves").show(curves.view);
       }
-    } catch { /* the stream tells that the server has gone */ }
+      text("behind", curves.says);
+      draw("charts", "map");
+    }
     fetching = false;
-    if (connected && fetched === version) fetchCurves();
+    if (connected && code === 200) fetchCurves();
   }
   let picture = "", loading = false;
-  function loadFrame() {
+  async function loadFrame() {
     const name = status.frame;
     if (!name || name === picture || loading || !connected) return;
     loading = true;
-    const next = new Image();
-    const done = () => { loading = false; setTimeout(loadFrame, 200); };
-    next.addEventListener("load", () => {
-      picture = name;
-      const shown = $("frame");
-      shown.src = next.src;
+    const { code, body } = await get(ask("frame", `&v=${encodeURIComponent(name)}`));
+    if (code === 200) {
+      const shown = $("frame"), before = shown.src;
+      shown.src = URL.createObjectURL(body);
+      if (before) URL.revokeObjectURL(before);
       shown.hidden = false;
       $("no-frame").hidden = true;
-      text("frame-says", `${name}; outline: what is averaged; red: saturated`);
-      done();
-    });
-    next.addEventListener("error", () => { picture = name; done(); });
-    next.src = ask("frame", `&v=${encodeURIComponent(name)}`);
+      text("frame-says", `step ${status.frame_step}, ${name}; outline: what is averaged; red: saturated`);
+    }
+    if (code) picture = name;
+    loading = false;
+    if (code) setTimeout(loadFrame, 200);
   }
 
-  // --- the stream: one a tab, none while it is hidden ------------------------------------------------------------------
+  // --- the stream: one a tab, none while it is hidden (a browser has six connections for all tabs) ----------------------
   let source = null, connected = false, again = 0;
   function serverIs(lost, said) {
     $("server").className = lost ? "lost" : "live";
@@ -326,10 +346,28 @@
     if (source) source.close();
     [source, connected] = [null, false];
   }
+  /** A hidden tab takes what is new, and closes its stream. */
+  function closeIfHidden() {
+    if (!document.hidden || !source || status.events === undefined || last < status.events) return;
+    close();
+    again = setTimeout(open, 20000);
+  }
+  /** Ask every second whether the server is there again. */
+  function seek(said) {
+    close();
+    serverIs(true, said);
+    const look = async () => {
+      const { code } = await get(ask("events"), "HEAD");
+      if (source) return;
+      if (code === 200) open();
+      else again = setTimeout(look, 1000);
+      if (code === 403) serverIs(true, "this page's address is an old one: open the one that gonio watch prints");
+    };
+    again = setTimeout(look, 1000);
+  }
   function open() {
     close();
-    if (document.hidden) return;
-    const own = new EventSource(ask("events", `&after=${last}`));
+    const own = new EventSource(ask("events", `&last-event-id=${last}`));
     source = own;
     const on = (kind, heard) => own.addEventListener(kind, (message) => { if (own === source) heard(JSON.parse(message.data), message); });
     own.addEventListener("open", () => {
@@ -338,12 +376,13 @@
       serverIs(false, "live");
     });
     on("hello", (data) => {
-      if (journal !== null && journal !== data.journal) { // another journal is in its place: all is read anew
+      const other = journal !== null && journal !== data.journal;
+      if (other) { // another journal is in its place: all is read anew
         forget();
-        journal = data.journal;
         draw("status", "lists", "charts", "map");
-        open();
-      } else journal = data.journal;
+      }
+      journal = data.journal;
+      if (other) open();
     });
     on("journal", (data, message) => {
       const number = Number(message.lastEventId);
@@ -351,28 +390,24 @@
       last = number;
       take(data);
       draw("status", "lists", "charts");
+      closeIfHidden();
     });
     on("run", (data) => { run = data; draw("status", "lists", "map"); });
     on("status", (data) => {
       status = { ...data, latest: status.latest, shown: status.shown };
       draw("status");
       loadFrame();
+      closeIfHidden();
     });
     on("curves", (data) => { newest = data.version; fetched = fetched === newest ? -1 : fetched; fetchCurves(); });
     on("problem", (data) => text("behind", data.text));
-    on("bye", () => {
-      close();
-      serverIs(true, "the server has ended; start gonio watch again, and this page goes on");
-      again = setTimeout(open, 5000);
-    });
-    own.addEventListener("error", () => {
-      if (own !== source) return;
-      connected = false;
-      serverIs(true, "the server does not answer; asking again");
-      if (own.readyState === EventSource.CLOSED) again = setTimeout(open, 3000);
-    });
+    on("bye", () => seek("the server has ended; start gonio watch again, and this page goes on"));
+    own.addEventListener("error", () => { if (own === source) seek("the server does not answer; asking again"); });
   }
-  document.addEventListener("visibilitychange", () => { if (document.hidden) close(); else open(); });
+  document.addEventListener("visibilitychange", () => {
+    if (document.hidden) closeIfHidden();
+    else if (!source && $("server").className !== "lost") open();
+  });
   window.addEventListener("pagehide", close);
   window.addEventListener("pageshow", () => { if (!source) open(); });
   open();

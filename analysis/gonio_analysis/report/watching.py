@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import TypedDict
 
@@ -66,7 +66,13 @@ def _file(name: str) -> str:
     return files("gonio_analysis.report").joinpath(name).read_text(encoding="utf-8")
 
 
-def so_far(name: str, known: Sequence[Values], nominal_deg: Sequence[Sequence[float]], behind: int) -> SoFar:
+def so_far(
+    name: str,
+    known: Sequence[Values],
+    nominal_deg: Sequence[Sequence[float]],
+    visits_s: Mapping[int, float],
+    behind: int,
+) -> SoFar:
     """Curves, maps and visits of a run so far.
 
     Parameters
@@ -78,6 +84,8 @@ def so_far(name: str, known: Sequence[Values], nominal_deg: Sequence[Sequence[fl
     nominal_deg
         The four angles of each point that was asked for. Values are drawn there: what the encoders read is up to some
         tenths of a degree beside it, and a curve must not change its name with every value.
+    visits_s
+        When the visits to the reference were written down [s since 1970], by their steps.
     behind
         How many steps are not reduced yet.
     """
@@ -118,7 +126,7 @@ def so_far(name: str, known: Sequence[Values], nominal_deg: Sequence[Sequence[fl
     visits: list[Visits] = [
         {
             "name": v.band.name,
-            "points": [(rounded(t / 3600.0, 12), rounded(r, 7), rounded(u, 3)) for t, r, u in v.visits],
+            "points": [(visits_s.get(n, 0.0) / 3600.0, rounded(r, 7), rounded(u, 3)) for n, r, u in v.visits],
         }
         for v in known
     ]
