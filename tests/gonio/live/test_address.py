@@ -41,8 +41,8 @@ def test_a_file_that_others_could_read_is_not_trusted(home: Path, tmp_path: Path
 
 @pytest.mark.parametrize(
     "text",
-    ["", "[]", "{}", '{"port": 0, "token": "%s"}' % TOKEN, '{"port": 99999, "token": "%s"}' % TOKEN,
-     '{"port": 4000, "token": "short"}', json.dumps({"port": 4000, "token": "x" * 40 + "\n"})],
+    ["", "[]", "{}", json.dumps({"port": 0, "token": TOKEN}), json.dumps({"port": 99999, "token": TOKEN}),
+     json.dumps({"port": 4000, "token": "short"}), json.dumps({"port": 4000, "token": "x" * 40 + "\n"})],
 )  # fmt: skip
 def test_a_damaged_file_counts_for_nothing(home: Path, tmp_path: Path, text: str) -> None:
     address.remember(tmp_path / "run", 40123, TOKEN)
