@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gonio.acquisition.records import FrameRecord
 from gonio.acquisition.run import Run
 from gonio.live.provisional import Provisional
 from gonio.reduction import brdf
 from gonio.reduction.count_rates import RunFrames
+from gonio.rig import Frame
 from tests.gonio.live.runs import measured
 
 NARROW = """
@@ -60,7 +62,12 @@ def test_a_step_is_read_once(whole: Path, monkeypatch: pytest.MonkeyPatch) -> No
     run, read = Run.open(whole), list[str]()
     found = Provisional(run)
     original = RunFrames.read
-    monkeypatch.setattr(RunFrames, "read", lambda self, entry: (read.append(entry.file), original(self, entry))[1])
+
+    def reading(frames: RunFrames, entry: FrameRecord) -> Frame:
+        read.append(entry.file)
+        return original(frames, entry)
+
+    monkeypatch.setattr(RunFrames, "read", reading)
     for step in run.steps():
         found.add(step)
         found.values()

@@ -63,8 +63,9 @@ def played(whole: Path, tmp_path: Path) -> Iterator[Played]:
 @contextmanager
 def served(run: Path, like: Server | None = None) -> Iterator[Server]:
     """The page of a run; at the address of an earlier one."""
-    shown, again = Shown(run), {} if like is None else {"port": like.port, "token": like.token}
-    with Server(shown.routes, shown.watched.log, **again) as server, shown.watched:
+    shown = Shown(run)
+    port, token = (0, None) if like is None else (like.port, like.token)
+    with Server(shown.routes, shown.watched.log, port=port, token=token) as server, shown.watched:
         yield server
 
 
@@ -93,13 +94,13 @@ def test_a_run_is_waited_for_and_shown_as_it_is_measured(page: Page, played: Pla
         played.go_on(4)
         has(page, "done", "6")
         assert page.run("document.querySelector('.columns').getBoundingClientRect().top") == at, "nothing jumps"
-        page.until("document.querySelectorAll('#curves .stage circle').length > 0")
+        page.until("document.querySelectorAll('#curves .stage g > [transform]').length > 0")
         page.until("!document.getElementById('frame').hidden && document.getElementById('frame').naturalWidth === 64")
         played.go_on(100)
         has(page, "state", "ended")
         taken(page, len(played.lines))
         assert page.run("gonioWatch.steps") == 24
-        page.until("document.querySelectorAll('#curves .stage circle, #curves .stage path[fill]').length === 12")
+        page.until("document.querySelectorAll('#curves .stage g > [transform]').length === 12")
         page.until("document.querySelectorAll('#map circle[stroke]').length === 10")  # of one angle of incidence
 
 
