@@ -15,21 +15,21 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from gonio.acquisition.journal import Event
 from gonio.acquisition.records import StepRecord
-from gonio.acquisition.run import Run
 from gonio.errors import GonioError
 from gonio.geometry import IN_PLANE, Directions
 from gonio.live.follow import Follower
-from gonio.live.picture import png
-from gonio.live.provisional import Provisional, Values
 from gonio.live.server import Content, EventLog, Request
 from gonio.live.story import Story, rounded
-from gonio.rig.dng import read_raw
+
+if TYPE_CHECKING:
+    from gonio.acquisition.run import Run
+    from gonio.live.provisional import Provisional, Values
 
 POLL_S = 0.2
 """The journal is looked at so often."""
@@ -174,6 +174,8 @@ class Watched:
 
     def _open(self) -> None:
         """Read what was asked for, now that the run has begun."""
+        from gonio.acquisition.run import Run
+
         try:
             run = Run.open(self.path)
             planned = run.planned
@@ -240,6 +242,11 @@ class Watched:
 
     def _reduce(self) -> None:
         give_way()
+        with self._news:
+            while not (self._ended or self._is_wanted()):
+                self._news.wait(1.0)  # nobody tells that a page was opened
+        from gonio.live.provisional import Provisional
+
         made, told_s = -1, -TOLD_S
         provisional: Provisional | None = None
         while True:
@@ -285,6 +292,9 @@ class Watched:
 
     def picture(self, request: Request) -> Content | None:
         """The last frame as a PNG; None where there is none yet."""
+        from gonio.live.picture import png
+        from gonio.rig.dng import read_raw
+
         with self._one_picture:
             latest, run = self.story.latest_frame, self.run
             if latest is not None and run is not None:

@@ -12,7 +12,6 @@ from gonio.errors import ConfigError
 from gonio.live import address, terminal
 from gonio.live.server import Content, Request, Route, Server
 from gonio.live.watching import Watched
-from gonio_analysis.report import watching
 
 
 class Shown:
@@ -21,7 +20,7 @@ class Shown:
     def __init__(self, run: Path) -> None:
         self.watched = Watched(run, self._changed)
         self.routes: dict[str, Route] = {
-            "/": lambda request: Content(watching.page(request.nonce), "text/html"),
+            "/": self._page,
             "/curves": self._curves,
             "/frame": self.watched.picture,
         }
@@ -33,14 +32,21 @@ class Shown:
         self._version += 1
         watched.log.tell("curves", {"version": self._version})
 
+    def _page(self, request: Request) -> Content:
+        from gonio_analysis.report.watching import page  # what draws takes seconds to be imported: nobody may look
+
+        return Content(page(request.nonce), "text/html")
+
     def _curves(self, request: Request) -> Content:
         """The newest values, made when they are asked for."""
+        from gonio_analysis.report.watching import encoded, so_far
+
         with self._one:
             if self._made is None or self._made[0] != self._version:
                 version, watched = self._version, self.watched
                 story, name = watched.story, watched.path.absolute().name
-                shown = watching.so_far(name, watched.values, story.angles_deg, story.visits_s, watched.behind)
-                self._made = version, watching.encoded(shown)
+                shown = so_far(name, watched.values, story.angles_deg, story.visits_s, watched.behind)
+                self._made = version, encoded(shown)
             return Content(self._made[1], "application/json")
 
 
