@@ -1,0 +1,163 @@
+"""What watching costs, and how soon a step is on the screen: the figures of docs/measurements/watching.md.
+
+    python tools/watching_cost.py writer [--lines 4000] [--watchers 10] [--rounds 5] [--clients]
+    python tools/watching_cost.py screen [--steps 40]
+
+`writer` plays a run on instant devices: a process that appends steps to a journal, one after the other. Rounds with and
+without watchers (`gonio watch`, a process each) alternate; the ratio of their times is told, and the watchers' own
+processor time. With `--clients` each watcher has a reader of its stream. `screen` opens the page in Chromium, and times
+a step from the end of its line's write until the page shows its number.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+GONIO = [sys.executable, "-c", "from gonio.cli import main; main()"]
+
+
+def event(number: int) -> dict[str, object]:
+    """A step as long as those of a laboratory rig."""
+    frames = [
+        {"file": f"{number:06d}-550nm-{k:02d}.dng", "band": "550nm", "exposure_s": 0.1234, "time_s": 1.9e9 + number,
+         "lamp": True, "sha256": "0" * 64, "bytes": 600000}
+        for k in range(3)
+    ]  # fmt: skip
+    pose = {"light": 0.5, "camera": 0.25, "tilt": 0.0, "spin": 0.0, "azimuth": 0.0}
+    health = [[axis, "temperature", 31.0, "C"] for axis in pose]
+    return {
+        "event": "step", "step": number, "kind": "point", "point": number, "time_s": 1.9e9 + number, "goal": pose,
+        "pose": pose, "pose_time_s": 1.9e9, "level_per_s": {"550nm": 4.9}, "health": health, "flag": "",
+        "frames": frames,
+    }  # fmt: skip
+
+
+def write(run: Path, lines: int) -> float:
+    """Append so many steps to a new journal; how long that took [s]."""
+    from gonio.acquisition.journal import Journal
+
+    (run / "journal.jsonl").unlink(missing_ok=True)
+    with Journal(run / "journal.jsonl") as journal:
+        journal.append({"event": "session", "gonio": "", "steps": lines, "left": lines})
+        began = time.perf_counter()
+        for number in range(lines):
+            journal.append(event(number))
+        return time.perf_counter() - began
+
+
+@contextmanager
+def watchers(run: Path, count: int, clients: bool, state: Path) -> Iterator[list[int]]:
+    """So many processes that watch a run; their ids."""
+    with ExitStack() as running:
+        started = []
+        for k in range(count):
+            environment = dict(os.environ, XDG_STATE_HOME=str(state / str(k)))
+            watcher = subprocess.Popen([*GONIO, "watch", str(run)], stdout=subprocess.PIPE, env=environment, text=True)
+            running.callback(watcher.wait)
+            running.callback(watcher.terminate)
+            started.append(watcher)
+        for watcher in started:
+            assert watcher.stdout is not None
+            address = watcher.stdout.readline().strip()
+            if clients:
+                threading.Thread(target=drain, args=(address.replace("/?", "/events?"),), daemon=True).start()
+        time.sleep(2.0)  # what was there before is read
+        yield [watcher.pid for watcher in started]
+
+
+def drain(address: str) -> None:
+    """Take a stream's events until it ends."""
+    with urllib.request.urlopen(address) as stream:
+        while stream.read1(65536):
+            pass
+
+
+def processor_s(process: int) -> float:
+    """What a process has used of processors [s]."""
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def writer(lines: int, count: int, rounds: int, clients: bool) -> None:
+    """Print how much longer the journal's writer takes with watchers, and what they use."""
+    with tempfile.TemporaryDirectory() as folder:
+        run, state = Path(folder) / "run", Path(folder) / "state"
+        run.mkdir()
+        write(run, 100)
+        alone, watched, used = [], [], []
+        for _ in range(rounds):
+            alone.append(write(run, lines))
+            with watchers(run, count, clients, state) as ids:
+                before = sum(map(processor_s, ids))
+                watched.append(write(run, lines))
+                time.sleep(1.0)  # they catch up
+                used.append(sum(map(processor_s, ids)) - before)
+        ratios = [b / a for a, b in zip(alone, watched, strict=True)]
+        print(
+            f"{lines} steps alone: {statistics.median(alone):.2f} s, {1e3 * min(alone) / lines:.3f} ms a step at best"
+        )
+        print(f"with {count} watchers{' and clients' if clients else ''}: {statistics.median(watched):.2f} s")
+        print(f"ratio, median of {rounds}: {statistics.median(ratios):.4f} ({', '.join(f'{r:.3f}' for r in ratios)})")
+        each = statistics.median(used) / lines / count
+        print(f"a watcher uses {1e6 * each:.0f} us of a processor a step")
+
+
+def screen(steps: int) -> None:
+    """Print how long a step takes from the journal to the page."""
+    sys.path.insert(0, str(ROOT))
+    from gonio.acquisition.journal import Journal
+    from tests.browser import browser
+
+    with tempfile.TemporaryDirectory() as folder:
+        run = Path(folder) / "run"
+        run.mkdir()
+        environment = dict(os.environ, XDG_STATE_HOME=folder)
+        with subprocess.Popen(
+            [*GONIO, "watch", str(run)], stdout=subprocess.PIPE, env=environment, text=True
+        ) as watcher:
+            assert watcher.stdout is not None
+            address = watcher.stdout.readline().strip()
+            with browser(Path(folder) / "profile") as page, Journal(run / "journal.jsonl") as journal:
+                page.open(address, 1280)
+                journal.append({"event": "session", "gonio": "", "steps": steps, "left": steps})
+                took = []
+                for number in range(steps):
+                    time.sleep(0.25 + 0.013 * (number % 16))  # at any moment of the watcher's round
+                    journal.append(event(number))
+                    took.append(page.until(f"document.getElementById('done').textContent === '{number + 1}'"))
+                print(
+                    f"from line to screen: median {statistics.median(took):.2f} s, longest {max(took):.2f} s of {steps}"
+                )
+            watcher.terminate()
+
+
+def main() -> None:
+    """Read the arguments."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("writer", "screen"))
+    parser.add_argument("--lines", type=int, default=4000)
+    parser.add_argument("--watchers", type=int, default=10)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--clients", action="store_true")
+    parser.add_argument("--steps", type=int, default=40)
+    asked = parser.parse_args()
+    if asked.what == "writer":
+        writer(asked.lines, asked.watchers, asked.rounds, asked.clients)
+    else:
+        screen(asked.steps)
+
+
+if __name__ == "__main__":
+    main()
