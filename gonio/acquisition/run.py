@@ -25,7 +25,7 @@ from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -84,6 +84,8 @@ class Batch:
     first_step: int
     first_row: int
     points: tuple[Point, ...]
+    why: dict[str, Any] = field(default_factory=dict)
+    """What its chooser wrote down."""
 
 
 @dataclass
@@ -273,7 +275,7 @@ class Run:
         out, row = [], len(self.planned.flags)
         for event in self._indexed.chosen:
             points = tuple(Point(*map(float, angles)) for angles in event["points"])
-            out.append(Batch(int(event["first_step"]), row, points))
+            out.append(Batch(int(event["first_step"]), row, points, event.get("why", {})))
             row += len(points)
         return out
 
