@@ -147,6 +147,6 @@ def gains(covariance: Floats, count: int, design: Floats, u: Floats, weights: Fl
         size = np.sqrt(np.diag(block))
         inverse = np.linalg.inv(block / np.outer(size, size)) / np.outer(size, size)
         share = np.einsum("np,pq,nq->n", of_parameters, inverse, of_parameters) / spread
-        return -0.5 * np.log1p(-np.minimum(share, 1.0 - 1e-12)) / count
+        return np.asarray(-0.5 * np.log1p(-np.minimum(share, 1.0 - 1e-12)) / count)
     total = float(np.sum(np.diag(block) * weights))
-    return -0.5 * np.log1p(-np.minimum((of_parameters**2 @ weights) / spread / total, 1.0 - 1e-12))
+    return np.asarray(-0.5 * np.log1p(-np.minimum((of_parameters**2 @ weights) / spread / total, 1.0 - 1e-12)))

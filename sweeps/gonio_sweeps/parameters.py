@@ -89,15 +89,18 @@ class Settings(Strict):
 
     @field_validator("ior", mode="before")
     @classmethod
-    def _two(cls, value: object) -> object:
+    def _index(cls, value: object) -> object:
+        if isinstance(value, bool):
+            raise ValueError('give a material as "Al", a number n, [n, k], or text as "1.37+7.6j"')
         return tuple(value) if isinstance(value, list) else value
 
     @property
     def index(self) -> complex | str | None:
         """What `ior` stands for."""
-        if isinstance(self.ior, str):
+        if self.ior is None or isinstance(self.ior, str):
             return read_ior(self.ior)
-        return complex(*self.ior) if isinstance(self.ior, tuple) else None if self.ior is None else complex(self.ior)
+        n, k = self.ior if isinstance(self.ior, tuple) else (self.ior, 0.0)
+        return read_ior(f"{n:.17g}{k:+.17g}j")
 
 
 @dataclass(frozen=True)
@@ -139,7 +142,7 @@ class Parameters:
         try:
             self._problem = pose(self._request)
         except ConfigError as error:
-            raise ConfigError(f"{where} {error}") from None
+            raise ConfigError(f"{where} {str(error).removeprefix('--')}") from None
         for key, given in (("u", self._settings.u), ("u_rel", self._settings.u_rel)):
             for name in given:
                 if name not in self._problem.free:
@@ -185,6 +188,23 @@ class Parameters:
                 f"{where} budget_h = {self._budget_s / 3600.0:g}: dark frames, a visit to the reference and the first "
                 f"{len(poses)} points alone take about {least / 3600.0:.2g} h on this rig"
             )
+
+    def about(self) -> list[str]:
+        """What it will do, a line each."""
+        s, free = self._settings, self._problem.free
+        wanted = [f"{name} to {100 * u:.3g} %" for name, u in s.u_rel.items()] + [
+            f"{n} to {u:.3g}" for n, u in s.u.items()
+        ]
+        target = ", ".join(wanted) or "as well as the budget allows"
+        return [
+            f"model: {s.model} at {self._band.centre_nm:g} nm; fitted: {', '.join(free)}",
+            f"target (standard uncertainty): {target}",
+            f"budget: {self._budget_s / 3600.0:g} h of rig time for the whole run",
+            f"candidates: {len(self.candidates)} points that the rig can reach"
+            + (f" ({'; '.join(self.candidates.left_out)})" if self.candidates.left_out else ""),
+            f"batches of {SMALLEST} to {LARGEST} points; {100 * COVERING:g} % of them cover, and all of them once the "
+            "model is found wrong",
+        ]
 
     # ---- what is measured first ----
 
