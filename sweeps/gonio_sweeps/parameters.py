@@ -44,15 +44,17 @@ from gonio_sweeps.online import Online, Values
 FIRST = 5
 """Points of the first covering, for each parameter; not fewer than `FEWEST`, and not more than `MOST` altogether."""
 FEWEST, MOST = 12, 30
-AROUND_MIRROR_DEG = 60.0
+AROUND_MIRROR_DEG = 45.0
 """The first points lie so close to the mirror direction: farther away metals are dark, and a point takes minutes."""
-GROWTH = 0.35
+GROWTH = 0.6
 """A batch adds this part of the points so far: later ones are chosen with better knowledge."""
-SMALLEST, LARGEST = 8, 25
+SMALLEST, LARGEST = 12, 25
 """Points of a batch, at least and at most: each ends with a visit to the reference."""
 COVERING = 0.2
 """Part of a batch that covers, whatever the model says."""
-REPEATS = 2
+DEAREST = 0.25
+"""Part of the time that is left which one point may take, at most."""
+REPEATS = 3
 """Visits to one point in a batch, at most: what a repeat cannot tell is that the model is wrong beside it."""
 DRAWS = 4
 """Parameters that are drawn from what the fit leaves open, beside its own."""
@@ -389,16 +391,16 @@ class Parameters:
         here = reference_pose(self._description)
         way = self._durations.moves_s(here, self.candidates.poses)
         cost = seen.seconds + 0.2 * way  # most ways are those between neighbours
+        affordable = cost < DEAREST * max(left_s, 0.0)
         measured = [places(values.directions)] if len(values) else []
         share = count if covering or known is None else round(COVERING * count)
         picked: list[int] = []
         gain = math.nan
         if known is not None and not covering:
-            picked, gain = self._informative(values, known, count - share, cost)
+            picked, gain = self._informative(values, known, count - share, np.where(affordable, cost, np.inf))
         at = np.concatenate([*measured, self._places[picked]]) if measured else self._places[picked]
         distance = np.minimum(from_nearest(self._places, at), 1e3)
         cover: list[int] = []
-        affordable = cost < max(left_s, 0.0)
         for _ in range(share if picked or covering or known is None else 0):
             score = np.where(affordable, distance**2 / cost, -1.0)
             k = int(np.argmax(np.round(score, 12)))
@@ -492,7 +494,7 @@ class Parameters:
                 gains += part * fisher.gains(c, free, design, u, _weights(c, free, target))
             score = np.where(times < REPEATS, gains / cost, -1.0)
             k = int(np.argmax(np.round(score / max(float(score.max()), 1e-300), 9)))
-            if gains.max() < LEAST_GAIN:
+            if gains[np.isfinite(cost)].max(initial=0.0) < LEAST_GAIN:
                 break
             picked.append(k)
             times[k] += 1
