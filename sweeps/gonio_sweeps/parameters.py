@@ -64,6 +64,9 @@ ALLOWED = 12.0
 """Solutions whose chi-square is larger than the best one's by less than this are not ruled out."""
 AIM = 0.97
 """A batch ends where it is expected to bring the uncertainties to this part of their targets."""
+CLOSE = 1.25
+"""Where the quick fit's uncertainties are within this factor of their targets the run is reduced and fitted in full, as
+`gonio fit` will do it: its uncertainties decide."""
 LEAST_GAIN = 2e-4
 """Where no point lowers the logarithm of the uncertainties by more, none adds anything."""
 
@@ -248,7 +251,7 @@ class Parameters:
         why["mode"] = "covering" if covering else "parameters"
         if known is not None and not covering:
             said.append(self._progress(known.result))
-            if self._reached(self._ratios(known.result)) and len(known.modes) == 1:
+            if self._reached(self._ratios(known.result) / CLOSE) and len(known.modes) == 1:
                 table = reduction.reduce(run)
                 final = self._final(table, known.result)
                 why["u_final"] = {n: _short(final.parameters[n].u) for n in final.free}
