@@ -101,8 +101,23 @@ def from_nearest(at: Floats, among: Floats) -> Floats:
     return np.asarray(cKDTree(among).query(at)[0]) if len(among) else np.full(len(at), np.inf)
 
 
+def nearby(at: Floats, among: Floats, brdf: Floats, u: Floats) -> Floats:
+    """About the BRDF [1/sr] at places (n, 3): the geometric mean of the three values nearest to each, the nearer more.
+
+    Values below their uncertainty count as that.
+    """
+    from scipy.spatial import cKDTree
+
+    count = min(3, len(among))
+    distance, which = cKDTree(among).query(at, k=list(range(1, count + 1)))
+    weights = 1.0 / np.maximum(distance, 1e-3) ** 2
+    logarithm = np.log(np.maximum(brdf, np.maximum(u, 1e-12)))[which]
+    return np.asarray(np.exp((weights * logarithm).sum(axis=1) / weights.sum(axis=1)))
+
+
 def spread(at: Floats, count: int, begin: npt.NDArray[np.intp], cost: Floats | None = None) -> list[int]:
-    """Places (n, 3) that cover the others: first `begin`, then the one that is farthest from those chosen, in turn.
+    """Places (n, 3) that cover the others: first `begin`, then the one that is farthest from those chosen, in turn
+    [Johnson1990].
 
     With a `cost` (n,) the square of the distance over it counts. Of equals the first one is taken.
     """

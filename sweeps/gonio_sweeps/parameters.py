@@ -38,7 +38,7 @@ from gonio.rig import Pose, Step
 from gonio.rig.description import Band, Positive, RigDescription
 from gonio.typing import Floats
 from gonio_sweeps import expected, fisher, lack_of_fit
-from gonio_sweeps.candidates import candidates, from_nearest, places, snake, spread
+from gonio_sweeps.candidates import candidates, from_nearest, nearby, places, snake, spread
 from gonio_sweeps.online import Online, Values
 
 if TYPE_CHECKING:
@@ -264,12 +264,12 @@ class Parameters:
         reduced
             Gives the measurement table of the run so far.
         """
-        known = self.fitted(values)
+        known = None if covering else self.fitted(values)
         why: dict[str, Any] = {"spent_s": round(spent_s, 1), "values": len(values)}
         said = []
         if known is not None:
             why |= self._of_fit(known)
-            if not covering and known.test.rejects(look):
+            if known.test.rejects(look):
                 covering = True
                 said.append(
                     f"{self._settings.model} does not describe the values (chi-square {known.test.chi_square:.3g} of "
@@ -419,7 +419,7 @@ class Parameters:
         """The candidates of a batch, in the order of their choice, and numbers for the journal."""
         count = min(max(round(GROWTH * len(values)), SMALLEST), LARGEST)
         count = LARGEST if covering or known is None else count
-        seen = self._seen(known)
+        seen = self._seen(values, known, covering)
         here = reference_pose(self._description)
         way = self._durations.moves_s(here, self.candidates.poses)
         cost = seen.seconds + 0.2 * way  # most ways are those between neighbours
@@ -462,11 +462,13 @@ class Parameters:
         poses = [self.candidates.poses[k] for k in order]
         return expected.batch_s(self._durations, poses, [float(seen.seconds[k]) for k in order], here)
 
-    def _seen(self, known: Known | None) -> expected.Visits:
-        """What visits to the candidates come to, by the fit; as of a matt sample where there is none."""
-        if known is None:
+    def _seen(self, values: Values, known: Known | None, covering: bool) -> expected.Visits:
+        """What visits to the candidates come to: by the fit, or by values nearby where no model is to be trusted."""
+        if known is not None and not covering:
+            return self._expected.visits(apparent(self._problem.model(known.result.vector), self._ahead.at, quick=True))
+        if not len(values):
             return self._expected.visits(np.full(len(self.candidates), 0.5 / math.pi))
-        return self._expected.visits(apparent(self._problem.model(known.result.vector), self._ahead.at, quick=True))
+        return self._expected.visits(nearby(self._places, places(values.directions), values.brdf, values.u_noise))
 
     @cached_property
     def _expected(self) -> expected.Expected:
@@ -497,7 +499,7 @@ class Parameters:
     def _telling_apart(self, known: Known, count: int, cost: Floats) -> list[int]:
         """The candidates where the solutions that are not ruled out differ most for their time; none where it is one.
 
-        [HunterReiner1965]: squared differences of the predictions, in units of the noise.
+        [Hunter1965]: squared differences of the predictions, in units of the noise.
         """
         if len(known.modes) < 2:
             return []

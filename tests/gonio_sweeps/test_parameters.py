@@ -139,6 +139,7 @@ def test_a_wrong_model_is_noticed_and_then_points_cover(tmp_path: Path) -> None:
     assert len(choices[0].points) == LARGEST
     seen = [(p.theta_i_deg, p.theta_r_deg, p.phi_r_deg) for choice in choices for p in choice.points]
     assert len(set(seen)) == len(seen), "covering does not repeat what was measured"
+    assert all(choice.why["batch_s"] < 120.0 for choice in choices), "levels are those of the values, not of the model"
     spent = made.choose(bench.values, spent_s=1799.0, look=3, covering=True, reduced=nobody)
     assert not spent.points
     assert not spent.met
