@@ -28,4 +28,4 @@ site: .venv/.ready
 
 clean:
 	rm -rf .venv demo-run build
-	find gonio drivers sim analysis interchange tests -name __pycache__ -type d -exec rm -rf {} +
+	find gonio drivers sim scenes analysis sweeps interchange tests -name __pycache__ -type d -exec rm -rf {} +

@@ -18,6 +18,7 @@ PACKAGES = {
     "gonio_sim": ROOT / "sim" / "gonio_sim",
     "gonio_scenes": ROOT / "scenes" / "gonio_scenes",
     "gonio_analysis": ROOT / "analysis" / "gonio_analysis",
+    "gonio_sweeps": ROOT / "sweeps" / "gonio_sweeps",
     "gonio_validation": ROOT / "analysis" / "gonio_validation",
     "gonio_bluesky": ROOT / "interchange" / "gonio_bluesky",
 }

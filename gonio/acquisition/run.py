@@ -91,6 +91,8 @@ class Batch:
     first_step: int
     first_row: int
     points: tuple[Point, ...]
+    why: dict[str, Any] = field(default_factory=dict)
+    """What its chooser wrote down."""
 
 
 @dataclass
@@ -284,7 +286,7 @@ class Run:
         out, row = [], len(self.planned.flags)
         for event in self._indexed.chosen:
             points = tuple(Point(*map(float, angles)) for angles in event["points"])
-            out.append(Batch(int(event["first_step"]), row, points))
+            out.append(Batch(int(event["first_step"]), row, points, event.get("why", {})))
             row += len(points)
         return out
 

@@ -102,13 +102,23 @@ def describe(plan: Plan, rig: RigChoice | None, *, out: Path | None = None, left
     left_out
         A file for the points that the rig cannot measure.
     """
+    from gonio.acquisition.choosing import about
     from gonio.acquisition.measure import prepared
     from gonio.acquisition.plan import Assessed, assess
     from gonio.cli import console
 
-    written, points = plan, [Assessed(p, None) for p in plan.points]
+    written, chooser = plan, None
+    if plan.adaptive is not None and rig is None:
+        how, hours = plan.adaptive.how, plan.adaptive.budget_h
+        console.show(
+            f"{plan.name}: points are chosen as the run grows ({how}, {hours:g} h of rig time); --rig says which"
+        )
+        if not plan.points:
+            console.show(f"wavelengths: {', '.join(f'{w:g} nm' for w in plan.wavelength_nm)}")
+            return
+    points = [Assessed(p, None) for p in plan.points]
     if rig is not None:
-        plan, rig, seen, _ = prepared(plan, rig)
+        plan, rig, seen, chooser = prepared(plan, rig)
         points = assess(plan, rig.description) if seen is None else seen
     console.show(_table(plan, points, with_rig=rig is not None))
     visits = Counter(Counter(plan.points).values())
@@ -119,10 +129,6 @@ def describe(plan: Plan, rig: RigChoice | None, *, out: Path | None = None, left
         console.show(f"{plan.repeated} points occur more than once; each is measured once")
     if plan.below_horizon:
         console.show(f"{plan.below_horizon} half vectors need a detector below the horizon; they are left out")
-    if plan.adaptive is not None:
-        console.show(
-            f"adaptive: {plan.adaptive.how} chooses more points as the run grows, in {plan.adaptive.budget_h:g} h"
-        )
     if rig is None:
         console.show(f"wavelengths: {', '.join(f'{w:g} nm' for w in plan.wavelength_nm)}")
         return
@@ -137,6 +143,8 @@ def describe(plan: Plan, rig: RigChoice | None, *, out: Path | None = None, left
         f"bands: {', '.join(f'{b.name} (centre {b.centre_nm:g} nm, width {b.fwhm_nm:g} nm)' for b in bands)}",
         *_effort(written, points, rig, rig.schedule(plan, points), out),
     )
+    if chooser is not None:
+        console.show("then points are chosen as the run grows:", *(f"  {line}" for line in about(chooser)))
 
 
 def _effort(written: Plan, points: list[Assessed], rig: RigChoice, steps: list[Step], out: Path | None) -> list[str]:

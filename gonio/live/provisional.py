@@ -17,7 +17,7 @@ from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
 from gonio.errors import GonioError
 from gonio.geometry import Directions
-from gonio.reduction.brdf import level_of_visits
+from gonio.reduction import brdf as reduction
 from gonio.reduction.count_rates import Reduced, RunFrames
 from gonio.rig.description import Band
 from gonio.typing import Floats
@@ -88,7 +88,7 @@ class Provisional:
             if not visits:
                 continue
             try:
-                fitted, reference = level_of_visits(self._frames, [r for _, r in points], visits, band)
+                fitted, reference = reduction.level(self._frames.run, [r for _, r in points], visits, band)
             except GonioError:  # a visit without light, say: `gonio reduce` says it
                 continue
             times = np.array([r.time_s for _, r in points])

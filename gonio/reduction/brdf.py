@@ -123,7 +123,7 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
     points = [step for step in steps if isinstance(step, Reduced) and step.point is not None]
     visits = [step for step in steps if isinstance(step, Reduced) and step.point is None]
     rejected = [step for step in steps if isinstance(step, Rejected)]
-    fitted, reference = level_of_visits(frames, points, visits, band)
+    fitted, reference = level(frames.run, points, visits, band)
     columns, untold, coarse = _columns_of_sides(frames, points, visits[0], fitted, reference.u_rel, band)
     geometry = columns.pop("geometry_causes")
     light_and_lens.add(frames.description, columns, [point.pose for point in points], visits[0].pose, band)
@@ -180,11 +180,11 @@ def _merged(frames: RunFrames, band: Band, points: list[Reduced], visits: list[R
     }
 
 
-def level_of_visits(
-    frames: RunFrames, points: list[Reduced], visits: list[Reduced], band: Band
+def level(
+    run: Run, points: list[Reduced], visits: list[Reduced], band: Band
 ) -> tuple[white_reference.Level, Reference]:
-    """The signal per unit BRDF over time, and the reference's BRDF."""
-    run, description, reference = frames.run, frames.description, frames.description.reference
+    """The signal per unit BRDF over time, and the reference's BRDF; see `reduce_in_parts` for what raises."""
+    description, reference = run.description, run.description.reference
     if not visits:
         raise DataError(f"{run.path}: no usable visit to the white reference in band {band.name}; see its frames")
     rates, u_rel = np.array([visit.rate for visit in visits]), reference.u_rel

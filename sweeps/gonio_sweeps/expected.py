@@ -1,0 +1,117 @@
+"""What a visit to a point will tell and cost: noise and time of its frames, by the level that a model expects there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gonio.acquisition import exposure
+from gonio.acquisition.duration import Durations
+from gonio.acquisition.records import StepRecord
+from gonio.acquisition.run import Run
+from gonio.acquisition.schedule import reference_pose
+from gonio.rig import Pose, Step
+from gonio.rig.description import RigDescription
+from gonio.rig.imaging import pixel_on_sample_mm
+from gonio.rig.kinematics import view
+from gonio.typing import Floats
+
+METERING = 1.25
+"""Metering frames of a point, in units of its exposure, as `Durations` has them."""
+NOTHING = 1e-9
+"""The least reflectance factor that an exposure is planned for."""
+
+
+@dataclass(frozen=True)
+class Visits:
+    """Visits to points, in one band."""
+
+    u_rel: Floats
+    """Relative standard uncertainty by noise of camera and lamp; infinite where nothing is seen."""
+    seconds: Floats
+    """All frames of all bands, without the way there."""
+
+
+class Expected:
+    """What visits to some poses come to; exposures are those that metering would choose."""
+
+    def __init__(self, durations: Durations, poses: Sequence[Pose]) -> None:
+        self._durations, self.poses = durations, poses
+        self._pixels = [_pixels(durations.description, pose) for pose in poses]
+
+    def visits(self, brdf: Floats) -> Visits:
+        """Where the sample has a BRDF [1/sr], one value a pose.
+
+        The noise is that of the EMVA 1288 model (docs/radiometry.md); the dark frames' own is left out.
+        """
+        factor = np.maximum(math.pi * brdf, NOTHING).tolist()
+        seconds = [self._durations.frames_s(Step(0, "point", 0, p), f) for p, f in zip(self.poses, factor, strict=True)]
+        each = zip(self.poses, self._pixels, factor, strict=True)
+        weights = [_weight(self._durations.description, pose, pixels, f) for pose, pixels, f in each]
+        return Visits(np.where(brdf > 0, 1.0 / np.sqrt(weights), np.inf), np.array(seconds))
+
+
+def _weight(description: RigDescription, pose: Pose, pixels: float, reflectance: float) -> float:
+    """1 / (relative variance) of the mean over the region of interest, from all frames of a visit."""
+    camera, acquisition = description.camera, description.acquisition
+    if acquisition.u_rel_target is not None:
+        exposures = exposure.expected_bracket(description, pose, reflectance)
+    else:
+        single = exposure.expected_exposure_s(description, pose, reflectance)
+        exposures = (*(single,) * acquisition.frames, single / exposure.SHORTER)
+    rate = camera.responsivity_e_per_s * reflectance * exposure.cosine_of_incidence(pose)
+    out = 0.0
+    for t in exposures:
+        noise = camera.read_noise_e**2 + camera.electrons_per_dn**2 / 12.0
+        if camera.photon_noise:
+            noise += (rate + camera.dark_current_e_per_s) * t
+        out += 1.0 / max(noise / (pixels * (rate * t) ** 2) + description.lamp.frame_noise**2, 1e-18)
+    return out
+
+
+def _pixels(description: RigDescription, pose: Pose) -> float:
+    """How many pixels the region of interest has, about."""
+    seen = view(description, pose)
+    slant = abs(float(seen.camera_mm[2])) / math.sqrt(sum(float(x) ** 2 for x in seen.camera_mm))
+    area = math.pi * description.acquisition.roi_radius_mm**2 / pixel_on_sample_mm(description, seen) ** 2
+    return max(area * slant, 1.0)
+
+
+def batch_s(durations: Durations, poses: Sequence[Pose], seconds: Sequence[float], here: Pose) -> float:
+    """How long a batch takes [s] from a pose: visits of so many seconds, ways, and the visits to the reference."""
+    description = durations.description
+    at_reference = reference_pose(description)
+    visit_s = durations.frames_s(Step(0, "reference", pose=at_reference))
+    every, total = description.reference.every or len(poses), 0.0
+    for k, (pose, own_s) in enumerate(zip(poses, seconds, strict=True)):
+        total += durations.move_s(here, pose) + own_s
+        here = pose
+        if (k + 1) % every == 0 or k + 1 == len(poses):
+            total += durations.move_s(here, at_reference) + visit_s
+            here = at_reference
+    return total
+
+
+def spent_s(durations: Durations, run: Run) -> float:
+    """Rig time of the steps that are done [s]: the frames that were taken, their metering, and the ways.
+
+    By exposures and not by a clock: pauses count for nothing, and a run that is gone on with has the same.
+    """
+    total, here = durations.description.lamp.warm_up_s, Pose()
+    for record in run.steps():
+        total += _frames_s(record, durations.description.camera.frame_overhead_s)
+        if record.kind != "dark":
+            total += durations.move_s(here, record.goal)
+            here = record.goal
+    return total
+
+
+def _frames_s(record: StepRecord, overhead_s: float) -> float:
+    seconds = sum(frame.exposure_s + overhead_s for frame in record.frames)
+    if record.kind == "dark":
+        return seconds
+    metered = {frame.band: frame.exposure_s for frame in reversed(record.frames)}  # the first frame of each band
+    return seconds + sum(METERING * t + overhead_s for t in metered.values())

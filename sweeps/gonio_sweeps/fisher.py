@@ -1,0 +1,152 @@
+"""What points tell of a model's parameters: Fisher information with nuisances, and the visits that add most of it.
+
+A value y_j = f_j(parameters) + sum_k n_jk z_k + noise_j has the parameters p of the model and the common causes z of
+the run as unknowns. Causes are known beforehand to one standard deviation: scale of the reference, drift, zeros of the
+angles. Then the information matrix of both together adds up over visits,
+
+    M = diag(0 ... 0, 1 ... 1) + sum_j v_j v_j^T / u_j^2,    v_j = (df_j/dp, n_j),
+
+and the covariance of the parameters, whatever the causes are, is the upper left block of its inverse [Fedorov1972].
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from gonio_analysis.fitting.forward import apparent
+from gonio_analysis.fitting.observations import Observations
+from gonio_analysis.fitting.problem import Problem
+from gonio_analysis.fitting.search import derivatives
+
+from gonio.geometry import Directions
+from gonio.reduction.table import CAUSES, angle_axes, zero_uncertainties
+from gonio.rig import Pose, kinematics
+from gonio.rig.description import RigDescription
+from gonio.typing import Floats
+
+MOST = 0.5 * math.pi - 1e-6
+"""Polar angles [rad] are held below this where an axis is moved in thought."""
+EVEN = "even"
+"""The cause that is what errors of the angles change evenly: on top of a peak they only lower a value, repeats too."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Values at some directions, as a model has them at one set of parameters."""
+
+    brdf: Floats
+    """(n,) [1/sr]"""
+    parameters: Floats
+    """d(brdf)/d(parameter) on the search scale, (n, p)."""
+    of_angles: dict[str, Floats]
+    """By cause: the change of the values [1/sr] for one standard deviation of the zero of an axis, (n,); and `EVEN`."""
+    u_landing: Floats
+    """Standard uncertainty [1/sr] by the encoders' steps, (n,)."""
+
+
+class Sights:
+    """Values at the directions of `at`, which poses of a rig lead to, and what they are where an axis stands elsewhere.
+
+    Both are the same for all parameters, and are made once.
+    """
+
+    def __init__(self, at: Observations, poses: Sequence[Pose], description: RigDescription) -> None:
+        self.at = at
+        self._moved: list[tuple[str, Observations, Observations, Floats, Floats]] = []
+        at_zero = zero_uncertainties(description)
+        for name, axis in angle_axes(description).items():
+            u = math.hypot(math.radians(axis.encoder_step_deg) / math.sqrt(12.0), math.radians(axis.encoder_noise_deg))
+            for step, cause in ((u, ""), (at_zero.get(name, 0.0), CAUSES[name])):
+                if step > 0.0:
+                    up, down = (self._turned(poses, description, name, by) for by in (step, -step))
+                    self._moved.append((cause, up[0], down[0], up[1], down[1]))
+
+    def _turned(
+        self, poses: Sequence[Pose], description: RigDescription, axis: str, by: float
+    ) -> tuple[Observations, Floats]:
+        """Where the values truly are if an axis stands `by` [rad] beside what is read, and the ratio of the cosines."""
+        there = [kinematics.directions(description, replace(p, **{axis: getattr(p, axis) + by})) for p in poses]
+        theta_i, phi_i, theta_r, phi_r = Directions.stack(there).angles
+        inside = Directions(np.minimum(theta_i, MOST), phi_i, np.minimum(theta_r, MOST), phi_r)
+        return replace(self.at, directions=inside), np.cos(theta_i) / np.cos(self.at.directions.theta_i)
+
+    def rows(self, problem: Problem, vector: Floats) -> Rows:
+        """What a model at a point of the search scale has there.
+
+        A value stands for the angles that were read, cos(theta_i) of the truth over that of the reading
+        (docs/radiometry.md, "The budget").
+        """
+        model = problem.model(vector)
+        here = apparent(model, self.at, quick=True)
+        landing, even, of_angles = np.zeros(len(self.at)), np.zeros(len(self.at)), {}
+        for cause, at_up, at_down, by_up, by_down in self._moved:
+            up, down = apparent(model, at_up, quick=True) * by_up, apparent(model, at_down, quick=True) * by_down
+            even += 0.5 * (up + down) - here
+            if cause:
+                of_angles[cause] = 0.5 * (up - down)
+            else:
+                landing += (0.5 * (up - down)) ** 2
+        parameters = derivatives(problem, self.at, vector, quick=True)
+        return Rows(here, parameters, of_angles | {EVEN: even}, np.sqrt(landing))
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of parameters and causes together."""
+
+    information: Floats
+    """(p + k, p + k), parameters first."""
+    count: int
+    """p"""
+
+    @classmethod
+    def nothing(cls, ranges: Floats, causes: int) -> Known:
+        """Before the first value: of each parameter its range on the search scale is known."""
+        return cls(np.diag(np.concatenate([1.0 / ranges**2, np.ones(causes)])), ranges.size)
+
+    def with_values(self, design: Floats, u: Floats, times: Floats | None = None) -> Known:
+        """After values with the rows (n, p + k) and the independent standard uncertainties (n,); each so many times."""
+        weights = (1.0 if times is None else times) / u**2
+        return replace(self, information=self.information + (design * weights[:, None]).T @ design)
+
+    @property
+    def covariance(self) -> Floats:
+        """Of parameters and causes."""
+        size = np.sqrt(np.diag(self.information))
+        return np.asarray(np.linalg.inv(self.information / np.outer(size, size)) / np.outer(size, size))
+
+    @property
+    def u(self) -> Floats:
+        """Standard uncertainty of every parameter, on the search scale."""
+        return np.sqrt(np.diag(self.covariance)[: self.count])
+
+
+def gains(covariance: Floats, count: int, design: Floats, u: Floats, weights: Floats | None) -> Floats:
+    """What one more value of each row adds: by how much it lowers the logarithm of the mean uncertainty.
+
+    Parameters
+    ----------
+    covariance
+        Of parameters and causes, so far.
+    count
+        How many are parameters.
+    design, u
+        Rows (n, p + k), and the independent standard uncertainties (n,).
+    weights
+        1 / target^2 of every parameter (p,): then the mean is that of u^2 / target^2 (A-optimality of the scaled
+        parameters); None: that of the logarithms, the determinant (D-optimality).
+    """
+    moved = design @ covariance  # (n, q)
+    spread = np.einsum("nq,nq->n", moved, design) + u**2
+    of_parameters = moved[:, :count]
+    block = covariance[:count, :count]
+    if weights is None:
+        size = np.sqrt(np.diag(block))
+        inverse = np.linalg.inv(block / np.outer(size, size)) / np.outer(size, size)
+        share = np.einsum("np,pq,nq->n", of_parameters, inverse, of_parameters) / spread
+        return np.asarray(-0.5 * np.log1p(-np.minimum(share, 1.0 - 1e-12)) / count)
+    total = float(np.sum(np.diag(block) * weights))
+    return np.asarray(-0.5 * np.log1p(-np.minimum((of_parameters**2 @ weights) / spread / total, 1.0 - 1e-12)))
