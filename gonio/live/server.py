@@ -1,0 +1,459 @@
+"""A small server for pages that are read and never written: fixed routes, and one stream of server-sent events.
+
+It binds to this machine alone unless it is asked otherwise. Loopback is open to every user and to every page of a
+browser, so each request has to name the token, by a `Host` that is ours (no name that somebody else's server may point
+here), from no foreign `Origin`, with GET or HEAD. All else is refused: 405, 403 or 404. What is not in the table of
+routes does not exist; no path reaches the disk.
+
+Events come from an `EventLog`. What is appended has numbers from 1, which browsers send back as `Last-Event-ID`. What
+is told has none: of each kind only the newest counts. A client is a place in the log, and not a queue: a slow one falls
+behind, is dropped when it takes nothing for `SLOW_S`, and goes on from its number.
+
+>>> events = EventLog()
+>>> server = Server({"/": lambda request: Content(b"<!doctype html>", "text/html")}, events)  # doctest: +SKIP
+>>> with server:                                                                              # doctest: +SKIP
+...     print(server.address)
+...     events.append("step", {"step": 1})
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hmac
+import io
+import ipaddress
+import json
+import secrets
+import select
+import socket
+import socketserver
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+from urllib.parse import parse_qsl
+
+from gonio.errors import ConfigError
+
+HEAD_BYTES = 16384
+"""A request's head is not longer."""
+HEAD_S = 5.0
+"""From the connection to the end of the request's head, at most."""
+SLOW_S = 10.0
+"""A client that takes a piece of an answer no faster is dropped."""
+CONNECTIONS = 96
+"""At once; whoever comes later is told 503."""
+STREAMS = 64
+"""Of these, streams of events at most, so that room for pages is left."""
+HEARTBEAT_S = 3.0
+"""An idle stream says so often that it lives."""
+RETRY_MS = 1000
+"""A browser asks again so long after a stream broke."""
+BATCH = 256
+"""Events that a client is sent at once."""
+LOOPBACK = "127.0.0.1"
+
+CSP = (
+    "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; img-src 'self' data:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",  # an address holds the token
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+
+
+class Content(NamedTuple):
+    """What a route answers."""
+
+    body: bytes
+    kind: str
+    """Its media type, such as "image/png"."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What a route is asked."""
+
+    query: Mapping[str, str]
+    nonce: str
+    """That the page's own <script> and <style> have to carry: <script nonce="...">."""
+
+
+Route = Callable[[Request], Content | None]
+"""Answers a request; None where there is nothing (404). It is called in a thread of the client's own."""
+
+
+class Event(NamedTuple):
+    """One event of a stream."""
+
+    id: int | None
+    kind: str
+    data: bytes
+    """JSON in one line."""
+
+    def encode(self) -> bytes:
+        """As it goes over the line."""
+        number = b"" if self.id is None else b"id: %d\n" % self.id
+        return number + b"event: %s\ndata: %s\n\n" % (self.kind.encode(), self.data)
+
+
+class EventLog:
+    """What happened, in order, for any number of clients."""
+
+    def __init__(self) -> None:
+        self._news = threading.Condition()
+        self._events: list[tuple[str, bytes]] = []
+        self._told: dict[str, tuple[int, bytes]] = {}
+        self._versions = 0
+        self._closed = False
+
+    def __len__(self) -> int:
+        return len(self._events)
+
+    def append(self, *events: tuple[str, Any]) -> None:
+        """Add events (a kind, and what JSON can hold); the first of all has the id 1."""
+        lines = [(kind, _json(data)) for kind, data in events]
+        with self._news:
+            self._events += lines
+            self._news.notify_all()
+
+    def tell(self, kind: str, data: Any) -> None:
+        """Say how something stands now. Of each kind the newest is kept; whoever comes later gets it too."""
+        line = _json(data)
+        with self._news:
+            if kind not in self._told or self._told[kind][1] != line:
+                self._versions += 1
+                self._told[kind] = (self._versions, line)
+                self._news.notify_all()
+
+    def restart(self) -> None:
+        """Forget all that was appended: it is not so any more. Clients have to be told, by a new `hello`."""
+        with self._news:
+            self._events.clear()
+            self._news.notify_all()
+
+    def close(self) -> None:
+        """Nothing will come any more: streams end."""
+        with self._news:
+            self._closed = True
+            self._news.notify_all()
+
+    @property
+    def closed(self) -> bool:
+        """Whether nothing will come any more."""
+        return self._closed
+
+    def after(self, number: int, version: int, timeout_s: float) -> tuple[list[Event], int, int]:
+        """What came after a place in the log, at most `BATCH` of it; waits where there is nothing.
+
+        Returns
+        -------
+        events, number, version
+            Possibly no events, after `timeout_s`; and the place after them.
+        """
+        with self._news:
+            self._news.wait_for(
+                lambda: self._closed or self._versions > version or len(self._events) > number, timeout_s
+            )
+            told = sorted((v, kind, line) for kind, (v, line) in self._told.items() if v > version)
+            out = [Event(None, kind, line) for _, kind, line in told]
+            some = self._events[number : number + BATCH]
+            out += [Event(k, kind, line) for k, (kind, line) in enumerate(some, number + 1)]
+            return out, number + len(some), told[-1][0] if told else version
+
+
+def _json(data: Any) -> bytes:
+    return json.dumps(data, separators=(",", ":"), allow_nan=False).encode()
+
+
+class Server:
+    """Serves while its block lasts.
+
+    Parameters
+    ----------
+    routes
+        By their paths: "/" is the page. "/events" is the stream, and "/favicon.ico" is answered, too.
+    events
+        What the stream sends.
+    host
+        Address or name to bind to: this machine alone by default.
+    port
+        0 takes any that is free.
+    token
+        What every request has to name as `?token=`; made where none is given.
+
+    Raises
+    ------
+    ConfigError
+        It cannot bind there.
+    """
+
+    def __init__(
+        self, routes: Mapping[str, Route], events: EventLog, host: str = LOOPBACK, port: int = 0,
+        token: str | None = None,
+    ) -> None:  # fmt: skip
+        self.token = token or secrets.token_urlsafe(32)
+        self.events = events
+        try:
+            family, _, _, _, where = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+            self._http = _Http(family, where[:2])  # type: ignore[arg-type]
+        except (OSError, UnicodeError, OverflowError) as error:
+            told = getattr(error, "strerror", None) or str(error)
+            raise ConfigError(
+                f"the page cannot be served at {_named(host, port)}: {told}; choose another --port (0 is any that is "
+                "free) or --host"
+            ) from None
+        self.host = host
+        self.port: int = self._http.server_address[1]
+        self._http.routes, self._http.events, self._http.token = dict(routes), events, self.token.encode()
+        self._http.hosts = _hosts(host, self.port)
+        self._http.wildcard = _is_wildcard(str(self._http.server_address[0]))
+        self._thread = threading.Thread(target=self._http.serve_forever, args=(0.1,), name="server", daemon=True)
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds the page; it holds the token."""
+        host = socket.gethostname() if self._http.wildcard else self.host
+        return f"http://{_named(host, self.port)}/?token={self.token}"
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.events.close()
+        self._http.shutdown()
+        self._http.server_close()
+        self._http.drained(1.0)
+
+
+def _named(host: str, port: int) -> str:
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+def _is_wildcard(address: str) -> bool:
+    return ipaddress.ip_address(address.partition("%")[0]).is_unspecified
+
+
+def _hosts(host: str, port: int) -> frozenset[str]:
+    """What a request's Host may be, in lower case."""
+    names = {LOOPBACK, "localhost", "::1", host.lower()}
+    out = {_named(name, port) for name in names}
+    return frozenset(out | {name.rpartition(":")[0] for name in out} if port == 80 else out)
+
+
+class _Http(ThreadingHTTPServer):
+    """Threads for clients, not more of them than `CONNECTIONS`."""
+
+    daemon_threads = True
+    block_on_close = False
+    request_queue_size = 128
+    routes: Mapping[str, Route]
+    events: EventLog
+    token: bytes
+    hosts: frozenset[str]
+    wildcard: bool
+
+    def __init__(self, family: socket.AddressFamily, where: tuple[str, int]) -> None:
+        self.address_family = family
+        self._free = threading.BoundedSemaphore(CONNECTIONS)
+        self.streams = threading.BoundedSemaphore(STREAMS)
+        super().__init__(where, _Client)
+
+    def server_bind(self) -> None:
+        """Bind, without a look-up of this machine's name: it may take long."""
+        socketserver.TCPServer.server_bind(self)
+        self.server_name, self.server_port = str(self.server_address[0]), self.server_address[1]
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """A thread of its own, or 503."""
+        if not self._free.acquire(blocking=False):
+            request.settimeout(0.1)
+            answer = b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 2\r\nContent-Length: 0\r\n"
+            with contextlib.suppress(OSError):  # it does not listen
+                request.sendall(answer + b"Connection: close\r\n\r\n")
+            self.shutdown_request(request)
+            return
+        super().process_request(request, client_address)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Serve one client."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A client that has gone is no news."""
+
+    def drained(self, patience_s: float) -> None:
+        """Wait until the clients have been told of the end."""
+        until = time.monotonic() + patience_s
+        taken = 0
+        while taken < CONNECTIONS and self._free.acquire(timeout=max(0.0, until - time.monotonic())):
+            taken += 1
+        for _ in range(taken):
+            self._free.release()
+
+
+class _Client(BaseHTTPRequestHandler):
+    """One connection: one request, one answer."""
+
+    server: _Http
+    protocol_version = "HTTP/1.1"
+    server_version, sys_version = "gonio", ""  # nothing about what it runs on
+
+    def handle(self) -> None:
+        """Read the head of a request in bounded time, and answer it."""
+        self.close_connection = True
+        self.nonce = secrets.token_urlsafe(16)
+        self.command, self.requestline, self.request_version = "GET", "", self.protocol_version
+        try:
+            head = self._head()
+            if head is None:
+                return
+            self.connection.settimeout(SLOW_S)
+            self.rfile = io.BufferedReader(io.BytesIO(head))
+            self.raw_requestline = self.rfile.readline(65537)
+            if self.parse_request():
+                self.close_connection = True
+                self._answer()
+        except OSError:
+            pass  # it has gone, or takes nothing
+
+    def _head(self) -> bytes | None:
+        """The head of a request; None where none comes, after an answer that says so."""
+        until, head = time.monotonic() + HEAD_S, b""
+        while True:
+            end = head.find(b"\r\n\r\n")
+            if end >= 0:
+                return head[: end + 4]
+            if len(head) > HEAD_BYTES:
+                self._refuse(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE)
+                return None
+            left = until - time.monotonic()
+            if left <= 0.0:
+                return None
+            self.connection.settimeout(left)
+            some = self.connection.recv(4096)
+            if not some:
+                return None
+            head += some
+
+    def _answer(self) -> None:
+        if self.command not in ("GET", "HEAD"):
+            self._refuse(HTTPStatus.METHOD_NOT_ALLOWED)
+            return
+        hosts = self.headers.get_all("Host", [])
+        if len(hosts) != 1 or not self._is_ours(hosts[0]):
+            self._refuse(HTTPStatus.FORBIDDEN, "this server does not go by that name")
+            return
+        origins = self.headers.get_all("Origin", [])
+        if any(not o.lower().startswith("http://") or not self._is_ours(o[len("http://") :]) for o in origins):
+            self._refuse(HTTPStatus.FORBIDDEN, "another page asks")
+            return
+        path, _, asked = self.path.partition("?")
+        if path == "/favicon.ico":  # a browser asks for it without being told to
+            self._send(HTTPStatus.NO_CONTENT, b"", None)
+            return
+        try:
+            query = dict(parse_qsl(asked, keep_blank_values=True, max_num_fields=32))
+        except ValueError:
+            query = {}
+        if not hmac.compare_digest(query.get("token", "").encode(errors="replace"), self.server.token):
+            self._refuse(HTTPStatus.FORBIDDEN, "the address lacks the token that was printed, or has an old one")
+            return
+        if path == "/events":
+            self._stream(query)
+            return
+        route = self.server.routes.get(path)
+        content = None if route is None else route(Request(query, self.nonce))
+        if content is None:
+            self._refuse(HTTPStatus.NOT_FOUND)
+        else:
+            self._send(HTTPStatus.OK, content.body, content.kind)
+
+    def _is_ours(self, host: str) -> bool:
+        """Whether a Host names this server, and not a name that somebody else may point here."""
+        host = host.strip().lower()
+        if host in self.server.hosts:
+            return True
+        if not self.server.wildcard:
+            return False
+        arrived, port = self.connection.getsockname()[0], self.server.server_address[1]
+        arrived = arrived.removeprefix("::ffff:")
+        return host in (_named(arrived, port), _named(socket.gethostname().lower(), port))
+
+    def _stream(self, query: Mapping[str, str]) -> None:
+        """Events from a number on, until the client goes or the server ends."""
+        said = self.headers.get("Last-Event-ID") or query.get("last-event-id") or query.get("after") or "0"
+        number = int(said) if said.isascii() and said.isdigit() and len(said) < 16 else 0
+        if self.command == "HEAD":
+            self._send(HTTPStatus.OK, b"", "text/event-stream")
+            return
+        if not self.server.streams.acquire(blocking=False):
+            self._refuse(HTTPStatus.SERVICE_UNAVAILABLE)
+            return
+        try:
+            self._head_of(HTTPStatus.OK, "text/event-stream; charset=utf-8", None)
+            self.connection.sendall(b"retry: %d\n\n" % RETRY_MS)
+            version = 0
+            while not self._gone():
+                events, number, version = self.server.events.after(number, version, HEARTBEAT_S)
+                if events:
+                    self.connection.sendall(b"".join(event.encode() for event in events))
+                elif self.server.events.closed:
+                    self.connection.sendall(b"event: bye\ndata: {}\n\n")
+                    return
+                else:
+                    self.connection.sendall(b": heartbeat\nevent: beat\ndata: {}\n\n")
+        finally:
+            self.server.streams.release()
+
+    def _gone(self) -> bool:
+        """Whether the client has closed its end."""
+        look = select.poll()
+        look.register(self.connection, select.POLLIN)
+        return bool(look.poll(0)) and self.connection.recv(1, socket.MSG_PEEK) == b""
+
+    def _refuse(self, status: HTTPStatus, why: str = "") -> None:
+        body = f"{status.value} {status.phrase}" + (f": {why}" if why else "")
+        self._send(status, body.encode() + b"\n", "text/plain")
+
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """What cannot be understood is refused in the same way as all else."""
+        self._refuse(HTTPStatus(code))
+
+    def _send(self, status: HTTPStatus, body: bytes, kind: str | None) -> None:
+        text = kind is not None and kind.startswith("text/") and "charset" not in kind
+        self._head_of(status, f"{kind}; charset=utf-8" if text else kind, len(body))
+        if self.command != "HEAD":
+            self.connection.sendall(body)
+
+    def _head_of(self, status: HTTPStatus, kind: str | None, length: int | None) -> None:
+        self.request_version = self.protocol_version  # of what was not understood nothing is known
+        self.send_response(status)
+        if kind is not None:
+            self.send_header("Content-Type", kind)
+        if length is not None:
+            self.send_header("Content-Length", str(length))
+        if status == HTTPStatus.METHOD_NOT_ALLOWED:
+            self.send_header("Allow", "GET, HEAD")
+        self.send_header("Content-Security-Policy", CSP.format(nonce=self.nonce))
+        for name, value in HEADERS.items():
+            self.send_header(name, value)
+        self.send_header("Connection", "close")
+        self.end_headers()
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nothing: the address holds the token, and the terminal is somebody's."""
