@@ -1,4 +1,4 @@
-"""Aligning a rig with a live picture: one loop that owns the devices, takes frames, and does what it is told in between.
+"""Aligning a rig with a live picture: one loop owns the devices, takes frames, and does what it is told in between.
 
     assistant = Assistant(bench, tell=page.tell, say=print, rig_file=Path("my.toml"), out=Path("aligned.toml"))
     with bench:
@@ -14,26 +14,23 @@ from __future__ import annotations
 import math
 import queue
 import time
-from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gonio.acquisition import exposure
-from gonio.by_hand import looking
 from gonio.by_hand.lamp_timer import DeadMansTimer, LampTimeOver
 from gonio.by_hand.live_picture import Pictures, pictures
 from gonio.by_hand.rig_file import with_values, write_values, zero_values
+from gonio.by_hand.sight import Sight
 from gonio.disk import write_whole
 from gonio.errors import ConfigError, DataError, DeviceError, Disturbed
-from gonio.rig import Frame, Pose, imaging, kinematics
+from gonio.rig import Frame, Pose, Target, imaging
 
 if TYPE_CHECKING:
     from gonio.by_hand.bench import Bench
-    from gonio.rig.kinematics import View
 
 Tell = Callable[[dict[str, Any], Pictures | None], None]
 """Takes what is to be shown (what JSON can hold), and the pictures of a new frame."""
@@ -48,13 +45,6 @@ CAMERA_S = 15.0
 """A frame that takes so much longer than its exposure and its readout counts as one that does not come."""
 FAILURES = 2
 """Frames in a row that may fail before the session ends."""
-HISTORY = 240
-HISTORY_S = 0.25
-"""The curve of the focus has a point so often, and so many points."""
-FPS_OF = 20
-STEADY_DEG = 0.1
-"""An axis that reads so much elsewhere has moved: another scene, and another focus."""
-
 HELP = """\
   jog AXIS DEG            by so much, as in jog camera -0.5
   go AXIS DEG ...         to a place; go theta_i 30 theta_r 30 moves all axes
@@ -65,6 +55,7 @@ HELP = """\
   exposure S              seconds
   auto                    the exposure that fits
   focus                   forget the best focus
+  show sample | reference what lies in the beam
   save FILE               a frame, .dng .tif or .png, with a picture of it
   quit                    lamp dark, arms hold"""
 
@@ -112,22 +103,17 @@ class Assistant:
         self._zeroed: dict[str, float] = {}
         self._doing = ""
         self._level: float | bool = True
-        self._number = 0
         self._failures = 0
-        self._last: Frame | None = None
+        self._confirmed = True  # by its owner, since it was lit: that the lamp is dark
         self._pose: Pose | None = None
-        self._scene: tuple[Any, ...] | None = None
-        self._view: dict[str, Any] = {}
-        self._region: imaging.Roi | None = None
-        self._times: deque[float] = deque(maxlen=FPS_OF)
-        self._history: deque[tuple[float, float | None]] = deque(maxlen=HISTORY)
-        self._best: float | None = None
+        self._target: Target = "sample"
+        self._sight = Sight(bench.description, clock)
         self._shown: dict[str, Any] = {}
         self._nudge: tuple[str, float] | None = None
         self._do = {
             "jog": self._jog, "go": self._go, "zero": self._zero, "park": self._park, "lamp": self._lamp,
             "band": self._band, "exposure": self._exposure, "auto": self._auto, "focus": self._refocus,
-            "save": self._save, "help": lambda words: self._say(HELP), "quit": self._quit,
+            "show": self._present, "save": self._save, "help": lambda words: self._say(HELP), "quit": self._quit,
         }  # fmt: skip
 
     # ---- for the terminal, from whatever thread ----
@@ -187,7 +173,8 @@ class Assistant:
         """Take a frame, and tell what it shows."""
         self._mind_lamp()
         camera = self._bench.description.camera
-        self._see_pose()
+        self._pose = self._bench.pose()
+        self._sight.stand(self._pose, self._bench.band, self._target)
         if not self.exposure_s:
             expected = exposure.expected_exposure_s(self._bench.description, self._pose or Pose(), 1.0)
             self.exposure_s = max(min(expected, START_S), camera.exposure_limits_s[0])
@@ -198,7 +185,7 @@ class Assistant:
             return
         except Disturbed as pushed:
             self._say(f"{pushed}; the frame does not count")
-            self._last = None
+            self._sight.changed()
             return
         except DeviceError as failure:
             self._failures += 1
@@ -208,13 +195,25 @@ class Assistant:
             self._darken()
             return
         self._failures = 0
-        self._mind_lamp()
-        self._number += 1
-        self._times.append(self._clock())
-        told = self._told(frame)
-        told["picture"], whole = self._pictures(frame)
-        self._last, self._shown = frame, told
-        self._tell(told, whole)
+        if self._mind_lamp():
+            return  # it was darkened during the exposure, or is from now on
+        told = self._sight.told(frame)
+        made = pictures(camera, frame, self._sight.middle)
+        told["picture"] = {"zoom_box": list(made.zoom_box), "shown_white_dn": made.white_dn}
+        self._shown = told
+        self._tell(told | self._session(), made)
+
+    def _session(self) -> dict[str, Any]:
+        """What there is to show beside the frame."""
+        left = self.timer.left_s
+        return {
+            "doing": self._doing, "band": self._bench.band.name, "target_exposure_s": self.exposure_s,
+            "lamp": {
+                "left_s": left, "keep_s": self.timer.seconds, "why_dark": self.timer.why_dark,
+                "level": None if self._level is True else float(self._level),
+            },
+            "zeros_deg": self._zeroed, "zeros_in": str(self._out) if self._zeroed else None,
+        }  # fmt: skip
 
     def _capture(self, exposure_s: float) -> Frame:
         camera = self._bench.description.camera
@@ -224,151 +223,21 @@ class Assistant:
         imaging.require_frame(camera, frame, "camera")
         return frame
 
-    def _mind_lamp(self) -> None:
-        """Darken it where its time is over; and after the watch did, see that it is dark."""
+    def _mind_lamp(self) -> bool:
+        """Darken it where its time is over, and where the watch did, see that it is dark; whether that was so."""
         if self.timer.over:
             self.timer.why_dark = "its time is over"
-            self._darken()
-            self._say("lamp dark: its time is over")
-        elif self.timer.why_dark and self.timer.left_s is None and not self._confirmed:
-            self._darken()
-            self._say(f"lamp dark: {self.timer.why_dark}")
-
-    _confirmed = True
-    """The lamp was darkened by its owner since it was lit."""
+        elif self._confirmed or self.timer.left_s is not None:
+            return False
+        self._darken()
+        self._say(f"lamp dark: {self.timer.why_dark}")
+        return True
 
     def _darken(self) -> None:
         self.timer.dark()
         self._bench.lamp(False)
         self._confirmed = True
-        self._last = None
-
-    # ---- what is seen ----
-
-    def _see_pose(self) -> None:
-        """Read the arms; where they stand elsewhere, or the band is another, the scene is a new one."""
-        before, self._pose = self._pose, self._bench.pose()
-        scene = (self._pose, self._bench.band.name)
-        if scene == self._scene:
-            return
-        self._scene = scene
-        apart = [abs(math.degrees(getattr(before, n) - getattr(self._pose, n))) if before and self._pose else math.inf
-                 for n in self._bench.description.axes()]  # fmt: skip
-        if max(apart) > STEADY_DEG:
-            self._refocus([])
-            self._last = None
-        self._view, self._region = self._predicted(self._pose)
-
-    def _predicted(self, pose: Pose | None) -> tuple[dict[str, Any], imaging.Roi | None]:
-        """Where the rig file has axis, centre and outlines in the frame, from a pose."""
-        description = self._bench.description
-        camera = description.camera
-        offset = camera.principal_point_px
-        out: dict[str, Any] = {
-            "axis": [0.5 * (camera.width - 1) + offset[0], 0.5 * (camera.height - 1) + offset[1]],
-            "centre": None, "sample": None, "reference": None, "beam": None, "angles_deg": None,
-            "directions_deg": None, "region_pixels": None, "why": "",
-        }  # fmt: skip
-        if pose is None:
-            out["why"] = "the arms do not say where they stand"
-            return out, None
-        out["angles_deg"] = {n: math.degrees(getattr(pose, n)) for n in description.axes()}
-        seen = kinematics.directions(description, pose)
-        out["directions_deg"] = {
-            name: math.degrees(float(getattr(seen, name))) for name in ("theta_i", "phi_i", "theta_r", "phi_r")
-        }
-        view = kinematics.view(description, pose)
-        try:
-            region = imaging.roi(description, view, channel=self._bench.band.channel)
-        except ConfigError as error:
-            out["why"] = str(error)
-            return out, None
-        out["region_pixels"] = region.count
-        out["centre"] = _places(*(np.array([x]) for x in imaging.place(description, view, "sample")))
-        out["centre"] = out["centre"] and out["centre"][0]
-        out["sample"] = _places(*imaging.outline(description, view))
-        if description.reference.how == "beside":
-            out["reference"] = _places(*imaging.outline(description, view, "reference"))
-        out["beam"] = _beam_outline(self._bench, view)
-        return out, region
-
-    def _told(self, frame: Frame) -> dict[str, Any]:
-        description, region = self._bench.description, self._region
-        camera, last = description.camera, self._last
-        box = looking.focus_box(camera, region)
-        focus = looking.focus(camera, last, frame, box) if last is not None else None
-        noise = looking.noise(camera, last, frame, region) if last is not None and region is not None else None
-        over = looking.saturated(camera, frame)
-        in_region = None if region is None else int(np.count_nonzero(region.of(over)))
-        spot, said = looking.spot(camera, frame)
-        span = self._times[-1] - self._times[0]
-        return {
-            "n": self._number, "exposure_s": frame.exposure_s, "width": camera.width, "height": camera.height,
-            "pattern": frame.pattern, "fps": (len(self._times) - 1) / span if span > 0 else None,
-            "doing": self._doing, "rig": description.name, "band": self._bench.band.name, "lamp": self._lamp_told(),
-            "view": {k: v for k, v in self._view.items() if k not in ("angles_deg", "directions_deg")},
-            "angles_deg": self._view["angles_deg"], "directions_deg": self._view["directions_deg"],
-            "levels": [asdict(one) for one in looking.levels(camera, frame)],
-            "scale_dn": {
-                "black": frame.black_level_dn, "white": frame.white_level_dn,
-                "saturated": frame.black_level_dn + exposure.SATURATED * exposure.full_scale_dn(camera, frame),
-            },
-            "saturated_in_region": in_region,
-            "advice": asdict(looking.advice(description, frame, region)),
-            "noise": noise and asdict(noise),
-            "focus": self._focus_told(focus, box),
-            "spot": self._spot_told(spot), "spot_said": said,
-            "zeros_deg": self._zeroed, "zeros_in": str(self._out) if self._zeroed else None,
-        }  # fmt: skip
-
-    def _lamp_told(self) -> dict[str, Any]:
-        left = self.timer.left_s
-        return {
-            "lit": left is not None, "left_s": left, "keep_s": self.timer.seconds,
-            "level": 1.0 if self._level is True else float(self._level),
-            "usual": self._level is True, "why_dark": self.timer.why_dark,
-        }  # fmt: skip
-
-    def _focus_told(self, found: looking.Focus | None, box: looking.Box) -> dict[str, Any]:
-        now = self._clock()
-        value = found.value if found is not None else None
-        if value is not None:
-            self._best = value if self._best is None else max(self._best, value)
-        if found is not None and (not self._history or now - self._history[-1][0] >= HISTORY_S):
-            self._history.append((now, value))
-        rows, cols = box
-        return {
-            "value": value, "u": _number(found.u) if found is not None else None, "best": self._best,
-            "why": found.why if found is not None else "waiting for two frames of one scene",
-            "box": [cols.start - 0.5, rows.start - 0.5, cols.stop - cols.start, rows.stop - rows.start],
-            "history": [[round(t - now, 2), v] for t, v in self._history],
-        }  # fmt: skip
-
-    def _spot_told(self, spot: looking.Spot | None) -> dict[str, Any] | None:
-        if spot is None:
-            return None
-        out = asdict(spot) | {"from_centre_px": None, "from_centre_mm": None, "major_mm": None, "minor_mm": None}
-        centre = self._view["centre"]
-        if centre is None or self._pose is None:
-            return out
-        out["from_centre_px"] = [spot.column - centre[0], spot.row - centre[1]]
-        description = self._bench.description
-        view = kinematics.view(description, self._pose)
-        x, y = imaging.spot(description, view, spot.column, spot.row)
-        out["from_centre_mm"] = [_number(float(x)), _number(float(y))]
-        along = math.cos(math.radians(spot.angle_deg)), math.sin(math.radians(spot.angle_deg))
-        for name, length, (c, r) in (
-            ("major_mm", spot.major_px, along), ("minor_mm", spot.minor_px, (-along[1], along[0]))
-        ):  # fmt: skip
-            ends = [imaging.spot(description, view, spot.column + k * length * c, spot.row + k * length * r)
-                    for k in (-0.5, 0.5)]  # fmt: skip
-            out[name] = _number(float(np.linalg.norm(ends[1] - ends[0])))
-        return out
-
-    def _pictures(self, frame: Frame) -> tuple[dict[str, Any], Pictures]:
-        middle = self._view["centre"] or self._view["axis"]
-        made = pictures(self._bench.description.camera, frame, (middle[0], middle[1]))
-        return {"zoom_box": list(made.zoom_box), "white_dn": made.white_dn}, made
+        self._sight.changed()
 
     # ---- orders ----
 
@@ -409,14 +278,13 @@ class Assistant:
         goals = {name: math.radians(angle) for name, angle in degrees.items()}
         if relative:
             here = self._bench.arms.read()
-            self._bench.check(dict.fromkeys(goals, 0.0) if any(not hasattr(here, n) for n in goals) else {
-                name: getattr(here, name) + by for name, by in goals.items()})  # fmt: skip
-            goals = {name: getattr(here, name) + by for name, by in goals.items()}
+            goals = {name: getattr(here, name, 0.0) + by for name, by in goals.items()}
+            self._bench.check(goals)
         self._bench.goals(**goals)  # whatever is wrong with them is said before anything moves
         said = ", ".join(f"{n} {round(math.degrees(a), 3) + 0.0:g}" for n, a in goals.items())
         self._busy(f"moving to {said} deg")
         moved = self._bench.move(**goals)
-        self._last = None
+        self._sight.changed()
         if moved.branch:
             self._say(moved.branch)
         self._say(", ".join(f"{name} {math.degrees(angle):.3f} deg" for name, angle in moved.landed.items()))
@@ -424,14 +292,14 @@ class Assistant:
     def _park(self, words: list[str]) -> None:
         self._busy("parking")
         self._bench.arms.park()
-        self._last = None
+        self._sight.changed()
         self._say("arms parked")
 
     def _busy(self, what: str) -> None:
         """Say on the page what keeps the camera from its next frame."""
         self._doing = what
         if self._shown:
-            self._tell(self._shown | {"doing": what, "lamp": self._lamp_told()}, None)
+            self._tell(self._shown | self._session(), None)
 
     def _lamp(self, words: list[str]) -> None:
         said = words[0] if len(words) == 1 else ""
@@ -454,15 +322,16 @@ class Assistant:
         try:
             self._bench.lamp(level)
         except BaseException:
-            self.timer.dark()
+            self._darken()
             raise
-        self._level, self._last = level, None
+        self._level = level
+        self._sight.changed()
         self._say(f"lamp lit, band {self._bench.band.name}; dark {self.timer.seconds:g} s after the last key press")
 
     def _band(self, words: list[str]) -> None:
         wavelength = _one_number(words, "band 550", ("nm",))
         self._bench.choose_band(wavelength)
-        self._last = None
+        self._sight.changed()
         if self.timer.left_s is not None:
             self._bench.light.select(self._bench.band)
         self._say(f"band {self._bench.band.name}")
@@ -471,30 +340,50 @@ class Assistant:
         milli = bool(words) and words[-1].endswith("ms")
         wanted = _one_number(words, "exposure 0.02", ("ms", "s")) * (1e-3 if milli else 1.0)
         self._bench.description.camera.require_exposure(wanted)
-        self.exposure_s, self._last = wanted, None
+        self.exposure_s = wanted
+        self._sight.changed()
         self._say(f"exposure {wanted:g} s")
 
     def _auto(self, words: list[str]) -> None:
         if self.timer.left_s is None:
             raise ConfigError("auto needs light: lamp on")
         self._busy("looking for the exposure")
-        description, region = self._bench.description, self._region
+        description, region = self._bench.description, self._sight.region
         expected = exposure.expected_level_per_s(description, self._pose or Pose(), 1.0)
         used = region.of if region is not None else np.ravel
-        try:
-            found = exposure.meter(description, self._capture, used, expected)
-        except DeviceError as failure:
-            if isinstance(failure, LampTimeOver) or not str(failure).startswith("no exposure fits"):
+        failed = []
+
+        def shot(exposure_s: float) -> Frame:
+            try:
+                return self._capture(exposure_s)
+            except DeviceError as failure:
+                failed.append(failure)
                 raise
-            self._say(str(failure))
+
+        try:
+            found = exposure.meter(description, shot, used, expected)
+        except DeviceError as unfit:
+            if failed:
+                raise
+            self._say(str(unfit))  # no exposure fits
             return
-        self.exposure_s, self._last = found.exposure_s, None
+        self.exposure_s = found.exposure_s
+        self._sight.changed()
         where = "the region" if region is not None else "the frame"
         self._say(f"exposure {found.exposure_s:.4g} s" + (f"; {where} saturates there" if found.saturated else ""))
 
     def _refocus(self, words: list[str]) -> None:
-        self._best = None
-        self._history.clear()
+        self._sight.forget_focus()
+
+    def _present(self, words: list[str]) -> None:
+        targets: dict[str, Target] = {"sample": "sample", "reference": "reference"}
+        if len(words) != 1 or words[0] not in targets:
+            raise ConfigError("show sample, or show reference")
+        self._busy(f"putting the {words[0]} into the beam")
+        self._bench.present(targets[words[0]])
+        self._target = targets[words[0]]
+        self._sight.changed()
+        self._say(f"the {words[0]} is in the beam")
 
     def _save(self, words: list[str]) -> None:
         if len(words) != 1:
@@ -527,40 +416,12 @@ class Assistant:
             write_values(self._rig_file, wanted, out=self._out)
         self._zeros, self._zeroed = wanted, self._zeroed | {axis: offset}
         self._say(
-            f"{axis} reads {read:.3f} deg and stands at {at:g} deg: zero_offset_deg = {offset:.3f} in {self._out}, which "
-            "holds from the next command on; this session goes on with the zeros that it began with"
+            f"{axis} reads {read:.3f} deg and stands at {at:g} deg: zero_offset_deg = {offset:.3f} in {self._out}, "
+            "which holds from the next command on; this session goes on with the zeros that it began with"
         )
         others = [name for name in self._bench.description.holder.axes if name != axis]
         if others and ("holder", "zero_offset_known") in values:
             self._say(f"holder.zero_offset_known = true holds for {others[0]} too: set its zero as well")
-
-
-def _places(columns: Any, rows: Any) -> list[list[float]] | None:
-    """Places for JSON; None where one of them is not in front of the camera."""
-    if not (np.isfinite(columns).all() and np.isfinite(rows).all()):
-        return None
-    return [[round(float(c), 2), round(float(r), 2)] for c, r in zip(columns, rows, strict=True)]
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _beam_outline(bench: Bench, view: View) -> list[list[float]] | None:
-    """The edge of the lamp's beam on the sample's plane, by the rig file; None for a beam without one."""
-    diameter = bench.description.lamp.beam_diameter_mm
-    source = np.asarray(view.source_mm, dtype=float)
-    if diameter is None or source[2] <= 0:
-        return None
-    toward = source / np.linalg.norm(source)
-    first = np.cross(toward, (0.0, 1.0, 0.0) if abs(toward[1]) < 0.9 else (1.0, 0.0, 0.0))
-    first /= np.linalg.norm(first)
-    second, turn = np.cross(toward, first), np.linspace(0.0, 2 * np.pi, 65)[:, None]
-    circle = 0.5 * diameter * (np.cos(turn) * first + np.sin(turn) * second)
-    down = source[2] - circle[:, 2:]
-    if (down <= 0).any():
-        return None
-    return _places(*imaging.project(bench.description, view, source + (circle - source) * source[2] / down))
 
 
 def _pairs(words: list[str], example: str) -> dict[str, float]:

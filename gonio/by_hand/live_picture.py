@@ -18,8 +18,6 @@ WIDEST = 960
 ZOOM_PX = 96
 """Pixels of the frame along each side of the enlarged part, at most."""
 JPEG_QUALITY = 85
-BRIGHTEST = 99.8
-"""The percentile of the picture that is shown white."""
 FAINTEST = 0.02
 """Of full scale: a picture that is darker than this throughout is not brightened any more, to noise that looks lit."""
 SRGB_GAMMA = 1.0 / 2.2
@@ -51,7 +49,8 @@ def pictures(camera: Camera, frame: Frame, middle: tuple[float, float]) -> Pictu
     small = cv2.resize(looking.cells(frame.pattern, image), size, interpolation=cv2.INTER_AREA)
     red = cv2.resize(over.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0  # a single pixel shows too
     full = exposure.full_scale_dn(camera, frame)
-    white = max(float(np.percentile(small, BRIGHTEST)), FAINTEST * full)
+    brightest = cv2.medianBlur(np.ascontiguousarray(small, np.float32), 3).max()  # single hot pixels aside
+    white = max(float(brightest), FAINTEST * full)
     rows, cols = (_part(middle[1], image.shape[0]), _part(middle[0], image.shape[1]))
     zoomed = _shown(image[rows, cols], over[rows, cols], white)
     return Pictures(

@@ -29,6 +29,10 @@ STEADY = 0.2
 """Two frames of one scene differ by less than this in their mean, relative; beyond, something was changed."""
 CORRELATED = 3.0
 """How many pixels share the noise of a Sobel gradient: the scatter of simulated frames needs 2.2 to 3."""
+SOBEL = 0.375
+"""What independent pixels of unit variance give: 2 (1 + 4 + 1) 2 / 64 for the two gradients in eighths."""
+OF_PIXELS = 0.5
+"""How well, relative, the rig file knows the square of its pixels' differences."""
 USABLE = 0.5
 """Of a region: where more of it is saturated, it has no focus measure."""
 WIDEST = 1024
@@ -88,7 +92,8 @@ def focus(camera: Camera, first: Frame, second: Frame, box: Box) -> Focus | None
 
     It is Tenengrad (the squared Sobel gradient, averaged), made of the product of the gradients of two frames, so that
     noise, which is different in each, cancels in the mean instead of being taken for structure. Divided by the product
-    of the means it is the same at all exposures that do not saturate. Its root is told.
+    of the means it is the same at all exposures that do not saturate. What the pixels' own differences make of an even
+    light (`camera.prnu`, `camera.dsnu_e`) is taken off. Its root is told.
 
     Parameters
     ----------
@@ -130,10 +135,20 @@ def focus(camera: Camera, first: Frame, second: Frame, box: Box) -> Focus | None
     between = 0.5 * float(sum(np.mean((a - b) ** 2) for a, b in zip(*slopes, strict=True)))
     # of a sum of two products (a + n)(a + n'): variance 2 a^2 s^2 + s^4 each, with s^2 half of `between`
     u_square = math.sqrt((max(product, 0.0) * between + 0.5 * between**2) * CORRELATED / count)
-    if product < SEEN * u_square:
-        return Focus(None, math.sqrt(max(product, 0.0) + u_square), "no structure stands out of the noise")
+    of_pixels = _slope_of_pixels(camera, min(means))
+    product -= of_pixels
+    if product < max(SEEN * u_square, OF_PIXELS * of_pixels):
+        hidden = math.sqrt(max(product, 0.0) + u_square)
+        return Focus(None, hidden, "no structure stands out of the noise and the pixels' own differences")
     value = math.sqrt(product)
     return Focus(value, 0.5 * u_square / value)
+
+
+def _slope_of_pixels(camera: Camera, mean_dn: float) -> float:
+    """The squared relative gradient that differences between pixels make of an even light, by the rig file."""
+    apart = camera.prnu**2 + (camera.dsnu_e / camera.electrons_per_dn / mean_dn) ** 2
+    in_a_cell = 1.0 if camera.pattern == "mono" else 4.0
+    return SOBEL * apart / in_a_cell
 
 
 def _whole_cells(span: slice, camera: Camera) -> slice:
