@@ -37,7 +37,7 @@ USABLE = 0.5
 """Of a region: where more of it is saturated, it has no focus measure."""
 WIDEST = 1024
 """The spot is looked for in a picture that is not wider than this; larger frames are averaged down."""
-SMOOTH_PX = 1.5
+SMOOTH_PX = 1.0
 """Standard deviation of the smoothing before the search for a spot, in pixels of that picture."""
 HALF = 0.5
 """The outline of a spot lies where the light has half of its height over the background."""
@@ -296,7 +296,7 @@ class Spot:
 
     column: float
     row: float
-    """Its centroid, weighted by the light above the background."""
+    """Its centroid, weighted by the light above the level of the outline."""
     major_px: float
     minor_px: float
     """Full lengths of the axes of the ellipse that has the outline's second moments."""
@@ -357,7 +357,7 @@ def spot(camera: Camera, frame: Frame) -> tuple[Spot | None, str]:
     left, top, width, height = (int(stats[largest, k]) for k in range(4))
     cut = left == 0 or top == 0 or left + width == image.shape[1] or top + height == image.shape[0]
     rows, cols = np.nonzero(mine)
-    weights = above[mine].astype(float)
+    weights = above[mine].astype(float) - HALF * height_dn  # zero at the outline, so that no pixel counts by halves
     column, row = float(np.average(cols, weights=weights)), float(np.average(rows, weights=weights))
     spread = np.cov(np.stack([cols, rows]).astype(float), ddof=0) + np.eye(2) / 12.0
     values, vectors = np.linalg.eigh(spread)
