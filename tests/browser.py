@@ -71,18 +71,29 @@ class Page:
         self._loaded = self._loaded or message.get("method") == "Page.loadEventFired"
         return message
 
-    def open(self, path: Path, width: int, height: int = 900, *, scripts: bool = True) -> None:
-        """Load a file at a window size, with its scripts or without, and wait until it has been drawn."""
-        self.send("Emulation.setScriptExecutionDisabled", value=not scripts)
+    def resize(self, width: int, height: int = 900) -> None:
+        """The size of the window."""
         self.send(
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
         )
+
+    def open(self, path: Path | str, width: int, height: int = 900, *, scripts: bool = True) -> None:
+        """Load a file or an address at a window size, with its scripts or without; wait until it has been drawn."""
+        self.send("Emulation.setScriptExecutionDisabled", value=not scripts)
+        self.resize(width, height)
         self._loaded = False
-        self.send("Page.navigate", url=path.resolve().as_uri())
+        self.send("Page.navigate", url=path if isinstance(path, str) else path.resolve().as_uri())
         while not self._loaded:
             self._receive()
         if scripts:
             self.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+    def until(self, expression: str, patience_s: float = 20.0) -> float:
+        """Wait until a JavaScript expression is true; how long that took [s]."""
+        began = time.monotonic()
+        while not self.run(expression):
+            assert time.monotonic() - began < patience_s, f"not within {patience_s:g} s: {expression}"
+        return time.monotonic() - began
 
     def run(self, expression: str) -> Any:
         """The value of a JavaScript expression; a promise is awaited."""
@@ -116,12 +127,11 @@ class Page:
 def browser(profile: Path) -> Iterator[Page]:
     """Start Chromium with a profile folder of its own; its tab. It ends with the block."""
     assert CHROMIUM is not None
-    pipe = [*os.pipe(), *os.pipe()]
-    ends = [fcntl.fcntl(fd, fcntl.F_DUPFD_CLOEXEC, 20) for fd in pipe]  # out of the way of 3 and 4
-    for fd in pipe:
+    low = [*os.pipe(), *os.pipe(), os.open(os.devnull, os.O_RDWR)]
+    ends = [fcntl.fcntl(fd, fcntl.F_DUPFD_CLOEXEC, 20) for fd in low]  # out of the way of 3 and 4
+    for fd in low:
         os.close(fd)
-    their_read, our_write, our_read, their_write = ends
-    null = os.open(os.devnull, os.O_RDWR)
+    their_read, our_write, our_read, their_write, null = ends
     actions = [(os.POSIX_SPAWN_DUP2, their_read, 3), (os.POSIX_SPAWN_DUP2, their_write, 4)]
     actions += [(os.POSIX_SPAWN_DUP2, null, fd) for fd in (0, 1, 2)]
     command = [CHROMIUM, *ARGUMENTS, f"--user-data-dir={profile}"]

@@ -21,7 +21,7 @@ from gonio.errors import ConfigError, DataError, GonioError
 if TYPE_CHECKING:
     import typer
 
-ORDER = ("demo", "rig", "calibrate", "plan", "measure", "run", "reduce", "fit", "compare", "report")
+ORDER = ("demo", "rig", "calibrate", "plan", "measure", "watch", "run", "reduce", "fit", "compare", "report")
 """The order of the help: that of the work."""
 
 

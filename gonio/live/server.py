@@ -29,7 +29,7 @@ import socket
 import socketserver
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -58,8 +58,8 @@ BATCH = 256
 LOOPBACK = "127.0.0.1"
 
 CSP = (
-    "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; img-src 'self' data:; "
-    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; img-src 'self' data: blob:; "
+    "connect-src 'self'; worker-src blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 HEADERS = {
     "Cache-Control": "no-store",
@@ -114,9 +114,16 @@ class EventLog:
         self._told: dict[str, tuple[int, bytes]] = {}
         self._versions = 0
         self._closed = False
+        self.listeners = 0
+        """How many streams are open: what nobody looks at need not be made."""
 
     def __len__(self) -> int:
         return len(self._events)
+
+    def events(self, number: int) -> list[Event]:
+        """All that was appended beyond a number."""
+        with self._news:
+            return [Event(k, kind, line) for k, (kind, line) in enumerate(self._events[number:], number + 1)]
 
     def append(self, *events: tuple[str, Any]) -> None:
         """Add events (a kind, and what JSON can hold); the first of all has the id 1."""
@@ -133,6 +140,17 @@ class EventLog:
                 self._versions += 1
                 self._told[kind] = (self._versions, line)
                 self._news.notify_all()
+
+    @contextlib.contextmanager
+    def listening(self) -> Iterator[None]:
+        """While somebody takes events."""
+        with self._news:
+            self.listeners += 1
+        try:
+            yield
+        finally:
+            with self._news:
+                self.listeners -= 1
 
     def restart(self) -> None:
         """Forget all that was appended: it is not so any more. Clients have to be told, by a new `hello`."""
@@ -408,15 +426,16 @@ class _Client(BaseHTTPRequestHandler):
             self._head_of(HTTPStatus.OK, "text/event-stream; charset=utf-8", None)
             self.connection.sendall(b"retry: %d\n\n" % RETRY_MS)
             version = 0
-            while not self._gone():
-                events, number, version = self.server.events.after(number, version, HEARTBEAT_S)
-                if events:
-                    self.connection.sendall(b"".join(event.encode() for event in events))
-                elif self.server.events.closed:
-                    self.connection.sendall(b"event: bye\ndata: {}\n\n")
-                    return
-                else:
-                    self.connection.sendall(b": heartbeat\nevent: beat\ndata: {}\n\n")
+            with self.server.events.listening():
+                while not self._gone():
+                    events, number, version = self.server.events.after(number, version, HEARTBEAT_S)
+                    if events:
+                        self.connection.sendall(b"".join(event.encode() for event in events))
+                    elif self.server.events.closed:
+                        self.connection.sendall(b"event: bye\ndata: {}\n\n")
+                        return
+                    else:
+                        self.connection.sendall(b": heartbeat\nevent: beat\ndata: {}\n\n")
         finally:
             self.server.streams.release()
 

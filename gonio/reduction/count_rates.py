@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from numbers import Real
@@ -141,9 +141,20 @@ def camera_parameters(description: RigDescription) -> dict[str, str]:
 
 
 class RunFrames:
-    """The frames of a run, and what all of its bands share: what each step looks at, and the dark signal there."""
+    """The frames of a run, and what all of its bands share: what each step looks at, and the dark signal there.
 
-    def __init__(self, run: Run) -> None:
+    Parameters
+    ----------
+    run
+        A run, complete or not.
+    steps : sequence of StepRecord, optional
+        Some of its steps, dark ones among them, in place of all: the run is being measured. Others can be reduced if
+        they look where the dark signal is known then (`knows`).
+    spare
+        Around what these steps look at, the dark signal is kept for so much more of the sensor, as a part of its size.
+    """
+
+    def __init__(self, run: Run, steps: Sequence[StepRecord] | None = None, spare: float = 0.0) -> None:
         self.run = run
         self.damaged: dict[str, str] = {}
         """What is wrong with frames that were left out, by their names."""
@@ -159,7 +170,7 @@ class RunFrames:
         dark: list[FrameRecord] = []
         self.geometry = GeometryErrors(run.description)
         monitored: list[float] = []
-        self._every = run.steps()
+        self._every = run.steps() if steps is None else steps
         for step in self._every:
             if step.kind == "dark":
                 dark += step.frames
@@ -202,6 +213,9 @@ class RunFrames:
                         seen[channel] += 1
         if not boxes:
             raise DataError(f"{run.path}: no point was measured in this run; finish it with --resume")
+        if spare:
+            boxes = {target: _widened(box, spare, (camera.height, camera.width)) for target, box in boxes.items()}
+        self._boxes = boxes
         box = boxes.get("sample", (slice(0, 0), slice(0, 0)))
         self._patterns = {channel: Patterns(regions[channel], box) for channel in channels}
         self.clipped = 0.0
@@ -221,6 +235,16 @@ class RunFrames:
     def steps(self) -> Iterator[StepRecord]:
         """The steps with frames of point or reference, each read when it is asked for: a run may have very many."""
         return (step for step in self._every if step.kind != "dark" and not step.flag)
+
+    def knows(self, step: StepRecord) -> bool:
+        """Whether the dark signal is known where a step looks."""
+        for channel in self._channels:
+            region = self._region(step, channel)
+            if region is not None:
+                box = self._boxes.get(region.target)
+                if box is None or _around(region.roi, box) != box:
+                    return False
+        return True
 
     def _region(self, step: StepRecord, channel: Channel) -> Region | None:
         """The region of a step; None where the source stands below the horizon, or the camera on the
@@ -611,6 +635,18 @@ def _around(region: Roi, box: tuple[slice, slice] | None) -> tuple[slice, slice]
         slice(min(region.rows.start, rows.start), max(region.rows.stop, rows.stop)),
         slice(min(region.cols.start, cols.start), max(region.cols.stop, cols.stop)),
     )
+
+
+def _widened(box: tuple[slice, slice], part: float, size: tuple[int, int]) -> tuple[slice, slice]:
+    """A rectangle with a part of its size more on each side, within the sensor."""
+    rows, cols = (
+        slice(
+            max(side.start - round(part * (side.stop - side.start)), 0),
+            side.stop + round(part * (side.stop - side.start)),
+        )
+        for side in box
+    )
+    return slice(rows.start, min(rows.stop, size[0])), slice(cols.start, min(cols.stop, size[1]))
 
 
 def in_threads(work: Callable[[In], Out], items: Iterable[In]) -> Iterator[Out]:

@@ -1,4 +1,4 @@
-"""The commands `gonio demo`, `fit`, `compare`, `report` and `appearance`.
+"""The commands `gonio demo`, `fit`, `compare`, `report`, `appearance` and `watch`.
 
 Nothing heavy is imported before a command runs: `gonio --help` has to answer at once.
 """
@@ -47,6 +47,27 @@ def demo(
     from gonio_analysis.commands.demonstration import run_demo
 
     print(run_demo(out, quick=quick))
+
+
+def watch(
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", help="Folder of a run; it need not exist yet.", show_default=False)
+    ],
+    port: Annotated[
+        int | None,
+        typer.Option(
+            min=0, max=65535, help="Port of the page; that of last time, or any that is free.", show_default=False
+        ),
+    ] = None,
+    host: Annotated[
+        str, typer.Option(help="Address to serve at; other machines see the page at 0.0.0.0.")
+    ] = "127.0.0.1",
+    text: Annotated[bool, typer.Option("--text", help="Show the run in the terminal, too.")] = False,
+) -> None:
+    """Follow a run from another process, or look at one that has ended. Prints the page's address first."""
+    from gonio_analysis.commands import watching
+
+    watching.watch(run, host, port, text)
 
 
 def fit(

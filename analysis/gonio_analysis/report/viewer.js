@@ -53,9 +53,28 @@
       Object.assign(this, { root, data, wave: data.at, norm: data.normalise, plot: data.plot || "polar", at: null });
       this.labels = new Set(data.shown);
       this.series = new Set(data.chosen);
+      this.resized = new ResizeObserver(() => this.draw());
       this.build();
       root.hidden = false;
-      new ResizeObserver(() => this.draw()).observe(this.stage);
+    }
+
+    /** Other data in place of those that are shown, of a run that goes on; what the reader has chosen stays. */
+    renew(data) {
+      const names = (d) => JSON.stringify([d.labels, d.points, d.models, d.moving, d.note, d.waves.map((w) => w.nm)]);
+      const was = this.data, at = this.at;
+      this.data = data;
+      for (const name of data.shown) if (!was.labels.includes(name)) this.labels.add(name);
+      if (names(was) === names(data)) {
+        this.draw();
+      } else {
+        this.wave = Math.max(0, data.waves.findIndex((w) => w.nm === was.waves[this.wave].nm));
+        this.resized.disconnect();
+        this.root.replaceChildren();
+        this.build();
+        this.draw();
+      }
+      const same = (s) => s.p.angle === at.p.angle && s.line.name === at.line.name && s.line.curve.label === at.line.curve.label;
+      if (at) this.point(this.spots.find(same) || null);
     }
 
     // --- controls ------------------------------------------------------------------------------------------------
@@ -102,9 +121,10 @@
       root.append(
         html("div", { class: "choices" }, ...choices),
         boxes("Curves", order, this.labels, "curve"),
-        boxes("Shown", [...data.points, ...data.models], this.series, "series"),
+        ...(data.points.length + data.models.length > 1 ? [boxes("Shown", [...data.points, ...data.models], this.series, "series")] : []),
         this.stage, this.output, ...(data.note ? [html("p", { class: "note" }, data.note)] : []),
       );
+      this.resized.observe(this.stage);
     }
 
     // --- what is shown -------------------------------------------------------------------------------------------
@@ -342,6 +362,8 @@
   }
 
   for (const root of document.querySelectorAll(".viewer")) {
-    new Viewer(root, JSON.parse(document.getElementById(`${root.id}-data`).textContent));
+    const data = document.getElementById(`${root.id}-data`);
+    if (data) new Viewer(root, JSON.parse(data.textContent));
+    else root.show = (view) => { if (root.viewer) root.viewer.renew(view); else root.viewer = new Viewer(root, view); };
   }
 })();

@@ -1,0 +1,46 @@
+"""The address of a page outlives its server: port and token are kept where nobody else can read them.
+
+A page that is open when its server dies asks for more at the same address, with the same token. So the next server of
+the same run takes both again, if the port is free.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import tempfile
+from pathlib import Path
+
+
+def folder() -> Path:
+    """Where programs keep what outlives them, by the XDG base directory specification."""
+    home = os.environ.get("XDG_STATE_HOME", "")
+    return (Path(home) if os.path.isabs(home) else Path.home() / ".local" / "state") / "gonio" / "pages"
+
+
+def _file(what: Path) -> Path:
+    return folder() / f"{hashlib.sha256(os.fsencode(what.absolute())).hexdigest()[:24]}.json"
+
+
+def recall(what: Path) -> tuple[int, str | None]:
+    """Port and token of the last page of a folder; 0 and None where nothing is known, or others could know it."""
+    file = _file(what)
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+        there = os.lstat(file)
+        if there.st_uid == os.getuid() and not there.st_mode & 0o077:
+            kept = json.loads(file.read_text(encoding="utf-8"))
+            port, token = int(kept["port"]), str(kept["token"])
+            if 0 < port < 65536 and len(token) >= 32 and token.replace("-", "").replace("_", "").isalnum():
+                return port, token
+    return 0, None
+
+
+def remember(what: Path, port: int, token: str) -> None:
+    """Keep port and token for the next page of a folder; raises `OSError` where that cannot be written."""
+    file = _file(what)
+    file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile("w", dir=file.parent, encoding="utf-8", delete=False) as made:  # mode 0600
+        json.dump({"port": port, "token": token}, made)
+    os.replace(made.name, file)

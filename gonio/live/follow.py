@@ -1,0 +1,101 @@
+"""A journal that another process writes, read as it grows.
+
+Only what is new is read, and nothing is locked: who measures does not notice. A torn last line is waited for. `gonio
+run repair` puts another file in the place of a damaged journal; then all is read anew.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from gonio.acquisition.journal import Event, decode
+from gonio.disk import only_file
+
+PIECE = 1 << 20
+"""Bytes that are read at once."""
+LOCKS = Path("/proc/locks")
+
+
+class Follower:
+    """The events of a run's journal.
+
+    Parameters
+    ----------
+    run
+        The folder; it need not exist yet.
+    """
+
+    def __init__(self, run: Path) -> None:
+        self.path = run / "journal.jsonl"
+        self.damaged = ""
+        """What is wrong with a line that others follow; nothing is read beyond it."""
+        self.lives = 0
+        """How many files were read here: another one tells another story."""
+        self._file: tuple[int, int] | None = None
+        self._seen: tuple[int, int] | None = None
+        self._at = self._number = 0
+
+    @property
+    def identity(self) -> str:
+        """What tells this journal from one that is put in its place; "" where there is none."""
+        return "" if self._file is None else f"{self._file[0]:x}-{self._file[1]:x}"
+
+    def poll(self) -> Iterator[list[Event]]:
+        """Events that were not there before, in pieces; after a change of `lives` they are all of another journal."""
+        try:
+            there = os.stat(self.path)
+        except OSError:
+            return
+        file = there.st_dev, there.st_ino
+        if file != self._file or there.st_size < self._at:
+            self._file, self._seen, self._at, self._number, self.damaged = file, None, 0, 0, ""
+            self.lives += 1
+        looks = there.st_size, there.st_mtime_ns
+        if looks == self._seen:
+            return
+        self._seen = looks
+        try:
+            with open(self.path, "rb", opener=only_file) as journal:
+                if os.fstat(journal.fileno()).st_ino != file[1]:
+                    self._seen = None  # replaced meanwhile: next time
+                    return
+                journal.seek(self._at)
+                rest = b""
+                while some := journal.read(PIECE):
+                    *lines, rest = (rest + some).split(b"\n")
+                    yield self._events(lines, more=bool(rest))
+                    if self.damaged:
+                        return
+        except OSError as error:
+            self._seen, self.damaged = None, f"{self.path}: cannot be read: {error.strerror}"
+
+    def _events(self, lines: list[bytes], *, more: bool) -> list[Event]:
+        """The events of whole lines; a bad one at the end is torn, and will be cut off or written again."""
+        out = []
+        for k, line in enumerate(lines):
+            event = decode(line + b"\n", self._number)
+            if event is None:
+                if more or k + 1 < len(lines):
+                    self.damaged = f"line {self._number + 1} of the journal is damaged: gonio run repair"
+                break
+            out.append(event)
+            self._at += len(line) + 1
+            self._number += 1
+        return out
+
+    def writer_lives(self) -> bool | None:
+        """Whether a process holds the journal for writing; None where this machine does not tell.
+
+        The lock is only looked for in the kernel's list: to try it would keep a `--resume` from taking it.
+        """
+        if self._file is None:
+            return None
+        try:
+            held = LOCKS.read_text()
+        except OSError:
+            return None
+        inode = self._file[1]
+        rows = (row.split() for row in held.splitlines())
+        return any("FLOCK" in row and any(word.endswith(f":{inode}") for word in row) for row in rows)

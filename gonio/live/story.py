@@ -1,0 +1,236 @@
+"""What a journal says of a run, as it is told: where it stands, how long it takes, what was flagged and why."""
+
+from __future__ import annotations
+
+import datetime
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from gonio.acquisition.journal import Event
+
+RECENT = 64
+"""Steps whose durations tell how long the next ones take."""
+PAUSES = ("suspended", "paused")
+STOPS = {"end": "ended", "interrupted": "interrupted", "device_error": "failed"}
+SILENT_S = 60.0
+"""A run that lives writes a line so often, or every `LATE` steps."""
+LATE = 10.0
+OWN = ("n", "event", "wall", "crc")
+
+
+@dataclass(slots=True)
+class Sitting:
+    """From the start of the program that measures to its last line."""
+
+    began: float
+    last: float
+    steps: int = 0
+
+
+@dataclass
+class Story:
+    """A run, after some of its events.
+
+    Parameters
+    ----------
+    every
+        Points between two visits to the reference (`reference.every`); 0 where there is one visit at the end.
+    angles_deg
+        theta_i, phi_i, theta_r, phi_r of each point of the plan.
+    """
+
+    every: int = 0
+    angles_deg: list[Sequence[float]] = field(default_factory=list)
+    done: dict[int, str] = field(default_factory=dict)
+    """The steps that count, and what they are."""
+    total: int = 0
+    """Steps of the run, as far as it is known."""
+    sittings: list[Sitting] = field(default_factory=list)
+    flagged: int = 0
+    last: Event | None = None
+    last_step: Event | None = None
+    latest_frame: tuple[str, int] | None = None
+    """The name of the last frame that shows something, and the number of its step."""
+    why: dict[str, str] = field(default_factory=dict)
+    """For what the run waits, by rule."""
+    visits_s: dict[int, float] = field(default_factory=dict)
+    """When each visit to the reference was written down [s since 1970], by its step."""
+    stopped: str = ""
+    """How it came to its end, or ""."""
+    _durations: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
+    _waited: bool = True
+    _bytes: int = 0
+
+    def take(self, event: Event) -> dict[str, Any]:
+        """One more event; what a page has to know of it."""
+        kind, at = str(event.get("event", "")), seconds(event.get("wall"))
+        out: dict[str, Any] = {"n": event["n"], "event": kind, "wall": event.get("wall", "")}
+        if self.sittings:
+            self.sittings[-1].last = at
+        if kind == "step":
+            out |= self._step(event, at)
+        else:
+            self._other(kind, event, at)
+            out["text"] = said(event)
+        self.last = event
+        return out
+
+    def _other(self, kind: str, event: Event, at: float) -> None:
+        if kind == "session":
+            self.sittings.append(Sitting(at, at))
+            self.total, self._waited = len(self.done) + int(event.get("left", 0)), True
+            self.stopped, self.why = "", {}
+        elif kind == "chosen":
+            points = event.get("points", [])
+            self.angles_deg += points
+            self.total += len(points) + (math.ceil(len(points) / self.every) if self.every else 1)
+        elif kind == "lost":
+            for number in event.get("steps", []):
+                self.done.pop(int(number), None)
+        elif kind in PAUSES:
+            self.why[str(event.get("rule", kind))] = str(event.get("message", ""))
+            self._waited = True
+        elif kind == "continued":
+            self.why, self._waited = {}, True
+        elif kind in STOPS:
+            self.stopped = STOPS[kind]
+            self.why = {kind: str(event["message"])} if event.get("message") else {}
+
+    def _step(self, event: Event, at: float) -> dict[str, Any]:
+        before = self.last
+        if before is not None and not self._waited:
+            self._durations.append(at - seconds(before.get("wall")))
+        self._waited, self.stopped, self.why = False, "", {}
+        number, point, flag = int(event["step"]), event.get("point"), str(event.get("flag", ""))
+        self.done[number] = str(event.get("kind", ""))
+        if event.get("kind") == "reference":
+            self.visits_s[number] = at
+        self.total = max(self.total, len(self.done))
+        if self.sittings:
+            self.sittings[-1].steps += 1
+        self.flagged += bool(flag)
+        frames = event.get("frames", [])
+        self._bytes += sum(int(frame.get("bytes") or 0) for frame in frames)
+        lit = [frame for frame in frames if frame.get("lamp")]
+        exposure = max((float(frame["exposure_s"]) for frame in lit), default=0.0)
+        levels = event.get("level_per_s") or {}
+        level = max((float(v) for v in levels.values()), default=0.0)
+        shown = max(lit or frames, key=lambda frame: float(frame["exposure_s"]), default=None)
+        if shown is not None:
+            self.latest_frame = str(shown["file"]), number
+        self.last_step = event
+        out: dict[str, Any] = {
+            "step": number,
+            "kind": event.get("kind"),
+            "point": point,
+            "flag": flag,
+            "frames": len(frames),
+            "exposure_s": exposure,
+            "levels_per_s": {name: rounded(value, 5) for name, value in levels.items()},
+            "level": rounded(min(level * exposure, 9.99), 4),
+            "pose_deg": {name: rounded(math.degrees(a), 7) for name, a in event.get("pose", {}).items()},
+            "health": [[*row[:2], rounded(row[2], 5), *row[3:4]] for row in event.get("health", [])],
+        }
+        if isinstance(point, int) and 0 <= point < len(self.angles_deg):
+            out["angles_deg"] = list(self.angles_deg[point])
+        return out
+
+    @property
+    def step_s(self) -> float | None:
+        """How long a step took of late [s], on average."""
+        return sum(self._durations) / len(self._durations) if self._durations else None
+
+    @property
+    def bytes_left(self) -> float:
+        """What the steps that are left need on the disk, as those before them did."""
+        return self._bytes / max(len(self.done), 1) * max(self.total - len(self.done), 0)
+
+    def state(self, now_s: float, lives: bool | None) -> tuple[str, str]:
+        """Where the run stands in a word, and why in a sentence or "".
+
+        Parameters
+        ----------
+        now_s
+            The time of day [s since 1970].
+        lives
+            Whether its process holds the journal, where that can be told.
+        """
+        reasons = "; ".join(text for text in self.why.values() if text)
+        if self.last is None:
+            return "waiting", "nothing has been measured yet"
+        if self.stopped:
+            return self.stopped, reasons
+        silent = now_s - seconds(self.last.get("wall"))
+        if lives is False:
+            return "died", f"its process is gone, {ago(silent)} after its last line; --resume goes on"
+        if self.why:
+            return ("paused" if "paused" in self.why else "suspended"), reasons
+        if silent > max(SILENT_S, LATE * (self.step_s or 0.0)):
+            if lives is None:
+                return "silent", f"nothing was written for {ago(silent)}: it takes long, or its process is gone"
+            return "running", f"nothing was written for {ago(silent)}"
+        return "running", ""
+
+
+def seconds(wall: Any) -> float:
+    """A journal's time of day [s since 1970]; 0 where it is none."""
+    try:
+        return datetime.datetime.fromisoformat(str(wall)).timestamp()
+    except ValueError:
+        return 0.0
+
+
+def rounded(value: Any, digits: int) -> Any:
+    """A number as JSON can hold it, in a few digits; what is none stays as it is."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return value
+    return float(f"{value:.{digits}g}") if math.isfinite(value) else None
+
+
+def ago(seconds: float) -> str:
+    """A duration as people say it: 45 s, 12 min, 3 h 20 min, 2 d 4 h."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    if minutes < 90:
+        return f"{minutes} min"
+    hours = minutes // 60
+    return f"{hours} h {minutes % 60:02d} min" if hours < 48 else f"{hours // 24} d {hours % 24} h"
+
+
+def said(event: Mapping[str, Any]) -> str:
+    """An event in words; of one that nobody knows here, what it holds."""
+    kind = event.get("event")
+    if kind == "session":
+        return f"a sitting begins: {event.get('left')} steps to take (gonio {event.get('gonio')})"
+    if kind == "chosen":
+        points = event.get("points", [])
+        return f"{len(points)} points were chosen, from step {event.get('first_step')} on; {plain(event.get('why'))}"
+    if kind == "enough":
+        met = "the target is reached" if event.get("met") else "no more points are chosen"
+        return "; ".join(text for text in (met, str(event.get("message", "")), plain(event.get("why"))) if text)
+    if kind == "end":
+        return "every step is done"
+    if kind == "continued":
+        return f"going on after {ago(float(event.get('waited_s', 0.0)))}"
+    if kind == "lost":
+        return f"taken back: steps {plain(event.get('steps'))}"
+    message = event.get("message")
+    rest = {key: value for key, value in event.items() if key not in (*OWN, "message", "time_s")}
+    return str(message) if message else plain(rest)
+
+
+def plain(value: Any, most: int = 300) -> str:
+    """What JSON holds, in a line without its brackets."""
+    if isinstance(value, Mapping):
+        text = ", ".join(f"{key.replace('_', ' ')} {plain(inner, most)}" for key, inner in value.items())
+    elif isinstance(value, list | tuple):
+        text = ", ".join(plain(inner, most) for inner in value[:12]) + (" ..." if len(value) > 12 else "")
+    elif isinstance(value, float):
+        text = f"{value:.4g}"
+    else:
+        text = "" if value is None else str(value)
+    return text if len(text) <= most else text[: most - 4] + " ..."

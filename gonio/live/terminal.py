@@ -1,0 +1,141 @@
+"""A run in the terminal, as the page shows it: a panel that is drawn again, or plain lines where nobody looks."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from typing import TYPE_CHECKING, Any
+
+from gonio.live.story import ago
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from gonio.live.watching import Watched
+
+DRAWN_S = 0.5
+LISTED = 6
+"""Values, flags and events that are shown."""
+LINES = 200
+"""A log file gets about so many lines of a run."""
+
+
+def show(watched: Watched) -> None:
+    """Show a run until a signal ends it."""
+    watched.wanted = True
+    if sys.stdout.isatty():
+        _panel(watched)
+    else:
+        _lines(watched)
+
+
+def _panel(watched: Watched) -> None:
+    from rich.console import Console
+    from rich.live import Live
+
+    with Live(get_renderable=lambda: render(watched), console=Console(), refresh_per_second=1.0 / DRAWN_S):
+        threading.Event().wait()
+
+
+def _lines(watched: Watched) -> None:
+    told, number, steps = ("", ""), 0, 0
+    while True:
+        status = watched.status()
+        for event in watched.events_after(number):
+            number += 1
+            if event["event"] != "step":
+                print(f"{_clock(event)}  {event['event']}: {event.get('text', '')}", flush=True)
+                continue
+            steps += 1
+            part = max(status["total"] // LINES, 1)
+            if event["flag"] or steps % part == 0:
+                print(f"{_clock(event)}  {step_line(event)}", flush=True)
+        if told != (status["state"], status["why"]):
+            told = status["state"], status["why"]
+            print(summary(status), flush=True)
+        threading.Event().wait(DRAWN_S)
+
+
+def _clock(event: dict[str, Any]) -> str:
+    return str(event.get("wall", ""))[11:19]
+
+
+def summary(status: dict[str, Any]) -> str:
+    """How a run stands, in a line."""
+    parts = [f"{status['state']}: step {status['done']} of {status['total'] or '?'}"]
+    if status["left_s"] is not None:
+        parts.append(f"about {ago(status['left_s'])} left")
+    if status["flagged"]:
+        parts.append(f"{status['flagged']} flagged")
+    if status.get("free_bytes"):
+        parts.append(f"{status['free_bytes'] / 1e9:.3g} GB free")
+    return ", ".join(parts) + (f" ({status['why']})" if status["why"] else "")
+
+
+def step_line(event: dict[str, Any]) -> str:
+    """A step in a line."""
+    what = f"step {event['step']}: {event['kind']}" + (f" {event['point']}" if event["point"] is not None else "")
+    if "angles_deg" in event:
+        theta_i, phi_i, theta_r, phi_r = event["angles_deg"]
+        what += f", theta_i {theta_i:g}, theta_r {theta_r:g}, dphi {(phi_r - phi_i) % 360:g} deg"
+    if event["kind"] != "dark" and not event["flag"]:
+        what += f"; {100 * event['level']:.0f} % of full scale in {event['exposure_s']:.3g} s"
+    return what + (f"  [{event['flag']}]" if event["flag"] else "")
+
+
+def values_lines(watched: Watched, most: int = LISTED) -> list[str]:
+    """The newest provisional values, the newest last."""
+    out = []
+    for values in watched.values:
+        name = f"{values.band.name}: " if len(watched.values) > 1 else ""
+        for k in range(max(0, len(values.points) - most), len(values.points)):
+            angles = watched.story.angles_deg[values.points[k]]
+            where = f"theta_i {angles[0]:g}, theta_r {angles[2]:g}, dphi {(angles[3] - angles[1]) % 360:g} deg"
+            out.append(f"{name}{where}: {values.brdf[k]:.4g} ± {values.u[k]:.2g} 1/sr")
+    return out
+
+
+def drift_line(watched: Watched) -> str:
+    """How far the last visit to the reference lies from the first, in each band."""
+    parts = []
+    for values in watched.values:
+        _, ratio, u = values.visits[-1]
+        parts.append(f"{values.band.name} {100 * (ratio - 1):+.2f} ± {100 * u:.2f} %")
+    return ", ".join(parts)
+
+
+def render(watched: Watched) -> RenderableType:
+    """The panel."""
+    from rich.console import Group
+    from rich.panel import Panel
+    from rich.progress_bar import ProgressBar
+    from rich.table import Table
+    from rich.text import Text
+
+    status, rows = watched.status(), Table.grid(padding=(0, 2))
+    rows.add_column(style="dim", no_wrap=True)
+    rows.add_column()
+    events = watched.events_after(max(0, len(watched.log) - 400))
+    step = next((event for event in reversed(events) if event["event"] == "step"), None)
+    if step is not None:
+        rows.add_row("now", step_line(step))
+        rows.add_row("axes", "  ".join(f"{name} {value:.2f}°" for name, value in step["pose_deg"].items()))
+        told = [f"{d} {q.replace('_', ' ')} {v}{u}" for d, q, v, u in step["health"] if u != "deg" and v is not None]
+        if told:
+            rows.add_row("devices", "  ".join(told))
+    if watched.values:
+        rows.add_row("reference", f"{drift_line(watched)} since the first visit")
+        rows.add_row("values", "\n".join([*values_lines(watched), "provisional"]))
+    flags = [event for event in events if event["event"] == "step" and event["flag"]]
+    if flags:
+        rows.add_row("flagged", "\n".join(step_line(event) for event in flags[-LISTED:]))
+    others = [event for event in events if event["event"] != "step"]
+    if others:
+        told = [f"{_clock(event)} {event['event']}: {event['text']}" for event in others[-LISTED:]]
+        rows.add_row("events", "\n".join(told))
+    if status["sittings"]:
+        began, last, _ = status["sittings"][-1]
+        rows.add_row("sitting", f"{len(status['sittings'])}., {ago(last - began)}")
+    bar = ProgressBar(total=max(status["total"], 1), completed=status["done"])
+    name = watched.path.absolute().name
+    return Panel(Group(Text(summary(status), style="bold"), bar, rows), title=name, title_align="left")
