@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from gonio.live.server import Content, EventLog, Request, Route
 
-if TYPE_CHECKING:
-    from gonio.by_hand.live_picture import Pictures
-
 KEPT = 3
 """Pictures of so many frames: a browser asks for the one that it was just told of."""
+
+
+class Pictures(Protocol):
+    """Of one frame."""
+
+    @property
+    def whole(self) -> bytes:
+        """JPEG."""
+
+    @property
+    def zoom(self) -> bytes:
+        """PNG."""
 
 
 class AlignmentPage:

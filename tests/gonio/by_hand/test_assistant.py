@@ -43,9 +43,11 @@ class Scene(NumpyRig):
                 raise what
             what()
         camera = self.description.camera
-        seen = imaging.pixel_map(self.description, kinematics.view(self.description, self.pose))
+        view = kinematics.view(self.description, self.pose)
+        seen, pixel_mm = imaging.pixel_map(self.description, view), imaging.pixel_on_sample_mm(self.description, view)
         x, y = seen.x_mm - self.at_mm[0], seen.y_mm - self.at_mm[1]
-        light = np.where(x**2 + y**2 < self.radius_mm**2, self.rate * exposure_s, 0.0) if self.lit else 0.0 * x
+        share = np.clip((self.radius_mm - np.hypot(x, y)) / pixel_mm + 0.5, 0.0, 1.0)  # of a pixel at the edge
+        light = share * (self.rate * exposure_s if self.lit else 0.0)
         rng = np.random.default_rng([self.seed, self.frame])
         self.frame += 1
         charge = rng.poisson(np.nan_to_num(light)).clip(max=camera.full_well_e) + 5.0 * rng.standard_normal(x.shape)
@@ -129,9 +131,9 @@ def test_a_spot_is_told_from_the_centre_in_pixels_and_on_the_sample(at_work: Ses
     spot = told["spot"]
     assert told["predicted"]["centre"] == pytest.approx(centre)
     assert spot["from_centre_px"] == pytest.approx([spot["column"] - centre[0], spot["row"] - centre[1]])
-    # pixels of 0.16 mm are lit or not: a fifth of one for the centre, and one for a length
-    assert spot["from_centre_mm"] == pytest.approx([1.0, -0.6], abs=0.03)
-    assert spot["axes_mm"] == pytest.approx([8.0, 8.0], abs=0.2)
+    # a pixel is 0.4 mm wide: a tenth of it for the centre, three quarters for a length
+    assert spot["from_centre_mm"] == pytest.approx([1.0, -0.6], abs=0.04)
+    assert spot["axes_mm"] == pytest.approx([8.0, 8.0], abs=0.3)
     # seen under 25 degrees, the disc is cos(25) as wide as it is high
     assert spot["minor_px"] / spot["major_px"] == pytest.approx(math.cos(math.radians(25)), abs=0.03)
     assert told["angles_deg"]["light"] == pytest.approx(35)
