@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +23,8 @@ FAINTEST = 0.02
 """Of full scale: a picture that is darker than this throughout is not brightened any more, to noise that looks lit."""
 SRGB_GAMMA = 1.0 / 2.2
 """Screens undo it: what is shown is proportional to the light."""
+SPECK_PX = 3
+"""A single saturated pixel is so wide in the picture."""
 SATURATED_BGR = (40, 40, 235)
 
 
@@ -43,18 +46,27 @@ def pictures(camera: Camera, frame: Frame, middle: tuple[float, float]) -> Pictu
     """Both pictures; `middle`: column and row around which the frame is enlarged."""
     import cv2
 
-    image, over = looking.signal(camera, frame), looking.saturated(camera, frame)
-    shrink = min(1.0, WIDEST / image.shape[1])
-    size = max(round(image.shape[1] * shrink), 1), max(round(image.shape[0] * shrink), 1)
-    small = cv2.resize(looking.cells(frame.pattern, image), size, interpolation=cv2.INTER_AREA)
-    red = cv2.resize(over.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0  # a single pixel shows too
+    height, width = frame.mosaic.shape
+    shrink = min(1.0, WIDEST / width)
+    size = max(round(width * shrink), 1), max(round(height * shrink), 1)
+    if shrink <= 0.5 and not camera.response:  # cells of a mosaic are averaged by that
+        small = cv2.resize(frame.mosaic, size, interpolation=cv2.INTER_AREA).astype(np.float32) - frame.black_level_dn
+    else:
+        cells = looking.cells(frame.pattern, looking.signal(camera, frame))
+        small = cv2.resize(cells, size, interpolation=cv2.INTER_AREA)
+    over = looking.saturated(camera, frame).view(np.uint8)
+    red = np.zeros(small.shape, dtype=bool)
+    if over.any():
+        reach = np.ones((math.ceil(SPECK_PX / shrink),) * 2, np.uint8)
+        red = cv2.resize(cv2.dilate(over, reach), size, interpolation=cv2.INTER_NEAREST) > 0
     full = exposure.full_scale_dn(camera, frame)
     brightest = cv2.medianBlur(np.ascontiguousarray(small, np.float32), 3).max()  # single hot pixels aside
     white = max(float(brightest), FAINTEST * full)
-    rows, cols = (_part(middle[1], image.shape[0]), _part(middle[0], image.shape[1]))
-    zoomed = _shown(image[rows, cols], over[rows, cols], white)
+    rows, cols = _part(middle[1], height), _part(middle[0], width)
+    zoomed = _shown(looking.signal(camera, frame, frame.mosaic[rows, cols]), over[rows, cols] > 0, white)
+    colours = cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444  # of every pixel
     return Pictures(
-        whole=_encoded(".jpg", _shown(small, red, white), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]),
+        whole=_encoded(".jpg", _shown(small, red, white), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, *colours]),
         zoom=_encoded(".png", zoomed, [cv2.IMWRITE_PNG_COMPRESSION, 1]),
         zoom_box=(cols.start, rows.start, cols.stop - cols.start, rows.stop - rows.start),
         white_dn=white,

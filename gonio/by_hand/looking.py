@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,7 @@ import numpy.typing as npt
 from gonio.acquisition import exposure
 from gonio.rig import Frame
 from gonio.rig.description import Camera, RigDescription
-from gonio.rig.imaging import Channel, Roi, of_channel
+from gonio.rig.imaging import Channel, Roi
 from gonio.rig.sensor_response import linear_dn
 
 Floats32 = npt.NDArray[np.float32]
@@ -52,15 +53,17 @@ CORNERS = 96
 BINS = 64
 
 
-def signal(camera: Camera, frame: Frame) -> Floats32:
-    """The linear signal of each pixel above the black level [DN]."""
-    return np.asarray(linear_dn(camera, frame.mosaic), dtype=np.float32) - np.float32(frame.black_level_dn)
+def signal(camera: Camera, frame: Frame, pixels: npt.NDArray[Any] | None = None) -> Floats32:
+    """The linear signal above the black level [DN] of some pixels of a frame's mosaic; without them, of all."""
+    values = frame.mosaic if pixels is None else pixels
+    return np.asarray(linear_dn(camera, values), dtype=np.float32) - np.float32(frame.black_level_dn)
 
 
-def saturated(camera: Camera, frame: Frame) -> Mask:
+def saturated(camera: Camera, frame: Frame, pixels: npt.NDArray[Any] | None = None) -> Mask:
     """Which pixels lie above `exposure.SATURATED` of full scale."""
-    top = exposure.SATURATED * exposure.full_scale_dn(camera, frame)
-    return np.asarray(signal(camera, frame) >= top)
+    values = frame.mosaic if pixels is None else pixels
+    top = frame.black_level_dn + exposure.SATURATED * exposure.full_scale_dn(camera, frame)
+    return np.asarray(linear_dn(camera, values) >= top)
 
 
 def cells(pattern: str, image: npt.NDArray[np.float32]) -> Floats32:
@@ -113,8 +116,8 @@ def focus(camera: Camera, first: Frame, second: Frame, box: Box) -> Focus | None
     images, usable = [], np.ones(0, dtype=bool)
     rows, cols = _whole_cells(box[0], camera), _whole_cells(box[1], camera)
     for frame in (first, second):
-        images.append(cells(frame.pattern, np.ascontiguousarray(signal(camera, frame)[rows, cols])))
-        bad = cells(frame.pattern, saturated(camera, frame)[rows, cols].astype(np.float32)) > 0
+        images.append(cells(frame.pattern, np.ascontiguousarray(signal(camera, frame, frame.mosaic[rows, cols]))))
+        bad = cells(frame.pattern, saturated(camera, frame, frame.mosaic[rows, cols]).astype(np.float32)) > 0
         good = cv2.erode((~bad).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
         usable = good if not usable.size else usable & good
     usable[[0, -1], :] = usable[:, [0, -1]] = False  # no gradient is known there
@@ -183,7 +186,7 @@ class Noise:
 
 def noise(camera: Camera, first: Frame, second: Frame, region: Roi) -> Noise | None:
     """The noise of a region, from the difference of two frames of one scene; None where they do not show one scene."""
-    a, b = (np.asarray(region.of(signal(camera, frame)), dtype=float) for frame in (first, second))
+    a, b = (np.asarray(signal(camera, frame, region.of(frame.mosaic)), dtype=float) for frame in (first, second))
     if a.size < 2:
         return None
     means = a.mean() / first.exposure_s, b.mean() / second.exposure_s
@@ -223,18 +226,20 @@ class Levels:
 
 def levels(camera: Camera, frame: Frame) -> tuple[Levels, ...]:
     """Histograms, and how many pixels are saturated, by colour."""
-    full, out = saturated(camera, frame), []
-    steps = np.arange(int(frame.white_level_dn) + 1) * BINS // (int(frame.white_level_dn) + 1)
+    height, width = (size // 2 * 2 for size in frame.mosaic.shape)
+    out, white = [], int(frame.white_level_dn)
+    steps = np.arange(white + 1) * BINS // (white + 1)
     for channel in channels(camera):
-        if channel == "mono":
-            pixels, over = frame.mosaic.ravel(), int(np.count_nonzero(full))
-        else:
-            height, width = frame.mosaic.shape
-            mine = of_channel(camera.pattern, channel, slice(0, height), slice(0, width))
-            pixels, over = frame.mosaic[mine], int(np.count_nonzero(full & mine))
-        by_value = np.bincount(np.minimum(pixels, steps.size - 1), minlength=steps.size)
-        counts = np.bincount(steps, weights=by_value, minlength=BINS)
-        out.append(Levels(channel, tuple(int(n) for n in counts), over, int(pixels.size)))
+        parts = [frame.mosaic] if channel == "mono" else [
+            frame.mosaic[k // 2 : height : 2, k % 2 : width : 2]
+            for k, colour in enumerate(camera.pattern) if colour == channel
+        ]  # fmt: skip
+        counts, over, pixels = np.zeros(BINS, dtype=int), 0, sum(part.size for part in parts)
+        for part in parts:
+            by_value = np.bincount(np.minimum(part, steps.size - 1).ravel(), minlength=steps.size)
+            counts += np.bincount(steps, weights=by_value, minlength=BINS).astype(int)
+            over += int(np.count_nonzero(saturated(camera, frame, part)))
+        out.append(Levels(channel, tuple(int(n) for n in counts), over, pixels))
     return tuple(out)
 
 
@@ -261,8 +266,8 @@ DARK = 0.005
 def advice(description: RigDescription, frame: Frame, region: Roi | None) -> Advice:
     """What to do with the exposure, from the brightest pixel of the region (of the frame, where there is none)."""
     camera, target = description.camera, description.acquisition.exposure_target
-    image = signal(camera, frame)
-    brightest = float(np.max(region.of(image) if region is not None else image))
+    pixels = frame.mosaic if region is None else region.of(frame.mosaic)
+    brightest = float(signal(camera, frame, pixels.max(keepdims=True)).item())
     level = brightest / exposure.full_scale_dn(camera, frame)
     shortest, longest = camera.exposure_limits_s
     if level >= exposure.SATURATED:

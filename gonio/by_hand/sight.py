@@ -132,7 +132,9 @@ class Sight:
         span = self._times[-1] - self._times[0]
         noise = looking.noise(camera, last, frame, region) if last is not None and region is not None else None
         spot, said = looking.spot(camera, frame)
-        over = None if region is None else int(np.count_nonzero(region.of(looking.saturated(camera, frame))))
+        over = (
+            None if region is None else int(np.count_nonzero(looking.saturated(camera, frame, region.of(frame.mosaic))))
+        )
         full = exposure.full_scale_dn(camera, frame)
         out = {
             "n": self._number, "rig": description.name, "width": camera.width, "height": camera.height,

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gonio.by_hand import looking
+from gonio.by_hand.live_picture import pictures
 from gonio.rig import Frame
 from gonio.rig.description import RigDescription
 from gonio.rig.imaging import Roi
@@ -265,3 +266,28 @@ def test_a_frame_of_many_pixels_gives_places_of_the_frame() -> None:
     assert found is not None
     assert (found.column, found.row) == pytest.approx((1500, 200), abs=0.3)  # a third of a pixel of the smaller picture
     assert (found.major_px, found.minor_px) == pytest.approx((120, 120), abs=3)  # one pixel of it
+
+
+# ---- pictures ----
+
+
+@pytest.mark.parametrize(("width", "pattern"), [(2048, "mono"), (2048, "RGGB"), (1200, "RGGB"), (320, "mono")])
+def test_a_single_saturated_pixel_is_red_in_the_smaller_picture_too(width: int, pattern: str) -> None:
+    import cv2
+
+    of = camera(pattern, width=width)
+    mosaic = np.full((HEIGHT, width), 64 + 500, np.uint16)
+    mosaic[101, width // 2 + 7] = 4095
+    made = pictures(of, Frame(mosaic, 1.0, 64.0, 4095.0, pattern, time_s=0.0), (width / 2, 100.0))
+    whole, zoom = (
+        np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)).astype(int)
+        for data in (made.whole, made.zoom)
+    )
+    shrink = whole.shape[1] / width
+    assert whole.shape[1] == min(width, 960)
+    red = np.argwhere(whole[..., 2] - whole[..., 0] > 100)  # a speck of 3 pixels; JPEG spreads it by one
+    assert 4 <= len(red) <= 25
+    assert red.mean(0) == pytest.approx(((101.5 * shrink - 0.5), (width // 2 + 7.5) * shrink - 0.5), abs=1.0)
+    column, row, _, _ = made.zoom_box
+    assert np.argwhere(zoom[..., 2] > zoom[..., 0]).tolist() == [[101 - row, width // 2 + 7 - column]]
+    assert 495 < made.white_dn < 750, "one pixel does not darken the picture"
