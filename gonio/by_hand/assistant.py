@@ -173,8 +173,7 @@ class Assistant:
         """Take a frame, and tell what it shows."""
         self._mind_lamp()
         camera = self._bench.description.camera
-        self._pose = self._bench.pose()
-        self._sight.stand(self._pose, self._bench.band, self._target)
+        self._stand()
         if not self.exposure_s:
             expected = exposure.expected_exposure_s(self._bench.description, self._pose or Pose(), 1.0)
             self.exposure_s = max(min(expected, START_S), camera.exposure_limits_s[0])
@@ -202,6 +201,11 @@ class Assistant:
         told["picture"] = {"zoom_box": list(made.zoom_box), "shown_white_dn": made.white_dn}
         self._shown = told
         self._tell(told | self._session(), made)
+
+    def _stand(self) -> None:
+        """Where the axes are, and so what is seen."""
+        self._pose = self._bench.pose()
+        self._sight.stand(self._pose, self._bench.band, self._target)
 
     def _session(self) -> dict[str, Any]:
         """What there is to show beside the frame."""
@@ -348,6 +352,7 @@ class Assistant:
         if self.timer.left_s is None:
             raise ConfigError("auto needs light: lamp on")
         self._busy("looking for the exposure")
+        self._stand()
         description, region = self._bench.description, self._sight.region
         expected = exposure.expected_level_per_s(description, self._pose or Pose(), 1.0)
         used = region.of if region is not None else np.ravel

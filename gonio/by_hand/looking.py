@@ -34,6 +34,8 @@ SOBEL = 0.375
 """What independent pixels of unit variance give: 2 (1 + 4 + 1) 2 / 64 for the two gradients in eighths."""
 OF_PIXELS = 0.5
 """How well, relative, the rig file knows the square of its pixels' differences."""
+FEW = 0.01
+"""Saturated pixels of a region, beyond which its noise is not told."""
 USABLE = 0.5
 """Of a region: where more of it is saturated, it has no focus measure."""
 WIDEST = 1024
@@ -185,9 +187,13 @@ class Noise:
 
 
 def noise(camera: Camera, first: Frame, second: Frame, region: Roi) -> Noise | None:
-    """The noise of a region, from the difference of two frames of one scene; None where they do not show one scene."""
+    """The noise of a region, from the difference of two frames of one scene.
+
+    None where they do not show one scene, or where the region is saturated, which hides the noise.
+    """
     a, b = (np.asarray(signal(camera, frame, region.of(frame.mosaic)), dtype=float) for frame in (first, second))
-    if a.size < 2:
+    full = [np.mean(saturated(camera, frame, region.of(frame.mosaic))) for frame in (first, second)]
+    if a.size < 2 or max(full) > FEW:
         return None
     means = a.mean() / first.exposure_s, b.mean() / second.exposure_s
     alone = np.std(a - b) / math.sqrt(2.0)

@@ -174,7 +174,7 @@ function exposure(look) {
   text("exposure", `${seconds(look.exposure_s)}; brightest pixel of the ${where} ${digits(100 * a.level, 1)} %, wanted ${digits(100 * a.target, 0)} %` +
     (Math.abs(a.exposure_s / look.exposure_s - 1) > 0.02 ? `, at ${seconds(a.exposure_s)}` : ""));
   const n = look.noise;
-  text("noise", n === null ? "noise: waiting for two frames of one scene" :
+  text("noise", n === null ? "noise: " + (look.saturated_in_region ? "hidden by saturation" : "waiting for two frames of one scene") :
     `noise ${short(n.dn)} DN a pixel (camera's data: ${short(n.expected_dn)})` +
     (n.u_rel === null ? "; no signal" : `; u of the region's mean ${short(100 * n.u_rel, 2)} % a frame`));
 }
@@ -256,7 +256,7 @@ function lamp() {
   text("lamp", left === null ? "lamp dark" + (l.why_dark ? `: ${l.why_dark}` : "") : `lamp lit${level}, dark in ${Math.ceil(left)} s`);
   classes("lamp", "badge" + (left === null ? "" : left < 10 ? " lit soon" : " lit"));
   const late = gone - newest.exposure_s;
-  show("state", late > SILENT_S ? `no frame for ${Math.round(gone)} s` : "");
+  show("state", late > SILENT_S && !newest.doing ? `no frame for ${Math.round(gone)} s` : "");
 }
 
 // ---- the stream ----

@@ -275,6 +275,9 @@ def test_auto_finds_the_exposure_that_advice_calls_good(at_work: Session) -> Non
     told = at_work.look()
     assert told["advice"]["text"] == "good"
     assert told["exposure_s"] == pytest.approx(0.6 * 11_000 / 20_000, rel=0.1)  # the brightest of many, by its noise
+    at_work.device.radius_mm, at_work.device.at_mm = 4.0, (0.0, 0.0)
+    at_work.obey("go camera 50", "auto")  # no frame was seen from there
+    assert at_work.look()["advice"]["text"] == "good"
 
 
 def test_bodies_that_would_touch_keep_the_arms_where_they_are() -> None:

@@ -90,6 +90,7 @@ def test_two_scenes_have_no_focus_between_them() -> None:
 def test_focus_of_a_saturated_or_dark_region_is_not_told() -> None:
     of = camera()
     bright, dark = texture(0.0, 30_000.0), np.zeros((HEIGHT, WIDTH))
+    assert looking.noise(of, expose(of, bright, 1), expose(of, bright, 2), REGION) is None, "0 would be no truth"
     for scene, why in ((bright, "saturated"), (dark, "too dark")):
         found = looking.focus(of, expose(of, scene, 1), expose(of, scene, 2), BOX)
         assert found is not None
