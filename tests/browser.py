@@ -35,10 +35,24 @@ class Page:
         self._session: str | None = None
         self._loaded = False
         self.complaints: list[str] = []
+        self.new_tab()
+
+    def new_tab(self, address: str = "about:blank") -> str:
+        """Open another tab in front of the others, and go on in it; a word for `to_tab`."""
+        self._session = None
         target = self.send("Target.createTarget", url="about:blank")["targetId"]
         self._session = self.send("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        assert self._session is not None
         for domain in ("Page", "Runtime", "Log"):
             self.send(f"{domain}.enable")
+        if address != "about:blank":
+            self.send("Page.navigate", url=address)
+        return self._session
+
+    def to_tab(self, tab: str) -> None:
+        """Go on in a tab that was opened before; it comes to the front."""
+        self._session = tab
+        self.send("Page.bringToFront")
 
     def send(self, method: str, **params: Any) -> dict[str, Any]:
         """One command of the DevTools protocol; its result."""

@@ -4,40 +4,42 @@ from __future__ import annotations
 
 import contextlib
 import os
-import sys
 import threading
 from pathlib import Path
 
 from gonio.cli import console
 from gonio.errors import ConfigError
-from gonio.live import address
-from gonio.live.server import Content, Request, Server
+from gonio.live import address, terminal
+from gonio.live.server import Content, Request, Route, Server
 from gonio.live.watching import Watched
 from gonio_analysis.report import watching
 
 
-class _Curves:
-    """The newest values, as the page reads them: they are made when it asks."""
+class Shown:
+    """A run that is followed, and the routes of its page."""
 
-    def __init__(self) -> None:
+    def __init__(self, run: Path) -> None:
+        self.watched = Watched(run, self._changed)
+        self.routes: dict[str, Route] = {
+            "/": lambda request: Content(watching.page(request.nonce), "text/html"),
+            "/curves": self._curves,
+            "/frame": self.watched.picture,
+        }
         self._version = 0
-        self._made: tuple[int, bytes] = (0, watching.encoded(watching.so_far("", [], [], {}, 0)))
+        self._made: tuple[int, bytes] | None = None
         self._one = threading.Lock()
-        self.watched: Watched | None = None
 
-    def changed(self, watched: Watched) -> None:
+    def _changed(self, watched: Watched) -> None:
         self._version += 1
         watched.log.tell("curves", {"version": self._version})
 
-    def answer(self, request: Request) -> Content:
+    def _curves(self, request: Request) -> Content:
+        """The newest values, made when they are asked for."""
         with self._one:
-            watched = self.watched
-            if watched is not None and self._made[0] != self._version:
-                version = self._version
-                name = watched.path.absolute().name
-                shown = watching.so_far(
-                    name, watched.values, watched.story.angles_deg, watched.story.visits_s, watched.behind
-                )
+            if self._made is None or self._made[0] != self._version:
+                version, watched = self._version, self.watched
+                story, name = watched.story, watched.path.absolute().name
+                shown = watching.so_far(name, watched.values, story.angles_deg, story.visits_s, watched.behind)
                 self._made = version, watching.encoded(shown)
             return Content(self._made[1], "application/json")
 
@@ -47,35 +49,25 @@ def watch(run: Path, host: str, port: int | None, text: bool) -> None:
     if run.exists() and not run.is_dir():
         raise ConfigError(f"{run}: is not a folder; a run is a folder that `gonio measure` writes")
     kept, token = address.recall(run)
-    curves = _Curves()
-    watched = Watched(run, curves.changed)
-    curves.watched = watched
-    routes = {
-        "/": lambda request: Content(watching.page(request.nonce), "text/html"),
-        "/curves": curves.answer,
-        "/frame": watched.picture,
-    }
+    shown = Shown(run)
     try:
-        server = Server(routes, watched.log, host, kept if port is None else port, token)
+        server = Server(shown.routes, shown.watched.log, host, kept if port is None else port, token)
     except ConfigError:
-        if port is not None:
+        if port is not None or not kept:
             raise
-        server = Server(routes, watched.log, host, 0, token)  # somebody else has the port of last time
+        server = Server(shown.routes, shown.watched.log, host, 0, token)  # somebody else has the port of last time
     with contextlib.suppress(AttributeError, OSError):
         os.nice(10)
-    with server:
-        print(server.address, flush=True)
-        try:
-            address.remember(run, server.port, server.token)
-        except OSError as error:
-            console.note(f"the address cannot be kept ({error.strerror}): after a restart it will be another one")
-        try:
-            with watched:
-                if text:
-                    from gonio.live.terminal import show
-
-                    show(watched)
-                else:
-                    threading.Event().wait()
-        except KeyboardInterrupt:  # that is how it ends
-            sys.stdout.flush()
+    try:
+        with server, shown.watched:
+            print(server.address, flush=True)
+            try:
+                address.remember(run, server.port, server.token)
+            except OSError as error:
+                console.note(f"the address cannot be kept ({error.strerror}): after a restart it will be another one")
+            if text:
+                terminal.show(shown.watched)
+            else:
+                threading.Event().wait()
+    except KeyboardInterrupt:  # that is how it ends
+        return

@@ -122,7 +122,7 @@
     if (floor !== null) low = Math.min(low, floor);
     if (ceiling !== null) high = Math.max(high, ceiling);
     const spare = 0.08 * (high - low) || 0.02 * Math.abs(high) || 1;
-    [low, high] = [floor === low ? low : low - spare, high + spare];
+    [low, high] = [floor === low ? low : low - spare, ceiling === high ? high : high + spare];
     const left = 52, right = 392, top = 8, bottom = 106;
     const x = (t) => (to > from ? left + ((t - from) / (to - from)) * (right - left) : (left + right) / 2);
     const y = (v) => bottom - ((v - low) / (high - low)) * (bottom - top);

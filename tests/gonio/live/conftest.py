@@ -1,0 +1,21 @@
+"""One measured run for all tests of the live page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.gonio.live.runs import Played, measured
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Never changed."""
+    return measured(tmp_path_factory.mktemp("whole"))
+
+
+@pytest.fixture
+def played(whole: Path, tmp_path: Path) -> Played:
+    """Nothing of it has been measured yet."""
+    return Played(whole, tmp_path / "played")
