@@ -5,7 +5,8 @@ left in order, and the end of the pipe without one says that the program is dead
 the lamp, unless another program has the port by now: that one darkens it by itself.
 
 It can be given a time as well, for a program that may stand still (SIGSTOP, a debugger, a swapped-out computer): when
-that is over it darkens the lamp over the head of the program, whose port it is still.
+that is over it darkens the lamp over the head of the program, whose port it is still. A line with a number of seconds
+sets the time anew, from now on; 0 lets it wait for ever.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import sys
 import termios
 import time
 import tty
+from collections.abc import Callable
 
 TIMES = 3
 PAUSE_S = 0.1
@@ -55,6 +57,13 @@ class Guard:
             stderr=subprocess.DEVNULL,
             start_new_session=True,
         )
+
+    def allow(self, limit_s: float) -> None:
+        """Darken so long from now, whatever the program does, and not before; 0 for no limit."""
+        process = self._process
+        if process is not None and process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError, ValueError):  # somebody has ended the guard, or it is released
+                os.write(process.stdin.fileno(), f"{limit_s:.3f}\n".encode())
 
     def release(self, *, in_order: bool) -> None:
         """End the watch: the lamp is left in order, or the guard darkens it now that its port is closed."""
@@ -93,10 +102,26 @@ def _darken(port: str, baud: int, orders: list[bytes], *, alone: bool = True) ->
     os.close(line)
 
 
+def _wait(limit_s: float, at_time: Callable[[], None]) -> bool:
+    """Listen at the pipe until it ends, and act when the time is over; whether the lamp was left in order."""
+    end = time.monotonic() + limit_s if limit_s > 0 else None
+    heard = b""
+    while True:
+        left = None if end is None else max(end - time.monotonic(), 0.0)
+        if not select.select([sys.stdin], [], [], left)[0]:
+            at_time()
+            end = None
+            continue
+        some = os.read(sys.stdin.fileno(), 4096)
+        heard += some
+        *lines, heard = heard.split(b"\n")
+        for line in lines:
+            end = time.monotonic() + float(line) if float(line) > 0 else None
+        if not some:
+            return heard == b"x"
+
+
 if __name__ == "__main__":
     to_darken = sys.argv[1], int(sys.argv[2]), [bytes.fromhex(order) for order in sys.argv[4:]]
-    limit_s = float(sys.argv[3])
-    if limit_s > 0 and not select.select([sys.stdin], [], [], limit_s)[0]:
-        _darken(*to_darken, alone=False)
-    if not sys.stdin.buffer.read(1):
+    if not _wait(float(sys.argv[3]), lambda: _darken(*to_darken, alone=False)):
         _darken(*to_darken)

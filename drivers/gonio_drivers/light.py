@@ -179,11 +179,11 @@ class SerialLight:
         if not self.lit:
             self.off()
             raise LampReset("the lamp was lit when it should have been dark; darkened")
-        log.warning("lamp on %s: it has gone dark, or lost its settings, by itself; lit again", self._light.port)
         band, self._band = self._band, None
         if band is not None:
             self.select(band)
         self._shine()
+        log.warning("lamp on %s: it has gone dark, or lost its settings, by itself; lit again", self._light.port)
         time.sleep(self._light.settle_s)
         raise LampReset("the lamp went dark, or lost its settings, by itself")
 
@@ -251,6 +251,12 @@ class SerialLight:
                 f'"{self.identity}", which is no {d.name} controller; correct the dialect, or devices.light.port'
             )
         self._line.drain_errors()
+
+    def keep(self, seconds: float) -> None:
+        """While it is open: the guard darkens it so long from now, even if this program stands still; 0: never."""
+        guard = self._guard
+        if guard is not None:
+            guard.allow(seconds)
 
     def darken_at_once(self) -> None:
         """Send what darkens the lamp, from whatever thread, and wait for nothing; `off` sees that it is dark."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from gonio.cli.by_hand import RigOption, _told_where, bench_of
+from gonio.cli.by_hand import RigOption, SampleOption, WavelengthOption, _told_where, bench_of
 from gonio.cli.rigs import app
 
 if TYPE_CHECKING:
@@ -41,11 +41,27 @@ def align(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of a simulated rig.")] = 0,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nobody: what has to lie in the holder does.")] = False,
+    live: Annotated[
+        bool, typer.Option("--live", help="No scans: a live picture on a page, and a prompt to jog and set zeros.")
+    ] = False,
+    keep: Annotated[float, typer.Option(min=1, max=3600, help="--live: dark so long after a key [s].")] = 60.0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="--live: of the page; 0 takes any that is free.")] = 0,
+    host: Annotated[str, typer.Option(help="--live: serve the page there; by default, here alone.")] = "127.0.0.1",
+    wavelength: WavelengthOption = None,
+    sample: SampleOption = None,
 ) -> None:  # fmt: skip
     """Find the zeros of light, camera, tilt and azimuth, and write them into a copy of the rig file.
 
     Beside OUT: OUT-scans.csv, to fit again, and OUT-residuals.png. The lamp is dark and the arms parked afterwards.
+    With --live a person aligns: the first line is the address of a page with the camera's picture.
     """
+    if live:
+        from gonio.cli.align_live import live as session
+        from gonio.errors import ConfigError
+
+        if again:
+            raise ConfigError("--from belongs to scans, and --live makes none: leave one of them away")
+        return session(rig, out, sample=sample, seed=seed, host=host, port=port, keep_s=keep, wavelength=wavelength)
     from gonio.by_hand import alignment, rig_file
     from gonio.by_hand.alignment_scans import Scans
     from gonio.cli import console

@@ -1,0 +1,170 @@
+"""Live alignment over the twins: the real drivers, and a lamp that is dark whatever happens to the program."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from gonio_drivers import folder_camera
+from gonio_drivers.lab import LAB
+from gonio_sim.wire.twins import Twins
+
+from gonio.by_hand.assistant import CAMERA_S, Assistant
+from gonio.by_hand.bench import Bench
+from gonio.rig import Frame
+from tests.gonio.by_hand.test_lamp_timer import Clock
+from tests.gonio_drivers.conftest import be_patient
+from tests.gonio_drivers.test_by_hand import COMMAND, LANDED_DEG, angle, written
+from tests.gonio_drivers.test_lab import LONGEST_S, SAMPLE, SCALE, small
+from tests.gonio_drivers.test_light import PATIENCE_S, Plugged, lamp
+
+__all__ = ["lamp"]
+
+
+@pytest.fixture
+def twins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Twins]:
+    monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
+    monkeypatch.setattr(folder_camera, "RELEASE_S", LONGEST_S)
+    with Twins(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
+        be_patient(served.peers["servos"], served.faults, monkeypatch)
+        yield served
+
+
+# ---- the guard process ----
+
+
+def test_the_guard_darkens_the_lamp_of_a_program_that_shows_no_sign_of_life(lamp: Plugged) -> None:
+    with lamp.driver() as light:
+        light.on()
+        light.keep(1000.0)
+        light.keep(0.05)
+        end = time.monotonic() + PATIENCE_S
+        while lamp.twin.shine.lit:
+            assert time.monotonic() < end
+        light.keep(1000.0)
+        light.on()  # whoever is back lights it again
+        light.check()
+        assert lamp.twin.shine.lit
+    assert not lamp.twin.shine.lit
+
+
+def test_a_guard_that_was_told_of_life_darkens_what_is_left_lit(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
+    def pressed() -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), lamp.driver() as light:  # noqa: PT012
+        light.on()
+        light.keep(1000.0)
+        monkeypatch.setattr(light, "off", pressed)
+    end = time.monotonic() + PATIENCE_S
+    while lamp.twin.shine.lit:
+        assert time.monotonic() < end
+
+
+# ---- the session ----
+
+
+def test_jogs_frames_and_zeros_over_the_real_drivers(twins: Twins, tmp_path: Path) -> None:
+    rig, out = written(twins, tmp_path), tmp_path / "aligned.toml"
+    bench = Bench(LAB.open(twins.description, sample=None, seed=0, confirm=False), "", ("arms", "light", "camera"))
+    told: list[dict[str, Any]] = []
+    said: list[str] = []
+    assistant = Assistant(bench, tell=lambda what, _: told.append(what), say=said.append, rig_file=rig, out=out)
+    with bench:
+        bench.hold()
+        for order in ("go light 20 camera -30", "jog camera 2", "lamp on", "exposure 0.2"):
+            assistant.obey(order)
+        assistant.look()
+        assistant.look()
+        assert twins.lamp.shine.lit
+        assistant.obey("zero camera -27.5")
+        assistant.obey("lamp off")
+        assert not twins.lamp.shine.lit
+    assert told[-1]["angles_deg"]["camera"] == pytest.approx(-28, abs=2 * LANDED_DEG)
+    assert angle(twins, "light") == pytest.approx(20, abs=LANDED_DEG)
+    assert told[-1]["noise"] is not None
+    assert told[-1]["levels"][0]["pixels"] == 64 * 48
+    assert out.is_file(), said
+    assert twins.servos["camera"].torque, "after hold the arms hold"
+
+
+def test_the_watch_darkens_the_lamp_of_a_camera_that_hangs_and_the_driver_does_not_light_it_again(
+    twins: Twins, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig, clock = LAB.open(twins.description, sample=None, seed=0, confirm=False), Clock()
+    bench = Bench(rig, "", ("arms", "light", "camera"))
+    said: list[str] = []
+    told: list[dict[str, Any]] = []
+    assistant = Assistant(bench, tell=lambda what, _: told.append(what), say=said.append, clock=clock)
+    real, hangs = rig._camera.capture, [True]
+    seen: list[str] = []
+
+    def capture(exposure_s: float) -> Frame:
+        frame = real(exposure_s)
+        if hangs and twins.lamp.shine.lit:
+            hangs.clear()
+            clock.now += CAMERA_S + 1.0  # of the sixty that the lamp may shine
+            watch = threading.Thread(target=assistant.timer.look)
+            watch.start()
+            watch.join()
+            end = time.monotonic() + PATIENCE_S
+            while twins.lamp.shine.lit:
+                assert time.monotonic() < end
+            seen.append("dark")
+        return frame
+
+    monkeypatch.setattr(rig._camera, "capture", capture)
+    with bench:
+        bench.hold()
+        with assistant.timer:
+            assistant.obey("lamp on")
+            lit = twins.lamp.shine.lit
+            assistant.look()
+            assert (lit, seen, told) == (True, ["dark"], [])
+            assert not twins.lamp.shine.lit
+            assert said[-1] == "lamp dark: the camera does not come back"
+            assistant.look()
+            assert not twins.lamp.shine.lit
+            assert len(told) == 1
+            assistant.obey("lamp on")
+            assert twins.lamp.shine.lit
+    assert not twins.lamp.shine.lit
+
+
+ENDS = ["nobody there", signal.SIGTERM, signal.SIGHUP, signal.SIGKILL]
+
+
+@pytest.mark.parametrize("ends", ENDS)
+def test_every_end_of_the_command_leaves_the_lamp_dark_and_the_arms_holding(
+    twins: Twins, tmp_path: Path, ends: str | signal.Signals
+) -> None:
+    command = [*COMMAND, "rig", "align", "--live", "--rig", str(written(twins, tmp_path))]
+    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, **pipes, text=True, cwd=tmp_path) as child:
+        assert child.stdin is not None
+        assert child.stdout is not None
+        assert child.stderr is not None
+        assert "?token=" in child.stdout.readline()
+        child.stdin.write("go light 25\nlamp on\n")
+        child.stdin.flush()
+        while "lamp lit" not in (line := child.stderr.readline()):
+            assert line, "it ended"
+        assert twins.lamp.shine.lit
+        if isinstance(ends, signal.Signals):
+            child.send_signal(ends)
+        _, said = child.communicate()
+    end = time.monotonic() + LONGEST_S
+    while twins.lamp.shine.lit:
+        assert time.monotonic() < end
+    assert child.returncode == {"nobody there": 0, signal.SIGKILL: -9}.get(ends, 130), said
+    assert "Traceback" not in said
+    assert angle(twins, "light") == pytest.approx(25, abs=LANDED_DEG)
+    if ends != signal.SIGKILL:
+        assert "the lamp is dark" in said or "lamp dark" in said
+        assert twins.servos["light"].torque
