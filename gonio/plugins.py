@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from gonio.errors import ConfigError, GonioError
 
-Group = Literal["gonio.rigs", "gonio.cameras", "gonio.stages", "gonio.models", "gonio.commands"]
+Group = Literal["gonio.rigs", "gonio.cameras", "gonio.stages", "gonio.models", "gonio.choosers", "gonio.commands"]
 
 
 _added: dict[tuple[Group, str], EntryPoint] = {}

@@ -7,7 +7,6 @@ parked; a step is in the journal if, and only if, all of its frames are on the d
 from __future__ import annotations
 
 import contextlib
-import itertools
 import logging
 import math
 from bisect import bisect_left
@@ -21,15 +20,17 @@ from typing import Self
 
 from gonio import __version__
 from gonio.acquisition import exposure
+from gonio.acquisition.choosing import Chooser
 from gonio.acquisition.frame_writer import Files, Store, slugs
 from gonio.acquisition.progress import Live, Progress
 from gonio.acquisition.records import FrameFile, StepRecord
-from gonio.acquisition.run import Run
+from gonio.acquisition.run import Batch, Run
+from gonio.acquisition.schedule import batch_steps
 from gonio.acquisition.stop import Stop
 from gonio.acquisition.suspending import Cause, Suspended, Watch
 from gonio.errors import DeviceError, Disturbed, Interrupted
 from gonio.rig import Frame, Pose, Reading, Rig, Step, Target
-from gonio.rig.description import Band
+from gonio.rig.description import Band, RigDescription
 from gonio.rig.imaging import Roi, require_frame, roi
 from gonio.rig.kinematics import View, left_its_side, view
 from gonio.rig.ways import Blocked, route
@@ -44,8 +45,10 @@ MOVED_DEG = 0.01
 """The same, for an axis whose encoder has no steps."""
 
 
-def measure(rig: Rig, run: Run, steps: Sequence[Step], progress: Progress, stop: Stop) -> None:
-    """Take every step of a run that its journal does not hold yet.
+def measure(
+    rig: Rig, run: Run, steps: Sequence[Step], progress: Progress, stop: Stop, chooser: Chooser | None = None
+) -> None:
+    """Take every step of a run that its journal does not hold yet; then what its chooser names, until it is enough.
 
     Parameters
     ----------
@@ -57,6 +60,8 @@ def measure(rig: Rig, run: Run, steps: Sequence[Step], progress: Progress, stop:
         The schedule of the run's plan on this rig.
     progress, stop
         Who watches, and who may ask to stop.
+    chooser : Chooser, optional
+        Of an adaptive run.
 
     Raises
     ------
@@ -69,37 +74,58 @@ def measure(rig: Rig, run: Run, steps: Sequence[Step], progress: Progress, stop:
     """
     done = set(run.steps().numbers)
     left = [steps[number] for number in range(len(steps)) if number not in done]
-    if not left:
+    grown = [step for batch in run.batches for step in _steps_of(batch, rig.description)]
+    left += [step for step in grown if step.index not in done]
+    if not left and (chooser is None or run.enough):
         progress.say(f"{run.path}: every step is done")
         return
+    numbers = _Numbers(steps, [*done, *(step.index for step in grown)])
     if done and not rig.repeatable:
-        left = _fresh(steps, done) + left
+        left = [numbers.again(step) for step in (steps[0], steps[1]) if step.index in done] + left
     watch = Watch(rig)
     run.append({"event": "session", "gonio": __version__, "steps": len(steps), "left": len(left)})
     progress.start(len(done) + len(left), len(done))
     try:
-        _take_all(rig, run, left, _Visits(steps, [*done, *(step.index for step in left)]), watch, progress, stop)
+        _take_all(rig, run, left, numbers, watch, progress, stop, chooser)
     except Interrupted as error:
         if stop.requested > 1:
             rig.arms.stop()
         taken = run.steps().numbers
-        where = f"after {len(taken)} of {len(done.union(taken, (step.index for step in left)))} steps"
+        grown = [step for batch in run.batches for step in _steps_of(batch, rig.description)]
+        every = done.union(taken, (step.index for step in left), (step.index for step in grown))
+        where = f"after {len(taken)} of {len(every)} steps" + (" so far" if chooser is not None else "")
         raise Interrupted(f"{error} {where}") from None
     run.append({"event": "end", "steps": len(run.steps())})
 
 
+def _steps_of(batch: Batch, description: RigDescription) -> list[Step]:
+    return batch_steps(description, batch.first_step, batch.first_row, batch.points)
+
+
 def _take_all(
-    rig: Rig, run: Run, left: list[Step], visits: _Visits, watch: Watch, progress: Progress, stop: Stop
+    rig: Rig,
+    run: Run,
+    left: list[Step],
+    numbers: _Numbers,
+    watch: Watch,
+    progress: Progress,
+    stop: Stop,
+    chooser: Chooser | None,
 ) -> None:
     """Take steps; whatever ends that early, those that were taken whole are in the journal, and what it was."""
-    with _Session(rig, run, visits, watch, progress, stop) as session, _remarks(run, progress):
+    with _Session(rig, run, numbers, watch, progress, stop) as session, _remarks(run, progress):
         try:
-            session.begin(left[0])
-            for step in left:
-                if stop.requested:
-                    raise Interrupted("stopped")
-                session.take(step)
-            session.finish()
+            begun = False
+            while left or (left := _chosen(rig, run, numbers, progress, stop, chooser)):
+                if not begun:
+                    session.begin(left[0])
+                    begun = True
+                for step in left:
+                    if stop.requested:
+                        raise Interrupted("stopped")
+                    session.take(step)
+                session.finish()
+                left = []
         except (Interrupted, DeviceError) as error:
             with stop.held():
                 if isinstance(error, DeviceError) or stop.requested > 1:
@@ -110,23 +136,48 @@ def _take_all(
             raise
 
 
-def _fresh(steps: Sequence[Step], done: set[int]) -> list[Step]:
-    """New darks and a new reference visit for a rig on which time went by since the run was left."""
-    number = max(len(steps), max(done) + 1)
-    again = [step for step in (steps[0], steps[1]) if step.index in done]
-    return [Step(number + k, step.kind, pose=step.pose) for k, step in enumerate(again)]
+def _chosen(
+    rig: Rig, run: Run, numbers: _Numbers, progress: Progress, stop: Stop, chooser: Chooser | None
+) -> list[Step]:
+    """The steps of the batch that a chooser names, which the journal has now; none where it is enough."""
+    if chooser is None or run.enough:
+        return []
+    if stop.requested:
+        raise Interrupted("stopped")
+    choice = chooser.next(run)
+    if choice.message:
+        progress.say(choice.message)
+    if not choice.points:
+        run.append({"event": "enough", "met": choice.met, "message": choice.message, "why": choice.why})
+        return []
+    batch = Batch(numbers.following, len(run.points.flags), choice.points)
+    steps = _steps_of(batch, rig.description)
+    numbers.reserve(len(steps))
+    points = [[p.theta_i_deg, p.phi_i_deg, p.theta_r_deg, p.phi_r_deg] for p in choice.points]
+    run.append({"event": "chosen", "first_step": batch.first_step, "points": points, "why": choice.why})
+    progress.more(len(steps))
+    return steps
 
 
-class _Visits:
-    """Visits to the reference beyond the schedule, numbered after it and after all that was taken."""
+class _Numbers:
+    """Steps beyond the schedule, numbered after it and after all that was taken or chosen."""
 
     def __init__(self, steps: Sequence[Step], taken: Sequence[int]) -> None:
         self._pose = steps[1].pose
-        self._numbers = itertools.count(max(len(steps), max(taken, default=0) + 1))
+        self.following = max(len(steps), max(taken, default=0) + 1)
+
+    def reserve(self, count: int) -> int:
+        """The first of so many numbers, which nobody else gets."""
+        first, self.following = self.following, self.following + count
+        return first
+
+    def again(self, step: Step) -> Step:
+        """A dark or a visit once more: on a rig on which time went by since the run was left."""
+        return Step(self.reserve(1), step.kind, pose=step.pose)
 
     def another(self) -> Step:
-        """One more."""
-        return Step(next(self._numbers), "reference", pose=self._pose)
+        """One more visit to the reference."""
+        return Step(self.reserve(1), "reference", pose=self._pose)
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,9 +203,9 @@ class _Taken:
 class _Session:
     """One sitting at the rig: the state of lamp and target, and the frames that wait for the disk."""
 
-    def __init__(self, rig: Rig, run: Run, visits: _Visits, watch: Watch, progress: Progress, stop: Stop) -> None:
+    def __init__(self, rig: Rig, run: Run, numbers: _Numbers, watch: Watch, progress: Progress, stop: Stop) -> None:
         self._rig, self._run, self._progress = rig, run, progress
-        self._visits, self._watch, self._stop = visits, watch, stop
+        self._numbers, self._watch, self._stop = numbers, watch, stop
         self._description = rig.description
         self._lit = False
         self._target: Target | None = None
@@ -165,7 +216,6 @@ class _Session:
         self._last: StepRecord | None = None
         """The last point of this sitting that has frames."""
         self._reference = next((s for s in self._done if s.kind == "reference" and not s.flag), None)
-        self._angles = run.points.angles_deg
         self._last_s = -math.inf
         """When the last frame that counts was taken."""
         if not rig.repeatable and self._done:
@@ -215,7 +265,7 @@ class _Session:
             if self._rig.repeatable:
                 self._last_s, self._resumed = before_s, resumed
             elif step.kind == "point" and self._description.reference.how not in ("swap", "beam"):
-                self.take(self._visits.another())
+                self.take(self._numbers.another())
 
     def _wait(self, step: Step, causes: Sequence[Cause]) -> None:
         self.finish()
@@ -462,7 +512,7 @@ class _Session:
         )
         if files is not None:
             files.close(record)
-        angles = None if step.point is None else tuple(map(float, self._angles[step.point]))
+        angles = None if step.point is None else tuple(map(float, self._run.points.angles_deg[step.point]))
         exposure_s = max((frame.exposure_s for frame in frames), default=0.0)
         live = Live(step, angles, level, exposure_s, flag)  # type: ignore[arg-type]
         return _Taken(record, files.written if files is not None else [], live)

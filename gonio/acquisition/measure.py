@@ -184,6 +184,7 @@ def carry_out(
     GonioError
         See `gonio.acquisition.loop.measure`, `Run.create`, `Run.resume` and the rig's own documentation.
     """
+    from gonio.acquisition.choosing import chooser_of
     from gonio.acquisition.loop import measure
     from gonio.acquisition.progress import Silent
     from gonio.acquisition.run import Run
@@ -195,6 +196,7 @@ def carry_out(
     out = Path(out)
     progress = progress or Silent()
     plan.bands(rig.description)
+    plan, chooser = chooser_of(plan, rig.description)
     request = Request(plan, rig.description, sample, seed, command)
     begun_before = resume and begun(out)
     _check_patches(rig, sample)
@@ -207,13 +209,13 @@ def carry_out(
                 if begun_before:
                     run = stack.enter_context(Run.resume(out, request))
                     _say_what_was_found(run, progress)
-                    steps = going_on(plan, rig.description, run.points.flags)
+                    steps = going_on(plan, rig.description, run.planned.flags)
                 with rig.naming():
                     stack.enter_context(device)
                 entered = True
                 if not begun_before:
                     run = stack.enter_context(Run.create(out, request))
-                measure(device, run, steps, progress, stop)
+                measure(device, run, steps, progress, stop, chooser)
         except GonioError as error:
             if entered or isinstance(error, Interrupted):
                 with stop.held():
@@ -249,7 +251,10 @@ def check(
     plan: Plan, rig: RigChoice, out: Path, *, sample: SampleDescription | None, seed: int, resume: bool, yes: bool
 ) -> None:
     """Raise what `carry_out` would raise before it touches a device; its parameters."""
+    from gonio.acquisition.choosing import chooser_of
+
     plan.bands(rig.description)
+    plan, _ = chooser_of(plan, rig.description)
     _check_patches(rig, sample)
     rig.schedule(plan)
     _open(rig, out, sample, seed, resume, yes)

@@ -16,9 +16,9 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from gonio.config import Strict, parse, read_toml
 from gonio.disk import only_file
@@ -147,6 +147,25 @@ class PointsFile(Strict):
     """A CSV with the four angle columns, beside the plan."""
 
 
+class Adaptive(Strict):
+    """What a plan asks for in place of points: a chooser names them as the run grows (docs/campaigns.md).
+
+    All keys but these two are the chooser's own, and checked by it.
+    """
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    how: str
+    """The chooser: an entry point of the group `gonio.choosers`."""
+    budget_h: Positive
+    """Rig time that the whole run may take."""
+
+    @property
+    def own(self) -> dict[str, Any]:
+        """The chooser's own keys."""
+        return dict(self.model_extra or {})
+
+
 class PlanFile(Strict):
     """A plan.toml."""
 
@@ -154,6 +173,7 @@ class PlanFile(Strict):
     wavelength_nm: tuple[Positive, ...]
     sweep: tuple[Sweep, ...] = ()
     points: tuple[PointsFile, ...] = ()
+    adaptive: Adaptive | None = None
 
     @field_validator("wavelength_nm", mode="before")
     @classmethod
@@ -164,8 +184,8 @@ class PlanFile(Strict):
 
     @model_validator(mode="after")
     def _something(self) -> PlanFile:
-        if not self.sweep and not self.points:
-            raise ValueError("the plan has no points; add a [[sweep]] or a [[points]] table")
+        if not self.sweep and not self.points and self.adaptive is None:
+            raise ValueError("the plan has no points; add a [[sweep]] or a [[points]] table, or [adaptive]")
         return self
 
 
@@ -194,6 +214,8 @@ class Plan:
     repeated: int
     """How many further points of the plan were the same as one before; each is measured once."""
     source: str
+    adaptive: Adaptive | None = None
+    """What is to be chosen beyond these points."""
 
     @property
     def directions(self) -> Directions:
@@ -203,7 +225,7 @@ class Plan:
     @property
     def sha256(self) -> str:
         """What tells plans apart: a hash of points and wavelengths; name, comments and layout are free."""
-        return points_sha256(self.wavelength_nm, self._rows)
+        return points_sha256(self.wavelength_nm, self._rows, self.adaptive)
 
     @property
     def _rows(self) -> list[list[float]]:
@@ -223,9 +245,12 @@ class Plan:
             raise ConfigError(f"{self.source}: {error}") from None
 
 
-def points_sha256(wavelength_nm: Sequence[float], rows: list[list[float]]) -> str:
+def points_sha256(wavelength_nm: Sequence[float], rows: list[list[float]], adaptive: Adaptive | None = None) -> str:
     """The hash of wavelengths and points, the four angles [deg] of each; see `Plan.sha256`."""
-    return hashlib.sha256(json.dumps([list(wavelength_nm), rows]).encode()).hexdigest()
+    content: list[Any] = [list(wavelength_nm), rows]
+    if adaptive is not None:
+        content.append(adaptive.model_dump(mode="json"))
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,7 +283,8 @@ def load_plan(path: str | Path) -> Plan:
     first: dict[tuple[int, ...], Point] = {}
     for point in every:
         first.setdefault(_identity(point), point)
-    return Plan(file.name, file.wavelength_nm, tuple(first.values()), len(every) - len(first), str(path))
+    repeated = len(every) - len(first)
+    return Plan(file.name, file.wavelength_nm, tuple(first.values()), repeated, str(path), file.adaptive)
 
 
 def read_points(path: Path) -> list[Point]:

@@ -29,6 +29,9 @@ class Progress(Protocol):
     def start(self, steps: int, done: int) -> None:
         """Before the first step: how many steps the run has, and how many are done."""
 
+    def more(self, steps: int) -> None:
+        """The run has grown by so many steps."""
+
     def step(self, live: Live) -> None:
         """After every step."""
 
@@ -48,6 +51,9 @@ class Silent:
     """Nobody watches."""
 
     def start(self, steps: int, done: int) -> None:
+        """Nothing."""
+
+    def more(self, steps: int) -> None:
         """Nothing."""
 
     def step(self, live: Live) -> None:

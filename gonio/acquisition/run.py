@@ -32,7 +32,7 @@ import numpy.typing as npt
 
 from gonio.acquisition.frame_writer import NAME, label_of
 from gonio.acquisition.journal import Event, Events, Journal, read_events
-from gonio.acquisition.plan import ANGLES, Assessed, points_sha256
+from gonio.acquisition.plan import ANGLES, Assessed, Point, points_sha256
 from gonio.acquisition.run_folder import OURS, begun, check_new, check_writable, make_folder, remove_begun
 from gonio.acquisition.run_settings import Request, Settings, differences, named_files, resolved, settings_for
 from gonio.acquisition.steps import Index, Steps
@@ -77,6 +77,15 @@ class Points:
     reasons: list[str]
 
 
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Points that were chosen as the run grew."""
+
+    first_step: int
+    first_row: int
+    points: tuple[Point, ...]
+
+
 @dataclass
 class Run:
     """An opened run; the methods that write need `journal`, which `create` and `resume` open."""
@@ -89,6 +98,8 @@ class Run:
     unchecked: int = 0
     """Of how many frames only the size was looked at then."""
     _index: Index | None = None
+    _grown: tuple[int, Points] | None = None
+    """How many batches were chosen, and all points with them."""
     _closed: Events | None = None
     """The events of a run that was written by this object, and is closed."""
 
@@ -226,9 +237,11 @@ class Run:
         known = {band.name: band for band in self.description.bands.all()}
         return tuple(known[name] for name in self.settings.run.bands)
 
-    @cached_property
+    @property
     def plan(self) -> pd.DataFrame:
         """The points in order: columns theta_i_deg, phi_i_deg, theta_r_deg, phi_r_deg, flag ("" or a word), reason.
+
+        Those of the plan, and after them those that were chosen.
 
         Raises
         ------
@@ -241,9 +254,37 @@ class Run:
         table = pd.DataFrame(points.angles_deg, columns=list(ANGLES))
         return table.assign(flag=pd.Series(points.flags, dtype=str), reason=pd.Series(points.reasons, dtype=str))
 
-    @cached_property
+    @property
     def points(self) -> Points:
         """What `plan` holds, without a data frame."""
+        batches = self._indexed.chosen
+        if not batches:
+            return self.planned
+        if self._grown is None or self._grown[0] != len(batches):
+            chosen = [angles for batch in batches for angles in batch["points"]]
+            table = np.concatenate([self.planned.angles_deg, np.array(chosen, dtype=float).reshape(-1, len(ANGLES))])
+            more = [""] * len(chosen)
+            self._grown = len(batches), Points(table, self.planned.flags + more, self.planned.reasons + more)
+        return self._grown[1]
+
+    @property
+    def batches(self) -> list[Batch]:
+        """What was chosen as an adaptive run grew, in order."""
+        out, row = [], len(self.planned.flags)
+        for event in self._indexed.chosen:
+            points = tuple(Point(*map(float, angles)) for angles in event["points"])
+            out.append(Batch(int(event["first_step"]), row, points))
+            row += len(points)
+        return out
+
+    @property
+    def enough(self) -> bool:
+        """Whether the chooser of an adaptive run has said that no more points are needed."""
+        return self._indexed.enough
+
+    @cached_property
+    def planned(self) -> Points:
+        """The points of plan.csv: all that was known when the run began."""
         path, run = self.path / "plan.csv", self.settings.run
         own = read_manifest(self.path).get("plan.csv")
         if own is not None and path.is_file() and not is_own(path, own):
@@ -268,7 +309,7 @@ class Run:
             told = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
             raise DataError(f"{path}: cannot be read as the points of the run: {told}; {RESTORE}") from None
         table = np.concatenate(angles)
-        if own is None and points_sha256(run.wavelength_nm, table.tolist()) != run.plan_sha256:
+        if own is None and points_sha256(run.wavelength_nm, table.tolist(), self.settings.adaptive) != run.plan_sha256:
             raise DataError(f"{path}: does not hold the points that the run was begun with; {RESTORE}")
         return Points(table, flags, reasons)
 
@@ -282,11 +323,14 @@ class Run:
 
     def steps(self) -> Steps:
         """The completed steps, in the order of their numbers; without those whose frames were lost."""
-        events = self.events()
+        return Steps(self.events(), self._indexed)
+
+    @property
+    def _indexed(self) -> Index:
         if self._index is None:
             self._index = Index()
-        self._index.go_on(events)
-        return Steps(events, self._index)
+        self._index.go_on(self.events())
+        return self._index
 
     @property
     def key(self) -> str:

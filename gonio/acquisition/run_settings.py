@@ -13,7 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from gonio.acquisition.plan import Assessed, Plan, assess
+from gonio.acquisition.plan import Adaptive, Assessed, Plan, assess
 from gonio.config import Strict
 from gonio.disk import read_file
 from gonio.errors import ConfigError
@@ -51,6 +51,8 @@ class Settings(Strict):
     versions: dict[str, str]
     rig: RigDescription
     sample: SampleDescription | None = None
+    adaptive: Adaptive | None = None
+    """What was to be chosen beyond the points of plan.csv."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,7 @@ def settings_for(request: Request, description: RigDescription) -> Settings:
         versions=versions,
         rig=description,
         sample=request.sample,
+        adaptive=request.plan.adaptive,
     )
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import overload
 
-from gonio.acquisition.plan import Assessed, Plan, assess, canonical, count_reasons
+from gonio.acquisition.plan import Assessed, Plan, Point, assess, canonical, count_reasons
 from gonio.errors import ConfigError
 from gonio.rig import Pose, Step, filling
 from gonio.rig.description import RigDescription
@@ -135,6 +135,33 @@ class Schedule(Sequence[Step]):
             return Step(number, "reference", pose=self._at_reference)
         row = self._rows[group * self._every + place]
         return Step(number, "point", row, self._pose(row))
+
+
+def batch_steps(description: RigDescription, first_step: int, first_row: int, points: Sequence[Point]) -> list[Step]:
+    """The steps of a batch that was chosen: points with a visit every `reference.every`, and a last visit.
+
+    Parameters
+    ----------
+    description
+        The rig.
+    first_step, first_row
+        The numbers of the first of these steps and points.
+    points
+        What was chosen.
+
+    Raises
+    ------
+    Unreachable
+        The rig cannot reach one of them.
+    """
+    every = description.reference.every or len(points)
+    reference, out = reference_pose(description), list[Step]()
+    for k, point in enumerate(points):
+        pose = reach(description, point.directions)
+        out.append(Step(first_step + len(out), "point", first_row + k, pose))
+        if (k + 1) % every == 0 or k + 1 == len(points):
+            out.append(Step(first_step + len(out), "reference", pose=reference))
+    return out
 
 
 def going_on(plan: Plan, description: RigDescription, flags: Sequence[str]) -> Schedule:

@@ -24,6 +24,10 @@ class Index:
     def __init__(self) -> None:
         self.lines: dict[int, int] = {}
         """Number of a step: number of its line."""
+        self.chosen: list[Event] = []
+        """The batches that were chosen, in order."""
+        self.enough = False
+        """Whether the chooser of an adaptive run has said that no more points are needed."""
         self._seen = 0
 
     def go_on(self, events: Events) -> None:
@@ -32,7 +36,7 @@ class Index:
             found = _STEP.match(line)
             if found is not None and found[2] is not None:
                 self.lines[int(found[2])] = at
-            elif found is None or found[1] in (b"step", b"lost"):
+            elif found is None or found[1] in (b"step", b"lost", b"chosen", b"enough"):
                 self._note(at, json.loads(line))
         self._seen = len(events)
 
@@ -42,6 +46,10 @@ class Index:
         elif event.get("event") == "lost":
             for number in event["steps"]:
                 self.lines.pop(int(number), None)
+        elif event.get("event") == "chosen":
+            self.chosen.append(event)
+        elif event.get("event") == "enough":
+            self.enough = True
 
 
 class Steps(Sequence[StepRecord]):

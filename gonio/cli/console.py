@@ -127,6 +127,9 @@ class _Lines:
         self._steps, self._done, self._at_start, self._began = steps, done, done, time.monotonic()
         note(f"{steps - done} steps to take" + (f", {done} of {steps} were done before" if done else ""))
 
+    def more(self, steps: int) -> None:
+        self._steps += steps
+
     def step(self, live: Live) -> None:
         self._done += 1
         if self._done * LINES // self._steps > (self._done - 1) * LINES // self._steps:
@@ -161,6 +164,9 @@ class _Bar:
 
     def start(self, steps: int, done: int) -> None:
         self._bar.reset(self._task, total=steps, completed=done)
+
+    def more(self, steps: int) -> None:
+        self._bar.update(self._task, total=(self._bar.tasks[0].total or 0.0) + steps)
 
     def step(self, live: Live) -> None:
         self._text = values(live)

@@ -1,0 +1,65 @@
+"""Runs that grow: what a chooser is, and how a plan finds its own (docs/campaigns.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+from gonio import plugins
+from gonio.acquisition.plan import Plan, Point
+from gonio.acquisition.run import Run
+from gonio.errors import ConfigError
+from gonio.rig.description import RigDescription
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What is measured next, or that nothing is."""
+
+    points: tuple[Point, ...]
+    """In the order in which they are measured; the same point may come again. None: it is enough."""
+    why: dict[str, Any] = field(default_factory=dict)
+    """What the journal keeps of the reasons: numbers and words."""
+    message: str = ""
+    """For the person who watches, in one line."""
+    met: bool = False
+    """Where it is enough: whether the target is reached, and not only the budget spent."""
+
+
+class Chooser(Protocol):
+    """Somebody who names the next points of a run. What it says follows from the run on the disk alone."""
+
+    def first(self, planned: Sequence[Point]) -> Sequence[Point]:
+        """What is measured before anything is known, beside the points that the plan names itself."""
+
+    def next(self, run: Run) -> Choice:
+        """The next batch, after all steps so far were taken; every point of it can be reached on the rig."""
+
+
+class ChooserPlugin(Protocol):
+    """What an entry point of the group `gonio.choosers` names."""
+
+    def open(self, plan: Plan, description: RigDescription) -> Chooser:
+        """A chooser for a plan on a rig, by `plan.adaptive`.
+
+        Raises `ConfigError` for a key that is wrong; the message names the plan's file, the key, value and remedy.
+        """
+
+
+def chooser_of(plan: Plan, description: RigDescription) -> tuple[Plan, Chooser | None]:
+    """The chooser that a plan asks for, and the plan with the points that it wants first; the plan itself without one.
+
+    Raises
+    ------
+    ConfigError
+        There is no such chooser, or one of its keys is wrong.
+    """
+    if plan.adaptive is None:
+        return plan, None
+    try:
+        plugin: ChooserPlugin = plugins.load("gonio.choosers", plan.adaptive.how)
+    except ConfigError as error:
+        raise ConfigError(f"{plan.source}: adaptive.how: {error}") from None
+    chooser = plugin.open(plan, description)
+    return replace(plan, points=(*plan.points, *chooser.first(plan.points))), chooser

@@ -1,0 +1,162 @@
+"""Runs that grow by batches: a choice follows from the run on the disk, so stopping anywhere changes nothing."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gonio import plugins
+from gonio.acquisition.choosing import Choice
+from gonio.acquisition.measure import RigChoice, carry_out
+from gonio.acquisition.plan import Plan, Point, canonical, load_plan
+from gonio.acquisition.progress import Live, Silent
+from gonio.acquisition.run import Run
+from gonio.errors import ConfigError, Interrupted
+from gonio.reduction import brdf
+from gonio.rig.description import RigDescription
+from tests.gonio.numpy_rig import SAMPLE, Plugin, describe
+
+PLAN = """
+name = "grows"
+wavelength_nm = [550]
+[adaptive]
+how = "brightest"
+budget_h = 1.0
+batches = 3
+"""
+
+
+@dataclass
+class Brightest:
+    """Chooses the brightest point once more, and one beside it, for so many batches."""
+
+    batches: int
+    asked: list[int] = field(default_factory=list)
+
+    def first(self, planned: Sequence[Point]) -> Sequence[Point]:
+        """Three directions at one incidence."""
+        return [canonical(30.0, 0.0, theta_r, 180.0) for theta_r in (10.0, 30.0, 50.0)]
+
+    def next(self, run: Run) -> Choice:
+        """By the values as they are reduced so far."""
+        done = len(run.batches)
+        self.asked.append(len(run.steps()))
+        if done == self.batches:
+            return Choice((), {"batches": done}, "enough", met=True)
+        table = brdf.reduce(run)
+        best = table.loc[table["brdf"].idxmax()]
+        theta_r = float(best["theta_r_deg"])
+        points = (canonical(30.0, 0.0, theta_r, 180.0), canonical(30.0, 0.0, round(theta_r, 2) + 1.0 + done, 180.0))
+        return Choice(points, {"brdf": float(best["brdf"])}, f"batch {done}")
+
+
+class Chooses:
+    """What the entry point names; it collects its choosers."""
+
+    opened: list[Brightest] = []  # noqa: RUF012
+
+    @staticmethod
+    def open(plan: Plan, description: RigDescription) -> Brightest:
+        """By the one key that it knows."""
+        assert plan.adaptive is not None
+        own: dict[str, Any] = plan.adaptive.own
+        if set(own) != {"batches"}:
+            raise ConfigError(f"{plan.source}: adaptive: batches is needed")
+        Chooses.opened.append(Brightest(own["batches"]))
+        return Chooses.opened[-1]
+
+
+class StopAfter(Silent):
+    """A user who presses Ctrl-C after a step."""
+
+    def __init__(self, step: int) -> None:
+        self.left = step
+
+    def step(self, live: Live) -> None:
+        """Count."""
+        self.left -= 1
+        if not self.left:
+            signal.raise_signal(signal.SIGINT)
+
+
+@pytest.fixture
+def plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Plan:
+    monkeypatch.setattr(Chooses, "opened", [])
+    plugins.add("gonio.choosers", "brightest", Chooses)
+    (tmp_path / "plan.toml").write_text(PLAN)
+    return load_plan(tmp_path / "plan.toml")
+
+
+def measure(plan: Plan, out: Path, **options: Any) -> Run:
+    return carry_out(plan, RigChoice(Plugin(), describe(), "numpy"), out, sample=SAMPLE, seed=1, **options)
+
+
+def test_a_run_grows_until_its_chooser_has_enough(plan: Plan, tmp_path: Path) -> None:
+    run = measure(plan, tmp_path / "run")
+    assert [len(batch.points) for batch in run.batches] == [2, 2, 2]
+    assert run.enough
+    assert len(run.planned.flags) == 3
+    assert len(run.plan) == 9
+    steps = list(run.steps())
+    assert [step.step for step in steps] == list(range(len(steps)))
+    assert [step.point for step in steps if step.kind == "point"] == list(range(9))
+    assert [step.kind for step in steps[-3:]] == ["point", "point", "reference"], "a visit closes the batch"
+    table = brdf.reduce(Run.open(tmp_path / "run"))
+    assert len(table) == 9
+    first = table["theta_r_deg"].round(1)
+    assert (first == first[3]).sum() >= 2, "the point that was chosen again has a row of its own"
+    chosen = [event for event in run.events() if event["event"] == "chosen"]
+    seen = chosen[0]["why"]["brdf"]
+    assert seen == pytest.approx(table["brdf"][:3].max(), rel=2e-3), (
+        "later visits to the reference move it by their noise"
+    )
+
+
+@pytest.mark.parametrize("stopped_after", [1, 5, 6, 8, 11, 14])
+def test_stopping_it_anywhere_changes_nothing(plan: Plan, tmp_path: Path, stopped_after: int) -> None:
+    whole = measure(plan, tmp_path / "whole")
+    with pytest.raises(Interrupted, match=f"after {stopped_after}|after {stopped_after + 1}"):
+        measure(plan, tmp_path / "run", progress=StopAfter(stopped_after))
+    resumed = measure(plan, tmp_path / "run", resume=True)
+    assert list(resumed.steps()) == list(whole.steps())
+    assert resumed.plan.equals(whole.plan)
+    assert brdf.reduce(resumed).equals(brdf.reduce(whole))
+
+
+def test_a_run_that_died_between_choice_and_line_chooses_the_same(plan: Plan, tmp_path: Path) -> None:
+    whole = measure(plan, tmp_path / "run")
+    journal = tmp_path / "run" / "journal.jsonl"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    at = next(k for k, line in enumerate(lines) if b'"event":"chosen"' in line)
+    steps, plan_before = list(whole.steps()), whole.plan
+    journal.write_bytes(b"".join(lines[:at]))
+    again = measure(plan, tmp_path / "run", resume=True)
+    assert list(again.steps()) == steps
+    assert again.plan.equals(plan_before)
+
+
+def test_a_run_that_has_enough_is_done(plan: Plan, tmp_path: Path) -> None:
+    measure(plan, tmp_path / "run")
+    asked = Chooses.opened[-1].asked
+    measure(plan, tmp_path / "run", resume=True)
+    assert len(asked) == 4
+    assert not Chooses.opened[-1].asked
+
+
+def test_other_wishes_are_another_run(plan: Plan, tmp_path: Path) -> None:
+    measure(plan, tmp_path / "run")
+    (tmp_path / "other.toml").write_text(PLAN.replace("batches = 3", "batches = 4"))
+    with pytest.raises(ConfigError, match="begun with something else"):
+        measure(load_plan(tmp_path / "other.toml"), tmp_path / "run", resume=True)
+
+
+def test_an_unknown_chooser_is_named_before_anything_moves(tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").write_text(PLAN.replace('"brightest"', '"oracle"'))
+    with pytest.raises(ConfigError, match=r'plan\.toml: adaptive\.how: there is no chooser named "oracle"'):
+        measure(load_plan(tmp_path / "plan.toml"), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
