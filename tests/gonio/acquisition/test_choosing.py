@@ -49,7 +49,7 @@ class Brightest:
         if done == self.batches:
             return Choice((), {"batches": done}, "enough", met=True)
         table = brdf.reduce(run)
-        best = table.loc[table["brdf"].idxmax()]
+        best = table.iloc[int(table["brdf"].to_numpy().argmax())]
         theta_r = float(best["theta_r_deg"])
         points = (canonical(30.0, 0.0, theta_r, 180.0), canonical(30.0, 0.0, round(theta_r, 2) + 1.0 + done, 180.0))
         return Choice(points, {"brdf": float(best["brdf"])}, f"batch {done}")
