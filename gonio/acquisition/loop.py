@@ -153,8 +153,7 @@ def _chosen(
     batch = Batch(numbers.following, len(run.points.flags), choice.points)
     steps = _steps_of(batch, rig.description)
     numbers.reserve(len(steps))
-    points = [[p.theta_i_deg, p.phi_i_deg, p.theta_r_deg, p.phi_r_deg] for p in choice.points]
-    run.append({"event": "chosen", "first_step": batch.first_step, "points": points, "why": choice.why})
+    run.grow(batch, choice.why)
     progress.more(len(steps))
     return steps
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 import os
 import re
 from array import array
@@ -21,10 +22,10 @@ import numpy.typing as npt
 from gonio.acquisition.frame_writer import BESIDE, NAME, label_of
 from gonio.acquisition.journal import Event, decode, encode, locked, now
 from gonio.acquisition.records import FrameFile, FrameRecord, StepRecord
-from gonio.acquisition.run import Run
+from gonio.acquisition.run import CHOSEN, Run
 from gonio.acquisition.run_folder import begun
 from gonio.acquisition.steps import Steps
-from gonio.disk import half_written, only_file, read_file, set_aside, write_whole
+from gonio.disk import half_written, is_own, only_file, read_file, read_manifest, set_aside, write_whole
 from gonio.errors import ConfigError, DataError
 
 LOOKED_INTO = 2_500
@@ -291,7 +292,7 @@ def repair(path: str | Path, *, progress: Progress | None = None) -> Repaired | 
         untold = sorted(name for name in frames.names if name not in named)
         if not torn and events and not rebuilt and not lost:
             return None
-        new = [*events, *(step.to_json() for step in rebuilt)]
+        new = [*events, *_lost_choices(run, events), *(step.to_json() for step in rebuilt)]
         if lost:
             what = [text for number in sorted(lost) for text in lost[number]]
             new.append({"event": "lost", "steps": sorted(lost), "frames": what})
@@ -299,6 +300,15 @@ def repair(path: str | Path, *, progress: Progress | None = None) -> Repaired | 
         kept = _keep(journal) if before else None
         write_whole(journal, b"".join(encode(_numbered(event, n)) for n, event in enumerate(new)))
     return Repaired(len(events), sorted(numbers), [t for n in sorted(lost) for t in lost[n]], untold, kept)
+
+
+def _lost_choices(run: Run, events: list[Event]) -> list[Event]:
+    """What was chosen and stands in no line that can be read."""
+    own = read_manifest(run.path).get(CHOSEN)
+    if own is None or not is_own(run.path / CHOSEN, own):
+        return []
+    known = {event["first_step"] for event in events if event.get("event") == "chosen"}
+    return [event for event in json.loads(read_file(run.path / CHOSEN)) if event["first_step"] not in known]
 
 
 @contextlib.contextmanager

@@ -2,6 +2,7 @@
 
     RUN/  run.toml       resolved rig, sample, bands, seed, versions, command line, hash of the plan
           plan.csv       the points in order, with the flag and the reason of those that this rig cannot measure
+          chosen.json    of a run that grows: what was chosen, as the journal has it
           journal.jsonl  what has happened (gonio.acquisition.journal)
           frames/        raw frames
           gonio.sha256   what the program wrote beside journal and frames (gonio.disk)
@@ -25,7 +26,7 @@ from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -59,6 +60,8 @@ if TYPE_CHECKING:
 PLAN_COLUMNS = ["point", *ANGLES, "flag", "reason"]
 ROWS = 4096
 """So many rows of a plan.csv are read at once."""
+CHOSEN = "chosen.json"
+"""A copy of the journal's events "chosen", for `gonio run repair`."""
 TABLE = ("brdf.csv", "brdf.meta.json")
 BESIDE_TABLE = ("budget.csv", "monte_carlo.csv")
 """What a reduction writes beside its table."""
@@ -84,6 +87,8 @@ class Batch:
     first_step: int
     first_row: int
     points: tuple[Point, ...]
+    why: dict[str, Any] = field(default_factory=dict)
+    """What its chooser wrote down."""
 
 
 @dataclass
@@ -273,7 +278,7 @@ class Run:
         out, row = [], len(self.planned.flags)
         for event in self._indexed.chosen:
             points = tuple(Point(*map(float, angles)) for angles in event["points"])
-            out.append(Batch(int(event["first_step"]), row, points))
+            out.append(Batch(int(event["first_step"]), row, points, event.get("why", {})))
             row += len(points)
         return out
 
@@ -348,6 +353,23 @@ class Run:
         """Write an event to the journal; see `Journal.append`."""
         assert self.journal is not None, "a run that was opened for reading takes no events"
         return self.journal.append(event)
+
+    def grow(self, batch: Batch, why: Mapping[str, Any]) -> None:
+        """Say in the journal what was chosen, and why; `CHOSEN` has it too, for a journal that gets lost.
+
+        Raises
+        ------
+        DataError
+            The disk is full or fails.
+        """
+        points = [[getattr(point, name) for name in ANGLES] for point in batch.points]
+        event = {"event": "chosen", "first_step": batch.first_step, "points": points, "why": dict(why)}
+        kept = [*({k: v for k, v in e.items() if k in event} for e in self._indexed.chosen), event]
+        try:
+            write_own(self.path, {CHOSEN: json.dumps(kept).encode()})
+        except OSError as error:
+            raise DataError(f"{self.path / CHOSEN}: cannot be written: {error.strerror}") from None
+        self.append(event)
 
     def take_back(self, damaged: Mapping[int, Sequence[str]]) -> list[str]:
         """Say in the journal which steps count no more, because of which frames; what is wrong with each frame."""

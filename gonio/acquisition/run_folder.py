@@ -14,6 +14,7 @@ from gonio.errors import ConfigError, DataError
 OURS = (
     "run.toml",
     "plan.csv",
+    "chosen.json",
     "journal.jsonl",
     "frames",
     "reference.csv",

@@ -1,4 +1,4 @@
-"""The steps of a run in their order, and how long they take."""
+"""The steps of a run in their order."""
 
 from __future__ import annotations
 
@@ -12,9 +12,6 @@ from gonio.rig import Pose, Step, filling
 from gonio.rig.description import RigDescription
 from gonio.rig.kinematics import Unreachable, reach, view
 from gonio.rig.ways import Blocked, require_free
-
-EXPECTED_ALBEDO = 0.5
-"""What time estimates take the sample for."""
 
 
 def reference_pose(description: RigDescription) -> Pose:
@@ -176,48 +173,3 @@ def going_on(plan: Plan, description: RigDescription, flags: Sequence[str]) -> S
     """
     rows = [row for row, flag in enumerate(flags) if not flag]
     return Schedule(description, rows, lambda row: reach(description, plan.points[row].directions))
-
-
-def estimate_s(steps: list[Step], description: RigDescription, bands: int) -> float:
-    """How long a run takes [s] on the rig's own clock, for a matt sample of albedo 0.5, prompts and settling apart."""
-    from gonio.acquisition.exposure import (
-        dark_exposures_s,
-        expected_bracket,
-        expected_exposure_s,
-        expected_straight_level_per_s,
-    )
-
-    camera, acquisition = description.camera, description.acquisition
-    frame = camera.frame_overhead_s
-    total, here = description.lamp.warm_up_s, Pose()
-    for step in steps:
-        if step.kind == "dark":
-            total += sum(acquisition.dark_frames * (t + frame) for t in dark_exposures_s(description))
-            continue
-        total += _move_s(here, step.pose, description)
-        here = step.pose
-        albedo = 1.0 if step.kind == "reference" else EXPECTED_ALBEDO
-        if acquisition.u_rel_target is not None:
-            planned = expected_bracket(description, step.pose, albedo)
-            metering = 1.25 * expected_exposure_s(description, step.pose, albedo)
-            total += bands * (metering + sum(planned) + (len(planned) + 1) * frame)
-        elif step.kind == "reference":
-            exposure = expected_exposure_s(description, step.pose, 1.0)
-            if description.reference.how == "beam":
-                shortest = description.camera.exposure_limits_s[0]
-                exposure = max(acquisition.exposure_target / expected_straight_level_per_s(description), shortest)
-            total += bands * (description.reference.frames + 1) * (exposure + frame)
-        else:
-            exposure = expected_exposure_s(description, step.pose, EXPECTED_ALBEDO)
-            total += bands * ((acquisition.frames + 1.25) * exposure + (acquisition.frames + 2) * frame)
-    return total
-
-
-def _move_s(start: Pose, goal: Pose, description: RigDescription) -> float:
-    approach = {name: 2.0 * abs(value) for name, value in description.approach_deg().items()}
-    times = [
-        (math.degrees(abs(getattr(goal, name) - getattr(start, name))) + approach[name]) / axis.speed_deg_per_s
-        for name, axis in description.axes().items()
-        if getattr(goal, name) != getattr(start, name)
-    ]
-    return max(times, default=0.0)

@@ -47,7 +47,7 @@ class Index:
             for number in event["steps"]:
                 self.lines.pop(int(number), None)
         elif event.get("event") == "chosen":
-            self.chosen.append(event)
+            self.chosen = sorted([*self.chosen, event], key=lambda batch: int(batch["first_step"]))
         elif event.get("event") == "enough":
             self.enough = True
 

@@ -39,8 +39,8 @@ def show(
 
 def describe(plan: Plan, rig: RigChoice | None) -> None:
     """Print a plan, as a rig sees it if there is one."""
+    from gonio.acquisition.duration import Durations
     from gonio.acquisition.plan import Assessed, assess
-    from gonio.acquisition.schedule import estimate_s
     from gonio.cli import console
 
     points = [Assessed(p, None) for p in plan.points] if rig is None else assess(plan, rig.description)
@@ -69,7 +69,7 @@ def describe(plan: Plan, rig: RigChoice | None) -> None:
     visits = sum(step.kind == "reference" for step in steps)
     for (flag, cause), count in _reasons(points):
         console.show(f"{count} {flag}: {cause}")
-    seconds = estimate_s(steps, rig.description, len(bands))
+    seconds = Durations(rig.description, bands).total_s(steps)
     console.show(
         f"rig: {rig.description.name}",
         *calibrations(rig.description),

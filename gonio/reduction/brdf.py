@@ -123,7 +123,7 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
     points = [step for step in steps if isinstance(step, Reduced) and step.point is not None]
     visits = [step for step in steps if isinstance(step, Reduced) and step.point is None]
     rejected = [step for step in steps if isinstance(step, Rejected)]
-    fitted, reference = _level(frames, points, visits, band)
+    fitted, reference = level(frames.run, points, visits, band)
     columns, untold, coarse = _columns_of_sides(frames, points, visits[0], fitted, reference.u_rel, band)
     geometry = columns.pop("geometry_causes")
     light_and_lens.add(frames.description, columns, [point.pose for point in points], visits[0].pose, band)
@@ -154,7 +154,7 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
 
 
 @dataclass(frozen=True, slots=True)
-class _Reference:
+class Reference:
     """What is known of the reference in one band."""
 
     brdf: float
@@ -180,11 +180,11 @@ def _merged(frames: RunFrames, band: Band, points: list[Reduced], visits: list[R
     }
 
 
-def _level(
-    frames: RunFrames, points: list[Reduced], visits: list[Reduced], band: Band
-) -> tuple[white_reference.Level, _Reference]:
-    """The signal per unit BRDF over time, and the reference's BRDF."""
-    run, description, reference = frames.run, frames.description, frames.description.reference
+def level(
+    run: Run, points: list[Reduced], visits: list[Reduced], band: Band
+) -> tuple[white_reference.Level, Reference]:
+    """The signal per unit BRDF over time, and the reference's BRDF; see `reduce_in_parts` for what raises."""
+    description, reference = run.description, run.description.reference
     if not visits:
         raise DataError(f"{run.path}: no usable visit to the white reference in band {band.name}; see its frames")
     rates, u_rel = np.array([visit.rate for visit in visits]), reference.u_rel
@@ -213,7 +213,7 @@ def _level(
     times = np.array([visit.time_s for visit in visits])
     wanted = np.array([point.time_s for point in points])
     fitted = white_reference.fit(times, rates / known, variances / known**2, wanted)
-    return fitted, _Reference(float(known.mean()), u_rel)
+    return fitted, Reference(float(known.mean()), u_rel)
 
 
 def _columns_of_sides(

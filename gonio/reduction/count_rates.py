@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from numbers import Real
@@ -141,9 +141,12 @@ def camera_parameters(description: RigDescription) -> dict[str, str]:
 
 
 class RunFrames:
-    """The frames of a run, and what all of its bands share: what each step looks at, and the dark signal there."""
+    """The frames of a run, and what all of its bands share: what each step looks at, and the dark signal there.
 
-    def __init__(self, run: Run) -> None:
+    `among` are the steps to look at, the darks among them; by default all that are done.
+    """
+
+    def __init__(self, run: Run, among: Sequence[StepRecord] | None = None) -> None:
         self.run = run
         self.damaged: dict[str, str] = {}
         """What is wrong with frames that were left out, by their names."""
@@ -159,7 +162,7 @@ class RunFrames:
         dark: list[FrameRecord] = []
         self.geometry = GeometryErrors(run.description)
         monitored: list[float] = []
-        self._every = run.steps()
+        self._every = run.steps() if among is None else among
         for step in self._every:
             if step.kind == "dark":
                 dark += step.frames

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from gonio import plugins
+from gonio.acquisition import repair
 from gonio.acquisition.choosing import Choice
 from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import Plan, Point, canonical, load_plan
@@ -160,3 +161,15 @@ def test_an_unknown_chooser_is_named_before_anything_moves(tmp_path: Path) -> No
     with pytest.raises(ConfigError, match=r'plan\.toml: adaptive\.how: there is no chooser named "oracle"'):
         measure(load_plan(tmp_path / "plan.toml"), tmp_path / "run")
     assert not (tmp_path / "run").exists()
+
+
+def test_a_lost_journal_is_made_again_with_what_was_chosen(plan: Plan, tmp_path: Path) -> None:
+    whole = measure(plan, tmp_path / "run")
+    table, steps = brdf.reduce(whole), list(whole.steps())
+    journal = tmp_path / "run" / "journal.jsonl"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join(line for line in lines if b'"event":"chosen"' not in line and b'"step":7' not in line))
+    repair.repair(tmp_path / "run")
+    again = measure(plan, tmp_path / "run", resume=True)
+    assert list(again.steps()) == steps
+    assert brdf.reduce(again).equals(table)

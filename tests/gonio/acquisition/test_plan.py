@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gonio.acquisition.plan import ANGLES, Range, assess, load_plan
-from gonio.acquisition.schedule import estimate_s, schedule
+from gonio.acquisition.schedule import schedule
 from gonio.errors import ConfigError
 from gonio.rig.description import Geometry, Holder, Reference
 from tests.gonio.numpy_rig import PLAN, describe
@@ -100,13 +100,6 @@ def test_every_point_is_kept_with_its_reason(tmp_path: Path) -> None:
         *["grazing"] * 6,
     ]
     assert all(bool(a.flag) == (a.pose is None) == bool(a.reason) for a in points)
-
-
-def test_time_grows_with_frames_and_bands(tmp_path: Path) -> None:
-    found, rig = plan(tmp_path, PLAN), describe()
-    steps = schedule(found, rig)  # type: ignore[arg-type]
-    one, two = estimate_s(steps, rig, 1), estimate_s(steps, rig, 2)
-    assert 0 < one < two < 2 * one
 
 
 def test_name_and_layout_do_not_change_what_a_plan_is(tmp_path: Path) -> None:
