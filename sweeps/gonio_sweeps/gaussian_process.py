@@ -20,11 +20,13 @@ import numpy as np
 from gonio.geometry import Directions
 from gonio.typing import Floats
 
-NAMES = ("h", "lobe", "l_lobe", "own", "l_own", "view", "l_view", "l_incidence", "retro", "apart", "noise")
+NAMES = ("h", "lobe", "l_lobe", "own", "l_own", "view", "l_view", "l_incidence", "retro", "apart", "facets", "noise")
 """Parameters of the kernel; all are fitted as logarithms."""
-CENTRES = np.log([np.radians(4.0), 1.0, 1.5, 0.5, 1.5, 0.7, np.radians(50.0), np.radians(30.0), 0.1, np.radians(6.0), 1.0])
+CENTRES = np.log(
+    [np.radians(4.0), 0.5, 1.5, 0.4, 1.5, 0.5, np.radians(50.0), np.radians(30.0), 0.1, np.radians(6.0), 1.0, 1.0]
+)
 """Before any value is known: widths [rad], lengths of w [1], amplitudes of the logarithm [1], factor of the noise [1]."""
-SPREADS = np.array([1.0, 1.0, 0.7, 1.0, 0.7, 1.0, 0.6, 0.8, 1.2, 0.7, 0.1])
+SPREADS = np.array([1.0, 2.0, 0.7, 0.5, 0.7, 2.0, 0.6, 0.8, 2.0, 0.7, 2.0, 0.1])
 """Standard deviations of the logarithms before any value is known: a factor of three or so to either side."""
 LEVEL, COSINE = 5.0, 1.0
 """Standard deviations of the logarithm's mean and of the power of cos theta_r: Lambert's 0, Cook and Torrance's -1."""
@@ -91,11 +93,13 @@ class Pairs:
         self.view = _apart(a.view, b.view)
         self.incidence = _apart(a.incidence, b.incidence)
         self.fixed = LEVEL**2 + COSINE**2 * np.outer(a.log_cos, b.log_cos)
+        self.squares = np.outer(np.tan(a.theta_h) ** 2, np.tan(b.theta_h) ** 2)
         self.one_incidence = not bool(self.incidence.any())
 
     def kernel(self, p: Floats, gradient: bool = False) -> tuple[Floats, list[Floats]]:
         """Prior covariance, and its derivatives by the logarithms of the parameters but the last."""
-        h, lobe, l_lobe, own, l_own, view, l_view, l_inc, retro, d0 = np.exp(p[:10])
+        h, lobe, l_lobe, own, l_own, view, l_view, l_inc, retro, d0, facets = np.exp(p[:11])
+        own = own * lobe
         a, b = self.a, self.b
         rho_a, rho_b = np.arcsinh(a.theta_h / h), np.arcsinh(b.theta_h / h)
         r1 = np.abs(rho_a[:, None] - rho_b[None, :]) / l_lobe
@@ -105,8 +109,14 @@ class Pairs:
         r4 = np.abs(s_a[:, None] - s_b[None, :])
         ri = self.incidence / l_inc
         inc = 1.0 if self.one_incidence else _matern(ri)
-        k1, k2, k3, k4 = lobe**2 * _matern(r1), own**2 * _matern(r2), view**2 * _matern(r3), retro**2 * _matern(r4)
-        total = self.fixed + k1 + (k2 + k3) * inc + k4
+        k1, k2, k3, k4 = (
+            lobe**2 * _matern(r1),
+            own**2 * _matern(r2),
+            view**2 * np.exp(-0.5 * r3**2),
+            retro**2 * _matern(r4),
+        )
+        k5 = facets**2 * self.squares
+        total = self.fixed + k1 + (k2 + k3) * inc + k4 + k5
         if not gradient:
             return total, []
         # d asinh(x/h)/d ln h = -(x/h)/sqrt(1 + (x/h)^2) = -tanh(asinh(x/h))
@@ -120,8 +130,8 @@ class Pairs:
         by_d0 = -(retro**2) * _slope(r4) * (s_a[:, None] - s_b) * (v_a[:, None] - v_b)
         by_inc = np.zeros_like(total) if self.one_incidence else (k2 + k3) * _slope(ri) * ri**2
         return total, [
-            by_h, 2.0 * k1, d1 * r1**2, 2.0 * k2 * inc, d2 * r2**2, 2.0 * k3 * inc, view**2 * _slope(r3) * r3**2 * inc,
-            by_inc, 2.0 * k4, by_d0,
+            by_h, 2.0 * (k1 + k2 * inc), d1 * r1**2, 2.0 * k2 * inc, d2 * r2**2, 2.0 * k3 * inc, k3 * r3**2 * inc,
+            by_inc, 2.0 * k4, by_d0, 2.0 * k5,
         ]  # fmt: skip
         # by_inc: k2 + k3 hold no factor of incidence; its derivative by ln l is slope(r) r^2
 
@@ -153,7 +163,7 @@ def objective(p: Floats, data: Values, mean: float) -> tuple[float, Floats]:
     from scipy.linalg import cho_factor, cho_solve
 
     k, by = data.pairs.kernel(p, gradient=True)
-    noise = np.exp(2.0 * p[10]) * data.u**2
+    noise = np.exp(2.0 * p[11]) * data.u**2
     n = data.z.size
     k = k + data.common
     k[np.diag_indices(n)] += noise + JITTER
@@ -210,9 +220,13 @@ class Process:
 
         k, _ = self.data.pairs.kernel(self.p)
         k = k + self.data.common
-        k[np.diag_indices(self.data.z.size)] += np.exp(2.0 * self.p[10]) * self.data.u**2 + JITTER
+        k[np.diag_indices(self.data.z.size)] += np.exp(2.0 * self.p[11]) * self.data.u**2 + JITTER
         factor = cho_factor(k, lower=True)
         return factor, cho_solve(factor, self.data.z - self.mean)
+
+    def mean_at(self, places: Coordinates) -> Floats:
+        """The mean at places."""
+        return np.asarray(self.mean + Pairs(places, self.data.at).kernel(self.p)[0] @ self._factor[1])
 
     def at(self, places: Coordinates) -> tuple[Floats, Floats]:
         """Mean and covariance at places."""
