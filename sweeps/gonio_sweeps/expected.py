@@ -9,128 +9,104 @@ from dataclasses import dataclass
 import numpy as np
 
 from gonio.acquisition import exposure
+from gonio.acquisition.duration import Durations
 from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
 from gonio.acquisition.schedule import reference_pose
-from gonio.rig import Pose
+from gonio.rig import Pose, Step
 from gonio.rig.description import RigDescription
 from gonio.rig.imaging import pixel_on_sample_mm
 from gonio.rig.kinematics import view
 from gonio.typing import Floats
 
 METERING = 1.25
-"""Metering frames of a point, in units of its exposure."""
-SETTLE_S = 0.2
-"""Arms stand still so long after they have arrived, about."""
+"""Metering frames of a point, in units of its exposure, as `Durations` has them."""
+NOTHING = 1e-9
+"""The least reflectance factor that an exposure is planned for."""
 
 
 @dataclass(frozen=True)
 class Visits:
-    """Visits to points, one band each."""
+    """Visits to points, in one band."""
 
     u_rel: Floats
     """Relative standard uncertainty by noise of camera and lamp; infinite where nothing is seen."""
     seconds: Floats
-    """All frames, without the way there."""
+    """All frames of all bands, without the way there."""
 
 
-def visits(description: RigDescription, poses: Sequence[Pose], brdf: Floats) -> Visits:
+def visits(durations: Durations, poses: Sequence[Pose], brdf: Floats) -> Visits:
     """What visits to poses come to where the sample has a BRDF [1/sr].
 
     The exposures are those that metering would choose, the noise that of the EMVA 1288 model (docs/radiometry.md); the
     dark frames' own noise is left out.
     """
+    description = durations.description
+    factor = np.maximum(math.pi * brdf, NOTHING).tolist()
+    seconds = [durations.frames_s(Step(0, "point", 0, p), f) for p, f in zip(poses, factor, strict=True)]
+    weights = [_weight(description, pose, f) for pose, f in zip(poses, factor, strict=True)]
+    with np.errstate(divide="ignore"):
+        return Visits(np.where(brdf > 0, 1.0 / np.sqrt(weights), np.inf), np.array(seconds))
+
+
+def _weight(description: RigDescription, pose: Pose, reflectance: float) -> float:
+    """1 / (relative variance) of the mean over the region of interest, from all frames of a visit."""
     camera, acquisition = description.camera, description.acquisition
-    cosine = np.array([exposure.cosine_of_incidence(pose) for pose in poses])
-    signal = camera.responsivity_e_per_s * math.pi * np.maximum(brdf, 0.0) * cosine
-    full = min(camera.full_well_e, (camera.white_level_dn - camera.black_level_dn) * camera.electrons_per_dn)
-    shortest, longest = camera.exposure_limits_s
-    with np.errstate(divide="ignore"):
-        single = np.clip(acquisition.exposure_target * full / signal, shortest, longest)
-    count = np.array([_pixels(description, pose) for pose in poses])
-    overhead = camera.frame_overhead_s
     if acquisition.u_rel_target is not None:
-        brackets = [
-            exposure.expected_bracket(description, pose, math.pi * max(float(f), 1e-12))
-            for pose, f in zip(poses, brdf, strict=True)
-        ]
-        seconds = np.array([sum(b) + (len(b) + 1) * overhead for b in brackets]) + METERING * single
-        weights = sum_weights(description, signal, brackets, count)
+        exposures = exposure.expected_bracket(description, pose, reflectance)
     else:
-        usual = [(float(t),) * acquisition.frames + (float(t) / exposure.SHORTER,) for t in single]
-        seconds = np.array([sum(b) for b in usual]) + METERING * single + (acquisition.frames + 2) * overhead
-        weights = sum_weights(description, signal, usual, count)
-    with np.errstate(divide="ignore"):
-        u_rel = np.where((signal > 0) & (weights > 0), 1.0 / np.sqrt(np.maximum(weights, 1e-300)), np.inf)
-    return Visits(u_rel, seconds)
-
-
-def sum_weights(
-    description: RigDescription, signal: Floats, brackets: Sequence[Sequence[float]], count: Floats
-) -> Floats:
-    """1 / (relative variance) of the mean over a region, added over the frames of each visit."""
-    camera, lamp = description.camera, description.lamp.frame_noise
-    out = np.zeros(signal.size)
-    for k, (rate, pixels) in enumerate(zip(signal.tolist(), count.tolist(), strict=True)):
-        if rate <= 0.0:
-            continue
-        for t in brackets[k]:
-            noise = camera.read_noise_e**2 + camera.electrons_per_dn**2 / 12.0
-            if camera.photon_noise:
-                noise += (rate + camera.dark_current_e_per_s) * t
-            variance = noise / (pixels * (rate * t) ** 2) + lamp**2
-            out[k] += 1.0 / max(variance, 1e-18)
+        single = exposure.expected_exposure_s(description, pose, reflectance)
+        exposures = (*(single,) * acquisition.frames, single / exposure.SHORTER)
+    rate = camera.responsivity_e_per_s * reflectance * exposure.cosine_of_incidence(pose)
+    pixels, out = _pixels(description, pose), 0.0
+    for t in exposures:
+        noise = camera.read_noise_e**2 + camera.electrons_per_dn**2 / 12.0
+        if camera.photon_noise:
+            noise += (rate + camera.dark_current_e_per_s) * t
+        out += 1.0 / max(noise / (pixels * (rate * t) ** 2) + description.lamp.frame_noise**2, 1e-18)
     return out
 
 
 def _pixels(description: RigDescription, pose: Pose) -> float:
+    """How many pixels the region of interest has, about."""
     seen = view(description, pose)
     slant = abs(float(seen.camera_mm[2])) / math.sqrt(sum(float(x) ** 2 for x in seen.camera_mm))
     area = math.pi * description.acquisition.roi_radius_mm**2 / pixel_on_sample_mm(description, seen) ** 2
     return max(area * slant, 1.0)
 
 
-def way_s(start: Pose, goal: Pose, description: RigDescription) -> float:
-    """How long arms and holder take from pose to pose [s], approaches included."""
-    approach = {name: 2.0 * abs(value) for name, value in description.approach_deg().items()}
-    times = [
-        (math.degrees(abs(getattr(goal, name) - getattr(start, name))) + approach[name]) / axis.speed_deg_per_s
-        for name, axis in description.axes().items()
-    ]
-    return max(times, default=0.0) + SETTLE_S
+def batch_s(durations: Durations, poses: Sequence[Pose], seconds: Sequence[float], here: Pose) -> float:
+    """How long a batch takes [s] from a pose: visits of so many seconds, ways, and the visits to the reference."""
+    description = durations.description
+    at_reference = reference_pose(description)
+    visit_s = durations.frames_s(Step(0, "reference", pose=at_reference))
+    every, total = description.reference.every or len(poses), 0.0
+    for k, (pose, own_s) in enumerate(zip(poses, seconds, strict=True)):
+        total += durations.move_s(here, pose) + own_s
+        here = pose
+        if (k + 1) % every == 0 or k + 1 == len(poses):
+            total += durations.move_s(here, at_reference) + visit_s
+            here = at_reference
+    return total
 
 
-def reference_s(description: RigDescription) -> float:
-    """A visit to the white reference [s], without the way there."""
-    seconds = exposure.expected_exposure_s(description, reference_pose(description), 1.0)
-    return (description.reference.frames + 1) * (seconds + description.camera.frame_overhead_s)
+def spent_s(durations: Durations, run: Run) -> float:
+    """Rig time of the steps that are done [s]: the frames that were taken, their metering, and the ways.
 
-
-def darks_s(description: RigDescription) -> float:
-    """The dark frames of a run [s]."""
-    overhead = description.camera.frame_overhead_s
-    return sum(description.acquisition.dark_frames * (t + overhead) for t in exposure.dark_exposures_s(description))
-
-
-def spent_s(run: Run) -> float:
-    """Rig time of the steps that are done [s]: frames, metering and ways by the rig file, and its warm-up.
-
-    By the exposures that were taken, and not by a clock: pauses count for nothing.
+    By exposures and not by a clock: pauses count for nothing, and a run that is gone on with has the same.
     """
-    description = run.description
-    total, here = description.lamp.warm_up_s, Pose()
+    total, here = durations.description.lamp.warm_up_s, Pose()
     for record in run.steps():
-        total += _frames_s(record, description)
+        total += _frames_s(record, durations.description.camera.frame_overhead_s)
         if record.kind != "dark":
-            total += way_s(here, record.goal, description)
+            total += durations.move_s(here, record.goal)
             here = record.goal
     return total
 
 
-def _frames_s(record: StepRecord, description: RigDescription) -> float:
-    overhead = description.camera.frame_overhead_s
-    seconds = sum(frame.exposure_s + overhead for frame in record.frames)
+def _frames_s(record: StepRecord, overhead_s: float) -> float:
+    seconds = sum(frame.exposure_s + overhead_s for frame in record.frames)
     if record.kind == "dark":
         return seconds
-    metered = {frame.band: frame.exposure_s for frame in reversed(record.frames)}
-    return seconds + sum(METERING * t * (record.kind == "point") + overhead for t in metered.values())
+    metered = {frame.band: frame.exposure_s for frame in reversed(record.frames)}  # the first frame of each band
+    return seconds + sum(METERING * t + overhead_s for t in metered.values())

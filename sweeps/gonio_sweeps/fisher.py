@@ -29,9 +29,6 @@ from gonio_analysis.fitting.search import derivatives
 
 ANGLE_STEP = math.radians(0.05)
 """Of the differences that tell how a model changes with an axis: about an encoder's step."""
-UNKNOWN = 1e-12
-"""Information on a parameter (search scale) that is there before anything is measured: none, but invertible."""
-
 
 @dataclass(frozen=True)
 class Rows:
@@ -93,9 +90,9 @@ class Known:
     """p"""
 
     @classmethod
-    def nothing(cls, parameters: int, causes: int) -> Known:
-        """Before the first value."""
-        return cls(np.diag([UNKNOWN] * parameters + [1.0] * causes), parameters)
+    def nothing(cls, ranges: Floats, causes: int) -> Known:
+        """Before the first value: of each parameter its range on the search scale is known."""
+        return cls(np.diag(np.concatenate([1.0 / ranges**2, np.ones(causes)])), ranges.size)
 
     def with_values(self, design: Floats, u: Floats, times: Floats | None = None) -> Known:
         """After values with the rows (n, p + k) and the independent standard uncertainties (n,); each so many times."""
@@ -141,8 +138,3 @@ def gains(covariance: Floats, count: int, design: Floats, u: Floats, weights: Fl
     total = float(np.sum(np.diag(block) * weights))
     return -0.5 * np.log1p(-np.minimum((of_parameters**2 @ weights) / spread / total, 1.0 - 1e-12))
 
-
-def after(covariance: Floats, row: Floats, u: float) -> Floats:
-    """The covariance after one more value."""
-    moved = covariance @ row
-    return np.asarray(covariance - np.outer(moved, moved) / (float(row @ moved) + u**2))

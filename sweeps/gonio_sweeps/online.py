@@ -19,6 +19,7 @@ from gonio.acquisition.run import Run
 from gonio.geometry import Directions
 from gonio.reduction import brdf
 from gonio.reduction.count_rates import Reduced, Rejected, RunFrames, in_threads
+from gonio.rig import Pose
 from gonio.rig.description import Band
 from gonio.typing import Floats
 
@@ -31,6 +32,8 @@ class Values:
     """Of the run's points."""
     directions: Directions
     """What the encoders read."""
+    poses: tuple[Pose, ...]
+    """The same of the axes."""
     brdf: Floats
     """[1/sr]"""
     u_noise: Floats
@@ -105,6 +108,7 @@ def _values(run: Run, points: list[Reduced], visits: list[Reduced], band: Band) 
     return Values(
         rows=np.array([point.point for point in points], dtype=np.intp),
         directions=Directions.stack([point.directions for point in points]),
+        poses=tuple(point.pose for point in points),
         brdf=value,
         u_noise=np.sqrt(variance + (prnu * value) ** 2 + extra**2),
         common={

@@ -1,0 +1,131 @@
+"""The points that a chooser may choose from, and how far they lie from what was measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import ValidationError
+
+from gonio.acquisition.plan import Plan, Point, Sweep, assess, canonical, count_reasons
+from gonio.errors import ConfigError
+from gonio.geometry import Directions
+from gonio.rig import Pose
+from gonio.rig.description import RigDescription
+from gonio.typing import Floats
+
+THETA_I_DEG = (10.0, 30.0, 60.0, 75.0)
+THETA_R_DEG = {"start": -85.0, "stop": 85.0, "step": 1.0}
+NEAR_MIRROR_DEG = 5.0
+"""Points at this angle from the mirror direction lie half as dense as there: lobes change with the half vector."""
+INCIDENCE_DEG = 15.0
+"""Angles of incidence that differ by so much are as unlike as `NEAR_MIRROR_DEG` at the mirror direction."""
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Points that a rig can reach, with their poses."""
+
+    points: tuple[Point, ...]
+    poses: tuple[Pose, ...]
+    left_out: tuple[str, ...]
+    """What cannot be reached, and why, in words."""
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def directions(self) -> Directions:
+        """Those of all points."""
+        rows = [(p.theta_i_deg, p.phi_i_deg, p.theta_r_deg, p.phi_r_deg) for p in self.points]
+        return Directions.from_degrees(*zip(*rows, strict=True))
+
+
+def candidates(plan: Plan, description: RigDescription, given: dict[str, Any]) -> Candidates:
+    """The combinations of the keys theta_i_deg, theta_r_deg and dphi_deg that a rig can reach.
+
+    In the plane of incidence always; with `dphi_deg` at these azimuths, too.
+
+    Raises
+    ------
+    ConfigError
+        A key is wrong, or the rig reaches none of the points.
+    """
+    where = f"{plan.source}: [adaptive]"
+    in_plane = {"theta_i_deg": list(THETA_I_DEG), "theta_r_deg": THETA_R_DEG}
+    in_plane |= {name: given[name] for name in in_plane if given.get(name) is not None}
+    try:
+        sweep = Sweep.model_validate(in_plane)
+        beyond = None
+        if given.get("dphi_deg") is not None:
+            beyond = Sweep.model_validate(in_plane | {"dphi_deg": given["dphi_deg"]})
+    except ValidationError as error:
+        item = error.errors()[0]
+        key = ".".join(str(part) for part in item["loc"])
+        said = str(item["msg"]).removeprefix("Value error, ")
+        raise ConfigError(f"{where} {key + ': ' if key else ''}{said}") from None
+    points = [canonical(i, 0.0, r, 180.0) for i in sweep.theta_i_deg for r in sweep.theta_r_deg]
+    if beyond is not None:
+        azimuths = [d for d in beyond.dphi_deg or () if d % 180.0]
+        points += [canonical(i, 0.0, r, d) for i in beyond.theta_i_deg for d in azimuths for r in beyond.theta_r_deg]
+    found = assess(replace(plan, points=tuple(dict.fromkeys(points)), adaptive=None), description)
+    reached = [(one.point, one.pose) for one in found if one.pose is not None]
+    out = tuple(f"{count} {flag}: {cause}" for (flag, cause), count in count_reasons(found))
+    if not reached:
+        raise ConfigError(f'{where} the rig "{description.name}" reaches none of the candidates: {"; ".join(out)}')
+    return Candidates(tuple(p for p, _ in reached), tuple(pose for _, pose in reached), out)
+
+
+def places(directions: Directions) -> Floats:
+    """Coordinates (n, 3) in which points should lie about evenly: dense at the mirror direction, wider away from it."""
+    omega = directions.from_mirror
+    size = np.linalg.norm(omega, axis=-1)
+    near = 2.0 * np.sin(0.5 * np.radians(NEAR_MIRROR_DEG))
+    scale = np.arcsinh(size / near) / np.maximum(size, 1e-12)
+    # in the frame of the plane of incidence: along it and across it
+    phi = directions.phi_i
+    along = omega[..., 0] * np.cos(phi) + omega[..., 1] * np.sin(phi)
+    across = omega[..., 1] * np.cos(phi) - omega[..., 0] * np.sin(phi)
+    # signed by the side of the mirror direction; the length is that of the chord
+    signed = np.copysign(np.hypot(along, omega[..., 2]), along)
+    incidence = np.degrees(directions.theta_i) / INCIDENCE_DEG
+    return np.stack([signed * scale, across * scale, incidence], axis=-1)
+
+
+def from_nearest(at: Floats, among: Floats) -> Floats:
+    """Distance of each place (n, 3) from the nearest of others (m, 3); infinite where there are none."""
+    from scipy.spatial import cKDTree
+
+    return np.asarray(cKDTree(among).query(at)[0]) if len(among) else np.full(len(at), np.inf)
+
+
+def spread(at: Floats, count: int, begin: npt.NDArray[np.intp], cost: Floats | None = None) -> list[int]:
+    """Places (n, 3) that cover the others: first `begin`, then the one that is farthest from those chosen, in turn.
+
+    With a `cost` (n,) the square of the distance over it counts. Of equals the first one is taken.
+    """
+    chosen = [int(k) for k in begin[:count]]
+    distance = from_nearest(at, at[chosen])
+    while len(chosen) < min(count, len(at)):
+        score = np.minimum(distance, 1e3) ** 2 / (1.0 if cost is None else cost)
+        k = int(np.argmax(np.round(score, 12)))
+        chosen.append(k)
+        distance = np.minimum(distance, np.linalg.norm(at - at[k], axis=1))
+    return chosen
+
+
+def snake(points: list[Point]) -> list[int]:
+    """An order that saves travel: by incidence and azimuth, to and fro over the angle of reflection."""
+    def curve(p: Point) -> tuple[float, float]:
+        return p.theta_i_deg, (p.phi_r_deg - p.phi_i_deg) % 180.0
+
+    def signed(p: Point) -> float:
+        return p.theta_r_deg if 90.0 < (p.phi_r_deg - p.phi_i_deg) % 360.0 <= 270.0 else -p.theta_r_deg
+
+    out: list[int] = []
+    for number, of in enumerate(sorted({curve(p) for p in points})):
+        here = [k for k, p in enumerate(points) if curve(p) == of]
+        out += sorted(here, key=lambda k: signed(points[k]), reverse=bool(number % 2))
+    return out
