@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
 from gonio.geometry import Directions
 from gonio.typing import Floats
-
 from gonio_sweeps.posterior import Posterior
 
 COVERING = 5
@@ -17,9 +17,6 @@ DONE = 0.05
 """Weight of a place that is known well enough, beside one that is not."""
 WORST = 16.0
 """A place counts at most so much more than one that is just not known well enough."""
-
-Cost = Callable[[Sequence[int], int], Floats]
-"""Rig time [s] of every candidate, given those of the batch so far, and how many points there are already."""
 
 
 @dataclass(frozen=True)
@@ -53,41 +50,56 @@ def positions(d: Directions) -> Floats:
 
 
 def batch(
-    known: Sequence[Posterior], grid: Grid, goal: float, cost: Cost, count: int, done: int, floor: float
-) -> tuple[list[int], float]:
-    """The next places of a grid, by the expected fall of the curves' variance per time; and the largest u_rel left.
+    known: Sequence[Posterior],
+    noise: Sequence[Floats],
+    grid: Grid,
+    goal: float,
+    cost: Floats,
+    count: int,
+    done: int,
+    floor: float,
+) -> tuple[list[int], list[Floats], list[int]]:
+    """The next places of a grid, by the expected fall of the curves' variance per cost.
 
     Each place is taken as measured before the next one is chosen: what a value will tell does not depend on the value,
     but for the kernel's parameters.
 
     Parameters
     ----------
-    known
-        One for each band.
+    known, noise
+        For each band: what is known, and the relative standard uncertainty that every place would be measured with.
     goal
         Relative standard uncertainty that is asked for.
     cost
-        Rig time.
+        Of every place.
     count, done
         How many places; and how many points there are already.
     floor
         Of the largest value: below it uncertainties count relative to this value.
+
+    Returns
+    -------
+    tuple
+        The places in the order of their choice; for each band the relative standard uncertainty of every place now;
+        those of the chosen places that cover.
     """
-    states = [_State.of(p, grid, goal, floor) for p in known]
-    worst = max(float(s.u_rel.max()) for s in states)
+    states = [_State.of(p, u, grid, goal, floor) for p, u in zip(known, noise, strict=True)]
+    u_rel = [s.u_rel for s in states]
     chosen: list[int] = []
+    covers: list[int] = []
     far = grid.uncovered(known[0].directions)
     for k in range(count):
         if (done + k) % COVERING == COVERING - 1 and far.max() > 0:
-            best = int(np.argmax(far))
+            best = int(np.argmax(np.round(far, 9)))
+            covers.append(best)
         else:
-            gain = np.sum([s.gain(grid.weight) for s in states], axis=0)
-            best = int(np.argmax(gain / cost(chosen, done)))
+            score = np.sum([s.gain(grid.weight) for s in states], axis=0) / cost
+            best = int(np.argmax(np.round(score / max(float(score.max()), 1e-300), 9)))
         chosen.append(best)
         for s in states:
             s.take(best)
         far = np.minimum(far, np.sqrt(((grid.position - grid.position[best]) ** 2).sum(-1)))
-    return chosen, worst
+    return chosen, u_rel, covers
 
 
 @dataclass
@@ -102,29 +114,25 @@ class _State:
     goal: float
 
     @classmethod
-    def of(cls, p: Posterior, grid: Grid, goal: float, floor: float) -> _State:
-        f = p.at(grid.directions)[0]
-        covariance = p.reducible(grid.directions)
-        # a point's noise is that of the nearest point measured, but for slopes that no neighbour has resolved yet
-        there = positions(p.directions)
-        near = np.argmin(((grid.position[:, None] - there) ** 2).sum(-1), axis=1)
-        usual = float(np.median(p.relative_noise))
-        noise = np.clip(p.relative_noise[near], 0.5 * usual, 3.0 * usual) ** 2
+    def of(cls, p: Posterior, noise: Floats, grid: Grid, goal: float, floor: float) -> _State:
+        f, covariance, variance = p.expected(grid.directions, noise)
         size = np.maximum(np.abs(f), floor * float(np.abs(p.brdf).max()))
-        return cls(covariance, noise, 1.0 / (p.link.slope(f) * size), goal)
+        return cls(covariance, variance, 1.0 / (p.link.slope(f) * size), goal)
 
     @property
     def u_rel(self) -> Floats:
+        """Relative standard uncertainty of every place."""
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)) * self.scale)
 
     def gain(self, weight: Floats) -> Floats:
         """Of every place: the fall of the weighted variance, were it measured."""
         u = self.u_rel
         share = weight * np.where(u > self.goal, np.minimum((u / self.goal) ** 2, WORST), DONE)
-        # in units of the goal: variances far above it count by their logarithm's fall rather than their size
+        # in units of what is there, where that is far above the goal: a place that nothing is known of is not all
         down = self.covariance**2 * (share * self.scale**2 / np.maximum(u, self.goal) ** 2)[:, None]
         return np.asarray(down.sum(axis=0) / (np.diag(self.covariance) + self.noise))
 
     def take(self, k: int) -> None:
+        """A value at a place is there, whatever it is."""
         column = self.covariance[:, k].copy()
         self.covariance -= np.outer(column, column) / (column[k] + self.noise[k])

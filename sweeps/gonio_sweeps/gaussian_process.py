@@ -1,4 +1,4 @@
-"""A Gaussian process for the logarithm of a BRDF, in coordinates in which lobes are smooth (Rasmussen and Williams 2006).
+"""A Gaussian process for the logarithm of a BRDF, in coordinates in which lobes are smooth.
 
 What varies is a sum of parts, each with a width that the values themselves tell:
 
@@ -7,7 +7,8 @@ What varies is a sum of parts, each with a width that the values themselves tell
 - a smooth part over the detector's direction, with the logarithm of cos theta_r,
 - a part over the angle between source and detector, for what returns light.
 
-The half vector's angle is warped, w = asinh(theta_h/h): even steps of w are dense at the mirror direction.
+The half vector's angle is warped, w = asinh(theta_h/h): even steps of w are dense at the mirror direction. The
+process is that of Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), chapters 2 and 5.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+
 from gonio.geometry import Directions
 from gonio.typing import Floats
 
@@ -25,7 +27,7 @@ NAMES = ("h", "lobe", "l_lobe", "own", "l_own", "view", "l_view", "l_incidence",
 CENTRES = np.log(
     [np.radians(4.0), 0.5, 1.5, 0.4, 1.5, 0.5, np.radians(50.0), np.radians(30.0), 0.1, np.radians(6.0), 1.0, 1.0]
 )
-"""Before any value is known: widths [rad], lengths of w [1], amplitudes of the logarithm [1], factor of the noise [1]."""
+"""Before any value is known: widths [rad], lengths of w, amplitudes of the logarithm, factor of the noise."""
 SPREADS = np.array([1.0, 2.0, 0.7, 0.5, 0.7, 2.0, 0.6, 0.8, 2.0, 0.7, 2.0, 0.1])
 """Standard deviations of the logarithms before any value is known: a factor of three or so to either side."""
 LEVEL, COSINE = 5.0, 1.0

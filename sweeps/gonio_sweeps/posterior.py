@@ -1,4 +1,4 @@
-"""What is known of curves after some points: the BRDF between them, with intervals that hold the common causes too."""
+"""What is known of curves after some points: the BRDF between them, with intervals that hold the common causes."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+
 from gonio.errors import DataError
 from gonio.geometry import Directions, direction
 from gonio.typing import Floats
-
 from gonio_sweeps.gaussian_process import Coordinates, Process, Values, learned
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 NEGLIGIBLE = 2e-6
 """Of the largest value: what is added to uncertainties, so that the faintest values do not bend the whole curve."""
 FAINT = 10.0
-"""Values below so many times the smallest uncertainty may be negative: the logarithm goes over into the value itself."""
+"""Values below so many times the smallest uncertainty may be negative: the logarithm becomes the value itself."""
 FEWEST = 3
 SLOPE_STEP = float(np.radians(0.05))
 """Over which slopes are taken [rad]: an encoder's half step or so."""
@@ -120,15 +120,14 @@ class Posterior:
         p = learned(values, self.before)
         if self.angles is None:
             return values, p
-        by_detector, by_source, across = self._slopes(Process(values, p, float(np.median(z))))
+        by_detector, by_source, across = self._slopes(Process(values, p, float(np.median(z))), self.directions)
         u = np.sqrt(u**2 + self.angles.read**2 * (by_detector**2 + by_source**2 + across**2))
         zeros = self.angles.zero * np.stack([by_detector, by_source, across], axis=-1)
         values = Values(at, z, u, np.concatenate([values.causes, zeros], axis=-1))
         return values, learned(values, p)
 
-    def _slopes(self, process: Process) -> tuple[Floats, Floats, Floats]:
-        """Derivatives at the points by theta_r, by theta_i, and by an angle across the plane of theta_r [1/rad]."""
-        d = self.directions
+    def _slopes(self, process: Process, d: Directions) -> tuple[Floats, Floats, Floats]:
+        """Derivatives by theta_r, by theta_i, and by an angle across the plane of theta_r [1/rad]."""
         (omega_i, omega_r), h = d.vectors, SLOPE_STEP
         down_r, down_i = direction(d.theta_r + np.pi / 2, d.phi_r), direction(d.theta_i + np.pi / 2, d.phi_i)
         aside = direction(np.full(d.shape, np.pi / 2), d.phi_r + np.pi / 2)
@@ -140,11 +139,6 @@ class Posterior:
 
         none = np.zeros_like(omega_r)
         return by(none, down_r), by(down_i, none), by(none, aside)
-
-    @property
-    def relative_noise(self) -> Floats:
-        """Standard uncertainties of the points on the scale of the process."""
-        return self._values.u
 
     @cached_property
     def _process(self) -> Process:
@@ -166,9 +160,20 @@ class Posterior:
         scatter = float(np.sqrt(np.mean(np.clip(self.left_out, -4.0, 4.0) ** 2)))
         return scatter if scatter > MISFIT else 1.0
 
-    def reducible(self, directions: Directions) -> Floats:
-        """Covariance, on the scale of the process, of what more points can tell: the common causes apart."""
-        return self._without_causes.at(Coordinates.of(directions))[1] * self.misfit**2
+    def expected(self, directions: Directions, noise: Floats) -> tuple[Floats, Floats, Floats]:
+        """BRDF [1/sr]; covariance of what more points can tell; variance of one point, in each direction.
+
+        Both are on the scale of the process, and leave out the common causes. `noise` is the relative standard
+        uncertainty of points, that of their angles apart.
+        """
+        process = self._without_causes
+        mean, covariance = process.at(Coordinates.of(directions))
+        f = self.link.brdf(mean)
+        u = np.hypot(noise * np.abs(f), NEGLIGIBLE * float(np.abs(self.brdf).max())) * self.link.slope(f)
+        variance = np.minimum(u, 10.0) ** 2
+        if self.angles is not None:
+            variance = variance + self.angles.read**2 * sum(s**2 for s in self._slopes(process, directions))
+        return f, covariance * self.misfit**2, variance
 
     def at(self, directions: Directions) -> tuple[Floats, Floats, Floats, Floats]:
         """BRDF, standard uncertainty, and the interval of 95 % [1/sr], common causes included."""
