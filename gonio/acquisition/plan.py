@@ -18,8 +18,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import ConfigDict, Field, field_validator, model_validator
 
+from gonio.acquisition.grids import HalfVector, Hemisphere
+from gonio.acquisition.sweeps import ANGLES as ANGLES
+from gonio.acquisition.sweeps import MAX_POINTS, PointsFile, Repeated, Sweep
 from gonio.config import Strict, parse, read_toml
 from gonio.disk import only_file
 from gonio.errors import ConfigError
@@ -28,123 +31,9 @@ from gonio.rig import Pose, filling
 from gonio.rig.description import Band, Positive, RigDescription
 from gonio.rig.kinematics import Unreachable, reach, view
 
-ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
-MAX_POINTS = 1_000_000
 SAME_DEG = 1e-7
 """Points closer than this in every angle [deg] are one point: above rounding, and far below an encoder's step."""
 GRAZING_DEG = 1e-6
-
-Angle = Annotated[float, Field(strict=True)]
-"""A number [deg]: neither a truth value nor text that looks like one."""
-
-
-class Range(Strict):
-    """Equally spaced angles [deg], both ends included where the step meets them."""
-
-    start: Angle
-    stop: Angle
-    step: Annotated[Angle, Field(gt=0)]
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Range:
-        if self.stop < self.start:
-            raise ValueError("a range needs start <= stop")
-        if (self.stop - self.start) / self.step > MAX_POINTS:
-            raise ValueError(f"a range of more than {MAX_POINTS} angles; take a larger step")
-        return self
-
-    def values(self) -> list[float]:
-        """The angles, free of accumulated rounding."""
-        count = math.floor((self.stop - self.start) / self.step * (1 + 1e-12) + 1e-9) + 1
-        return [round(self.start + k * self.step, 9) for k in range(count)]
-
-
-AngleList = tuple[Angle, ...]
-
-
-class Sweep(Strict):
-    """Every combination of its angles; in the plane of incidence unless `dphi_deg` is given."""
-
-    theta_i_deg: AngleList
-    theta_r_deg: AngleList
-    """Without `dphi_deg` signed: positive on the mirror side, negative on the retro side."""
-    dphi_deg: AngleList | None = None
-    """phi_r - phi_i: 0 is retro, 180 the mirror half-plane. A negative theta_r lies on the opposite side."""
-    side: Literal["reflection", "transmission"] = "reflection"
-    """Of transmission theta_r goes on beyond the horizon, from 90 to 180 in size: 180 is behind, along the normal."""
-
-    @property
-    def count(self) -> int:
-        """How many points it stands for."""
-        return len(self.theta_i_deg) * len(self.theta_r_deg) * (1 if self.dphi_deg is None else len(self.dphi_deg))
-
-    @model_validator(mode="before")
-    @classmethod
-    def _light_at_azimuth_0(cls, value: object) -> object:
-        if isinstance(value, dict) and "phi_i_deg" in value:
-            raise ValueError(
-                "phi_i_deg: the light of a sweep stands at azimuth 0. For other azimuths of incidence name a table "
-                'of points: [[points]] with file = "points.csv" and the columns ' + ", ".join(ANGLES)
-            )
-        return value
-
-    @field_validator("theta_i_deg", "theta_r_deg", "dphi_deg", mode="before")
-    @classmethod
-    def _expanded(cls, value: object) -> object:
-        if isinstance(value, dict):
-            try:
-                return Range.model_validate(value).values()
-            except ValidationError as error:
-                item = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
-                where = ".".join(map(str, item["loc"]))
-                unknown = item["type"] == "extra_forbidden"
-                what = "unknown key; a range has start, stop and step" if unknown else item["msg"]
-                what = "is missing from the range" if item["type"] == "missing" else what
-                raise ValueError(f"{where}: {what}".removeprefix(": Value error, ")) from None
-        if isinstance(value, list) and not value:
-            raise ValueError("the list is empty; give angles in degrees, or { start = ..., stop = ..., step = ... }")
-        if not isinstance(value, list):
-            raise ValueError("give a list of angles in degrees, or { start = ..., stop = ..., step = ... }")
-        return value
-
-    @field_validator("theta_i_deg")
-    @classmethod
-    def _incidence(cls, value: tuple[float, ...]) -> tuple[float, ...]:
-        for angle in value:
-            if not 0 <= angle <= 90:
-                raise ValueError(f"{angle:g} deg is outside 0 to 90 deg: theta_i is counted from the normal")
-        return value
-
-    @model_validator(mode="after")
-    def _on_its_side(self) -> Sweep:
-        for angle in self.theta_r_deg:
-            if self.side == "reflection" and not -90 <= angle <= 90:
-                raise ValueError(
-                    f"theta_r_deg: {angle:g} deg is outside -90 to 90 deg: theta_r is counted from the normal, "
-                    "positive on the mirror side"
-                    + ('; behind the sample, say side = "transmission"' if abs(angle) <= 180 else "")
-                )
-            if self.side == "transmission" and not 90 < abs(angle) <= 180:
-                raise ValueError(
-                    f'theta_r_deg: {angle:g} deg is not behind the sample: with side = "transmission" it lies beyond '
-                    "90, up to 180 deg in size"
-                )
-        return self
-
-    @field_validator("dphi_deg")
-    @classmethod
-    def _azimuth(cls, value: tuple[float, ...] | None) -> tuple[float, ...] | None:
-        for angle in value or ():
-            if not -360 <= angle <= 360:
-                raise ValueError(f"{angle:g} deg is outside -360 to 360 deg")
-        return value
-
-
-class PointsFile(Strict):
-    """Points that stand in a file of their own."""
-
-    file: str
-    """A CSV with the four angle columns, beside the plan."""
 
 
 class Adaptive(Strict):
@@ -166,12 +55,21 @@ class Adaptive(Strict):
         return dict(self.model_extra or {})
 
 
+Order = Literal["as-written", "short"]
+
+
 class PlanFile(Strict):
     """A plan.toml."""
 
     name: str
     wavelength_nm: tuple[Positive, ...]
+    order: Order = "as-written"
+    """"short": the rig's travel is made short (`gonio.acquisition.ordering`)."""
+    reference_every: Annotated[int, Field(ge=0)] | None = None
+    """Points between two visits to the white reference, in place of the rig file's `reference.every`."""
     sweep: tuple[Sweep, ...] = ()
+    half_vector: tuple[HalfVector, ...] = ()
+    hemisphere: tuple[Hemisphere, ...] = ()
     points: tuple[PointsFile, ...] = ()
     adaptive: Adaptive | None = None
 
@@ -184,8 +82,11 @@ class PlanFile(Strict):
 
     @model_validator(mode="after")
     def _something(self) -> PlanFile:
-        if not self.sweep and not self.points and self.adaptive is None:
-            raise ValueError("the plan has no points; add a [[sweep]] or a [[points]] table, or [adaptive]")
+        if not (self.sweep or self.half_vector or self.hemisphere or self.points or self.adaptive):
+            raise ValueError(
+                "the plan has no points; add a [[sweep]], [[half_vector]], [[hemisphere]] or [[points]] table, or "
+                "[adaptive]"
+            )
         return self
 
 
@@ -206,7 +107,9 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What to measure: points in the order of the plan, and wavelengths."""
+    """What to measure: points in the order of the plan, and wavelengths; a point with `repeats` stands there for each
+    visit.
+    """
 
     name: str
     wavelength_nm: tuple[float, ...]
@@ -216,6 +119,11 @@ class Plan:
     source: str
     adaptive: Adaptive | None = None
     """What is to be chosen beyond these points."""
+    order: Order = "as-written"
+    reference_every: int | None = None
+    """Points between two visits to the white reference; None: as the rig file says."""
+    below_horizon: int = 0
+    """How many directions of half-vector grids were left out because no light can take them."""
 
     @property
     def directions(self) -> Directions:
@@ -275,16 +183,52 @@ def load_plan(path: str | Path) -> Plan:
     """
     path = Path(path)
     file = parse(PlanFile, read_toml(path), path)
-    listed = [point for table in file.points for point in read_points(path.parent / table.file)]
-    count = sum(sweep.count for sweep in file.sweep) + len(listed)
+    listed = [(table, read_points(path.parent / table.file)) for table in file.points]
+    grids: tuple[HalfVector | Hemisphere, ...] = (*file.half_vector, *file.hemisphere)
+    count = sum(sweep.count * sweep.repeats for sweep in file.sweep) + sum(grid.size * grid.repeats for grid in grids)
+    count += sum(len(points) * table.repeats for table, points in listed)
     if count > MAX_POINTS:
         raise ConfigError(f"{path}: the plan has {count} points; at most {MAX_POINTS} fit into one run")
-    every = [point for sweep in file.sweep for point in _combinations(sweep)] + listed
+    tables: list[tuple[Repeated, list[Point]]] = [
+        *((sweep, [canonical(*row) for row in sweep.rows()]) for sweep in file.sweep),
+        *((grid, [Point(*row) for row in grid.rows()]) for grid in grids),
+        *listed,
+    ]
+    points, repeated = _visits(tables)
+    below = sum(grid.below for grid in grids)
+    if not points and file.adaptive is None:
+        raise ConfigError(
+            f"{path}: the plan has no points: {below} half vectors need a detector below the horizon; take smaller "
+            "theta_h_deg, or other phi_h_deg"
+        )
+    return Plan(
+        file.name, file.wavelength_nm, points, repeated, str(path), file.adaptive, file.order, file.reference_every,
+        below,
+    )  # fmt: skip
+
+
+def _visits(tables: Sequence[tuple[Repeated, Sequence[Point]]]) -> tuple[tuple[Point, ...], int]:
+    """The points of all tables, each as often as it is visited, and how many of them were named before.
+
+    Visit k of n to point number i of m stands at the share (k + i/m)/n of the run: visits to a point are spread evenly,
+    and points that are visited once keep their order.
+    """
     first: dict[tuple[int, ...], Point] = {}
-    for point in every:
-        first.setdefault(_identity(point), point)
-    repeated = len(every) - len(first)
-    return Plan(file.name, file.wavelength_nm, tuple(first.values()), repeated, str(path), file.adaptive)
+    visits: dict[tuple[int, ...], int] = {}
+    named = 0
+    for table, points in tables:
+        named += len(points)
+        for point in points:
+            key = _identity(point)
+            first.setdefault(key, point)
+            if table.repeats > visits.get(key, 1):
+                visits[key] = table.repeats
+    if not visits:
+        return tuple(first.values()), named - len(first)
+    count = len(first)
+    at = [((k * count + i) / visits.get(key, 1), i) for i, key in enumerate(first) for k in range(visits.get(key, 1))]
+    every = list(first.values())
+    return tuple(every[i] for _, i in sorted(at)), named - count
 
 
 def read_points(path: Path) -> list[Point]:
@@ -376,13 +320,6 @@ def assess(plan: Plan, description: RigDescription) -> list[Assessed]:
 def count_reasons(points: list[Assessed]) -> list[tuple[tuple[str, str], int]]:
     """How many points are not measured for which (flag, cause), the most frequent first."""
     return Counter((a.flag, a.cause) for a in points if a.pose is None).most_common()
-
-
-def _combinations(sweep: Sweep) -> list[Point]:
-    """In plane: a scan of theta_r for each theta_i. Out of plane: for each theta_i and dphi a scan of theta_r."""
-    if sweep.dphi_deg is None:
-        return [canonical(i, 0.0, r, 180.0) for i in sweep.theta_i_deg for r in sweep.theta_r_deg]
-    return [canonical(i, 0.0, r, d) for i in sweep.theta_i_deg for d in sweep.dphi_deg for r in sweep.theta_r_deg]
 
 
 def canonical(theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> Point:

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gonio.acquisition.plan import ANGLES, Range, assess, load_plan
+from gonio.acquisition.plan import ANGLES, assess, load_plan
 from gonio.acquisition.schedule import schedule
+from gonio.acquisition.sweeps import Range
 from gonio.errors import ConfigError
 from gonio.rig.description import Geometry, Holder, Reference
 from tests.gonio.numpy_rig import PLAN, describe
