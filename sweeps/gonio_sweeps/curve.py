@@ -159,23 +159,44 @@ class Curve:
     def next(self, run: Run) -> Choice:
         """See `gonio.acquisition.choosing.Chooser`."""
         values = [online.values(run) for online in self._online]
-        decided = self.decided(values, expected.spent_s(self.durations, run))
+        before = run.batches[-1].why.get("kernel") if run.batches else None
+        decided = self.decided(values, expected.spent_s(self.durations, run), before)
         points = tuple(self.candidates.points[k] for k in decided.picked)
         return Choice(points, decided.why, decided.message, decided.met)
 
-    def known(self, values: Values) -> Posterior:
-        """What the values of one band tell."""
+    def known(self, values: Values, before: Sequence[float] | None = None) -> Posterior:
+        """What the values of one band tell; `before` are the parameters of the kernel that fewer points told."""
         common = np.stack(list(values.common.values()), axis=1) if values.common else np.zeros((len(values), 0))
-        return Posterior(values.directions, values.brdf, values.u_noise, common, self._errors)
+        return Posterior(
+            values.directions,
+            values.brdf,
+            values.u_noise,
+            common,
+            self._errors,
+            None if before is None else np.array(before),
+        )
 
-    def decided(self, values: Sequence[Values], spent_s: float) -> Decided:
-        """The next batch, given the values of every band and the rig time they took; it follows from these alone."""
+    def decided(
+        self, values: Sequence[Values], spent_s: float, before: Sequence[Sequence[float]] | None = None
+    ) -> Decided:
+        """The next batch; it follows from the arguments alone.
+
+        Parameters
+        ----------
+        values
+            Of every band.
+        spent_s
+            Rig time that they took.
+        before
+            What the choice before this one gave as `why["kernel"]`.
+        """
         usable = [v for v in values if len(v) >= FEWEST]
         left_s, n = self._budget_s - spent_s, max((len(v) for v in values), default=0)
         why: dict[str, Any] = {"spent_s": round(spent_s, 1), "values": n}
         if not usable:
             return Decided([], why, f"enough: only {n} points could be used; a curve needs {FEWEST}")
-        known = [self.known(v) for v in usable]
+        starts = before if before is not None and len(before) == len(usable) else [None] * len(usable)
+        known = [self.known(v, p) for v, p in zip(usable, starts, strict=True)]
         goal = self._settings.u_rel or DEFAULT_GOAL
         count = min(max(round(GROWTH * n), SMALLEST), LARGEST)
         if self._settings.most_points is not None:
@@ -194,6 +215,7 @@ class Curve:
         where = self.candidates.points[int(np.argmax(np.max(u_rel, axis=0)))]
         misfit = max(p.misfit for p in known)
         why |= {"u_rel": _short(worst), "median_u_rel": _short(float(np.median(u_rel))), "misfit": _short(misfit)}
+        why["kernel"] = [[round(float(x), 4) for x in p.parameters] for p in known]
         said = f"curve known to {100 * worst:.2g} % at worst (theta_i = {where.theta_i_deg:g}, {_place(where)})"
         if self._settings.u_rel is not None and worst <= self._settings.u_rel:
             return Decided([], why, f"enough: {said}", met=True)

@@ -189,7 +189,7 @@ def starts(seen: Floats | None) -> list[Floats]:
         p = CENTRES.copy()
         p[0] = np.log(np.radians(h))
         out.append(p)
-    return out if seen is None else [seen, out[0], out[2]]
+    return out if seen is None else [seen, out[1]]
 
 
 def learned(data: Values, before: Floats | None = None) -> Floats:

@@ -117,9 +117,9 @@ class Posterior:
         slope = self.link.slope(self.brdf)
         at, z, u, causes = Coordinates.of(self.directions), self.link.z(self.brdf), self._u * slope, self.causes
         values = Values(at, z, u, causes * slope[:, None])
-        p = learned(values, self.before)
         if self.angles is None:
-            return values, p
+            return values, learned(values, self.before)
+        p = learned(values) if self.before is None else self.before
         by_detector, by_source, across = self._slopes(Process(values, p, float(np.median(z))), self.directions)
         u = np.sqrt(u**2 + self.angles.read**2 * (by_detector**2 + by_source**2 + across**2))
         zeros = self.angles.zero * np.stack([by_detector, by_source, across], axis=-1)
