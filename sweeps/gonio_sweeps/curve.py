@@ -34,9 +34,9 @@ from gonio_sweeps.posterior import FEWEST, AngleErrors, Posterior
 
 FIRST, FURTHER = 12, 7
 """Points of the first covering: of one angle of incidence, and of each further one, in a plane."""
-GROWTH = 0.15
+GROWTH = 0.25
 """A batch adds this part of the points so far."""
-SMALLEST, LARGEST = 4, 20
+SMALLEST, LARGEST = 5, 25
 """Points of a batch, at least and at most: each ends with a visit to the reference."""
 NEAR_MIRROR_DEG = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0)
 """Beside a range of theta_r, these offsets from the mirror direction may be measured: lobes are narrow there."""
