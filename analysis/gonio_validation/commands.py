@@ -86,7 +86,7 @@ def sweeps(
     jobs: Annotated[int | None, typer.Option(help="Processes. [default: one a processor]", show_default=False)] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Two samples, in plane: all is run.")] = False,
 ) -> None:
-    """Rig time against error of curves: uniform, mirror-dense, half-vector and adaptive plans. Prints the report's path.
+    """Rig time against error of curves: uniform, mirror-dense, half-vector, adaptive plans. Prints the report's path.
 
     A command that was cut short goes on where it stood.
     """

@@ -122,7 +122,8 @@ def make(
             except (KeyboardInterrupt, Interrupted):
                 kept = sum(_record(job) is not None for job in wanted)
                 raise Interrupted(
-                    f"{folder}: {kept} of {len(wanted)} comparisons are done and kept; the same command goes on with the others"
+                    f"{folder}: {kept} of {len(wanted)} comparisons are done and kept; the same command goes on with "
+                    "the others"
                 ) from None
             records = [record for job in wanted if (record := _record(job)) is not None]
             write(summary(records, seeds=count, quick=quick, command=command), folder)

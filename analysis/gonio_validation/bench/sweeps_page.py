@@ -106,9 +106,7 @@ def _time(s: Sweeps, figures: Sequence[Figure]) -> Group:
                     ]
                 )
     header = ["sample", "geometry", "plan", "points", "rig time [min]", "rms error", "largest", "in 95 % interval"]
-    shown = table(
-        "The largest size of each plan; the adaptive one where it ended.", header, rows, right=(3, 4, 5, 6, 7)
-    )
+    shown = table("The largest size of each plan; the adaptive one at its end.", header, rows, right=(3, 4, 5, 6, 7))
     return section([Heading(2, "Rig time"), Paragraph(words, "note"), Figures(tuple(figures)), shown], "time")
 
 
@@ -213,15 +211,8 @@ def _panels(s: Sweeps, geometry: str) -> Figure:
         own = _of(s, geometry, sample, "adaptive", "process")
         if own:
             ends.append(f"{sample}: adaptive {100 * own[-1].rms:.2g} % after {own[-1].seconds / 60:.2g} min.")
-    return rendered(
-        "in-plane" if geometry == "in plane" else geometry,
-        "sweeps",
-        "",
-        caption,
-        f"{where}. " + " ".join(ends),
-        size,
-        on,
-    )
+    name = geometry.replace(" ", "-")
+    return rendered(name, "sweeps", "", caption, f"{where}. " + " ".join(ends), size, on)
 
 
 def _plain(ax: Any) -> None:
