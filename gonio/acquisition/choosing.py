@@ -37,6 +37,12 @@ class Chooser(Protocol):
         """The next batch, after all steps so far were taken; every point of it can be reached on the rig."""
 
 
+def about(chooser: Chooser) -> list[str]:
+    """What a chooser will do, a line each: candidates, target, budget. Choosers may have a method `about` for it."""
+    said: list[str] = list(getattr(chooser, "about", list)())
+    return said
+
+
 class ChooserPlugin(Protocol):
     """What an entry point of the group `gonio.choosers` names."""
 

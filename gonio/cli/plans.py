@@ -39,10 +39,22 @@ def show(
 
 def describe(plan: Plan, rig: RigChoice | None) -> None:
     """Print a plan, as a rig sees it if there is one."""
+    from gonio.acquisition.choosing import about, chooser_of
     from gonio.acquisition.duration import Durations
     from gonio.acquisition.plan import Assessed, assess
     from gonio.cli import console
 
+    chooser = None
+    if plan.adaptive is not None and rig is None:
+        how, hours = plan.adaptive.how, plan.adaptive.budget_h
+        console.show(
+            f"{plan.name}: points are chosen as the run grows ({how}, {hours:g} h of rig time); --rig says which"
+        )
+    elif plan.adaptive is not None and rig is not None:
+        plan, chooser = chooser_of(plan, rig.description)
+    if not plan.points:
+        console.show(f"wavelengths: {', '.join(f'{w:g} nm' for w in plan.wavelength_nm)}")
+        return
     points = [Assessed(p, None) for p in plan.points] if rig is None else assess(plan, rig.description)
     by_incidence: dict[float, list[_Place]] = {}
     for place in _places(plan, points):
@@ -77,6 +89,8 @@ def describe(plan: Plan, rig: RigChoice | None) -> None:
         f"{len(steps)} steps with {visits} visits to the white reference; about {console.duration(seconds)} "
         "on the rig's clock, for a matt sample of albedo 0.5",
     )
+    if chooser is not None:
+        console.show("then points are chosen as the run grows:", *(f"  {line}" for line in about(chooser)))
 
 
 def calibrations(description: RigDescription) -> list[str]:

@@ -118,6 +118,7 @@ def spread(at: Floats, count: int, begin: npt.NDArray[np.intp], cost: Floats | N
 
 def snake(points: list[Point]) -> list[int]:
     """An order that saves travel: by incidence and azimuth, to and fro over the angle of reflection."""
+
     def curve(p: Point) -> tuple[float, float]:
         return p.theta_i_deg, (p.phi_r_deg - p.phi_i_deg) % 180.0
 

@@ -35,21 +35,26 @@ class Visits:
     """All frames of all bands, without the way there."""
 
 
-def visits(durations: Durations, poses: Sequence[Pose], brdf: Floats) -> Visits:
-    """What visits to poses come to where the sample has a BRDF [1/sr].
+class Expected:
+    """What visits to some poses come to; exposures are those that metering would choose."""
 
-    The exposures are those that metering would choose, the noise that of the EMVA 1288 model (docs/radiometry.md); the
-    dark frames' own noise is left out.
-    """
-    description = durations.description
-    factor = np.maximum(math.pi * brdf, NOTHING).tolist()
-    seconds = [durations.frames_s(Step(0, "point", 0, p), f) for p, f in zip(poses, factor, strict=True)]
-    weights = [_weight(description, pose, f) for pose, f in zip(poses, factor, strict=True)]
-    with np.errstate(divide="ignore"):
+    def __init__(self, durations: Durations, poses: Sequence[Pose]) -> None:
+        self._durations, self.poses = durations, poses
+        self._pixels = [_pixels(durations.description, pose) for pose in poses]
+
+    def visits(self, brdf: Floats) -> Visits:
+        """Where the sample has a BRDF [1/sr], one value a pose.
+
+        The noise is that of the EMVA 1288 model (docs/radiometry.md); the dark frames' own is left out.
+        """
+        factor = np.maximum(math.pi * brdf, NOTHING).tolist()
+        seconds = [self._durations.frames_s(Step(0, "point", 0, p), f) for p, f in zip(self.poses, factor, strict=True)]
+        each = zip(self.poses, self._pixels, factor, strict=True)
+        weights = [_weight(self._durations.description, pose, pixels, f) for pose, pixels, f in each]
         return Visits(np.where(brdf > 0, 1.0 / np.sqrt(weights), np.inf), np.array(seconds))
 
 
-def _weight(description: RigDescription, pose: Pose, reflectance: float) -> float:
+def _weight(description: RigDescription, pose: Pose, pixels: float, reflectance: float) -> float:
     """1 / (relative variance) of the mean over the region of interest, from all frames of a visit."""
     camera, acquisition = description.camera, description.acquisition
     if acquisition.u_rel_target is not None:
@@ -58,7 +63,7 @@ def _weight(description: RigDescription, pose: Pose, reflectance: float) -> floa
         single = exposure.expected_exposure_s(description, pose, reflectance)
         exposures = (*(single,) * acquisition.frames, single / exposure.SHORTER)
     rate = camera.responsivity_e_per_s * reflectance * exposure.cosine_of_incidence(pose)
-    pixels, out = _pixels(description, pose), 0.0
+    out = 0.0
     for t in exposures:
         noise = camera.read_noise_e**2 + camera.electrons_per_dn**2 / 12.0
         if camera.photon_noise:

@@ -1,7 +1,7 @@
 """What points tell of a model's parameters: Fisher information with nuisances, and the visits that add most of it.
 
-A value y_j = f_j(parameters) + sum_k n_jk z_k + noise_j has the parameters p of the model and the common causes z of the
-run as unknowns. Causes are known beforehand to one standard deviation: scale of the reference, drift, zeros of the
+A value y_j = f_j(parameters) + sum_k n_jk z_k + noise_j has the parameters p of the model and the common causes z of
+the run as unknowns. Causes are known beforehand to one standard deviation: scale of the reference, drift, zeros of the
 angles. Then the information matrix of both together adds up over visits,
 
     M = diag(0 ... 0, 1 ... 1) + sum_j v_j v_j^T / u_j^2,    v_j = (df_j/dp, n_j),
@@ -16,19 +16,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from gonio_analysis.fitting.forward import apparent
+from gonio_analysis.fitting.observations import Observations
+from gonio_analysis.fitting.problem import Problem
+from gonio_analysis.fitting.search import derivatives
 
 from gonio.geometry import Directions
 from gonio.reduction.table import CAUSES, angle_axes, zero_uncertainties
 from gonio.rig import Pose, kinematics
 from gonio.rig.description import RigDescription
 from gonio.typing import Floats
-from gonio_analysis.fitting.forward import apparent
-from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.problem import Problem
-from gonio_analysis.fitting.search import derivatives
 
-ANGLE_STEP = math.radians(0.05)
-"""Of the differences that tell how a model changes with an axis: about an encoder's step."""
+MOST = 0.5 * math.pi - 1e-6
+"""Polar angles [rad] are held below this where an axis is moved in thought."""
+EVEN = "even"
+"""The cause that is what errors of the angles change evenly: on top of a peak they only lower a value, repeats too."""
+
 
 @dataclass(frozen=True)
 class Rows:
@@ -38,46 +41,56 @@ class Rows:
     """(n,) [1/sr]"""
     parameters: Floats
     """d(brdf)/d(parameter) on the search scale, (n, p)."""
-    zeros: dict[str, Floats]
-    """By cause: the change of the values [1/sr] for one standard deviation of the zero of an axis, (n,)."""
+    of_angles: dict[str, Floats]
+    """By cause: the change of the values [1/sr] for one standard deviation of the zero of an axis, (n,); and `EVEN`."""
     u_landing: Floats
     """Standard uncertainty [1/sr] by the encoders' steps, (n,)."""
 
 
-def rows(
-    problem: Problem, vector: Floats, at: Observations, poses: Sequence[Pose], description: RigDescription
-) -> Rows:
-    """What a model at a point of the search scale has at the directions of `at`, which poses of the rig lead to.
+class Sights:
+    """Values at the directions of `at`, which poses of a rig lead to, and what they are where an axis stands elsewhere.
 
-    A value stands for the angles that were read, cos(theta_i) of the truth over that of the reading
-    (docs/radiometry.md, "The budget").
+    Both are the same for all parameters, and are made once.
     """
-    model = problem.model(vector)
-    here = apparent(model, at, quick=True)
-    moved = {axis: _slope(model, at, poses, description, axis) for axis in angle_axes(description)}
-    landing = np.zeros(len(at))
-    for name, axis in angle_axes(description).items():
-        u = math.hypot(math.radians(axis.encoder_step_deg) / math.sqrt(12.0), math.radians(axis.encoder_noise_deg))
-        landing += (moved[name] * u) ** 2
-    zeros = {CAUSES[name]: moved[name] * u for name, u in zero_uncertainties(description).items() if u > 0}
-    return Rows(here, derivatives(problem, at, vector, quick=True), zeros, np.sqrt(landing))
 
+    def __init__(self, at: Observations, poses: Sequence[Pose], description: RigDescription) -> None:
+        self.at = at
+        self._moved: list[tuple[str, Observations, Observations, Floats, Floats]] = []
+        at_zero = zero_uncertainties(description)
+        for name, axis in angle_axes(description).items():
+            u = math.hypot(math.radians(axis.encoder_step_deg) / math.sqrt(12.0), math.radians(axis.encoder_noise_deg))
+            for step, cause in ((u, ""), (at_zero.get(name, 0.0), CAUSES[name])):
+                if step > 0.0:
+                    up, down = (self._turned(poses, description, name, by) for by in (step, -step))
+                    self._moved.append((cause, up[0], down[0], up[1], down[1]))
 
-def _slope(
-    model: object, at: Observations, poses: Sequence[Pose], description: RigDescription, axis: str
-) -> Floats:
-    """d(value)/d(angle of an axis) [1/sr per rad]."""
-    values, read = [], np.cos(at.directions.theta_i)
-    for by in (ANGLE_STEP, -ANGLE_STEP):
-        there = [
-            kinematics.directions(description, replace(pose, **{axis: getattr(pose, axis) + by})) for pose in poses
-        ]
-        directions = Directions.stack(there)
-        theta_i, phi_i, theta_r, phi_r = directions.angles
-        most = 0.5 * math.pi - 1e-6
-        inside = Directions(np.minimum(theta_i, most), phi_i, np.minimum(theta_r, most), phi_r)
-        values.append(apparent(model, replace(at, directions=inside), quick=True) * np.cos(theta_i) / read)
-    return (values[0] - values[1]) / (2.0 * ANGLE_STEP)
+    def _turned(
+        self, poses: Sequence[Pose], description: RigDescription, axis: str, by: float
+    ) -> tuple[Observations, Floats]:
+        """Where the values truly are if an axis stands `by` [rad] beside what is read, and the ratio of the cosines."""
+        there = [kinematics.directions(description, replace(p, **{axis: getattr(p, axis) + by})) for p in poses]
+        theta_i, phi_i, theta_r, phi_r = Directions.stack(there).angles
+        inside = Directions(np.minimum(theta_i, MOST), phi_i, np.minimum(theta_r, MOST), phi_r)
+        return replace(self.at, directions=inside), np.cos(theta_i) / np.cos(self.at.directions.theta_i)
+
+    def rows(self, problem: Problem, vector: Floats) -> Rows:
+        """What a model at a point of the search scale has there.
+
+        A value stands for the angles that were read, cos(theta_i) of the truth over that of the reading
+        (docs/radiometry.md, "The budget").
+        """
+        model = problem.model(vector)
+        here = apparent(model, self.at, quick=True)
+        landing, even, of_angles = np.zeros(len(self.at)), np.zeros(len(self.at)), {}
+        for cause, at_up, at_down, by_up, by_down in self._moved:
+            up, down = apparent(model, at_up, quick=True) * by_up, apparent(model, at_down, quick=True) * by_down
+            even += 0.5 * (up + down) - here
+            if cause:
+                of_angles[cause] = 0.5 * (up - down)
+            else:
+                landing += (0.5 * (up - down)) ** 2
+        parameters = derivatives(problem, self.at, vector, quick=True)
+        return Rows(here, parameters, of_angles | {EVEN: even}, np.sqrt(landing))
 
 
 @dataclass(frozen=True)
@@ -134,7 +147,6 @@ def gains(covariance: Floats, count: int, design: Floats, u: Floats, weights: Fl
         size = np.sqrt(np.diag(block))
         inverse = np.linalg.inv(block / np.outer(size, size)) / np.outer(size, size)
         share = np.einsum("np,pq,nq->n", of_parameters, inverse, of_parameters) / spread
-        return -0.5 * np.log1p(-np.minimum(share, 1.0 - 1e-12)) / count
+        return np.asarray(-0.5 * np.log1p(-np.minimum(share, 1.0 - 1e-12)) / count)
     total = float(np.sum(np.diag(block) * weights))
-    return -0.5 * np.log1p(-np.minimum((of_parameters**2 @ weights) / spread / total, 1.0 - 1e-12))
-
+    return np.asarray(-0.5 * np.log1p(-np.minimum((of_parameters**2 @ weights) / spread / total, 1.0 - 1e-12)))

@@ -12,10 +12,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from gonio_analysis.fitting.value_covariance import Covariance
 
 from gonio.geometry import Directions
 from gonio.typing import Floats
-from gonio_analysis.fitting.value_covariance import Covariance
 from gonio_sweeps.candidates import places
 
 FALSE_ALARMS = 0.01

@@ -1,4 +1,4 @@
-"""The chooser "parameters": points for the parameters of a named model, and for the question whether it is the right one.
+"""The chooser "parameters": points for the parameters of a named model, and for whether it is the right one.
 
 Each batch follows from a fit to all values so far. Most of its points are those that tell most of the parameters for
 their rig time (`gonio_sweeps.fisher`), on average over parameters that the values allow. The others cover: they look
@@ -11,10 +11,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-from pydantic import field_validator
+from gonio_analysis.commands import read_ior
+from gonio_analysis.fitting.fit import FitResult, fit
+from gonio_analysis.fitting.forward import apparent
+from gonio_analysis.fitting.objective import alone
+from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observations
+from gonio_analysis.fitting.problem import FitRequest, Problem, pose
+from gonio_analysis.fitting.search import refine
+from gonio_analysis.fitting.value_covariance import Covariance
+from pydantic import Field, field_validator
 
 from gonio.acquisition.choosing import Choice
 from gonio.acquisition.duration import Durations
@@ -28,30 +37,24 @@ from gonio.reduction import brdf as reduction
 from gonio.rig import Pose, Step
 from gonio.rig.description import Band, Positive, RigDescription
 from gonio.typing import Floats
-from gonio_analysis.commands import read_ior
-from gonio_analysis.fitting.fit import FitResult, fit
-from gonio_analysis.fitting.forward import apparent
-from gonio_analysis.fitting.objective import alone
-from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observations
-from gonio_analysis.fitting.problem import FitRequest, Problem, pose
-from gonio_analysis.fitting.search import refine
-from gonio_analysis.fitting.value_covariance import Covariance
 from gonio_sweeps import expected, fisher, lack_of_fit
-from gonio_sweeps.candidates import Candidates, candidates, from_nearest, places, snake, spread
+from gonio_sweeps.candidates import candidates, from_nearest, places, snake, spread
 from gonio_sweeps.online import Online, Values
 
 FIRST = 5
 """Points of the first covering, for each parameter; not fewer than `FEWEST`, and not more than `MOST` altogether."""
 FEWEST, MOST = 12, 30
-AROUND_MIRROR_DEG = 60.0
+AROUND_MIRROR_DEG = 45.0
 """The first points lie so close to the mirror direction: farther away metals are dark, and a point takes minutes."""
-GROWTH = 0.35
+GROWTH = 0.6
 """A batch adds this part of the points so far: later ones are chosen with better knowledge."""
-SMALLEST, LARGEST = 8, 25
+SMALLEST, LARGEST = 12, 25
 """Points of a batch, at least and at most: each ends with a visit to the reference."""
 COVERING = 0.2
 """Part of a batch that covers, whatever the model says."""
-REPEATS = 2
+DEAREST = 0.25
+"""Part of the time that is left which one point may take, at most."""
+REPEATS = 3
 """Visits to one point in a batch, at most: what a repeat cannot tell is that the model is wrong beside it."""
 DRAWS = 4
 """Parameters that are drawn from what the fit leaves open, beside its own."""
@@ -61,8 +64,11 @@ ALLOWED = 12.0
 """Solutions whose chi-square is larger than the best one's by less than this are not ruled out."""
 AIM = 0.97
 """A batch ends where it is expected to bring the uncertainties to this part of their targets."""
-LEAST_GAIN = 5e-4
-"""A point that lowers the logarithm of the uncertainties by less adds nothing."""
+CLOSE = 1.25
+"""Where the quick fit's uncertainties are within this factor of their targets the run is reduced and fitted in full, as
+`gonio fit` will do it: its uncertainties decide."""
+LEAST_GAIN = 2e-4
+"""Where no point lowers the logarithm of the uncertainties by more, none adds anything."""
 
 
 class Settings(Strict):
@@ -72,14 +78,14 @@ class Settings(Strict):
     """As `gonio fit --model`."""
     ior: str | float | tuple[float, float] | None = None
     """A material, n, or [n, k]; or text, as in `gonio fit --ior 1.37+7.6j`."""
-    fix: dict[str, str | float] = {}
+    fix: dict[str, str | float] = Field(default_factory=dict)
     free: tuple[str, ...] = ()
     slopes: int = 1
     wavelength_nm: Positive | None = None
     """Where the plan has several: the one that the model is fitted at; by default the nearest to 550 nm."""
-    u: dict[str, Positive] = {}
+    u: dict[str, Positive] = Field(default_factory=dict)
     """Standard uncertainty wanted of each parameter, in its own unit."""
-    u_rel: dict[str, Positive] = {}
+    u_rel: dict[str, Positive] = Field(default_factory=dict)
     """The same, relative to its value."""
     theta_i_deg: Any = None
     theta_r_deg: Any = None
@@ -88,15 +94,18 @@ class Settings(Strict):
 
     @field_validator("ior", mode="before")
     @classmethod
-    def _two(cls, value: object) -> object:
+    def _index(cls, value: object) -> object:
+        if isinstance(value, bool):
+            raise ValueError('give a material as "Al", a number n, [n, k], or text as "1.37+7.6j"')
         return tuple(value) if isinstance(value, list) else value
 
     @property
     def index(self) -> complex | str | None:
         """What `ior` stands for."""
-        if isinstance(self.ior, str):
+        if self.ior is None or isinstance(self.ior, str):
             return read_ior(self.ior)
-        return complex(*self.ior) if isinstance(self.ior, tuple) else None if self.ior is None else complex(self.ior)
+        n, k = self.ior if isinstance(self.ior, tuple) else (self.ior, 0.0)
+        return read_ior(f"{n:.17g}{k:+.17g}j")
 
 
 @dataclass(frozen=True)
@@ -105,6 +114,7 @@ class _Known:
 
     result: FitResult
     data: Observations
+    sights: fisher.Sights
     rows: fisher.Rows
     modes: list[tuple[Floats, float]]
     """Solutions that are not ruled out, as points of the search scale, with their weights; the best one first."""
@@ -137,7 +147,7 @@ class Parameters:
         try:
             self._problem = pose(self._request)
         except ConfigError as error:
-            raise ConfigError(f"{where} {error}") from None
+            raise ConfigError(f"{where} {str(error).removeprefix('--')}") from None
         for key, given in (("u", self._settings.u), ("u_rel", self._settings.u_rel)):
             for name in given:
                 if name not in self._problem.free:
@@ -184,6 +194,23 @@ class Parameters:
                 f"{len(poses)} points alone take about {least / 3600.0:.2g} h on this rig"
             )
 
+    def about(self) -> list[str]:
+        """What it will do, a line each."""
+        s, free = self._settings, self._problem.free
+        wanted = [f"{name} to {100 * u:.3g} %" for name, u in s.u_rel.items()] + [
+            f"{n} to {u:.3g}" for n, u in s.u.items()
+        ]
+        target = ", ".join(wanted) or "as well as the budget allows"
+        return [
+            f"model: {s.model} at {self._band.centre_nm:g} nm; fitted: {', '.join(free)}",
+            f"target (standard uncertainty): {target}",
+            f"budget: {self._budget_s / 3600.0:g} h of rig time for the whole run",
+            f"candidates: {len(self.candidates)} points that the rig can reach"
+            + (f" ({'; '.join(self.candidates.left_out)})" if self.candidates.left_out else ""),
+            f"batches of {SMALLEST} to {LARGEST} points; {100 * COVERING:g} % of them cover, and all of them once the "
+            "model is found wrong",
+        ]
+
     # ---- what is measured first ----
 
     def _covering(self) -> list[int]:
@@ -224,7 +251,7 @@ class Parameters:
         why["mode"] = "covering" if covering else "parameters"
         if known is not None and not covering:
             said.append(self._progress(known.result))
-            if self._reached(self._ratios(known.result)) and len(known.modes) == 1:
+            if self._reached(self._ratios(known.result) / CLOSE) and len(known.modes) == 1:
                 table = reduction.reduce(run)
                 final = self._final(table, known.result)
                 why["u_final"] = {n: _short(final.parameters[n].u) for n in final.free}
@@ -271,11 +298,12 @@ class Parameters:
             result = fit(data, self._request, name="the values so far")
         except DataError:
             return None
+        sights = fisher.Sights(data, values.poses, self._description)
         for _ in range(2):  # the angles' part follows from the fit, and changes it a little
-            rows = fisher.rows(self._problem, result.vector, data, values.poses, self._description)
+            rows = sights.rows(self._problem, result.vector)
             u = np.hypot(values.u_noise, rows.u_landing)
-            causes = (*names, *rows.zeros)
-            columns = np.concatenate([common, np.stack(list(rows.zeros.values()), axis=1)], axis=1)
+            causes = (*names, *rows.of_angles)
+            columns = np.concatenate([common, np.stack(list(rows.of_angles.values()), axis=1)], axis=1)
             data = self._observed(values, Covariance(np.maximum(u, 1e-12), columns, causes))
             start = result.problem.values(result.vector)
             result = fit(data, replace(self._request, start=[start]), name="the values so far")
@@ -289,7 +317,7 @@ class Parameters:
             result.goal.weights or data.covariance,
             values.directions,
         )
-        return _Known(result, data, rows, self._modes(result, data), test)
+        return _Known(result, data, sights, rows, self._modes(result, data), test)
 
     def _modes(self, result: FitResult, data: Observations) -> list[tuple[Floats, float]]:
         """The fit's solution, and others that the values do not rule out."""
@@ -366,16 +394,16 @@ class Parameters:
         here = reference_pose(self._description)
         way = self._durations.moves_s(here, self.candidates.poses)
         cost = seen.seconds + 0.2 * way  # most ways are those between neighbours
+        affordable = cost < DEAREST * max(left_s, 0.0)
         measured = [places(values.directions)] if len(values) else []
         share = count if covering or known is None else round(COVERING * count)
         picked: list[int] = []
         gain = math.nan
         if known is not None and not covering:
-            picked, gain = self._informative(values, known, count - share, cost)
+            picked, gain = self._informative(values, known, count - share, np.where(affordable, cost, np.inf))
         at = np.concatenate([*measured, self._places[picked]]) if measured else self._places[picked]
         distance = np.minimum(from_nearest(self._places, at), 1e3)
         cover: list[int] = []
-        affordable = cost < max(left_s, 0.0)
         for _ in range(share if picked or covering or known is None else 0):
             score = np.where(affordable, distance**2 / cost, -1.0)
             k = int(np.argmax(np.round(score, 12)))
@@ -402,19 +430,22 @@ class Parameters:
 
     def _seen(self, known: _Known | None) -> expected.Visits:
         """What visits to the candidates come to, by the fit; as of a matt sample where there is none."""
-        poses = self.candidates.poses
         if known is None:
-            return expected.visits(self._durations, poses, np.full(len(poses), 0.5 / math.pi))
-        brdf = apparent(self._problem.model(known.result.vector), self._unmeasured, quick=True)
-        return expected.visits(self._durations, poses, brdf)
+            return self._expected.visits(np.full(len(self.candidates), 0.5 / math.pi))
+        return self._expected.visits(apparent(self._problem.model(known.result.vector), self._ahead.at, quick=True))
 
-    @property
-    def _unmeasured(self) -> Observations:
+    @cached_property
+    def _expected(self) -> expected.Expected:
+        return expected.Expected(self._durations, self.candidates.poses)
+
+    @cached_property
+    def _ahead(self) -> fisher.Sights:
         """The candidates, as the forward model takes them."""
-        directions = self.candidates.directions
         none = np.zeros(len(self.candidates))
-        values = Values(none.astype(np.intp), directions, self.candidates.poses, none, none, {}, none)
-        return self._observed(values, Covariance(none + 1.0, np.zeros((none.size, 0))))
+        rows, directions, poses = none.astype(np.intp), self.candidates.directions, self.candidates.poses
+        values = Values(rows, directions, poses, none, none, {}, none)
+        observed = self._observed(values, Covariance(none + 1.0, np.zeros((none.size, 0))))
+        return fisher.Sights(observed, poses, self._description)
 
     def _samples(self, known: _Known) -> list[tuple[Floats, float]]:
         """Parameters that the values allow, with weights: the solutions, and draws around the best one."""
@@ -429,22 +460,20 @@ class Parameters:
         drawn = [np.clip(known.result.vector + wide * (root @ z), lower, upper) for z in normal]
         return [*known.modes, *((vector, 1.0 / DRAWS) for vector in drawn)]
 
-    def _informative(
-        self, values: Values, known: _Known, count: int, cost: Floats
-    ) -> tuple[list[int], float]:
+    def _informative(self, values: Values, known: _Known, count: int, cost: Floats) -> tuple[list[int], float]:
         """The candidates that tell most for their time, and what all of them lower the log uncertainty by."""
         free = len(self._problem.free)
         states, designs, errors, weights, share = [], [], [], [], []
         for vector, weight in self._samples(known):
-            measured = fisher.rows(self._problem, vector, known.data, values.poses, self._description)
-            ahead = fisher.rows(self._problem, vector, self._unmeasured, self.candidates.poses, self._description)
+            measured = known.sights.rows(self._problem, vector)
+            ahead = self._ahead.rows(self._problem, vector)
             relative = {n: c / np.where(values.brdf == 0, 1.0, values.brdf) for n, c in values.common.items()}
             past = _design(measured, relative)
             lower, upper = self._problem.bounds
             before = fisher.Known.nothing(upper - lower, past.shape[1] - free)
             u = np.maximum(np.hypot(values.u_noise, measured.u_landing), 1e-12)
             state = before.with_values(past, u)
-            seen = expected.visits(self._durations, self.candidates.poses, ahead.brdf)
+            seen = self._expected.visits(ahead.brdf)
             latest = {n: np.full(len(cost), c[-1]) for n, c in relative.items()}
             noise = np.where(np.isfinite(seen.u_rel), seen.u_rel * ahead.brdf, 1e3)
             states.append(state)
@@ -468,19 +497,21 @@ class Parameters:
                 gains += part * fisher.gains(c, free, design, u, _weights(c, free, target))
             score = np.where(times < REPEATS, gains / cost, -1.0)
             k = int(np.argmax(np.round(score / max(float(score.max()), 1e-300), 9)))
-            if gains[k] < LEAST_GAIN:
+            if gains[np.isfinite(cost)].max(initial=0.0) < LEAST_GAIN:
                 break
             picked.append(k)
             times[k] += 1
             total += float(gains[k])
-            states = [s.with_values(d[k : k + 1], u[k : k + 1]) for s, d, u in zip(states, designs, errors, strict=True)]
+            states = [
+                s.with_values(d[k : k + 1], u[k : k + 1]) for s, d, u in zip(states, designs, errors, strict=True)
+            ]
         return picked, total
 
 
 def _design(rows: fisher.Rows, relative: dict[str, Floats]) -> Floats:
     """d(value)/d(parameter) and the change by each common cause, (n, p + k)."""
     common = [rows.brdf * column for column in relative.values()]
-    return np.concatenate([rows.parameters, np.stack([*common, *rows.zeros.values()], axis=1)], axis=1)
+    return np.concatenate([rows.parameters, np.stack([*common, *rows.of_angles.values()], axis=1)], axis=1)
 
 
 def _weights(covariance: Floats, count: int, targets: Floats | None) -> Floats | None:
