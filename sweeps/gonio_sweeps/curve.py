@@ -118,11 +118,24 @@ class Curve:
         self.durations = Durations(description, self._bands)
         self._online = [Online(band) for band in self._bands]
         self._directions = self.candidates.directions
+        self._expected = expected.Expected(self.durations, self.candidates.poses)
         self._grid = Grid.of(self._directions, _weights(self.candidates.points))
         self._errors = _angle_errors(description)
-        self._learned: dict[int, Floats] = {}
         self._first = self._covering()
         self._check_budget(where)
+
+    def about(self) -> list[str]:
+        """What it will do, a line each."""
+        s, out = self._settings, self.candidates.left_out
+        target = "as well as the budget allows" if s.u_rel is None else f"{100 * s.u_rel:.3g} % everywhere"
+        most = "" if s.most_points is None else f"; at most {s.most_points} points"
+        return [
+            f"target (relative standard uncertainty of the curve): {target}",
+            f"budget: {self._budget_s / 3600.0:g} h of rig time for the whole run{most}",
+            f"candidates: {len(self.candidates)} points that the rig can reach"
+            + (f" ({'; '.join(out)})" if out else ""),
+            f"batches of {SMALLEST} to {LARGEST} points; one in {curve_choice.COVERING} covers",
+        ]
 
     # ---- what is measured first ----
 
@@ -201,7 +214,7 @@ class Curve:
         count = min(max(round(GROWTH * n), SMALLEST), LARGEST)
         if self._settings.most_points is not None:
             count = min(count, self._settings.most_points - n)
-        seen = [expected.visits(self.durations, self.candidates.poses, p.at(self._directions)[0]) for p in known]
+        seen = [self._expected.visits(p.at(self._directions)[0]) for p in known]
         seconds = np.mean([s.seconds for s in seen], axis=0)
         cost = np.ones(len(seconds))
         if self._settings.most_points is None:

@@ -92,7 +92,7 @@ class FrameFreeRig:
         at = Directions.stack([kinematics.directions(self.description, pose) for pose in read])
         truly = Directions.stack([kinematics.directions(self.description, self._landed(pose)) for pose in read])
         true = self.truth(truly)
-        seen = expected.visits(self.durations, read, true)
+        seen = expected.Expected(self.durations, read).visits(true)
         u = np.where(np.isfinite(seen.u_rel), seen.u_rel, 1.0) * np.abs(true)
         values = true * self._scale + u * self._rng.standard_normal(u.size)
         here = Pose() if before is None else before.values.poses[-1]
