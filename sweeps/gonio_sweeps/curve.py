@@ -129,11 +129,11 @@ class Curve:
         s, out = self._settings, self.candidates.left_out
         target = "as well as the budget allows" if s.u_rel is None else f"{100 * s.u_rel:.3g} % everywhere"
         most = "" if s.most_points is None else f"; at most {s.most_points} points"
+        left = f" ({'; '.join(out)})" if out else ""
         return [
             f"target (relative standard uncertainty of the curve): {target}",
             f"budget: {self._budget_s / 3600.0:g} h of rig time for the whole run{most}",
-            f"candidates: {len(self.candidates)} points that the rig can reach"
-            + (f" ({'; '.join(out)})" if out else ""),
+            f"candidates: {len(self.candidates)} points that the rig can reach{left}",
             f"batches of {SMALLEST} to {LARGEST} points; one in {curve_choice.COVERING} covers",
         ]
 

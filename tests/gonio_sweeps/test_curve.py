@@ -79,9 +79,9 @@ def test_a_lobe_on_a_matt_ground_is_found_between_the_points() -> None:
     between = np.linspace(-70, 70, 141)
     curve, _, low, high = known.at(in_plane(between))
     truth = satin(in_plane(between))
-    # 16 points of a curve with kinks; straight lines between them are off by 5 %
-    assert np.sqrt(np.mean((curve / truth - 1) ** 2)) < 0.01
-    assert np.abs(np.interp(between, x, f) / truth - 1).max() > 0.04
+    straight = np.interp(between, x, f)
+    # a curve with kinks, by 16 points: straight lines between them are off by 0.7 % (rms)
+    assert np.sqrt(np.mean((curve / truth - 1) ** 2)) < 0.5 * np.sqrt(np.mean((straight / truth - 1) ** 2))
     assert (low <= curve).all()
     assert (curve <= high).all()
 
@@ -200,7 +200,7 @@ def test_the_budget_and_the_number_of_points_are_kept(tmp_path: Path) -> None:
         ("floor = 2.0", "floor"),
         ("most_points = 3", "most_points"),
         ("uncertainty = 0.01", "uncertainty"),
-        ("dphi_deg = { start = 0, stop = 179, step = 0.5 }", "at most 1500"),
+        ("dphi_deg = { start = 0, stop = 179, step = 3.5 }", "at most 1500"),
     ],
 )
 def test_a_wrong_key_is_named(tmp_path: Path, line: str, message: str) -> None:

@@ -42,8 +42,8 @@ def test_derivatives_of_the_likelihood_are_those_of_differences() -> None:
     for k in range(p.size):
         step = h * np.eye(p.size)[k]
         difference = gp.objective(p + step, values, 0.0)[0] - gp.objective(p - step, values, 0.0)[0]
-        # a central difference of 1e-5 is good to 1e-10 of third derivatives, and to 1e-16/1e-5 of values near 1e3
-        assert slope[k] == pytest.approx(difference / (2 * h), rel=1e-5, abs=1e-4), NAMES[k]
+        # a solution of a matrix of condition 1e6 has 1e-10 of its value near 1e2 as rounding, and h is 1e-5
+        assert slope[k] == pytest.approx(difference / (2 * h), rel=1e-4, abs=1e-3), NAMES[k]
 
 
 def test_what_is_known_is_the_conditional_distribution() -> None:
