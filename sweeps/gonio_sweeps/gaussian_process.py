@@ -32,6 +32,8 @@ SPREADS = np.array([1.0, 2.0, 0.7, 0.5, 0.7, 2.0, 0.6, 0.8, 2.0, 0.7, 2.0, 0.1])
 """Standard deviations of the logarithms before any value is known: a factor of three or so to either side."""
 LEVEL, COSINE = 5.0, 1.0
 """Standard deviations of the logarithm's mean and of the power of cos theta_r: Lambert's 0, Cook and Torrance's -1."""
+LIMB = 0.5
+"""theta_r is stretched by 1 + LIMB tan(theta_r): shadowing sets in within the last degrees before grazing."""
 JITTER = 1e-10
 SQRT5 = np.sqrt(5.0)
 
@@ -44,7 +46,7 @@ class Coordinates:
     toward: Floats
     """Unit vectors of the half vector's azimuth, (n, 2): x toward the mirror side of the plane of incidence."""
     view: Floats
-    """theta_r along the two axes, (n, 2) [rad]."""
+    """theta_r along the two axes, (n, 2) [rad], stretched toward grazing."""
     incidence: Floats
     """theta_i along x and y of the sample, (n, 2) [rad]."""
     apart: Floats
@@ -62,13 +64,15 @@ class Coordinates:
         toward = np.stack([np.where(across > 1e-12, -x / safe, 1.0), np.where(across > 1e-12, y / safe, 0.0)], axis=-1)
         dphi = d.phi_r - d.phi_i
         theta_i, theta_r = np.broadcast_to(d.theta_i, d.shape), np.broadcast_to(d.theta_r, d.shape)
+        log_cos = np.log(np.maximum(np.cos(theta_r), 1e-3))
+        stretched = theta_r - LIMB * log_cos
         return cls(
             theta_h=np.arctan2(across, z),
             toward=toward,
-            view=np.stack([-theta_r * np.cos(dphi), theta_r * np.sin(dphi)], axis=-1),
+            view=np.stack([-stretched * np.cos(dphi), stretched * np.sin(dphi)], axis=-1),
             incidence=np.stack([theta_i * np.cos(d.phi_i), theta_i * np.sin(d.phi_i)], axis=-1),
             apart=2.0 * d.half[1],
-            log_cos=np.log(np.maximum(np.cos(theta_r), 1e-3)),
+            log_cos=log_cos,
         )
 
 

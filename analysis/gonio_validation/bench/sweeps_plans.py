@@ -24,7 +24,7 @@ WAVELENGTH_NM = 500.0
 INCIDENCES = {"in plane": (30.0, 60.0), "hemisphere": (45.0,)}
 LARGEST_DEG = 80.0
 """theta_r goes so far."""
-SIZES = {"in plane": (20, 35, 60), "hemisphere": (60, 120, 240)}
+SIZES = {"in plane": (20, 35, 60), "hemisphere": (50, 100)}
 """Points of the fixed plans, for each angle of incidence."""
 AROUND_DEG = 12.0
 """So far around the mirror direction a mirror-dense plan has the other half of its points."""

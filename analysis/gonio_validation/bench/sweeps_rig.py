@@ -54,21 +54,24 @@ class FrameFreeRig:
     model
         The true sample.
     seed
-        What is wrong in this run, and its noise.
+        What is wrong in this run: zeros, and the scale.
+    noise
+        What its noise is, and where motors stop within an encoder's step.
     """
 
-    def __init__(self, description: RigDescription, band: Band, model: Model, seed: Sequence[int]) -> None:
+    def __init__(self, description: RigDescription, band: Band, model: Model, seed: Sequence[int], noise: int) -> None:
         self.description, self.band, self.model = description, band, model
         self.durations = Durations(description, (band,))
-        self._rng = np.random.default_rng(list(seed))
+        systematic = np.random.default_rng([*seed, 0])
+        self._rng = np.random.default_rng([*seed, 1, noise])
         axes = description.axes()
-        self._zero = {name: math.radians(a.zero_u_deg) * self._rng.standard_normal() for name, a in axes.items()}
+        self._zero = {name: math.radians(a.zero_u_deg) * systematic.standard_normal() for name, a in axes.items()}
         self._step = {name: math.radians(axis.encoder_step_deg) for name, axis in axes.items()}
         reference = description.reference
         of_visits = description.lamp.frame_noise / math.sqrt(reference.frames)
         self._u_scale = {"s_reference": reference.u_rel, "s_reference_noise": of_visits / math.sqrt(2.0)}
         drawn = {"s_reference": reference.error == "drawn", "s_reference_noise": True}
-        errors = [u * self._rng.standard_normal() * drawn[name] for name, u in self._u_scale.items()]
+        errors = [u * systematic.standard_normal() * drawn[name] for name, u in self._u_scale.items()]
         self._scale = 1.0 + math.fsum(errors)
 
     def truth(self, d: Directions) -> Floats:

@@ -51,7 +51,8 @@ def carried_out(name: str, geometry: Geometry, seed: int) -> dict[str, Any]:
     places = sweeps_plans.judged(geometry, description)
 
     def rig(kind: int) -> FrameFreeRig:
-        return FrameFreeRig(description, band, model, (seed, number, kind))
+        # all plans of one comparison have the same errors of zeros and scale, and noise of their own
+        return FrameFreeRig(description, band, model, (seed, number), kind)
 
     truth = rig(0).truth(places.directions)
     # what the values' uncertainties are made of is the rig's, and alike in all plans
