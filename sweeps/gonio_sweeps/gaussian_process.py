@@ -78,17 +78,17 @@ class Coordinates:
 
 def _apart(a: Floats, b: Floats) -> Floats:
     """Distances between rows."""
-    return np.sqrt(((a[:, None, :] - b[None, :, :]) ** 2).sum(axis=-1))
+    return np.asarray(np.sqrt(((a[:, None, :] - b[None, :, :]) ** 2).sum(axis=-1)))
 
 
 def _matern(r: Floats) -> Floats:
     """Matern's function of 5/2."""
-    return (1.0 + SQRT5 * r + 5.0 / 3.0 * r * r) * np.exp(-SQRT5 * r)
+    return np.asarray((1.0 + SQRT5 * r + 5.0 / 3.0 * r * r) * np.exp(-SQRT5 * r))
 
 
 def _slope(r: Floats) -> Floats:
     """-(1/r) times its derivative."""
-    return 5.0 / 3.0 * (1.0 + SQRT5 * r) * np.exp(-SQRT5 * r)
+    return np.asarray(5.0 / 3.0 * (1.0 + SQRT5 * r) * np.exp(-SQRT5 * r))
 
 
 class Pairs:
@@ -139,7 +139,6 @@ class Pairs:
             by_h, 2.0 * (k1 + k2 * inc), d1 * r1**2, 2.0 * k2 * inc, d2 * r2**2, 2.0 * k3 * inc, k3 * r3**2 * inc,
             by_inc, 2.0 * k4, by_d0, 2.0 * k5,
         ]  # fmt: skip
-        # by_inc: k2 + k3 hold no factor of incidence; its derivative by ln l is slope(r) r^2
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,10 @@ from gonio.typing import Floats
 
 Geometry = Literal["in plane", "hemisphere"]
 WAVELENGTH_NM = 500.0
-INCIDENCES = {"in plane": (30.0, 60.0), "hemisphere": (45.0,)}
+INCIDENCES: dict[Geometry, tuple[float, ...]] = {"in plane": (30.0, 60.0), "hemisphere": (45.0,)}
 LARGEST_DEG = 80.0
 """theta_r goes so far."""
-SIZES = {"in plane": (20, 35, 60), "hemisphere": (50, 100)}
+SIZES: dict[Geometry, tuple[int, ...]] = {"in plane": (20, 35, 60), "hemisphere": (50, 100)}
 """Points of the fixed plans, for each angle of incidence."""
 AROUND_DEG = 12.0
 """So far around the mirror direction a mirror-dense plan has the other half of its points."""
@@ -149,7 +149,7 @@ def chooser(geometry: Geometry, description: RigDescription, most_points: int | 
         keys["dphi_deg"] = [float(x) for x in range(15, 180, 15)]
     if most_points is not None:
         keys["most_points"] = most_points
-    return Curve(_plan([], Adaptive(how="curve", budget_h=1000.0, **keys)), description)  # type: ignore[arg-type]
+    return Curve(_plan([], Adaptive(how="curve", budget_h=1000.0, **keys)), description)
 
 
 def interpolated(values: Values, at: Directions) -> Floats:

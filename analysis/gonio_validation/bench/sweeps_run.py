@@ -98,7 +98,7 @@ def _adaptive(
 
 
 def _relative(f: Floats, truth: Floats) -> Floats:
-    return (f - truth) / np.maximum(truth, FLOOR * truth.max())
+    return np.asarray((f - truth) / np.maximum(truth, FLOOR * truth.max()))
 
 
 def _simple(plan: str, measured: Measured, places: Places, truth: Floats) -> Result:
