@@ -9,10 +9,10 @@ further points cover. docs/adaptive_sweeps.md has the method.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gonio_analysis.commands import read_ior
@@ -41,6 +41,9 @@ from gonio_sweeps import expected, fisher, lack_of_fit
 from gonio_sweeps.candidates import candidates, from_nearest, places, snake, spread
 from gonio_sweeps.online import Online, Values
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 FIRST = 5
 """Points of the first covering, for each parameter; not fewer than `FEWEST`, and not more than `MOST` altogether."""
 FEWEST, MOST = 12, 30
@@ -58,10 +61,12 @@ REPEATS = 3
 """Visits to one point in a batch, at most: what a repeat cannot tell is that the model is wrong beside it."""
 DRAWS = 4
 """Parameters that are drawn from what the fit leaves open, beside its own."""
-OTHER_MODES = 6
+OTHER_MODES = 4
 """Starting points from which other solutions are looked for."""
 ALLOWED = 12.0
 """Solutions whose chi-square is larger than the best one's by less than this are not ruled out."""
+APART = 5.0
+"""Solutions differ where a parameter does by so many standard uncertainties."""
 AIM = 0.97
 """A batch ends where it is expected to bring the uncertainties to this part of their targets."""
 CLOSE = 1.25
@@ -109,7 +114,7 @@ class Settings(Strict):
 
 
 @dataclass(frozen=True)
-class _Known:
+class Known:
     """What a fit to all values so far says."""
 
     result: FitResult
@@ -118,7 +123,7 @@ class _Known:
     rows: fisher.Rows
     modes: list[tuple[Floats, float]]
     """Solutions that are not ruled out, as points of the search scale, with their weights; the best one first."""
-    test: lack_of_fit.Test
+    test: lack_of_fit.Verdict
 
 
 class Plugin:
@@ -233,11 +238,33 @@ class Parameters:
 
     def next(self, run: Run) -> Choice:
         """See `gonio.acquisition.choosing.Chooser`."""
-        spent_s = expected.spent_s(self._durations, run)
-        look = len(run.batches)
-        covering = any(batch.why.get("mode") == "covering" for batch in run.batches)
-        values = self._online.values(run)
-        known = self._fitted(values)
+        return self.choose(
+            self._online.values(run),
+            spent_s=expected.spent_s(self._durations, run),
+            look=len(run.batches),
+            covering=any(batch.why.get("mode") == "covering" for batch in run.batches),
+            reduced=lambda: reduction.reduce(run),
+        )
+
+    def choose(
+        self, values: Values, *, spent_s: float, look: int, covering: bool, reduced: Callable[[], pd.DataFrame]
+    ) -> Choice:
+        """What is measured next.
+
+        Parameters
+        ----------
+        values
+            All so far.
+        spent_s
+            Rig time so far [s].
+        look
+            How often this was asked before.
+        covering
+            Whether the model was found wrong before.
+        reduced
+            Gives the measurement table of the run so far.
+        """
+        known = self.fitted(values)
         why: dict[str, Any] = {"spent_s": round(spent_s, 1), "values": len(values)}
         said = []
         if known is not None:
@@ -252,14 +279,13 @@ class Parameters:
         if known is not None and not covering:
             said.append(self._progress(known.result))
             if self._reached(self._ratios(known.result) / CLOSE) and len(known.modes) == 1:
-                table = reduction.reduce(run)
-                final = self._final(table, known.result)
+                final = self._final(reduced(), known.result)
                 why["u_final"] = {n: _short(final.parameters[n].u) for n in final.free}
                 if self._reached(self._ratios(final)):
                     return Choice((), why, "enough: " + self._progress(final), met=True)
                 known = replace(known, result=replace(known.result, spread=final.spread))
         left_s = self._budget_s - spent_s
-        picked, gains = self._pick(run, values, known, covering, left_s)
+        picked, gains = self._pick(values, known, covering, left_s)
         why |= gains
         if not picked:
             said.insert(0, "the budget is spent" if gains.get("cut") else "no point adds anything")
@@ -285,7 +311,7 @@ class Parameters:
             receiver_solid_angle_sr=float(solid_angle_of_cone(math.radians(lens))),
         )
 
-    def _fitted(self, values: Values) -> _Known | None:
+    def fitted(self, values: Values) -> Known | None:
         """The fit to all values, with what errors of the angles do by the model itself; None where it is impossible."""
         free = len(self._problem.free)
         if len(values) <= free + 1:
@@ -295,45 +321,48 @@ class Parameters:
         u = np.hypot(values.u_noise, 0.003 * np.abs(values.brdf))
         data = self._observed(values, Covariance(np.maximum(u, 1e-12), common, names))
         try:
-            result = fit(data, self._request, name="the values so far")
+            result = fit(data, replace(self._request, searches=2), name="the values so far")
         except DataError:
             return None
         sights = fisher.Sights(data, values.poses, self._description)
-        for _ in range(2):  # the angles' part follows from the fit, and changes it a little
-            rows = sights.rows(self._problem, result.vector)
-            u = np.hypot(values.u_noise, rows.u_landing)
-            causes = (*names, *rows.of_angles)
-            columns = np.concatenate([common, np.stack(list(rows.of_angles.values()), axis=1)], axis=1)
-            data = self._observed(values, Covariance(np.maximum(u, 1e-12), columns, causes))
-            start = result.problem.values(result.vector)
-            result = fit(data, replace(self._request, start=[start]), name="the values so far")
+        rows = sights.rows(self._problem, result.vector)
+        u = np.hypot(values.u_noise, rows.u_landing)
+        causes = (*names, *rows.of_angles)
+        columns = np.concatenate([common, np.stack(list(rows.of_angles.values()), axis=1)], axis=1)
+        data = self._observed(values, Covariance(np.maximum(u, 1e-12), columns, causes))
+        start = result.problem.values(result.vector)
+        result = fit(data, replace(self._request, start=[start]), name="the values so far")
         assert data.covariance is not None
         lower, upper = self._problem.bounds
         inside = (result.vector > lower + 1e-6) & (result.vector < upper - 1e-6)
-        test = lack_of_fit.test(
+        test = lack_of_fit.judge(
             values.brdf - result.predicted,
             rows.parameters[:, inside],
             result.predicted,
             result.goal.weights or data.covariance,
             values.directions,
         )
-        return _Known(result, data, sights, rows, self._modes(result, data), test)
+        return Known(result, data, sights, rows, self._modes(result, data), test)
 
     def _modes(self, result: FitResult, data: Observations) -> list[tuple[Floats, float]]:
         """The fit's solution, and others that the values do not rule out."""
         problem, goal = self._problem, alone(data)
         starts = [problem.vector({"k": 1.0, **start}) for start in problem.family.starts(data)]
         cost = [float((goal.residual(apparent(problem.model(x), data, quick=True)) ** 2).sum()) for x in starts]
-        best = refine(problem, data, goal, result.vector, quick=True, limit=20)[1]
-        out = [(result.vector, 1.0)]
+        here, best = refine(problem, data, goal, result.vector, quick=True, limit=20)
+        lower, upper = problem.bounds
+        u = np.sqrt(np.diag(result.spread))
+        apart = APART * np.clip(np.where(np.isfinite(u), u, np.inf), 1e-3 * (upper - lower), 0.2 * (upper - lower))
+        found, out = [here], [(result.vector, 1.0)]
         for k in np.argsort(cost, kind="stable")[:OTHER_MODES]:
             vector, half = refine(problem, data, goal, starts[k], quick=True, limit=25)
             more = 2.0 * (half - best)
-            if more < ALLOWED and all(np.abs(vector - other).max() > 0.05 for other, _ in out):
+            if more < ALLOWED and all((np.abs(vector - other) > apart).any() for other in found):
+                found.append(vector)
                 out.append((vector, math.exp(-0.5 * max(more, 0.0))))
         return out
 
-    def _final(self, table: Any, result: FitResult) -> FitResult:
+    def _final(self, table: pd.DataFrame, result: FitResult) -> FitResult:
         """What `gonio fit` will say of the run."""
         start = result.problem.values(result.vector)
         return fit(table, replace(self._request, start=[start], wavelength_nm=self._band.centre_nm))
@@ -371,7 +400,7 @@ class Parameters:
             out.append(f"{name} = {e.value:.4g} +- {u}" + (f" (wanted {wanted:.2g})" if wanted is not None else ""))
         return ", ".join(out)
 
-    def _of_fit(self, known: _Known) -> dict[str, Any]:
+    def _of_fit(self, known: Known) -> dict[str, Any]:
         result, test = known.result, known.test
         return {
             "fit": {name: float(f"{result.parameters[name].value:.6g}") for name in result.free},
@@ -385,7 +414,7 @@ class Parameters:
     # ---- choosing ----
 
     def _pick(
-        self, run: Run, values: Values, known: _Known | None, covering: bool, left_s: float
+        self, values: Values, known: Known | None, covering: bool, left_s: float
     ) -> tuple[list[int], dict[str, Any]]:
         """The candidates of a batch, in the order of their choice, and numbers for the journal."""
         count = min(max(round(GROWTH * len(values)), SMALLEST), LARGEST)
@@ -400,7 +429,10 @@ class Parameters:
         picked: list[int] = []
         gain = math.nan
         if known is not None and not covering:
-            picked, gain = self._informative(values, known, count - share, np.where(affordable, cost, np.inf))
+            open_to = np.where(affordable, cost, np.inf)
+            apart = self._telling_apart(known, (count - share) // 2, open_to)
+            picked, gain = self._informative(values, known, count - share - len(apart), open_to)
+            picked += apart
         at = np.concatenate([*measured, self._places[picked]]) if measured else self._places[picked]
         distance = np.minimum(from_nearest(self._places, at), 1e3)
         cover: list[int] = []
@@ -413,6 +445,8 @@ class Parameters:
             distance = np.minimum(distance, np.linalg.norm(self._places - self._places[k], axis=1))
         batch = [*picked, *cover]
         numbers: dict[str, Any] = {"gain": None if math.isnan(gain) else _short(gain)}
+        if not affordable.any():
+            numbers["cut"] = True
         while batch and self._batch_s(batch, seen, here) > left_s:
             numbers["cut"] = True
             # the last of each kind in turn, so that a short batch is like a long one
@@ -428,7 +462,7 @@ class Parameters:
         poses = [self.candidates.poses[k] for k in order]
         return expected.batch_s(self._durations, poses, [float(seen.seconds[k]) for k in order], here)
 
-    def _seen(self, known: _Known | None) -> expected.Visits:
+    def _seen(self, known: Known | None) -> expected.Visits:
         """What visits to the candidates come to, by the fit; as of a matt sample where there is none."""
         if known is None:
             return self._expected.visits(np.full(len(self.candidates), 0.5 / math.pi))
@@ -447,7 +481,7 @@ class Parameters:
         observed = self._observed(values, Covariance(none + 1.0, np.zeros((none.size, 0))))
         return fisher.Sights(observed, poses, self._description)
 
-    def _samples(self, known: _Known) -> list[tuple[Floats, float]]:
+    def _samples(self, known: Known) -> list[tuple[Floats, float]]:
         """Parameters that the values allow, with weights: the solutions, and draws around the best one."""
         lower, upper = self._problem.bounds
         u = np.sqrt(np.diag(known.result.spread))
@@ -460,7 +494,24 @@ class Parameters:
         drawn = [np.clip(known.result.vector + wide * (root @ z), lower, upper) for z in normal]
         return [*known.modes, *((vector, 1.0 / DRAWS) for vector in drawn)]
 
-    def _informative(self, values: Values, known: _Known, count: int, cost: Floats) -> tuple[list[int], float]:
+    def _telling_apart(self, known: Known, count: int, cost: Floats) -> list[int]:
+        """The candidates where the solutions that are not ruled out differ most for their time; none where it is one.
+
+        [HunterReiner1965]: squared differences of the predictions, in units of the noise.
+        """
+        if len(known.modes) < 2:
+            return []
+        predicted = [apparent(self._problem.model(vector), self._ahead.at, quick=True) for vector, _ in known.modes]
+        seen = self._expected.visits(predicted[0])
+        u = np.where(np.isfinite(seen.u_rel), seen.u_rel * predicted[0], 1e3)
+        score = sum(((other - predicted[0]) / u) ** 2 for other in predicted[1:]) / cost
+        out: list[int] = []
+        for k in np.argsort(-score, kind="stable"):
+            if score[k] > 0.0 and len(out) < count:
+                out += [int(k)] * min(REPEATS, count - len(out))
+        return out
+
+    def _informative(self, values: Values, known: Known, count: int, cost: Floats) -> tuple[list[int], float]:
         """The candidates that tell most for their time, and what all of them lower the log uncertainty by."""
         free = len(self._problem.free)
         states, designs, errors, weights, share = [], [], [], [], []

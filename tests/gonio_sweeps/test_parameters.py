@@ -1,0 +1,285 @@
+"""The chooser "parameters": against values drawn from models, and in whole runs that are stopped and gone on with."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from gonio_sweeps import expected
+from gonio_sweeps.online import Values
+from gonio_sweeps.parameters import LARGEST, Parameters
+
+from gonio import models
+from gonio.acquisition.choosing import Choice, about, chooser_of
+from gonio.acquisition.measure import carry_out, find_rig
+from gonio.acquisition.plan import Plan, Point, load_plan
+from gonio.acquisition.progress import Live, Silent
+from gonio.acquisition.run import Run
+from gonio.errors import ConfigError, Interrupted
+from gonio.geometry import Directions
+from gonio.rig import Pose, kinematics
+from gonio.rig.description import SampleDescription
+
+PLAN = """
+name = "adaptive"
+wavelength_nm = [500]
+[adaptive]
+how = "parameters"
+budget_h = 0.5
+{keys}
+theta_i_deg = [20, 45, 70]
+theta_r_deg = {{ start = -80, stop = 80, step = 4 }}
+"""
+MATTE = 'model = "oren-nayar"\nu_rel = {{ albedo = {albedo} }}\nu = {{ sigma_deg = {sigma} }}'
+SIM = find_rig("sim").description
+NOISE = 0.005
+
+
+def chooser(tmp_path: Path, keys: str) -> Parameters:
+    (tmp_path / "plan.toml").write_text(PLAN.format(keys=keys))
+    made = chooser_of(load_plan(tmp_path / "plan.toml"), SIM)[1]
+    assert isinstance(made, Parameters)
+    return made
+
+
+@dataclass
+class Bench:
+    """Draws values of a model as the rig would measure them: noise, landings, the reference's error, zeros."""
+
+    model: Any
+    seed: int
+    poses: list[Pose] = field(default_factory=list)
+    brdf: list[float] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.rng = np.random.default_rng(self.seed)
+        self.scale = 1.0 + SIM.reference.u_rel * self.rng.normal()
+        zeros = {name: math.radians(axis.zero_u_deg) for name, axis in SIM.axes().items()}
+        self.zero = {name: u * self.rng.normal() for name, u in zeros.items() if name in ("light", "camera")}
+
+    def measure(self, points: tuple[Point, ...]) -> None:
+        for point in points:
+            read = kinematics.reach(SIM, point.directions)
+            step = math.radians(SIM.arms.light.encoder_step_deg)
+            off = {name: zero + step * (self.rng.random() - 0.5) for name, zero in self.zero.items()}
+            true = kinematics.directions(SIM, Pose(**{n: getattr(read, n) + off.get(n, 0.0) for n in AXES}))
+            cosine = math.cos(true.theta_i) / math.cos(point.directions.theta_i)
+            value = float(self.model.brdf(*true.floats, wavelength_nm=500.0)) * cosine
+            self.poses.append(read)
+            self.brdf.append(value * self.scale * (1.0 + NOISE * self.rng.normal()))
+
+    @property
+    def values(self) -> Values:
+        brdf = np.array(self.brdf)
+        return Values(
+            rows=np.arange(brdf.size),
+            directions=Directions.stack([kinematics.directions(SIM, pose) for pose in self.poses]),
+            poses=tuple(self.poses),
+            brdf=brdf,
+            u_noise=NOISE * np.abs(brdf),
+            common={"s_reference": SIM.reference.u_rel * brdf},
+            time_s=np.arange(brdf.size, dtype=float),
+        )
+
+
+AXES = ("light", "camera", "tilt", "spin", "azimuth")
+
+
+def nobody() -> pd.DataFrame:
+    raise AssertionError("nothing is reduced where no target is near")
+
+
+def grow(made: Parameters, bench: Bench, batches: int) -> list[Choice]:
+    """So many batches, each of them measured."""
+    bench.measure(tuple(made.first([])))
+    out: list[Choice] = []
+    for look in range(batches):
+        covering = any(choice.why["mode"] == "covering" for choice in out)
+        out.append(made.choose(bench.values, spent_s=60.0 * look, look=look, covering=covering, reduced=nobody))
+        bench.measure(out[-1].points)
+    return out
+
+
+def test_chosen_points_tell_more_than_a_grid_of_them(tmp_path: Path) -> None:
+    truth = models.Phong(k_d=0.2, k_s=0.5, exponent=60.0)
+    made = chooser(tmp_path, 'model = "phong"\nu_rel = { k_s = 1e-5, exponent = 1e-5 }')
+    chosen, grid = Bench(truth, 1), Bench(truth, 2)
+    choices = grow(made, chosen, 2)
+    grid.measure(made.candidates.points)
+    found, of_grid = made.fitted(chosen.values), made.fitted(grid.values)
+    assert found is not None
+    assert of_grid is not None
+    assert len(chosen.brdf) < 0.5 * len(grid.brdf)
+    for name, true in (("k_s", 0.5), ("exponent", 60.0)):
+        one, all_of_them = found.result.parameters[name], of_grid.result.parameters[name]
+        assert one.u is not None
+        assert all_of_them.u is not None
+        per_visit = (one.u / all_of_them.u) ** 2 * len(chosen.brdf) / len(grid.brdf)
+        assert per_visit < 0.7, "a chosen visit tells more than one and a half of the grid's"
+        assert abs(one.value - true) < 4.0 * one.u, "one in 16 000 fails"
+    assert [choice.why["mode"] for choice in choices] == ["parameters"] * 2
+    assert all(choice.why["cover"] >= 1 for choice in choices), "a part of every batch covers"
+
+
+def test_a_wrong_model_is_noticed_and_then_points_cover(tmp_path: Path) -> None:
+    made = chooser(tmp_path, MATTE.format(albedo=0.01, sigma=1.0))
+    bench = Bench(models.Phong(k_d=0.4, k_s=0.1, exponent=20.0), 3)
+    choices = grow(made, bench, 3)
+    assert choices[0].why["mode"] == "covering"
+    assert choices[0].why["p_value"] < 1e-6
+    assert choices[0].message.startswith("oren-nayar does not describe the values (chi-square")
+    assert [choice.why["mode"] for choice in choices] == ["covering"] * 3, "it stays so"
+    assert len(choices[0].points) == LARGEST
+    seen = [(p.theta_i_deg, p.theta_r_deg, p.phi_r_deg) for choice in choices for p in choice.points]
+    assert len(set(seen)) == len(seen), "covering does not repeat what was measured"
+    spent = made.choose(bench.values, spent_s=1799.0, look=3, covering=True, reduced=nobody)
+    assert not spent.points
+    assert not spent.met
+    assert spent.message == "enough (oren-nayar does not describe the sample): the budget is spent"
+
+
+def test_the_same_values_give_the_same_choice(tmp_path: Path) -> None:
+    keys = MATTE.format(albedo=1e-4, sigma=1e-2)
+    bench = Bench(models.OrenNayar(albedo=0.5, sigma_deg=25.0), 4)
+    first = chooser(tmp_path, keys)
+    bench.measure(tuple(first.first([])))
+    choices = [
+        made.choose(bench.values, spent_s=50.0, look=0, covering=False, reduced=nobody)
+        for made in (first, first, chooser(tmp_path, keys))
+    ]
+    assert choices[0] == choices[1] == choices[2]
+    json.dumps(choices[0].why, allow_nan=False)
+
+
+def test_a_batch_stays_within_the_budget(tmp_path: Path) -> None:
+    made = chooser(tmp_path, MATTE.format(albedo=1e-4, sigma=1e-2))
+    bench = Bench(models.OrenNayar(albedo=0.5, sigma_deg=25.0), 5)
+    bench.measure(tuple(made.first([])))
+    for left_s in (40.0, 25.0, 12.0, 5.0):
+        choice = made.choose(bench.values, spent_s=1800.0 - left_s, look=0, covering=False, reduced=nobody)
+        assert choice.why.get("batch_s", 0.0) <= left_s
+    assert not choice.points
+    assert "the budget is spent" in choice.message
+
+
+def test_a_plan_with_points_of_its_own_needs_no_covering(tmp_path: Path) -> None:
+    made = chooser(tmp_path, MATTE.format(albedo=0.01, sigma=1.0))
+    assert not made.first(made.candidates.points)
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ('model = "he-torance"', r'plan\.toml: \[adaptive\] .*did you mean "he-torrance"'),
+        ('model = "lambert"\nmodell = 1', 'unknown key modell; did you mean "model"'),
+        ('model = "lambert"\nu_rel = { albdo = 0.1 }', "u_rel: albdo of lambert is not fitted; fitted are albedo"),
+        ('model = "lambert"\nu_rel = { albedo = 1 }\nu = { albedo = 1 }', "albedo has a target in u and one in u_rel"),
+        ('model = "lambert"\nu = { albedo = -1 }', "u.albedo = -1"),
+        ('model = "lambert"\nfix = { albedo = 2 }', "fix albedo=2: albedo of lambert lies between"),
+        ('model = "he-torrance"\nior = "Unobtainium"', 'there is no material named "Unobtainium"'),
+        ('model = "lambert"\nwavelength_nm = 600', r"wavelength_nm = 600: the plan's bands lie at 500 nm"),
+    ],
+)  # fmt: skip
+def test_a_wrong_key_is_named(tmp_path: Path, keys: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        chooser(tmp_path, keys)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ("budget_h = 0.5", "budget_h = 0.01", "budget_h = 0.01: dark frames, a visit to the reference and the first"),
+        ("theta_i_deg = [20, 45, 70]", "theta_i_deg = [95]", "theta_i_deg: 95 deg is outside 0 to 90 deg"),
+        ("step = 4", "stop = 9", "theta_r_deg"),
+    ],
+)
+def test_wrong_candidates_are_named(tmp_path: Path, before: str, after: str, said: str) -> None:
+    text = PLAN.format(keys='model = "lambert"').replace(before, after)
+    if "stop = 9" in after:
+        text = text.replace("stop = 80, ", "")
+    (tmp_path / "plan.toml").write_text(text)
+    with pytest.raises(ConfigError, match=said):
+        chooser_of(load_plan(tmp_path / "plan.toml"), SIM)
+
+
+def test_it_says_what_it_will_do(tmp_path: Path) -> None:
+    lines = "\n".join(about(chooser(tmp_path, MATTE.format(albedo=0.01, sigma=0.5))))
+    assert "oren-nayar at 500 nm; fitted: albedo, sigma_deg" in lines
+    assert "albedo to 1 %, sigma_deg to 0.5" in lines
+    assert "candidates: 1" in lines
+    assert "block" in lines, "those near retro that the rig cannot reach"
+
+
+class StopAfter(Silent):
+    """A user who presses Ctrl-C after a step."""
+
+    def __init__(self, step: int) -> None:
+        self.left = step
+
+    def step(self, live: Live) -> None:
+        """Count."""
+        self.left -= 1
+        if not self.left:
+            signal.raise_signal(signal.SIGINT)
+
+
+SMALL = SIM.model_copy(
+    update={
+        "camera": SIM.camera.model_copy(update={"width": 64, "height": 48, "pixel_um": 50.0}),
+        "reference": SIM.reference.model_copy(update={"frames": 3}),
+        "acquisition": SIM.acquisition.model_copy(update={"dark_frames": 2}),
+    }
+)
+"""The simulated rig with a small sensor and few frames."""
+
+
+def measured(plan: Plan, out: Path, **options: Any) -> Run:
+    rig = find_rig("sim")
+    from dataclasses import replace
+
+    sample = SampleDescription(name="matte", model="oren-nayar", parameters={"albedo": 0.5, "sigma_deg": 25.0})
+    return carry_out(plan, replace(rig, description=SMALL), out, sample=sample, seed=2, **options)
+
+
+def test_a_run_reaches_its_target_and_stopping_it_changes_nothing(tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").write_text(PLAN.format(keys=MATTE.format(albedo=0.0045, sigma=0.2)))
+    plan = load_plan(tmp_path / "plan.toml")
+    whole = measured(plan, tmp_path / "whole")
+    assert whole.enough
+    (end,) = [event for event in whole.events() if event["event"] == "enough"]
+    assert end["met"]
+    assert end["why"]["u_final"]["sigma_deg"] <= 0.2
+    assert len(whole.batches) >= 1
+    for stopped_after in (4, whole.batches[0].first_step - 1, whole.batches[0].first_step + 3):
+        out = tmp_path / f"stopped-{stopped_after}"
+        with pytest.raises(Interrupted):
+            measured(plan, out, progress=StopAfter(stopped_after))
+        again = measured(plan, out, resume=True)
+        assert [batch for batch in again.batches] == [batch for batch in whole.batches], "and for the same reasons"
+        assert list(again.steps()) == list(whole.steps())
+
+
+def test_spent_time_is_that_of_the_frames_that_were_taken(tmp_path: Path) -> None:
+    from gonio.acquisition.duration import Durations
+
+    (tmp_path / "plan.toml").write_text(PLAN.format(keys=MATTE.format(albedo=0.5, sigma=60.0)))
+    run = measured(load_plan(tmp_path / "plan.toml"), tmp_path / "run")
+    exposures = sum(frame.exposure_s for step in run.steps() for frame in step.frames)
+    spent = expected.spent_s(Durations(run.description, run.bands), run)
+    assert spent > exposures
+    # a matt sample takes what was planned for it, but for its albedo and metering
+    planned = Durations(run.description, run.bands).total_s([_step(record) for record in run.steps()])
+    assert spent == pytest.approx(planned, rel=0.2)
+
+
+def _step(record: Any) -> Any:
+    from gonio.rig import Step
+
+    return Step(record.step, record.kind, record.point, record.goal)
