@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -75,6 +77,28 @@ def scenes(
 
 
 @bench.command()
+def sweeps(
+    out: Annotated[Path, typer.Option(help="Folder of the report and of the records.", show_default=False)],
+    seeds: Annotated[
+        int | None,
+        typer.Option(help="Runs of every plan; those that are there already count. [default: 3]", show_default=False),
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(help="Processes. [default: one a processor]", show_default=False)] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Two samples, in plane: all is run.")] = False,
+) -> None:
+    """Rig time against error of curves: uniform, mirror-dense, half-vector, adaptive plans. Prints the report's path.
+
+    A command that was cut short goes on where it stood.
+    """
+    from gonio.acquisition.run import command_line
+    from gonio_validation.bench.sweeps import make
+
+    with _counted("comparisons") as step:
+        made = make(out, seeds=seeds, jobs=jobs, quick=quick, command=command_line(), step=step)
+    print(made)
+
+
+@bench.command()
 def coverage(
     out: Annotated[Path, typer.Option(help="Folder of the report and of the campaigns' records.", show_default=False)],
     campaigns: Annotated[
@@ -94,21 +118,30 @@ def coverage(
     A command that was cut short goes on where it stood.
     """
     from gonio.acquisition.run import command_line
+    from gonio_validation.bench.coverage import make
+
+    names = [name.strip() for name in only.split(",") if name.strip()]
+    with _counted("campaigns") as step:
+        made = make(
+            out, campaigns=campaigns, seed=seed, jobs=jobs, only=names, quick=quick, command=command_line(), step=step
+        )
+    print(made)
+
+
+@contextlib.contextmanager
+def _counted(what: str) -> Iterator[Callable[[int, int], None]]:
+    """Who is told how many are done: a bar on a terminal, and lines elsewhere."""
     from gonio.cli import console
     from gonio.cli.pace import Pace
-    from gonio_validation.bench.coverage import make
 
     lines: list[Pace] = []
 
-    def said(done: int, total: int) -> None:
-        step(done, total)
-        if not sys.stderr.isatty() and (not lines or done * console.LINES % total < console.LINES):
-            lines[:] = lines or [Pace("campaigns", total, console.note)]
-            lines[0].step(done)
+    with console.counter(what) as step:
 
-    names = [name.strip() for name in only.split(",") if name.strip()]
-    with console.counter("campaigns") as step:
-        made = make(
-            out, campaigns=campaigns, seed=seed, jobs=jobs, only=names, quick=quick, command=command_line(), step=said
-        )
-    print(made)
+        def said(done: int, total: int) -> None:
+            step(done, total)
+            if not sys.stderr.isatty() and (not lines or done * console.LINES % total < console.LINES):
+                lines[:] = lines or [Pace(what, total, console.note)]
+                lines[0].step(done)
+
+        yield said

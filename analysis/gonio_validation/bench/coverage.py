@@ -117,7 +117,7 @@ def make(
     folder = Path(out)
     try:
         _begin(folder, settings)
-        with _alone(folder):
+        with alone(folder / SETTINGS, "coverage"):
             shutil.rmtree(folder / "work", ignore_errors=True)  # of campaigns that were cut short
             missing = [k for k in range(total) if not _record(folder, k)]
             done = total - len(missing)
@@ -163,14 +163,14 @@ def _begin(folder: Path, settings: Settings) -> None:
 
 
 @contextlib.contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Nobody else works in a folder meanwhile."""
-    with open(folder / SETTINGS, "rb") as file:
+def alone(settings: Path, bench: str) -> Iterator[None]:
+    """Nobody else works in the folder of these settings meanwhile; `bench` is what works there."""
+    with open(settings, "rb") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ConfigError(
-                f"{folder}: another bench coverage is at work there; wait until it has ended, or stop it"
+                f"{settings.parent}: another bench {bench} is at work there; wait until it has ended, or stop it"
             ) from None
         yield
 

@@ -1,0 +1,316 @@
+"""The chooser "curve": points for the BRDF over the angle of reflection, without a model of the sample.
+
+Each batch follows from a Gaussian process (`gonio_sweeps.gaussian_process`) given all values so far. Its points are
+those that are expected to lower the variance of the whole curve most for their rig time. A share of them covers: they
+look where nothing was measured. docs/adaptive_sweeps.md has the method.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import field_validator
+
+from gonio.acquisition.choosing import Choice
+from gonio.acquisition.duration import Durations
+from gonio.acquisition.plan import Plan, Point
+from gonio.acquisition.run import Run
+from gonio.acquisition.schedule import reference_pose
+from gonio.config import Strict, parse
+from gonio.errors import ConfigError
+from gonio.reduction.table import angle_axes, zero_uncertainties
+from gonio.rig import Pose, Step
+from gonio.rig.description import Positive, RigDescription
+from gonio.typing import Floats
+from gonio_sweeps import curve_choice, expected
+from gonio_sweeps.candidates import Candidates, candidates, places, snake, spread
+from gonio_sweeps.curve_choice import Grid
+from gonio_sweeps.online import Online, Values
+from gonio_sweeps.posterior import FEWEST, AngleErrors, Posterior
+
+FIRST, FURTHER = 12, 7
+"""Points of the first covering: of one angle of incidence, and of each further one, in a plane."""
+GROWTH = 0.25
+"""A batch adds this part of the points so far."""
+SMALLEST, LARGEST = 5, 25
+"""Points of a batch, at least and at most: each ends with a visit to the reference."""
+NEAR_MIRROR_DEG = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0)
+"""Beside a range of theta_r, these offsets from the mirror direction may be measured: lobes are narrow there."""
+MOST_CANDIDATES = 1500
+"""The process holds the covariance of all: 2 s a batch on one core."""
+DEFAULT_GOAL = 0.005
+"""Without `u_rel`: what is known so well counts little."""
+
+
+class Settings(Strict):
+    """The keys of `[adaptive]` with how = "curve", beside `how` and `budget_h`."""
+
+    u_rel: Positive | None = None
+    """Relative standard uncertainty wanted of the curve everywhere, of what further points can improve."""
+    floor: Positive = 1e-3
+    """Of the largest value: below it `u_rel` counts relative to this value."""
+    most_points: int | None = None
+    """Of the whole run. Where it is stated, points are chosen for what each tells, whatever its time."""
+    theta_i_deg: Any = None
+    theta_r_deg: Any = None
+    dphi_deg: Any = None
+    """The candidates, as in a `[[sweep]]`."""
+
+    @field_validator("most_points")
+    @classmethod
+    def _enough(cls, value: int | None) -> int | None:
+        if value is not None and value < FIRST:
+            raise ValueError(f"{value} points; a curve needs at least {FIRST}")
+        return value
+
+    @field_validator("floor")
+    @classmethod
+    def _part(cls, value: float) -> float:
+        if value >= 1.0:
+            raise ValueError(f"{value:g} of the largest value; it lies below 1")
+        return value
+
+
+@dataclass(frozen=True)
+class Decided:
+    """Which candidates are measured next; none where it is enough."""
+
+    picked: list[int]
+    why: dict[str, Any]
+    message: str
+    met: bool = False
+
+
+class Plugin:
+    """What the entry point names."""
+
+    def open(self, plan: Plan, description: RigDescription) -> Curve:
+        """The chooser of a plan on a rig; see `gonio.acquisition.choosing.ChooserPlugin`."""
+        return Curve(plan, description)
+
+
+class Curve:
+    """Chooses points that tell the curves of a plan.
+
+    Raises
+    ------
+    ConfigError
+        A key of `[adaptive]` is wrong.
+    """
+
+    def __init__(self, plan: Plan, description: RigDescription) -> None:
+        assert plan.adaptive is not None
+        where = f"{plan.source}: [adaptive]"
+        self._settings = parse(Settings, plan.adaptive.own, where)
+        self._description = description
+        self._budget_s = 3600.0 * plan.adaptive.budget_h
+        self._bands = plan.bands(description)
+        self.candidates = _with_mirror(plan, description, self._settings.model_dump())
+        if len(self.candidates) > MOST_CANDIDATES:
+            raise ConfigError(
+                f"{where} theta_i_deg, theta_r_deg and dphi_deg make {len(self.candidates)} candidates; "
+                f"at most {MOST_CANDIDATES}: take larger steps"
+            )
+        self.durations = Durations(description, self._bands)
+        self._online = [Online(band) for band in self._bands]
+        self._directions = self.candidates.directions
+        self._expected = expected.Expected(self.durations, self.candidates.poses)
+        self._grid = Grid.of(self._directions, _weights(self.candidates.points))
+        self._errors = _angle_errors(description)
+        self._first = self._covering()
+        self._check_budget(where)
+
+    def about(self) -> list[str]:
+        """What it will do, a line each."""
+        s, out = self._settings, self.candidates.left_out
+        target = "as well as the budget allows" if s.u_rel is None else f"{100 * s.u_rel:.3g} % everywhere"
+        most = "" if s.most_points is None else f"; at most {s.most_points} points"
+        left = f" ({'; '.join(out)})" if out else ""
+        return [
+            f"target (relative standard uncertainty of the curve): {target}",
+            f"budget: {self._budget_s / 3600.0:g} h of rig time for the whole run{most}",
+            f"candidates: {len(self.candidates)} points that the rig can reach{left}",
+            f"batches of {SMALLEST} to {LARGEST} points; one in {curve_choice.COVERING} covers",
+        ]
+
+    # ---- what is measured first ----
+
+    def _covering(self) -> list[int]:
+        at = places(self._directions)
+        incidences = len({(p.theta_i_deg, p.phi_i_deg) for p in self.candidates.points})
+        count = FIRST + FURTHER * (incidences - 1)
+        if self._settings.dphi_deg is not None:
+            count *= 2
+        if self._settings.most_points is not None:
+            count = min(count, max(FIRST, self._settings.most_points // 2))
+        mirror = np.asarray(self._directions.mirror_offset)
+        begin = np.array([int(np.argmin(mirror))])
+        chosen = spread(at, min(count, len(at)), begin)
+        return [chosen[k] for k in snake([self.candidates.points[k] for k in chosen])]
+
+    def _check_budget(self, where: str) -> None:
+        poses = [self.candidates.poses[k] for k in self._first]
+        seconds = [self.durations.frames_s(Step(0, "point", 0, pose)) for pose in poses]
+        least = self._description.lamp.warm_up_s + self.durations.frames_s(Step(0, "dark"))
+        least += expected.batch_s(self.durations, poses, seconds, Pose())
+        if self._budget_s < least:
+            raise ConfigError(
+                f"{where} budget_h = {self._budget_s / 3600.0:g}: dark frames, a visit to the reference and the first "
+                f"{len(poses)} points alone take about {least / 3600.0:.2g} h on this rig"
+            )
+
+    def first(self, planned: Sequence[Point]) -> Sequence[Point]:
+        """A covering of the candidates; nothing where the plan has as many points of its own."""
+        return [] if len(planned) >= len(self._first) else [self.candidates.points[k] for k in self._first]
+
+    # ---- what is measured next ----
+
+    def next(self, run: Run) -> Choice:
+        """See `gonio.acquisition.choosing.Chooser`."""
+        values = [online.values(run) for online in self._online]
+        before = run.batches[-1].why.get("kernel") if run.batches else None
+        decided = self.decided(values, expected.spent_s(self.durations, run), before)
+        points = tuple(self.candidates.points[k] for k in decided.picked)
+        return Choice(points, decided.why, decided.message, decided.met)
+
+    def known(self, values: Values, before: Sequence[float] | None = None) -> Posterior:
+        """What the values of one band tell; `before` are the parameters of the kernel that fewer points told."""
+        common = np.stack(list(values.common.values()), axis=1) if values.common else np.zeros((len(values), 0))
+        return Posterior(
+            values.directions,
+            values.brdf,
+            values.u_noise,
+            common,
+            self._errors,
+            None if before is None else np.array(before),
+        )
+
+    def decided(
+        self, values: Sequence[Values], spent_s: float, before: Sequence[Sequence[float]] | None = None
+    ) -> Decided:
+        """The next batch; it follows from the arguments alone.
+
+        Parameters
+        ----------
+        values
+            Of every band.
+        spent_s
+            Rig time that they took.
+        before
+            What the choice before this one gave as `why["kernel"]`.
+        """
+        usable = [v for v in values if len(v) >= FEWEST]
+        left_s, n = self._budget_s - spent_s, max((len(v) for v in values), default=0)
+        why: dict[str, Any] = {"spent_s": round(spent_s, 1), "values": n}
+        if not usable:
+            return Decided([], why, f"enough: only {n} points could be used; a curve needs {FEWEST}")
+        starts = before if before is not None and len(before) == len(usable) else [None] * len(usable)
+        known = [self.known(v, p) for v, p in zip(usable, starts, strict=True)]
+        goal = self._settings.u_rel or DEFAULT_GOAL
+        count = min(max(round(GROWTH * n), SMALLEST), LARGEST)
+        if self._settings.most_points is not None:
+            count = min(count, self._settings.most_points - n)
+        seen = [self._expected.visits(p.at(self._directions)[0]) for p in known]
+        seconds = np.mean([s.seconds for s in seen], axis=0)
+        cost = np.ones(len(seconds))
+        if self._settings.most_points is None:
+            # most ways are those between neighbours
+            cost = seconds + 0.2 * self.durations.moves_s(reference_pose(self._description), self.candidates.poses)
+        noise = [s.u_rel for s in seen]
+        picked, u_rel, covers = curve_choice.batch(
+            known, noise, self._grid, goal, cost, max(count, 0), n, self._settings.floor
+        )
+        worst = max(float(u.max()) for u in u_rel)
+        where = self.candidates.points[int(np.argmax(np.max(u_rel, axis=0)))]
+        misfit = max(p.misfit for p in known)
+        why |= {"u_rel": _short(worst), "median_u_rel": _short(float(np.median(u_rel))), "misfit": _short(misfit)}
+        why["kernel"] = [[round(float(x), 4) for x in p.parameters] for p in known]
+        said = f"curve known to {100 * worst:.2g} % at worst (theta_i = {where.theta_i_deg:g}, {_place(where)})"
+        if self._settings.u_rel is not None and worst <= self._settings.u_rel:
+            return Decided([], why, f"enough: {said}", met=True)
+        if count <= 0:
+            return Decided([], why, f"enough: {said}; all {n} points are taken")
+        here = reference_pose(self._description)
+        while picked and self._batch_s(picked, seconds, here) > left_s:
+            picked = picked[:-1]
+        if not picked:
+            return Decided([], why, f"enough: the budget is spent; {said}")
+        ordered = [picked[k] for k in snake([self.candidates.points[k] for k in picked])]
+        why |= {"cover": sum(k in covers for k in ordered), "batch_s": round(self._batch_s(ordered, seconds, here), 1)}
+        minutes = f"{spent_s / 60:.3g} of {self._budget_s / 60:.3g} min"
+        return Decided(ordered, why, f"{said}; {len(ordered)} points next; {minutes}")
+
+    def _batch_s(self, batch: list[int], seconds: Floats, here: Pose) -> float:
+        order = [batch[k] for k in snake([self.candidates.points[k] for k in batch])]
+        poses = [self.candidates.poses[k] for k in order]
+        return expected.batch_s(self.durations, poses, [float(seconds[k]) for k in order], here)
+
+
+def _with_mirror(plan: Plan, description: RigDescription, given: dict[str, Any]) -> Candidates:
+    """The candidates of the keys, and where theta_r is a range those around the mirror direction too."""
+    found = candidates(plan, description, given)
+    if isinstance(given["theta_r_deg"], list):
+        return found
+    points, poses = list(found.points), list(found.poses)
+    have = set(points)
+    for theta_i in sorted({p.theta_i_deg for p in found.points}):
+        own = [p for p in found.points if p.theta_i_deg == theta_i]
+        largest = max(p.theta_r_deg for p in own)
+        near = [theta_i + s * d for d in (0.0, *NEAR_MIRROR_DEG) for s in (1, -1) if abs(theta_i + s * d) <= largest]
+        more = candidates(plan, description, {"theta_i_deg": [theta_i], "theta_r_deg": sorted(set(near))})
+        for point, pose in zip(more.points, more.poses, strict=True):
+            if point not in have:
+                points.append(point)
+                poses.append(pose)
+                have.add(point)
+    return Candidates(tuple(points), tuple(poses), found.left_out)
+
+
+def _weights(points: Sequence[Point]) -> Floats:
+    """What each point stands for: half the way to its neighbours on either side [deg]; out of the plane times sine."""
+    out = np.ones(len(points))
+    beyond = any((p.phi_r_deg - p.phi_i_deg) % 180.0 for p in points)
+    curves: dict[tuple[float, float, float], list[int]] = {}
+    for k, p in enumerate(points):
+        dphi = (p.phi_r_deg - p.phi_i_deg) % 360.0
+        curves.setdefault((p.theta_i_deg, p.phi_i_deg, dphi % 180.0), []).append(k)
+    for rows in curves.values():
+        at = np.array([_signed(points[k]) for k in rows])
+        order = np.argsort(at, kind="stable")
+        if order.size > 1:
+            step = np.gradient(at[order])
+            out[np.array(rows)[order]] = np.abs(step)
+    if beyond:
+        out *= np.sin(np.radians([max(p.theta_r_deg, 1.0) for p in points]))
+    return out
+
+
+def _signed(p: Point) -> float:
+    return p.theta_r_deg if 90.0 < (p.phi_r_deg - p.phi_i_deg) % 360.0 <= 270.0 else -p.theta_r_deg
+
+
+def _place(p: Point) -> str:
+    dphi = (p.phi_r_deg - p.phi_i_deg) % 360.0
+    if dphi % 180.0 == 0.0:
+        return f"theta_r = {_signed(p):g} deg"
+    return f"theta_r = {p.theta_r_deg:g}, dphi = {dphi:g} deg"
+
+
+def _angle_errors(description: RigDescription) -> AngleErrors:
+    """Of the worst axis of the rig: one number for all directions."""
+    axes = angle_axes(description)
+    read = max(math.hypot(a.encoder_step_deg / math.sqrt(12.0), a.encoder_noise_deg) for a in axes.values())
+    zeros = zero_uncertainties(description)
+    return AngleErrors(math.radians(read), math.radians(max(zeros.values(), default=0.0)))
+
+
+def _short(value: float) -> float | None:
+    """Three digits, for the journal."""
+    return float(f"{value:.3g}") if math.isfinite(value) else None
+
+
+CHOOSER = Plugin()

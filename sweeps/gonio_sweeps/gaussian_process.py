@@ -1,0 +1,253 @@
+"""A Gaussian process for the logarithm of a BRDF, in coordinates in which lobes are smooth.
+
+What varies is a sum of parts, each with a width that the values themselves tell:
+
+- a lobe, a function of the half vector's angle alone, the same for all incidences (facets, He-Torrance),
+- a lobe of each incidence's own, over the half vector,
+- a smooth part over the detector's direction, with the logarithm of cos theta_r,
+- a part over the angle between source and detector, for what returns light.
+
+The half vector's angle is warped, w = asinh(theta_h/h): even steps of w are dense at the mirror direction. The
+process is that of Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), chapters 2 and 5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from gonio.geometry import Directions
+from gonio.typing import Floats
+
+NAMES = ("h", "lobe", "l_lobe", "own", "l_own", "view", "l_view", "l_incidence", "retro", "apart", "facets", "noise")
+"""Parameters of the kernel; all are fitted as logarithms."""
+CENTRES = np.log(
+    [np.radians(4.0), 0.5, 1.5, 0.4, 1.5, 0.5, np.radians(50.0), np.radians(30.0), 0.1, np.radians(6.0), 1.0, 1.0]
+)
+"""Before any value is known: widths [rad], lengths of w, amplitudes of the logarithm, factor of the noise."""
+SPREADS = np.array([1.0, 2.0, 0.7, 0.5, 0.7, 2.0, 0.6, 0.8, 2.0, 0.7, 2.0, 0.1])
+"""Standard deviations of the logarithms before any value is known: a factor of three or so to either side."""
+LEVEL, COSINE = 5.0, 1.0
+"""Standard deviations of the logarithm's mean and of the power of cos theta_r: Lambert's 0, Cook and Torrance's -1."""
+LIMB = 0.5
+"""theta_r is stretched by 1 + LIMB tan(theta_r): shadowing sets in within the last degrees before grazing."""
+JITTER = 1e-10
+SQRT5 = np.sqrt(5.0)
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """Where values lie, as the kernel sees it."""
+
+    theta_h: Floats
+    toward: Floats
+    """Unit vectors of the half vector's azimuth, (n, 2): x toward the mirror side of the plane of incidence."""
+    view: Floats
+    """theta_r along the two axes, (n, 2) [rad], stretched toward grazing."""
+    incidence: Floats
+    """theta_i along x and y of the sample, (n, 2) [rad]."""
+    apart: Floats
+    """Angle between source and detector [rad]."""
+    log_cos: Floats
+
+    @classmethod
+    def of(cls, d: Directions) -> Coordinates:
+        """Those of directions, shape (n,)."""
+        source = Directions(d.theta_i, np.zeros(d.shape), d.theta_r, d.phi_r - d.phi_i)
+        omega_i, omega_r = source.vectors
+        x, y, z = np.moveaxis(omega_i + omega_r, -1, 0)
+        across = np.hypot(x, y)
+        safe = np.where(across > 1e-12, across, 1.0)
+        toward = np.stack([np.where(across > 1e-12, -x / safe, 1.0), np.where(across > 1e-12, y / safe, 0.0)], axis=-1)
+        dphi = d.phi_r - d.phi_i
+        theta_i, theta_r = np.broadcast_to(d.theta_i, d.shape), np.broadcast_to(d.theta_r, d.shape)
+        log_cos = np.log(np.maximum(np.cos(theta_r), 1e-3))
+        stretched = theta_r - LIMB * log_cos
+        return cls(
+            theta_h=np.arctan2(across, z),
+            toward=toward,
+            view=np.stack([-stretched * np.cos(dphi), stretched * np.sin(dphi)], axis=-1),
+            incidence=np.stack([theta_i * np.cos(d.phi_i), theta_i * np.sin(d.phi_i)], axis=-1),
+            apart=2.0 * d.half[1],
+            log_cos=log_cos,
+        )
+
+
+def _apart(a: Floats, b: Floats) -> Floats:
+    """Distances between rows."""
+    return np.asarray(np.sqrt(((a[:, None, :] - b[None, :, :]) ** 2).sum(axis=-1)))
+
+
+def _matern(r: Floats) -> Floats:
+    """Matern's function of 5/2."""
+    return np.asarray((1.0 + SQRT5 * r + 5.0 / 3.0 * r * r) * np.exp(-SQRT5 * r))
+
+
+def _slope(r: Floats) -> Floats:
+    """-(1/r) times its derivative."""
+    return np.asarray(5.0 / 3.0 * (1.0 + SQRT5 * r) * np.exp(-SQRT5 * r))
+
+
+class Pairs:
+    """Distances between two sets of places that no parameter of the kernel changes."""
+
+    def __init__(self, a: Coordinates, b: Coordinates) -> None:
+        self.a, self.b = a, b
+        self.view = _apart(a.view, b.view)
+        self.incidence = _apart(a.incidence, b.incidence)
+        self.fixed = LEVEL**2 + COSINE**2 * np.outer(a.log_cos, b.log_cos)
+        self.squares = np.outer(np.tan(a.theta_h) ** 2, np.tan(b.theta_h) ** 2)
+        self.one_incidence = not bool(self.incidence.any())
+
+    def kernel(self, p: Floats, gradient: bool = False) -> tuple[Floats, list[Floats]]:
+        """Prior covariance, and its derivatives by the logarithms of the parameters but the last."""
+        h, lobe, l_lobe, own, l_own, view, l_view, l_inc, retro, d0, facets = np.exp(p[:11])
+        own = own * lobe
+        a, b = self.a, self.b
+        rho_a, rho_b = np.arcsinh(a.theta_h / h), np.arcsinh(b.theta_h / h)
+        r1 = np.abs(rho_a[:, None] - rho_b[None, :]) / l_lobe
+        w_a, w_b = rho_a[:, None] * a.toward, rho_b[:, None] * b.toward
+        r2, r3 = _apart(w_a, w_b) / l_own, self.view / l_view
+        s_a, s_b = np.arcsinh(a.apart / d0), np.arcsinh(b.apart / d0)
+        r4 = np.abs(s_a[:, None] - s_b[None, :])
+        ri = self.incidence / l_inc
+        inc = 1.0 if self.one_incidence else _matern(ri)
+        k1, k2, k3, k4 = (
+            lobe**2 * _matern(r1),
+            own**2 * _matern(r2),
+            view**2 * np.exp(-0.5 * r3**2),
+            retro**2 * _matern(r4),
+        )
+        k5 = facets**2 * self.squares
+        total = self.fixed + k1 + (k2 + k3) * inc + k4 + k5
+        if not gradient:
+            return total, []
+        # d asinh(x/h)/d ln h = -(x/h)/sqrt(1 + (x/h)^2) = -tanh(asinh(x/h))
+        t_a, t_b = -np.tanh(rho_a), -np.tanh(rho_b)
+        d1 = lobe**2 * _slope(r1)
+        d2 = own**2 * _slope(r2) * inc
+        by_h = -d1 * (rho_a[:, None] - rho_b) * (t_a[:, None] - t_b) / l_lobe**2
+        dw = ((w_a[:, None, :] - w_b) * (t_a[:, None, None] * a.toward[:, None, :] - t_b[:, None] * b.toward)).sum(-1)
+        by_h = by_h - d2 * dw / l_own**2
+        v_a, v_b = -np.tanh(s_a), -np.tanh(s_b)
+        by_d0 = -(retro**2) * _slope(r4) * (s_a[:, None] - s_b) * (v_a[:, None] - v_b)
+        by_inc = np.zeros_like(total) if self.one_incidence else (k2 + k3) * _slope(ri) * ri**2
+        return total, [
+            by_h, 2.0 * (k1 + k2 * inc), d1 * r1**2, 2.0 * k2 * inc, d2 * r2**2, 2.0 * k3 * inc, k3 * r3**2 * inc,
+            by_inc, 2.0 * k4, by_d0, 2.0 * k5,
+        ]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Values:
+    """What was measured, as the process sees it: on the scale of `Link`."""
+
+    at: Coordinates
+    z: Floats
+    u: Floats
+    """Standard uncertainties that are independent from value to value."""
+    causes: Floats
+    """(n, m): what one standard deviation of each common cause changes."""
+
+    @cached_property
+    def pairs(self) -> Pairs:
+        """Among the values."""
+        return Pairs(self.at, self.at)
+
+    @property
+    def common(self) -> Floats:
+        """Covariance of the common causes."""
+        return np.asarray(self.causes @ self.causes.T)
+
+
+def objective(p: Floats, data: Values, mean: float) -> tuple[float, Floats]:
+    """-ln of likelihood times prior of the parameters' logarithms, and its gradient."""
+    from scipy.linalg import cho_factor, cho_solve
+
+    k, by = data.pairs.kernel(p, gradient=True)
+    noise = np.exp(2.0 * p[11]) * data.u**2
+    n = data.z.size
+    k = k + data.common
+    k[np.diag_indices(n)] += noise + JITTER
+    away = (p - CENTRES) / SPREADS
+    try:
+        factor = cho_factor(k, lower=True)
+    except np.linalg.LinAlgError:
+        return 1e10, np.zeros_like(p)
+    y = data.z - mean
+    alpha = cho_solve(factor, y)
+    inner = cho_solve(factor, np.eye(n)) - np.outer(alpha, alpha)
+    value = 0.5 * y @ alpha + np.log(np.diag(factor[0])).sum() + 0.5 * away @ away
+    slope = np.array([0.5 * (inner * d).sum() for d in by] + [(np.diag(inner) * noise).sum()])
+    return float(value), slope + away / SPREADS
+
+
+def starts(seen: Floats | None) -> list[Floats]:
+    """Where the search for the parameters begins: wide and narrow lobes, and where it ended before."""
+    out = []
+    for h in (1.0, 4.0, 15.0):
+        p = CENTRES.copy()
+        p[0] = np.log(np.radians(h))
+        out.append(p)
+    return out if seen is None else [seen, out[1]]
+
+
+def learned(data: Values, before: Floats | None = None) -> Floats:
+    """The most probable parameters of the kernel (logarithms), from several starts."""
+    from scipy.optimize import minimize
+
+    mean = float(np.median(data.z))
+    bounds = [(c - 3.0 * s, c + 3.0 * s) for c, s in zip(CENTRES, SPREADS, strict=True)]
+    best: Any = None
+    for start in starts(before):
+        found = minimize(
+            objective, start, (data, mean), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 60}
+        )
+        if best is None or found.fun < best.fun - 1e-6:
+            best = found
+    return np.asarray(best.x)
+
+
+@dataclass(frozen=True)
+class Process:
+    """The process given values and parameters."""
+
+    data: Values
+    p: Floats
+    mean: float = field(default=0.0)
+
+    @cached_property
+    def _factor(self) -> tuple[Any, Floats]:
+        from scipy.linalg import cho_factor, cho_solve
+
+        k, _ = self.data.pairs.kernel(self.p)
+        k = k + self.data.common
+        k[np.diag_indices(self.data.z.size)] += np.exp(2.0 * self.p[11]) * self.data.u**2 + JITTER
+        factor = cho_factor(k, lower=True)
+        return factor, cho_solve(factor, self.data.z - self.mean)
+
+    def mean_at(self, places: Coordinates) -> Floats:
+        """The mean at places."""
+        return np.asarray(self.mean + Pairs(places, self.data.at).kernel(self.p)[0] @ self._factor[1])
+
+    def at(self, places: Coordinates) -> tuple[Floats, Floats]:
+        """Mean and covariance at places."""
+        from scipy.linalg import solve_triangular
+
+        factor, alpha = self._factor
+        cross, _ = Pairs(places, self.data.at).kernel(self.p)
+        half = solve_triangular(factor[0], cross.T, lower=True)
+        prior, _ = Pairs(places, places).kernel(self.p)
+        return self.mean + cross @ alpha, prior - half.T @ half
+
+    @property
+    def left_out(self) -> Floats:
+        """Each value's departure from what all others predict of it, in standard deviations of that."""
+        from scipy.linalg import cho_solve
+
+        factor, alpha = self._factor
+        inverse = np.diag(cho_solve(factor, np.eye(alpha.size)))
+        return np.asarray(alpha / np.sqrt(inverse))

@@ -1,0 +1,257 @@
+"""Curves that choose their points: what is known of them, what is chosen, and that stopping changes nothing."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from gonio_sweeps.candidates import Candidates
+from gonio_sweeps.curve import CHOOSER, Curve
+from gonio_sweeps.online import Values
+from gonio_sweeps.posterior import AngleErrors, Posterior
+from gonio_sweeps.reconstruct import reconstruct
+
+from gonio import models
+from gonio.acquisition.measure import RigChoice, carry_out
+from gonio.acquisition.plan import load_plan
+from gonio.acquisition.progress import Live, Silent
+from gonio.acquisition.run import Run
+from gonio.errors import ConfigError, DataError, Interrupted
+from gonio.geometry import Directions
+from gonio.reduction import brdf
+from gonio.typing import Floats
+from tests.gonio.numpy_rig import SAMPLE, Plugin, describe
+
+PLAN = """
+name = "a curve"
+wavelength_nm = [550]
+[adaptive]
+how = "curve"
+budget_h = 1.0
+theta_i_deg = [30]
+theta_r_deg = { start = -70, stop = 70, step = 5 }
+"""
+
+
+def in_plane(signed: Floats, theta_i: float = 30.0) -> Directions:
+    none = np.zeros(signed.size)
+    return Directions.from_degrees(none + theta_i, none, np.abs(signed), np.where(signed < 0, 0.0, 180.0))
+
+
+def satin(d: Directions) -> Floats:
+    model = models.build("cook-torrance", {"s": 0.3, "m": 0.2, "diffuse_albedo": 0.5, "ior": 1.5})
+    return np.asarray(model.brdf(*d.angles))
+
+
+def chooser(folder: Path, text: str = PLAN) -> Curve:
+    (folder / "plan.toml").write_text(text)
+    return CHOOSER.open(load_plan(folder / "plan.toml"), describe())
+
+
+def measured(candidates: Candidates, rows: list[int], before: Values | None = None, noise: float = 0.003) -> Values:
+    """What the rows of the candidates come to on the satin sample."""
+    d = Directions.stack([candidates.points[k].directions for k in rows])
+    f = satin(d) * (1.0 + noise * np.random.default_rng(len(rows)).standard_normal(len(rows)))
+    poses = tuple(candidates.poses[k] for k in rows)
+    none = np.zeros(len(rows))
+    new = Values(np.array(rows), d, poses, f, noise * f, {"s_reference": 0.002 * f}, none)
+    if before is None:
+        return new
+    angles = [np.concatenate(pair) for pair in zip(before.directions.angles, d.angles, strict=True)]
+    f = np.concatenate([before.brdf, f])
+    return Values(
+        np.arange(f.size), Directions(*angles), before.poses + poses, f, noise * f, {"s_reference": 0.002 * f},
+        np.zeros(f.size),
+    )  # fmt: skip
+
+
+# ---- what is known ----
+
+
+def test_a_lobe_is_found_between_the_points() -> None:
+    def lobe(x: Floats) -> Floats:
+        return 0.05 + np.exp(-0.5 * ((x - 30) / 8) ** 2)
+
+    x = np.arange(-70.0, 71.0, 5.0)
+    f = lobe(x)
+    between = np.linspace(-70, 70, 141)
+    curve, _, low, high = Posterior(in_plane(x), f, 1e-3 * f, np.zeros((x.size, 0))).at(in_plane(between))
+    truth, straight = lobe(between), np.exp(np.interp(between, x, np.log(f)))
+    assert rms(curve / truth - 1) < 0.5 * rms(straight / truth - 1)
+    # 95 % are stated, of one curve whose errors go together
+    assert ((low <= truth) & (truth <= high)).mean() > 0.8
+
+
+def rms(x: Floats) -> float:
+    return float(np.sqrt(np.mean(x**2)))
+
+
+def test_the_reference_is_in_the_interval_and_no_number_of_points_takes_it_out() -> None:
+    x = np.linspace(-70, 70, 40)
+    f = np.full(x.size, 0.2)
+    alone = Posterior(in_plane(x), f, 1e-3 * f, np.zeros((x.size, 0))).at(in_plane(x))[1]
+    with_scale = Posterior(in_plane(x), f, 1e-3 * f, 0.005 * f[:, None]).at(in_plane(x))[1]
+    assert (alone / f).max() < 0.002
+    np.testing.assert_allclose(with_scale / f, 0.005, rtol=0.1)  # the noise adds a tenth of that at most
+
+
+def test_values_below_zero_are_values() -> None:
+    x = np.linspace(-70, 70, 21)
+    noise = np.random.default_rng(1).standard_normal(x.size)
+    f = np.exp(-(((x - 30) / 12) ** 2)) + 1e-4 * noise
+    assert (f < 0).any()
+    curve, u, low, high = Posterior(in_plane(x), f, np.full(x.size, 1e-4), np.zeros((x.size, 0))).at(in_plane(x))
+    dark = np.abs(x - 30) > 50
+    assert (np.abs(curve[dark]) < 3e-4).all()
+    assert ((low < 0) & (high > 0))[dark].all(), "zero is in the interval where nothing is seen"
+    assert np.isfinite(u).all()
+
+
+def test_errors_of_angles_count_where_the_curve_is_steep() -> None:
+    x = np.linspace(0, 60, 31)
+    f = 0.05 + np.exp(-(((x - 30) / 6) ** 2))
+    errors = AngleErrors(read=np.radians(0.1), zero=np.radians(0.1))
+    without = Posterior(in_plane(x), f, 1e-3 * f, np.zeros((x.size, 0)))
+    known = Posterior(in_plane(x), f, 1e-3 * f, np.zeros((x.size, 0)), errors)
+    flank, top = np.argmin(np.abs(x - 36)), np.argmin(np.abs(x - 30))
+    u, u_without = known.at(in_plane(x))[1], without.at(in_plane(x))[1]
+    # ln f falls by 2 (x - 30)/36 a degree there: 0.1 deg are about 3 %
+    assert u[flank] / f[flank] > 0.02
+    assert u[top] / f[top] < 0.01
+    assert u_without[flank] / f[flank] < 0.005
+
+
+def test_a_table_without_uncertainties_has_no_intervals() -> None:
+    table = pd.DataFrame(
+        {"theta_i_deg": 30.0, "phi_i_deg": 0.0, "theta_r_deg": [10.0, 20.0, 30.0, 40.0], "phi_r_deg": 180.0}
+    ).assign(wavelength_nm=550.0, brdf=0.2, flag="")
+    with pytest.raises(DataError, match="u_random"):
+        reconstruct(table)
+    with pytest.raises(DataError, match="2 usable points"):
+        reconstruct(table.assign(u_random=0.001, flag=["", "saturated", "", "blocked"]))
+
+
+def test_curves_of_a_table_lie_between_its_outermost_points() -> None:
+    x = np.linspace(-60, 70, 14)
+    d = in_plane(x)
+    angles = dict(zip(("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg"), np.degrees(d.angles), strict=True))
+    f = satin(d)
+    table = pd.DataFrame(angles).assign(wavelength_nm=550.0, brdf=f, u_random=2e-3 * f, s_reference=2e-3 * f, flag="")
+    found = reconstruct(table, step_deg=5.0)
+    assert found["theta_r_deg"].tolist() == pytest.approx(np.linspace(-60, 70, 27))
+    at_points = np.interp(x, found["theta_r_deg"], found["brdf"])
+    assert at_points == pytest.approx(f, rel=0.01)  # five standard uncertainties of a point
+    assert ((found["lower"] < found["brdf"]) & (found["brdf"] < found["upper"])).all()
+
+
+# ---- what is chosen ----
+
+
+def test_the_first_points_cover_and_the_mirror_direction_is_one(tmp_path: Path) -> None:
+    first = chooser(tmp_path).first(())
+    signed = [p.theta_r_deg * (1 if p.phi_r_deg else -1) for p in first]
+    assert 30.0 in signed
+    assert min(signed) == -70
+    assert max(signed) == 70
+
+
+def test_points_go_where_the_curve_is_known_least(tmp_path: Path) -> None:
+    curve = chooser(tmp_path)
+    away = [k for k, p in enumerate(curve.candidates.points) if not (p.phi_r_deg and 15 < p.theta_r_deg < 45)]
+    decided = curve.decided([measured(curve.candidates, away)], 0.0)
+    near = [curve.candidates.points[k] for k in decided.picked]
+    assert sum(p.phi_r_deg == 180.0 and 15 <= p.theta_r_deg <= 45 for p in near) > len(near) / 2
+
+
+def test_one_state_gives_one_choice_and_the_target_ends_it(tmp_path: Path) -> None:
+    curve = chooser(tmp_path, PLAN + "u_rel = 0.01\n")
+    rows = [curve.candidates.points.index(p) for p in curve.first(())]
+    values: Values | None = None
+    kernel = None
+    for _ in range(8):
+        values = measured(curve.candidates, rows, values)
+        decided = curve.decided([values], 0.0, kernel)
+        again = chooser(tmp_path, PLAN + "u_rel = 0.01\n").decided([values], 0.0, kernel)
+        assert decided == again
+        kernel, rows = decided.why["kernel"], decided.picked
+        if not rows:
+            break
+    assert decided.met
+    assert decided.why["u_rel"] <= 0.01
+
+
+def test_the_budget_and_the_number_of_points_are_kept(tmp_path: Path) -> None:
+    curve = chooser(tmp_path, PLAN + "most_points = 14\n")
+    rows = [curve.candidates.points.index(p) for p in curve.first(())]
+    values = measured(curve.candidates, rows)
+    more = curve.decided([values], 0.0)
+    assert len(rows) + len(more.picked) == 14
+    assert not curve.decided([measured(curve.candidates, more.picked, values)], 0.0).picked
+    spent = curve.decided([values], 3600.0)
+    assert not spent.picked
+    assert not spent.met
+    assert "the budget is spent" in spent.message
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("u_rel = -0.01", "u_rel"),
+        ("floor = 2.0", "floor"),
+        ("most_points = 3", "most_points"),
+        ("uncertainty = 0.01", "uncertainty"),
+        ("dphi_deg = { start = 0, stop = 179, step = 3.5 }", "at most 1500"),
+    ],
+)
+def test_a_wrong_key_is_named(tmp_path: Path, line: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=r"plan\.toml.*" + message):
+        chooser(tmp_path, PLAN + line + "\n")
+
+
+def test_a_budget_that_the_first_points_do_not_fit_into_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"budget_h = 0\.0001.*first \d+ points"):
+        chooser(tmp_path, PLAN.replace("budget_h = 1.0", "budget_h = 0.0001"))
+
+
+# ---- a whole run ----
+
+
+class StopAfter(Silent):
+    """A user who presses Ctrl-C after a step."""
+
+    def __init__(self, step: int) -> None:
+        self.left = step
+
+    def step(self, live: Live) -> None:
+        """Count."""
+        self.left -= 1
+        if not self.left:
+            signal.raise_signal(signal.SIGINT)
+
+
+def test_a_run_that_is_stopped_and_gone_on_with_is_the_same_run(tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").write_text(PLAN + "most_points = 19\n")
+    plan = load_plan(tmp_path / "plan.toml")
+
+    def measure(out: str, **options: Any) -> Run:
+        return carry_out(
+            plan, RigChoice(Plugin(), describe(), "numpy"), tmp_path / out, sample=SAMPLE, seed=1, **options
+        )
+
+    whole = measure("whole")
+    assert len(whole.batches) == 2
+    assert whole.enough
+    for steps in (5, 22):  # among the first points, and within a batch
+        with pytest.raises(Interrupted):
+            measure(f"run{steps}", progress=StopAfter(steps))
+        resumed = measure(f"run{steps}", resume=True)
+        assert list(resumed.steps()) == list(whole.steps())
+        assert brdf.reduce(resumed).equals(brdf.reduce(whole))
+    found = reconstruct(brdf.reduce(whole))
+    # the rig's sample is Lambertian, of albedo 0.5
+    inside = (found["lower"] <= 0.5 / np.pi) & (0.5 / np.pi <= found["upper"])
+    assert inside.mean() > 0.5

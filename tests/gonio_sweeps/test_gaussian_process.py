@@ -1,0 +1,71 @@
+"""The process behind curves: its coordinates, its derivatives, and its conditioning by the textbook formula."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from gonio_sweeps import gaussian_process as gp
+from gonio_sweeps.gaussian_process import CENTRES, NAMES, Coordinates, Pairs, Process, Values
+
+from gonio.geometry import Directions
+
+
+def directions(count: int, seed: int) -> Directions:
+    rng = np.random.default_rng(seed)
+    theta_i = rng.choice([20.0, 50.0], count)
+    return Directions.from_degrees(theta_i, np.zeros(count), rng.uniform(0, 80, count), rng.uniform(0, 360, count))
+
+
+def test_the_mirror_direction_is_the_middle_of_the_half_vectors() -> None:
+    at = Coordinates.of(Directions.from_degrees([40.0, 40.0, 40.0], [10.0] * 3, [40.0, 60.0, 20.0], [190.0] * 3))
+    # in the plane the half vector turns half as far as the detector
+    assert at.theta_h == pytest.approx(np.radians([0.0, 10.0, 10.0]), abs=1e-12)  # rounding of degrees
+    assert at.toward[1:, 0] == pytest.approx([1.0, -1.0]), "away from the light beyond the mirror direction"
+    assert at.apart == pytest.approx(np.radians([80.0, 100.0, 60.0]))
+
+
+def test_a_turned_sample_and_a_turned_table_are_alike() -> None:
+    d = directions(20, 1)
+    a, b = Coordinates.of(d), Coordinates.of(d.turned(1.0))
+    for name in ("theta_h", "toward", "view", "apart"):
+        np.testing.assert_allclose(getattr(a, name), getattr(b, name), atol=1e-12)  # rounding
+
+
+def test_derivatives_of_the_likelihood_are_those_of_differences() -> None:
+    rng = np.random.default_rng(0)
+    values = Values(
+        Coordinates.of(directions(24, 0)), rng.normal(0, 1, 24), np.full(24, 0.05), rng.normal(0, 0.01, (24, 2))
+    )
+    p = CENTRES + rng.normal(0, 0.5, len(NAMES))
+    _, slope = gp.objective(p, values, 0.0)
+    h = 1e-5
+    for k in range(p.size):
+        step = h * np.eye(p.size)[k]
+        difference = gp.objective(p + step, values, 0.0)[0] - gp.objective(p - step, values, 0.0)[0]
+        # a solution of a matrix of condition 1e6 has 1e-10 of its value near 1e2 as rounding, and h is 1e-5
+        assert slope[k] == pytest.approx(difference / (2 * h), rel=1e-4, abs=1e-3), NAMES[k]
+
+
+def test_what_is_known_is_the_conditional_distribution() -> None:
+    rng = np.random.default_rng(3)
+    at, there = Coordinates.of(directions(12, 4)), Coordinates.of(directions(5, 5))
+    z, u, causes = rng.normal(0, 1, 12), rng.uniform(0.01, 0.1, 12), rng.normal(0, 0.05, (12, 1))
+    mean, covariance = Process(Values(at, z, u, causes), CENTRES, 0.3).at(there)
+    k = Pairs(at, at).kernel(CENTRES)[0] + np.diag(u**2) + causes @ causes.T
+    cross = Pairs(there, at).kernel(CENTRES)[0]
+    # Rasmussen and Williams (2006), eqs. 2.23 and 2.24; the jitter is 1e-10
+    np.testing.assert_allclose(mean, 0.3 + cross @ np.linalg.solve(k, z - 0.3), atol=1e-4)
+    prior = Pairs(there, there).kernel(CENTRES)[0]
+    np.testing.assert_allclose(covariance, prior - cross @ np.linalg.solve(k, cross.T), atol=1e-5)
+
+
+def test_a_value_left_out_is_predicted_by_the_others() -> None:
+    rng = np.random.default_rng(6)
+    d = directions(10, 7)
+    at, z, u = Coordinates.of(d), rng.normal(0, 1, 10), np.full(10, 0.1)
+    left_out = Process(Values(at, z, u, np.zeros((10, 1))), CENTRES).left_out
+    others = np.arange(10) != 4
+    values = Values(Coordinates.of(d[others]), z[others], u[others], np.zeros((9, 1)))
+    mean, covariance = Process(values, CENTRES).at(Coordinates.of(d[4:5]))
+    expected = (z[4] - mean[0]) / np.sqrt(covariance[0, 0] + 0.01)
+    assert left_out[4] == pytest.approx(expected, rel=1e-5)  # jitter of 1e-10 beside a noise of 1e-2
