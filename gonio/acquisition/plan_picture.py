@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 COLOURS = {"light": "#e69f00", "camera": "#0072b2", "tilt": "#009e73", "spin": "#009e73", "bench": "#7f7f7f"}
 """Of what carries a body: Okabe and Ito's colours, which all eyes tell apart."""
+CARRIED = {"light": "on the light arm", "camera": "on the camera arm", "tilt": "holder", "spin": "holder",
+           "bench": "on the bench"}  # fmt: skip
 LEFT_OUT = ("#d55e00", "#cc79a7", "#56b4e9", "#f0c419", "#000000", "#999999")
 MARKS = ("x", "+", "v", "s", "^", "D")
 SHOWN_CAUSES = 6
@@ -72,8 +75,8 @@ def draw(
     step = steps[number]
     before = steps[number - 1].pose if number > 1 else ways.resting(description)
     pose = ways.resting(description) if step.kind == "dark" else step.pose
-    figure = Figure(figsize=(11.0, 10.0), layout="constrained")
-    rows = figure.subfigures(2, 1, height_ratios=(1.15, 1.0))
+    figure = Figure(figsize=(11.0, 9.4), layout="constrained")
+    rows = figure.subfigures(2, 1, height_ratios=(1.1, 1.0))
     side, above = rows[0].subplots(1, 2)
     for ax, view in ((side, SIDE), (above, ABOVE)):
         _view(ax, description, before, pose, view)
@@ -82,7 +85,7 @@ def draw(
     rows[0].suptitle(_title(step, plan, points, description, pose), fontsize=11)
     handles, labels = side.get_legend_handles_labels()
     unique = dict(zip(labels, handles, strict=True))
-    rows[0].legend(unique.values(), unique.keys(), loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    rows[0].legend(unique.values(), unique.keys(), loc="outside lower center", ncols=5, fontsize=8, frameon=False)
     _map(rows[1], plan, points, step)
     return figure
 
@@ -118,6 +121,7 @@ def _view(ax: Axes, description: RigDescription, before: Pose, pose: Pose, view:
                 _hull(outline, view), closed=True, alpha=0.2 if outline.cable else 0.55, lw=0.8,
                 facecolor=COLOURS[outline.on[0]] if not outline.cable else "#b3b3b3", edgecolor="black",
                 ls=":" if outline.cable else "-",
+                label="where a cable may hang" if outline.cable else CARRIED[outline.on[0]],
             )
         )  # fmt: skip
     lamp, lens = _heads(description, [pose])
@@ -134,7 +138,7 @@ def _view(ax: Axes, description: RigDescription, before: Pose, pose: Pose, view:
         legs = [before, *ways.route(description, before, pose)] if before != pose else [pose]
     except Blocked:  # of a rig that stands elsewhere than the plan has it
         legs = [pose]
-    way = [_between(a, b, t) for a, b in zip(legs, legs[1:], strict=False) for t in np.linspace(0, 1, ON_THE_WAY)]
+    way = [_between(a, b, t) for a, b in pairwise(legs) for t in np.linspace(0, 1, ON_THE_WAY)]
     for name, track in zip(("light", "camera"), _heads(description, way or [pose]), strict=True):
         ax.plot(*track[:, view].T, ls=":", lw=1.4, color=COLOURS[name], label=f"way of the {name} head to here")
     _limits(ax, description, view)
