@@ -83,8 +83,7 @@ def draw(
     side.set_title("from the side, along y", fontsize=10)
     above.set_title("from above, along z", fontsize=10)
     rows[0].suptitle(_title(step, plan, points, description, pose), fontsize=11)
-    handles, labels = side.get_legend_handles_labels()
-    unique = dict(zip(labels, handles, strict=True))
+    unique = {label: each for ax in (side, above) for each, label in zip(*ax.get_legend_handles_labels(), strict=True)}
     rows[0].legend(unique.values(), unique.keys(), loc="outside lower center", ncols=5, fontsize=8, frameon=False)
     _map(rows[1], plan, points, step)
     return figure
@@ -252,13 +251,13 @@ def _map(rows: Any, plan: Plan, points: Sequence[Assessed], step: Step) -> None:
         for ax, angle in zip(axes, chosen, strict=True):
             ax.set_theta_zero_location("W")  # retro to the left, the mirror direction to the right
             ax.set_theta_direction(-1)
-            ax.set_rlim(0, 180.0 if theta_r.max() > 90.0 else 90.0)
+            rim = 180.0 if theta_r.max() > 90.0 else 90.0
+            ax.set_rlim(0, rim)
+            ax.set_rgrids(rim * np.array([1 / 3, 2 / 3, 1.0]), angle=225.0)
             ax.set_xticks(np.radians([0, 90, 180, 270]), ["retro", "90°", "mirror", "270°"], fontsize=8)
             ax.tick_params(axis="y", labelsize=7)
             ax.set_title(f"θi = {angle:g}°", fontsize=10)
             panels.append((ax, np.abs(theta_i - angle) < 1e-5, dphi, theta_r))
-        if len(angles) > len(chosen):
-            rows.supxlabel(f"{len(chosen)} of {len(angles)} angles of incidence", fontsize=8)
     labelled = {}
     for ax, mine, x, y in panels:
         for kind in range(-1, SHOWN_CAUSES):
@@ -275,7 +274,11 @@ def _map(rows: Any, plan: Plan, points: Sequence[Assessed], step: Step) -> None:
             labelled["the step above"] = ax.scatter(
                 x[here], y[here], s=110, marker="o", facecolors="none", edgecolors="black", zorder=4
             )
-    rows.suptitle(f"{plan.name}: {int((kinds < 0).sum())} of {len(points)} points are measured", fontsize=11)
+    heading = f"{plan.name}: {int((kinds < 0).sum())} of {len(points)} points are measured"
+    incidences = len(np.unique(np.round(theta_i, 6)))
+    if len(panels) < incidences and not flat.all():
+        heading += f" (maps of {len(panels)} of {incidences} angles of incidence)"
+    rows.suptitle(heading, fontsize=11)
     rows.legend(labelled.values(), labelled.keys(), loc="outside lower center", ncols=1, fontsize=8, frameon=False)
 
 
