@@ -76,7 +76,7 @@ def draw(
     before = steps[number - 1].pose if number > 1 else ways.resting(description)
     pose = ways.resting(description) if step.kind == "dark" else step.pose
     figure = Figure(figsize=(11.0, 9.4), layout="constrained")
-    rows = figure.subfigures(2, 1, height_ratios=(1.1, 1.0))
+    rows: Any = figure.subfigures(2, 1, height_ratios=(1.1, 1.0))
     side, above = rows[0].subplots(1, 2)
     for ax, view in ((side, SIDE), (above, ABOVE)):
         _view(ax, description, before, pose, view)

@@ -113,7 +113,8 @@ def test_around_retro_and_the_poles_a_pose_is_exact_or_there_is_none(kind: str) 
         d = Directions(*(float(v) for pair in zip(theta, phi, strict=True) for v in pair))
         wanted = np.concatenate(d.vectors)
         try:
-            off = np.linalg.norm(np.concatenate(directions(description, reach(description, d)).vectors) - wanted)
+            seen = np.concatenate(directions(description, reach(description, d)).vectors)
+            off = float(np.linalg.norm(seen - wanted))
         except Unreachable:
             off = 1.0
         if off < 1e-9 or inexact == 3:

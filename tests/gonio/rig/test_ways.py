@@ -216,7 +216,7 @@ def test_a_box_is_as_large_as_it_is() -> None:
 def test_what_is_planned_is_found_again_from_where_the_axes_landed() -> None:
     """In any order, and with every axis up to 0.2 deg beside its goal."""
     rng = np.random.default_rng(3)
-    poses = []
+    poses: list[Pose] = []
     while len(poses) < 4:
         pose = Pose(*np.radians([*rng.uniform(-80, 80, 2), rng.uniform(-40, 40), rng.uniform(-180, 180)]).tolist())
         try:
