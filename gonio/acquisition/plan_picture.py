@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 COLOURS = {"light": "#e69f00", "camera": "#0072b2", "tilt": "#009e73", "spin": "#009e73", "bench": "#7f7f7f"}
 """Of what carries a body: Okabe and Ito's colours, which all eyes tell apart."""
+CARRIED = {"light": "on the light arm", "camera": "on the camera arm", "tilt": "holder", "spin": "holder",
+           "bench": "on the bench"}  # fmt: skip
 LEFT_OUT = ("#d55e00", "#cc79a7", "#56b4e9", "#f0c419", "#000000", "#999999")
 MARKS = ("x", "+", "v", "s", "^", "D")
 SHOWN_CAUSES = 6
@@ -72,17 +75,16 @@ def draw(
     step = steps[number]
     before = steps[number - 1].pose if number > 1 else ways.resting(description)
     pose = ways.resting(description) if step.kind == "dark" else step.pose
-    figure = Figure(figsize=(11.0, 10.0), layout="constrained")
-    rows = figure.subfigures(2, 1, height_ratios=(1.15, 1.0))
+    figure = Figure(figsize=(11.0, 9.4), layout="constrained")
+    rows: Any = figure.subfigures(2, 1, height_ratios=(1.1, 1.0))
     side, above = rows[0].subplots(1, 2)
     for ax, view in ((side, SIDE), (above, ABOVE)):
         _view(ax, description, before, pose, view)
     side.set_title("from the side, along y", fontsize=10)
     above.set_title("from above, along z", fontsize=10)
     rows[0].suptitle(_title(step, plan, points, description, pose), fontsize=11)
-    handles, labels = side.get_legend_handles_labels()
-    unique = dict(zip(labels, handles, strict=True))
-    rows[0].legend(unique.values(), unique.keys(), loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    unique = {label: each for ax in (side, above) for each, label in zip(*ax.get_legend_handles_labels(), strict=True)}
+    rows[0].legend(unique.values(), unique.keys(), loc="outside lower center", ncols=5, fontsize=8, frameon=False)
     _map(rows[1], plan, points, step)
     return figure
 
@@ -118,6 +120,7 @@ def _view(ax: Axes, description: RigDescription, before: Pose, pose: Pose, view:
                 _hull(outline, view), closed=True, alpha=0.2 if outline.cable else 0.55, lw=0.8,
                 facecolor=COLOURS[outline.on[0]] if not outline.cable else "#b3b3b3", edgecolor="black",
                 ls=":" if outline.cable else "-",
+                label="where a cable may hang" if outline.cable else CARRIED[outline.on[0]],
             )
         )  # fmt: skip
     lamp, lens = _heads(description, [pose])
@@ -134,7 +137,7 @@ def _view(ax: Axes, description: RigDescription, before: Pose, pose: Pose, view:
         legs = [before, *ways.route(description, before, pose)] if before != pose else [pose]
     except Blocked:  # of a rig that stands elsewhere than the plan has it
         legs = [pose]
-    way = [_between(a, b, t) for a, b in zip(legs, legs[1:], strict=False) for t in np.linspace(0, 1, ON_THE_WAY)]
+    way = [_between(a, b, t) for a, b in pairwise(legs) for t in np.linspace(0, 1, ON_THE_WAY)]
     for name, track in zip(("light", "camera"), _heads(description, way or [pose]), strict=True):
         ax.plot(*track[:, view].T, ls=":", lw=1.4, color=COLOURS[name], label=f"way of the {name} head to here")
     _limits(ax, description, view)
@@ -248,13 +251,13 @@ def _map(rows: Any, plan: Plan, points: Sequence[Assessed], step: Step) -> None:
         for ax, angle in zip(axes, chosen, strict=True):
             ax.set_theta_zero_location("W")  # retro to the left, the mirror direction to the right
             ax.set_theta_direction(-1)
-            ax.set_rlim(0, 180.0 if theta_r.max() > 90.0 else 90.0)
+            rim = 180.0 if theta_r.max() > 90.0 else 90.0
+            ax.set_rlim(0, rim)
+            ax.set_rgrids(rim * np.array([1 / 3, 2 / 3, 1.0]), angle=225.0)
             ax.set_xticks(np.radians([0, 90, 180, 270]), ["retro", "90°", "mirror", "270°"], fontsize=8)
             ax.tick_params(axis="y", labelsize=7)
             ax.set_title(f"θi = {angle:g}°", fontsize=10)
             panels.append((ax, np.abs(theta_i - angle) < 1e-5, dphi, theta_r))
-        if len(angles) > len(chosen):
-            rows.supxlabel(f"{len(chosen)} of {len(angles)} angles of incidence", fontsize=8)
     labelled = {}
     for ax, mine, x, y in panels:
         for kind in range(-1, SHOWN_CAUSES):
@@ -271,7 +274,11 @@ def _map(rows: Any, plan: Plan, points: Sequence[Assessed], step: Step) -> None:
             labelled["the step above"] = ax.scatter(
                 x[here], y[here], s=110, marker="o", facecolors="none", edgecolors="black", zorder=4
             )
-    rows.suptitle(f"{plan.name}: {int((kinds < 0).sum())} of {len(points)} points are measured", fontsize=11)
+    heading = f"{plan.name}: {int((kinds < 0).sum())} of {len(points)} points are measured"
+    incidences = len(np.unique(np.round(theta_i, 6)))
+    if len(panels) < incidences and not flat.all():
+        heading += f" (maps of {len(panels)} of {incidences} angles of incidence)"
+    rows.suptitle(heading, fontsize=11)
     rows.legend(labelled.values(), labelled.keys(), loc="outside lower center", ncols=1, fontsize=8, frameon=False)
 
 

@@ -359,16 +359,27 @@ def _require_box(space: Space, start: Angles, goal: Angles, planned: bool) -> No
             one, other = group.shapes[pair]
             torn = group.kinds[pair] == _gaps.TIED
             verb, bodies = ("tear the cable", one.body) if torn else ("touch:", f"{one.body} and {other.body}")
+            would = "would" if _spare(space, group, pair, near) <= FINEST_MM + PLANNED_MM else "may"
             where = ", ".join(
                 f"{NAMES[k]} {round(math.degrees(space.read(k, near[k])), 1) + 0.0:g}"
                 for k in group.axes
                 if NAMES[k] in space.names
             )
             raise Blocked(
-                f"the way from {space.said(start)} to {space.said(goal)} would {verb} {bodies}"
+                f"the way from {space.said(start)} to {space.said(goal)} {would} {verb} {bodies}"
                 + (f", near {where} deg" if where else ""),
-                f"the way there would {verb}", bodies,
+                f"the way there {would} {verb}", bodies,
             )  # fmt: skip
+
+
+def _spare(space: Space, group: Pairs, pair: int, at: Sequence[float]) -> float:
+    """The room of a pair of bodies at true angles, beyond the clearance [mm]."""
+    from gonio.rig import _gaps
+
+    found = np.empty((1, len(group.shapes)))
+    arrays = group.kinds, group.on, group.points, group.counts, group.distances
+    _gaps.spares(*arrays, space.frames, np.array([at]), found)
+    return float(found[0, pair])
 
 
 def _require_apart(space: Space, at: Angles) -> None:

@@ -15,7 +15,7 @@ from gonio.config import parse
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.rig import Pose, Step, ways
-from gonio.rig.description import ArmAxis, Arms, Body, Geometry, Holder, RigDescription
+from gonio.rig.description import ArmAxis, Arms, Body, Cable, Geometry, Holder, Lamp, RigDescription
 from gonio.rig.kinematics import Unreachable, reach
 from gonio.rig.ways import Blocked
 from tests.gonio.numpy_rig import describe
@@ -198,6 +198,93 @@ def test_bodies_need_one_whole_shape() -> None:
     for shape in ({"from_mm": [0, 0, 0], "to_mm": [0, 0, 1]}, {"radius_mm": 1.0, "centre_mm": [0, 0, 0]}, {}):
         with pytest.raises(ConfigError, match=r'body "bar" needs either from_mm, to_mm and radius_mm'):
             parse(RigDescription, table | {"bodies": [{"name": "bar", "on": "light", **shape}]}, "rig.toml")
+
+
+def test_a_box_is_as_large_as_it_is() -> None:
+    """A cube of 200 mm, and a ball whose surface comes within 1 mm of its face, its edge and its corner."""
+    cube = Body(name="cube", on="bench", centre_mm=(0, 0, 0), size_mm=(200, 200, 200))
+    for toward in ((0, 0, 1), (0, 1, 1), (1, 1, 1)):
+        for beyond in (-1.0, 1.0):
+            middle = np.array(toward) * 100.0 + (30.0 + beyond) * np.array(toward) / np.linalg.norm(toward)
+            place = (float(middle[0]), float(middle[1]), float(middle[2]))
+            ball = Body(name="ball", on="light", from_mm=place, to_mm=place, radius_mm=30.0)
+            rig = describe(geometry=HEADS, bodies=(cube, ball))
+            found = ways.gaps(rig, [Pose()])[0]["cube", "ball"]
+            assert found == pytest.approx(beyond, abs=1e-9)  # rounding of distances of 100 mm
+
+
+def test_what_is_planned_is_found_again_from_where_the_axes_landed() -> None:
+    """In any order, and with every axis up to 0.2 deg beside its goal."""
+    rng = np.random.default_rng(3)
+    poses: list[Pose] = []
+    while len(poses) < 4:
+        pose = Pose(*np.radians([*rng.uniform(-80, 80, 2), rng.uniform(-40, 40), rng.uniform(-180, 180)]).tolist())
+        try:
+            ways.require_free(RIG, pose)
+        except Blocked:
+            continue
+        poses.append(pose)
+    for start, goal in itertools.permutations(poses, 2):
+        landed = Pose(*(getattr(start, n) + rng.uniform(-1, 1) * ways.LANDING for n in ("light", "camera", "tilt")))
+        assert ways.route(RIG, replace(landed, spin=start.spin), goal)[-1] == goal
+
+
+def test_a_body_in_the_light_or_in_the_sight_blocks_a_point() -> None:
+    """A screen 60 mm beside the middle hides the lamp at 45 deg, and nothing else at the same poses."""
+    lit = describe(geometry=HEADS, holder=Holder(axes=("tilt", "spin")), lamp=Lamp(half_angle_deg=0.5))
+    screen = Body(name="screen", on="bench", from_mm=(200, -30, 200), to_mm=(200, 30, 200), radius_mm=10.0)
+    rig = lit.model_copy(update={"bodies": (screen,)})
+    with pytest.raises(Blocked, match="screen stands in the way of the light"):
+        ways.require_free(rig, deg(45, -30))
+    with pytest.raises(Blocked, match="screen stands in the way of the camera's sight"):
+        ways.require_free(rig, deg(-30, 45))
+    ways.require_free(rig, deg(35, 60))
+    own = rig.model_copy(update={"bodies": (screen.model_copy(update={"on": "light"}),)})
+    ways.require_free(own, deg(45, 60))
+    # flush with the sample's surface, and a holder that the sample lies in: neither takes the light at a low angle
+    for top in (0.0, 3.0):
+        plate = Body(name="plate", on="spin", centre_mm=(0, 0, top - 5), size_mm=(100, 100, 10))
+        ways.require_free(lit.model_copy(update={"bodies": (plate,)}), deg(-80, 70))
+    raised = Body(name="clamp", on="spin", centre_mm=(-30, 0, 0), size_mm=(10, 40, 40))
+    with pytest.raises(Blocked, match="clamp stands in the way of the light"):
+        ways.require_free(lit.model_copy(update={"bodies": (raised,)}), deg(-80, 70))
+
+
+def test_a_cable_is_not_torn_and_nothing_runs_into_it() -> None:
+    """From 300 mm over the crossing of the axes to the lamp: at 89 deg the ends are 500 mm apart."""
+    lead = Cable(name="lead", from_on="bench", from_mm=(0, 0, 300), to_on="light", to_mm=(0, 0, 400), length_mm=520)
+    rig = describe(geometry=HEADS, arms=Arms(light=AXIS, camera=AXIS), cables=(lead,))
+    apart = math.sqrt(300**2 + 400**2 - 2 * 300 * 400 * math.cos(math.radians(70)))
+    found = ways.gaps(rig, [deg(70, -70)])[0]["lead, bench end", "lead, light end"]
+    assert found == pytest.approx(520 - apart, abs=1e-9)  # the law of cosines
+    ways.require_free(rig, deg(-70, 70))
+    short = rig.model_copy(update={"cables": (lead.model_copy(update={"length_mm": 400}),)})
+    with pytest.raises(Blocked, match=r"the cable lead is 95\.8 mm too short"):
+        ways.require_free(short, deg(-89, 70))
+    with pytest.raises(Blocked, match="would tear the cable lead, near light -"):
+        ways.route(short, deg(0, 70), deg(-89, 70))
+    # the camera at -10 deg, the lamp at -60: the camera's head is 150 mm and more off the straight line; a cable that
+    # hangs by 200 mm may lie there
+    hanging = rig.model_copy(update={"cables": (lead.model_copy(update={"sag_mm": 200}),)})
+    with pytest.raises(Blocked, match="camera head and lead"):
+        ways.require_free(hanging, deg(-60, -10))
+    same = lead.model_dump(mode="json", exclude_none=True) | {"from_on": "light"}
+    tables = rig.model_dump(mode="json", exclude_none=True) | {"cables": [same]}
+    with pytest.raises(ConfigError, match='cable "lead": both ends are on "light"'):
+        parse(RigDescription, tables, "rig.toml")
+
+
+def test_bodies_ride_on_the_axes_as_they_stand() -> None:
+    """An arm whose axis is off by 20 mm carries its bar with it."""
+    bar = Body(name="bar", on="light", from_mm=(0, 0, 400), to_mm=(0, 0, 400), radius_mm=10.0)
+    post = Body(name="post", on="bench", from_mm=(0, 0, 450), to_mm=(0, 0, 450), radius_mm=10.0)
+    for offset in (0.0, 20.0):
+        light = AXIS.model_copy(update={"axis_offset_mm": (0.0, offset), "harmonics_deg": ((1, 2.0, 0.0),)})
+        rig = describe(geometry=HEADS, arms=Arms(light=light, camera=AXIS), bodies=(bar, post))
+        # at a reading of 0 the encoder reads 2 deg too much
+        at = np.array([400 * math.sin(math.radians(-2)), offset + 400 * math.cos(math.radians(2))])
+        expected = math.hypot(at[0], 450 - at[1]) - 20.0
+        assert ways.gaps(rig, [Pose()])[0]["bar", "post"] == pytest.approx(expected, abs=1e-9)
 
 
 def test_the_simulated_bench_tells_collisions_and_a_rig_that_looks_ahead_has_none() -> None:
