@@ -140,7 +140,9 @@ class Assistant:
             )
             value, best = shown["focus"]["value"], shown["focus"]["best"]
             said.append("focus -" if value is None else f"focus {value:.4f} (best {best:.4f})")
-            said.append(" ".join(f"{name} {angle:.2f}" for name, angle in (shown["angles_deg"] or {}).items()))
+            said.append(
+                " ".join(f"{name} {round(angle, 2) + 0.0:.2f}" for name, angle in (shown["angles_deg"] or {}).items())
+            )
         return " | ".join(part for part in said if part)
 
     # ---- the loop ----

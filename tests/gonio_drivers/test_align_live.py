@@ -107,7 +107,9 @@ def test_the_watch_darkens_the_lamp_of_a_camera_that_hangs_and_the_driver_does_n
 
     def capture(exposure_s: float) -> Frame:
         frame = real(exposure_s)
-        if hangs and twins.lamp.shine.lit:
+        if seen and twins.lamp.shine.lit:
+            seen.append("lit again by the driver")
+        elif hangs and twins.lamp.shine.lit:
             hangs.clear()
             clock.now += CAMERA_S + 1.0  # of the sixty that the lamp may shine
             watch = threading.Thread(target=assistant.timer.look)
