@@ -244,6 +244,12 @@ class Run:
         """The seed of a simulated rig."""
         return self.settings.run.seed
 
+    @property
+    def laboratory(self) -> dict[str, Any]:
+        """What is stated of who measured what, with the time of the run and its plan; nothing where nobody has."""
+        stated, header = self.settings.laboratory, self.settings.run
+        return {} if stated is None else stated.stated() | {"measured": header.created, "plan": header.plan}
+
     @cached_property
     def bands(self) -> tuple[Band, ...]:
         """The bands that every point is measured in, in order."""

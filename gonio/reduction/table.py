@@ -181,7 +181,7 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
             "seed": run.seed,
             "reference": [_account(result) for result in results],
             "filling": filling(description),
-            **_laboratory(run),
+            **({"laboratory": run.laboratory} if run.laboratory else {}),
             **({"calibrations": used} if (used := _calibrations(description)) else {}),
             **({"merge": [result.merged for result in results]} if description.acquisition.by_pixels else {}),
         },
@@ -220,15 +220,6 @@ def _of_band(result: BandResult, flags: list[str], clipped: float) -> list[Check
     )
     taken = Taken(result.frames, result.left_out, result.scatter, result.freedom, clipped, flags)
     return of_run(taken, visits, result.band.name)
-
-
-def _laboratory(run: Run) -> dict[str, Any]:
-    """Who measured what and when; nothing where neither rig file nor plan say."""
-    stated = run.settings.laboratory
-    if stated is None:
-        return {}
-    header = run.settings.run
-    return {"laboratory": stated.stated() | {"measured": header.created, "plan": header.plan}}
 
 
 def _calibrations(description: RigDescription) -> list[dict[str, str | None]]:

@@ -19,7 +19,7 @@ plugins = pytest.importorskip("bluesky_tiled_plugins", reason="bluesky-tiled-plu
 
 @pytest.mark.filterwarnings("ignore")  # theirs
 def test_tiled_reads_back_every_key_bit_for_bit(tmp_path: Path) -> None:
-    from tiled.client import from_uri
+    from tiled.client import from_context, from_uri
     from tiled.server import SimpleTiledServer
 
     from gonio.acquisition.measure import RigChoice, carry_out
@@ -33,8 +33,8 @@ def test_tiled_reads_back_every_key_bit_for_bit(tmp_path: Path) -> None:
     write(str(run.path), tmp_path / "run.jsonl")
     told = list(read(tmp_path / "run.jsonl"))
     names = {d["uid"]: d["name"] for kind, d in told if kind == "descriptor"}
-    with SimpleTiledServer(readable_storage=[str(run.path)]) as server:
-        client = from_uri(server.uri)
+    with SimpleTiledServer(readable_storage=[str(run.path)]) as server, from_uri(server.uri).context as context:
+        client = from_context(context)
         writer = plugins.TiledWriter(client)
         for kind, document in told:
             writer(kind, copy.deepcopy(document))

@@ -56,6 +56,7 @@ class MadeRun:
     bands: tuple[Band, ...] = (BAND,)
     sample: None = None
     seed: int = 0
+    laboratory: dict[str, Any] = field(default_factory=dict)
     taken: list[StepRecord] = field(default_factory=list)
 
     def steps(self) -> list[StepRecord]:

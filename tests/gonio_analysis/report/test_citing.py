@@ -18,8 +18,15 @@ STATED: dict[str, Any] = {"organisation": "Institute", "creators": [{"name": "Do
 def measured(laboratory: dict[str, Any] | None) -> pd.DataFrame:
     """One value, of a laboratory."""
     provenance = {} if laboratory is None else {"laboratory": laboratory}
-    angles = {"theta_i_deg": 0.0, "phi_i_deg": 0.0, "theta_r_deg": 30.0, "phi_r_deg": 180.0}
-    return table(**angles, wavelength_nm=550.0, brdf=[0.2], attrs={"sample": "tile", "provenance": provenance})
+    return table(
+        theta_i_deg=0.0,
+        phi_i_deg=0.0,
+        theta_r_deg=30.0,
+        phi_r_deg=180.0,
+        wavelength_nm=550.0,
+        brdf=[0.2],
+        attrs={"sample": "tile", "provenance": provenance},
+    )
 
 
 def test_a_complete_laboratory_is_cited(tmp_path: Path) -> None:
@@ -43,4 +50,4 @@ def test_what_is_missing_is_said_and_the_report_goes_on(tmp_path: Path) -> None:
 def test_nothing_is_cited_where_nobody_or_several_are_meant(tables: list[pd.DataFrame], tmp_path: Path) -> None:
     said: list[str] = []
     _cite(tables, tmp_path, said.append)
-    assert said == list(tmp_path.iterdir()) == []
+    assert (said, list(tmp_path.iterdir())) == ([], [])
