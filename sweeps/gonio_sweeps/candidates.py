@@ -20,6 +20,8 @@ THETA_I_DEG = (10.0, 30.0, 60.0, 75.0)
 THETA_R_DEG = {"start": -85.0, "stop": 85.0, "step": 1.0}
 NEAR_MIRROR_DEG = 5.0
 """Points at this angle from the mirror direction lie half as dense as there: lobes change with the half vector."""
+FAR_DEG = 20.0
+"""Far from the mirror direction the density is even: so many degrees are as much as the first `NEAR_MIRROR_DEG`."""
 INCIDENCE_DEG = 15.0
 """Angles of incidence that differ by so much are as unlike as `NEAR_MIRROR_DEG` at the mirror direction."""
 
@@ -82,8 +84,8 @@ def places(directions: Directions) -> Floats:
     """Coordinates (n, 3) in which points should lie about evenly: dense at the mirror direction, wider away from it."""
     omega = directions.from_mirror
     size = np.linalg.norm(omega, axis=-1)
-    near = 2.0 * np.sin(0.5 * np.radians(NEAR_MIRROR_DEG))
-    scale = np.arcsinh(size / near) / np.maximum(size, 1e-12)
+    near, far = (2.0 * np.sin(0.5 * np.radians(angle)) for angle in (NEAR_MIRROR_DEG, FAR_DEG))
+    scale = np.arcsinh(size / near) / np.maximum(size, 1e-12) + 1.0 / far
     # in the frame of the plane of incidence: along it and across it
     phi = directions.phi_i
     along = omega[..., 0] * np.cos(phi) + omega[..., 1] * np.sin(phi)

@@ -418,7 +418,8 @@ class Parameters:
     ) -> tuple[list[int], dict[str, Any]]:
         """The candidates of a batch, in the order of their choice, and numbers for the journal."""
         count = min(max(round(GROWTH * len(values)), SMALLEST), LARGEST)
-        count = LARGEST if covering or known is None else count
+        if covering or known is None:  # of a wrong model no batch learns anything for the next one
+            count = 3 * LARGEST if covering else LARGEST
         seen = self._seen(values, known, covering)
         here = reference_pose(self._description)
         way = self._durations.moves_s(here, self.candidates.poses)
