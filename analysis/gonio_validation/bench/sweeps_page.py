@@ -216,13 +216,14 @@ def _panels(s: Sweeps, geometry: str) -> Figure:
 
 
 def _plain(ax: Any) -> None:
-    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+    from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator, ScalarFormatter
 
-    for axis, subs in ((ax.xaxis, (1.0, 2.0, 5.0)), (ax.yaxis, (1.0,))):
-        axis.set_major_locator(LogLocator(subs=subs))
+    for axis, locator in ((ax.xaxis, MaxNLocator(3, steps=[1, 2, 5, 10])), (ax.yaxis, LogLocator())):
+        axis.set_major_locator(locator)
         axis.set_major_formatter(ScalarFormatter())
         axis.set_minor_formatter(NullFormatter())
         axis.get_major_formatter().set_scientific(False)
+    ax.xaxis.set_minor_locator(NullLocator())
     ax.grid(True, color=FAINT, lw=0.4)
     ax.tick_params(labelsize=7.5, length=2.5)
     for side in ("top", "right"):
