@@ -218,7 +218,9 @@ def _panels(s: Sweeps, geometry: str) -> Figure:
 def _plain(ax: Any) -> None:
     from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator, ScalarFormatter
 
-    for axis, locator in ((ax.xaxis, MaxNLocator(3, steps=[1, 2, 5, 10])), (ax.yaxis, LogLocator())):
+    low, high = ax.get_xlim()
+    times = LogLocator(subs=(1.0, 2.0, 5.0)) if high > 5.0 * low else MaxNLocator(3, steps=[1, 2, 5, 10])
+    for axis, locator in ((ax.xaxis, times), (ax.yaxis, LogLocator())):
         axis.set_major_locator(locator)
         axis.set_major_formatter(ScalarFormatter())
         axis.set_minor_formatter(NullFormatter())
