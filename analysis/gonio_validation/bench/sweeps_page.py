@@ -47,8 +47,9 @@ SHOWN = (
 def render(s: Sweeps, figures: Sequence[Figure]) -> Page:
     """The page."""
     links = (("time", "Rig time"), ("points", "Points"), ("intervals", "Intervals"), ("method", "Method"))
+    runs = "1 run" if s.seeds == 1 else f"{s.seeds} runs"
     what = (
-        f"{s.created[:10]}, gonio {s.machine.versions['gonio']}: {s.seeds} run{'s' * (s.seeds > 1)} of every plan on every sample, each "
+        f"{s.created[:10]}, gonio {s.machine.versions['gonio']}: {runs} of every plan on every sample, each "
         f"with errors and noise of its own; {number(s.seconds / 60, 2)} min of one processor."
     )
     rough = " A quick run: two samples, in plane alone." if s.quick else ""
