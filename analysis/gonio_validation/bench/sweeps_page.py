@@ -47,8 +47,9 @@ SHOWN = (
 def render(s: Sweeps, figures: Sequence[Figure]) -> Page:
     """The page."""
     links = (("time", "Rig time"), ("points", "Points"), ("intervals", "Intervals"), ("method", "Method"))
+    runs = "1 run" if s.seeds == 1 else f"{s.seeds} runs"
     what = (
-        f"{s.created[:10]}, gonio {s.machine.versions['gonio']}: {s.seeds} runs of every plan on every sample, each "
+        f"{s.created[:10]}, gonio {s.machine.versions['gonio']}: {runs} of every plan on every sample, each "
         f"with errors and noise of its own; {number(s.seconds / 60, 2)} min of one processor."
     )
     rough = " A quick run: two samples, in plane alone." if s.quick else ""
@@ -216,13 +217,16 @@ def _panels(s: Sweeps, geometry: str) -> Figure:
 
 
 def _plain(ax: Any) -> None:
-    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+    from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator, ScalarFormatter
 
-    for axis, subs in ((ax.xaxis, (1.0, 2.0, 5.0)), (ax.yaxis, (1.0,))):
-        axis.set_major_locator(LogLocator(subs=subs))
+    low, high = ax.get_xlim()
+    times = LogLocator(subs=(1.0, 2.0, 5.0)) if high > 5.0 * low else MaxNLocator(3, steps=[1, 2, 5, 10])
+    for axis, locator in ((ax.xaxis, times), (ax.yaxis, LogLocator())):
+        axis.set_major_locator(locator)
         axis.set_major_formatter(ScalarFormatter())
         axis.set_minor_formatter(NullFormatter())
         axis.get_major_formatter().set_scientific(False)
+    ax.xaxis.set_minor_locator(NullLocator())
     ax.grid(True, color=FAINT, lw=0.4)
     ax.tick_params(labelsize=7.5, length=2.5)
     for side in ("top", "right"):

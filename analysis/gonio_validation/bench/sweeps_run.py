@@ -68,7 +68,8 @@ def carried_out(name: str, geometry: Geometry, seed: int) -> dict[str, Any]:
     most = max(SIZES[geometry]) * len(INCIDENCES[geometry])
     results += _adaptive("adaptive", rig(1), geometry, None, round(0.6 * most), places, truth)
     if geometry == "in plane":
-        by_points = int(SHARE * most)
+        # of those that the blocked cone leaves
+        by_points = int(SHARE * max(r.points for r in results if r.plan == "uniform"))
         results += _adaptive("adaptive by points", rig(2), geometry, by_points, by_points, places, truth)[-1:]
     seconds = time.perf_counter() - began
     return {
