@@ -66,6 +66,7 @@ class Watched:
         """Whether values are wanted although nobody looks at a page."""
         self.problem = ""
         self._follower = Follower(path)
+        self._tried = -LOOK_S
         self._changed = changed
         self._news = threading.Condition()
         self._ended = False
@@ -136,7 +137,8 @@ class Watched:
                 break
             if self._follower.lives != self._life:
                 self._begin_anew()
-            if self.run is None and events:
+            if self.run is None and events and time.monotonic() - self._tried >= LOOK_S:
+                self._tried = time.monotonic()
                 self._open()
             out, reduced = [], []
             for event in events:
@@ -166,7 +168,7 @@ class Watched:
         """Another journal is in the place of the one that was read."""
         with self._news:
             self._life = self._follower.lives
-            self.story, self.run, self.values = Story(), None, []
+            self.story, self.run, self.values, self._tried = Story(), None, [], -LOOK_S
             self._first.clear()
             self._points.clear()
         self.log.restart()
