@@ -1,7 +1,7 @@
 """A run that is being measured, or was: its journal as events of a page, its values so far, its last frame.
 
-Everything here reads. A thread looks at the journal every `POLL_S`. Another one reduces frames while somebody looks
-at a page: with the lowest priority, and in a tenth of its time at most.
+Everything here reads, and only while somebody looks. A thread looks at the journal every `POLL_S`. Another one
+reduces frames with the lowest priority, and in a tenth of its time at most.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Watched:
         self.run: Run | None = None
         self.values: list[Values] = []
         self.wanted = False
-        """Whether values are wanted although nobody looks at a page."""
+        """Whether the run is shown although nobody looks at a page."""
         self.problem = ""
         self._follower = Follower(path)
         self._tried = -LOOK_S
@@ -122,6 +122,10 @@ class Watched:
     def _follow(self) -> None:
         looked = -LOOK_S
         while not self._ended:
+            if not self._is_attended():
+                with self._news:
+                    self._news.wait_for(lambda: self._ended, POLL_S)
+                continue
             new = self.look()
             if new or time.monotonic() - looked >= LOOK_S:
                 looked = time.monotonic()
@@ -279,7 +283,11 @@ class Watched:
                     self._news.wait_for(lambda: self._ended, worked * (1.0 / SHARE - 1.0))
 
     def _is_wanted(self) -> bool:
-        return self.behind > 0 and self.run is not None and (self.wanted or self.log.listeners > 0)
+        return self.behind > 0 and self.run is not None and self._is_attended()
+
+    def _is_attended(self) -> bool:
+        """Whether somebody looks: else the journal is not even read."""
+        return self.wanted or self.log.listeners > 0
 
     def _reduce_one(self, provisional: Provisional, event: Event) -> None:
         if event.get("event") == "lost":

@@ -18,7 +18,7 @@ from tests.gonio.live.runs import Played
 
 @pytest.fixture
 def followed(played: Played) -> Iterator[Watched]:
-    with Watched(played.path) as watched:
+    with Watched(played.path) as watched, watched.log.listening():
         yield watched
 
 
@@ -40,13 +40,16 @@ def test_every_line_is_an_event_with_its_number(played: Played, followed: Watche
     until(lambda: followed.status()["state"] == "ended")
 
 
-def test_nothing_is_reduced_while_nobody_looks(played: Played, followed: Watched) -> None:
+def test_nothing_is_read_while_nobody_looks(played: Played, monkeypatch: pytest.MonkeyPatch) -> None:
     played.go_on(100)
-    until(lambda: len(followed.log) == len(played.lines))
-    assert (followed.behind, followed.values) == (24, [])
-    with followed.log.listening():
-        until(lambda: followed.behind == 0)
-        until(lambda: [len(values.points) for values in followed.values] == [16, 16])
+    with Watched(played.path) as watched:
+        looked = threading.Event()
+        monkeypatch.setattr(watched, "look", looked.set)
+        assert not looked.wait(0.5), "two rounds and a half"
+        monkeypatch.undo()
+        with watched.log.listening():
+            until(lambda: len(watched.log) == len(played.lines) and watched.behind == 0)
+            until(lambda: [len(values.points) for values in watched.values] == [16, 16])
 
 
 def test_the_last_frame_is_a_picture(played: Played, followed: Watched) -> None:
@@ -62,7 +65,7 @@ def test_the_last_frame_is_a_picture(played: Played, followed: Watched) -> None:
 
 def test_who_measures_gets_the_lock_while_others_watch(tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
-    with Watched(tmp_path / "run") as watched:
+    with Watched(tmp_path / "run") as watched, watched.log.listening():
         for n in range(60):
             with Journal(tmp_path / "run" / "journal.jsonl") as journal:  # each time the lock is taken anew
                 journal.append({"event": "session", "steps": 1, "left": 1})
