@@ -39,6 +39,8 @@ PICTURE_S = 1.0
 """A frame is made a picture of at most so often."""
 TOLD_S = 0.7
 """Values are handed on so often, while there are more to come."""
+LONGEST_S = 2.0
+"""It rests no longer for it: the first step reads the dark frames as well."""
 PATIENCE_S = 5.0
 """A step that is being reduced at the end is waited for so long at most."""
 SHARE = 0.1
@@ -280,7 +282,7 @@ class Watched:
             if not self.story.stopped:
                 with self._news:
                     worked = time.monotonic() - began
-                    self._news.wait_for(lambda: self._ended, worked * (1.0 / SHARE - 1.0))
+                    self._news.wait_for(lambda: self._ended, min(worked * (1.0 / SHARE - 1.0), LONGEST_S))
 
     def _is_wanted(self) -> bool:
         return self.behind > 0 and self.run is not None and self._is_attended()
