@@ -55,6 +55,8 @@ RETRY_MS = 1000
 """A browser asks again so long after a stream broke."""
 BATCH = 256
 """Events that a client is sent at once."""
+PIECE = 65536
+"""Bytes that a client has to take within `SLOW_S`."""
 LOOPBACK = "127.0.0.1"
 
 CSP = (
@@ -430,7 +432,9 @@ class _Client(BaseHTTPRequestHandler):
                 while not self._gone():
                     events, number, version = self.server.events.after(number, version, HEARTBEAT_S)
                     if events:
-                        self.connection.sendall(b"".join(event.encode() for event in events))
+                        data = b"".join(event.encode() for event in events)
+                        for at in range(0, len(data), PIECE):
+                            self.connection.sendall(data[at : at + PIECE])
                     elif self.server.events.closed:
                         self.connection.sendall(b"event: bye\ndata: {}\n\n")
                         return

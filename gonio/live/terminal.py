@@ -117,25 +117,30 @@ def render(watched: Watched) -> RenderableType:
     rows.add_column()
     events = watched.events_after(max(0, len(watched.log) - 400))
     step = next((event for event in reversed(events) if event["event"] == "step"), None)
+
+    def row(name: str, text: str) -> None:
+        rows.add_row(name, Text(text))  # brackets are no markup
+
     if step is not None:
-        rows.add_row("now", step_line(step))
-        rows.add_row("axes", "  ".join(f"{name} {value:.2f}°" for name, value in step["pose_deg"].items()))
+        row("now", step_line(step))
+        row("axes", "  ".join(f"{name} {value:.2f}°" for name, value in step["pose_deg"].items()))
         told = [f"{d} {q.replace('_', ' ')} {v}{u}" for d, q, v, u in step["health"] if u != "deg" and v is not None]
         if told:
-            rows.add_row("devices", "  ".join(told))
+            row("devices", "  ".join(told))
     if watched.values:
-        rows.add_row("reference", f"{drift_line(watched)} since the first visit")
-        rows.add_row("values", "\n".join([*values_lines(watched), "provisional"]))
+        row("reference", f"{drift_line(watched)} since the first visit")
+        row("values", "\n".join([*values_lines(watched), "provisional"]))
     flags = [event for event in events if event["event"] == "step" and event["flag"]]
     if flags:
-        rows.add_row("flagged", "\n".join(step_line(event) for event in flags[-LISTED:]))
+        row("flagged", "\n".join(step_line(event) for event in flags[-LISTED:]))
     others = [event for event in events if event["event"] != "step"]
     if others:
         told = [f"{_clock(event)} {event['event']}: {event['text']}" for event in others[-LISTED:]]
-        rows.add_row("events", "\n".join(told))
+        row("events", "\n".join(told))
     if status["sittings"]:
         began, last, _ = status["sittings"][-1]
-        rows.add_row("sitting", f"{len(status['sittings'])}., {ago(last - began)}")
-    bar = ProgressBar(total=max(status["total"], 1), completed=status["done"])
+        row("sitting", f"{len(status['sittings'])}., {ago(last - began)}")
+    bar = Table.grid(expand=True)  # a bar alone does not end its line
+    bar.add_row(ProgressBar(total=max(status["total"], 1), completed=status["done"]))
     name = watched.path.absolute().name
     return Panel(Group(Text(summary(status), style="bold"), bar, rows), title=name, title_align="left")

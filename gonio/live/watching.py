@@ -1,7 +1,7 @@
 """A run that is being measured, or was: its journal as events of a page, its values so far, its last frame.
 
-Everything here reads. A thread looks at the journal every `POLL_S`. Another one reduces frames while somebody looks
-at a page: with the lowest priority, and in a tenth of its time at most.
+Everything here reads, and only while somebody looks. A thread looks at the journal every `POLL_S`. Another one
+reduces frames with the lowest priority, and in a tenth of its time at most.
 """
 
 from __future__ import annotations
@@ -39,6 +39,8 @@ PICTURE_S = 1.0
 """A frame is made a picture of at most so often."""
 TOLD_S = 0.7
 """Values are handed on so often, while there are more to come."""
+LONGEST_S = 2.0
+"""It rests no longer for it: the first step reads the dark frames as well."""
 PATIENCE_S = 5.0
 """A step that is being reduced at the end is waited for so long at most."""
 SHARE = 0.1
@@ -63,9 +65,10 @@ class Watched:
         self.run: Run | None = None
         self.values: list[Values] = []
         self.wanted = False
-        """Whether values are wanted although nobody looks at a page."""
+        """Whether the run is shown although nobody looks at a page."""
         self.problem = ""
         self._follower = Follower(path)
+        self._tried = -LOOK_S
         self._changed = changed
         self._news = threading.Condition()
         self._ended = False
@@ -121,6 +124,10 @@ class Watched:
     def _follow(self) -> None:
         looked = -LOOK_S
         while not self._ended:
+            if not self._is_attended():
+                with self._news:
+                    self._news.wait_for(lambda: self._ended, POLL_S)
+                continue
             new = self.look()
             if new or time.monotonic() - looked >= LOOK_S:
                 looked = time.monotonic()
@@ -136,7 +143,8 @@ class Watched:
                 break
             if self._follower.lives != self._life:
                 self._begin_anew()
-            if self.run is None and events:
+            if self.run is None and events and time.monotonic() - self._tried >= LOOK_S:
+                self._tried = time.monotonic()
                 self._open()
             out, reduced = [], []
             for event in events:
@@ -166,7 +174,7 @@ class Watched:
         """Another journal is in the place of the one that was read."""
         with self._news:
             self._life = self._follower.lives
-            self.story, self.run, self.values = Story(), None, []
+            self.story, self.run, self.values, self._tried = Story(), None, [], -LOOK_S
             self._first.clear()
             self._points.clear()
         self.log.restart()
@@ -274,10 +282,14 @@ class Watched:
             if not self.story.stopped:
                 with self._news:
                     worked = time.monotonic() - began
-                    self._news.wait_for(lambda: self._ended, worked * (1.0 / SHARE - 1.0))
+                    self._news.wait_for(lambda: self._ended, min(worked * (1.0 / SHARE - 1.0), LONGEST_S))
 
     def _is_wanted(self) -> bool:
-        return self.behind > 0 and self.run is not None and (self.wanted or self.log.listeners > 0)
+        return self.behind > 0 and self.run is not None and self._is_attended()
+
+    def _is_attended(self) -> bool:
+        """Whether somebody looks: else the journal is not even read."""
+        return self.wanted or self.log.listeners > 0
 
     def _reduce_one(self, provisional: Provisional, event: Event) -> None:
         if event.get("event") == "lost":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import sys
 import threading
 from pathlib import Path
 
@@ -76,4 +77,6 @@ def watch(run: Path, host: str, port: int | None, text: bool) -> None:
             else:
                 threading.Event().wait()
     except KeyboardInterrupt:  # that is how it ends
-        return
+        with contextlib.suppress(OSError, ValueError):
+            sys.stdout.flush()
+        os._exit(0)  # a thread that imports a library, or serves a slow client, would be torn out of it

@@ -232,6 +232,7 @@
       select.replaceChildren(...names.map((name) => new Option(name, name)));
       if (chosen) select.value = chosen;
     }
+    select.hidden = !names.length;
     const root = $("map"), map = maps.find((m) => m.label === select.value);
     root.replaceChildren();
     const R = 165;

@@ -294,7 +294,7 @@ def clients() -> int:
 
 
 def test_a_client_that_takes_nothing_is_dropped_and_delays_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "SLOW_S", 0.2)
+    monkeypatch.setattr(module, "SLOW_S", 1.0)
     before = clients()
     with Server({"/": lambda request: PAGE}, EventLog()) as server:
         with closing(stream(server)) as slow, closing(stream(server)) as fast:

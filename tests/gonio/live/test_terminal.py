@@ -1,0 +1,78 @@
+"""The run in the terminal says what the page says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from rich.console import Console
+
+from gonio.acquisition.journal import decode, encode
+from gonio.live import terminal
+from gonio.live.watching import Watched
+from tests.gonio.live.runs import Played
+from tests.gonio.live.test_watching import until
+
+
+@pytest.fixture
+def ended(played: Played) -> Iterator[Watched]:
+    """A run that has ended, with a point that was flagged, all values made."""
+    flagged = decode(played.lines[4])
+    assert flagged is not None
+    played.lines[4] = encode(flagged | {"flag": "moved"})
+    played.go_on(100)
+    with Watched(played.path) as watched:
+        watched.wanted = True
+        until(lambda: len(watched.log) == len(played.lines) and watched.behind == 0)
+        until(lambda: len(watched.values) == 2 and len(watched.values[0].points) == 15)
+        yield watched
+
+
+def test_the_panel_shows_steps_values_flags_drift_and_events(ended: Watched) -> None:
+    console = Console(width=110, record=True, file=None, force_terminal=False)
+    with console.capture() as shown:
+        console.print(terminal.render(ended))
+    text = shown.get()
+    assert "ended: step 24 of 24, 1 flagged" in text
+    assert "[moved]" in text
+    assert "since the first visit" in text
+    assert "1/sr" in text
+    assert " ± " in text
+    assert "provisional" in text
+    assert "session: a sitting begins: 24 steps to take" in text
+    assert "camera" in text
+
+
+def test_a_step_in_a_line(ended: Watched) -> None:
+    steps = [event for event in ended.events_after(0) if event["event"] == "step"]
+    lines = [terminal.step_line(event) for event in steps]
+    assert lines[0] == "step 0: dark"
+    assert lines[1].startswith("step 1: reference; ")
+    point = next(event for event in steps if event["kind"] == "point")
+    theta_r = point["angles_deg"][2]
+    assert f"theta_i 30, theta_r {theta_r:g}, dphi 0 deg; " in terminal.step_line(point)
+    assert "% of full scale in" in terminal.step_line(point)
+
+
+def test_a_summary_in_a_line() -> None:
+    status = {"state": "running", "done": 3, "total": 9, "left_s": 7200, "flagged": 1, "free_bytes": 5e9, "why": "so"}
+    assert terminal.summary(status) == "running: step 3 of 9, about 2 h 00 min left, 1 flagged, 5 GB free (so)"
+
+
+def test_plain_lines_come_where_nobody_looks(
+    ended: Watched, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Enough(Exception):
+        """The user has seen enough."""
+
+    class Once:
+        def wait(self, seconds: float) -> None:
+            raise Enough
+
+    monkeypatch.setattr("threading.Event", Once)
+    with pytest.raises(Enough):
+        terminal.show(ended)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].endswith("session: a sitting begins: 24 steps to take (gonio 0.1.0)")
+    assert sum("  step " in line for line in lines) == 24
+    assert lines[-1].startswith("ended: step 24 of 24, 1 flagged")
