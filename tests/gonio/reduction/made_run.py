@@ -57,6 +57,7 @@ class MadeRun:
     sample: None = None
     seed: int = 0
     taken: list[StepRecord] = field(default_factory=list)
+    lit_anew_s: list[float] = field(default_factory=list)
 
     def steps(self) -> list[StepRecord]:
         return self.taken
