@@ -58,6 +58,7 @@ class MadeRun:
     seed: int = 0
     laboratory: dict[str, Any] = field(default_factory=dict)
     taken: list[StepRecord] = field(default_factory=list)
+    lit_anew_s: list[float] = field(default_factory=list)
 
     def steps(self) -> list[StepRecord]:
         return self.taken
