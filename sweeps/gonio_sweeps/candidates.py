@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ValidationError
 
-from gonio.acquisition.plan import Plan, Point, Sweep, assess, canonical, count_reasons
+from gonio.acquisition.plan import Plan, Point, assess, canonical, count_reasons
+from gonio.acquisition.sweeps import Sweep
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.rig import Pose
