@@ -122,8 +122,7 @@ class Curve:
         self._grid = Grid.of(self._directions, _weights(self.candidates.points))
         self._errors = _angle_errors(description)
         self._first = self._covering()
-        first = [self.candidates.poses[k] for k in self._first]
-        expected.require_budget(where, self._budget_s, self.durations, first)
+        self._check_budget(where)
 
     def about(self) -> list[str]:
         """What it will do, a line each."""
@@ -152,6 +151,10 @@ class Curve:
         begin = np.array([int(np.argmin(mirror))])
         chosen = spread(at, min(count, len(at)), begin)
         return [chosen[k] for k in snake([self.candidates.points[k] for k in chosen])]
+
+    def _check_budget(self, where: str) -> None:
+        poses = [self.candidates.poses[k] for k in self._first]
+        expected.require_budget(where, self._budget_s, self.durations, poses)
 
     def first(self, planned: Sequence[Point]) -> Sequence[Point]:
         """A covering of the candidates; nothing where the plan has as many points of its own."""

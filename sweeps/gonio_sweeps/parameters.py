@@ -170,8 +170,7 @@ class Parameters:
         self._online = Online(self._band)
         self._places = places(self.candidates.directions)
         self._first = self._covering()
-        first = [self.candidates.poses[k] for k in self._first]
-        expected.require_budget(where, self._budget_s, self._durations, first)
+        self._check_budget(where)
 
     @property
     def _request(self) -> FitRequest:
@@ -187,6 +186,11 @@ class Parameters:
             known = ", ".join(f"{band.centre_nm:g}" for band in self._bands)
             raise ConfigError(f"{where} wavelength_nm = {wanted:g}: the plan's bands lie at {known} nm")
         return min(self._bands, key=lambda band: abs(band.centre_nm - DEFAULT_WAVELENGTH_NM))
+
+    def _check_budget(self, where: str) -> None:
+        """The budget holds what is measured before anything is known."""
+        poses = [self.candidates.poses[k] for k in self._first]
+        expected.require_budget(where, self._budget_s, self._durations, poses)
 
     def about(self) -> list[str]:
         """What it will do, a line each."""

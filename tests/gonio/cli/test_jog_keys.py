@@ -10,7 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from gonio.cli.live_keys import End, Jog, Keys, Line
+from gonio.cli.jog_keys import End, Jog, JogKeys, Line
 from tests.command_line import gonio
 
 AXES = ("light", "camera", "tilt")
@@ -19,7 +19,7 @@ PATIENCE_S = 60.0
 
 
 def test_a_line_is_what_was_typed_when_it_ends() -> None:
-    keys = Keys(AXES)
+    keys = JogKeys(AXES)
     assert keys.feed(b"lamp onn") == []
     assert keys.typed == "lamp onn"
     assert keys.feed(b"\x7f\n") == [Line("lamp on")]
@@ -29,7 +29,7 @@ def test_a_line_is_what_was_typed_when_it_ends() -> None:
 
 
 def test_arrows_jog_and_choose_the_step_and_tab_the_axis() -> None:
-    keys = Keys(AXES)
+    keys = JogKeys(AXES)
     assert keys.feed(b"\x1b[C\x1b[D") == [Jog("light", 0.5), Jog("light", -0.5)]
     assert keys.feed(b"\x1b[A\x1b[C") == [Jog("light", 1.0)]
     assert keys.feed(b"\x1b[B\x1b[B\t\x1bOC") == [Jog("camera", 0.2)]
@@ -39,7 +39,7 @@ def test_arrows_jog_and_choose_the_step_and_tab_the_axis() -> None:
 
 
 def test_sequences_may_come_in_parts_and_unknown_ones_mean_nothing() -> None:
-    keys = Keys(AXES)
+    keys = JogKeys(AXES)
     assert keys.feed(b"\x1b") == []
     assert keys.feed(b"[") == []
     assert keys.feed(b"C") == [Jog("light", 0.5)]
