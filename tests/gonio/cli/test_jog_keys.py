@@ -8,6 +8,7 @@ import re
 import select
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 from gonio.cli.jog_keys import End, Jog, JogKeys, Line
@@ -79,8 +80,12 @@ def test_a_terminal_is_read_key_by_key_and_is_as_it_was_afterwards(tmp_path: Pat
 
         def until(pattern: bytes) -> None:
             nonlocal said
+            end = time.monotonic() + PATIENCE_S  # the status line is drawn again and again: silence ends nothing
             while not re.search(pattern, said):
-                assert select.select([ours], [], [], PATIENCE_S)[0], said
+                left = end - time.monotonic()
+                if left <= 0 or not select.select([ours], [], [], left)[0]:
+                    child.kill()
+                    raise AssertionError(f"{pattern!r} does not come: {said[-2000:]!r}")
                 said += os.read(ours, 4096)
 
         until(rb"\[light 0.5 deg\] > ")
