@@ -118,6 +118,6 @@ def test_a_stranger_s_entry_points_are_found_by_the_commands(tmp_path: Path, her
     frames = [frame for step in run.steps() for frame in step.frames]
     assert [row["file"] for row in rows] == [frame.file for frame in frames]
     assert [float(row["exposure_s"]) for row in rows] == [frame.exposure_s for frame in frames]
-    with pytest.raises(ConfigError, match="name a .csv"):
+    with pytest.raises(ConfigError, match=r"name a \.csv"):
         plugins.load("gonio.exports", "frames")(str(tmp_path / "run"), tmp_path / "frames.txt")
     assert not (tmp_path / "frames.txt").exists()
