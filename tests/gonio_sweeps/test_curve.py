@@ -230,12 +230,11 @@ def test_a_run_that_is_stopped_and_gone_on_with_is_the_same_run(tmp_path: Path) 
     whole = measure("whole")
     assert len(whole.batches) == 2
     assert whole.enough
-    for steps in (5, 22):  # among the first points, and within a batch
-        with pytest.raises(Interrupted):
-            measure(f"run{steps}", progress=StopAfter(steps))
-        resumed = measure(f"run{steps}", resume=True)
-        assert list(resumed.steps()) == list(whole.steps())
-        assert brdf.reduce(resumed).equals(brdf.reduce(whole))
+    with pytest.raises(Interrupted):
+        measure("stopped", progress=StopAfter(22))  # within a batch
+    resumed = measure("stopped", resume=True)
+    assert list(resumed.steps()) == list(whole.steps())
+    assert brdf.reduce(resumed).equals(brdf.reduce(whole))
     found = reconstruct(brdf.reduce(whole))
     # the rig's sample is Lambertian, of albedo 0.5
     inside = (found["lower"] <= 0.5 / np.pi) & (0.5 / np.pi <= found["upper"])
