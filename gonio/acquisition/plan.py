@@ -1,7 +1,7 @@
 """What to measure: plan files, the points they stand for, and the numbered steps that a rig makes of them.
 
 A plan knows nothing of a rig, so that one plan can run on several. `assess` says which of its points a rig can reach,
-and why not the others; `schedule` makes the fixed list of steps that a run is (docs/acquisition.md).
+and why not the others; `schedule` makes the fixed list of steps that a run begins with (docs/acquisition.md).
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gonio.cli.live_keys import End, Jog, Keys, Line
+from gonio.cli.jog_keys import End, Jog, JogKeys, Line
 
 if TYPE_CHECKING:
     from gonio.by_hand.assistant import Assistant
@@ -73,7 +73,7 @@ class Terminal:
     """The person's terminal: a status line with what is being typed; or, where there is none, lines of a pipe."""
 
     def __init__(self, axes: list[str]) -> None:
-        self._keys = Keys(axes)
+        self._keys = JogKeys(axes)
         self._lock = threading.Lock()
         self._ended = threading.Event()
         self._assistant: Assistant | None = None

@@ -66,7 +66,7 @@ def duration(seconds: float) -> str:
 def progress(pause: Pause | None = None) -> contextlib.AbstractContextManager[Progress]:
     """Somebody who shows a measurement: a bar with a line of live values on a terminal, a few plain lines elsewhere.
 
-    With `pause` its keys are heard where a terminal is there to press them on (`gonio.cli.keys`).
+    With `pause` its keys are heard where a terminal is there to press them on (`gonio.cli.pause_keys`).
     """
     return _on_terminal(pause) if sys.stderr.isatty() else contextlib.nullcontext(_Lines())
 
@@ -206,10 +206,10 @@ class _Bar:
     def __init__(self, console: Console, pause: Pause | None) -> None:
         from rich.live import Live as Screen
 
-        from gonio.cli.keys import Keys
+        from gonio.cli.pause_keys import PauseKeys
 
         self._pause = pause
-        self.keys = Keys(pause) if pause is not None and Keys.possible() else contextlib.nullcontext()
+        self.keys = PauseKeys(pause) if pause is not None and PauseKeys.possible() else contextlib.nullcontext()
         self._bar = _progress_bar("measuring", console, own_rest=True)
         self._task = self._bar.add_task("", total=None, left="")
         self._text, self._rest = "", _Rest()

@@ -17,8 +17,8 @@ from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
 from gonio.errors import GonioError
 from gonio.geometry import Directions
-from gonio.reduction import brdf as reduction
 from gonio.reduction.count_rates import Reduced, RunFrames
+from gonio.reduction.growing import so_far
 from gonio.rig.description import Band
 from gonio.typing import Floats
 
@@ -88,26 +88,20 @@ class Provisional:
             if not visits:
                 continue
             try:
-                fitted, reference = reduction.level(self._frames.run, [r for _, r in points], visits, band)
+                known = so_far(self._frames.run, [r for _, r in points], visits, band)
             except GonioError:  # a visit without light, say: `gonio reduce` says it
                 continue
-            times = np.array([r.time_s for _, r in points])
-            level = fitted.at(times) if points else np.zeros(0)
-            brdf = np.array([r.rate for _, r in points]) / level
-            u = np.zeros(0)
-            if points:
-                noise = np.sqrt([r.variance for _, r in points]) / level
-                shared = np.hypot(np.hypot(fitted.extra(times), fitted.noise(times)), fitted.drift(times)) / level
-                u = np.sqrt(noise**2 + brdf**2 * (shared**2 + reference.u_rel**2))
+            noise = np.array([r.variance for _, r in points]) / known.level**2
+            shared = sum((by**2 for by in known.common.values()), known.u_visits**2)
             first = min(visits, key=lambda visit: visit.time_s)
             out.append(
                 Values(
                     band,
                     [number for number, _ in points],
                     [int(r.point) for _, r in points if r.point is not None],
-                    Directions.stack([r.directions for _, r in points]),
-                    brdf,
-                    u,
+                    known.directions,
+                    known.brdf,
+                    np.sqrt(noise + shared),
                     [(number, *_over(r, first)) for number, r in sorted(visited, key=lambda pair: pair[1].time_s)],
                 )
             )

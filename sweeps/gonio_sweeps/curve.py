@@ -23,7 +23,7 @@ from gonio.acquisition.schedule import reference_pose
 from gonio.config import Strict, parse
 from gonio.errors import ConfigError
 from gonio.reduction.table import angle_axes, zero_uncertainties
-from gonio.rig import Pose, Step
+from gonio.rig import Pose
 from gonio.rig.description import Positive, RigDescription
 from gonio.typing import Floats
 from gonio_sweeps import curve_choice, expected
@@ -154,14 +154,7 @@ class Curve:
 
     def _check_budget(self, where: str) -> None:
         poses = [self.candidates.poses[k] for k in self._first]
-        seconds = [self.durations.frames_s(Step(0, "point", 0, pose)) for pose in poses]
-        least = self._description.lamp.warm_up_s + self.durations.frames_s(Step(0, "dark"))
-        least += expected.batch_s(self.durations, poses, seconds, Pose())
-        if self._budget_s < least:
-            raise ConfigError(
-                f"{where} budget_h = {self._budget_s / 3600.0:g}: dark frames, a visit to the reference and the first "
-                f"{len(poses)} points alone take about {least / 3600.0:.2g} h on this rig"
-            )
+        expected.require_budget(where, self._budget_s, self.durations, poses)
 
     def first(self, planned: Sequence[Point]) -> Sequence[Point]:
         """A covering of the candidates; nothing where the plan has as many points of its own."""

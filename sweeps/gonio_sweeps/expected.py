@@ -13,6 +13,7 @@ from gonio.acquisition.duration import Durations
 from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
 from gonio.acquisition.schedule import reference_pose
+from gonio.errors import ConfigError
 from gonio.rig import Pose, Step
 from gonio.rig.description import RigDescription
 from gonio.rig.imaging import pixel_on_sample_mm
@@ -93,6 +94,18 @@ def batch_s(durations: Durations, poses: Sequence[Pose], seconds: Sequence[float
             total += durations.move_s(here, at_reference) + visit_s
             here = at_reference
     return total
+
+
+def require_budget(where: str, budget_s: float, durations: Durations, poses: Sequence[Pose]) -> None:
+    """Raise `ConfigError` where a budget [s] does not hold what is measured before anything is known, at some poses."""
+    seconds = [durations.frames_s(Step(0, "point", 0, pose)) for pose in poses]
+    least = durations.description.lamp.warm_up_s + durations.frames_s(Step(0, "dark"))
+    least += batch_s(durations, poses, seconds, Pose())
+    if budget_s < least:
+        raise ConfigError(
+            f"{where} budget_h = {budget_s / 3600.0:g}: dark frames, a visit to the reference and the first "
+            f"{len(poses)} points alone take about {least / 3600.0:.2g} h on this rig"
+        )
 
 
 def spent_s(durations: Durations, run: Run) -> float:

@@ -17,8 +17,8 @@ import numpy.typing as npt
 from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
 from gonio.geometry import Directions
-from gonio.reduction import brdf
 from gonio.reduction.count_rates import Reduced, Rejected, RunFrames, in_threads
+from gonio.reduction.growing import so_far
 from gonio.rig import Pose
 from gonio.rig.description import Band
 from gonio.typing import Floats
@@ -97,24 +97,16 @@ def _name(record: StepRecord, darks: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _values(run: Run, points: list[Reduced], visits: list[Reduced], band: Band) -> Values:
-    fitted, reference = brdf.level(run, points, visits, band)
-    times = np.array([point.time_s for point in points])
-    level = fitted.at(times)
-    value = np.array([point.rate for point in points]) / level
+    known = so_far(run, points, visits, band)
     # the dark frames' noise, which neighbours share, counts as independent here
-    variance = np.array([point.variance + float(np.sum(point.dark**2)) for point in points]) / level**2
+    variance = np.array([point.variance + float(np.sum(point.dark**2)) for point in points]) / known.level**2
     prnu = run.description.camera.prnu * np.sqrt([2.0 / point.pixels for point in points])
-    extra = value * fitted.extra(times) / level
     return Values(
         rows=np.array([point.point for point in points], dtype=np.intp),
-        directions=Directions.stack([point.directions for point in points]),
+        directions=known.directions,
         poses=tuple(point.pose for point in points),
-        brdf=value,
-        u_noise=np.sqrt(variance + (prnu * value) ** 2 + extra**2),
-        common={
-            "s_reference": value * reference.u_rel,
-            "s_reference_noise": -value * fitted.noise(times) / level,
-            "s_lamp_drift": -value * fitted.drift(times) / level,
-        },
-        time_s=times,
+        brdf=known.brdf,
+        u_noise=np.sqrt(variance + (prnu * known.brdf) ** 2 + known.u_visits**2),
+        common=known.common,
+        time_s=known.time_s,
     )

@@ -34,7 +34,7 @@ from gonio.config import Strict, parse
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import solid_angle_of_cone
 from gonio.reduction import brdf as reduction
-from gonio.rig import Pose, Step
+from gonio.rig import Pose
 from gonio.rig.description import Band, Positive, RigDescription
 from gonio.typing import Floats
 from gonio_sweeps import expected, fisher, lack_of_fit
@@ -170,7 +170,7 @@ class Parameters:
         self._online = Online(self._band)
         self._places = places(self.candidates.directions)
         self._first = self._covering()
-        self._check_budget(where, plan)
+        self._check_budget(where)
 
     @property
     def _request(self) -> FitRequest:
@@ -187,17 +187,10 @@ class Parameters:
             raise ConfigError(f"{where} wavelength_nm = {wanted:g}: the plan's bands lie at {known} nm")
         return min(self._bands, key=lambda band: abs(band.centre_nm - DEFAULT_WAVELENGTH_NM))
 
-    def _check_budget(self, where: str, plan: Plan) -> None:
+    def _check_budget(self, where: str) -> None:
         """The budget holds what is measured before anything is known."""
         poses = [self.candidates.poses[k] for k in self._first]
-        seconds = [self._durations.frames_s(Step(0, "point", 0, pose)) for pose in poses]
-        least = self._description.lamp.warm_up_s + self._durations.frames_s(Step(0, "dark"))
-        least += expected.batch_s(self._durations, poses, seconds, Pose())
-        if self._budget_s < least:
-            raise ConfigError(
-                f"{where} budget_h = {self._budget_s / 3600.0:g}: dark frames, a visit to the reference and the first "
-                f"{len(poses)} points alone take about {least / 3600.0:.2g} h on this rig"
-            )
+        expected.require_budget(where, self._budget_s, self._durations, poses)
 
     def about(self) -> list[str]:
         """What it will do, a line each."""

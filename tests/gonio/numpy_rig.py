@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import signal
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from types import TracebackType
@@ -11,6 +12,7 @@ from typing import Self
 
 import numpy as np
 
+from gonio.acquisition.progress import Live, Silent
 from gonio.errors import DeviceError
 from gonio.rig import Frame, Pose, Step, Target
 from gonio.rig.description import (
@@ -162,6 +164,19 @@ class Plugin:
     ) -> NumpyRig:
         self.opened.append(NumpyRig(description, seed, **self.options))  # type: ignore[arg-type]
         return self.opened[-1]
+
+
+class StopAfter(Silent):
+    """A user who presses Ctrl-C after a step."""
+
+    def __init__(self, step: int) -> None:
+        self.left = step
+
+    def step(self, live: Live) -> None:
+        """Count."""
+        self.left -= 1
+        if not self.left:
+            signal.raise_signal(signal.SIGINT)
 
 
 SAMPLE = SampleDescription(name="matte", model="lambert", parameters={"albedo": 0.5})

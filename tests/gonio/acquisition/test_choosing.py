@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,12 +14,11 @@ from gonio.acquisition import repair
 from gonio.acquisition.choosing import Choice
 from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import Plan, Point, canonical, load_plan
-from gonio.acquisition.progress import Live, Silent
 from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, Interrupted
 from gonio.reduction import brdf
 from gonio.rig.description import RigDescription
-from tests.gonio.numpy_rig import SAMPLE, Plugin, describe
+from tests.gonio.numpy_rig import SAMPLE, Plugin, StopAfter, describe
 
 PLAN = """
 name = "grows"
@@ -70,19 +68,6 @@ class Chooses:
             raise ConfigError(f"{plan.source}: adaptive: batches is needed")
         Chooses.opened.append(Brightest(own["batches"]))
         return Chooses.opened[-1]
-
-
-class StopAfter(Silent):
-    """A user who presses Ctrl-C after a step."""
-
-    def __init__(self, step: int) -> None:
-        self.left = step
-
-    def step(self, live: Live) -> None:
-        """Count."""
-        self.left -= 1
-        if not self.left:
-            signal.raise_signal(signal.SIGINT)
 
 
 @pytest.fixture

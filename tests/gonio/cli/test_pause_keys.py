@@ -126,7 +126,7 @@ def test_p_pauses_and_c_goes_on_and_a_prompt_has_the_terminal_for_itself(termina
     assert not terminal.as_before
     terminal.press("c")
     terminal.until("DONE 1")
-    terminal.process.wait(30)
+    terminal.process.wait(120)
     assert terminal.as_before
 
 
@@ -146,5 +146,5 @@ def test_the_terminal_is_as_it_was_however_a_run_ends(terminal: Terminal, how: s
     else:
         terminal.press(how)
     terminal.until("ENDED 130")
-    terminal.process.wait(30)
+    terminal.process.wait(120)
     assert terminal.as_before

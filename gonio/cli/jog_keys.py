@@ -33,7 +33,7 @@ class End:
     """There will be no more: Ctrl-D."""
 
 
-class Keys:
+class JogKeys:
     """What is typed: bytes in, and what they mean out.
 
     Left and right jog an axis by a step; up and down choose the step, Tab the axis. Ctrl-U takes a line back.

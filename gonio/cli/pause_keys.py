@@ -18,7 +18,7 @@ from gonio.acquisition.stop import Pause
 PAUSE, GO_ON, END = b"p ", b"c", b"q"
 
 
-class Keys:
+class PauseKeys:
     """p or space asks for a pause, c lets the run go on, q ends it as Ctrl-C does.
 
     Enter it more than once, if need be: on leaving, the terminal is as it was.

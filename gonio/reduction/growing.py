@@ -1,0 +1,70 @@
+"""The values of a run that is being measured, from the rates that its steps have come to so far.
+
+Two kinds of readers keep these rates, and each step's frames are read once. `gonio.live.provisional` takes steps in
+any order, and shows them soon. `gonio_sweeps.online` reduces the frames of a batch together, so that what it says
+follows from the journal, however often the run was stopped. What both make of the rates is here: the level of the white
+reference is fitted again each time, because every visit changes it. `gonio.reduction.brdf` says more at the end: what
+errors of the angles do to each value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gonio.acquisition.run import Run
+from gonio.geometry import Directions
+from gonio.reduction import brdf
+from gonio.reduction.count_rates import Reduced
+from gonio.rig.description import Band
+from gonio.typing import Floats
+
+
+@dataclass(frozen=True, slots=True)
+class SoFar:
+    """The values of one band; arrays run over the points as they were given."""
+
+    points: tuple[Reduced, ...]
+    directions: Directions
+    """What the encoders read."""
+    time_s: Floats
+    """On the rig's clock."""
+    level: Floats
+    """Signal per unit BRDF when each was measured [e- sr/s]."""
+    brdf: Floats
+    """[1/sr]"""
+    u_visits: Floats
+    """Standard uncertainty [1/sr], independent from value to value, by what the level does between two visits."""
+    common: dict[str, Floats]
+    """By cause: the change of every value [1/sr] for one standard deviation of it; the zeros of the angles left out."""
+
+
+def so_far(run: Run, points: Sequence[Reduced], visits: Sequence[Reduced], band: Band) -> SoFar:
+    """The values that the rates of points and of visits to the white reference give.
+
+    Raises
+    ------
+    DataError
+        There is no usable visit to the white reference, or one of them saw no light.
+    ConfigError
+        The reference's table is missing, or neither a table nor an albedo is given.
+    """
+    fitted, reference = brdf.level(run, list(points), list(visits), band)
+    times = np.array([point.time_s for point in points])
+    level = fitted.at(times)
+    value = np.array([point.rate for point in points]) / level
+    return SoFar(
+        points=tuple(points),
+        directions=Directions.stack([point.directions for point in points]),
+        time_s=times,
+        level=level,
+        brdf=value,
+        u_visits=value * fitted.extra(times) / level,
+        common={
+            "s_reference": value * reference.u_rel,
+            "s_reference_noise": -value * fitted.noise(times) / level,
+            "s_lamp_drift": -value * fitted.drift(times) / level,
+        },
+    )
