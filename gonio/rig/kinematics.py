@@ -74,7 +74,7 @@ class View:
     def optical_axis(self) -> Floats:
         """Unit vector from the camera into the middle of what it sees."""
         eye = np.asarray(self.camera_mm, dtype=float)
-        return -eye / np.linalg.norm(eye) if self.sight is None else self.sight
+        return -eye / math.sqrt(eye.dot(eye)) if self.sight is None else self.sight  # as np.linalg.norm, sooner
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,8 +270,17 @@ def _beside(direction: Floats, off: float, toward: float) -> Floats:
 
 def left_its_side(description: RigDescription, goal: Pose, read: Pose) -> bool:
     """Whether the pose that was read has the source behind the sample, or the camera on the other side than asked."""
-    asked, seen = view(description, goal), view(description, read)
-    return bool(seen.source_mm[2] <= 0.0 or seen.camera_mm[2] * asked.camera_mm[2] <= 0.0)
+    source, camera = _heights(description, read)
+    return source <= 0.0 or camera * (camera if read == goal else _heights(description, goal)[1]) <= 0.0
+
+
+def _heights(description: RigDescription, pose: Pose) -> tuple[float, float]:
+    """How far source and camera stand in front of the sample's plane [mm]: the z of a `view`."""
+    if not _known(description).as_meant:
+        seen = view(description, pose)
+        return float(seen.source_mm[2]), float(seen.camera_mm[2])
+    light, camera, *_ = _sample_frame(true_pose(description, pose))
+    return description.geometry.light_distance_mm * light[2], description.geometry.camera_distance_mm * camera[2]
 
 
 def separation(d: Directions) -> float:
