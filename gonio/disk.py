@@ -76,7 +76,8 @@ class Staged:
     def __init__(self, path: Path, data: bytes) -> None:
         self.path = path
         number = f"{os.getpid()}{next(_STAGED):09d}"  # a file may be staged twice, and the later one counts
-        self._temporary = os.path.join(path.parent, f".{path.name}.{number}.new")
+        folder, name = os.path.split(path)
+        self._temporary = os.path.join(folder, f".{name}.{number}.new")
         self._handle = -1
         try:
             self._handle = os.open(self._temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o666)

@@ -1,6 +1,7 @@
 """Runs that are killed at random, with torn journals and full disks: every one resumes to the same table.
 
-    python tools/kill_campaign.py [--times 100] [--seed 0] [--plan PLAN.toml --sample SAMPLE.toml --rig sim]
+    python tools/kill_campaign.py [--times 100] [--seed 0] [--how parameters|curve]
+    python tools/kill_campaign.py --plan PLAN.toml --sample SAMPLE.toml --rig RIG
 
 Each time one of these happens to a run of `gonio measure`, in turn:
 
@@ -10,7 +11,8 @@ Each time one of these happens to a run of `gonio measure`, in turn:
 
 Then the run is resumed, with the next such event, and in the end to its end. After every event it is asserted that no
 step that was journalled is lost, and that none is there twice; in the end that the table is the one of a run that
-nothing happened to. A run that ends before its event begins anew in another folder.
+nothing happened to. A run that ends before its event begins anew in another folder. With `--how` the run chooses its
+points itself: the choices have to be the same too.
 """
 
 from __future__ import annotations
@@ -34,6 +36,26 @@ wavelength_nm = [550]
 theta_i_deg = [20, 50]
 theta_r_deg = { start = -60, stop = 60, step = 8 }
 """
+ADAPTIVE = {
+    "parameters": """name = "campaign"
+wavelength_nm = [550]
+[adaptive]
+how = "parameters"
+budget_h = 0.25
+model = "lambert"
+u_rel = { albedo = 0.001 }
+theta_i_deg = [20, 50]
+theta_r_deg = { start = -60, stop = 60, step = 10 }
+""",
+    "curve": """name = "campaign"
+wavelength_nm = [550]
+[adaptive]
+how = "curve"
+budget_h = 0.25
+theta_i_deg = [30]
+theta_r_deg = { start = -60, stop = 60, step = 5 }
+""",
+}
 SAMPLE = 'name = "matte"\nmodel = "lambert"\n[parameters]\nalbedo = 0.5\n'
 EVENTS = ("kill", "tear", "full")
 KILLED_UNSEEN_S = 0.02
@@ -63,6 +85,12 @@ def steps(out: Path) -> list[int]:
         elif event["event"] == "lost":
             found = [number for number in found if number not in event["steps"]]
     return found
+
+
+def choices(out: Path) -> list[object]:
+    """What a journal says of the points that were chosen, and of whether they are enough."""
+    told = [event for event in map(json.loads, lines(out)) if event["event"] in ("chosen", "enough")]
+    return [{name: value for name, value in event.items() if name not in ("n", "wall", "crc")} for event in told]
 
 
 def strike(how: str, call: list[str], out: Path, whole: int, draw: random.Random) -> str:
@@ -126,7 +154,8 @@ def campaign(times: int, seed: int, plan: Path, sample: Path, rig: str, work: Pa
     draw, happened = random.Random(seed), Counter[str]()
     done = subprocess.run(command(plan, sample, rig, work / "whole", 5, resume=False), capture_output=True, check=False)
     assert done.returncode == 0, done.stderr.decode()
-    wanted, every = table(work / "whole"), sorted(steps(work / "whole"))
+    wanted, every, chosen = table(work / "whole"), sorted(steps(work / "whole")), choices(work / "whole")
+    print(f"{len(every)} steps, {len(chosen)} choices", flush=True)
     number = 0
     while sum(happened.values()) < times:
         number += 1
@@ -151,6 +180,7 @@ def campaign(times: int, seed: int, plan: Path, sample: Path, rig: str, work: Pa
         )
         assert last.returncode == 0, last.stderr
         assert sorted(steps(out)) == every, f"{out}: {len(steps(out))} steps of {len(every)}"
+        assert choices(out) == chosen, f"{out}: other points were chosen"
         assert table(out) == wanted, f"{out}: another table"
         named = {frame["file"] for e in map(json.loads, lines(out)) if e["event"] == "step" for frame in e["frames"]}
         there = {path.name for path in (out / "frames").iterdir()}
@@ -165,13 +195,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--times", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--how", choices=sorted(ADAPTIVE), help="a run that chooses its points")
     parser.add_argument("--plan", type=Path)
     parser.add_argument("--sample", type=Path)
     parser.add_argument("--rig", default="sim")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="kill-") as folder:
         work = Path(folder)
-        (work / "plan.toml").write_text(PLAN)
+        (work / "plan.toml").write_text(ADAPTIVE.get(asked.how, PLAN))
         (work / "sample.toml").write_text(SAMPLE)
         plan, sample = asked.plan or work / "plan.toml", asked.sample or work / "sample.toml"
         happened = campaign(asked.times, asked.seed, plan, sample, asked.rig, work)

@@ -177,6 +177,7 @@ class Files:
             return
         last, number, before = self.frames[-1], len(self.frames), list(zip(self.frames, self.written, strict=False))
         step, pose, pose_time_s = self.step, self.pose, self.pose_time_s
+        count = self.count  # now: it may have grown when the label is written
         goal = step.pose if pose is not None else None
 
         def label() -> FrameLabel:
@@ -184,7 +185,7 @@ class Files:
             if whole is not None:
                 whole = replace(whole, frames=(*(done.stored(file.result()) for done, file in before), last))
             return FrameLabel(
-                self.run, step.index, step.kind, step.point, number, self.count, last, goal, pose, pose_time_s, whole
+                self.run, step.index, step.kind, step.point, number, count, last, goal, pose, pose_time_s, whole
             )
 
         self.written.append(self.store.put(frame, last.file, label))

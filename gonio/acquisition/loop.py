@@ -213,6 +213,10 @@ class _Session:
         self._rig, self._run, self._progress = rig, run, progress
         self._numbers, self._watch, self._stop = numbers, watch, stop
         self._description = rig.description
+        self._still_deg = {
+            name: max(MOVED_STEPS * axis.encoder_step_deg, MOVED_DEG) for name, axis in rig.description.axes().items()
+        }
+        """By how much an axis may seem to move that stands still."""
         self._lit = False
         self._target: Target | None = None
         self._taken_steps: list[_Taken] = []
@@ -471,9 +475,9 @@ class _Session:
 
     def _unsteady(self, step: Step, spread: Pose | None) -> bool:
         """Whether an encoder does not tell where its axis stands: its readings at rest lie too far apart."""
-        for name, axis in self._description.axes().items() if spread is not None else ():
+        for name, still_deg in self._still_deg.items() if spread is not None else ():
             apart_deg = math.degrees(getattr(spread, name))
-            if apart_deg > max(MOVED_STEPS * axis.encoder_step_deg, MOVED_DEG):
+            if apart_deg > still_deg:
                 log.warning(
                     'step %d: the readings of axis %s at rest lie %.2f deg apart; it is flagged "unsteady"',
                     step.index, name, apart_deg,
@@ -482,9 +486,9 @@ class _Session:
         return False
 
     def _require_still(self, before: Pose, after: Pose) -> None:
-        for name, axis in self._description.axes().items():
+        for name, still_deg in self._still_deg.items():
             way_deg = math.degrees(abs(getattr(after, name) - getattr(before, name)))
-            if way_deg > max(MOVED_STEPS * axis.encoder_step_deg, MOVED_DEG):
+            if way_deg > still_deg:
                 raise Disturbed(f"axis {name} has moved by {way_deg:.2f} deg during the exposures")
 
     def _band(self, step: Step, seen: View, target: Target, band: Band, files: Files) -> tuple[float, float]:

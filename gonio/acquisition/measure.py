@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from gonio.acquisition.stop import Pause, Stop
     from gonio.rig import Pose, Rig, RigPlugin, Step, Target
 
+    Prepared = tuple[Plan, "RigChoice", list[Assessed], Chooser | None]
+
 SHOWN = 20
 """At most so many frames are named on the terminal."""
 
@@ -270,6 +272,14 @@ def prepared(
     return plan, rig, points, chooser
 
 
+def assessed(plan: Plan, rig: RigChoice) -> Prepared:
+    """As `prepared` for a run that has not begun, with its points as the rig sees them in any case; raises the same."""
+    from gonio.acquisition.plan import assess
+
+    plan, rig, points, chooser = prepared(plan, rig)
+    return plan, rig, assess(plan, rig.description) if points is None else points, chooser
+
+
 def _with_state(error: GonioError, device: Rig, stop: Stop, *, entered: bool) -> str:
     """A message, with what is true of the rig now that it has been left."""
     from gonio.rig.whereabouts import left
@@ -295,17 +305,18 @@ def _say_what_was_found(run: Run, progress: Progress) -> None:
 
 def check(
     plan: Plan, rig: RigChoice, out: Path, *, sample: SampleDescription | None, seed: int, resume: bool, yes: bool
-) -> None:
-    """Raise what `carry_out` would raise before it touches a device; its parameters."""
+) -> Prepared:
+    """Raise what `carry_out` would raise before it touches a device; its parameters. What `assessed` found."""
     from gonio.acquisition.progress import Silent
     from gonio.acquisition.run_folder import begun
 
-    plan, rig, points, _ = prepared(plan, rig)
+    plan, rig, points, _ = seen = assessed(plan, rig)
     _check_patches(rig, sample)
     steps = rig.schedule(plan, points)
     _open(rig, out, sample, seed, resume, yes)
     if not (resume and begun(out)):
         _check_room(out, rig, plan, len(steps), Silent(), yes)
+    return seen
 
 
 def _open(rig: RigChoice, out: Path, sample: SampleDescription | None, seed: int, resume: bool, yes: bool) -> Rig:

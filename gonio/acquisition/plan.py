@@ -304,13 +304,14 @@ def _points_of(path: Path, lines: csv.DictReader[str]) -> list[Point]:
 def assess(plan: Plan, description: RigDescription) -> list[Assessed]:
     """Every point of the plan, in order, with its pose on a rig, or with the flag and the reason why it has none."""
     out = []
-    for point in plan.points:
+    angles = zip(*(each.tolist() for each in plan.directions.angles), strict=True) if plan.points else ()
+    for point, directions in zip(plan.points, angles, strict=True):
         try:
             if point.theta_i_deg > 90.0 - GRAZING_DEG:
                 raise Unreachable("grazing", "theta_i = 90 deg: no light falls on the sample")
             if abs(point.theta_r_deg - 90.0) < GRAZING_DEG:
                 raise Unreachable("grazing", "theta_r = 90 deg: the sample is seen edge-on")
-            pose = reach(description, point.directions)
+            pose = reach(description, directions)
             if description.lamp.beam_diameter_mm is not None:
                 why = filling.cut(description, view(description, pose))
                 if why:

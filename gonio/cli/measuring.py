@@ -34,8 +34,8 @@ def measure(
     asked, chosen = load_plan(plan), find_rig(rig)
     described = load_sample(sample) if sample is not None else None
     if dry_run:
-        check(asked, chosen, out, sample=described, seed=seed, resume=resume, yes=yes)
-        plans.describe(asked, chosen, out=out)
+        seen = check(asked, chosen, out, sample=described, seed=seed, resume=resume, yes=yes)
+        plans.describe(asked, seen, out=out)
         console.note("nothing was moved or written (--dry-run)")
         return
     for warning in plans.unfit(chosen.description):

@@ -14,7 +14,7 @@ from gonio.errors import ConfigError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from gonio.acquisition.measure import RigChoice
+    from gonio.acquisition.measure import Prepared, RigChoice
     from gonio.acquisition.plan import Assessed, Plan
     from gonio.rig import Step
     from gonio.rig.description import RigDescription
@@ -57,7 +57,7 @@ def show(
     ] = None,
 ) -> None:
     """Show the points of a plan. With a rig also what it cannot reach and why, and how long it takes."""
-    from gonio.acquisition.measure import find_rig
+    from gonio.acquisition.measure import assessed, find_rig
     from gonio.acquisition.plan import load_plan
 
     if left_out is not None and rig is None:
@@ -69,19 +69,17 @@ def show(
     loaded, chosen = load_plan(plan), find_rig(rig) if rig is not None else None
     if picture is not None and picture.suffix.lower() not in PICTURES:
         raise ConfigError(f"--picture {picture}: a picture ends in {' or '.join(PICTURES)}")
-    describe(loaded, chosen, left_out=left_out)
-    if picture is not None and chosen is not None:
-        _draw(loaded, chosen, picture, step)
+    seen = assessed(loaded, chosen) if chosen is not None else None
+    describe(loaded, seen, left_out=left_out)
+    if picture is not None and seen is not None:
+        _draw(seen, picture, step)
 
 
-def _draw(plan: Plan, rig: RigChoice, file: Path, step: int | None) -> None:
+def _draw(seen: Prepared, file: Path, step: int | None) -> None:
     from gonio.acquisition import plan_picture
-    from gonio.acquisition.measure import prepared
-    from gonio.acquisition.plan import assess
     from gonio.cli import console
 
-    plan, rig, seen, _ = prepared(plan, rig)
-    points = assess(plan, rig.description) if seen is None else seen
+    plan, rig, points, _ = seen
     figure = plan_picture.draw(plan, points, rig.schedule(plan, points), rig.description, step)
     try:
         figure.savefig(file, dpi=150)
@@ -90,25 +88,25 @@ def _draw(plan: Plan, rig: RigChoice, file: Path, step: int | None) -> None:
     console.show(f"picture: {file}")
 
 
-def describe(plan: Plan, rig: RigChoice | None, *, out: Path | None = None, left_out: Path | None = None) -> None:
+def describe(plan: Plan, seen: Prepared | None, *, out: Path | None = None, left_out: Path | None = None) -> None:
     """Print a plan, as a rig sees it if there is one.
 
     Parameters
     ----------
-    plan, rig
-        What is shown.
+    plan
+        As it was written.
+    seen
+        What `gonio.acquisition.measure.assessed` made of it on a rig.
     out
         Where a run would go: what is free there is told.
     left_out
         A file for the points that the rig cannot measure.
     """
     from gonio.acquisition.choosing import about
-    from gonio.acquisition.measure import prepared
-    from gonio.acquisition.plan import Assessed, assess
+    from gonio.acquisition.plan import Assessed
     from gonio.cli import console
 
-    written, chooser = plan, None
-    if plan.adaptive is not None and rig is None:
+    if plan.adaptive is not None and seen is None:
         how, hours = plan.adaptive.how, plan.adaptive.budget_h
         console.show(
             f"{plan.name}: points are chosen as the run grows ({how}, {hours:g} h of rig time); --rig says which"
@@ -116,10 +114,10 @@ def describe(plan: Plan, rig: RigChoice | None, *, out: Path | None = None, left
         if not plan.points:
             console.show(f"wavelengths: {', '.join(f'{w:g} nm' for w in plan.wavelength_nm)}")
             return
+    written, rig, chooser = plan, None, None
     points = [Assessed(p, None) for p in plan.points]
-    if rig is not None:
-        plan, rig, seen, chooser = prepared(plan, rig)
-        points = assess(plan, rig.description) if seen is None else seen
+    if seen is not None:
+        plan, rig, points, chooser = seen
     console.show(_table(plan, points, with_rig=rig is not None))
     visits = Counter(Counter(plan.points).values())
     for number, count in sorted(visits.items()):

@@ -7,6 +7,7 @@ and differ only in what they know. Everything is in the sample's frame: origin a
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Literal
@@ -540,7 +541,7 @@ def pixel_on_focus_mm(description: RigDescription) -> float:
 def pixel_on_sample_mm(description: RigDescription, view: View) -> float:
     """The longer side of a pixel on the sample [mm], at its centre."""
     eye = np.asarray(view.camera_mm, dtype=float)
-    distance = np.linalg.norm(eye)
+    distance = math.sqrt(eye.dot(eye))
     pitch = 1e-3 * description.camera.pixel_um * distance / image_distance_mm(description)
     return float(pitch * distance / abs(eye[2]))
 
@@ -639,8 +640,8 @@ def spot(description: RigDescription, view: View, column: float, row: float) -> 
 
 def _span(pixels: Floats, size: int) -> slice:
     """The pixels around fractional positions, with a margin of one Bayer cell, inside the frame."""
-    pixels = np.clip(pixels, 0, size)
-    return slice(max(int(np.floor(pixels.min())) - 2, 0), min(int(np.ceil(pixels.max())) + 3, size))
+    lowest, highest = (min(max(float(edge), 0.0), size) for edge in (pixels.min(), pixels.max()))
+    return slice(max(math.floor(lowest) - 2, 0), min(math.ceil(highest) + 3, size))
 
 
 def of_channel(

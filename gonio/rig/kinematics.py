@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections import OrderedDict
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -73,7 +74,69 @@ class View:
     def optical_axis(self) -> Floats:
         """Unit vector from the camera into the middle of what it sees."""
         eye = np.asarray(self.camera_mm, dtype=float)
-        return -eye / np.linalg.norm(eye) if self.sight is None else self.sight
+        return -eye / math.sqrt(eye.dot(eye)) if self.sight is None else self.sight  # as np.linalg.norm, sooner
+
+
+@dataclass(frozen=True, slots=True)
+class _Range:
+    """Where an axis may stand."""
+
+    name: str
+    limits_deg: tuple[float, float]
+    lower: float
+    """The same [rad], and `upper`."""
+    upper: float
+    approach_deg: float
+    play_deg: float
+    """Its backlash."""
+
+    def takes_up_play(self, place: float) -> bool:
+        """Whether the approach to a place is as long as the axis's play, or as long as it is away from limits."""
+        at, approach, (lower, upper) = math.degrees(place), self.approach_deg, self.limits_deg
+        start = at - approach  # as `RigDescription.approach_starts_deg`
+        start = max(start, min(lower, at)) if approach > 0 else min(start, max(upper, at))
+        return abs(at - start) >= min(self.play_deg, abs(approach)) - 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """What follows from a description alone, and is asked for at every pose."""
+
+    as_meant: bool
+    erring: dict[str, ArmAxis]
+    """The axes whose encoders have errors within their turn."""
+    blocked_cone: float
+    ranges: tuple[_Range, ...]
+
+
+_KEPT = 8
+_kept: OrderedDict[int, tuple[RigDescription, _Known]] = OrderedDict()
+"""By the identity of descriptions, which are frozen: to compare or to hash one takes longer than a pose."""
+
+
+def _known(description: RigDescription) -> _Known:
+    found = _kept.get(id(description))
+    if found is not None and found[0] is description:
+        return found[1]
+    arms, g = description.arms, description.geometry
+    axes, approach = description.axes(), description.approach_deg()
+    encoders = {"light": arms.light, "camera": arms.camera, "azimuth": arms.azimuth}
+    known = _Known(
+        as_meant=description.as_meant,
+        erring={name: axis for name, axis in encoders.items() if axis is not None and axis.harmonics_deg},
+        blocked_cone=_angular_radius(g.light_body_radius_mm, g.light_distance_mm)
+        + _angular_radius(g.camera_body_radius_mm, g.camera_distance_mm),
+        ranges=tuple(
+            _Range(
+                name, limits, math.radians(limits[0]), math.radians(limits[1]), approach[name], axes[name].backlash_deg
+            )
+            for name, limits in description.limits_deg().items()
+        ),
+    )
+    _kept[id(description)] = (description, known)
+    while len(_kept) > _KEPT:
+        _kept.popitem(last=False)
+    return known
 
 
 def true_pose(description: RigDescription, pose: Pose) -> Pose:
@@ -81,7 +144,7 @@ def true_pose(description: RigDescription, pose: Pose) -> Pose:
 
     The only place where that happens. What stands elsewhere as a pose is what encoders read, less their zeros.
     """
-    erring = _erring(description)
+    erring = _known(description).erring
     if not erring:
         return pose
     return replace(pose, **{n: getattr(pose, n) - encoder_error(axis, getattr(pose, n)) for n, axis in erring.items()})
@@ -89,7 +152,7 @@ def true_pose(description: RigDescription, pose: Pose) -> Pose:
 
 def read_pose(description: RigDescription, true: Pose) -> Pose:
     """What the encoders read where the axes stand: the inverse of `true_pose`."""
-    erring, out = _erring(description), {}
+    erring, out = _known(description).erring, {}
     for name, axis in erring.items():
         stands: float = getattr(true, name)
         read = stands
@@ -101,13 +164,6 @@ def read_pose(description: RigDescription, true: Pose) -> Pose:
     return replace(true, **out) if out else true
 
 
-def _erring(description: RigDescription) -> dict[str, ArmAxis]:
-    """The axes whose encoders have errors within their turn."""
-    arms = description.arms
-    axes = {"light": arms.light, "camera": arms.camera, "azimuth": arms.azimuth}
-    return {name: axis for name, axis in axes.items() if axis is not None and axis.harmonics_deg}
-
-
 def encoder_error(axis: Axis, read: float) -> float:
     """What an encoder reads too much [rad], beside its zero, where it reads an angle [rad]."""
     if not isinstance(axis, ArmAxis):
@@ -117,7 +173,7 @@ def encoder_error(axis: Axis, read: float) -> float:
 
 def view(description: RigDescription, pose: Pose) -> View:
     """Where source and camera are, and how the image lies, in the sample's frame, for a pose of the axes."""
-    if not description.as_meant:
+    if not _known(description).as_meant:
         return _misaligned(description, true_pose(description, pose))
     light, camera, image_x, image_y, beam_y = _sample_frame(true_pose(description, pose))
     geometry = description.geometry
@@ -135,7 +191,7 @@ def directions(description: RigDescription, pose: Pose) -> Directions:
 
     The azimuth of a direction along the normal is 0.
     """
-    if not description.as_meant:
+    if not _known(description).as_meant:
         source, eye, *_ = misalignment.ends(description, true_pose(description, pose))
         return Directions(*_angles(source.tolist()), *_angles(eye.tolist()))
     light, camera, *_ = _sample_frame(true_pose(description, pose))
@@ -214,8 +270,17 @@ def _beside(direction: Floats, off: float, toward: float) -> Floats:
 
 def left_its_side(description: RigDescription, goal: Pose, read: Pose) -> bool:
     """Whether the pose that was read has the source behind the sample, or the camera on the other side than asked."""
-    asked, seen = view(description, goal), view(description, read)
-    return bool(seen.source_mm[2] <= 0.0 or seen.camera_mm[2] * asked.camera_mm[2] <= 0.0)
+    source, camera = _heights(description, read)
+    return source <= 0.0 or camera * (camera if read == goal else _heights(description, goal)[1]) <= 0.0
+
+
+def _heights(description: RigDescription, pose: Pose) -> tuple[float, float]:
+    """How far source and camera stand in front of the sample's plane [mm]: the z of a `view`."""
+    if not _known(description).as_meant:
+        seen = view(description, pose)
+        return float(seen.source_mm[2]), float(seen.camera_mm[2])
+    light, camera, *_ = _sample_frame(true_pose(description, pose))
+    return description.geometry.light_distance_mm * light[2], description.geometry.camera_distance_mm * camera[2]
 
 
 def separation(d: Directions) -> float:
@@ -235,13 +300,10 @@ def blocked_cone(description: RigDescription) -> float:
 
     Each body is a ball; seen from the sample's centre they overlap below the sum of their angular radii.
     """
-    g = description.geometry
-    return _angular_radius(g.light_body_radius_mm, g.light_distance_mm) + _angular_radius(
-        g.camera_body_radius_mm, g.camera_distance_mm
-    )
+    return _known(description).blocked_cone
 
 
-def reach(description: RigDescription, d: Directions, *, nearby: bool = False) -> Pose:
+def reach(description: RigDescription, d: Directions | Angles, *, nearby: bool = False) -> Pose:
     """The pose that shows the sample from given directions.
 
     Of the two branches the one inside all limits is taken; where both are, the one with the smaller spin, then the one
@@ -253,7 +315,7 @@ def reach(description: RigDescription, d: Directions, *, nearby: bool = False) -
     ----------
     description : RigDescription
         Limits, axes and bodies.
-    d : Directions
+    d : Directions, or the four floats of one
         One pair of them: theta_i in [0, pi/2], theta_r in [0, pi] (beyond pi/2 the camera stands behind the sample and
         sees transmission), azimuths in any turn.
     nearby : bool
@@ -266,7 +328,7 @@ def reach(description: RigDescription, d: Directions, *, nearby: bool = False) -
         the rest position and every branch; "unreachable" where the rig has no axis for the directions
         or both branches leave a limit, "below_horizon" for a source below the surface.
     """
-    one = d.floats
+    one = d if isinstance(d, tuple) else d.floats
     for name, theta, most in (("theta_i", one[0], math.pi / 2), ("theta_r", one[2], math.pi)):
         if not 0.0 <= theta <= most + AT_LIMIT:
             allowed = f"0 to {math.degrees(most):g} deg"
@@ -277,7 +339,7 @@ def reach(description: RigDescription, d: Directions, *, nearby: bool = False) -
         raise Unreachable("blocked", f"source and detector are {math.degrees(apart):.1f} deg apart: {cause}", cause)
     fitting: list[Pose] = []
     failed: list[Unreachable] = []
-    for _, verdict in branches(description, d, nearby=nearby):
+    for _, verdict in branches(description, one, nearby=nearby):
         if isinstance(verdict, Pose):
             fitting.append(verdict)
         else:
@@ -303,7 +365,7 @@ def reach(description: RigDescription, d: Directions, *, nearby: bool = False) -
 
 
 def branches(
-    description: RigDescription, d: Directions, *, nearby: bool = False
+    description: RigDescription, d: Directions | Angles, *, nearby: bool = False
 ) -> list[tuple[Pose, Pose | Unreachable]]:
     """Every pose that would show the sample from given directions; with each, itself inside all limits, or why not.
 
@@ -312,9 +374,9 @@ def branches(
     Whether light and camera hide each other is not looked at here; raises `Unreachable` where the rig has no axis for
     the directions.
     """
-    one = d.floats
+    one = d if isinstance(d, tuple) else d.floats
     found: list[tuple[Pose, Pose | Unreachable]]
-    if description.as_meant:
+    if _known(description).as_meant:
         found = [(pose, pose) for pose in _closed_form(description, one)]
     else:
         found = _misaligned_poses(description, one, nearby)
@@ -408,34 +470,27 @@ def _inside_limits(description: RigDescription, pose: Pose) -> list[Pose]:
     Axes that are free of whole turns may have several places, where their limits are wider than a turn. A place that
     the axis can only arrive at with its play open, because its limit is in the way of the approach, is none.
     """
-    found = [{name: float(getattr(pose, name)) for name in description.limits_deg()}]
-    for name, limits_deg in description.limits_deg().items():
+    ranges = _known(description).ranges
+    found = [{axis.name: float(getattr(pose, axis.name)) for axis in ranges}]
+    for axis in ranges:
+        name, lower, upper = axis.name, axis.lower, axis.upper
         value = found[0][name]
-        lower, upper = (math.radians(limit) for limit in limits_deg)
         turns = range(math.ceil((lower - value - AT_LIMIT) / TURN), math.floor((upper - value + AT_LIMIT) / TURN) + 1)
         places = [value + k * TURN for k in sorted(turns, key=abs) if name in FREE_TURNS or k == 0]
         inside = [min(max(place, lower), upper) for place in places]
-        taken_up = [place for place in inside if _takes_up_play(description, name, place)]
+        taken_up = [place for place in inside if axis.takes_up_play(place)]
         if not taken_up:
-            axis, limits = NAMES[name], f"the limits {limits_deg[0]:g} to {limits_deg[1]:g} deg of the {NAMES[name]}"
+            limits = f"the limits {axis.limits_deg[0]:g} to {axis.limits_deg[1]:g} deg of the {NAMES[name]}"
             cause = f"outside {limits}"
             if inside:
-                side = "lower" if description.approach_deg()[name] > 0 else "upper"
-                play = description.axes()[name].backlash_deg
+                side = "lower" if axis.approach_deg > 0 else "upper"
                 cause = (
-                    f"closer to the {side} limit of the {axis} than its play of {play:g} deg, which an approach from "
-                    "that side could not take up"
+                    f"closer to the {side} limit of the {NAMES[name]} than its play of {axis.play_deg:g} deg, which an "
+                    "approach from that side could not take up"
                 )
             raise Unreachable("unreachable", f"{math.degrees(value):.2f} deg is {cause}", cause)
         found = [one | {name: place} for one in found for place in taken_up]
     return [Pose(**one) for one in found]
-
-
-def _takes_up_play(description: RigDescription, name: str, place: float) -> bool:
-    """Whether the approach to a place is as long as the axis's play, or as long as it is away from limits."""
-    at = math.degrees(place)
-    way = abs(at - description.approach_starts_deg(name, at))
-    return way >= min(description.axes()[name].backlash_deg, abs(description.approach_deg()[name])) - 1e-9
 
 
 TURN = 2.0 * math.pi
