@@ -99,6 +99,8 @@ class StageArms:
                 name, stage, limits[name], axis.speed_deg_per_s, offset, still,
                 approach_deg=approach[name], backlash_deg=axis.backlash_deg, hard_stops_deg=stops[name],
             )  # fmt: skip
+        park = {n: j.stage.axis.park_deg for n, j in self._all.items() if j.stage.axis.park_deg is not None}
+        ways.require_parking(description, park, "devices.stages.axes.{}.park_deg")
         self.joints: dict[str, Joint] = {}
         """The axes that are open."""
         self.last: Where | None = None

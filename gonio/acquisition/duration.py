@@ -64,8 +64,8 @@ class Durations:
 
     def __init__(self, description: RigDescription, bands: Sequence[Band]) -> None:
         self.description, self.bands = description, tuple(bands)
-        self.detours = bool(description.bodies)
-        """Whether a move may have to go by other poses."""
+        self.detours = description.looks_ahead
+        """Whether a move may have to go by other poses, around bodies or where a cable would be torn."""
         axes, approach, limits = description.axes(), description.approach_deg(), description.limits_deg()
         self._names = tuple(axes)
         self.speed = np.radians([axis.speed_deg_per_s for axis in axes.values()])

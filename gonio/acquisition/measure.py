@@ -191,6 +191,7 @@ def carry_out(
         See `gonio.acquisition.loop.measure`, `Run.create`, `Run.resume` and the rig's own documentation.
     """
     from gonio.acquisition.loop import measure
+    from gonio.acquisition.plan import said_beside
     from gonio.acquisition.progress import Silent
     from gonio.acquisition.remaining import Remaining
     from gonio.acquisition.run import Run
@@ -221,8 +222,11 @@ def carry_out(
                 with rig.naming():
                     stack.enter_context(device)
                 entered = True
+                _require_way(device, steps[1].pose)
                 if not begun_before:
                     run = stack.enter_context(Run.create(out, request))
+                    for line in said_beside(request.points, rig.description):
+                        progress.say(line)
                 progress.expects(Remaining.of_run(run, steps, simulated=device.repeatable))
                 measure(device, run, steps, progress, stop, chooser)
         except GonioError as error:
@@ -278,6 +282,21 @@ def assessed(plan: Plan, rig: RigChoice) -> Prepared:
 
     plan, rig, points, chooser = prepared(plan, rig)
     return plan, rig, assess(plan, rig.description) if points is None else points, chooser
+
+
+def _require_way(device: Rig, reference: Pose) -> None:
+    """Raise where no way leads from where the axes stand to the first pose: planning knows all ways but this one."""
+    from gonio.rig.ways import Blocked, route
+
+    if not device.description.looks_ahead:
+        return
+    try:
+        route(device.description, device.arms.read(), reference)
+    except Blocked as blocked:
+        raise ConfigError(
+            f"no way leads from where the axes stand now to the white reference: {blocked}. Bring them out of each "
+            "other's way by hand, one axis at a time (gonio rig move), then measure"
+        ) from None
 
 
 def _with_state(error: GonioError, device: Rig, stop: Stop, *, entered: bool) -> str:

@@ -29,7 +29,7 @@ from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.rig import Pose, filling
 from gonio.rig.description import Band, Positive, RigDescription
-from gonio.rig.kinematics import Unreachable, reach, view
+from gonio.rig.kinematics import Unreachable, directions, reach, view
 from gonio.rig.laboratory import Laboratory
 
 SAME_DEG = 1e-7
@@ -325,6 +325,32 @@ def assess(plan: Plan, description: RigDescription) -> list[Assessed]:
 def count_reasons(points: list[Assessed]) -> list[tuple[tuple[str, str], int]]:
     """How many points are not measured for which (flag, cause), the most frequent first."""
     return Counter((a.flag, a.cause) for a in points if a.pose is None).most_common()
+
+
+def beside(points: Sequence[Assessed], description: RigDescription) -> tuple[int, float]:
+    """How many points a rig measures beside what was asked, since its errors of alignment leave no pose for them, and
+    by how much at most [deg].
+    """
+    if description.as_meant:
+        return 0, 0.0
+    off = []
+    for a in points:
+        if a.pose is not None:
+            seen, asked = directions(description, a.pose).vectors, a.point.directions.vectors
+            off.append(max(2.0 * math.asin(math.dist(s, w) / 2.0) for s, w in zip(seen, asked, strict=True)))
+    degrees = [math.degrees(one) for one in off if math.degrees(one) > SAME_DEG]
+    return len(degrees), max(degrees, default=0.0)
+
+
+def said_beside(points: Sequence[Assessed], description: RigDescription) -> list[str]:
+    """`beside` for people: a line, where there are such points."""
+    count, most_deg = beside(points, description)
+    if not count:
+        return []
+    return [
+        f"{count} of the points that are measured lie up to {most_deg:.2g} deg beside what was asked: the rig's errors "
+        "of alignment leave no pose for them. The table states the directions that they have"
+    ]
 
 
 def canonical(theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> Point:

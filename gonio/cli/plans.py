@@ -103,7 +103,7 @@ def describe(plan: Plan, seen: Prepared | None, *, out: Path | None = None, left
         A file for the points that the rig cannot measure.
     """
     from gonio.acquisition.choosing import about
-    from gonio.acquisition.plan import Assessed
+    from gonio.acquisition.plan import Assessed, said_beside
     from gonio.cli import console
 
     if plan.adaptive is not None and seen is None:
@@ -133,6 +133,7 @@ def describe(plan: Plan, seen: Prepared | None, *, out: Path | None = None, left
     bands = plan.bands(rig.description)
     for (flag, cause), count in _reasons(points):
         console.show(f"{count} {flag}: {cause}")
+    console.show(*said_beside(points, rig.description))
     if left_out is not None:
         console.show(f"{left_out}: {_write_left_out(points, left_out)} points with their reasons")
     console.show(
@@ -148,9 +149,9 @@ def describe(plan: Plan, seen: Prepared | None, *, out: Path | None = None, left
 def _effort(written: Plan, points: list[Assessed], rig: RigChoice, steps: list[Step], out: Path | None) -> list[str]:
     """What measuring takes: time by its parts, order, frames, bytes."""
     from gonio.acquisition.duration import Durations
+    from gonio.acquisition.holding import Bytes, free_bytes, size
     from gonio.acquisition.schedule import Schedule
     from gonio.cli.console import duration
-    from gonio.rig.dng import expected_bytes
 
     durations = Durations(rig.description, written.bands(rig.description))
     visits = sum(step.kind == "reference" for step in steps)
@@ -170,31 +171,14 @@ def _effort(written: Plan, points: list[Assessed], rig: RigChoice, steps: list[S
         before_s = durations.parts(Schedule(rig.description, range(len(as_written)), as_written.__getitem__)).travel_s
         lines.append(f"order: short; as written the travel would take {duration(before_s)}")
     frames = sum(map(durations.frames, steps))
-    needed = frames * expected_bytes(rig.description.camera)
-    lines.append(f"{frames} frames, about {_size(needed)} on the disk")
+    needed = Bytes(rig.description, len(durations.bands)).of_run(len(steps))
+    lines.append(f"{frames} frames, about {size(needed)} on the disk")
     if out is not None:
-        free = _free(out)
-        lines[-1] += f"; {_size(free)} are free there"
+        free = free_bytes(out)
+        lines[-1] += f"; {size(free)} are free there"
         if free < needed:
             lines.append(f"warning: {out} has no room for that; free some, or choose another folder")
     return lines
-
-
-def _free(folder: Path) -> int:
-    """Free bytes on the disk of a folder that may not be there yet."""
-    import shutil
-
-    there = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
-    return shutil.disk_usage(there).free
-
-
-def _size(count: float) -> str:
-    """Bytes, for people."""
-    for unit in ("bytes", "kB", "MB"):
-        if count < 1000:
-            return f"{count:.3g} {unit}"
-        count /= 1000
-    return f"{count:.3g} GB"
 
 
 def _write_left_out(points: list[Assessed], path: Path) -> int:

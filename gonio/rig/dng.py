@@ -23,11 +23,8 @@ import numpy.typing as npt
 
 from gonio.disk import read_file, write_whole
 from gonio.errors import ArgumentError, DataError
-from gonio.rig.description import Camera
 from gonio.rig.protocols import Frame
 
-HEAD_BYTES = 1000
-"""Tags and record of a frame that a run holds, about."""
 BAYER = ("RGGB", "BGGR", "GRBG", "GBRG")
 _EPOCH = datetime.datetime(1970, 1, 1)
 _LATEST_S = (datetime.datetime(9999, 12, 31) - _EPOCH).total_seconds()
@@ -167,12 +164,6 @@ def _head(
     main[273], main[34665] = (4, [start]), (4, [at_exif])
     front, at_main = _directory(main, header_size)
     return (struct.pack("<2sHI", b"II", 42, header_size) + front + behind).ljust(start, b"\0"), at | at_main
-
-
-def expected_bytes(camera: Camera) -> int:
-    """Size of the file that `write_dng` makes of a frame of a camera, its record and head included, about."""
-    bits = 12 if camera.white_level_dn <= 4095 else 16
-    return camera.width * camera.height * bits // 8 + HEAD_BYTES
 
 
 def _pack(mosaic: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint8]:

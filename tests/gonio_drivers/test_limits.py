@@ -137,6 +137,16 @@ def test_parking_goes_by_a_free_way(line: Line, monkeypatch: pytest.MonkeyPatch)
         assert degrees(arms.read())[:2] == pytest.approx((-10, 10), abs=TOLERANCE_DEG)
 
 
+def test_a_place_to_park_that_bodies_close_is_refused_before_a_run(line: Line) -> None:
+    """Points are planned from the rest position and back to it: parking elsewhere has to be as free."""
+    geometry = Geometry(light_distance_mm=400.0, camera_distance_mm=430.0)
+    fence = Body(name="fence", on="bench", centre_mm=(0, 0, 400), size_mm=(10, 300, 200))
+    rig = describe(light=LIMITS, camera=LIMITS).model_copy(update={"geometry": geometry, "bodies": (fence,)})
+    with pytest.raises(ConfigError, match=r"^devices.servos.axes.light.park_deg = 20: .* source head and fence"):
+        ServoArms(rig, servos(line.port, light={"park_deg": 20.0}))
+    ServoArms(rig, servos(line.port, light={"park_deg": -40.0}))
+
+
 def test_a_park_that_is_blocked_is_refused_and_nothing_turns(line: Line) -> None:
     geometry = Geometry(light_distance_mm=400.0, camera_distance_mm=430.0)
     fence = Body(name="fence", on="bench", centre_mm=(0, 0, 400), size_mm=(10, 300, 200))

@@ -22,7 +22,7 @@ from gonio.disk import Staged
 from gonio.errors import ConfigError, DataError, DeviceError, GonioError, Interrupted
 from gonio.reduction import brdf
 from gonio.rig import Frame, Pose
-from gonio.rig.description import Holder, Reference, RigDescription
+from gonio.rig.description import Body, Geometry, Holder, Reference, RigDescription
 from gonio.rig.dng import read_raw
 from tests.gonio.numpy_rig import PLAN, SAMPLE, NumpyRig, Plugin, describe
 
@@ -559,3 +559,16 @@ def test_toml_comes_back() -> None:
         "empty": {},
     }
     assert tomllib.loads(to_toml(values)) == values
+
+
+def test_arms_that_stand_where_no_way_leads_out_are_said_before_anything_moves(
+    measure: Measure, tmp_path: Path
+) -> None:
+    """Planning knows the ways between the points; where somebody left the arms it does not know."""
+    fence = Body(name="fence", on="bench", centre_mm=(520, 0, 300), size_mm=(60, 300, 60))
+    far = Geometry(light_distance_mm=600.0, camera_distance_mm=430.0)
+    rig = Plugin(options={"pose": Pose(light=math.radians(80.0), camera=math.radians(20.0))})
+    with pytest.raises(ConfigError, match=r"where the axes stand now .* touch: source head and fence"):
+        measure("run", rig=rig, description=describe(bodies=(fence,), geometry=far))
+    assert "move" not in rig.opened[0].log
+    assert not (tmp_path / "run").exists()
