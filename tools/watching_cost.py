@@ -6,10 +6,10 @@
 
 `writer` plays a run on instant devices: a process that appends steps to a journal, one after the other. Rounds with and
 without watchers (`gonio watch`, a process each) alternate; the ratio of their times is told, and the watchers' own
-processor time. With `--clients` each watcher has a reader of its stream. `run` measures a plan on the rig `sim`, with and without
-watchers in turns, and tells the processor time of the process that measures and of the watchers; with `--clients` each
-watcher has a reader that fetches values and frames as the page does. `screen` opens the page in Chromium, and times
-a step from the end of its line's write until the page shows its number.
+processor time. `run` measures a plan on the rig `sim`, with and without watchers in turns, and tells the processor time
+of the process that measures and of the watchers. With `--clients` each watcher has a reader of its stream that fetches
+values and frames as the page does. `screen` opens the page in Chromium, and times a step from the end of its line's
+write until the page shows its number.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def watchers(run: Path, count: int, clients: bool, state: Path) -> Iterator[list
 
 
 def drain(address: str) -> None:
-    """Take a stream's events until it ends; values and frames that it speaks of are fetched one at a time, as by a page."""
+    """Take a stream's events until it ends; values and frames are fetched one at a time, as by a page."""
 
     def fetch(what: str) -> None:
         with contextlib.suppress(OSError), urllib.request.urlopen(address.replace("/events?", f"/{what}?")) as answer:
@@ -153,7 +153,21 @@ theta_r_deg = { start = -85, stop = 85, step = 2.5 }
 def measured(folder: Path, run: Path) -> tuple[float, float]:
     """Measure the plan on the rig `sim`; how long that took [s], and the processor time of it [s]."""
     (folder / "plan.toml").write_text(PLAN)
-    command = [*GONIO, "measure", str(folder / "plan.toml"), "--rig", "sim", "--out", str(run), "--seed", "1", "--yes"]
+    (folder / "sample.toml").write_text('name = "matt"\nmodel = "lambert"\n[parameters]\nalbedo = 0.5\n')
+    sample = ["--sample", str(folder / "sample.toml")]
+    command = [
+        *GONIO,
+        "measure",
+        str(folder / "plan.toml"),
+        *sample,
+        "--rig",
+        "sim",
+        "--out",
+        str(run),
+        "--seed",
+        "1",
+        "--yes",
+    ]
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     took, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)

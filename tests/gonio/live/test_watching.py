@@ -24,7 +24,7 @@ def followed(played: Played) -> Iterator[Watched]:
 
 def until(so: Callable[[], bool]) -> None:
     """Threads need a moment; a machine that is busy needs more."""
-    patience = time.monotonic() + 20.0
+    patience = time.monotonic() + 120.0
     while not so():
         assert time.monotonic() < patience
         threading.Event().wait(0.01)
