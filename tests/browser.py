@@ -102,7 +102,7 @@ class Page:
         if scripts:
             self.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
-    def until(self, expression: str, patience_s: float = 60.0) -> float:
+    def until(self, expression: str, patience_s: float = 180.0) -> float:
         """Wait until a JavaScript expression is true; how long that took [s]."""
         began = time.monotonic()
         while not self.run(expression):

@@ -1,18 +1,25 @@
 """What watching costs, and how soon a step is on the screen: the figures of docs/measurements/watching.md.
 
     python tools/watching_cost.py writer [--lines 4000] [--watchers 10] [--rounds 5] [--clients]
+    python tools/watching_cost.py run [--watchers 10] [--rounds 2] [--clients]
     python tools/watching_cost.py screen [--steps 40]
 
 `writer` plays a run on instant devices: a process that appends steps to a journal, one after the other. Rounds with and
 without watchers (`gonio watch`, a process each) alternate; the ratio of their times is told, and the watchers' own
-processor time. With `--clients` each watcher has a reader of its stream. `screen` opens the page in Chromium, and times
-a step from the end of its line's write until the page shows its number.
+processor time. `run` measures a plan on the rig `sim`, with and without watchers in turns, and tells the processor time
+of the process that measures and of the watchers. With `--clients` each watcher has a reader of its stream that fetches
+values and frames as the page does. `screen` opens the page in Chromium, and times a step from the end of its line's
+write until the page shows its number.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import json
 import os
+import resource
+import shutil
 import statistics
 import subprocess
 import sys
@@ -78,10 +85,30 @@ def watchers(run: Path, count: int, clients: bool, state: Path) -> Iterator[list
 
 
 def drain(address: str) -> None:
-    """Take a stream's events until it ends."""
-    with urllib.request.urlopen(address) as stream:
-        while stream.read1(65536):
-            pass
+    """Take a stream's events until it ends; values and frames are fetched one at a time, as by a page."""
+
+    def fetch(what: str) -> None:
+        with contextlib.suppress(OSError), urllib.request.urlopen(address.replace("/events?", f"/{what}?")) as answer:
+            answer.read()
+
+    values = frame = None
+    with contextlib.suppress(OSError), urllib.request.urlopen(address) as stream:
+        busy: dict[str, threading.Thread] = {}
+        kind = ""
+        for line in stream:
+            kind = line[7:].decode().strip() if line.startswith(b"event: ") else kind
+            if not line.startswith(b"data: ") or kind not in ("status", "curves"):
+                continue
+            told = json.loads(line[6:])
+            due = []
+            if kind == "curves" and told["version"] != values:
+                due, values = ["curves"], told["version"]
+            elif kind == "status" and told["frame"] not in (None, frame):
+                due, frame = ["frame"], told["frame"]
+            for what in due:
+                if what not in busy or not busy[what].is_alive():
+                    busy[what] = threading.Thread(target=fetch, args=(what,), daemon=True)
+                    busy[what].start()
 
 
 def processor_s(process: int) -> float:
@@ -112,6 +139,60 @@ def writer(lines: int, count: int, rounds: int, clients: bool) -> None:
         print(f"ratio, median of {rounds}: {statistics.median(ratios):.4f} ({', '.join(f'{r:.3f}' for r in ratios)})")
         each = statistics.median(used) / lines / count
         print(f"a watcher uses {1e6 * each:.0f} us of a processor a step")
+
+
+PLAN = """
+name = "in plane"
+wavelength_nm = [500]
+[[sweep]]
+theta_i_deg = [10, 30, 45, 60]
+theta_r_deg = { start = -85, stop = 85, step = 2.5 }
+"""
+
+
+def measured(folder: Path, run: Path) -> tuple[float, float]:
+    """Measure the plan on the rig `sim`; how long that took [s], and the processor time of it [s]."""
+    (folder / "plan.toml").write_text(PLAN)
+    (folder / "sample.toml").write_text('name = "matt"\nmodel = "lambert"\n[parameters]\nalbedo = 0.5\n')
+    sample = ["--sample", str(folder / "sample.toml")]
+    command = [
+        *GONIO,
+        "measure",
+        str(folder / "plan.toml"),
+        *sample,
+        "--rig",
+        "sim",
+        "--out",
+        str(run),
+        "--seed",
+        "1",
+        "--yes",
+    ]
+    before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    took, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    return took, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def whole_run(count: int, rounds: int, clients: bool) -> None:
+    """Print what watchers of a real run cost it, and themselves."""
+    with tempfile.TemporaryDirectory() as folder:
+        here = Path(folder)
+        for round_ in range(rounds):
+            took, own = measured(here, here / "alone")
+            run = here / "run"
+            with watchers(run, count, clients, here / "state") as ids:
+                before = sum(map(processor_s, ids))
+                took_too, own_too = measured(here, run)
+                used = sum(map(processor_s, ids)) - before
+            print(
+                f"round {round_}: alone {took:.1f} s, processor {own:.1f} s; with {count} watchers"
+                f"{' and clients' if clients else ''} {took_too:.1f} s, processor {own_too:.1f} s; "
+                f"all watchers {used:.2f} s of processor, {100 * used / took_too:.1f} % of one",
+                flush=True,
+            )
+            for done in (here / "alone", run):
+                shutil.rmtree(done)
 
 
 def screen(steps: int) -> None:
@@ -146,7 +227,7 @@ def screen(steps: int) -> None:
 def main() -> None:
     """Read the arguments."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("writer", "screen"))
+    parser.add_argument("what", choices=("writer", "run", "screen"))
     parser.add_argument("--lines", type=int, default=4000)
     parser.add_argument("--watchers", type=int, default=10)
     parser.add_argument("--rounds", type=int, default=5)
@@ -155,6 +236,8 @@ def main() -> None:
     asked = parser.parse_args()
     if asked.what == "writer":
         writer(asked.lines, asked.watchers, asked.rounds, asked.clients)
+    elif asked.what == "run":
+        whole_run(asked.watchers, asked.rounds, asked.clients)
     else:
         screen(asked.steps)
 

@@ -347,7 +347,10 @@ class _Client(BaseHTTPRequestHandler):
             self.raw_requestline = self.rfile.readline(65537)
             if self.parse_request():
                 self.close_connection = True
-                self._answer()
+                if self.headers.defects:  # what follows a line that is none would go unread
+                    self._refuse(HTTPStatus.BAD_REQUEST)
+                else:
+                    self._answer()
         except OSError:
             pass  # it has gone, or takes nothing
 
@@ -382,14 +385,15 @@ class _Client(BaseHTTPRequestHandler):
         if any(not o.lower().startswith("http://") or not self._is_ours(o[len("http://") :]) for o in origins):
             self._refuse(HTTPStatus.FORBIDDEN, "another page asks")
             return
-        path, _, asked = self.path.partition("?")
+        path, _, asked = self.requestline.split()[1].partition("?")  # as it was sent: `self.path` has been tidied
         if path == "/favicon.ico":  # a browser asks for it without being told to
             self._send(HTTPStatus.NO_CONTENT, b"", None)
             return
         try:
-            query = dict(parse_qsl(asked, keep_blank_values=True, max_num_fields=32))
+            pairs = parse_qsl(asked, keep_blank_values=True, max_num_fields=32)
         except ValueError:
-            query = {}
+            pairs = []
+        query = dict(pairs) if len({name for name, _ in pairs}) == len(pairs) else {}
         if not hmac.compare_digest(query.get("token", "").encode(errors="replace"), self.server.token):
             self._refuse(HTTPStatus.FORBIDDEN, "the address lacks the token that was printed, or has an old one")
             return
@@ -452,6 +456,10 @@ class _Client(BaseHTTPRequestHandler):
     def _refuse(self, status: HTTPStatus, why: str = "") -> None:
         body = f"{status.value} {status.phrase}" + (f": {why}" if why else "")
         self._send(status, body.encode() + b"\n", "text/plain")
+
+    def handle_expect_100(self) -> bool:
+        """Nobody's body is waited for."""
+        return True
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
         """What cannot be understood is refused in the same way as all else."""

@@ -51,15 +51,18 @@ class Story:
     sittings: list[Sitting] = field(default_factory=list)
     flagged: int = 0
     last: Event | None = None
-    last_step: Event | None = None
     latest_frame: tuple[str, int] | None = None
     """The name of the last frame that shows something, and the number of its step."""
+    last_shown: tuple[str, Event] | None = None
+    """That name, and the whole step."""
     why: dict[str, str] = field(default_factory=dict)
     """For what the run waits, by rule."""
     visits_s: dict[int, float] = field(default_factory=dict)
     """When each visit to the reference was written down [s since 1970], by its step."""
     stopped: str = ""
     """How it came to its end, or ""."""
+    took_s: float | None = None
+    """How long the last step took [s], by the clock on the wall; None where something else happened meanwhile."""
     _durations: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
     _waited: bool = True
     _bytes: int = 0
@@ -75,6 +78,9 @@ class Story:
         else:
             self._other(kind, event, at)
             out["text"] = said(event)
+            if kind in ("chosen", "enough"):
+                out["why"] = reasons(event.get("why"))
+                out["points_deg"] = event.get("points", [])
         self.last = event
         return out
 
@@ -100,9 +106,10 @@ class Story:
             self.why = {kind: str(event["message"])} if event.get("message") else {}
 
     def _step(self, event: Event, at: float) -> dict[str, Any]:
-        before = self.last
+        before, self.took_s = self.last, None
         if before is not None and not self._waited:
-            self._durations.append(at - seconds(before.get("wall")))
+            self.took_s = at - seconds(before.get("wall"))
+            self._durations.append(self.took_s)
         self._waited, self.stopped, self.why = False, "", {}
         number, point, flag = int(event["step"]), event.get("point"), str(event.get("flag", ""))
         self.done[number] = str(event.get("kind", ""))
@@ -120,8 +127,7 @@ class Story:
         level = max((float(v) for v in levels.values()), default=0.0)
         shown = max(lit or frames, key=lambda frame: float(frame["exposure_s"]), default=None)
         if shown is not None:
-            self.latest_frame = str(shown["file"]), number
-        self.last_step = event
+            self.latest_frame, self.last_shown = (str(shown["file"]), number), (str(shown["file"]), event)
         out: dict[str, Any] = {
             "step": number,
             "kind": event.get("kind"),
@@ -207,11 +213,11 @@ def said(event: Mapping[str, Any]) -> str:
     if kind == "session":
         return f"a sitting begins: {event.get('left')} steps to take (gonio {event.get('gonio')})"
     if kind == "chosen":
-        points = event.get("points", [])
-        return f"{len(points)} points were chosen, from step {event.get('first_step')} on; {plain(event.get('why'))}"
+        count = len(event.get("points", []))
+        return f"{count} {'point' if count == 1 else 'points'} more, from step {event.get('first_step')} on"
     if kind == "enough":
-        met = "the target is reached" if event.get("met") else "no more points are chosen"
-        return "; ".join(text for text in (met, str(event.get("message", "")), plain(event.get("why"))) if text)
+        message = str(event.get("message", "")).removeprefix("enough: ")
+        return f"{'the target is reached' if event.get('met') else 'no more points'}{message and ': '}{message}"
     if kind == "end":
         return "every step is done"
     if kind == "continued":
@@ -221,6 +227,45 @@ def said(event: Mapping[str, Any]) -> str:
     message = event.get("message")
     rest = {key: value for key, value in event.items() if key not in (*OWN, "message", "time_s")}
     return str(message) if message else plain(rest)
+
+
+REASONS = {
+    "spent_s": "rig time so far",
+    "batch_s": "rig time of these",
+    "values": "values so far",
+    "u_rel": "relative uncertainty, at worst",
+    "median_u_rel": "relative uncertainty, median",
+    "misfit": "scatter over what was expected",
+    "cover": "of these, to cover gaps",
+    "u": "uncertainty",
+    "u_final": "uncertainty with all causes",
+}
+"""What the choosers' numbers mean; others go by their own names."""
+
+
+def reasons(why: Any) -> list[str]:
+    """Why points were chosen, a line each; what a chooser keeps for itself (rows of numbers) is left out."""
+    if not isinstance(why, Mapping):
+        return [text] if (text := plain(why)) else []
+    rest, out = dict(why), []
+    fit, u = rest.get("fit"), rest.get("u")
+    if isinstance(fit, Mapping) and isinstance(u, Mapping):
+        del rest["fit"], rest["u"]
+        out = [f"{name}: {plain(value)}" + (f" ± {plain(u[name])}" if name in u else "") for name, value in fit.items()]
+    for key, value in rest.items():
+        if isinstance(value, list | tuple) and any(isinstance(row, list | tuple) for row in value):
+            continue
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if number and key.endswith("_s"):
+            told = ago(float(value))
+        elif number and key.endswith("u_rel"):
+            told = f"{100.0 * value:.2g} %"
+        elif isinstance(value, Mapping):
+            told = ", ".join(f"{name} {plain(inner)}" for name, inner in value.items())
+        else:
+            told = plain(value)
+        out.append(f"{REASONS.get(key, key.replace('_', ' '))}: {told}")
+    return out
 
 
 def plain(value: Any, most: int = 300) -> str:

@@ -44,7 +44,7 @@ def _lines(watched: Watched) -> None:
         for event in watched.events_after(number):
             number += 1
             if event["event"] != "step":
-                print(f"{_clock(event)}  {event['event']}: {event.get('text', '')}", flush=True)
+                print(f"{_clock(event)}  {event_line(event)}", flush=True)
                 continue
             steps += 1
             part = max(status["total"] // LINES, 1)
@@ -64,12 +64,18 @@ def summary(status: dict[str, Any]) -> str:
     """How a run stands, in a line."""
     parts = [f"{status['state']}: step {status['done']} of {status['total'] or '?'}"]
     if status["left_s"] is not None:
-        parts.append(f"about {ago(status['left_s'])} left")
+        unsure = f" ± {ago(status['left_u_s'])}" if is_unsure(status["left_s"], status.get("left_u_s")) else ""
+        parts.append(f"about {ago(status['left_s'])}{unsure} left")
     if status["flagged"]:
         parts.append(f"{status['flagged']} flagged")
     if status.get("free_bytes"):
         parts.append(f"{status['free_bytes'] / 1e9:.3g} GB free")
     return ", ".join(parts) + (f" ({status['why']})" if status["why"] else "")
+
+
+def is_unsure(seconds: float, u_seconds: float | None) -> bool:
+    """Whether the uncertainty of a duration is worth saying."""
+    return u_seconds is not None and u_seconds >= max(0.02 * seconds, 1.0)
 
 
 def step_line(event: dict[str, Any]) -> str:
@@ -81,6 +87,12 @@ def step_line(event: dict[str, Any]) -> str:
     if event["kind"] != "dark" and not event["flag"]:
         what += f"; {100 * event['level']:.0f} % of full scale in {event['exposure_s']:.3g} s"
     return what + (f"  [{event['flag']}]" if event["flag"] else "")
+
+
+def event_line(event: dict[str, Any]) -> str:
+    """What happened, and the reasons where there are some."""
+    why = "; ".join(event.get("why", []))
+    return f"{event['event'].replace('_', ' ')}: {event.get('text', '')}" + (f" ({why})" if why else "")
 
 
 def values_lines(watched: Watched, most: int = LISTED) -> list[str]:
@@ -135,7 +147,7 @@ def render(watched: Watched) -> RenderableType:
         row("flagged", "\n".join(step_line(event) for event in flags[-LISTED:]))
     others = [event for event in events if event["event"] != "step"]
     if others:
-        told = [f"{_clock(event)} {event['event']}: {event['text']}" for event in others[-LISTED:]]
+        told = [f"{_clock(event)} {event_line(event)}" for event in others[-LISTED:]]
         row("events", "\n".join(told))
     if status["sittings"]:
         began, last, _ = status["sittings"][-1]

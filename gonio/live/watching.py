@@ -29,6 +29,7 @@ from gonio.live.story import Story, rounded
 
 if TYPE_CHECKING:
     from gonio.acquisition.run import Run
+    from gonio.live.left import Left
     from gonio.live.provisional import Provisional, Values
 
 POLL_S = 0.2
@@ -37,12 +38,18 @@ LOOK_S = 1.0
 """So often it is told how much room the disk has, and whether the process that measures lives."""
 PICTURE_S = 1.0
 """A frame is made a picture of at most so often."""
+PICTURE_SHARE = 0.05
+"""Of a processor: the time that pictures may take."""
 TOLD_S = 0.7
 """Values are handed on so often, while there are more to come."""
 LONGEST_S = 2.0
 """It rests no longer for it: the first step reads the dark frames as well."""
 PATIENCE_S = 5.0
 """A step that is being reduced at the end is waited for so long at most."""
+BUSY = ("running", "silent")
+"""States in which somebody measures, and is not to be disturbed."""
+GOING = ("running", "suspended", "paused", "silent")
+"""States of a run that may go on by itself."""
 SHARE = 0.1
 """Of a processor, while the run goes on: the time that reducing may take."""
 
@@ -61,6 +68,7 @@ class Watched:
     def __init__(self, path: Path, changed: Callable[[Watched], None] | None = None) -> None:
         self.path = path
         self.log = EventLog()
+        self.log.tell("run", {"name": path.absolute().name})
         self.story = Story()
         self.run: Run | None = None
         self.values: list[Values] = []
@@ -68,19 +76,22 @@ class Watched:
         """Whether the run is shown although nobody looks at a page."""
         self.problem = ""
         self._follower = Follower(path)
+        self._left: Left | None = None
         self._tried = -LOOK_S
         self._changed = changed
         self._news = threading.Condition()
         self._ended = False
         self._life = 0
         """Goes up where all is read anew."""
+        self._state = "running"
+        """As it was told last."""
         self._first: deque[Event] = deque()
         """What is reduced before all else, in order: darks, visits to the reference, and what was lost."""
         self._points: deque[Event] = deque()
         """Points that are not reduced yet; the newest one is the next."""
-        self._steps: dict[int, Event] = {}
         self._picture: tuple[str, bytes] | None = None
-        self._pictured = -PICTURE_S
+        self._pictured = 0.0
+        """From when on another one may be made."""
         self._one_picture = threading.Lock()
         self._threads = [
             threading.Thread(target=self._follow, name="follow", daemon=True),
@@ -149,10 +160,10 @@ class Watched:
             out, reduced = [], []
             for event in events:
                 out.append(("journal", self.story.take(event)))
+                if self._left is not None:
+                    self._left.take(event, self.story.took_s)
                 if event.get("event") in ("step", "lost"):
                     reduced.append(event)
-                if event.get("event") == "step":
-                    self._steps = {int(event["step"]): event}
             if out:
                 new = True
                 self.log.append(*out)
@@ -174,7 +185,7 @@ class Watched:
         """Another journal is in the place of the one that was read."""
         with self._news:
             self._life = self._follower.lives
-            self.story, self.run, self.values, self._tried = Story(), None, [], -LOOK_S
+            self.story, self.run, self.values, self._tried, self._left = Story(), None, [], -LOOK_S, None
             self._first.clear()
             self._points.clear()
         self.log.restart()
@@ -183,6 +194,7 @@ class Watched:
     def _open(self) -> None:
         """Read what was asked for, now that the run has begun."""
         from gonio.acquisition.run import Run
+        from gonio.live.left import Left
 
         try:
             run = Run.open(self.path)
@@ -199,7 +211,7 @@ class Watched:
                 left_out[flag, reason] = left_out.get((flag, reason), 0) + 1
         directions = Directions.from_degrees(*planned.angles_deg.T)
         most = sorted(left_out.items(), key=lambda item: -item[1])[:12]
-        self.run = run
+        self.run, self._left = run, Left(self.path)
         self.log.tell(
             "run",
             {
@@ -223,9 +235,10 @@ class Watched:
         """How the run stands now, in what JSON can hold."""
         story, now = self.story, time.time()
         state, why = story.state(now, None if story.stopped else self._follower.writer_lives())
-        left = max(story.total - len(story.done), 0)
+        self._state = state
         step_s = story.step_s
-        going = state in ("running", "suspended", "paused", "silent")
+        going = state in GOING
+        left = self._left.now() if going and self._left is not None else None
         out: dict[str, Any] = {
             "state": state,
             "why": "; ".join(text for text in (why, self._follower.damaged, self.problem) if text),
@@ -235,7 +248,8 @@ class Watched:
             "points": sum(kind == "point" for kind in story.done.values()),
             "flagged": story.flagged,
             "step_s": rounded(step_s, 3) if step_s is not None else None,
-            "left_s": round(left * step_s) if going and step_s is not None else None,
+            "left_s": round(left.seconds) if left is not None else None,
+            "left_u_s": rounded(left.u_seconds, 2) if left is not None else None,
             "sittings": [[round(s.began, 3), round(s.last, 3), s.steps] for s in story.sittings],
             "frame": story.latest_frame[0] if story.latest_frame is not None else None,
             "frame_step": story.latest_frame[1] if story.latest_frame is not None else None,
@@ -265,10 +279,10 @@ class Watched:
                 if not self._is_wanted():
                     continue
                 life, run, event = self._life, self.run, self._first.popleft() if self._first else self._points.pop()
-            began = time.monotonic()
             if made != life or provisional is None:
                 assert run is not None, "a step is there after its run was opened"
                 provisional, made = Provisional(run), life
+            began = time.thread_time()
             self._reduce_one(provisional, event)
             if not self.behind or time.monotonic() - told_s >= TOLD_S:
                 told_s = time.monotonic()
@@ -279,9 +293,9 @@ class Watched:
                     self.values = values
                 if self._changed is not None:
                     self._changed(self)
-            if not self.story.stopped:
+            if self._state in BUSY:
                 with self._news:
-                    worked = time.monotonic() - began
+                    worked = time.thread_time() - began
                     self._news.wait_for(lambda: self._ended, min(worked * (1.0 / SHARE - 1.0), LONGEST_S))
 
     def _is_wanted(self) -> bool:
@@ -308,16 +322,17 @@ class Watched:
         from gonio.rig.dng import read_raw
 
         with self._one_picture:
-            latest, run = self.story.latest_frame, self.run
-            if latest is not None and run is not None:
-                name, number = latest
-                if self._picture is None or self._picture[0] != name:
-                    time.sleep(max(0.0, self._pictured + PICTURE_S - time.monotonic()))
-                    event = self._steps.get(number)
-                    step = StepRecord.from_json(event) if event is not None else None
-                    with contextlib.suppress(GonioError, OSError):
-                        self._picture = name, png(run.description, read_raw(run.frame_path(name)), step)
-                        self._pictured = time.monotonic()
+            latest = self.story.last_shown
+            if latest is not None and (self._picture is None or self._picture[0] != latest[0]):
+                time.sleep(max(0.0, self._pictured - time.monotonic()))
+            latest, run = self.story.last_shown, self.run
+            if latest is not None and run is not None and (self._picture is None or self._picture[0] != latest[0]):
+                (name, step), began = latest, time.thread_time()
+                with contextlib.suppress(GonioError, OSError):
+                    frame = read_raw(run.frame_path(name))
+                    self._picture = name, png(run.description, frame, StepRecord.from_json(step))
+                rest = (time.thread_time() - began) / PICTURE_SHARE
+                self._pictured = time.monotonic() + min(max(PICTURE_S, rest), LONGEST_S)
             return Content(self._picture[1], "image/png") if self._picture is not None else None
 
 

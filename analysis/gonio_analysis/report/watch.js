@@ -24,9 +24,15 @@
 
   const time = (wall) => (wall ? new Date(wall).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit", second: "2-digit" }) : "");
   const day = (s) => new Date(1000 * s).toLocaleString([], { dateStyle: "short", timeStyle: "short" });
+  /** A time within days: of today the hour alone. */
+  function soon(s) {
+    const then = new Date(1000 * s), clock = { hour: "2-digit", minute: "2-digit" }, days = (then - Date.now()) / 8.64e7;
+    if (then.toDateString() === new Date().toDateString()) return then.toLocaleTimeString([], clock);
+    return days < 6 ? then.toLocaleString([], { weekday: "short", ...clock }) : then.toLocaleDateString([], { dateStyle: "short" });
+  }
   const degrees = (value) => `${(Math.round(value * 100) / 100).toString().replace("-", "\u2212")}°`;
   function duration(s) {
-    if (s < 90) return `${Math.round(s)} s`;
+    if (s < 90) return `${s < 9.5 ? Number(s.toPrecision(2)) : Math.round(s)} s`;
     const minutes = Math.round(s / 60), hours = Math.floor(minutes / 60);
     if (minutes < 90) return `${minutes} min`;
     return hours < 48 ? `${hours} h ${String(minutes % 60).padStart(2, "0")} min` : `${Math.floor(hours / 24)} d ${hours % 24} h`;
@@ -67,10 +73,15 @@
     const node = $(id), said = value || "\u00a0";
     if (node.textContent !== said) node.textContent = said;
   }
+  /** Rows of parts: an element's name ("" is text) and what it says; "details" is folded, with a line each of its own. */
   function list(id, rows, none) {
     const items = rows.map((parts) => {
       const item = document.createElement("li");
-      for (const [name, value] of parts) {
+      for (const [name, value, lines, key] of parts) {
+        if (name === "details") {
+          item.append(folded(value, lines, key));
+          continue;
+        }
         const node = name ? document.createElement(name) : document.createTextNode(value);
         if (name) node.textContent = value;
         item.append(node);
@@ -84,6 +95,23 @@
       items.push(item);
     }
     $(id).replaceChildren(...items);
+  }
+  const unfolded = new Set();
+  function folded(said, lines, key) {
+    const node = document.createElement("details"), head = document.createElement("summary"), rows = document.createElement("ul");
+    head.textContent = said;
+    rows.append(...lines.map((line) => Object.assign(document.createElement("li"), { textContent: line })));
+    node.open = unfolded.has(key);
+    node.addEventListener("toggle", () => unfolded[node.open ? "add" : "delete"](key));
+    node.append(head, rows);
+    return node;
+  }
+  function happened(e) {
+    const points = (e.points_deg || []).map(angles), why = e.why || [];
+    const parts = [["time", time(e.wall)], ["b", e.event.replaceAll("_", " ")], ["", ` ${e.text || ""}`]];
+    if (why.length) parts.push(["details", "why", why, `why ${e.n}`]);
+    if (points.length) parts.push(["details", "which", points, `which ${e.n}`]);
+    return parts;
   }
   function svg(parent, name, attributes, said) {
     const node = document.createElementNS(SVG, name);
@@ -106,6 +134,11 @@
     return out;
   }
 
+  /** 1, 2 or 5 times a power of ten: not above a distance. */
+  function even(distance) {
+    const power = 10 ** Math.floor(Math.log10(distance)), part = distance / power;
+    return power * (part >= 5 ? 5 : part >= 2 ? 2 : 1);
+  }
   /** Series against time [h]: { name, points: [[t, value, u?]] }; `dots` where each value stands for itself. */
   function chart(root, series, { show = (v) => String(Number(v.toPrecision(3))), dots = false, floor = null, ceiling = null } = {}) {
     const every = series.flatMap((s) => s.points);
@@ -126,8 +159,9 @@
     const left = 52, right = 392, top = 8, bottom = 106;
     const x = (t) => (to > from ? left + ((t - from) / (to - from)) * (right - left) : (left + right) / 2);
     const y = (v) => bottom - ((v - low) / (high - low)) * (bottom - top);
-    for (const part of [0, 0.5, 1]) {
-      const v = low + part * (high - low);
+    const step = even((high - low) / 2.5);
+    for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k += 1) {
+      const v = k * step;
       svg(root, "line", { class: "axis", x1: left, x2: right, y1: y(v), y2: y(v) });
       svg(root, "text", { x: left - 5, y: y(v) + 4, "text-anchor": "end" }, show(v));
     }
@@ -159,9 +193,18 @@
     $("state").dataset.state = s.state || "waiting";
     text("done", String(s.done || 0));
     text("total", s.total ? String(s.total) : "?");
-    text("left", s.left_s === null || s.left_s === undefined ? "–" : duration(s.left_s));
-    const going = s.left_s !== null && s.left_s !== undefined;
-    text("until", going ? `done ${day(Date.now() / 1000 + s.left_s)}; ${duration(s.step_s)} a step` : "");
+    const going = typeof s.left_s === "number", sittings = s.sittings || [], ended = s.state === "ended" && sittings.length > 0;
+    text("left-is", ended ? "took" : "left");
+    if (ended) {
+      text("left", duration(sittings.reduce((sum, [began, end]) => sum + end - began, 0)));
+      text("until", `ended ${day(sittings[sittings.length - 1][1])}`);
+    } else {
+      text("left", going ? duration(s.left_s) : "–");
+      const unsure = going && s.left_u_s >= Math.max(0.02 * s.left_s, 1) ? `± ${duration(s.left_u_s)}` : "";
+      const done = going && s.state === "running" ? `done ${soon(Date.now() / 1000 + s.left_s)}` : "";
+      text("until", [unsure, done].filter(Boolean).join("; "));
+    }
+    text("each", going && s.step_s ? `${duration(s.step_s)} a step` : "");
     text("why", s.why || "");
     $("progress").max = s.total || 1;
     $("progress").value = s.done || 0;
@@ -194,14 +237,14 @@
   function drawLists() {
     text("flag-count", String(flags.length));
     list("flags", flags.slice(-MOST_LINES).reverse().map((e) => [["time", time(e.wall)], ["b", e.flag], ["", ` step ${e.step}${e.point === null ? "" : `, point ${e.point}`} ${angles(e.angles_deg)}`]]), "Nothing.");
-    list("events", events.slice(-MOST_LINES).reverse().map((e) => [["time", time(e.wall)], ["b", e.event.replaceAll("_", " ")], ["", ` ${e.text || ""}`]]), "Nothing yet.");
-    list("left-out", (run.left_out || []).map(([flag, reason, count]) => [["b", `${count} ${flag.replaceAll("_", " ")}`], ["", reason ? `: ${reason}` : ""]]), "Nothing.");
+    list("events", events.slice(-MOST_LINES).reverse().map(happened), "Nothing yet.");
+    list("left-out", (run.left_out || []).map(([flag, reason, count]) => [["b", `${count} ${flag.replaceAll("_", " ")}`], ["", reason ? `: ${reason}` : ""]]), run.left_out ? "Nothing." : "Nothing is known of the plan yet.");
   }
 
   function drawCharts() {
     chart($("levels"), [{ name: "level", points: levels }], { show: (v) => `${Math.round(100 * v)} %`, dots: levels.length < 200, floor: 0, ceiling: 1 });
-    const visits = curves ? curves.visits : [];
-    chart($("drift"), visits, { show: (v) => `${(100 * (v - 1)).toFixed(2)} %`, dots: true });
+    const visits = (curves ? curves.visits : []).map((v) => ({ name: v.name, points: v.points.map(([t, level, u]) => [t, 100 * (level - 1), u && 100 * u]) }));
+    chart($("drift"), visits, { show: (v) => `${Number(v.toPrecision(3))} %`.replace("-", "\u2212"), dots: true });
     const wanted = [...health.entries()].filter(([name]) => !(health.has(`${name}_max`) || health.has(`${name}_min`)));
     const figures = wanted.map(([name, { unit, devices }]) => {
       const figure = document.createElement("figure"), said = document.createElement("figcaption");
@@ -215,6 +258,7 @@
       return figure;
     });
     if (figures.length) $("health").replaceChildren(...figures);
+    else text("no-health", steps ? "This rig tells nothing of its devices." : "Nothing yet.");
   }
 
   // dark blue over green to yellow: equal steps of log BRDF look like equal steps (after viridis)
@@ -241,7 +285,10 @@
       svg(root, "text", { x: 203, y: 200 - (R * theta) / 90 - 3 }, `${theta}°`);
     }
     for (const [x, y, said] of [[395, 190, "mirror"], [5, 190, "retro"]]) svg(root, "text", { x, y, "text-anchor": x > 200 ? "end" : "start" }, said);
-    if (!map) return;
+    if (!map) {
+      text("map-says", "Nothing out of the plane yet.");
+      return;
+    }
     const logs = map.points.filter((p) => p[2] > 0).map((p) => Math.log10(p[2]));
     const low = logs.reduce((a, b) => Math.min(a, b), Infinity), high = logs.reduce((a, b) => Math.max(a, b), -Infinity);
     for (const [theta, dphi, value] of map.points) {
@@ -312,6 +359,7 @@
         $("curves").show(curves.view);
       }
       text("behind", curves.says);
+      text("no-curves", curves.says.includes("not reduced yet") ? "The values are being worked out." : "Two points of a curve make a plot.");
       draw("charts", "map");
     }
     fetching = false;
@@ -390,7 +438,8 @@
       if (number <= last) return;
       last = number;
       take(data);
-      draw("status", "lists", "charts");
+      draw("status", "charts");
+      if (data.event !== "step" || data.flag) draw("lists");
       closeIfHidden();
     });
     on("run", (data) => { run = data; draw("status", "lists", "map"); });
@@ -411,6 +460,7 @@
   });
   window.addEventListener("pagehide", close);
   window.addEventListener("pageshow", () => { if (!source) open(); });
+  draw("status", "lists", "charts", "map");
   open();
   window.gonioWatch = { get last() { return last; }, get steps() { return steps; }, get state() { return status.state; } };
 })();

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from gonio.acquisition.journal import Event
-from gonio.live.story import Story, ago, said, seconds
+from gonio.live.story import Story, ago, reasons, said, seconds
 
 BEGAN = 1_800_000_000.0
 
@@ -102,9 +102,25 @@ def test_a_run_grows_by_what_is_chosen(told: Told) -> None:
     points = [[30.0, 0.0, float(k), 180.0] for k in range(4)]
     event = told.take("chosen", 50.0, first_step=10, points=points, why={"sigma": 0.01234, "curve": "theta_i 30"})
     assert told.story.total == 10 + 4 + 2, "a visit to the reference after three points, and one after the last"
-    assert event["text"] == "4 points were chosen, from step 10 on; sigma 0.01234, curve theta_i 30"
+    assert event["text"] == "4 points more, from step 10 on"
+    assert event["why"] == ["sigma: 0.01234", "curve: theta_i 30"]
+    assert event["points_deg"] == points
     step = told.step(10, 60.0, point=8)
     assert step["angles_deg"] == points[2]
+
+
+def test_why_points_were_chosen_is_said_in_words() -> None:
+    curve = {"spent_s": 831.0, "values": 19, "u_rel": 0.117, "misfit": 1.27, "kernel": [[-1.9, -3.4]], "batch_s": 32.0}
+    assert reasons(curve) == [
+        *("rig time so far: 14 min", "values so far: 19", "relative uncertainty, at worst: 12 %"),
+        *("scatter over what was expected: 1.27", "rig time of these: 32 s"),
+    ]
+    fit = {"fit": {"sigma0_um": 0.279972, "tau_um": 1.76947}, "u": {"sigma0_um": 0.00084}, "mode": "parameters"}
+    assert reasons(fit) == ["sigma0_um: 0.28 ± 0.00084", "tau_um: 1.769", "mode: parameters"]
+    assert reasons("so") == ["so"]
+    assert reasons(None) == reasons({}) == []
+    met = {"event": "enough", "met": True, "message": "enough: curve known to 1 %", "why": curve}
+    assert said(met) == "the target is reached: curve known to 1 %"
 
 
 def test_steps_that_are_taken_back_are_left_again(told: Told) -> None:
