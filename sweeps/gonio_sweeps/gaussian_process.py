@@ -18,6 +18,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from gonio.geometry import Directions
 from gonio.typing import Floats
@@ -157,6 +158,14 @@ class Values:
         """Among the values."""
         return Pairs(self.at, self.at)
 
+    def only(self, kept: npt.NDArray[np.bool_]) -> Values:
+        """Some of them."""
+        a = self.at
+        at = Coordinates(
+            a.theta_h[kept], a.toward[kept], a.view[kept], a.incidence[kept], a.apart[kept], a.log_cos[kept]
+        )
+        return Values(at, self.z[kept], self.u[kept], self.causes[kept])
+
     @property
     def common(self) -> Floats:
         """Covariance of the common causes."""
@@ -233,15 +242,22 @@ class Process:
         """The mean at places."""
         return np.asarray(self.mean + Pairs(places, self.data.at).kernel(self.p)[0] @ self._factor[1])
 
-    def at(self, places: Coordinates) -> tuple[Floats, Floats]:
-        """Mean and covariance at places."""
+    @property
+    def causes(self) -> Floats:
+        """The mean of each common cause, in its standard deviations."""
+        return np.asarray(self.data.causes.T @ self._factor[1])
+
+    def covariance_at(self, places: Coordinates, effects: Floats | None = None) -> Floats:
+        """Covariance at places; with `effects` (n, k) that of the process and what the first k causes add to it."""
         from scipy.linalg import solve_triangular
 
-        factor, alpha = self._factor
         cross, _ = Pairs(places, self.data.at).kernel(self.p)
-        half = solve_triangular(factor[0], cross.T, lower=True)
         prior, _ = Pairs(places, places).kernel(self.p)
-        return self.mean + cross @ alpha, prior - half.T @ half
+        if effects is not None:
+            cross = cross + effects @ self.data.causes[:, : effects.shape[1]].T
+            prior = prior + effects @ effects.T
+        half = solve_triangular(self._factor[0][0], cross.T, lower=True)
+        return np.asarray(prior - half.T @ half)
 
     @property
     def left_out(self) -> Floats:
