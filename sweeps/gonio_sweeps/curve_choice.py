@@ -15,7 +15,7 @@ COVERING = 5
 """Every so many chosen points one goes where the curve is measured least, whatever the process expects there."""
 DONE = 0.05
 """Weight of a place that is known well enough, beside one that is not."""
-WORST = 16.0
+WORST = 1600.0
 """A place counts at most so much more than one that is just not known well enough."""
 
 
