@@ -241,12 +241,22 @@ class Posterior:
             variance = variance + (gain * self.angles.read) ** 2 * sum(s**2 for s in by)
         return f, covariance * self.misfit**2, variance
 
+    def steepness(self, directions: Directions) -> Floats:
+        """By how much the logarithm of the curve changes with the detector's direction, a spike apart [1/rad]."""
+        by_detector, _, across = self._slopes(self._without_causes, directions)
+        return np.hypot(by_detector, across)
+
     def at(self, directions: Directions) -> tuple[Floats, Floats, Floats, Floats]:
-        """BRDF, standard uncertainty, and the interval of 95 % [1/sr], common causes included."""
+        """BRDF, standard uncertainty, and the interval of 95 % [1/sr], common causes included.
+
+        The BRDF is zero or more; an interval may begin below zero.
+        """
         f, covariance, *_ = self._curve(self._process, directions)
-        sd = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * self.misfit
-        low, high = (self.link.brdf(self.link.z(f) + k * sd) for k in (-K95, K95))
-        return f, sd / self.link.slope(f), low, high
+        z = self.link.z(f)
+        # no BRDF is below zero: where the process is, it is wrong by that at least
+        sd = np.maximum(np.sqrt(np.maximum(np.diag(covariance), 0.0)) * self.misfit, -z)
+        low, high = (self.link.brdf(z + k * sd) for k in (-K95, K95))
+        return np.maximum(f, 0.0), sd / self.link.slope(f), low, high
 
     def _curve(self, process: Process, d: Directions) -> tuple[Floats, Floats, Floats, Floats]:
         """BRDF [1/sr] with the spike; covariance on the scale of the link; what one unit of the process is there;
