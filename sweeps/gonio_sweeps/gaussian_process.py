@@ -35,6 +35,8 @@ LEVEL, COSINE = 5.0, 1.0
 """Standard deviations of the logarithm's mean and of the power of cos theta_r: Lambert's 0, Cook and Torrance's -1."""
 LIMB = 0.5
 """theta_r is stretched by 1 + LIMB tan(theta_r): shadowing sets in within the last degrees before grazing."""
+CURVATURE_STEP = 1e-3
+"""Of the parameters' logarithms."""
 JITTER = 1e-10
 SQRT5 = np.sqrt(5.0)
 
@@ -220,6 +222,19 @@ def learned(data: Values, before: Floats | None = None) -> Floats:
     return np.asarray(best.x)
 
 
+def nearby(p: Floats, data: Values, mean: float) -> list[tuple[Floats, Floats]]:
+    """Parameters a standard deviation away from the most probable ones, to both sides along each principal axis.
+
+    Their distribution is taken for the normal one with its curvature there (Laplace's approximation).
+    """
+    step = CURVATURE_STEP * np.eye(p.size)
+    rows = [(objective(p + h, data, mean)[1] - objective(p - h, data, mean)[1]) / (2.0 * CURVATURE_STEP) for h in step]
+    curvature = np.array(rows)
+    values, axes = np.linalg.eigh(0.5 * (curvature + curvature.T))
+    off = axes / np.sqrt(np.maximum(values, 1.0 / SPREADS.max() ** 2))
+    return [(p + a, p - a) for a in off.T]
+
+
 @dataclass(frozen=True)
 class Process:
     """The process given values and parameters."""
@@ -258,6 +273,20 @@ class Process:
             prior = prior + effects @ effects.T
         half = solve_triangular(self._factor[0][0], cross.T, lower=True)
         return np.asarray(prior - half.T @ half)
+
+    def variance_at(self, places: Coordinates, effects: Floats | None = None) -> Floats:
+        """The diagonal of `covariance_at`."""
+        from scipy.linalg import solve_triangular
+
+        _, lobe, _, own, _, view, _, _, retro, _, facets = np.exp(self.p[:11])
+        prior = LEVEL**2 + (COSINE * places.log_cos) ** 2 + lobe**2 + (own * lobe) ** 2 + view**2 + retro**2
+        prior = prior + (facets * np.tan(places.theta_h) ** 2) ** 2
+        cross, _ = Pairs(places, self.data.at).kernel(self.p)
+        if effects is not None:
+            cross = cross + effects @ self.data.causes[:, : effects.shape[1]].T
+            prior = prior + (effects**2).sum(axis=1)
+        half = solve_triangular(self._factor[0][0], cross.T, lower=True)
+        return np.asarray(prior - (half**2).sum(axis=0))
 
     @property
     def left_out(self) -> Floats:

@@ -11,7 +11,7 @@ import numpy as np
 from gonio.errors import DataError
 from gonio.geometry import Directions, direction
 from gonio.typing import Floats
-from gonio_sweeps.gaussian_process import Coordinates, Process, Values, learned, objective
+from gonio_sweeps.gaussian_process import Coordinates, Process, Values, learned, nearby, objective
 from gonio_sweeps.spike import Spike, suspected, within
 
 if TYPE_CHECKING:
@@ -207,6 +207,12 @@ class Posterior:
         return Process(self._values, self.parameters, float(np.median(self._values.z)))
 
     @cached_property
+    def _nearby(self) -> list[tuple[Process, Process]]:
+        """With other parameters that the values allow."""
+        v, mean = self._values, float(np.median(self._values.z))
+        return [(Process(v, a, mean), Process(v, b, mean)) for a, b in nearby(self.parameters, v, mean)]
+
+    @cached_property
     def _without_causes(self) -> Process:
         """But for a spike's, which further points can tell."""
         v = self._values
@@ -241,20 +247,46 @@ class Posterior:
             variance = variance + (gain * self.angles.read) ** 2 * sum(s**2 for s in by)
         return f, covariance * self.misfit**2, variance
 
-    def steepness(self, directions: Directions) -> Floats:
-        """By how much the logarithm of the curve changes with the detector's direction, a spike apart [1/rad]."""
-        by_detector, _, across = self._slopes(self._without_causes, directions)
-        return np.hypot(by_detector, across)
+    def steepness(self, directions: Directions, floor: float) -> Floats:
+        """Slope of the curve over the detector's direction, relative to its value [1/rad], a spike apart.
+
+        Relative to the part `floor` of the largest value where the curve is below that.
+        """
+        process = self._without_causes
+        by_detector, _, across = self._slopes(process, directions)
+        f = self.link.brdf(process.mean_at(Coordinates.of(directions)))
+        size = np.maximum(np.abs(f), floor * float(np.abs(self.brdf).max()))
+        return np.asarray(np.hypot(by_detector, across) / (self.link.slope(f) * size))
 
     def at(self, directions: Directions) -> tuple[Floats, Floats, Floats, Floats]:
         """BRDF, standard uncertainty, and the interval of 95 % [1/sr], common causes included.
 
         The BRDF is zero or more; an interval may begin below zero.
         """
-        f, covariance, *_ = self._curve(self._process, directions)
+        at, process = Coordinates.of(directions), self._process
+        mean = process.mean_at(at)
+        lobe = self.link.brdf(mean)
+        f, effects = lobe, None
+        if self.spike is not None:
+            added, _ = self.spike.effects(directions)
+            effects = added * self.link.slope(lobe)[:, None]
+            f = lobe + added @ (self.spike.base + process.causes[: added.shape[1]])
+        variance = process.variance_at(at, effects)
+        # what the kernel's parameters are is not known either
+        of_means, of_variances = np.zeros(f.shape), np.zeros(f.shape)
+        for pair in self._nearby:
+            for one in pair:
+                away = one.mean_at(at) - mean
+                if effects is not None:
+                    count = effects.shape[1]
+                    away = away + effects @ (one.causes[:count] - process.causes[:count])
+                of_means += 0.5 * away**2
+                of_variances += 0.5 * (one.variance_at(at, effects) - variance)
+        variance = np.maximum(variance, 0.0) + of_means + np.maximum(of_variances, 0.0)
+        gain = self.link.slope(f) / self.link.slope(lobe)
         z = self.link.z(f)
         # no BRDF is below zero: where the process is, it is wrong by that at least
-        sd = np.maximum(np.sqrt(np.maximum(np.diag(covariance), 0.0)) * self.misfit, -z)
+        sd = np.maximum(np.sqrt(variance) * gain * self.misfit, -z)
         low, high = (self.link.brdf(z + k * sd) for k in (-K95, K95))
         return np.maximum(f, 0.0), sd / self.link.slope(f), low, high
 
