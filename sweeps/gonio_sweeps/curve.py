@@ -38,8 +38,12 @@ GROWTH = 0.25
 """A batch adds this part of the points so far."""
 SMALLEST, LARGEST = 5, 25
 """Points of a batch, at least and at most: each ends with a visit to the reference."""
-NEAR_MIRROR_DEG = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0)
-"""Beside a range of theta_r, these offsets from the mirror direction may be measured: lobes are narrow there."""
+NEAR_MIRROR_DEG = (2.0, 3.0, 4.0, 5.0, 6.0)
+IN_CONES = (0.25, 0.5, 0.75, 1.0, 1.25)
+"""Beside a range of theta_r, these offsets from the mirror direction may be measured: lobes are narrow there. The
+second ones are parts of the angle at which the lens sees no more of the lamp's mirror image."""
+FLANK = 0.5
+"""The same unit: the first points have one on either side of each mirror direction, which tell of a spike."""
 MOST_CANDIDATES = 1500
 """The process holds the covariance of all: 2 s a batch on one core."""
 DEFAULT_GOAL = 0.005
@@ -121,6 +125,7 @@ class Curve:
         self._expected = expected.Expected(self.durations, self.candidates.poses)
         self._grid = Grid.of(self._directions, _weights(self.candidates.points))
         self._errors = _angle_errors(description)
+        self._cones = _cones(description)
         self._first = self._covering()
         self._check_budget(where)
 
@@ -147,10 +152,21 @@ class Curve:
             count *= 2
         if self._settings.most_points is not None:
             count = min(count, max(FIRST, self._settings.most_points // 2))
-        mirror = np.asarray(self._directions.mirror_offset)
-        begin = np.array([int(np.argmin(mirror))])
+        begin = np.array(self._at_mirror())
         chosen = spread(at, min(count, len(at)), begin)
         return [chosen[k] for k in snake([self.candidates.points[k] for k in chosen])]
+
+    def _at_mirror(self) -> list[int]:
+        """Of each angle of incidence the candidate nearest to the mirror direction, and one on either side of it."""
+        d = self._directions
+        flank, out = FLANK * sum(self._cones), []
+        for theta_i in np.unique(d.theta_i):
+            for goal in (0.0, flank, -flank):
+                own = np.flatnonzero((d.theta_i == theta_i) & d.in_plane)
+                away = np.abs(d.signed[own] - theta_i - goal)
+                if own.size and (not goal or away.min() < 0.5 * flank):
+                    out.append(int(own[np.argmin(np.round(away, 9))]))
+        return list(dict.fromkeys(out))
 
     def _check_budget(self, where: str) -> None:
         poses = [self.candidates.poses[k] for k in self._first]
@@ -180,6 +196,7 @@ class Curve:
             common,
             self._errors,
             None if before is None else np.array(before),
+            self._cones,
         )
 
     def decided(
@@ -253,7 +270,9 @@ def _with_mirror(plan: Plan, description: RigDescription, given: dict[str, Any])
     for theta_i in sorted({p.theta_i_deg for p in found.points}):
         own = [p for p in found.points if p.theta_i_deg == theta_i]
         largest = max(p.theta_r_deg for p in own)
-        near = [theta_i + s * d for d in (0.0, *NEAR_MIRROR_DEG) for s in (1, -1) if abs(theta_i + s * d) <= largest]
+        reach = math.degrees(sum(_cones(description)))
+        offsets = (0.0, *(part * reach for part in IN_CONES), *(d for d in NEAR_MIRROR_DEG if d > 1.5 * reach))
+        near = [theta_i + s * d for d in offsets for s in (1, -1) if abs(theta_i + s * d) <= largest]
         more = candidates(plan, description, {"theta_i_deg": [theta_i], "theta_r_deg": sorted(set(near))})
         for point, pose in zip(more.points, more.poses, strict=True):
             if point not in have:
@@ -299,6 +318,11 @@ def _angle_errors(description: RigDescription) -> AngleErrors:
     read = max(math.hypot(a.encoder_step_deg / math.sqrt(12.0), a.encoder_noise_deg) for a in axes.values())
     zeros = zero_uncertainties(description)
     return AngleErrors(math.radians(read), math.radians(max(zeros.values(), default=0.0)))
+
+
+def _cones(description: RigDescription) -> tuple[float, float]:
+    """Half angles of lamp and lens [rad]."""
+    return math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
 
 
 def _short(value: float) -> float | None:

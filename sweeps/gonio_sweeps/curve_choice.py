@@ -13,9 +13,13 @@ from gonio_sweeps.posterior import Posterior
 
 COVERING = 5
 """Every so many chosen points one goes where the curve is measured least, whatever the process expects there."""
+STEEP_TURNS = (1, 3)
+"""Of every `COVERING` points these go into the steepest gap, as long as there is one."""
+STEEP = 0.7
+"""A gap is steep where the logarithm of the curve changes by more from the nearest point on."""
 DONE = 0.05
 """Weight of a place that is known well enough, beside one that is not."""
-WORST = 16.0
+WORST = 400.0
 """A place counts at most so much more than one that is just not known well enough."""
 
 
@@ -88,9 +92,15 @@ def batch(
     chosen: list[int] = []
     covers: list[int] = []
     far = grid.uncovered(known[0].directions)
+    slope = np.max([p.steepness(grid.directions, floor) for p in known], axis=0)
     for k in range(count):
-        if (done + k) % COVERING == COVERING - 1 and far.max() > 0:
+        turn = (done + k) % COVERING
+        if turn == COVERING - 1 and far.max() > 0:
             best = int(np.argmax(np.round(far, 9)))
+            covers.append(best)
+        elif turn in STEEP_TURNS and (far * slope).max() > STEEP:
+            # whatever the process expects there: a flank is easily taken for that of another incidence
+            best = int(np.argmax(np.round(far * slope, 9)))
             covers.append(best)
         else:
             score = np.sum([s.gain(grid.weight) for s in states], axis=0) / cost

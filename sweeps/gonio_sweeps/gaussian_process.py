@@ -18,6 +18,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from gonio.geometry import Directions
 from gonio.typing import Floats
@@ -34,6 +35,8 @@ LEVEL, COSINE = 5.0, 1.0
 """Standard deviations of the logarithm's mean and of the power of cos theta_r: Lambert's 0, Cook and Torrance's -1."""
 LIMB = 0.5
 """theta_r is stretched by 1 + LIMB tan(theta_r): shadowing sets in within the last degrees before grazing."""
+CURVATURE_STEP = 1e-3
+"""Of the parameters' logarithms."""
 JITTER = 1e-10
 SQRT5 = np.sqrt(5.0)
 
@@ -157,6 +160,14 @@ class Values:
         """Among the values."""
         return Pairs(self.at, self.at)
 
+    def only(self, kept: npt.NDArray[np.bool_]) -> Values:
+        """Some of them."""
+        a = self.at
+        at = Coordinates(
+            a.theta_h[kept], a.toward[kept], a.view[kept], a.incidence[kept], a.apart[kept], a.log_cos[kept]
+        )
+        return Values(at, self.z[kept], self.u[kept], self.causes[kept])
+
     @property
     def common(self) -> Floats:
         """Covariance of the common causes."""
@@ -211,6 +222,19 @@ def learned(data: Values, before: Floats | None = None) -> Floats:
     return np.asarray(best.x)
 
 
+def nearby(p: Floats, data: Values, mean: float) -> list[tuple[Floats, Floats]]:
+    """Parameters a standard deviation away from the most probable ones, to both sides along each principal axis.
+
+    Their distribution is taken for the normal one with its curvature there (Laplace's approximation).
+    """
+    step = CURVATURE_STEP * np.eye(p.size)
+    rows = [(objective(p + h, data, mean)[1] - objective(p - h, data, mean)[1]) / (2.0 * CURVATURE_STEP) for h in step]
+    curvature = np.array(rows)
+    values, axes = np.linalg.eigh(0.5 * (curvature + curvature.T))
+    off = axes / np.sqrt(np.maximum(values, 1.0 / SPREADS.max() ** 2))
+    return [(p + a, p - a) for a in off.T]
+
+
 @dataclass(frozen=True)
 class Process:
     """The process given values and parameters."""
@@ -233,15 +257,36 @@ class Process:
         """The mean at places."""
         return np.asarray(self.mean + Pairs(places, self.data.at).kernel(self.p)[0] @ self._factor[1])
 
-    def at(self, places: Coordinates) -> tuple[Floats, Floats]:
-        """Mean and covariance at places."""
+    @property
+    def causes(self) -> Floats:
+        """The mean of each common cause, in its standard deviations."""
+        return np.asarray(self.data.causes.T @ self._factor[1])
+
+    def covariance_at(self, places: Coordinates, effects: Floats | None = None) -> Floats:
+        """Covariance at places; with `effects` (n, k) that of the process and what the first k causes add to it."""
         from scipy.linalg import solve_triangular
 
-        factor, alpha = self._factor
         cross, _ = Pairs(places, self.data.at).kernel(self.p)
-        half = solve_triangular(factor[0], cross.T, lower=True)
         prior, _ = Pairs(places, places).kernel(self.p)
-        return self.mean + cross @ alpha, prior - half.T @ half
+        if effects is not None:
+            cross = cross + effects @ self.data.causes[:, : effects.shape[1]].T
+            prior = prior + effects @ effects.T
+        half = solve_triangular(self._factor[0][0], cross.T, lower=True)
+        return np.asarray(prior - half.T @ half)
+
+    def variance_at(self, places: Coordinates, effects: Floats | None = None) -> Floats:
+        """The diagonal of `covariance_at`."""
+        from scipy.linalg import solve_triangular
+
+        _, lobe, _, own, _, view, _, _, retro, _, facets = np.exp(self.p[:11])
+        prior = LEVEL**2 + (COSINE * places.log_cos) ** 2 + lobe**2 + (own * lobe) ** 2 + view**2 + retro**2
+        prior = prior + (facets * np.tan(places.theta_h) ** 2) ** 2
+        cross, _ = Pairs(places, self.data.at).kernel(self.p)
+        if effects is not None:
+            cross = cross + effects @ self.data.causes[:, : effects.shape[1]].T
+            prior = prior + (effects**2).sum(axis=1)
+        half = solve_triangular(self._factor[0][0], cross.T, lower=True)
+        return np.asarray(prior - (half**2).sum(axis=0))
 
     @property
     def left_out(self) -> Floats:

@@ -11,7 +11,8 @@ import numpy as np
 from gonio.errors import DataError
 from gonio.geometry import Directions, direction
 from gonio.typing import Floats
-from gonio_sweeps.gaussian_process import Coordinates, Process, Values, learned
+from gonio_sweeps.gaussian_process import Coordinates, Process, Values, learned, nearby, objective
+from gonio_sweeps.spike import Spike, suspected, within
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -71,6 +72,8 @@ class Posterior:
     """What `u_random` and `causes` do not hold yet: the slopes of the process tell what it does to each value."""
     before: Floats | None = None
     """Parameters of the kernel that were learned from fewer points."""
+    cones: tuple[float, float] | None = None
+    """Half angles of lamp and lens [rad]: what shape a specular spike has; None where they are not known."""
 
     @classmethod
     def of(cls, table: pd.DataFrame) -> Posterior:
@@ -105,26 +108,85 @@ class Posterior:
     @cached_property
     def parameters(self) -> Floats:
         """Of the kernel, learned from these points."""
-        return self._learned[1]
+        return self._learned.p
+
+    @property
+    def spike(self) -> Spike | None:
+        """A specular spike, where the values tell of one."""
+        return self._learned.spike
 
     @property
     def _values(self) -> Values:
-        return self._learned[0]
+        return self._learned.values
 
     @cached_property
-    def _learned(self) -> tuple[Values, Floats]:
+    def _learned(self) -> _Learned:
+        """With a spike where it makes the values more probable."""
+        plain = self._without_spike
+        suspect = None if self.cones is None else suspected(self.directions, self.brdf, self.cones)
+        if suspect is None:
+            return plain
+        found = self._with_spike(suspect)
+        return plain if found is None or found.unlikely >= plain.unlikely else found
+
+    @cached_property
+    def _without_spike(self) -> _Learned:
         """The values on the scale of the process, and its parameters; twice where slopes have to be known first."""
         slope = self.link.slope(self.brdf)
         at, z, u, causes = Coordinates.of(self.directions), self.link.z(self.brdf), self._u * slope, self.causes
         values = Values(at, z, u, causes * slope[:, None])
         if self.angles is None:
-            return values, learned(values, self.before)
+            return _Learned.of(values, learned(values, self.before))
         p = learned(values) if self.before is None else self.before
         by_detector, by_source, across = self._slopes(Process(values, p, float(np.median(z))), self.directions)
         u = np.sqrt(u**2 + self.angles.read**2 * (by_detector**2 + by_source**2 + across**2))
         zeros = self.angles.zero * np.stack([by_detector, by_source, across], axis=-1)
         values = Values(at, z, u, np.concatenate([values.causes, zeros], axis=-1))
-        return values, learned(values, p)
+        return _Learned.of(values, learned(values, p))
+
+    def _with_spike(self, spike: Spike) -> _Learned | None:
+        """The same of what a spike leaves, by Gauss and Newton's steps; None where the values want none.
+
+        A value is f = L(z) + spike. Near z0 it is as good as a value of z whose noise is that of f over dL/dz; what the
+        spike's unknowns do to it is a common cause.
+        """
+        d, at = self.directions, Coordinates.of(self.directions)
+        assert self.cones is not None
+        beyond = ~within(d, self.cones)
+        slope = self.link.slope(self.brdf)
+        read, zero = (0.0, 0.0) if self.angles is None else (self.angles.read, self.angles.zero)
+        z0 = self.link.z(self.brdf)
+        values = Values(at, z0, self._u * slope, self.causes * slope[:, None])
+        # the lobe alone, first: it is known beyond the cones
+        start = values.only(beyond)
+        if start.z.size < FEWEST:
+            return None
+        p = learned(start)
+        process = Process(start, p, float(np.median(start.z)))
+        for last in (False, False, True, True):
+            z0 = np.where(beyond, self.link.z(self.brdf), process.mean_at(at))
+            gain = self.link.slope(self.link.brdf(z0))
+            effects, scatter = spike.effects(d, read)
+            rest = self.brdf - self.link.brdf(z0) - effects @ spike.base
+            z = z0 + np.where(beyond, 0.0, rest * gain)
+            by = self._slopes(process, d)
+            ends = [_moved(d, SLOPE_STEP * side) for side in (1.0, -1.0)]
+            plus, minus = (spike.effects(end, read)[0] @ spike.base for end in ends)
+            steep = (plus - minus) / (2.0 * SLOPE_STEP) * gain
+            u = np.sqrt((self._u * gain) ** 2 + (scatter * gain) ** 2 + read**2 * sum(s**2 for s in by))
+            # both arms move a point away from the mirror direction
+            zeros = zero * np.stack([by[0] + steep, by[1] - steep, by[2]], axis=-1)
+            values = Values(
+                at, z, u, np.concatenate([effects * gain[:, None], self.causes * gain[:, None], zeros], axis=-1)
+            )
+            if last:
+                p = learned(values, p)
+            process = Process(values, p, float(np.median(values.z)))
+            factor = 1.0 + process.causes[: spike.theta_i.size]
+            spike = spike.scaled(np.clip(factor, 0.2, 5.0))
+            if (factor < 0.2).any():
+                return None
+        return _Learned.of(values, p, spike.scaled(1.0 / np.clip(factor, 0.2, 5.0)), float(np.log(gain / slope).sum()))
 
     def _slopes(self, process: Process, d: Directions) -> tuple[Floats, Floats, Floats]:
         """Derivatives by theta_r, by theta_i, and by an angle across the plane of theta_r [1/rad]."""
@@ -145,9 +207,18 @@ class Posterior:
         return Process(self._values, self.parameters, float(np.median(self._values.z)))
 
     @cached_property
+    def _nearby(self) -> list[tuple[Process, Process]]:
+        """With other parameters that the values allow."""
+        v, mean = self._values, float(np.median(self._values.z))
+        return [(Process(v, a, mean), Process(v, b, mean)) for a, b in nearby(self.parameters, v, mean)]
+
+    @cached_property
     def _without_causes(self) -> Process:
+        """But for a spike's, which further points can tell."""
         v = self._values
-        return Process(Values(v.at, v.z, v.u, np.zeros((v.z.size, 1))), self.parameters, float(np.median(v.z)))
+        kept = 0 if self.spike is None else self.spike.base.size
+        causes = v.causes[:, :kept] if kept else np.zeros((v.z.size, 1))
+        return Process(Values(v.at, v.z, v.u, causes), self.parameters, float(np.median(v.z)))
 
     @cached_property
     def left_out(self) -> Floats:
@@ -167,21 +238,97 @@ class Posterior:
         uncertainty of points, that of their angles apart.
         """
         process = self._without_causes
-        mean, covariance = process.at(Coordinates.of(directions))
-        f = self.link.brdf(mean)
-        u = np.hypot(noise * np.abs(f), NEGLIGIBLE * float(np.abs(self.brdf).max())) * self.link.slope(f)
-        variance = np.minimum(u, 10.0) ** 2
+        f, covariance, gain, scatter = self._curve(process, directions)
+        slope = self.link.slope(f)
+        u = np.hypot(noise * np.abs(f), NEGLIGIBLE * float(np.abs(self.brdf).max())) * slope
+        variance = np.minimum(np.hypot(u, scatter * slope), 10.0) ** 2
         if self.angles is not None:
-            variance = variance + self.angles.read**2 * sum(s**2 for s in self._slopes(process, directions))
+            by = self._slopes(process, directions)
+            variance = variance + (gain * self.angles.read) ** 2 * sum(s**2 for s in by)
         return f, covariance * self.misfit**2, variance
 
+    def steepness(self, directions: Directions, floor: float) -> Floats:
+        """Slope of the curve over the detector's direction, relative to its value [1/rad], a spike apart.
+
+        Relative to the part `floor` of the largest value where the curve is below that.
+        """
+        process = self._without_causes
+        by_detector, _, across = self._slopes(process, directions)
+        f = self.link.brdf(process.mean_at(Coordinates.of(directions)))
+        size = np.maximum(np.abs(f), floor * float(np.abs(self.brdf).max()))
+        return np.asarray(np.hypot(by_detector, across) / (self.link.slope(f) * size))
+
     def at(self, directions: Directions) -> tuple[Floats, Floats, Floats, Floats]:
-        """BRDF, standard uncertainty, and the interval of 95 % [1/sr], common causes included."""
-        mean, covariance = self._process.at(Coordinates.of(directions))
-        sd = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * self.misfit
-        f = self.link.brdf(mean)
-        low, high = self.link.brdf(mean - K95 * sd), self.link.brdf(mean + K95 * sd)
-        return f, sd / self.link.slope(f), low, high
+        """BRDF, standard uncertainty, and the interval of 95 % [1/sr], common causes included.
+
+        The BRDF is zero or more; an interval may begin below zero.
+        """
+        at, process = Coordinates.of(directions), self._process
+        mean = process.mean_at(at)
+        lobe = self.link.brdf(mean)
+        f, effects = lobe, None
+        if self.spike is not None:
+            added, _ = self.spike.effects(directions)
+            effects = added * self.link.slope(lobe)[:, None]
+            f = lobe + added @ (self.spike.base + process.causes[: added.shape[1]])
+        variance = process.variance_at(at, effects)
+        # what the kernel's parameters are is not known either
+        of_means, of_variances = np.zeros(f.shape), np.zeros(f.shape)
+        for pair in self._nearby:
+            for one in pair:
+                away = one.mean_at(at) - mean
+                if effects is not None:
+                    count = effects.shape[1]
+                    away = away + effects @ (one.causes[:count] - process.causes[:count])
+                of_means += 0.5 * away**2
+                of_variances += 0.5 * (one.variance_at(at, effects) - variance)
+        variance = np.maximum(variance, 0.0) + of_means + np.maximum(of_variances, 0.0)
+        gain = self.link.slope(f) / self.link.slope(lobe)
+        z = self.link.z(f)
+        # no BRDF is below zero: where the process is, it is wrong by that at least
+        sd = np.maximum(np.sqrt(variance) * gain * self.misfit, -z)
+        low, high = (self.link.brdf(z + k * sd) for k in (-K95, K95))
+        return np.maximum(f, 0.0), sd / self.link.slope(f), low, high
+
+    def _curve(self, process: Process, d: Directions) -> tuple[Floats, Floats, Floats, Floats]:
+        """BRDF [1/sr] with the spike; covariance on the scale of the link; what one unit of the process is there;
+        standard deviation [1/sr] of a new value by what errors of its angles do to a spike.
+        """
+        at = Coordinates.of(d)
+        lobe = self.link.brdf(process.mean_at(at))
+        if self.spike is None:
+            return lobe, process.covariance_at(at), np.ones(d.shape), np.zeros(d.shape)
+        effects, _ = self.spike.effects(d)
+        _, scatter = self.spike.effects(d, 0.0 if self.angles is None else self.angles.read)
+        base = self.spike.base
+        slope = self.link.slope(lobe)
+        f = lobe + effects @ (base + process.causes[: base.size])
+        # a unit of the process is 1/slope there, and slope(f) on the scale of the link
+        gain = self.link.slope(f) / slope
+        covariance = process.covariance_at(at, effects * slope[:, None])
+        return f, covariance * gain * gain[:, None], gain, scatter
+
+
+@dataclass(frozen=True)
+class _Learned:
+    """What the values come to, and what they tell of the kernel."""
+
+    values: Values
+    p: Floats
+    unlikely: float
+    """-ln of the values' probability, but for a constant."""
+    spike: Spike | None = None
+
+    @classmethod
+    def of(cls, values: Values, p: Floats, spike: Spike | None = None, jacobian: float = 0.0) -> _Learned:
+        return cls(values, p, objective(p, values, float(np.median(values.z)))[0] + jacobian, spike)
+
+
+def _moved(d: Directions, by: float) -> Directions:
+    """Detectors further from the normal, on the far side of it: in the plane of the source's mirror direction."""
+    omega_i, omega_r = d.vectors
+    along = direction(d.theta_i + np.pi / 2, d.phi_i + np.pi)
+    return Directions.from_vectors(omega_i, omega_r + by * along)
 
 
 def bands(table: pd.DataFrame) -> list[pd.DataFrame]:

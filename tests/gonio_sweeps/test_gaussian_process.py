@@ -50,7 +50,8 @@ def test_what_is_known_is_the_conditional_distribution() -> None:
     rng = np.random.default_rng(3)
     at, there = Coordinates.of(directions(12, 4)), Coordinates.of(directions(5, 5))
     z, u, causes = rng.normal(0, 1, 12), rng.uniform(0.01, 0.1, 12), rng.normal(0, 0.05, (12, 1))
-    mean, covariance = Process(Values(at, z, u, causes), CENTRES, 0.3).at(there)
+    process = Process(Values(at, z, u, causes), CENTRES, 0.3)
+    mean, covariance = process.mean_at(there), process.covariance_at(there)
     k = Pairs(at, at).kernel(CENTRES)[0] + np.diag(u**2) + causes @ causes.T
     cross = Pairs(there, at).kernel(CENTRES)[0]
     # Rasmussen and Williams (2006), eqs. 2.23 and 2.24; the jitter is 1e-10
@@ -65,7 +66,7 @@ def test_a_value_left_out_is_predicted_by_the_others() -> None:
     at, z, u = Coordinates.of(d), rng.normal(0, 1, 10), np.full(10, 0.1)
     left_out = Process(Values(at, z, u, np.zeros((10, 1))), CENTRES).left_out
     others = np.arange(10) != 4
-    values = Values(Coordinates.of(d[others]), z[others], u[others], np.zeros((9, 1)))
-    mean, covariance = Process(values, CENTRES).at(Coordinates.of(d[4:5]))
+    process = Process(Values(Coordinates.of(d[others]), z[others], u[others], np.zeros((9, 1))), CENTRES)
+    mean, covariance = process.mean_at(Coordinates.of(d[4:5])), process.covariance_at(Coordinates.of(d[4:5]))
     expected = (z[4] - mean[0]) / np.sqrt(covariance[0, 0] + 0.01)
     assert left_out[4] == pytest.approx(expected, rel=1e-5)  # jitter of 1e-10 beside a noise of 1e-2
