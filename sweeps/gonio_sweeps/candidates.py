@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -137,14 +140,37 @@ def spread(at: Floats, count: int, begin: npt.NDArray[np.intp], cost: Floats | N
 def snake(points: list[Point]) -> list[int]:
     """An order that saves travel: by incidence and azimuth, to and fro over the angle of reflection."""
 
-    def curve(p: Point) -> tuple[float, float]:
-        return p.theta_i_deg, (p.phi_r_deg - p.phi_i_deg) % 180.0
-
-    def signed(p: Point) -> float:
-        return p.theta_r_deg if 90.0 < (p.phi_r_deg - p.phi_i_deg) % 360.0 <= 270.0 else -p.theta_r_deg
-
     out: list[int] = []
-    for number, of in enumerate(sorted({curve(p) for p in points})):
-        here = [k for k, p in enumerate(points) if curve(p) == of]
-        out += sorted(here, key=lambda k: signed(points[k]), reverse=bool(number % 2))
+    for number, of in enumerate(sorted({_curve(p) for p in points})):
+        here = [k for k, p in enumerate(points) if _curve(p) == of]
+        out += sorted(here, key=lambda k: _signed(points[k]), reverse=bool(number % 2))
+    return out
+
+
+def _curve(p: Point) -> tuple[float, float]:
+    return p.theta_i_deg, (p.phi_r_deg - p.phi_i_deg) % 180.0
+
+
+def _signed(p: Point) -> float:
+    return p.theta_r_deg if 90.0 < (p.phi_r_deg - p.phi_i_deg) % 360.0 <= 270.0 else -p.theta_r_deg
+
+
+def fill(points: Sequence[Point], measured: Collection[int], step_deg: float) -> list[int]:
+    """Points that are still to be measured so that no curve has a step larger than this: gaps are divided evenly.
+
+    Both ends of a curve are taken, and those beside what is missing in it, such as the cone around retro.
+    """
+    out: list[int] = []
+    for of in sorted({_curve(p) for p in points}):
+        line = sorted((k for k, p in enumerate(points) if _curve(p) == of), key=lambda k: _signed(points[k]))
+        at = np.array([_signed(points[k]) for k in line])
+        steps = np.diff(at)
+        missing = np.flatnonzero(steps > 1.5 * np.median(steps)) if steps.size else np.zeros(0, dtype=int)
+        ends = {0, len(line) - 1, *missing.tolist(), *(missing + 1).tolist()}
+        there = sorted(ends | {n for n, k in enumerate(line) if k in measured})
+        wanted = ends.copy()
+        for a, b in itertools.pairwise(there):
+            parts = math.ceil((at[b] - at[a]) / step_deg - 1e-9)
+            wanted |= {a + int(np.argmin(abs(at[a : b + 1] - x))) for x in np.linspace(at[a], at[b], parts + 1)}
+        out += [line[n] for n in sorted(wanted) if line[n] not in measured]
     return out

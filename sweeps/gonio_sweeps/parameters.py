@@ -38,7 +38,7 @@ from gonio.rig import Pose
 from gonio.rig.description import Band, Positive, RigDescription
 from gonio.typing import Floats
 from gonio_sweeps import expected, fisher, lack_of_fit
-from gonio_sweeps.candidates import candidates, from_nearest, nearby, places, snake, spread
+from gonio_sweeps.candidates import candidates, fill, from_nearest, nearby, places, snake, spread
 from gonio_sweeps.online import Online, Values
 
 if TYPE_CHECKING:
@@ -57,8 +57,17 @@ COVERING = 0.2
 """Part of a batch that covers, whatever the model says."""
 DEAREST = 0.25
 """Part of the time that is left which one point may take, at most."""
+STEPS_DEG = tuple(60.0 / 1.05**k for k in range(120))
+"""Steps that a covering may have, once the model is found wrong."""
+LATER = 0.9
+"""Part of the time that is left which a batch of it may take, after the first one: levels are known roughly."""
+SAME_PLACE = 0.03
+"""Candidates so close to what was measured (`gonio_sweeps.candidates.places`) are measured: an encoder's step or so."""
 REPEATS = 3
 """Visits to one point in a batch, at most: what a repeat cannot tell is that the model is wrong beside it."""
+DISTRUST = 20.0
+"""What a reduction will get wrong of a point's change by a zero (`fisher.Neighbours`) counts so many times as noise: it
+does not average out over the points that share it."""
 DRAWS = 4
 """Parameters that are drawn from what the fit leaves open, beside its own."""
 OTHER_MODES = 4
@@ -169,6 +178,7 @@ class Parameters:
         self._durations = Durations(description, self._bands)
         self._online = Online(self._band)
         self._places = places(self.candidates.directions)
+        self._incidences = np.unique(np.round(self.candidates.directions.theta_i, 6))
         self._first = self._covering()
         self._check_budget(where)
 
@@ -257,6 +267,7 @@ class Parameters:
         reduced
             Gives the measurement table of the run so far.
         """
+        began = covering
         known = None if covering else self.fitted(values)
         why: dict[str, Any] = {"spent_s": round(spent_s, 1), "values": len(values)}
         said = []
@@ -278,7 +289,7 @@ class Parameters:
                     return Choice((), why, "enough: " + self._progress(final), met=True)
                 known = replace(known, result=replace(known.result, spread=final.spread))
         left_s = self._budget_s - spent_s
-        picked, gains = self._pick(values, known, covering, left_s)
+        picked, gains = self._cover(values, left_s, began) if covering else self._pick(values, known, left_s)
         why |= gains
         if not picked:
             said.insert(0, "the budget is spent" if gains.get("cut") else "no point adds anything")
@@ -317,7 +328,7 @@ class Parameters:
             result = fit(data, replace(self._request, searches=2), name="the values so far")
         except DataError:
             return None
-        sights = fisher.Sights(data, values.poses, self._description)
+        sights = fisher.Sights(data, values.poses, self._description, self._incidences)
         rows = sights.rows(self._problem, result.vector)
         u = np.hypot(values.u_noise, rows.u_landing)
         causes = (*names, *rows.of_angles)
@@ -406,23 +417,56 @@ class Parameters:
 
     # ---- choosing ----
 
-    def _pick(
-        self, values: Values, known: Known | None, covering: bool, left_s: float
-    ) -> tuple[list[int], dict[str, Any]]:
+    def _cover(self, values: Values, left_s: float, began: bool) -> tuple[list[int], dict[str, Any]]:
+        """The candidates that make the largest step of all curves as small as the time that is left allows.
+
+        The first of these batches is small: how dark the sample is where nothing was measured nobody knows before.
+        """
+        seen, here = self._seen(values, None), reference_pose(self._description)
+        points, place = self.candidates.points, places(values.directions)
+        measured = set(np.flatnonzero(from_nearest(self._places, place) < SAME_PLACE).tolist())
+        open_to = np.flatnonzero(seen.seconds < DEAREST * max(left_s, 0.0)).tolist()
+        some = [points[k] for k in open_to]
+        known = {n for n, k in enumerate(open_to) if k in measured}
+        most, share = (len(points), LATER) if began else (3 * LARGEST, DEAREST)
+
+        def fits(batch: list[int]) -> bool:
+            return len(batch) <= most and self._batch_s(batch, seen, here) <= share * left_s
+
+        batch: list[int] = []
+        finer: list[int] = []
+        for step_deg in STEPS_DEG:
+            finer = [open_to[n] for n in fill(some, known, step_deg)]
+            if not fits(finer):
+                break
+            batch = finer
+        numbers: dict[str, Any] = {"gain": None}
+        if not batch and finer:  # not all of them: some, evenly
+            for count in range(min(len(finer), most), 0, -1):
+                batch = [finer[k] for k in np.linspace(0, len(finer) - 1, count).round().astype(int)]
+                if fits(batch):
+                    break
+                batch = []
+        if (finer and not batch) or len(open_to) < len(points):
+            numbers["cut"] = True
+        numbers["cover"] = len(batch)
+        if batch:
+            numbers["batch_s"] = round(self._batch_s(batch, seen, here), 1)
+        return batch, numbers
+
+    def _pick(self, values: Values, known: Known | None, left_s: float) -> tuple[list[int], dict[str, Any]]:
         """The candidates of a batch, in the order of their choice, and numbers for the journal."""
-        count = min(max(round(GROWTH * len(values)), SMALLEST), LARGEST)
-        if covering or known is None:  # of a wrong model no batch learns anything for the next one
-            count = 3 * LARGEST if covering else LARGEST
-        seen = self._seen(values, known, covering)
+        count = LARGEST if known is None else min(max(round(GROWTH * len(values)), SMALLEST), LARGEST)
+        seen = self._seen(values, known)
         here = reference_pose(self._description)
         way = self._durations.moves_s(here, self.candidates.poses)
         cost = seen.seconds + 0.2 * way  # most ways are those between neighbours
         affordable = cost < DEAREST * max(left_s, 0.0)
         measured = [places(values.directions)] if len(values) else []
-        share = count if covering or known is None else round(COVERING * count)
+        share = count if known is None else round(COVERING * count)
         picked: list[int] = []
         gain = math.nan
-        if known is not None and not covering:
+        if known is not None:
             open_to = np.where(affordable, cost, np.inf)
             apart = self._telling_apart(known, (count - share) // 2, open_to)
             picked, gain = self._informative(values, known, count - share - len(apart), open_to)
@@ -430,7 +474,7 @@ class Parameters:
         at = np.concatenate([*measured, self._places[picked]]) if measured else self._places[picked]
         distance = np.minimum(from_nearest(self._places, at), 1e3)
         cover: list[int] = []
-        for _ in range(share if picked or covering or known is None else 0):
+        for _ in range(share if picked or known is None else 0):
             score = np.where(affordable, distance**2 / cost, -1.0)
             k = int(np.argmax(np.round(score, 12)))
             if score[k] <= 1e-12:
@@ -456,9 +500,9 @@ class Parameters:
         poses = [self.candidates.poses[k] for k in order]
         return expected.batch_s(self._durations, poses, [float(seen.seconds[k]) for k in order], here)
 
-    def _seen(self, values: Values, known: Known | None, covering: bool) -> expected.Visits:
+    def _seen(self, values: Values, known: Known | None) -> expected.Visits:
         """What visits to the candidates come to: by the fit, or by values nearby where no model is to be trusted."""
-        if known is not None and not covering:
+        if known is not None:
             return self._expected.visits(apparent(self._problem.model(known.result.vector), self._ahead.at, quick=True))
         if not len(values):
             return self._expected.visits(np.full(len(self.candidates), 0.5 / math.pi))
@@ -475,7 +519,7 @@ class Parameters:
         rows, directions, poses = none.astype(np.intp), self.candidates.directions, self.candidates.poses
         values = Values(rows, directions, poses, none, none, {}, none)
         observed = self._observed(values, Covariance(none + 1.0, np.zeros((none.size, 0))))
-        return fisher.Sights(observed, poses, self._description)
+        return fisher.Sights(observed, poses, self._description, self._incidences)
 
     def _samples(self, known: Known) -> list[tuple[Floats, float]]:
         """Parameters that the values allow, with weights: the solutions, and draws around the best one."""
@@ -518,14 +562,14 @@ class Parameters:
             past = _design(measured, relative)
             lower, upper = self._problem.bounds
             before = fisher.Known.nothing(upper - lower, past.shape[1] - free)
-            u = np.maximum(np.hypot(values.u_noise, measured.u_landing), 1e-12)
+            u = np.maximum(np.hypot(np.hypot(values.u_noise, measured.u_landing), DISTRUST * measured.untold), 1e-12)
             state = before.with_values(past, u)
             seen = self._expected.visits(ahead.brdf)
             latest = {n: np.full(len(cost), c[-1]) for n, c in relative.items()}
             noise = np.where(np.isfinite(seen.u_rel), seen.u_rel * ahead.brdf, 1e3)
             states.append(state)
             designs.append(_design(ahead, latest))
-            errors.append(np.maximum(np.hypot(noise, ahead.u_landing), 1e-12))
+            errors.append(np.maximum(np.hypot(np.hypot(noise, ahead.u_landing), DISTRUST * ahead.untold), 1e-12))
             targets = self._targets(self._problem, vector)
             weights.append(targets if np.isfinite(targets).any() else None)
             share.append(weight)
