@@ -305,13 +305,13 @@ def assess(plan: Plan, description: RigDescription) -> list[Assessed]:
     """Every point of the plan, in order, with its pose on a rig, or with the flag and the reason why it has none."""
     out = []
     angles = zip(*(each.tolist() for each in plan.directions.angles), strict=True) if plan.points else ()
-    for point, directions in zip(plan.points, angles, strict=True):
+    for point, asked in zip(plan.points, angles, strict=True):
         try:
             if point.theta_i_deg > 90.0 - GRAZING_DEG:
                 raise Unreachable("grazing", "theta_i = 90 deg: no light falls on the sample")
             if abs(point.theta_r_deg - 90.0) < GRAZING_DEG:
                 raise Unreachable("grazing", "theta_r = 90 deg: the sample is seen edge-on")
-            pose = reach(description, directions)
+            pose = reach(description, asked)
             if description.lamp.beam_diameter_mm is not None:
                 why = filling.cut(description, view(description, pose))
                 if why:
