@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import overload
 
-from gonio.acquisition.plan import Assessed, Plan, Point, assess, canonical, count_reasons
+from gonio.acquisition.plan import ANGLES, Assessed, Plan, Point, assess, canonical, count_reasons
 from gonio.errors import ConfigError
 from gonio.rig import Pose, Step, filling
 from gonio.rig.description import RigDescription
@@ -151,13 +151,17 @@ def batch_steps(description: RigDescription, first_step: int, first_row: int, po
 
     Raises
     ------
-    Unreachable
+    ConfigError
         The rig cannot reach one of them.
     """
     every = description.reference.every or len(points)
     reference, out = reference_pose(description), list[Step]()
     for k, point in enumerate(points):
-        pose = reach(description, point.directions)
+        try:
+            pose = reach(description, point.directions)
+        except Unreachable as error:
+            angles = ", ".join(f"{name} = {getattr(point, name):g}" for name in ANGLES)
+            raise ConfigError(f"the chooser named a point that the rig cannot reach ({angles}): {error}") from None
         out.append(Step(first_step + len(out), "point", first_row + k, pose))
         if (k + 1) % every == 0 or k + 1 == len(points):
             out.append(Step(first_step + len(out), "reference", pose=reference))

@@ -244,7 +244,7 @@ def test_a_run_reaches_its_target_and_stopping_it_changes_nothing(tmp_path: Path
     assert end["met"]
     assert end["why"]["u_final"]["sigma_deg"] <= 0.2
     assert len(whole.batches) >= 1
-    for stopped_after in (whole.batches[0].first_step - 1, whole.batches[0].first_step + 3):
+    for stopped_after in (4, whole.batches[0].first_step - 1, whole.batches[0].first_step + 3):
         out = tmp_path / f"stopped-{stopped_after}"
         with pytest.raises(Interrupted):
             measured(plan, out, progress=StopAfter(stopped_after))

@@ -158,3 +158,16 @@ def test_a_lost_journal_is_made_again_with_what_was_chosen(plan: Plan, tmp_path:
     again = measure(plan, tmp_path / "run", resume=True)
     assert list(again.steps()) == steps
     assert brdf.reduce(again).equals(table)
+
+
+def test_a_point_that_the_rig_cannot_reach_ends_the_run_before_the_journal_has_it(
+    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Brightest, "next", lambda self, run: Choice((canonical(30.0, 0.0, 120.0, 180.0),)))
+    rig = Plugin()
+    with pytest.raises(ConfigError, match=r"the chooser named a point .*theta_r_deg = 120.*outside the limits"):
+        carry_out(plan, RigChoice(rig, describe(), "numpy"), tmp_path / "run", sample=SAMPLE, seed=1)
+    assert rig.opened[0].log[-2:] == ["off", "park"]
+    run = Run.open(tmp_path / "run")
+    assert not run.batches
+    assert [event["event"] for event in run.events()] == ["session"] + 6 * ["step"]
