@@ -128,6 +128,7 @@ class Holding:
                 if self._stop.requested:
                     raise Interrupted("stopped while paused,")
         waited = time.monotonic() - begun
+        self._progress.waited(waited)
         event = {"event": "continued", "step": step.index, "waited_s": round(waited, 1)}
         self._run.append(event | {"time_s": float(self._time_s())})
         self._progress.say(f"going on with step {step.index} after {lasting(waited)}")

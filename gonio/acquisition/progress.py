@@ -47,6 +47,9 @@ class Progress(Protocol):
     def paused(self) -> contextlib.AbstractContextManager[None]:
         """While the rig may talk to the user."""
 
+    def waited(self, seconds: float) -> None:
+        """The run has stood still for so long: no step took that time."""
+
     def say(self, text: str) -> None:
         """Something happened."""
 
@@ -74,6 +77,9 @@ class Silent:
     def paused(self) -> contextlib.AbstractContextManager[None]:
         """Nothing."""
         return _nothing()
+
+    def waited(self, seconds: float) -> None:
+        """Nothing."""
 
     def say(self, text: str) -> None:
         """Nothing."""

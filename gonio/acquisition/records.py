@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from operator import attrgetter
 from typing import Any, Literal, Self, TypeVar
 
 from gonio.errors import DataError
@@ -22,6 +23,7 @@ Parsed = TypeVar("Parsed")
 
 LABEL_FORMAT = "gonio-frame-1"
 AXES = tuple(field.name for field in fields(Pose))
+_of_axes = attrgetter(*AXES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,7 +224,7 @@ class FrameLabel:
 
 
 def _axes(pose: Pose) -> Json:
-    return {name: getattr(pose, name) for name in AXES}
+    return dict(zip(AXES, _of_axes(pose), strict=True))
 
 
 def _parsed(what: str, parse: Callable[[], Parsed]) -> Parsed:

@@ -191,6 +191,7 @@ class Watch:
             readings, lit = look()
             causes = self.broken(readings, lit=lit, waiting=tuple(since))
         waited = time.monotonic() - begun
+        progress.waited(waited)
         run.append({"event": "continued", "step": step.index, "waited_s": round(waited, 1), "time_s": float(time_s())})
         progress.say(f"going on after {lasting(waited)}; step {step.index} is taken again")
 

@@ -120,7 +120,10 @@ class _Rest:
         try:
             yield
         finally:
-            self._since_s += time.monotonic() - began_s
+            self.waited(time.monotonic() - began_s)
+
+    def waited(self, seconds: float) -> None:
+        self._since_s += seconds
 
     def words(self, every_s: float = 0.0) -> str:
         """What is left, in words that are that old at most."""
@@ -178,7 +181,7 @@ class _Lines:
 
     def __init__(self) -> None:
         self._steps, self._done, self._rest = 0, 0, _Rest()
-        self.expects, self.paused = self._rest.expects, self._rest.paused
+        self.expects, self.paused, self.waited = self._rest.expects, self._rest.paused, self._rest.waited
 
     def start(self, steps: int, done: int) -> None:
         self._steps, self._done = steps, done
@@ -213,7 +216,7 @@ class _Bar:
         self._bar = _progress_bar("measuring", console, own_rest=True)
         self._task = self._bar.add_task("", total=None, left="")
         self._text, self._rest = "", _Rest()
-        self.expects = self._rest.expects
+        self.expects, self.waited = self._rest.expects, self._rest.waited
         self.screen = Screen(get_renderable=self._render, console=console, refresh_per_second=8)
         self._console = console
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +18,7 @@ from gonio.acquisition.plan import Plan, load_plan
 from gonio.acquisition.progress import Live, Silent
 from gonio.acquisition.run import Run
 from gonio.acquisition.stop import Pause
+from gonio.cli.console import _Rest
 from gonio.errors import ConfigError, DataError, DeviceError, Interrupted, PassingFault
 from gonio.rig import Frame
 from gonio.rig.description import Reference, RigDescription, SampleDescription
@@ -84,6 +86,47 @@ def test_a_pause_comes_after_the_step_with_the_lamp_dark_and_changes_nothing(mea
     assert paused["step"] == continued["step"] == 4
     assert paused["message"] == "paused before step 4 by a key"
     assert "goes on" in person.said[0]
+
+
+class Clocked(Person):
+    """A person with the clock of the terminal, which learns how long steps take."""
+
+    def __init__(self, rest: _Rest, *how: Any) -> None:
+        super().__init__(*how)
+        self.rest = rest
+
+    def start(self, steps: int, done: int) -> None:
+        self.rest.start()
+
+    def waited(self, seconds: float) -> None:
+        self.rest.waited(seconds)
+
+    def step(self, live: Live) -> None:
+        self.rest.step(live)
+        super().step(live)
+
+
+def test_no_step_took_the_time_of_a_pause(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:
+    away_s, clock, pause = [0.0], time.monotonic, Pause()
+    monkeypatch.setattr(time, "monotonic", lambda: clock() + away_s[0])
+
+    def then() -> None:
+        away_s[0] = 1e6
+        pause.go_on()
+
+    told: list[float] = []
+
+    class Learns:
+        def took(self, record: object, seconds: float) -> None:
+            told.append(seconds)
+
+    rest = _Rest()
+    rest.expects(Learns())  # type: ignore[arg-type]
+    person = Clocked(rest, 3, lambda: pause.ask("a key"), then)
+    run = measure("run", progress=person, pause=pause)
+    assert names(run).count("paused") == 1
+    assert len(told) == len(run.steps())
+    assert max(told) < 1e3
 
 
 def test_ctrl_z_pauses_and_sigcont_goes_on(measure: Measure) -> None:
