@@ -75,7 +75,7 @@ class ServoArms:
             self.joints["changer"] = joints.changer_joint(
                 self.bus, servos.changer, description.acquisition.approach_deg
             )
-        park = {n: axis.park_deg for n, axis in servos.axes.items() if axis.park_deg is not None}
+        park: dict[str, float] = {n: axis.park_deg for n, axis in servos.axes.items() if axis.park_deg is not None}
         ways.require_parking(description, park, "devices.servos.axes.{}.park_deg")
         self._motion = Motion(self.bus, self.joints, servos)
         self.last: Reading | None = None

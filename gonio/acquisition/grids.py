@@ -32,7 +32,7 @@ class Hemisphere(Repeated):
     theta_i_deg: AngleList
     count: Annotated[int, Field(ge=1, le=MAX_POINTS)] | None = None
     """Directions for each angle of incidence."""
-    step_deg: Annotated[float, Field(gt=0, le=90)] | None = None
+    step_deg: Annotated[float, Field(ge=0.01, le=90)] | None = None
     """Instead of `count`: about so far apart; each direction has the solid angle of a square with this side."""
     theta_r_max_deg: Annotated[float, Field(gt=0, le=90)] = 90.0
     """Half-angle of the cap. Its parts reach to there, and their middles, where the points lie, not quite."""

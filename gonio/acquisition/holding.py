@@ -8,7 +8,7 @@ import zlib
 from collections.abc import Callable
 from pathlib import Path
 
-from gonio.acquisition.exposure import expected_bracket
+from gonio.acquisition.exposure import dark_exposures_s, expected_bracket
 from gonio.acquisition.journal import Event
 from gonio.acquisition.progress import Progress
 from gonio.acquisition.run import Run
@@ -165,12 +165,14 @@ class Bytes:
     def __init__(self, description: RigDescription, bands: int) -> None:
         camera, acquisition = description.camera, description.acquisition
         pixel = 1.5 if camera.white_level_dn <= 4095 else 2.0
-        each = int(pixel * camera.width * camera.height) + HEAD + LINE_OF_FRAME
+        self.frame = int(pixel * camera.width * camera.height) + HEAD
+        """Of a frame's file."""
+        each = self.frame + LINE_OF_FRAME
         points = acquisition.frames + 1
         if acquisition.u_rel_target is not None:
             points = len(expected_bracket(description, Pose(), EXPECTED_ALBEDO))
         frames = {
-            "dark": 2 * acquisition.dark_frames,
+            "dark": len(dark_exposures_s(description)) * acquisition.dark_frames,
             "reference": bands * description.reference.frames,
             "point": bands * points,
         }

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field, field_validator, model_validator
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from gonio.acquisition.grids import HalfVector, Hemisphere
 from gonio.acquisition.sweeps import ANGLES as ANGLES
@@ -80,6 +80,13 @@ class PlanFile(Strict):
     def _some_wavelength(cls, value: object) -> object:
         if isinstance(value, list) and not value:
             raise ValueError("the list is empty; give at least one wavelength in nanometres")
+        return value
+
+    @field_validator("sweep", "half_vector", "hemisphere", "points", mode="before")
+    @classmethod
+    def _several(cls, value: object, info: ValidationInfo) -> object:
+        if isinstance(value, dict):
+            raise ValueError(f"a plan has any number of these tables: write [[{info.field_name}]], in two brackets")
         return value
 
     @model_validator(mode="after")

@@ -27,7 +27,8 @@ def measure(
     """Measure a plan on a rig: raw frames and a journal in a folder. Ctrl-C finishes the step and parks; p pauses."""
     from gonio.acquisition.measure import carry_out, check, find_rig, load_sample
     from gonio.acquisition.plan import load_plan
-    from gonio.acquisition.run import command_line
+    from gonio.acquisition.run import Run, command_line
+    from gonio.acquisition.run_folder import begun
     from gonio.acquisition.stop import Pause
     from gonio.cli import console, plans
 
@@ -36,6 +37,8 @@ def measure(
     if dry_run:
         seen = check(asked, chosen, out, sample=described, seed=seed, resume=resume, yes=yes)
         plans.describe(asked, seen, out=out)
+        if resume and begun(out):
+            console.show(f"{out}: {len(Run.open(out).steps())} of these steps are taken")
         console.note("nothing was moved or written (--dry-run)")
         return
     for warning in plans.unfit(chosen.description):

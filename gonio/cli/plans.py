@@ -171,7 +171,7 @@ def _effort(written: Plan, points: list[Assessed], rig: RigChoice, steps: list[S
         before_s = durations.parts(Schedule(rig.description, range(len(as_written)), as_written.__getitem__)).travel_s
         lines.append(f"order: short; as written the travel would take {duration(before_s)}")
     frames = sum(map(durations.frames, steps))
-    needed = Bytes(rig.description, len(durations.bands)).of_run(len(steps))
+    needed = frames * Bytes(rig.description, len(durations.bands)).frame
     lines.append(f"{frames} frames, about {size(needed)} on the disk")
     if out is not None:
         free = free_bytes(out)

@@ -357,10 +357,11 @@ def reach(description: RigDescription, d: Directions | Angles, *, nearby: bool =
     by_what: dict[str, dict[str, None]] = {}
     for each in blocked:
         by_what.setdefault(each.what, {})[each.bodies] = None
+    causes = [f"{what} {'; or '.join(bodies)}" for what, bodies in by_what.items()]
     raise Unreachable(
         "blocked",
-        "blocked: " + "; or ".join(dict.fromkeys(map(str, blocked))),
-        "; or ".join(f"{what} {'; or '.join(bodies)}" for what, bodies in by_what.items()),
+        "blocked: " + "; or ".join(dict.fromkeys(map(str, [*blocked, *failed]))),
+        "; or ".join(dict.fromkeys([*causes, *(error.cause for error in failed)])),
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import Field, StringConstraints
+from pydantic import Field, StringConstraints, field_validator
 
 from gonio.config import Strict, parse
 
@@ -72,6 +72,13 @@ class Instrument(Strict):
     camera: Words | None = None
     camera_range_nm: tuple[Positive, Positive] | None = None
     """Shortest and longest wavelength that the sensor answers to."""
+
+    @field_validator("lamp_range_nm", "camera_range_nm")
+    @classmethod
+    def _rises(cls, value: tuple[float, float] | None) -> tuple[float, float] | None:
+        if value is not None and value[0] >= value[1]:
+            raise ValueError("the shortest wavelength comes first, then the longest")
+        return value
 
 
 class Creator(Strict):

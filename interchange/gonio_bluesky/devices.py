@@ -25,6 +25,8 @@ from gonio.errors import ArgumentError, ConfigError
 from gonio_bluesky.status import Owner, Status
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from gonio.by_hand.bench import Bench
 
 Value = TypeVar("Value")
@@ -166,14 +168,16 @@ class Lamp(Named):
 
 
 class Setting(Named, Generic[Value]):
-    """A number that is kept, and used later."""
+    """A number that is kept, and used later; `check` raises where it could not be used."""
 
-    def __init__(self, name: str, value: Value, units: str) -> None:
+    def __init__(self, name: str, value: Value, units: str, check: Callable[[Value], object] | None = None) -> None:
         super().__init__(name)
-        self.value, self._units = value, units
+        self.value, self._units, self._check = value, units, check
 
     def set(self, value: Value) -> Status:
-        """Keep it."""
+        """Keep it; what cannot be used raises now, and not when the plan has moved everything."""
+        if self._check is not None:
+            self._check(value)
         self.value = value
         return Status.finished()
 
@@ -209,7 +213,7 @@ class Camera(Named):
     def __init__(self, owner: Owner, rig: Bench, folder: Path | None) -> None:
         super().__init__("camera")
         self._owner, self._rig, self._folder = owner, rig, folder
-        self.exposure_s: Setting[float | None] = Setting("camera_exposure_s", None, "s")
+        self.exposure_s: Setting[float | None] = Setting("camera_exposure_s", None, "s", self._exposure)
         """How long to expose [s]; None: what a matt white surface would need with the lamp on."""
         self._numbers: dict[str, float] | None = None
         self._file, self._taken = "", 0
@@ -218,6 +222,10 @@ class Camera(Named):
     def hints(self) -> dict[str, Any]:
         """What is plotted of it."""
         return {"fields": [f"{self.name}_patch_mean_dn"]}
+
+    def _exposure(self, value: float | None) -> None:
+        if value is not None:
+            self._rig.description.camera.require_exposure(float(value))
 
     def trigger(self) -> Status:
         """Take a frame; the status is done when it is there, and in its file."""

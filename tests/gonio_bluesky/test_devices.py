@@ -157,6 +157,14 @@ def test_the_camera_reads_numbers_of_its_frame_and_keeps_it(tmp_path: Path) -> N
         devices(Bench(NumpyRig(describe())), frames=tmp_path / "none")
 
 
+@pytest.mark.parametrize("wrong", [-1.0, 1e9, float("nan"), 0.0])
+def test_an_exposure_that_the_camera_cannot_do_raises_when_it_is_set(wrong: float) -> None:
+    with devices(Bench(NumpyRig(describe()))) as found:
+        with pytest.raises(ConfigError, match="exposure"):
+            found.camera.exposure_s.set(wrong)
+        assert found.camera.exposure_s.value is None
+
+
 def test_a_list_scan_over_an_axis_of_sim() -> None:
     seen = []
     goals = [10.0, 20.0, 35.0]

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gonio.acquisition.plan import ANGLES, assess, load_plan
+from gonio.acquisition.plan import ANGLES, Plan, Point, assess, beside, load_plan, said_beside
 from gonio.acquisition.schedule import schedule
 from gonio.acquisition.sweeps import Range
 from gonio.errors import ConfigError
-from gonio.rig.description import Geometry, Holder, Reference
+from gonio.rig.description import ArmAxis, Arms, Geometry, Holder, Reference
 from tests.gonio.numpy_rig import PLAN, describe
 
 HEAD = 'name = "p"\nwavelength_nm = [550]\n'
@@ -182,3 +182,16 @@ def test_an_azimuth_of_incidence_in_a_sweep_is_told_where_it_belongs(tmp_path: P
     with pytest.raises(ConfigError, match=r"azimuth 0.*\[\[points\]\].*phi_i_deg") as refused:
         plan(tmp_path, "[[sweep]]\ntheta_i_deg = [20]\nphi_i_deg = [0, 45, 90]\ntheta_r_deg = [10]\n")
     assert "dphi_deg" not in str(refused.value)  # that is another angle
+
+
+def test_points_that_errors_of_alignment_close_are_counted_and_said() -> None:
+    """A lamp off the plane of its arm never stands on the normal of a rig with an azimuth axis."""
+    arm = ArmAxis(limits_deg=(-89.0, 89.0), elevation_deg=0.2)
+    arms = Arms(light=arm, camera=ArmAxis(limits_deg=(-89.0, 89.0)), azimuth=ArmAxis(limits_deg=(-190.0, 190.0)))
+    rig = describe(arms=arms, holder=Holder(axes=("spin",)))
+    asked = Plan("x", (550.0,), (Point(0.0, 0.0, 45.0, 180.0), Point(30.0, 0.0, 45.0, 180.0)), 0, "plan.toml")
+    count, most_deg = beside(assess(asked, rig), rig)
+    assert count == 1
+    assert most_deg == pytest.approx(0.2, rel=0.01)  # the closest pose is off by the elevation
+    assert "1 of the points that are measured lie up to 0.2 deg beside" in said_beside(assess(asked, rig), rig)[0]
+    assert said_beside(assess(asked, describe()), describe()) == []

@@ -121,6 +121,11 @@ def test_bird_json_without_a_placeholder_fits_the_schema_and_reads_back(
     assert meta["timestamp"] == Run.open(tmp_path / "RUN").settings.run.created
 
 
+def test_a_range_of_wavelengths_rises() -> None:
+    with pytest.raises(ConfigError, match=r"lamp_range_nm.*the shortest wavelength comes first"):
+        parse(Laboratory, {"instrument": {"lamp_range_nm": [2000.0, 250.0]}}, "rig.toml")
+
+
 def test_every_missing_key_is_named_and_nothing_is_written(tmp_path: Path) -> None:
     measured(tmp_path, PLAN + '\n[laboratory]\norganisation = "Institute"\n[laboratory.sample]\nshape = "disc"\n')
     done = gonio(tmp_path, "convert", "RUN", "out.json", "--to", "bird-json")

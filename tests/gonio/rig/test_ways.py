@@ -193,6 +193,26 @@ def test_directions_without_a_free_way_are_blocked_and_say_by_what() -> None:
     assert caught.value.cause == "the way there would touch: source head and camera head"
 
 
+def test_the_branch_that_a_limit_closes_is_told_beside_the_one_that_bodies_close() -> None:
+    """Else nobody sees that half a degree more of the spin would do."""
+    holder = Holder(axes=("tilt", "spin"), spin_limits_deg=(-170.0, 170.0))
+    with pytest.raises(Unreachable) as caught:
+        reach(RIG.model_copy(update={"holder": holder}), Directions.from_degrees(30, 0, 45, 180))
+    assert caught.value.flag == "blocked"
+    assert caught.value.cause == (
+        "the way there would touch: source head and camera head; or outside the limits -170 to 170 deg of the spin of "
+        "the sample"
+    )
+
+
+def test_a_place_to_park_needs_ways_there_and_back() -> None:
+    rig = RIG.model_copy(update={"bodies": BARS})
+    ways.require_parking(rig, {"light": -70.0}, "axes.{}.park_deg")
+    ways.require_parking(rig.model_copy(update={"bodies": ()}), {"light": 70.0, "camera": 69.0}, "axes.{}.park_deg")
+    with pytest.raises(ConfigError, match=r"^axes.light.park_deg = 70, axes.camera.park_deg = 20: .* camera head"):
+        ways.require_parking(rig, {"light": 70.0, "camera": 20.0}, "axes.{}.park_deg")
+
+
 def test_bodies_need_one_whole_shape() -> None:
     table = {"rig": "sim", "name": "x", "bands": {"list": [{"name": "g", "centre_nm": 550, "fwhm_nm": 10}]}}
     for shape in ({"from_mm": [0, 0, 0], "to_mm": [0, 0, 1]}, {"radius_mm": 1.0, "centre_mm": [0, 0, 0]}, {}):
