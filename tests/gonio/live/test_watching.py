@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from gonio.acquisition.journal import Journal, decode
+from gonio.acquisition.journal import Journal, decode, encode
 from gonio.acquisition.records import StepRecord
 from gonio.live.server import Request
 from gonio.live.watching import Watched
@@ -136,7 +136,8 @@ def test_the_outline_is_that_of_the_frame_and_not_of_a_later_step(
     assert dark is not None
     with Watched(played.path) as watched:
         watched.look()
-        watched.story.take(dark | {"step": 99, "frames": []})  # shows nothing
+        played.append(encode(dark | {"n": 5, "step": 99, "frames": []}))  # shows nothing
+        watched.look()
         assert watched.picture(Request({}, "")) is not None
     assert watched.story.latest_frame is not None
     assert drawn == [watched.story.latest_frame[1]]
