@@ -145,8 +145,8 @@ PLAN = """
 name = "in plane"
 wavelength_nm = [500]
 [[sweep]]
-theta_i_deg = [10, 30, 45, 60]
-theta_r_deg = { start = -85, stop = 85, step = 2.5 }
+theta_i_deg = [30, 60]
+theta_r_deg = { start = -80, stop = 80, step = 2.5 }
 """
 
 

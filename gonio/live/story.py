@@ -216,8 +216,8 @@ def said(event: Mapping[str, Any]) -> str:
         count = len(event.get("points", []))
         return f"{count} {'point' if count == 1 else 'points'} more, from step {event.get('first_step')} on"
     if kind == "enough":
-        message = str(event.get("message", "")).removeprefix("enough: ")
-        return f"{'the target is reached' if event.get('met') else 'no more points'}{message and ': '}{message}"
+        verdict = "the target is reached" if event.get("met") else "no more points"
+        return ": ".join(filter(None, (verdict, str(event.get("message", "")).removeprefix("enough: "))))
     if kind == "end":
         return "every step is done"
     if kind == "continued":
@@ -246,8 +246,9 @@ REASONS = {
 def reasons(why: Any) -> list[str]:
     """Why points were chosen, a line each; what a chooser keeps for itself (rows of numbers) is left out."""
     if not isinstance(why, Mapping):
-        return [text] if (text := plain(why)) else []
-    rest, out = dict(why), []
+        return [plain(why)] if why else []
+    rest: dict[str, Any] = dict(why)
+    out: list[str] = []
     fit, u = rest.get("fit"), rest.get("u")
     if isinstance(fit, Mapping) and isinstance(u, Mapping):
         del rest["fit"], rest["u"]

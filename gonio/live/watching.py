@@ -1,18 +1,19 @@
 """A run that is being measured, or was: its journal as events of a page, its values so far, its last frame.
 
 Everything here reads, and only while somebody looks. A thread looks at the journal every `POLL_S`. Another one
-reduces frames with the lowest priority, and in a tenth of its time at most.
+reduces frames with the lowest priority. All watchers of a run take a tenth of a processor for it at most.
 """
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -21,6 +22,7 @@ import numpy as np
 
 from gonio.acquisition.journal import Event
 from gonio.acquisition.records import StepRecord
+from gonio.disk import only_file
 from gonio.errors import GonioError
 from gonio.geometry import IN_PLANE, Directions
 from gonio.live.follow import Follower
@@ -38,8 +40,12 @@ LOOK_S = 1.0
 """So often it is told how much room the disk has, and whether the process that measures lives."""
 PICTURE_S = 1.0
 """A frame is made a picture of at most so often."""
-PICTURE_SHARE = 0.05
+PICTURE_SHARE = 0.02
 """Of a processor: the time that pictures may take."""
+TURN_S = 20.0
+"""So long a watcher waits for its turn: another one may stand still."""
+WAIT_S = 0.05
+"""So often it looks whether it is its turn."""
 TOLD_S = 0.7
 """Values are handed on so often, while there are more to come."""
 LONGEST_S = 2.0
@@ -51,7 +57,7 @@ BUSY = ("running", "silent")
 GOING = ("running", "suspended", "paused", "silent")
 """States of a run that may go on by itself."""
 SHARE = 0.1
-"""Of a processor, while the run goes on: the time that reducing may take."""
+"""Of a processor, while the run goes on: the time that reducing may take, that of all watchers of a run together."""
 
 
 class Watched:
@@ -279,24 +285,44 @@ class Watched:
                 if not self._is_wanted():
                     continue
                 life, run, event = self._life, self.run, self._first.popleft() if self._first else self._points.pop()
-            if made != life or provisional is None:
-                assert run is not None, "a step is there after its run was opened"
-                provisional, made = Provisional(run), life
-            began = time.thread_time()
-            self._reduce_one(provisional, event)
-            if not self.behind or time.monotonic() - told_s >= TOLD_S:
-                told_s = time.monotonic()
-                values = provisional.values()
-                with self._news:
-                    if life != self._life:
-                        continue
-                    self.values = values
-                if self._changed is not None:
-                    self._changed(self)
+            with self._turn():
+                if made != life or provisional is None:
+                    assert run is not None, "a step is there after its run was opened"
+                    provisional, made = Provisional(run), life
+                began = time.thread_time()
+                self._reduce_one(provisional, event)
+                if not self.behind or time.monotonic() - told_s >= TOLD_S:
+                    told_s = time.monotonic()
+                    values = provisional.values()
+                    with self._news:
+                        if life != self._life:
+                            continue
+                        self.values = values
+                    if self._changed is not None:
+                        self._changed(self)
+                if self._state in BUSY:
+                    with self._news:
+                        worked = time.thread_time() - began
+                        self._news.wait_for(lambda: self._ended, min(worked * (1.0 / SHARE - 1.0), LONGEST_S))
+
+    @contextlib.contextmanager
+    def _turn(self) -> Iterator[None]:
+        """While a run goes on its watchers work on frames in turns: all together take what one of them may.
+
+        The lock is on `run.toml`, which nobody else locks. Who has waited for `TURN_S` goes on without.
+        """
+        with contextlib.ExitStack() as held:
             if self._state in BUSY:
-                with self._news:
-                    worked = time.thread_time() - began
-                    self._news.wait_for(lambda: self._ended, min(worked * (1.0 / SHARE - 1.0), LONGEST_S))
+                with contextlib.suppress(OSError):  # a file system without locks
+                    file = held.enter_context(open(self.path / "run.toml", "rb", opener=only_file))
+                    until = time.monotonic() + TURN_S
+                    while not self._ended and time.monotonic() < until:
+                        try:
+                            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                            break
+                        except BlockingIOError:
+                            time.sleep(WAIT_S)
+            yield
 
     def _is_wanted(self) -> bool:
         return self.behind > 0 and self.run is not None and self._is_attended()

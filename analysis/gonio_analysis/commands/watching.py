@@ -7,6 +7,7 @@ import os
 import sys
 import threading
 from pathlib import Path
+from typing import NoReturn
 
 from gonio.cli import console
 from gonio.errors import ConfigError
@@ -66,17 +67,31 @@ def watch(run: Path, host: str, port: int | None, text: bool) -> None:
     with contextlib.suppress(AttributeError, OSError):
         os.nice(10)
     try:
-        with server, shown.watched:
-            print(server.address, flush=True)
+        with shown.watched:
             try:
-                address.remember(run, server.port, server.token)
-            except OSError as error:
-                console.note(f"the address cannot be kept ({error.strerror}): after a restart it will be another one")
-            if text:
-                terminal.show(shown.watched)
-            else:
-                threading.Event().wait()
-    except KeyboardInterrupt:  # that is how it ends
-        with contextlib.suppress(OSError, ValueError):
-            sys.stdout.flush()
-        os._exit(0)  # a thread that imports a library, or serves a slow client, would be torn out of it
+                with server:  # it is left first: pages are told, and nobody waits for a value that is being worked out
+                    _show(run, server, shown.watched, text)
+            except KeyboardInterrupt:
+                _end()
+    except KeyboardInterrupt:
+        _end()
+
+
+def _show(run: Path, server: Server, watched: Watched, text: bool) -> None:
+    """Until a signal ends it."""
+    print(server.address, flush=True)
+    try:
+        address.remember(run, server.port, server.token)
+    except OSError as error:
+        console.note(f"the address cannot be kept ({error.strerror}): after a restart it will be another one")
+    if text:
+        terminal.show(watched)
+    else:
+        threading.Event().wait()
+
+
+def _end() -> NoReturn:
+    """A signal is how it ends. A thread that imports a library, or serves a slow client, would be torn out of it."""
+    with contextlib.suppress(OSError, ValueError):
+        sys.stdout.flush()
+    os._exit(0)

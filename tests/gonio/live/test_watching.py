@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import threading
 import time
@@ -10,9 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from gonio.acquisition.journal import Journal
+from gonio.acquisition.journal import Journal, decode, encode
+from gonio.acquisition.records import StepRecord
 from gonio.live.server import Request
 from gonio.live.watching import Watched
+from gonio.rig import Frame
+from gonio.rig.description import RigDescription
 from tests.gonio.live.runs import Played
 
 
@@ -78,3 +82,62 @@ def test_a_run_whose_settings_cannot_be_read_says_so(played: Played, followed: W
     played.go_on(3)
     until(lambda: "run.toml: is damaged" in followed.status()["why"])
     assert followed.status()["done"] == 2
+
+
+def test_watchers_of_a_run_work_on_its_frames_in_turns(played: Played) -> None:
+    played.go_on(len(played.lines) - 1)  # it has not ended
+    with open(played.path / "journal.jsonl", "ab") as journal:
+        fcntl.flock(journal, fcntl.LOCK_EX)  # nor died
+        with open(played.path / "run.toml", "rb") as another:
+            fcntl.flock(another, fcntl.LOCK_EX)
+            with Watched(played.path) as watched, watched.log.listening():
+                until(lambda: len(watched.log) == len(played.lines) - 1)
+                assert watched.values == [], "it is another one's turn"
+                fcntl.flock(another, fcntl.LOCK_UN)
+                until(lambda: len(watched.values) == 2)
+
+
+def test_a_watcher_does_not_wait_for_ever_for_another(played: Played, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gonio.live.watching.TURN_S", 0.1)
+    played.go_on(8)
+    with open(played.path / "journal.jsonl", "ab") as journal, open(played.path / "run.toml", "rb") as another:
+        fcntl.flock(journal, fcntl.LOCK_EX)
+        fcntl.flock(another, fcntl.LOCK_EX)
+        with Watched(played.path) as watched, watched.log.listening():
+            until(lambda: len(watched.values) == 2)
+
+
+def test_a_run_that_died_disturbs_nobody_and_is_worked_out_at_once(
+    played: Played, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gonio.live.watching.SHARE", 1e-9)
+    monkeypatch.setattr("gonio.live.watching.LONGEST_S", 1e6)
+    played.go_on(len(played.lines) - 1)
+    with Watched(played.path) as watched:
+        watched.look()
+        watched.tell()
+        assert watched.status()["state"] == "died"
+        with watched.log.listening():
+            until(lambda: watched.behind == 0 and len(watched.values) == 2)
+
+
+def test_the_outline_is_that_of_the_frame_and_not_of_a_later_step(
+    played: Played, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[int] = []
+
+    def png(description: RigDescription, frame: Frame, step: StepRecord) -> bytes:
+        drawn.append(step.step)
+        return b"PNG"
+
+    monkeypatch.setattr("gonio.live.picture.png", png)
+    played.go_on(5)
+    dark = decode(played.lines[1])
+    assert dark is not None
+    with Watched(played.path) as watched:
+        watched.look()
+        played.append(encode(dark | {"n": 5, "step": 99, "frames": []}))  # shows nothing
+        watched.look()
+        assert watched.picture(Request({}, "")) is not None
+    assert watched.story.latest_frame is not None
+    assert drawn == [watched.story.latest_frame[1]]
