@@ -122,8 +122,9 @@ def test_a_spike_has_the_shape_of_the_cones() -> None:
     def known(cones: tuple[float, float] | None) -> Posterior:
         return Posterior(d, f, 2e-3 * f, 2e-3 * f[:, None], errors, cones=cones)
 
-    error = known(CONES).at(between)[0] / truth - 1
-    assert known(CONES).spike is not None
+    with_cones = known(CONES)
+    error = with_cones.at(between)[0] / truth - 1
+    assert with_cones.spike is not None
     # a reflectance that changes by a quarter a degree makes the edges' thin lenses uncertain
     assert rms(error) < 0.05
     assert rms(known(None).at(between)[0] / truth - 1) > 0.25, "no process over the half vector has such an edge"
