@@ -76,8 +76,10 @@ class Posterior:
     """Half angles of lamp and lens [rad]: what shape a specular spike has; None where they are not known."""
 
     @classmethod
-    def of(cls, table: pd.DataFrame) -> Posterior:
+    def of(cls, table: pd.DataFrame, cones: tuple[float, float] | None = None) -> Posterior:
         """From the rows of a measurement table that are to be used, all of one band.
+
+        `cones` are the half angles of lamp and lens [rad], where they are known.
 
         Raises
         ------
@@ -94,7 +96,8 @@ class Posterior:
             )
         causes = [c for c in used.columns if c.startswith("s_")]
         common = np.nan_to_num(used[causes].to_numpy(np.float64))
-        return cls(Directions.from_table(used), used["brdf"].to_numpy(np.float64), u, common)
+        brdf = used["brdf"].to_numpy(np.float64)
+        return cls(Directions.from_table(used), brdf, u, common, cones=cones)
 
     @cached_property
     def link(self) -> Link:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gonio.geometry import SAME_ANGLE, Directions, direction, unsigned, wrap
+from gonio.geometry import SAME_ANGLE, Directions, direction, half_angle_of_cone, unsigned, wrap
 from gonio_sweeps.posterior import Posterior, bands
 
 if TYPE_CHECKING:
@@ -22,7 +22,8 @@ def reconstruct(table: pd.DataFrame, *, step_deg: float = STEP_DEG) -> pd.DataFr
     ----------
     table
         A measurement table with `u_random`, as `gonio reduce` writes it; flagged rows are left out. Points out of the
-        plane count too.
+        plane count too. Where its `attrs` have the solid angles of source and receiver, a specular spike has the shape
+        that these give it.
     step_deg
         Between angles of reflection [deg].
 
@@ -40,9 +41,13 @@ def reconstruct(table: pd.DataFrame, *, step_deg: float = STEP_DEG) -> pd.DataFr
     """
     import pandas as pd
 
+    solid = [table.attrs.get(f"{end}_solid_angle_sr") for end in ("source", "receiver")]
+    cones = None
+    if solid[0] and solid[1]:
+        cones = float(half_angle_of_cone(solid[0])), float(half_angle_of_cone(solid[1]))
     out = []
     for band in bands(table):
-        known = Posterior.of(band)
+        known = Posterior.of(band, cones)
         d = known.directions
         # whatever the azimuth of a source along the normal is, it has none
         azimuth = np.where(d.theta_i < SAME_ANGLE, 0.0, d.phi_i)

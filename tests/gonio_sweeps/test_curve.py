@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from gonio_sweeps import curve_choice
 from gonio_sweeps.candidates import Candidates
 from gonio_sweeps.curve import CHOOSER, Curve
 from gonio_sweeps.online import Values
@@ -19,8 +20,10 @@ from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import load_plan
 from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, DataError, Interrupted
-from gonio.geometry import Directions
+from gonio.geometry import Directions, solid_angle_of_cone
+from gonio.instrument import apparent_brdf
 from gonio.reduction import brdf
+from gonio.rig.description import RigDescription
 from gonio.typing import Floats
 from tests.gonio.numpy_rig import SAMPLE, Plugin, StopAfter, describe
 
@@ -43,6 +46,10 @@ def in_plane(signed: Floats, theta_i: float = 30.0) -> Directions:
 def satin(d: Directions) -> Floats:
     model = models.build("cook-torrance", {"s": 0.3, "m": 0.2, "diffuse_albedo": 0.5, "ior": 1.5})
     return np.asarray(model.brdf(*d.angles))
+
+
+def half_angles(description: RigDescription) -> tuple[float, float]:
+    return description.lamp.half_angle_deg, description.camera.lens_half_angle_deg
 
 
 def chooser(folder: Path, text: str = PLAN) -> Curve:
@@ -86,6 +93,55 @@ def test_a_lobe_is_found_between_the_points() -> None:
 
 def rms(x: Floats) -> float:
     return float(np.sqrt(np.mean(x**2)))
+
+
+CONES = (np.radians(0.5), np.radians(0.5))
+MIRROR = 60.0
+
+
+def spiky(d: Directions) -> Floats:
+    """What lamp and lens of half a degree see of a smooth metal: a lobe, and at 60 degrees a high spike."""
+    model = models.build("he-torrance", {"sigma0_um": 0.16, "tau_um": 1.5, "ior": "Al"})
+    solid = float(solid_angle_of_cone(CONES[0]))
+    seen = apparent_brdf(
+        model, *d.angles, wavelength_nm=500.0, source_solid_angle_sr=solid, receiver_solid_angle_sr=solid, spike="exact"
+    )  # fmt: skip
+    return np.asarray(seen)
+
+
+def test_a_spike_has_the_shape_of_the_cones() -> None:
+    x = np.concatenate([np.arange(-20.0, 80.0, 4.0) + 1.0, MIRROR + np.array([-0.5, 0.0, 0.5])])
+    d = in_plane(x, MIRROR)
+    f = spiky(d)
+    errors = AngleErrors(read=np.radians(0.005), zero=np.radians(0.005))
+    between = in_plane(np.linspace(58.0, 62.0, 81), MIRROR)
+    truth = spiky(between)
+
+    def known(cones: tuple[float, float] | None) -> Posterior:
+        return Posterior(d, f, 2e-3 * f, 2e-3 * f[:, None], errors, cones=cones)
+
+    with_cones = known(CONES)
+    error = with_cones.at(between)[0] / truth - 1
+    assert with_cones.spike is not None
+    # a reflectance that changes by a quarter a degree makes the edges' thin lenses uncertain
+    assert rms(error) < 0.05
+    assert rms(known(None).at(between)[0] / truth - 1) > 0.25, "no process over the half vector has such an edge"
+
+
+def test_a_lobe_wider_than_the_cones_is_no_spike() -> None:
+    x = np.concatenate([np.arange(-70.0, 71.0, 5.0), [29.5, 30.5]])
+    f = satin(in_plane(x))
+    assert Posterior(in_plane(x), f, 2e-3 * f, np.zeros((x.size, 0)), cones=CONES).spike is None
+
+
+def test_no_interval_lies_below_zero() -> None:
+    x = np.linspace(-70, 70, 15)
+    f = np.exp(-(((x - 30) / 9) ** 2))
+    curve, _, _, high = Posterior(in_plane(x), f, np.full(x.size, 1e-4), np.zeros((x.size, 0))).at(
+        in_plane(np.linspace(-70, 70, 141))
+    )
+    assert (curve >= 0).all()
+    assert (high > 0).all()
 
 
 def test_the_reference_is_in_the_interval_and_no_number_of_points_takes_it_out() -> None:
@@ -152,7 +208,8 @@ def test_curves_of_a_table_lie_between_its_outermost_points() -> None:
 def test_the_first_points_cover_and_the_mirror_direction_is_one(tmp_path: Path) -> None:
     first = chooser(tmp_path).first(())
     signed = [p.theta_r_deg * (1 if p.phi_r_deg else -1) for p in first]
-    assert 30.0 in signed
+    reach = sum(half_angles(describe()))
+    assert {30.0 - 0.5 * reach, 30.0, 30.0 + 0.5 * reach} <= set(signed), "what a spike is told by"
     assert min(signed) == -70
     assert max(signed) == 70
 
@@ -163,6 +220,18 @@ def test_points_go_where_the_curve_is_known_least(tmp_path: Path) -> None:
     decided = curve.decided([measured(curve.candidates, away)], 0.0)
     near = [curve.candidates.points[k] for k in decided.picked]
     assert sum(p.phi_r_deg == 180.0 and 15 <= p.theta_r_deg <= 45 for p in near) > len(near) / 2
+
+
+def test_a_steep_gap_is_bisected() -> None:
+    x = np.concatenate([np.arange(-70.0, 20.0, 5.0), np.arange(20.0, 41.0, 2.5), [60.0, 70.0]])
+    f = 0.01 + np.exp(-(((x - 30) / 8) ** 2))
+    known = Posterior(in_plane(x), f, 1e-3 * f, np.zeros((x.size, 0)))
+    places = in_plane(np.arange(-70.0, 71.0, 1.0))
+    grid = curve_choice.Grid.of(places, np.ones(places.theta_r.size))
+    noise = np.full(places.theta_r.size, 1e-3)
+    _, _, covers = curve_choice.batch([known], [noise], grid, 1e9, np.ones(places.theta_r.size), 3, 0, 1e-3)
+    at = np.degrees(places.signed[covers[0]])
+    assert 40 < at < 60, "where the flank was left out"
 
 
 def test_one_state_gives_one_choice_and_the_target_ends_it(tmp_path: Path) -> None:
