@@ -79,6 +79,8 @@ AIM = 0.97
 CLOSE = 1.25
 """Where the quick fit's uncertainties are within this factor of their targets the run is reduced and fitted in full, as
 `gonio fit` will do it: its uncertainties decide."""
+WORST = 3.0
+"""A full reduction's uncertainties count as no more than so many times the quick fit's."""
 LEAST_GAIN = 2e-4
 """Where no point lowers the logarithm of the uncertainties by more, none adds anything."""
 
@@ -294,7 +296,8 @@ class Parameters:
                 if self._reached(self._ratios(final)):
                     return Choice((), why, "enough: " + self._progress(final), met=True)
                 worse = float(np.nanmax(self._ratios(final) / self._ratios(known.result)))
-                known = replace(known, result=replace(known.result, spread=final.spread), worse=max(worse, 1.0))
+                worse = min(max(worse, 1.0), WORST) if math.isfinite(worse) else WORST
+                known = replace(known, result=replace(known.result, spread=final.spread), worse=worse)
         left_s = self._budget_s - spent_s
         picked, gains = self._cover(values, left_s, began) if covering else self._pick(values, known, left_s)
         why |= gains
