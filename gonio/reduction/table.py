@@ -181,6 +181,7 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
             "seed": run.seed,
             "reference": [_account(result) for result in results],
             "filling": filling(description),
+            **_zeros_of_chosen(run),
             **({"laboratory": run.laboratory} if run.laboratory else {}),
             **({"calibrations": used} if (used := _calibrations(description)) else {}),
             **({"merge": [result.merged for result in results]} if description.acquisition.by_pixels else {}),
@@ -202,6 +203,18 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
         found += [replace(one, band=band) for one in of_values(measured_values)]
     frame.attrs["provenance"]["checks"] = [one.to_json() for one in found]
     return frame
+
+
+def _zeros_of_chosen(run: Run) -> dict[str, dict[str, float]]:
+    """Of a run that chose its points: uncertainties of the arms' zeros [rad] by their causes.
+
+    Its points are too few and too irregular to tell all slopes: a fitted model tells what the zeros do.
+    """
+    if not run.batches or filling(run.description) == "under":
+        return {}
+    zeros = zero_uncertainties(run.description)
+    known = {CAUSES[axis].removeprefix("s_"): zeros[axis] for axis in ("light", "camera") if zeros[axis] > 0.0}
+    return {"zeros_rad": known} if known else {}
 
 
 def _of_band(result: BandResult, flags: list[str], clipped: float) -> list[Check]:

@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from gonio_analysis.fitting.forward import apparent
@@ -30,14 +29,6 @@ from gonio.typing import Floats
 
 MOST = 0.5 * math.pi - 1e-6
 """Polar angles [rad] are held below this where an axis is moved in thought."""
-OUT_OF_PLANE = 1e-3
-BESIDE_SPIKE = math.radians(2.0)
-"""Nearer to the mirror direction a spike may stand, which a reduction finds by itself."""
-FAR_OUT = math.radians(85.0)
-"""A curve reaches so far, at least."""
-SAME_CURVE = math.radians(1.0)
-PROBE = math.radians(0.25)
-"""Of derivatives."""
 EVEN = "even"
 """The cause that is what errors of the angles change evenly: on top of a peak they only lower a value, repeats too."""
 
@@ -54,56 +45,6 @@ class Rows:
     """By cause: the change of the values [1/sr] for one standard deviation of the zero of an axis, (n,); and `EVEN`."""
     u_landing: Floats
     """Standard uncertainty [1/sr] by the encoders' steps, (n,)."""
-    untold: Floats
-    """What a reduction will get wrong [1/sr] of the change by the zero of theta_i, (n,); see `Neighbours`."""
-
-
-class Neighbours:
-    """How a reduction will see the values in the plane of incidence change with theta_i.
-
-    It knows no model, and compares curves of neighbouring angles of incidence at the same distance from the mirror
-    direction (`gonio.reduction.angle_sensitivity`). Toward grazing, where facets hide each other, a lobe changes over
-    fewer degrees than these angles are apart. There the table's column for the zero of theta_i can have the wrong sign,
-    and a fit that many such points decide states too small an uncertainty.
-    """
-
-    def __init__(self, at: Observations, incidences: Floats, u_zero: float) -> None:
-        d = at.directions
-        self._u_zero = u_zero
-        self._lobe = (np.abs(np.sin(d.dphi)) < OUT_OF_PLANE) & (d.mirror_offset > BESIDE_SPIKE)
-        weights, moves = np.zeros((2, 2, len(at)))
-        largest = max(float(np.max(np.abs(d.signed), initial=0.0)), FAR_OUT)
-        for k in np.flatnonzero(self._lobe):
-            apart = incidences - d.theta_i[k]
-            apart = apart[(np.abs(apart) > SAME_CURVE) & (np.abs(d.signed[k] + apart) <= largest)]
-            below, above = np.sort(apart[apart < 0])[::-1][:2], np.sort(apart[apart > 0])[:2]
-            one, other = (below[0], above[0]) if below.size and above.size else [*below, *above, 0.0, 0.0][:2]
-            moves[:, k] = one, other
-            if other == 0.0:
-                weights[0, k] = 1.0 / one if one else 0.0
-            else:  # the parabola through three values; its slope at the first
-                weights[:, k] = other / one / (other - one), -one / other / (other - one)
-        self._weights = weights
-        self._places = [self._shifted(at, by) for by in (*moves, PROBE, -PROBE)]
-
-    @staticmethod
-    def _shifted(at: Observations, by: Floats | float) -> Observations:
-        """Both angles farther from the normal, or across it, in the plane."""
-        d = at.directions
-        theta_i, signed = np.minimum(d.theta_i + by, MOST), np.clip(d.signed + by, -MOST, MOST)
-        turned = np.where(signed * d.signed < 0.0, math.pi, 0.0)
-        return replace(at, directions=Directions(np.abs(theta_i), d.phi_i, np.abs(signed), d.phi_r + turned))
-
-    def untold(self, model: Any, here: Floats) -> Floats:
-        """By how much a reduction is wrong [1/sr], for one standard deviation of the zero; 0 where that is not known.
-
-        `here` are the model's values.
-        """
-        f = np.maximum([here, *(apparent(model, place, quick=True) for place in self._places)], 1e-300)
-        own, one, other, up, down = np.log(f)
-        seen = self._weights[0] * (one - own) + self._weights[1] * (other - own)
-        true = (up - down) / (2.0 * PROBE)
-        return np.where(self._lobe, np.abs(seen - true) * self._u_zero * here, 0.0)
 
 
 class Sights:
@@ -112,11 +53,8 @@ class Sights:
     Both are the same for all parameters, and are made once.
     """
 
-    def __init__(
-        self, at: Observations, poses: Sequence[Pose], description: RigDescription, incidences: Floats
-    ) -> None:
+    def __init__(self, at: Observations, poses: Sequence[Pose], description: RigDescription) -> None:
         self.at = at
-        self._neighbours = Neighbours(at, incidences, zero_uncertainties(description).get("light", 0.0))
         self._moved: list[tuple[str, Observations, Observations, Floats, Floats]] = []
         at_zero = zero_uncertainties(description)
         for name, axis in angle_axes(description).items():
@@ -152,7 +90,7 @@ class Sights:
             else:
                 landing += (0.5 * (up - down)) ** 2
         parameters = derivatives(problem, self.at, vector, quick=True)
-        return Rows(here, parameters, of_angles | {EVEN: even}, np.sqrt(landing), self._neighbours.untold(model, here))
+        return Rows(here, parameters, of_angles | {EVEN: even}, np.sqrt(landing))
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ further points cover. docs/adaptive_sweeps.md has the method.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -65,9 +66,6 @@ SAME_PLACE = 0.03
 """Candidates so close to what was measured (`gonio_sweeps.candidates.places`) are measured: an encoder's step or so."""
 REPEATS = 3
 """Visits to one point in a batch, at most: what a repeat cannot tell is that the model is wrong beside it."""
-DISTRUST = 20.0
-"""What a reduction will get wrong of a point's change by a zero (`fisher.Neighbours`) counts so many times as noise: it
-does not average out over the points that share it."""
 DRAWS = 4
 """Parameters that are drawn from what the fit leaves open, beside its own."""
 OTHER_MODES = 4
@@ -81,6 +79,8 @@ AIM = 0.97
 CLOSE = 1.25
 """Where the quick fit's uncertainties are within this factor of their targets the run is reduced and fitted in full, as
 `gonio fit` will do it: its uncertainties decide."""
+WORST = 3.0
+"""A full reduction's uncertainties count as no more than so many times the quick fit's."""
 LEAST_GAIN = 2e-4
 """Where no point lowers the logarithm of the uncertainties by more, none adds anything."""
 
@@ -133,6 +133,8 @@ class Known:
     modes: list[tuple[Floats, float]]
     """Solutions that are not ruled out, as points of the search scale, with their weights; the best one first."""
     test: lack_of_fit.Verdict
+    worse: float = 1.0
+    """The uncertainties of a full reduction and fit, over those of the quick one: targets are harder by so much."""
 
 
 class Plugin:
@@ -178,7 +180,6 @@ class Parameters:
         self._durations = Durations(description, self._bands)
         self._online = Online(self._band)
         self._places = places(self.candidates.directions)
-        self._incidences = np.unique(np.round(self.candidates.directions.theta_i, 6))
         self._first = self._covering()
         self._check_budget(where)
 
@@ -287,7 +288,9 @@ class Parameters:
                 why["u_final"] = {n: _short(final.parameters[n].u) for n in final.free}
                 if self._reached(self._ratios(final)):
                     return Choice((), why, "enough: " + self._progress(final), met=True)
-                known = replace(known, result=replace(known.result, spread=final.spread))
+                worse = float(np.nanmax(self._ratios(final) / self._ratios(known.result)))
+                worse = min(max(worse, 1.0), WORST) if math.isfinite(worse) else WORST
+                known = replace(known, result=replace(known.result, spread=final.spread), worse=worse)
         left_s = self._budget_s - spent_s
         picked, gains = self._cover(values, left_s, began) if covering else self._pick(values, known, left_s)
         why |= gains
@@ -328,7 +331,7 @@ class Parameters:
             result = fit(data, replace(self._request, searches=2), name="the values so far")
         except DataError:
             return None
-        sights = fisher.Sights(data, values.poses, self._description, self._incidences)
+        sights = fisher.Sights(data, values.poses, self._description)
         rows = sights.rows(self._problem, result.vector)
         u = np.hypot(values.u_noise, rows.u_landing)
         causes = (*names, *rows.of_angles)
@@ -433,13 +436,12 @@ class Parameters:
         def fits(batch: list[int]) -> bool:
             return len(batch) <= most and self._batch_s(batch, seen, here) <= share * left_s
 
-        batch: list[int] = []
-        finer: list[int] = []
-        for step_deg in STEPS_DEG:
-            finer = [open_to[n] for n in fill(some, known, step_deg)]
-            if not fits(finer):
-                break
-            batch = finer
+        def with_steps(number: int) -> list[int]:
+            return [open_to[n] for n in fill(some, known, STEPS_DEG[number])]
+
+        fine = bisect_left(range(len(STEPS_DEG)), True, key=lambda n: not fits(with_steps(n)))
+        batch = with_steps(fine - 1) if fine else []
+        finer = with_steps(fine) if fine < len(STEPS_DEG) else []
         numbers: dict[str, Any] = {"gain": None}
         if not batch and finer:  # not all of them: some, evenly
             for count in range(min(len(finer), most), 0, -1):
@@ -519,7 +521,7 @@ class Parameters:
         rows, directions, poses = none.astype(np.intp), self.candidates.directions, self.candidates.poses
         values = Values(rows, directions, poses, none, none, {}, none)
         observed = self._observed(values, Covariance(none + 1.0, np.zeros((none.size, 0))))
-        return fisher.Sights(observed, poses, self._description, self._incidences)
+        return fisher.Sights(observed, poses, self._description)
 
     def _samples(self, known: Known) -> list[tuple[Floats, float]]:
         """Parameters that the values allow, with weights: the solutions, and draws around the best one."""
@@ -562,15 +564,15 @@ class Parameters:
             past = _design(measured, relative)
             lower, upper = self._problem.bounds
             before = fisher.Known.nothing(upper - lower, past.shape[1] - free)
-            u = np.maximum(np.hypot(np.hypot(values.u_noise, measured.u_landing), DISTRUST * measured.untold), 1e-12)
+            u = np.maximum(np.hypot(values.u_noise, measured.u_landing), 1e-12)
             state = before.with_values(past, u)
             seen = self._expected.visits(ahead.brdf)
             latest = {n: np.full(len(cost), c[-1]) for n, c in relative.items()}
             noise = np.where(np.isfinite(seen.u_rel), seen.u_rel * ahead.brdf, 1e3)
             states.append(state)
             designs.append(_design(ahead, latest))
-            errors.append(np.maximum(np.hypot(np.hypot(noise, ahead.u_landing), DISTRUST * ahead.untold), 1e-12))
-            targets = self._targets(self._problem, vector)
+            errors.append(np.maximum(np.hypot(noise, ahead.u_landing), 1e-12))
+            targets = self._targets(self._problem, vector) / known.worse
             weights.append(targets if np.isfinite(targets).any() else None)
             share.append(weight)
         share = [one / sum(share) for one in share]

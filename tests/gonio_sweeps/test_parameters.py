@@ -22,6 +22,7 @@ from gonio.acquisition.plan import Plan, Point, load_plan
 from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, Interrupted
 from gonio.geometry import Directions
+from gonio.reduction.brdf import reduce
 from gonio.rig import Pose, kinematics
 from gonio.rig.description import SampleDescription
 from tests.gonio.numpy_rig import StopAfter
@@ -244,7 +245,9 @@ def test_a_run_reaches_its_target_and_stopping_it_changes_nothing(tmp_path: Path
     assert end["met"]
     assert end["why"]["u_final"]["sigma_deg"] <= 0.2
     assert len(whole.batches) >= 1
-    for stopped_after in (4, whole.batches[0].first_step - 1, whole.batches[0].first_step + 3):
+    zeros = reduce(whole).attrs["provenance"]["zeros_rad"]
+    assert zeros == {name: pytest.approx(math.radians(0.02)) for name in ("theta_i_zero", "theta_r_zero")}
+    for stopped_after in (whole.batches[0].first_step - 1, whole.batches[0].first_step + 3):
         out = tmp_path / f"stopped-{stopped_after}"
         with pytest.raises(Interrupted):
             measured(plan, out, progress=StopAfter(stopped_after))

@@ -26,6 +26,7 @@ from gonio import shown
 from gonio.cli.pace import Say, silent
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.typing import Floats
+from gonio_analysis.fitting.angle_zeros import by_model
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, apparent, pointlike
 from gonio_analysis.fitting.identifiability import tied
 from gonio_analysis.fitting.incidences import angles
@@ -326,7 +327,9 @@ def fit(
         vector = search(problem, data, asked.loss, asked.searches, asked.metric, say)
     else:
         vector = search_from(problem.softer(BOUND_FIRST), data, start, asked.loss, asked.metric, say)
-    goal = replace(scaled_to(data, apparent(problem.model(vector), data, quick=True), asked.metric), loss=asked.loss)
+    found = apparent(problem.model(vector), data, quick=True)
+    data = by_model(data, problem.model(vector), found)
+    goal = replace(scaled_to(data, found, asked.metric), loss=asked.loss)
     done = asked.metric is None and problem.bound is None  # the search has made the same sum small, without more ado
     if not (
         done

@@ -77,6 +77,9 @@ class Observations:
     """The tables that are fitted together; none where there is one."""
     part: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
     """Which of `parts` each value is from; empty where there is one table."""
+    zeros_rad: Mapping[str, float] = field(default_factory=dict)
+    """Standard uncertainties [rad] of the arms' zeros by their causes, where the model shall tell what they do
+    (`gonio_analysis.fitting.angle_zeros`)."""
     u_rel_assumed: float | None = None
     """Relative uncertainty that somebody assumes, where the table states none: `covariance` is then made from it."""
 
@@ -255,8 +258,17 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
         receiver_solid_angle_sr=cones["receiver"] or 0.0,
         omitted=omitted,
         notes=tuple(notes),
+        zeros_rad=_zeros(table),
         u_rel_assumed=assumed,
     )
+
+
+def _zeros(table: pd.DataFrame) -> dict[str, float]:
+    """`zeros_rad` of the provenance; nothing where it holds something else."""
+    provenance = table.attrs.get("provenance")
+    zeros = provenance.get("zeros_rad") if isinstance(provenance, Mapping) else None
+    known = zeros.items() if isinstance(zeros, Mapping) else ()
+    return {str(name): float(u) for name, u in known if isinstance(u, float | int) and 0.0 < u < 0.1}
 
 
 def together(several: Mapping[str, Observations]) -> Observations:
