@@ -86,7 +86,7 @@ class Request:
 
     query: Mapping[str, str]
     nonce: str
-    """That the page's own <script> and <style> have to carry: <script nonce="...">."""
+    """What the attribute `nonce` of the page's own scripts and styles has to say."""
 
 
 Route = Callable[[Request], Content | None]
