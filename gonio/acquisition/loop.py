@@ -590,6 +590,8 @@ class _Session:
 
     def _present(self, target: Target) -> None:
         if target != self._target:
+            if self._stop.requested and not self._rig.repeatable:
+                raise Interrupted("stopped")  # rather than ask a person to put something there
             with self._progress.paused():
                 self._rig.present(target)
             self._target = target

@@ -32,7 +32,11 @@ def ask_for(target: Target, *, beam: bool = False) -> None:
         There is no terminal.
     """
     print((STRAIGHT if beam else PROMPTS)[target], end="", file=sys.stderr, flush=True)
-    if not sys.stdin.readline():
+    try:
+        answer = sys.stdin.readline()
+    except OSError:  # the terminal has gone
+        answer = ""
+    if not answer:
         raise DeviceError(
             f"the {target} must be put into the holder, and there is no terminal to confirm it; --yes asks for none"
         )

@@ -21,7 +21,7 @@ from gonio.config import to_toml
 from gonio.disk import Staged
 from gonio.errors import ConfigError, DataError, DeviceError, GonioError, Interrupted
 from gonio.reduction import brdf
-from gonio.rig import Frame, Pose
+from gonio.rig import Frame, Pose, Step
 from gonio.rig.description import Body, Geometry, Holder, Reference, RigDescription
 from gonio.rig.dng import read_raw
 from tests.gonio.numpy_rig import PLAN, SAMPLE, NumpyRig, Plugin, describe
@@ -572,3 +572,20 @@ def test_arms_that_stand_where_no_way_leads_out_are_said_before_anything_moves(
         measure("run", rig=rig, description=describe(bodies=(fence,), geometry=far))
     assert "move" not in rig.opened[0].log
     assert not (tmp_path / "run").exists()
+
+
+def test_nobody_is_asked_for_the_reference_once_a_stop_was_asked_for(
+    measure: Measure, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begin = NumpyRig.begin
+
+    def begin_and_stop(rig: NumpyRig, step: Step) -> None:
+        begin(rig, step)
+        if step.kind == "reference":
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(NumpyRig, "begin", begin_and_stop)
+    rig = Plugin(options={"repeatable": False})
+    with pytest.raises(Interrupted, match="after 1 of"):
+        measure("run", rig=rig, sample=None, yes=True)
+    assert "present reference" not in rig.opened[0].log
