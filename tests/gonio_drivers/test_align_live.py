@@ -160,6 +160,7 @@ def test_every_end_of_the_command_leaves_the_lamp_dark_and_the_arms_holding(
         assert twins.lamp.shine.lit
         if isinstance(ends, signal.Signals):
             child.send_signal(ends)
+            child.wait(LONGEST_S)  # before its input ends, which is another way out
         _, said = child.communicate()
     end = time.monotonic() + LONGEST_S
     while twins.lamp.shine.lit:

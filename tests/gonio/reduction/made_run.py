@@ -59,6 +59,7 @@ class MadeRun:
     laboratory: dict[str, Any] = field(default_factory=dict)
     taken: list[StepRecord] = field(default_factory=list)
     lit_anew_s: list[float] = field(default_factory=list)
+    batches: tuple[()] = ()
 
     def steps(self) -> list[StepRecord]:
         return self.taken
