@@ -13,7 +13,8 @@ from gonio.rig import ask_for
 class Gone(io.StringIO):
     """A terminal that was closed."""
 
-    def readline(self, size: int | None = -1, /) -> str:
+    # typeshed's own StringIO carries the same mark: the base class of all streams reads bytes.
+    def readline(self, size: int | None = -1, /) -> str:  # type: ignore[override]
         """What the system says then."""
         raise OSError(5, "Input/output error")
 
