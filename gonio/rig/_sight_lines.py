@@ -52,3 +52,29 @@ def spots(
             y_i[j] = v if meets else np.nan
             cos_i_i[j] = up * math.sqrt(inverse) if meets else 0.0
             factor_i[j] = distance_squared * inverse if meets else 0.0
+
+
+@njit(error_model="numpy", nogil=True)
+def patch_extent(
+    eye: Any, sight: Any, image_x: Any, image_y: Any, x: float, y: float, radius: float, ring: Any
+) -> tuple[float, float, float, float, float, float]:
+    """Where the lens of a pinhole camera images a disc of the plane z = 0, in image distances.
+
+    Lowest and highest u, lowest and highest v of its edge, whose cosines and sines are the rows of `ring`, and of its
+    middle; then u and v of the middle. Infinite where a part of it lies behind the camera.
+    """
+    u_low = v_low = math.inf
+    u_high = v_high = -math.inf
+    u = v = math.inf
+    for k in range(ring.shape[1] + 1):
+        a, b, c = x - eye[0], y - eye[1], -eye[2]
+        if k < ring.shape[1]:
+            a, b = x + radius * ring[0, k] - eye[0], y + radius * ring[1, k] - eye[1]
+        depth = a * sight[0] + b * sight[1] + c * sight[2]
+        u = v = math.inf
+        if depth > 0.0:
+            u = (a * image_x[0] + b * image_x[1] + c * image_x[2]) / depth
+            v = (a * image_y[0] + b * image_y[1] + c * image_y[2]) / depth
+        u_low, u_high = min(u_low, u), max(u_high, u)
+        v_low, v_high = min(v_low, v), max(v_high, v)
+    return u_low, u_high, v_low, v_high, u, v

@@ -422,34 +422,48 @@ def roi(description: RigDescription, view: View, target: Target = "sample", chan
         raise ConfigError("the camera is in the sample's plane: it sees no region of interest")
     radius = description.acquisition.roi_radius_mm
     longest = pixel_on_sample_mm(description, view)
-    cosines, sines = _ring()
-    reach = max(radius, longest)
-    spots = np.zeros((len(cosines) + 1, 3))
-    spots[:-1, 0], spots[:-1, 1] = centre[0] + reach * cosines, centre[1] + reach * sines
-    spots[-1, :2] = centre
-    columns, rows = project(description, view, spots)
-    column, row = columns[-1], rows[-1]
+    extent, (column, row) = _extent(description, view, centre, max(radius, longest))
     if not (-0.5 <= column < camera.width - 0.5 and -0.5 <= row < camera.height - 0.5):
         raise ConfigError(
             f"the centre of the {target} at x = {centre[0]:g} mm, y = {centre[1]:g} mm falls on column {column:.0f}, "
             f"row {row:.0f}, outside the {camera.width} x {camera.height} frame; see reference.offset_mm, "
             "camera.pixel_um and camera.focal_length_mm in the rig file"
         )
-    box_rows, box_cols = _span(rows, camera.height), _span(columns, camera.width)
-    seen = pixel_map(description, view, box_rows, box_cols)
-    distance = (seen.x_mm - centre[0]) ** 2 + (seen.y_mm - centre[1]) ** 2
-    distance[~of_channel(camera.pattern, channel, box_rows, box_cols) | ~seen.sees_plane] = np.inf
+    box_cols, box_rows = _span(extent[:2], camera.width), _span(extent[2:], camera.height)
+    x, y = _spots_of(description, view, box_rows, box_cols)
+    x -= centre[0]
+    y -= centre[1]
+    x *= x
+    y *= y
+    distance = np.add(x, y, out=x)  # NaN where a pixel does not see the plane: it is inside of nothing
+    if channel != "mono" and camera.pattern != "mono":
+        distance[~of_channel(camera.pattern, channel, box_rows, box_cols)] = np.nan
     inside = distance <= radius**2
     if not inside.any():
-        inside = distance <= max(longest**2, distance.min())
+        inside = distance <= max(longest**2, np.fmin.reduce(distance, axis=None, initial=np.inf))
     return Roi(box_rows, box_cols, inside)
 
 
+def _spots_of(description: RigDescription, view: View, rows: slice, cols: slice) -> tuple[Floats, Floats]:
+    """x and y [mm] of the spots of a rectangle inside the frame, as `PixelMap` has them; the caller's own arrays."""
+    from gonio.rig._sight_lines import spots
+
+    camera = description.camera
+    if any(camera.distortion):
+        seen = pixel_map(description, view, rows, cols)
+        return seen.x_mm, seen.y_mm
+    u, v = _on_sensor(camera, image_distance_mm(description), rows, cols)
+    by_col, by_row = view.image_x[:, None] * u, view.optical_axis + v[:, None] * view.image_y
+    out = np.empty((4, len(v), len(u)))
+    spots(by_row, by_col, view.camera_mm, view.source_mm, description.geometry.light_distance_mm, *out)
+    return out[0], out[1]
+
+
 @lru_cache(1)
-def _ring() -> tuple[Floats, Floats]:
-    """Cosines and sines of places once round the edge of a patch."""
+def _ring() -> Floats:
+    """Cosines and sines of places once round the edge of a patch, shape (2, places)."""
     turn = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
-    return np.cos(turn), np.sin(turn)
+    return np.stack([np.cos(turn), np.sin(turn)])
 
 
 AROUND = 1.15
@@ -552,10 +566,29 @@ def patch_extent(description: RigDescription, view: View, target: Target = "samp
     The patch is the disc of `acquisition.roi_radius_mm` around the target's centre. Pixel k reaches from k - 1/2 to
     k + 1/2. Infinite where a part of the patch does not lie in front of the camera.
     """
-    (x, y), radius = _centre(description, target), description.acquisition.roi_radius_mm
-    cosines, sines = _ring()
-    columns, rows = _project(description, view, x + radius * cosines, y + radius * sines)
-    return float(columns.min()), float(columns.max()), float(rows.min()), float(rows.max())
+    centre, radius = _centre(description, target), description.acquisition.roi_radius_mm
+    return _extent(description, view, centre, radius)[0]
+
+
+def _extent(
+    description: RigDescription, view: View, centre: tuple[float, float], radius: float
+) -> tuple[tuple[float, float, float, float], tuple[float, float]]:
+    """Lowest and highest column, lowest and highest row (fractional) of a disc of the sample's plane; those of its
+    middle.
+    """
+    from gonio.rig._sight_lines import patch_extent as seen
+
+    camera, (x, y), ring = description.camera, centre, _ring()
+    if any(camera.distortion):
+        columns, rows = _project(description, view, [*(x + radius * ring[0]), x], [*(y + radius * ring[1]), y])
+        low_high = float(columns.min()), float(columns.max()), float(rows.min()), float(rows.max())
+        return low_high, (float(columns[-1]), float(rows[-1]))
+    scale, (column, row) = image_distance_mm(description) / (1e-3 * camera.pixel_um), _middle(camera)
+    left, right, top, bottom, u, v = seen(
+        view.camera_mm, view.optical_axis, view.image_x, view.image_y, x, y, radius, ring
+    )
+    whole = scale * left + column, scale * right + column, scale * top + row, scale * bottom + row
+    return whole, (scale * u + column, scale * v + row)
 
 
 def outline(description: RigDescription, view: View, target: Target = "sample") -> tuple[Floats, Floats]:
@@ -638,9 +671,9 @@ def spot(description: RigDescription, view: View, column: float, row: float) -> 
     return out
 
 
-def _span(pixels: Floats, size: int) -> slice:
-    """The pixels around fractional positions, with a margin of one Bayer cell, inside the frame."""
-    lowest, highest = (min(max(float(edge), 0.0), size) for edge in (pixels.min(), pixels.max()))
+def _span(extent: tuple[float, ...], size: int) -> slice:
+    """The pixels between two fractional positions, with a margin of one Bayer cell, inside the frame."""
+    lowest, highest = (min(max(edge, 0.0), size) for edge in extent)
     return slice(max(math.floor(lowest) - 2, 0), min(math.ceil(highest) + 3, size))
 
 
