@@ -56,14 +56,16 @@ def write_whole(path: Path, data: bytes) -> None:
     OSError
         It cannot be written; what was there before is there still, and nothing lies beside it.
     """
-    Staged(path, data).settle()
+    staged = Staged(path, data)
+    staged.sync()
+    staged.settle()
 
 
 _STAGED = itertools.count()
 
 
 class Staged:
-    """A file that is written under a temporary name in its folder, to be synced and renamed by `settle`.
+    """A file that is written under a temporary name in its folder; `sync` brings it to the disk, `settle` renames it.
 
     Raises
     ------
@@ -73,7 +75,7 @@ class Staged:
 
     __slots__ = ("_handle", "_temporary", "path")
 
-    def __init__(self, path: Path, data: bytes) -> None:
+    def __init__(self, path: str | Path, data: bytes) -> None:
         self.path = path
         number = f"{os.getpid()}{next(_STAGED):09d}"  # a file may be staged twice, and the later one counts
         folder, name = os.path.split(path)
@@ -101,10 +103,20 @@ class Staged:
             with contextlib.suppress(OSError):
                 os.posix_fadvise(self._handle, 0, 0, os.POSIX_FADV_DONTNEED)
 
-    def settle(self) -> None:
-        """Wait until it is on the disk, and give it its name; raises `OSError`, and nothing lies beside it then."""
+    def sync(self) -> None:
+        """Wait until it is on the disk; raises `OSError`, and nothing lies beside it then."""
         try:
             os.fsync(self._handle)
+        except OSError as error:
+            self.drop()
+            raise self._named(error) from None
+        except BaseException:
+            self.drop()
+            raise
+
+    def settle(self) -> None:
+        """Give it its name, once it is on the disk; raises `OSError`, and nothing lies beside it then."""
+        try:
             os.close(self._handle)
             self._handle = -1
             os.replace(self._temporary, self.path)

@@ -75,7 +75,7 @@ def full_scale_dn(camera: Camera, frame: Frame) -> float:
 
 def level(camera: Camera, frame: Frame, used: Used) -> float:
     """Level of the brightest used pixel of a frame."""
-    return (float(np.max(used(frame.mosaic))) - frame.black_level_dn) / full_scale_dn(camera, frame)
+    return (float(used(frame.mosaic).max()) - frame.black_level_dn) / full_scale_dn(camera, frame)
 
 
 def expected_level_per_s(description: RigDescription, pose: Pose, albedo: float) -> float:

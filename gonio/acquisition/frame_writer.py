@@ -11,14 +11,16 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Protocol
 
 from gonio.acquisition.records import FrameFile, FrameLabel, FrameRecord, StepRecord
 from gonio.disk import Staged, read_file, sync_folder
@@ -33,10 +35,24 @@ MOST_STAGED = 128
 """So many files at most wait to be synced together."""
 LARGE = 1_000_000
 """A frame of so many bytes is synced by itself."""
-_compact = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 NAME = re.compile(r"(\d{6,})-\w+-\d{2,}\.\w+(\.json)?", re.ASCII)
 """Names of frames, and of the labels of frames whose files are the camera's own."""
 BESIDE = ".json"
+
+
+class Written(Protocol):
+    """A frame that was put: a future of what its file is, or that itself."""
+
+    def result(self) -> FrameFile:
+        """What its file is; raises `DataError` where it could not be written."""
+
+
+@dataclass(slots=True)
+class _AtOnce:
+    file: FrameFile
+
+    def result(self) -> FrameFile:
+        return self.file
 
 
 class Store:
@@ -57,18 +73,19 @@ class Store:
         self.waited_s = 0.0
         """How long `put` has waited for the disk."""
 
-    def put(self, frame: Frame, name: str, label: Callable[[], FrameLabel]) -> Future[FrameFile]:
-        """Begin to write a frame; the future says what its file is, once that is written (see `commit`).
+    def put(self, frame: Frame, name: str, label: Callable[[], str]) -> Written:
+        """Begin to write a frame; what is returned says what its file is, once that is written (see `commit`).
 
         `label` is called when all frames before this one are there.
         """
-        path, began = self._folder / name, time.monotonic()
+        path, began = f"{self._folder}{os.sep}{name}", time.monotonic()
+        out: Written
         if self.at_once:
-            out: Future[FrameFile] = Future()
             try:
-                out.set_result(self._write(frame, path, label))
+                out = _AtOnce(self._write(frame, path, label))
             except (DataError, ArgumentError) as error:
-                out.set_exception(error)
+                out = failed = Future[FrameFile]()
+                failed.set_exception(error)
             if len(self._staged) >= MOST_STAGED:
                 self._settling.result()
                 self._settling = self._pool.submit(self._settle)
@@ -82,20 +99,20 @@ class Store:
         """Begin to bring all frames that were put before to the disk, under their names; done once they are there."""
         return self._pool.submit(self._commit)
 
-    def _write(self, frame: Frame, path: Path, label: Callable[[], FrameLabel]) -> FrameFile:
+    def _write(self, frame: Frame, path: str, label: Callable[[], str]) -> FrameFile:
         try:
-            text = _compact(label().to_json())
+            text = label()
             if frame.file is None:
-                data = encode_dng(replace(frame, record=text))
+                data = encode_dng(frame, text)
             else:  # the camera's own file is kept as it is
-                self._stage(path.with_name(path.name + BESIDE), text.encode())
+                self._staged.append(Staged(path + BESIDE, text.encode()))
                 data = frame.file.read_bytes()
-            self._stage(path, data)
+            self._staged.append(Staged(path, data))
             return FrameFile(hashlib.sha256(data).hexdigest(), len(data))
         except OSError as error:
             raise _not_written(path, error) from None
 
-    def _in_thread(self, frame: Frame, path: Path, label: Callable[[], FrameLabel]) -> FrameFile:
+    def _in_thread(self, frame: Frame, path: str, label: Callable[[], str]) -> FrameFile:
         try:
             file = self._write(frame, path, label)
             if len(self._staged) >= MOST_STAGED or file.bytes >= LARGE:
@@ -103,9 +120,6 @@ class Store:
             return file
         finally:
             self._room.release()
-
-    def _stage(self, path: Path, data: bytes) -> None:
-        self._staged.append(Staged(path, data))
 
     def _settle(self) -> None:
         """Bring what is staged to the disk. Once that has failed nothing is committed any more: a frame is missing."""
@@ -115,6 +129,8 @@ class Store:
         try:
             for k in range(count if count > 1 else 0):
                 self._staged[k].begin()
+            for k in range(count):  # all, before the first gets its name: a rename between two syncs doubles their cost
+                self._staged[k].sync()
             for _ in range(count):
                 self._staged.popleft().settle()
         except OSError as error:
@@ -154,7 +170,7 @@ class Files:
     pose_time_s: float | None = None
     frames: list[FrameRecord] = field(default_factory=list)
     """What the journal will say of them, but for their files."""
-    written: list[Future[FrameFile]] = field(default_factory=list)
+    written: list[Written] = field(default_factory=list)
     _last: Frame | None = None
     _numbers: Counter[str] = field(default_factory=Counter)
 
@@ -175,18 +191,16 @@ class Files:
         frame, self._last = self._last, None
         if frame is None:
             return
-        last, number, before = self.frames[-1], len(self.frames), list(zip(self.frames, self.written, strict=False))
+        last, number, before = self.frames[-1], len(self.frames), list(self.written)
         step, pose, pose_time_s = self.step, self.pose, self.pose_time_s
         count = self.count  # now: it may have grown when the label is written
         goal = step.pose if pose is not None else None
 
-        def label() -> FrameLabel:
-            whole = record
-            if whole is not None:
-                whole = replace(whole, frames=(*(done.stored(file.result()) for done, file in before), last))
+        def label() -> str:
+            files = [done.result() for done in before] if record is not None else []
             return FrameLabel(
-                self.run, step.index, step.kind, step.point, number, count, last, goal, pose, pose_time_s, whole
-            )
+                self.run, step.index, step.kind, step.point, number, count, last, goal, pose, pose_time_s, record
+            ).text(files)
 
         self.written.append(self.store.put(frame, last.file, label))
 

@@ -136,9 +136,10 @@ class Holding:
 
 def free_bytes(folder: Path) -> int:
     """What this user may still write into a folder, or the nearest one above it that exists."""
-    while not folder.exists():
-        folder = folder.absolute().parent
-    there = os.statvfs(folder)
+    try:
+        there = os.statvfs(folder)
+    except (FileNotFoundError, NotADirectoryError):
+        return free_bytes(folder.absolute().parent)
     return there.f_bavail * there.f_frsize
 
 

@@ -19,11 +19,12 @@ import threading
 import zlib
 from array import array
 from collections.abc import Iterator, Sequence
+from itertools import accumulate
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self, overload
 
-from gonio.acquisition.records import Json
+from gonio.acquisition.records import Json, compact
 from gonio.disk import only_file
 from gonio.errors import ConfigError, DataError
 
@@ -31,12 +32,14 @@ Event = Json
 """A line: its `event` says what kind it is. Those of steps are `gonio.acquisition.records.StepRecord`."""
 
 MARK = b',"crc":"'
-_compact = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 
 
 def encode(event: Event) -> bytes:
     """One line of a journal, with its checksum and its end."""
-    body = _compact(event).encode()[:-1]
+    return _sealed(compact(event).encode()[:-1])
+
+
+def _sealed(body: bytes) -> bytes:
     return body + MARK + b'%08x"}\n' % zlib.crc32(body)
 
 
@@ -209,7 +212,6 @@ class Journal:
         self._file = _lock(path)
         self._one_at_a_time = threading.Lock()
         """A driver's thread may have something to remark while a step is written."""
-        self._sync_later = False
         try:
             self._starts, good = _scan(path)
             self._file.truncate(good)
@@ -227,44 +229,37 @@ class Journal:
             The disk is full or fails; a part of a line that was written is cut off.
         """
         with self._one_at_a_time:
-            return self._append(event)
+            event = {"n": len(self._starts), **event, "wall": now()}
+            self._write([encode(event)])
+        return event
 
-    @contextlib.contextmanager
-    def together(self) -> Iterator[None]:
-        """What is appended meanwhile goes to the disk at the end, at once. A process that is killed loses none of it.
+    def append_all(self, events: Sequence[str]) -> None:
+        """Write events, each the text of an object of JSON, and wait once until they are on the disk.
 
         Raises
         ------
         DataError
-            The disk fails.
+            The disk is full or fails; none of them is in the journal then.
         """
-        self._sync_later = True
-        try:
-            yield
-        finally:
-            self._sync_later = False
-            try:
-                os.fsync(self._file.fileno())
-            except OSError as error:
-                raise DataError(f"{self.path}: cannot be written: {error.strerror}") from None
+        with self._one_at_a_time:
+            end, first = f',"wall":"{now()}"', len(self._starts)
+            self._write([_sealed(f'{{"n":{n},{text[1:-1]}{end}'.encode()) for n, text in enumerate(events, first)])
 
-    def _append(self, event: Event) -> Event:
-        event = {"n": len(self._starts), **event, "wall": now()}
-        line, before = encode(event), os.fstat(self._file.fileno()).st_size
+    def _write(self, lines: Sequence[bytes]) -> None:
+        number, before = len(self._starts), os.fstat(self._file.fileno()).st_size
         try:
-            if self._file.write(line) != len(line):
+            data = b"".join(lines)
+            if self._file.write(data) != len(data):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            if not self._sync_later:
-                os.fsync(self._file.fileno())
-            self._starts.append(before)
+            os.fsync(self._file.fileno())
+            self._starts.extend(accumulate(map(len, lines[:-1]), initial=before))
         except BaseException as error:  # a signal too: file and events must not tell different stories
-            del self._starts[event["n"] :]
+            del self._starts[number:]
             with contextlib.suppress(OSError):  # the next writer cuts what cannot be cut now
                 self._file.truncate(before)
             if isinstance(error, OSError):
                 raise DataError(f"{self.path}: cannot be written: {error.strerror}") from None
             raise
-        return event
 
     def close(self) -> None:
         """Release the file."""

@@ -22,10 +22,10 @@ from typing import Self
 from gonio import __version__
 from gonio.acquisition import exposure
 from gonio.acquisition.choosing import Chooser
-from gonio.acquisition.frame_writer import Files, Store, slugs
+from gonio.acquisition.frame_writer import Files, Store, Written, slugs
 from gonio.acquisition.holding import Holding
 from gonio.acquisition.progress import Live, Progress
-from gonio.acquisition.records import FrameFile, StepRecord
+from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Batch, Run
 from gonio.acquisition.schedule import batch_steps
 from gonio.acquisition.stop import Stop
@@ -202,7 +202,7 @@ class _Taken:
 
     record: StepRecord
     """Its frames without what their files are."""
-    files: list[Future[FrameFile]]
+    files: list[Written]
     live: Live
 
 
@@ -363,12 +363,9 @@ class _Session:
         (done, steps), self._committing = self._committing, None
         began = time.monotonic()
         done.result()
-        with self._run.together():
-            for taken in steps:
-                pairs = zip(taken.record.frames, taken.files, strict=True)
-                frames = tuple(frame.stored(file.result()) for frame, file in pairs)
-                self._run.append(replace(taken.record, frames=frames).to_json())
-                self._progress.step(taken.live)
+        self._run.append_all([taken.record.text([file.result() for file in taken.files]) for taken in steps])
+        for taken in steps:
+            self._progress.step(taken.live)
         self._waited_s += time.monotonic() - began
 
     def _dark(self, step: Step) -> _Taken:

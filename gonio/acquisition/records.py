@@ -1,14 +1,17 @@
 """What a journal says of a step and of its frames, and what a frame's own file says: values with a JSON form.
 
-`to_json` and `from_json` are inverse to each other: keys keep their order and numbers their digits, because a journal's
-lines are checksummed.
+`text` and `from_json` are inverse to each other: keys keep their order and numbers their digits, because a journal's
+lines are checksummed. The text is put together by hand: the same poses stand in the labels of a step's frames and in
+its line, and to encode each of them anew would take as long as the frames themselves.
 """
 
 from __future__ import annotations
 
+import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from math import isfinite
 from operator import attrgetter
 from typing import Any, Literal, Self, TypeVar
 
@@ -24,6 +27,8 @@ Parsed = TypeVar("Parsed")
 LABEL_FORMAT = "gonio-frame-1"
 AXES = tuple(field.name for field in fields(Pose))
 _of_axes = attrgetter(*AXES)
+compact = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
+"""JSON without spaces; raises `ValueError` for numbers that it does not have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,13 +65,19 @@ class FrameRecord:
             self.file, self.band, self.exposure_s, self.time_s, self.lamp, file.sha256, file.bytes, self.monitor
         )
 
-    def to_json(self) -> Json:
-        """As it stands in the journal."""
-        out: Json = {"file": self.file, "band": self.band, "exposure_s": self.exposure_s, "time_s": self.time_s}
-        out["lamp"] = self.lamp
-        for name in ("sha256", "bytes", "monitor"):
-            if (value := getattr(self, name)) is not None:
-                out[name] = value
+    def members(self, file: FrameFile | None = None) -> str:
+        """As it stands in the journal, without braces; `file` is what its file is, where it does not say so itself."""
+        out = (
+            f'"file":{compact(self.file)},"band":{compact(self.band)},"exposure_s":{_number(self.exposure_s)},'
+            f'"time_s":{_number(self.time_s)},"lamp":{"true" if self.lamp else "false"}'
+        )
+        sha256, count = (self.sha256, self.bytes) if file is None else (file.sha256, file.bytes)
+        if sha256 is not None:
+            out += f',"sha256":{compact(sha256)}'
+        if count is not None:
+            out += f',"bytes":{_number(count)}'
+        if self.monitor is not None:
+            out += f',"monitor":{_number(self.monitor)}'
         return out
 
     @classmethod
@@ -117,28 +128,36 @@ class StepRecord:
     health: tuple[Reading, ...] = ()
     """What was read of the rig's devices after the frames, without limits; empty in runs from before it was kept."""
 
-    def to_json(self) -> Json:
-        """As it stands in the journal, without the line's number, time and checksum."""
-        out: Json = {
-            "event": "step",
-            "step": self.step,
-            "kind": self.kind,
-            "point": self.point,
-            "time_s": self.time_s,
-            "goal": _axes(self.goal),
-            "pose": _axes(self.pose),
-        }
+    def text(self, files: Sequence[FrameFile] = ()) -> str:
+        """As it stands in the journal, without the line's number, time and checksum.
+
+        `files` says of its first frames what their files are, where the record does not.
+        """
+        out = [
+            f'{{"event":"step","step":{_number(self.step)},"kind":{compact(self.kind)},"point":{_number(self.point)},'
+            f'"time_s":{_number(self.time_s)},"goal":{_axes(self.goal)},"pose":{_axes(self.pose)}'
+        ]
         if self.pose_time_s is not None:
-            out["pose_time_s"] = self.pose_time_s
+            out.append(f',"pose_time_s":{_number(self.pose_time_s)}')
         if self.pose_after is not None:
-            out |= {"pose_after": _axes(self.pose_after), "pose_after_time_s": self.pose_after_time_s}
+            out.append(f',"pose_after":{_axes(self.pose_after)},"pose_after_time_s":{_number(self.pose_after_time_s)}')
         if self.pose_spread is not None:
-            out["pose_spread"] = _axes(self.pose_spread)
+            out.append(f',"pose_spread":{_axes(self.pose_spread)}')
         if self.level_per_s is not None:
-            out["level_per_s"] = dict(self.level_per_s)
+            levels = (f"{compact(band)}:{_number(level)}" for band, level in self.level_per_s.items())
+            out.append(f',"level_per_s":{{{",".join(levels)}}}')
         if self.health:
-            out["health"] = [[r.device, r.quantity, r.value, r.unit] for r in self.health]
-        return out | {"flag": self.flag, "frames": [frame.to_json() for frame in self.frames]}
+            rows = [[r.device, r.quantity, r.value, r.unit] for r in self.health]
+            out.append(f',"health":{compact(rows)}')
+        known = [*files, *(None for _ in self.frames[len(files) :])]
+        frames = (f"{{{frame.members(file)}}}" for frame, file in zip(self.frames, known, strict=True))
+        out.append(f',"flag":{compact(self.flag)},"frames":[{",".join(frames)}]}}')
+        return "".join(out)
+
+    def to_json(self) -> Json:
+        """`text` as an object."""
+        out: Json = json.loads(self.text())
+        return out
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
@@ -190,13 +209,22 @@ class FrameLabel:
     record: StepRecord | None = None
     """In the last frame of a step: all that the journal says of it, but for what this file is."""
 
-    def to_json(self) -> Json:
-        """As it stands in the frame's file."""
-        out: Json = {"format": LABEL_FORMAT, "run": self.run, "step": self.step, "kind": self.kind, "point": self.point}
-        out |= {"frame": self.number, "of": self.count, **self.frame.to_json()}
+    def text(self, files: Sequence[FrameFile] = ()) -> str:
+        """As it stands in the frame's file; `files` says what those of the frames before it in its step are."""
+        out = (
+            f'{{"format":"{LABEL_FORMAT}","run":{compact(self.run)},"step":{_number(self.step)},"kind":{compact(self.kind)},'
+            f'"point":{_number(self.point)},"frame":{_number(self.number)},"of":{_number(self.count)},'
+            f"{self.frame.members()}"
+        )
         if self.goal is not None and self.pose is not None:
-            out |= {"goal": _axes(self.goal), "pose": _axes(self.pose), "pose_time_s": self.pose_time_s}
-        return out if self.record is None else out | {"event": self.record.to_json()}
+            time_s = _number(self.pose_time_s)
+            out += f',"goal":{_axes(self.goal)},"pose":{_axes(self.pose)},"pose_time_s":{time_s}'
+        return f"{out}}}" if self.record is None else f'{out},"event":{self.record.text(files)}}}'
+
+    def to_json(self) -> Json:
+        """`text` as an object."""
+        out: Json = json.loads(self.text())
+        return out
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
@@ -223,8 +251,25 @@ class FrameLabel:
         )
 
 
-def _axes(pose: Pose) -> Json:
-    return dict(zip(AXES, _of_axes(pose), strict=True))
+_KEPT = 16
+_kept: dict[int, tuple[Pose, str]] = {}
+"""By the identity of poses, not by their values: -0.0 equals 0.0 and is written otherwise."""
+
+
+def _axes(pose: Pose) -> str:
+    found = _kept.get(id(pose))
+    if found is not None and found[0] is pose:
+        return found[1]
+    text = "{" + ",".join([f'"{axis}":{_number(at)}' for axis, at in zip(AXES, _of_axes(pose), strict=True)]) + "}"
+    if len(_kept) >= _KEPT:
+        _kept.clear()
+    _kept[id(pose)] = (pose, text)
+    return text
+
+
+def _number(value: float | None) -> str:
+    """JSON of a number, or of none; raises `ValueError` for one that is not finite."""
+    return repr(value) if value.__class__ is float and isfinite(value) else compact(value)
 
 
 def _parsed(what: str, parse: Callable[[], Parsed]) -> Parsed:

@@ -388,10 +388,10 @@ class Run:
         assert self.journal is not None, "a run that was opened for reading takes no events"
         return self.journal.append(event)
 
-    def together(self) -> contextlib.AbstractContextManager[None]:
-        """Events that go to the disk at once; see `Journal.together`."""
+    def append_all(self, events: Sequence[str]) -> None:
+        """Write events to the journal together; see `Journal.append_all`."""
         assert self.journal is not None, "a run that was opened for reading takes no events"
-        return self.journal.together()
+        self.journal.append_all(events)
 
     def grow(self, batch: Batch, why: Mapping[str, Any]) -> None:
         """Say in the journal what was chosen, and why; `CHOSEN` has it too, for a journal that gets lost.

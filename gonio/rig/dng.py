@@ -85,8 +85,8 @@ def _check(frame: Frame) -> None:
         raise ArgumentError(f"mosaic holds {top} DN, above white_level_dn = {frame.white_level_dn:g}")
 
 
-def encode_dng(frame: Frame) -> bytes:
-    """The bytes of the DNG file of a frame.
+def encode_dng(frame: Frame, record: str = "") -> bytes:
+    """The bytes of the DNG file of a frame; with a record, where the frame has none of its own.
 
     Raises
     ------
@@ -94,19 +94,20 @@ def encode_dng(frame: Frame) -> bytes:
         See `write_dng`.
     """
     _check(frame)
+    record = record or frame.record
     rows, columns = frame.mosaic.shape
     bits = 12 if frame.white_level_dn <= 4095 else 16
     strip = _pack(frame.mosaic) if bits == 12 else np.ascontiguousarray(frame.mosaic, dtype="<u2")
     kind = (rows, columns, bits, frame.pattern, frame.black_level_dn, frame.white_level_dn)
-    empty, at = _head(*kind, len(frame.record))
+    empty, at = _head(*kind, len(record))
     t = _EPOCH + datetime.timedelta(seconds=frame.time_s)
     stamp = f"{t.year:04d}:{t.month:02d}:{t.day:02d} {t.hour:02d}:{t.minute:02d}:{t.second:02d}".encode()
     head = bytearray(empty)
     struct.pack_into("<II", head, at[33434], *_rational(frame.exposure_s))
     for tag, value in ((36867, stamp), (306, stamp), (37521, f"{t.microsecond:06d}".encode())):
         head[at[tag] : at[tag] + len(value)] = value
-    if frame.record:
-        head[at[270] : at[270] + len(frame.record)] = frame.record.encode("ascii")
+    if record:
+        head[at[270] : at[270] + len(record)] = record.encode("ascii")
     return b"".join((head, strip.data))
 
 

@@ -375,7 +375,7 @@ def require_frame(camera: Camera, frame: Frame, source: str) -> None:
             f"{source}: the frame has {mosaic.shape[1]} x {mosaic.shape[0]} pixels; the rig file says "
             f"camera.width = {camera.width}, camera.height = {camera.height}"
         )
-    if not np.issubdtype(mosaic.dtype, np.integer):
+    if mosaic.dtype.kind not in "iu":
         raise DeviceError(f"{source}: the frame holds {mosaic.dtype}; a raw frame holds whole numbers [DN]")
 
 
@@ -580,7 +580,9 @@ def _extent(
 
     camera, (x, y), ring = description.camera, centre, _ring()
     if any(camera.distortion):
-        columns, rows = _project(description, view, [*(x + radius * ring[0]), x], [*(y + radius * ring[1]), y])
+        columns, rows = _project(
+            description, view, np.append(x + radius * ring[0], x), np.append(y + radius * ring[1], y)
+        )
         low_high = float(columns.min()), float(columns.max()), float(rows.min()), float(rows.max())
         return low_high, (float(columns[-1]), float(rows[-1]))
     scale, (column, row) = image_distance_mm(description) / (1e-3 * camera.pixel_um), _middle(camera)

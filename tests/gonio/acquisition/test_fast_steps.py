@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -127,6 +129,37 @@ def test_a_kill_among_fast_steps_loses_nothing_that_was_journalled(
     assert list(run.steps()) == list(measure(plan, tmp_path / "whole").steps())
     named = {frame.file for step in run.steps() for frame in step.frames}
     assert {path.name for path in (run.path / "frames").iterdir()} == named
+
+
+def test_no_frame_has_its_name_before_it_is_on_the_disk_nor_a_line_before_that(
+    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(loop, "FAST_STEP_S", 10.0)
+    synced, named, told = set[int](), dict[str, int](), list[str]()
+    replace, append_all = os.replace, Run.append_all
+
+    def renames(source: str | Path, target: str | Path) -> None:
+        if os.path.basename(os.path.dirname(target)) == "frames":
+            named[os.path.basename(target)] = os.stat(source).st_ino
+            assert named[os.path.basename(target)] in synced, "named before it was synced"
+        replace(source, target)
+
+    def appends(run: Run, events: Sequence[str]) -> None:
+        for event in events:
+            told.extend(frame["file"] for frame in json.loads(event)["frames"])
+        assert named.keys() >= set(told), "journalled before it was named"
+        assert folder in synced, "journalled before the folder was synced"
+        synced.discard(folder)
+        append_all(run, events)
+
+    monkeypatch.setattr("os.fsync", lambda descriptor: synced.add(os.fstat(descriptor).st_ino))
+    monkeypatch.setattr("os.replace", renames)
+    monkeypatch.setattr(Run, "append_all", appends)
+    (tmp_path / "run" / "frames").mkdir(parents=True)
+    folder = (tmp_path / "run" / "frames").stat().st_ino
+    run = measure(plan, tmp_path / "run")
+    assert sorted(told) == sorted(path.name for path in (run.path / "frames").iterdir())
+    assert len(told) == 2 * POINTS + 2 * 4 + 4
 
 
 @pytest.mark.parametrize("at", [100, 399, 480])

@@ -120,6 +120,44 @@ def test_an_absent_journal_has_no_events(tmp_path: Path) -> None:
         Journal(tmp_path / "no" / "folder")
 
 
+def test_events_that_are_written_together_are_lines_like_any_other(tmp_path: Path) -> None:
+    texts = [json.dumps({"event": "step", "step": k, "text": "\u00e4" * k}, separators=(",", ":")) for k in range(5)]
+    with Journal(tmp_path / "journal.jsonl") as journal:
+        journal.append({"event": "session"})
+        journal.append_all(texts)
+        journal.append({"event": "end"})
+        told = list(journal.events)
+    again = list(read_events(tmp_path / "journal.jsonl"))
+    assert again == told
+    assert [event["n"] for event in again] == list(range(7))
+    for line, text in zip(
+        (tmp_path / "journal.jsonl").read_bytes().splitlines(keepends=True)[1:-1], texts, strict=True
+    ):
+        event = decode(line)
+        assert event is not None
+        assert encode({key: event[key] for key in ("n", "event", "step", "text", "wall")}) == line
+        assert json.loads(text).items() <= event.items()
+
+
+def test_a_disk_that_is_full_among_lines_takes_none_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "journal.jsonl"
+    with Journal(path) as journal:
+        journal.append({"event": "session"})
+        before = path.read_bytes()
+
+        def fails(descriptor: int) -> None:
+            raise OSError(28, "No space left on device")
+
+        with monkeypatch.context() as full:
+            full.setattr("os.fsync", fails)
+            with pytest.raises(DataError, match="No space left"):
+                journal.append_all(['{"event":"step"}'] * 3)
+        assert path.read_bytes() == before
+        assert len(journal.events) == 1
+        journal.append_all(['{"event":"step"}'] * 3)
+    assert [event["n"] for event in read_events(path)] == [0, 1, 2, 3]
+
+
 def test_a_full_disk_leaves_no_half_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "j"
     before = written(path)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from gonio.acquisition.journal import Journal, decode, encode
-from gonio.acquisition.records import FrameLabel, FrameRecord, StepRecord
+from gonio.acquisition.records import FrameFile, FrameLabel, FrameRecord, StepRecord
 from gonio.acquisition.steps import Index, Steps
 from gonio.errors import DataError
 from gonio.rig import Pose
@@ -68,6 +71,29 @@ def test_a_label_comes_back_from_its_json(
     lit = FrameLabel(run, 5, "point", 3, 2, 2, frame, pose, pose, 0.5, step if last else None)
     for label in (dark, lit):
         assert FrameLabel.from_json(json.loads(json.dumps(label.to_json()))) == label
+
+
+@given(records(), st.lists(st.builds(FrameFile, text, st.integers(0, 2**40)), max_size=3))
+def test_the_text_is_that_of_an_encoder_of_json(record: StepRecord, files: list[FrameFile]) -> None:
+    files = files[: len(record.frames)]
+    told = record.text(files)
+    assert told == json.dumps(json.loads(told), separators=(",", ":"))
+    stored = [frame.stored(file) for frame, file in zip(record.frames, files, strict=False)]
+    assert told == replace(record, frames=(*stored, *record.frames[len(files) :])).text()
+
+
+def test_every_pose_is_written_with_its_own_digits() -> None:
+    base = StepRecord(1, "point", 0, 1.0, Pose(), Pose(), None, "", ())
+    for values, told in (
+        ((0.0,), "0.0"), ((-0.0,), "-0.0"), ((0,), "0"), ((np.float64(0.1),), "0.1"), ((1e-7,), "1e-07"),
+    ):  # fmt: skip
+        goal = Pose(*values)
+        assert f'"goal":{{"light":{told},"camera"' in replace(base, goal=goal).text()
+    for number in (math.nan, math.inf):
+        with pytest.raises(ValueError, match="not JSON compliant"):
+            replace(base, pose=Pose(0.1, number)).text()
+        with pytest.raises(ValueError, match="not JSON compliant"):
+            replace(base, time_s=number).text()
 
 
 def test_a_line_of_an_older_journal_is_read_and_written_to_the_byte() -> None:
