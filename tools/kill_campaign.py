@@ -3,9 +3,12 @@
     python tools/kill_campaign.py [--times 100] [--seed 0] [--how parameters|curve]
     python tools/kill_campaign.py --plan PLAN.toml --sample SAMPLE.toml --rig RIG
 
+The rig is `sim` with a sensor of 80 x 60 pixels. Its steps come so fast that they share their syncs; with `--rig sim`
+each is synced by itself. Every run is a process of its own, forked from one that has the program loaded already.
+
 Each time one of these happens to a run of `gonio measure`, in turn:
 
-- kill: SIGKILL at a random moment;
+- kill: SIGKILL at a random moment, or after a random step;
 - tear: the same, and the last line of the journal is cut at a random byte; zeros may follow, as a power cut leaves it;
 - full: no file may grow beyond a random size, so that a write fails in its middle (RLIMIT_FSIZE needs no root).
 
@@ -18,17 +21,26 @@ points itself: the choices have to be the same too.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
+import os
 import random
+import re
 import resource
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
+import traceback
 from collections import Counter
 from pathlib import Path
+
+from gonio import plugins
+from gonio.acquisition import measure, repair  # noqa: F401  here, rather than in every process
+from gonio.cli import application  # noqa: F401
+from gonio.cli import main as gonio
+from gonio.reduction import table as reduction  # noqa: F401
 
 PLAN = """name = "campaign"
 wavelength_nm = [550]
@@ -58,15 +70,60 @@ theta_r_deg = { start = -60, stop = 60, step = 5 }
 }
 SAMPLE = 'name = "matte"\nmodel = "lambert"\n[parameters]\nalbedo = 0.5\n'
 EVENTS = ("kill", "tear", "full")
-KILLED_UNSEEN_S = 0.02
+KILLED_UNSEEN_S = 0.01
 """Between two looks at how far a run is."""
 
 
+def small(folder: Path) -> Path:
+    """The rig file of `sim` with a small sensor of the same size in millimetres."""
+    text: str = plugins.load("gonio.rigs", "sim").toml
+    for key, value in (("width", 80), ("height", 60), ("pixel_um", 40.0)):
+        text, found = re.subn(rf"(?m)^{key} = [0-9.]+", f"{key} = {value}", text)
+        assert found == 1, key
+    (folder / "rig.toml").write_text(text)
+    return folder / "rig.toml"
+
+
 def command(plan: Path, sample: Path, rig: str, out: Path, seed: int, *, resume: bool) -> list[str]:
-    """The command line of a run."""
-    gonio = [sys.executable, "-c", "from gonio.cli import main; main()", "measure", str(plan), "--rig", rig]
+    """The arguments of `gonio` for a run."""
     more = ["--resume"] if resume else []
-    return [*gonio, "--sample", str(sample), "--seed", str(seed), "--out", str(out), *more]
+    return ["measure", str(plan), "--rig", rig, "--sample", str(sample), "--seed", str(seed), "--out", str(out), *more]
+
+
+def begin(arguments: list[str], tells: int, limit: int | None = None) -> int:
+    """Start `gonio` in a process of its own, which writes what it says to a descriptor; the process's number."""
+    sys.stdout.flush()
+    child = os.fork()
+    if child:
+        return child
+    code = 1
+    try:
+        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+        os.dup2(tells, 1)
+        os.dup2(tells, 2)
+        if limit is not None:
+            limited(limit)
+        sys.argv = ["gonio", *arguments]
+        gonio()
+    except SystemExit as ended:
+        code = ended.code if isinstance(ended.code, int) else 1
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        with contextlib.suppress(OSError):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(code)
+
+
+def carried_out(arguments: list[str], limit: int | None = None) -> tuple[int, str]:
+    """Let `gonio` run to its end: its exit code, and what it said."""
+    hears, tells = os.pipe()
+    child = begin(arguments, tells, limit)
+    os.close(tells)
+    with open(hears, encoding="utf-8", errors="replace") as file:
+        said = file.read()
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), said
 
 
 def lines(out: Path) -> list[bytes]:
@@ -93,27 +150,33 @@ def choices(out: Path) -> list[object]:
     return [{name: value for name, value in event.items() if name not in ("n", "wall", "crc")} for event in told]
 
 
-def strike(how: str, call: list[str], out: Path, whole: int, draw: random.Random) -> str:
-    """Let a run be struck; what happened, "" where it ended before."""
+def strike(how: str, call: list[str], out: Path, whole: int, longest_s: float, draw: random.Random) -> str:
+    """Let a run be struck; what happened, "" where it ended before.
+
+    `whole` is how many steps the run has, and `longest_s` how long it takes.
+    """
     before = len(steps(out))
     if how == "full":
         # frames are of one size: a limit below it lets none be written, one above the journal's size tears a line
         limit = draw.choice([draw.randrange(1, 4096), journal_size(out) + draw.randrange(1, 20_000)])
-        done = subprocess.run(call, capture_output=True, text=True, check=False, preexec_fn=lambda: limited(limit))
-        assert "Traceback" not in done.stderr, done.stderr
-        assert done.returncode in (0, 1, 2), f"exit code {done.returncode}: {done.stderr}"
-        return "" if done.returncode == 0 else done.stderr.strip().splitlines()[-1][-90:]
-    target = before + draw.randrange(0, max(whole - before, 1)) if draw.random() < 0.8 else -1
-    process = subprocess.Popen(call, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL)
-    began, patience_s = time.monotonic(), draw.uniform(0.0, 4.0)
-    while process.poll() is None:
+        code, said = carried_out(call, limit)
+        assert "Traceback" not in said, said
+        assert code in (0, 1, 2), f"exit code {code}: {said}"
+        return "" if code == 0 else f"at {limit} bytes: " + (said.strip().splitlines() or ["said nothing"])[-1][-90:]
+    target = before + draw.randrange(0, max(whole - before, 1)) if draw.random() < 0.5 else -1
+    nobody = os.open(os.devnull, os.O_WRONLY)
+    child = begin(call, nobody)
+    os.close(nobody)
+    began, patience_s = time.monotonic(), draw.uniform(0.0, longest_s)
+    status = 0
+    while os.waitpid(child, os.WNOHANG) == (0, 0):
         if (target < 0 and time.monotonic() - began > patience_s) or (target >= 0 and len(steps(out)) > target):
-            time.sleep(draw.uniform(0.0, 0.05))
-            process.send_signal(signal.SIGKILL)
+            time.sleep(draw.uniform(0.0, KILLED_UNSEEN_S))
+            os.kill(child, signal.SIGKILL)
+            status = os.waitpid(child, 0)[1]
             break
         time.sleep(KILLED_UNSEEN_S)
-    process.wait()
-    if process.returncode != -signal.SIGKILL:
+    if not os.WIFSIGNALED(status) or os.WTERMSIG(status) != signal.SIGKILL:
         return ""
     if how == "tear" and len(found := lines(out)) > 1:
         journal = out / "journal.jsonl"
@@ -139,21 +202,18 @@ def limited(limit: int) -> None:
 
 def table(out: Path) -> bytes:
     """The reduced table of a run."""
-    done = subprocess.run(
-        [sys.executable, "-c", "from gonio.cli import main; main()", "reduce", str(out)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    code, said = carried_out(["reduce", str(out)])
+    assert code == 0, said
     return (out / "brdf.csv").read_bytes()
 
 
 def campaign(times: int, seed: int, plan: Path, sample: Path, rig: str, work: Path) -> Counter[str]:
     """Strike runs so many times, and resume each to its end; how often each event happened."""
     draw, happened = random.Random(seed), Counter[str]()
-    done = subprocess.run(command(plan, sample, rig, work / "whole", 5, resume=False), capture_output=True, check=False)
-    assert done.returncode == 0, done.stderr.decode()
+    began = time.monotonic()
+    code, said = carried_out(command(plan, sample, rig, work / "whole", 5, resume=False))
+    assert code == 0, said
+    took_s = time.monotonic() - began
     wanted, every, chosen = table(work / "whole"), sorted(steps(work / "whole")), choices(work / "whole")
     print(f"{len(every)} steps, {len(chosen)} choices", flush=True)
     number = 0
@@ -165,7 +225,7 @@ def campaign(times: int, seed: int, plan: Path, sample: Path, rig: str, work: Pa
             how = EVENTS[sum(happened.values()) % len(EVENTS)]
             before = steps(out)
             call = command(plan, sample, rig, out, 5, resume=begun)
-            told = strike(how, call, out, len(every), draw)
+            told = strike(how, call, out, len(every), took_s, draw)
             begun = True
             after = steps(out)
             missing = set(before) - set(after)
@@ -175,10 +235,8 @@ def campaign(times: int, seed: int, plan: Path, sample: Path, rig: str, work: Pa
                 break
             happened[how] += 1
             print(f"{sum(happened.values()):4d} run {number}: {how} {told}", flush=True)
-        last = subprocess.run(
-            command(plan, sample, rig, out, 5, resume=True), capture_output=True, text=True, check=False
-        )
-        assert last.returncode == 0, last.stderr
+        code, said = carried_out(command(plan, sample, rig, out, 5, resume=True))
+        assert code == 0, said
         assert sorted(steps(out)) == every, f"{out}: {len(steps(out))} steps of {len(every)}"
         assert choices(out) == chosen, f"{out}: other points were chosen"
         assert table(out) == wanted, f"{out}: another table"
@@ -198,14 +256,16 @@ def main() -> None:
     parser.add_argument("--how", choices=sorted(ADAPTIVE), help="a run that chooses its points")
     parser.add_argument("--plan", type=Path)
     parser.add_argument("--sample", type=Path)
-    parser.add_argument("--rig", default="sim")
+    parser.add_argument("--rig", help="in place of `sim` with a small sensor")
     asked = parser.parse_args()
+    if asked.how:
+        plugins.load("gonio.choosers", asked.how)
     with tempfile.TemporaryDirectory(prefix="kill-") as folder:
         work = Path(folder)
         (work / "plan.toml").write_text(ADAPTIVE.get(asked.how, PLAN))
         (work / "sample.toml").write_text(SAMPLE)
         plan, sample = asked.plan or work / "plan.toml", asked.sample or work / "sample.toml"
-        happened = campaign(asked.times, asked.seed, plan, sample, asked.rig, work)
+        happened = campaign(asked.times, asked.seed, plan, sample, asked.rig or str(small(work)), work)
     print(f"{sum(happened.values())} times: " + ", ".join(f"{count} {how}" for how, count in sorted(happened.items())))
 
 
