@@ -243,6 +243,7 @@ def test_dry_run_checks_everything_and_writes_nothing(tmp_path: Path) -> None:
     done = gonio(tmp_path, *arguments)
     assert done.returncode == 0, done.stderr
     assert "6 points" in done.stdout
+    assert "gonio plan show plan.toml --rig sim --picture" in done.stderr
     assert not (tmp_path / "run").exists()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from gonio_analysis.report import make, sittings
@@ -46,7 +47,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
         def sitting(day: str, plugin: Plugin, stop: StopAfter | None = None, *, resume: bool = True) -> Run:
             patch.setattr("gonio.acquisition.journal.now", lambda: day)
-            more = {} if stop is None else {"progress": stop}
+            more: dict[str, Any] = {} if stop is None else {"progress": stop}
             return carry_out(
                 plan, RigChoice(plugin, describe(), "numpy"), out, sample=SAMPLE, seed=1, resume=resume, **more
             )
