@@ -33,6 +33,8 @@ ROUNDING_MM = 1e-6
 STATED_MM = 0.5
 """docs/mechanics.md: a refused way comes so close beyond the clearance."""
 PROJECTIONS = 400
+SAMPLES = 40
+"""Moments of a move that are looked at."""
 
 
 @dataclass
@@ -276,7 +278,9 @@ def shown(rig: RigDescription, pose: Pose) -> Floats:
     return np.concatenate(out)
 
 
-def motion(rng: np.random.Generator, rig: RigDescription, start: Pose, goal: Pose) -> tuple[dict[str, Floats], Pose]:
+def motion(
+    rng: np.random.Generator, rig: RigDescription, start: Pose, goal: Pose, samples: int
+) -> tuple[dict[str, Floats], Pose]:
     """A move whose axes go each at its own speed, to where they approach from, and then to beside their goals."""
     tracks, end, landed, approach = {}, 0.0, {}, rig.approach_deg()
     for name in NAMES:
@@ -290,14 +294,14 @@ def motion(rng: np.random.Generator, rig: RigDescription, start: Pose, goal: Pos
         way = np.abs(np.diff([a, before, landed[name]])) / rng.uniform(0.2, 3.0)
         tracks[name] = np.array([0.0, way[0], way.sum()]), np.array([a, before, landed[name]])
         end = max(end, way.sum())
-    grid = np.linspace(0.0, end, 40)
+    grid = np.linspace(0.0, end, samples)
     return {name: np.interp(grid, *track) for name, track in tracks.items()}, replace(goal, **landed)
 
 
 # ---- the campaign ----
 
 
-def examine(rng: np.random.Generator, found: Found, points: int = 5) -> None:
+def examine(rng: np.random.Generator, found: Found, points: int = 5, samples: int = SAMPLES) -> None:
     """One rig with some directions."""
     rig = some_rig(rng)
     poses = []
@@ -335,7 +339,7 @@ def examine(rng: np.random.Generator, found: Found, points: int = 5) -> None:
             found.wrong.append(f"no way in the night: {error}")
             continue
         for station in stations:
-            read, here = motion(rng, rig, here, station)
+            read, here = motion(rng, rig, here, station, samples)
             left = spare(rig, read)
             found.moves += 1
             found.smallest_spare_mm = min(found.smallest_spare_mm, left)
@@ -376,10 +380,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=200, help="rigs to draw")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--samples", type=int, default=SAMPLES, help="moments of a move that are looked at")
     asked = parser.parse_args()
     found = Found()
     for number in range(asked.count):
-        examine(np.random.default_rng([asked.seed, number]), found)
+        examine(np.random.default_rng([asked.seed, number]), found, samples=asked.samples)
     print(f"{asked.count} rigs: {found.accepted} points accepted, {found.refused.total()} refused, {found.moves} moves")
     print(
         f"worst inverse {found.worst_inverse:.1e} rad; {found.closed} beside directions that errors of alignment close"

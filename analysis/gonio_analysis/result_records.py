@@ -434,6 +434,31 @@ class PauseSummary:
 
 
 @dataclass(frozen=True)
+class ReferenceLevel:
+    """What the white reference said in one sitting, in one band."""
+
+    band: str
+    visits: int
+    relative: float
+    """Mean signal of the visits, relative to that of the first sitting that has one in this band."""
+    scatter: float | None
+    """Standard deviation of the visits, relative to the same; None of one visit."""
+
+
+@dataclass(frozen=True)
+class SittingSummary:
+    """From the start of the program that measured to its last line in the journal."""
+
+    began: str
+    ended: str
+    """By the computer's clock, UTC (ISO 8601)."""
+    steps: int
+    ending: str
+    levels: list[ReferenceLevel]
+    """One a band; empty where the run is not reduced, or this sitting has no visit."""
+
+
+@dataclass(frozen=True)
 class BudgetPart:
     """One cause in the budget of a run's values, relative to them (k = 1)."""
 
@@ -510,6 +535,8 @@ class RunFacts:
     pauses: list[PauseSummary] = field(default_factory=list)
     budget: list[BudgetFacts] = field(default_factory=list)
     """One a wavelength; empty for runs that an older version reduced."""
+    sittings: list[SittingSummary] = field(default_factory=list)
+    """Those in which steps were taken."""
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ What is handled, and where:
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -153,21 +154,29 @@ class Bus:
         self._repeat(identity, lambda: self._transact(identity, INST_WRITE, request, 0))
 
     def overhear(self, identity: int, instruction: int, parameters: bytes = b"", *, listen_s: float) -> bytes:
-        """Everything that comes over the line after one request, whoever sends it, for at least `listen_s`.
+        """Everything that comes over the line after one request, whoever sends it, until nothing came for `listen_s`.
 
-        For what answers of one servo cannot tell: whether two answer to one id.
+        For what answers of one servo cannot tell: whether two answer to one id. What lies on this computer when the
+        time is over is heard, however long it was held up meanwhile. A line that never falls silent is listened to
+        for `BABBLE_S` more at most.
         """
         length = len(parameters) + 3
         request = [0, 0, 0, 0, identity, length & 0xFF, length >> 8, instruction, *parameters, 0, 0]
         heard = b""
+        end = math.inf
         with self._lock:
             try:
                 self._calm(0.0)
                 self._packets.txPacket(self._port, request)
-                end = time.monotonic() + listen_s
-                while more := self._port.readPort(1024) or time.monotonic() < end:
-                    heard += more if isinstance(more, bytes) else b""
-                    if len(heard) > LONGEST:
+                self._port.setPacketTimeoutMillis(1e3 * listen_s)
+                while len(heard) <= LONGEST:
+                    # before the look: what has come by then is heard
+                    over = self._port.isPacketTimeout() or time.monotonic() > end
+                    if more := self._port.readPort(1024):
+                        end = min(end, time.monotonic() + listen_s + BABBLE_S)
+                        heard += more
+                        self._port.setPacketTimeoutMillis(1e3 * listen_s)
+                    elif over:
                         break
             except ports.FAILURES as error:
                 raise ports.lost(self.port, error, f"{self.key}.port") from None

@@ -13,20 +13,32 @@ from gonio_drivers.joints import Joint
 from gonio_drivers.sdk import HEADER, Packets
 
 SECOND_S = 0.02
-"""The answer of a second servo follows the first one's within this time, behind an adapter's latency of 16 ms."""
+"""The answer of a second servo follows the first one within this time, behind an adapter's latency of 16 ms."""
 LOOKS = 3
 """Late answers look like those of a second servo, but not so often one after the other."""
+LONGER = 4
+"""How many times longer each look listens than the one before: an answer may be late, or this computer busy."""
 
 
 def require_alone(joint: Joint) -> None:
     """Raise `DeviceError` where two servos answer to a joint's id: both would obey what is meant for one.
 
-    Two whole answers to one ping tell that. Where answers damage each other, no transaction succeeds anyway.
+    Two whole answers to one ping tell that, and one tells that it is alone. Silence tells nothing: it is asked again,
+    and where no answer is heard at all, this raises `BusError`. Where answers damage each other, no transaction
+    succeeds anyway.
     """
-    for _ in range(LOOKS):
-        heard = joint.bus.overhear(joint.id, INST_PING, listen_s=SECOND_S)
-        if sum(packet[4] == joint.id for packet in packets(heard)) < 2:
+    most = 0
+    for look in range(LOOKS):
+        heard = joint.bus.overhear(joint.id, INST_PING, listen_s=SECOND_S * LONGER**look)
+        answers = sum(packet[4] == joint.id for packet in packets(heard))
+        if answers == 1:
             return
+        most = max(most, answers)
+    if most == 0:
+        raise dynamixel.BusError(
+            f"servo id {joint.id} on {joint.bus.port}: no whole answer to {LOOKS} pings, so nobody knows whether one "
+            "servo has this id or two; check its cable and supply"
+        )
     raise DeviceError(
         f"{joint.key}.id = {joint.id}: two servos answer to this id on {joint.bus.port}; connect one at a time, and "
         "give each its own (gonio rig ids --set-id)"

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
+
+import numpy as np
 
 from gonio import plugins
 from gonio.acquisition.plan import Plan, Point
@@ -20,7 +23,7 @@ class Choice:
     points: tuple[Point, ...]
     """In the order in which they are measured; the same point may come again. None: it is enough."""
     why: dict[str, Any] = field(default_factory=dict)
-    """What the journal keeps of the reasons: numbers and words."""
+    """What the journal keeps of the reasons: numbers and words, in lists and tables; numpy's too (`keepable`)."""
     message: str = ""
     """For the person who watches, in one line."""
     met: bool = False
@@ -69,3 +72,33 @@ def chooser_of(plan: Plan, description: RigDescription) -> tuple[Plan, Chooser |
         raise ConfigError(f"{plan.source}: adaptive.how: {error}") from None
     chooser = plugin.open(plan, description)
     return replace(plan, points=(*plan.points, *chooser.first(plan.points))), chooser
+
+
+def keepable(why: Mapping[str, Any], how: str) -> dict[str, Any]:
+    """The reasons of a chooser as JSON holds them: numpy's scalars and arrays become numbers and lists.
+
+    A number that is not finite becomes None, as everywhere in a journal.
+
+    Raises
+    ------
+    ConfigError
+        Something else stands there; the message names the chooser, the key and what it is.
+    """
+    return {str(key): _plain(value, f"why[{key!r}]", how) for key, value in why.items()}
+
+
+def _plain(value: Any, key: str, how: str) -> Any:
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if value is None or isinstance(value, str | bool | int):
+        return value
+    if isinstance(value, Mapping):
+        return {str(name): _plain(part, f"{key}[{name!r}]", how) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part, f"{key}[{at}]", how) for at, part in enumerate(value)]
+    raise ConfigError(
+        f'the chooser "{how}" gives {key} = {value!r}, a {type(value).__name__}, as a reason; a journal keeps numbers, '
+        "words, lists and tables: turn it into one of these in the chooser, and go on with --resume"
+    )

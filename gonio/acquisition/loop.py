@@ -21,7 +21,7 @@ from typing import Self
 
 from gonio import __version__
 from gonio.acquisition import exposure
-from gonio.acquisition.choosing import Chooser
+from gonio.acquisition.choosing import Chooser, keepable
 from gonio.acquisition.frame_writer import Files, Store, Written, slugs
 from gonio.acquisition.holding import Holding
 from gonio.acquisition.progress import Live, Progress
@@ -152,15 +152,17 @@ def _chosen(
     if stop.requested:
         raise Interrupted("stopped")
     choice = chooser.next(run)
+    adaptive = run.settings.adaptive
+    why = keepable(choice.why, adaptive.how if adaptive is not None else type(chooser).__name__)
     if choice.message:
         progress.say(choice.message)
     if not choice.points:
-        run.append({"event": "enough", "met": choice.met, "message": choice.message, "why": choice.why})
+        run.append({"event": "enough", "met": bool(choice.met), "message": choice.message, "why": why})
         return []
     batch = Batch(numbers.following, len(run.points.flags), choice.points)
     steps = _steps_of(batch, rig.description)
     numbers.reserve(len(steps))
-    run.grow(batch, choice.why)
+    run.grow(batch, why)
     progress.more(len(steps))
     return steps
 

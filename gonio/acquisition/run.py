@@ -401,7 +401,7 @@ class Run:
         DataError
             The disk is full or fails.
         """
-        points = [[getattr(point, name) for name in ANGLES] for point in batch.points]
+        points = [[float(getattr(point, name)) for name in ANGLES] for point in batch.points]
         event = {"event": "chosen", "first_step": batch.first_step, "points": points, "why": dict(why)}
         kept = [*({k: v for k, v in e.items() if k in event} for e in self._indexed.chosen), event]
         try:

@@ -20,7 +20,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from gonio.acquisition.measure import RigChoice, find_rig, load_sample
-from gonio.errors import ArgumentError, ConfigError, GonioError
+from gonio.errors import ArgumentError, ConfigError, DeviceError, GonioError
 from gonio.geometry import Directions
 from gonio.rig import Device, Health, Pose, Reading, Step, Target, kinematics, ways
 from gonio.rig.description import Band, RigDescription, SampleDescription
@@ -67,6 +67,7 @@ class Bench:
     def __init__(self, rig: Rig, source: str = "", only: Sequence[Device] = ()) -> None:
         self._rig, self._source, self._open = rig, source, False
         self._band: Band | None = None
+        self._stops = 0
         self.entered = False
         """Its devices were open, now or before."""
         self._only = frozenset(only) if hasattr(rig, "only") else frozenset()
@@ -161,13 +162,21 @@ class Bench:
             No such axis, a goal beyond a limit, directions that the rig cannot reach, or a way on which bodies of the
             rig file would touch; nothing has moved.
         DeviceError
-            An axis does not land; every axis has been stopped.
+            An axis does not land, or `stop` was called meanwhile; every axis has been stopped.
         """
+        stops = self._stops
         goals, branch = self.goals(**angles)
         for leg in self._legs(goals):
+            if self._stops != stops:
+                raise DeviceError("the axes were stopped on their way")
             landed = self._drive(leg)
         self._tell_unsteady(landed)
         return Moved(goals, landed, branch)
+
+    def stop(self) -> None:
+        """Stop every axis where it is, from any thread; a move that is going on takes no further leg."""
+        self._stops += 1
+        self.arms.stop()
 
     def _tell_unsteady(self, landed: Iterable[str]) -> None:
         """Say so where the readings at rest, whose mean is given, lie too far apart to tell a place."""

@@ -39,6 +39,7 @@ def measure(
         plans.describe(asked, seen, out=out)
         if resume and begun(out):
             console.show(f"{out}: {len(Run.open(out).steps())} of these steps are taken")
+        console.note(f"a picture of rig and points: gonio plan show {plan} --rig {rig} --picture plan.svg")
         console.note("nothing was moved or written (--dry-run)")
         return
     for warning in plans.unfit(chosen.description):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from pathlib import Path
 from typing import Annotated
 
@@ -44,11 +45,23 @@ def convert(
     from gonio.errors import ConfigError
 
     how = reading(columns, blank)
-    if target_format in plugins.available("gonio.exports"):
-        _export(source, target, target_format, source_format or columns or blank or wavelength_nm)
-        return
+    exports = plugins.available("gonio.exports")
+    if target_format is not None:
+        known = _known()
+        if target_format in known and target_format in exports:
+            console.note(
+                f"--to {target_format} is the format of that name; an export that is installed under it too "
+                f"({exports[target_format].value}) is passed over, and needs another name"
+            )
+        elif target_format in exports:
+            _export(source, target, target_format, source_format or columns or blank or wavelength_nm)
+            return
+        elif target_format not in known:
+            raise ConfigError(_unknown(target_format, known, list(exports)))
     to: str | None = "gltf" if target_format is None and target.suffix.lower() in (".gltf", ".glb") else target_format
     is_model = source.endswith(".toml")
+    if is_model and to == "datacite":
+        raise ConfigError(f"{source}: is a model; --to datacite takes a run, or its table")
     if is_model and (columns, blank) != (None, None):
         raise ConfigError(f"{source}: is a model, which has no --{'blank' if columns is None else 'columns'}")
     if wavelength_nm is not None and (is_model or to not in _RENDERERS):
@@ -107,6 +120,26 @@ def _export(source: str, target: Path, name: str, more: object) -> None:
     for remark in remarks:
         console.note(remark)
     console.show(f"{target}: {done}")
+
+
+def _known() -> list[str]:
+    """Every word of --to that is no export: formats, those that are only read too, renderers, and DataCite."""
+    from gonio import formats
+
+    return [*formats.names(), *_RENDERERS, "datacite"]
+
+
+def _unknown(name: str, known: list[str], exports: list[str]) -> str:
+    """What is said of a word of --to that is none."""
+    from gonio import formats
+
+    written = formats.names(written=True)
+    near = difflib.get_close_matches(name, [*known, *exports], n=1)
+    return (
+        f"--to {name}: there is no such format{f', did you mean {near[0]}?' if near else '.'} "
+        f"There are {', '.join([*written, 'datacite'])}; for renderers {', '.join(_RENDERERS)}"
+        + (f"; of a whole run {', '.join(exports)}" if exports else "")
+    )
 
 
 _TRANSLATED = ("gltf", "principled")

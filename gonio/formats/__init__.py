@@ -41,6 +41,15 @@ def all_formats() -> dict[str, Format]:
     return {f.name: f for f in formats}
 
 
+def names(*, written: bool = False) -> list[str]:
+    """The names of all formats, and their other names; with `written`, one name of each that can be written."""
+    formats = all_formats()
+    if not written:
+        return [*formats, *_ALSO]
+    also = {name: other for other, name in _ALSO.items()}
+    return [also.get(name, name) for name, f in formats.items() if f.write is not None or f.write_model is not None]
+
+
 def named(name: str) -> Format:
     """The format of that name.
 

@@ -15,13 +15,14 @@ BRDFs.
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
-from gonio.errors import ArgumentError, ConfigError
+from gonio.errors import ArgumentError, ConfigError, DeviceError
 from gonio_bluesky.status import Owner, Status
 
 if TYPE_CHECKING:
@@ -29,9 +30,15 @@ if TYPE_CHECKING:
 
     from gonio.by_hand.bench import Bench
 
+log = logging.getLogger("gonio.devices")
+
 Value = TypeVar("Value")
 Reading = dict[str, Any]
 DARK = "dark"
+AGAIN_S = 0.1
+"""How often axes are told to stop until none is on its way: one that was about to leave may not have heard it."""
+PATIENCE_S = 30.0
+"""How long a stop waits for that, and for the lamp to be dark."""
 
 
 class Named:
@@ -53,12 +60,74 @@ def number(source: str, units: str = "", **more: Any) -> dict[str, Any]:
     return {"source": source, "dtype": "number", "dtype_numpy": "<f8", "shape": [], "units": units, **more}
 
 
-class Axis(Named):
-    """One axis of a rig, in degrees: movable, readable, locatable, stoppable, checkable."""
+class Brake:
+    """What stops the axes of a rig, and darkens its lamp where they were on their way.
 
-    def __init__(self, owner: Owner, rig: Bench, name: str) -> None:
+    Bluesky stops every axis that it has moved when a run ends, well or not, when it pauses and when it is suspended.
+    """
+
+    def __init__(self, owner: Owner, rig: Bench, lamp: Lamp) -> None:
+        self._owner, self._rig, self._lamp = owner, rig, lamp
+        self._moves: list[Status] = []
+        self._stops = 0
+        self._cut: str | None = None
+        """What was lit when axes were stopped on their way."""
+        self._again: str | None = None
+        """What is lit again when a pause ends."""
+
+    def move(self, go: Callable[[], object], ended: Callable[[BaseException | None], BaseException | None]) -> Status:
+        """Begin a move, unless the axes are stopped before its turn comes."""
+        stops, self._cut = self._stops, None
+
+        def unless_stopped() -> None:
+            if self._stops != stops:
+                raise DeviceError("the axes were stopped before this move began")
+            go()
+
+        status = self._owner.begin(unless_stopped, ended)
+        self._moves = [*(move for move in self._moves if not move.done), status]
+        return status
+
+    def stop(self) -> None:
+        """Stop every axis, and those that wait for their turn; the lamp is dark then if any was on its way."""
+        self._stops += 1
+        self._again = None
+        self._rig.stop()
+        cut = [move for move in self._moves if not move.done]
+        if not cut:
+            return
+        end = time.monotonic() + PATIENCE_S
+        while (going := [move for move in cut if not move.done]) and time.monotonic() < end:
+            try:
+                going[0].exception(AGAIN_S)
+            except TimeoutError:
+                self._rig.stop()
+        lit = self._lamp.state
+        if lit != DARK:
+            self._cut = lit
+            log.warning("axes were stopped on their way, and the lamp is darkened: light it again before you go on")
+            try:
+                self._lamp.set(DARK).wait(PATIENCE_S)
+            except TimeoutError:
+                log.error("the lamp is not dark yet: the rig is busy with something else; it follows then")
+
+    def pause(self) -> None:
+        """What was cut off by this pause is lit again after it."""
+        self._again, self._cut = self._cut or self._again, None
+
+    def resume(self) -> None:
+        """A pause is over."""
+        if self._again is not None:
+            band, self._again = self._again, None
+            self._lamp.set(band).wait()
+
+
+class Axis(Named):
+    """One axis of a rig, in degrees: movable, readable, locatable, stoppable, pausable, checkable."""
+
+    def __init__(self, owner: Owner, rig: Bench, brake: Brake, name: str) -> None:
         super().__init__(f"{name}_axis" if name in ("light", "camera") else name)
-        self._owner, self._rig, self._axis = owner, rig, name
+        self._owner, self._rig, self._brake, self._axis = owner, rig, brake, name
         self._setpoint: float | None = None
         self._stopped: bool | None = None
         """Whether it was stopped during this move, and then whether the plan wanted that."""
@@ -78,12 +147,8 @@ class Axis(Named):
         """Drive there [deg]; the status is done when it has landed. A goal beyond a limit raises before it moves."""
         value = float(value)
         self.check_value(value)
-
-        def move() -> None:
-            self._stopped = None
-            self._rig.move(**{self._axis: math.radians(value)})
-
-        status = self._owner.begin(move, self._ended)
+        self._stopped = None
+        status = self._brake.move(lambda: self._rig.move(**{self._axis: math.radians(value)}), self._ended)
         self._setpoint = value
         return status
 
@@ -94,9 +159,20 @@ class Axis(Named):
         return None if self._stopped else error or ConfigError(f"the axis {self._axis} was stopped on its way")
 
     def stop(self, success: bool = True) -> None:
-        """Stop every axis of the rig at once, in the middle of a move too."""
+        """Stop every axis of the rig at once, in the middle of a move too; the lamp goes dark if any was on its way.
+
+        Moves that wait for their turn do not begin. It returns when the axes stand and the lamp is dark.
+        """
         self._stopped = bool(success)
-        self._rig.arms.stop()
+        self._brake.stop()
+
+    def pause(self) -> None:
+        """Bluesky pauses, and has stopped the axes."""
+        self._brake.pause()
+
+    def resume(self) -> None:
+        """Bluesky goes on: a lamp that was darkened by the pause is lit again."""
+        self._brake.resume()
 
     def locate(self) -> dict[str, float]:
         """Where it was sent, and what its encoder reads [deg]."""
@@ -127,7 +203,8 @@ class Lamp(Named):
 
     def __init__(self, owner: Owner, rig: Bench) -> None:
         super().__init__("lamp")
-        self._owner, self._rig, self._state = owner, rig, DARK
+        self._owner, self._rig, self.state = owner, rig, DARK
+        """The band that is lit, or "dark"."""
 
     def check_value(self, value: str | float) -> None:
         """Raise `ConfigError` where the rig has no such band."""
@@ -150,16 +227,16 @@ class Lamp(Named):
         wavelength_nm = self._wavelength_nm(value)
 
         def switch() -> None:
-            self._state = DARK
+            self.state = DARK
             self._rig.lamp(wavelength_nm is not None, wavelength_nm=wavelength_nm)
             if wavelength_nm is not None:
-                self._state = self._rig.band.name
+                self.state = self._rig.band.name
 
         return self._owner.begin(switch, lambda error: error)
 
     def read(self) -> dict[str, Reading]:
         """The band that is lit, or "dark"."""
-        return self._readings({self.name: self._state})
+        return self._readings({self.name: self.state})
 
     def describe(self) -> dict[str, Any]:
         """The data key of `read`."""
@@ -261,9 +338,10 @@ class Devices:
 
     def __init__(self, rig: Bench, folder: Path | None) -> None:
         self._owner, self._rig = Owner(), rig
-        self.axis = {name: Axis(self._owner, rig, name) for name in rig.description.axes()}
-        """By their names in the rig file: light, camera, tilt, spin, azimuth."""
         self.lamp = Lamp(self._owner, rig)
+        brake = Brake(self._owner, rig, self.lamp)
+        self.axis = {name: Axis(self._owner, rig, brake, name) for name in rig.description.axes()}
+        """By their names in the rig file: light, camera, tilt, spin, azimuth."""
         self.camera = Camera(self._owner, rig, folder)
 
     @property

@@ -21,7 +21,9 @@ from tests.gonio.numpy_rig import SAMPLE, NumpyRig, describe
 
 pytest.importorskip("bluesky", reason="bluesky is not installed (extra bluesky)")
 from bluesky import RunEngine, protocols
+from bluesky import plan_stubs as bps
 from bluesky.plans import list_scan
+from bluesky.utils import RunEngineInterrupted
 
 IN_TIME_S = 60.0
 """What has not ended by then hangs: it takes milliseconds."""
@@ -61,7 +63,7 @@ def test_they_are_what_the_protocols_say() -> None:
     for axis in found.axis.values():
         for protocol in (
             protocols.Movable, protocols.Readable, protocols.Locatable, protocols.Stoppable, protocols.Checkable,
-            protocols.HasHints,
+            protocols.HasHints, protocols.Pausable,
         ):  # fmt: skip
             assert isinstance(axis, protocol)
     assert isinstance(found.lamp, protocols.Movable)
@@ -163,6 +165,119 @@ def test_an_exposure_that_the_camera_cannot_do_raises_when_it_is_set(wrong: floa
         with pytest.raises(ConfigError, match="exposure"):
             found.camera.exposure_s.set(wrong)
         assert found.camera.exposure_s.value is None
+
+
+@dataclass
+class OnTheWay:
+    """The simulated arms, whose first move is on its way until it is stopped or let go on."""
+
+    bench: Bench
+    begun: threading.Event = field(default_factory=threading.Event)
+    go_on: threading.Event = field(default_factory=threading.Event)
+    moves: int = 0
+    stops: int = 0
+
+    def jog(self, goals: dict[str, float]) -> Pose:
+        self.moves += 1
+        self.begun.set()
+        assert self.go_on.wait(IN_TIME_S)
+        if self.stops:
+            raise DeviceError("the arms were stopped")
+        landed: Pose = type(self.bench.arms).jog(self.bench.arms, goals)  # type: ignore[attr-defined]
+        return landed
+
+    def stop(self) -> None:
+        self.stops += 1
+        self.go_on.set()
+
+
+@pytest.fixture
+def under_way(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[OnTheWay, Devices]]:
+    bench = open_rig("sim", sample=SAMPLE)
+    arms = OnTheWay(bench)
+    with devices(bench) as found, monkeypatch.context() as patch:
+        patch.setattr(bench.arms, "jog", arms.jog)
+        patch.setattr(bench.arms, "stop", arms.stop)
+        found.lamp.set(550).wait(IN_TIME_S)
+        try:
+            yield arms, found
+        finally:
+            arms.go_on.set()
+
+
+def interrupted(engine: RunEngine, how: str, begun: threading.Event) -> threading.Thread:
+    """Somebody at another terminal, who waits until an axis is on its way."""
+
+    def press() -> None:
+        assert begun.wait(IN_TIME_S)
+        getattr(engine, how)()
+
+    thread = threading.Thread(target=press)
+    thread.start()
+    return thread
+
+
+@pytest.mark.parametrize("how", ["abort", "stop", "halt"])
+def test_an_engine_that_is_ended_during_a_move_leaves_arms_standing_and_the_lamp_dark(
+    under_way: tuple[OnTheWay, Devices], how: str
+) -> None:
+    arms, found = under_way
+    before = found.axis["light"].locate()["readback"], found.axis["camera"].locate()["readback"]
+    engine = RunEngine({}, context_managers=[])
+    presser = interrupted(engine, how, arms.begun)
+    with pytest.raises(RunEngineInterrupted):
+        engine(bps.mv(found.axis["light"], 30, found.axis["camera"], 20))
+    presser.join(IN_TIME_S)
+    assert engine.state == "idle"
+    assert (found.axis["light"].locate()["readback"], found.axis["camera"].locate()["readback"]) == before
+    assert arms.moves == 1, "the axis that waited for its turn does not leave any more"
+    assert not arms.bench.world.lamp_on
+    assert found.lamp.read()["lamp"]["value"] == "dark"
+
+
+def test_a_pause_during_a_move_darkens_and_going_on_lights_again(under_way: tuple[OnTheWay, Devices]) -> None:
+    arms, found = under_way
+    engine = RunEngine({}, context_managers=[])
+    presser = interrupted(engine, "request_pause", arms.begun)
+
+    def plan() -> Iterator[object]:
+        yield from bps.checkpoint()
+        yield from bps.mv(found.axis["light"], 30)
+
+    with pytest.raises(RunEngineInterrupted):
+        engine(plan())
+    presser.join(IN_TIME_S)
+    assert engine.state == "paused"
+    assert found.lamp.read()["lamp"]["value"] == "dark"
+    arms.stops = 0
+    engine.resume()
+    assert found.lamp.read()["lamp"]["value"] != "dark"
+    assert found.axis["light"].locate()["readback"] == pytest.approx(30, abs=0.088)  # a step of the encoder
+
+
+def test_the_end_of_a_plan_leaves_the_lamp_as_it_is() -> None:
+    with devices(open_rig("sim", sample=SAMPLE)) as found:
+        engine = RunEngine({}, context_managers=[])
+        engine(bps.mv(found.lamp, 550))
+        engine(bps.mv(found.axis["light"], 30))
+        assert found.lamp.read()["lamp"]["value"] != "dark"
+
+
+def test_a_stop_between_two_legs_of_a_way_ends_it() -> None:
+    rig = NumpyRig(describe())
+    with Bench(rig) as held:
+        held._legs = lambda goals: [{"light": 0.1}, {"light": 0.2}]  # type: ignore[method-assign]
+        drive = held._drive
+
+        def stopped_after(goals: dict[str, float]) -> dict[str, float]:
+            landed = drive(goals)
+            held.stop()
+            return landed
+
+        held._drive = stopped_after  # type: ignore[method-assign]
+        with pytest.raises(DeviceError, match="stopped on their way"):
+            held.move(light=0.2)
+        assert rig.pose.light == 0.1
 
 
 def test_a_list_scan_over_an_axis_of_sim() -> None:

@@ -5,18 +5,21 @@ from __future__ import annotations
 import os
 import pty
 import random
+import select
 import threading
+import time
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import serial
-from gonio_drivers import control_table, dynamixel, ports, sdk
+from gonio_drivers import control_table, dynamixel, ports, presence, sdk
 from gonio_drivers.dynamixel import Bus
 from gonio_sim.wire import protocol2 as p2
 
 from gonio.errors import DeviceError
-from tests.gonio_drivers.conftest import BAUD, Line, deaf_to
+from tests.gonio_drivers.conftest import BAUD, HANGS_MS, Line, deaf_to
 
 
 def test_a_late_reply_is_not_the_answer_to_the_next_request(line: Line) -> None:
@@ -116,6 +119,50 @@ def test_a_line_that_is_never_silent_is_no_servo_bus(line: Line, monkeypatch: py
         monkeypatch.setattr(bus._port, "readPort", lambda length: b"\x2a" * length)
         with pytest.raises(DeviceError, match=r"something else talks on this line without a pause"):
             bus.discover()
+
+
+def test_what_lies_on_a_computer_that_was_held_up_is_heard(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    held_up_s = 0.0
+    armed = False
+    read, write = sdk.ExclusivePort.readPort, sdk.ExclusivePort.writePort
+
+    def written(port: sdk.ExclusivePort, packet: list[int]) -> int:
+        nonlocal armed
+        armed = True
+        return write(port, packet)
+
+    def held_up(port: sdk.ExclusivePort, length: int) -> bytes:
+        nonlocal armed, held_up_s
+        if not armed:
+            return read(port, length)
+        armed = False
+        assert select.select([port.ser.fileno()], [], [], HANGS_MS / 1e3)[0]
+        held_up_s = 1e3  # it looked just before the answer came, and comes to the clock long after
+        return b""
+
+    clock = SimpleNamespace(monotonic=lambda: time.monotonic() + held_up_s, sleep=time.sleep)
+    monkeypatch.setattr(dynamixel, "time", clock)
+    monkeypatch.setattr(sdk, "time", clock)
+    monkeypatch.setattr(sdk.ExclusivePort, "writePort", written)
+    monkeypatch.setattr(sdk.ExclusivePort, "readPort", held_up)
+    with Bus(line.port, BAUD) as bus:
+        heard = bus.overhear(2, p2.PING, listen_s=0.02)
+    assert len(list(presence.packets(heard))) == 1
+
+
+def test_a_line_that_babbles_is_not_overheard_for_ever(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    looks = 0
+
+    def babble(port: sdk.ExclusivePort, length: int) -> bytes:
+        nonlocal looks
+        looks += 1
+        return b"\x00" if looks % 2 == 0 else b""
+
+    monkeypatch.setattr(dynamixel, "BABBLE_S", 0.01)
+    with Bus(line.port, BAUD) as bus:
+        monkeypatch.setattr(bus, "_calm", lambda quiet_s: None)
+        monkeypatch.setattr(sdk.ExclusivePort, "readPort", babble)
+        assert 0 < len(bus.overhear(2, p2.PING, listen_s=0.02)) <= dynamixel.LONGEST + 1
 
 
 def test_values_are_signed(line: Line) -> None:

@@ -542,6 +542,47 @@ def test_two_servos_that_answer_in_turn_to_one_id_are_not_moved(twins: Twins, mo
         rig.__enter__()
 
 
+@pytest.mark.usefixtures("quick")
+def test_a_lost_answer_does_not_hide_that_two_servos_have_one_id(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
+    plain, asked = dynamixel.Bus.overhear, {1: 0}
+
+    def lossy(bus: dynamixel.Bus, identity: int, *said: Any, **how: Any) -> bytes:
+        heard = plain(bus, identity, *said, **how)
+        if identity != 1:
+            return heard
+        asked[1] += 1
+        return b"" if asked[1] == 1 else heard * 2
+
+    monkeypatch.setattr(dynamixel.Bus, "overhear", lossy)
+    with bench(twins, "arms") as held:
+        with pytest.raises(DeviceError, match="two servos answer to this id"):
+            held.move(light=math.radians(10))
+        held.hold()
+    assert asked[1] >= 2
+    assert not twins.servos["light"].torque
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_servo_is_not_moved_where_nobody_knows_whether_it_is_alone(
+    twins: Twins, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = dynamixel.Bus.overhear
+
+    def mute(bus: dynamixel.Bus, identity: int, *said: Any, **how: Any) -> bytes:
+        return b"" if identity == 1 else plain(bus, identity, *said, **how)
+
+    monkeypatch.setattr(dynamixel.Bus, "overhear", mute)
+    with bench(twins, "arms") as held:
+        with pytest.raises(DeviceError, match="nobody knows whether one servo has this id or two"):
+            held.move(light=math.radians(10))
+        held.move(camera=math.radians(10))
+        held.hold()
+    assert not twins.servos["light"].torque
+    rig = LAB.open(twins.description, sample=None, seed=0, confirm=False)
+    with pytest.raises(DeviceError, match="nobody knows whether one servo has this id or two"):
+        rig.__enter__()
+
+
 def test_a_servo_that_answers_and_cannot_be_used_is_not_called_mute(twins: Twins, tmp_path: Path) -> None:
     twins.servos["tilt"].damage = 0x10
     done = run(tmp_path, "rig", "move", "tilt=10", "--rig", written(twins, tmp_path))

@@ -7,7 +7,17 @@ from collections.abc import Sequence
 
 from gonio import geometry
 from gonio.formats.reader import TableBand
-from gonio_analysis.report import appearance, blocks, budget, checks, health, model_choice, polarisation, transmission
+from gonio_analysis.report import (
+    appearance,
+    blocks,
+    budget,
+    checks,
+    health,
+    model_choice,
+    polarisation,
+    sittings,
+    transmission,
+)
 from gonio_analysis.report.blocks import (
     MOST_ROWS,
     Block,
@@ -103,6 +113,7 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
         )
     if "series" in by:
         out += [Heading(3, "Parameters over wavelength"), Figures(by["series"])]
+    out += sittings.section(d.run)
     out += health.section(d.run, by.get(health.KIND, ()))
     return blocks.section(out, d.slug)
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from gonio_analysis.result_records import HealthSummary, PauseSummary, RunFacts, SampleFacts
 from gonio_analysis.selection.run_budget import run_budget
+from gonio_analysis.selection.run_sittings import run_sittings
 
 if TYPE_CHECKING:
     from gonio.acquisition.run import Run
@@ -68,6 +69,7 @@ def run_facts(path: Path) -> RunFacts | None:
         health=health,
         pauses=pauses,
         budget=run_budget(folder),
+        sittings=run_sittings(run),
     )
 
 

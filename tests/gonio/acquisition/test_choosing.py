@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from gonio import plugins
@@ -36,6 +38,8 @@ class Brightest:
 
     batches: int
     asked: list[int] = field(default_factory=list)
+    more: dict[str, Any] = field(default_factory=dict)
+    """Further reasons."""
 
     def first(self, planned: Sequence[Point]) -> Sequence[Point]:
         """Three directions at one incidence."""
@@ -46,12 +50,12 @@ class Brightest:
         done = len(run.batches)
         self.asked.append(len(run.steps()))
         if done == self.batches:
-            return Choice((), {"batches": done}, "enough", met=True)
+            return Choice((), {"batches": done} | self.more, "enough", met=True)
         table = brdf.reduce(run)
         best = table.iloc[int(table["brdf"].to_numpy().argmax())]
         theta_r = float(best["theta_r_deg"])
         points = (canonical(30.0, 0.0, theta_r, 180.0), canonical(30.0, 0.0, round(theta_r, 2) + 1.0 + done, 180.0))
-        return Choice(points, {"brdf": float(best["brdf"])}, f"batch {done}")
+        return Choice(points, {"brdf": float(best["brdf"])} | self.more, f"batch {done}")
 
 
 class Chooses:
@@ -132,6 +136,44 @@ def test_a_run_that_has_enough_is_done(plan: Plan, tmp_path: Path) -> None:
     measure(plan, tmp_path / "run", resume=True)
     assert len(asked) == 4
     assert not Chooses.opened[-1].asked
+
+
+def with_reasons(monkeypatch: pytest.MonkeyPatch, **more: Any) -> None:
+    real = Chooses.open
+
+    def opened(plan: Plan, description: RigDescription) -> Brightest:
+        chooser = real(plan, description)
+        chooser.more = more
+        return chooser
+
+    monkeypatch.setattr(Chooses, "open", staticmethod(opened))
+
+
+def test_reasons_in_numpy_s_types_are_kept_as_plain_ones(
+    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    more = {"n": np.int64(3), "u": np.float32(0.5), "met": np.bool_(True), "g": np.array([[1.0, np.nan]])}
+    with_reasons(monkeypatch, **more, deep={np.int64(7): (np.float64("inf"), "words", None)})
+    run = measure(plan, tmp_path / "run")
+    kept = {"n": 3, "u": 0.5, "met": True, "g": [[1.0, None]], "deep": {"7": [None, "words", None]}}
+    assert [set(batch.why) - {"brdf"} for batch in run.batches] == [set(kept)] * 3
+    for batch in Run.open(tmp_path / "run").batches:
+        assert {key: batch.why[key] for key in kept} == kept
+    (enough,) = [event for event in run.events() if event["event"] == "enough"]
+    assert enough["why"] == {"batches": 3} | kept
+    assert json.loads((tmp_path / "run" / "chosen.json").read_text())[0]["why"]["n"] == 3
+
+
+def test_a_reason_that_no_journal_keeps_is_named_and_the_run_goes_on_when_it_is_mended(
+    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        with_reasons(patch, deep={"seen": [1, {2}]})
+        with pytest.raises(ConfigError, match=r'"brightest" gives why\[\'deep\'\]\[\'seen\'\]\[1\] = \{2\}, a set'):
+            measure(plan, tmp_path / "run")
+    assert not Run.open(tmp_path / "run").batches
+    whole = measure(plan, tmp_path / "whole")
+    assert list(measure(plan, tmp_path / "run", resume=True).steps()) == list(whole.steps())
 
 
 def test_other_wishes_are_another_run(plan: Plan, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
@@ -242,6 +243,7 @@ def test_dry_run_checks_everything_and_writes_nothing(tmp_path: Path) -> None:
     done = gonio(tmp_path, *arguments)
     assert done.returncode == 0, done.stderr
     assert "6 points" in done.stdout
+    assert "gonio plan show plan.toml --rig sim --picture" in done.stderr
     assert not (tmp_path / "run").exists()
 
 
@@ -481,6 +483,41 @@ def test_a_signal_that_is_set_to_be_ignored_stays_so(tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 0
     assert done.stdout == "done\n"
+
+
+def one_value(folder: Path) -> None:
+    (folder / "one.csv").write_text(
+        "theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,wavelength_nm,brdf\n30,0,10,180,500,0.2\n"
+    )
+
+
+def test_an_export_does_not_hide_a_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    one_value(tmp_path)
+    point = EntryPoint("astm", "stranger:write", "gonio.exports")
+    monkeypatch.setitem(plugins._added, ("gonio.exports", "astm"), point)
+    done = gonio(tmp_path, "convert", "one.csv", "one.astm", "--to", "astm")
+    assert done.returncode == 0, done.stderr
+    assert "(stranger:write) is passed over" in " ".join(done.stderr.split())
+    assert len(measurement.read(tmp_path / "one.astm")) == 1
+
+
+@pytest.mark.parametrize("source", ["one.csv", "sample.toml"])
+def test_a_format_that_there_is_not_lists_all(tmp_path: Path, source: str) -> None:
+    one_value(tmp_path)
+    (tmp_path / "sample.toml").write_text('name = "matt"\nmodel = "lambert"\n[parameters]\nalbedo = 0.5\n')
+    done = gonio(tmp_path, "convert", source, "out", "--to", "nope")
+    said = " ".join(done.stderr.split())
+    assert done.returncode == 2
+    for name in ("--to nope", "gonio", "astm", "bird-json", "datacite", "mitsuba", "gltf", "of a whole run bluesky"):
+        assert name in said
+    assert "did you mean bluesky?" in gonio(tmp_path, "convert", source, "out", "--to", "bluesk").stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_model_has_no_datacite_record(tmp_path: Path) -> None:
+    (tmp_path / "sample.toml").write_text('name = "matt"\nmodel = "lambert"\n[parameters]\nalbedo = 0.5\n')
+    done = gonio(tmp_path, "convert", "sample.toml", "out.json", "--to", "datacite")
+    assert (done.returncode, "is a model; --to datacite takes a run" in done.stderr) == (2, True)
 
 
 def test_reduce_says_what_the_table_notes(tmp_path: Path) -> None:

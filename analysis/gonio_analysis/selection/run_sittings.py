@@ -1,0 +1,92 @@
+"""The sittings of a run: one that is gone on with has several, over hours or days, with the reference as the thread."""
+
+from __future__ import annotations
+
+import json
+import re
+from bisect import bisect_right
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import fmean, stdev
+from typing import TYPE_CHECKING, Any
+
+from gonio_analysis.result_records import ReferenceLevel, SittingSummary
+
+if TYPE_CHECKING:
+    from gonio.acquisition.run import Run
+
+KIND = re.compile(rb'\{"n":\d+,"event":"(\w+)"(?:,"step":\d+,"kind":"(\w+)")?')
+"""How the lines of a journal begin."""
+ENDINGS = {"end": "all was measured", "interrupted": "was interrupted", "device_error": "a device failed"}
+UNKNOWN = "no word of an end"
+"""Of a sitting whose process was killed, or that goes on now."""
+
+
+@dataclass
+class _Sitting:
+    began: str
+    ended: str
+    steps: int = 0
+    ending: str = UNKNOWN
+    levels: dict[str, list[float]] = field(default_factory=dict)
+    """Signals of the visits to the reference, by band."""
+
+
+def run_sittings(run: Run) -> list[SittingSummary]:
+    """The sittings in which a run took steps, in order; levels of the reference where the run has been reduced."""
+    found, visits_s = _sittings(run)
+    times_s = [time_s for time_s, _ in visits_s]
+    account = _account(run.path)
+    for band in account:
+        for time_s, signal in zip(band["times_s"], band["signals"], strict=True):
+            visit = bisect_right(times_s, time_s) - 1  # the visit that had begun last
+            if visit >= 0:
+                visits_s[visit][1].levels.setdefault(band["band"], []).append(signal)
+    first: dict[str, float] = {}
+    out = []
+    for sitting in found:
+        levels = []
+        for name, signals in sitting.levels.items():
+            level = fmean(signals)
+            relative = level / first.setdefault(name, level)
+            scatter = stdev(signals) / first[name] if len(signals) > 1 else None
+            levels.append(ReferenceLevel(name, len(signals), relative, scatter))
+        if sitting.steps:
+            out.append(SittingSummary(sitting.began, sitting.ended, sitting.steps, sitting.ending, levels))
+    return out
+
+
+def _sittings(run: Run) -> tuple[list[_Sitting], list[tuple[float, _Sitting]]]:
+    """Every sitting, and the visits to the reference: when each began [s, rig's clock], and in which sitting."""
+    found: list[_Sitting] = []
+    visits: list[tuple[float, _Sitting]] = []
+    last = b""
+    events = run.events()
+    for line in events.lines(range(len(events))):
+        match = KIND.match(line)
+        kind = match[1].decode() if match else ""
+        if kind == "session":
+            if found:
+                found[-1].ended = json.loads(last)["wall"]
+            wall = json.loads(line)["wall"]
+            found.append(_Sitting(wall, wall))
+        elif found and match and kind == "step":
+            found[-1].steps += 1
+            if match[2] == b"reference":
+                visits.append((float(json.loads(line)["time_s"]), found[-1]))
+        elif found and kind in ENDINGS:
+            found[-1].ending = ENDINGS[kind]
+        last = line
+    if found:
+        found[-1].ended = json.loads(last)["wall"]
+    return found, sorted(visits, key=lambda visit: visit[0])
+
+
+def _account(folder: Path) -> list[dict[str, Any]]:
+    """What the visits said, a band each, as the reduction of the run has left it; nothing before it is reduced."""
+    try:
+        meta = json.loads((folder / "brdf.meta.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return []
+    visits = (meta.get("provenance") or {}).get("reference") or []
+    return [band for band in visits if isinstance(band, dict) and "times_s" in band]
