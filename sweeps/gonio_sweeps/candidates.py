@@ -84,6 +84,20 @@ def candidates(plan: Plan, description: RigDescription, given: dict[str, Any]) -
     return Candidates(tuple(p for p, _ in reached), tuple(pose for _, pose in reached), out)
 
 
+def read(description: RigDescription, poses: Sequence[Pose]) -> tuple[Pose, ...]:
+    """What the encoders will show at poses: whole steps, the nearest to the goals."""
+    out = []
+    for pose in poses:
+        shown = {}
+        for name, axis in description.axes().items():
+            step, offset = math.radians(axis.encoder_step_deg), math.radians(axis.zero_offset_deg)
+            known = offset if axis.zero_offset_known else 0.0
+            if step > 0.0:
+                shown[name] = round((getattr(pose, name) + known) / step) * step - known
+        out.append(replace(pose, **shown))
+    return tuple(out)
+
+
 def places(directions: Directions) -> Floats:
     """Coordinates (n, 3) in which points should lie about evenly: dense at the mirror direction, wider away from it."""
     omega = directions.from_mirror

@@ -33,13 +33,13 @@ from gonio.acquisition.run import Run
 from gonio.acquisition.schedule import reference_pose
 from gonio.config import Strict, parse
 from gonio.errors import ConfigError, DataError
-from gonio.geometry import solid_angle_of_cone
+from gonio.geometry import Directions, solid_angle_of_cone
 from gonio.reduction import brdf as reduction
-from gonio.rig import Pose
+from gonio.rig import Pose, kinematics
 from gonio.rig.description import Band, Positive, RigDescription
 from gonio.typing import Floats
 from gonio_sweeps import expected, fisher, lack_of_fit
-from gonio_sweeps.candidates import candidates, fill, from_nearest, nearby, places, snake, spread
+from gonio_sweeps.candidates import candidates, fill, from_nearest, nearby, places, read, snake, spread
 from gonio_sweeps.online import Online, Values
 
 if TYPE_CHECKING:
@@ -517,8 +517,9 @@ class Parameters:
     @cached_property
     def _ahead(self) -> fisher.Sights:
         """The candidates, as the forward model takes them."""
-        none = np.zeros(len(self.candidates))
-        rows, directions, poses = none.astype(np.intp), self.candidates.directions, self.candidates.poses
+        none, poses = np.zeros(len(self.candidates)), read(self._description, self.candidates.poses)
+        rows = none.astype(np.intp)
+        directions = Directions.stack([kinematics.directions(self._description, pose) for pose in poses])
         values = Values(rows, directions, poses, none, none, {}, none)
         observed = self._observed(values, Covariance(none + 1.0, np.zeros((none.size, 0))))
         return fisher.Sights(observed, poses, self._description)
@@ -545,7 +546,8 @@ class Parameters:
             return []
         predicted = [apparent(self._problem.model(vector), self._ahead.at, quick=True) for vector, _ in known.modes]
         seen = self._expected.visits(predicted[0])
-        u = np.where(np.isfinite(seen.u_rel), seen.u_rel * predicted[0], 1e3)
+        landing = self._ahead.rows(self._problem, known.modes[0][0]).u_landing
+        u = np.hypot(np.where(np.isfinite(seen.u_rel), seen.u_rel * predicted[0], 1e3), landing)
         score = sum(((other - predicted[0]) / u) ** 2 for other in predicted[1:]) / cost
         out: list[int] = []
         for k in np.argsort(-score, kind="stable"):

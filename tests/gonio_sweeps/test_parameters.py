@@ -12,7 +12,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from gonio_sweeps import expected
-from gonio_sweeps.online import Values
+from gonio_sweeps.candidates import read
+from gonio_sweeps.online import Online, Values
 from gonio_sweeps.parameters import LARGEST, Parameters
 
 from gonio import models
@@ -245,6 +246,11 @@ def test_a_run_reaches_its_target_and_stopping_it_changes_nothing(tmp_path: Path
     assert end["met"]
     assert end["why"]["u_final"]["sigma_deg"] <= 0.2
     assert len(whole.batches) >= 1
+    shown = Online(whole.bands[0]).values(whole).poses
+    goals = [step.goal for step in whole.steps() if step.kind == "point"]
+    for name in AXES:
+        found, there = ([getattr(pose, name) for pose in poses] for poses in (shown, read(SMALL, goals)))
+        assert found == pytest.approx(there, abs=1e-9), "what encoders will show is known before"
     zeros = reduce(whole).attrs["provenance"]["zeros_rad"]
     assert zeros == {name: pytest.approx(math.radians(0.02)) for name in ("theta_i_zero", "theta_r_zero")}
     for stopped_after in (whole.batches[0].first_step - 1, whole.batches[0].first_step + 3):
