@@ -48,7 +48,6 @@ from gonio.acquisition.schedule import reference_pose
 from gonio.geometry import Directions, solid_angle_of_cone
 from gonio.reduction.table import CAUSES, angle_axes
 from gonio.rig import Pose, Step, kinematics
-from gonio.typing import Floats
 
 RIG = find_rig("sim").description
 NM = 500.0
