@@ -80,7 +80,10 @@ CLOSE = 1.25
 """Where the quick fit's uncertainties are within this factor of their targets the run is reduced and fitted in full, as
 `gonio fit` will do it: its uncertainties decide."""
 WORST = 3.0
-"""A full reduction's uncertainties count as no more than so many times the quick fit's."""
+"""A full reduction's uncertainties count as no more than so many times the quick fit's, and as no less than its part.
+"""
+EVERY_S = 3.0
+"""Counted for every point beside its frames and its way [s]: a visit is work for the rig, however bright the point."""
 LEAST_GAIN = 2e-4
 """Where no point lowers the logarithm of the uncertainties by more, none adds anything."""
 
@@ -289,7 +292,7 @@ class Parameters:
                 if self._reached(self._ratios(final)):
                     return Choice((), why, "enough: " + self._progress(final), met=True)
                 worse = float(np.nanmax(self._ratios(final) / self._ratios(known.result)))
-                worse = min(max(worse, 1.0), WORST) if math.isfinite(worse) else WORST
+                worse = min(max(worse, 1.0 / WORST), WORST) if math.isfinite(worse) else WORST
                 known = replace(known, result=replace(known.result, spread=final.spread), worse=worse)
         left_s = self._budget_s - spent_s
         picked, gains = self._cover(values, left_s, began) if covering else self._pick(values, known, left_s)
@@ -462,7 +465,7 @@ class Parameters:
         seen = self._seen(values, known)
         here = reference_pose(self._description)
         way = self._durations.moves_s(here, self.candidates.poses)
-        cost = seen.seconds + 0.2 * way  # most ways are those between neighbours
+        cost = seen.seconds + EVERY_S + 0.2 * way  # most ways are those between neighbours
         affordable = cost < DEAREST * max(left_s, 0.0)
         measured = [places(values.directions)] if len(values) else []
         share = count if known is None else round(COVERING * count)
@@ -473,6 +476,7 @@ class Parameters:
             apart = self._telling_apart(known, (count - share) // 2, open_to)
             picked, gain = self._informative(values, known, count - share - len(apart), open_to)
             picked += apart
+            share = min(share, math.ceil(COVERING / (1.0 - COVERING) * len(picked)))
         at = np.concatenate([*measured, self._places[picked]]) if measured else self._places[picked]
         distance = np.minimum(from_nearest(self._places, at), 1e3)
         cover: list[int] = []
