@@ -10,6 +10,8 @@ noise of camera and lamp.
 `alarms`: runs of a right model grow until the target is met. Then the values of each are drawn again many times, at the
 same points, and every look is judged again. Printed are the shares of small probabilities, and of accused runs.
 
+`pulls`: errors of the parameters over their stated uncertainties, of runs that grow until the target is met.
+
 `wrong`: he-torrance is asked of samples that it does not describe, with as much rig time as a uniform grid takes. The
 error is that of monotone cubics through the logarithms, visits to the same point averaged, over all angles above a
 thousandth of the peak, at the grid's incidences. Printed are ratios to the grid's mean error, with the standard error
@@ -29,6 +31,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.value_covariance import independent
@@ -159,7 +162,7 @@ class Grown:
 
 def grow(made: Parameters, bench: Bench) -> Grown:
     """A run from its first points to its end."""
-    covering, out = False, Grown(bench, [], "", False, [])
+    modes, out = list[str](), Grown(bench, [], "", False, [])
     bench.measure(made.first([]))
     while True:
         values = bench.values()
@@ -167,11 +170,10 @@ def grow(made: Parameters, bench: Bench) -> Grown:
         choice = made.choose(
             values,
             spent_s=bench.spent_s,
-            look=len(out.ends) - 1,
-            covering=covering,
+            modes=modes,
             reduced=lambda values=values: table(made, values),  # type: ignore[misc]
         )
-        covering = choice.why["mode"] == "covering"
+        modes.append(choice.why["mode"])
         out.modes += choice.why["mode"][0]
         out.p_values += [choice.why["p_value"]] if "p_value" in choice.why else []
         if not choice.points:
@@ -194,6 +196,7 @@ def table(made: Parameters, values: Values) -> pd.DataFrame:
         out[name] = column
     out["u_brdf"] = np.sqrt(out["u_random"] ** 2 + sum(out[name] ** 2 for name in columns))
     lamp, lens = at(d).source_solid_angle_sr, at(d).receiver_solid_angle_sr
+    out.attrs["provenance"] = {"zeros_rad": {name: math.radians(0.02) for name in ("theta_i_zero", "theta_r_zero")}}
     out.attrs.update(quantity="brdf", source_solid_angle_sr=lamp, receiver_solid_angle_sr=lens)
     return out
 
@@ -227,6 +230,25 @@ def alarms(designs: int, draws: int, seed: int, truth: Any) -> None:
         shares = {level: round(count / looks, 4) for level, count in small.items()}
         said = {"values": len(grown.bench.rows), "modes": grown.modes, "met": grown.met}
         print(design, said, "looks", looks, shares, f"accused {accused} of {total}", flush=True)
+
+
+# ---- errors over stated uncertainties ----
+
+
+def pulls(count: int, seed: int, truth: Any) -> None:
+    """See the module."""
+    found = []
+    for number in range(seed, seed + count):
+        made = chooser(3600.0, 0.0013, FOUR, 1.0)
+        grown = grow(made, Bench(truth, number, Durations(RIG, made._bands)))
+        result = fit(table(made, grown.bench.values()), "he-torrance", ior="Al")
+        of = [result.parameters[name] for name in ("sigma0_um", "tau_um")]
+        true = (truth.sigma0_um, truth.tau_um)
+        found.append([(e.value - t) / (e.u or math.nan) for e, t in zip(of, true, strict=True)])
+        u = [round(100.0 * (e.u or math.nan) / t, 4) for e, t in zip(of, true, strict=True)]
+        said = {"points": len(grown.bench.rows), "modes": grown.modes, "met": grown.met, "u %": u}
+        print(number, said, "pulls", np.round(found[-1], 2).tolist(), flush=True)
+    print("root mean squares of the pulls", np.sqrt(np.mean(np.square(found), axis=0)).round(3).tolist())
 
 
 # ---- what a wrong model costs ----
@@ -299,7 +321,7 @@ def wrong(pairs: int, seed: int, names: Sequence[str], uniforms: int = 24) -> No
 def main() -> None:
     """As a program."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["alarms", "wrong"])
+    parser.add_argument("what", choices=["alarms", "pulls", "wrong"])
     parser.add_argument("--designs", type=int, default=4)
     parser.add_argument("--draws", type=int, default=100)
     parser.add_argument("--pairs", type=int, default=8)
@@ -308,10 +330,11 @@ def main() -> None:
     parser.add_argument("--tau-um", type=float, default=1.77)
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
+    truth = models.HeTorrance(sigma0_um=given.sigma0_um, tau_um=given.tau_um, ior="Al", diffuse_albedo=0.0)
     if given.what == "alarms":
-        index = {"ior": "Al"}
-        truth = models.HeTorrance(sigma0_um=given.sigma0_um, tau_um=given.tau_um, diffuse_albedo=0.0, **index)
         alarms(given.designs, given.draws, given.seed, truth)
+    elif given.what == "pulls":
+        pulls(given.designs, given.seed, truth)
     else:
         wrong(given.pairs, given.seed, given.samples)
 

@@ -9,7 +9,6 @@ further points cover. docs/adaptive_sweeps.md has the method.
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -38,8 +37,8 @@ from gonio.reduction import brdf as reduction
 from gonio.rig import Pose, kinematics
 from gonio.rig.description import Band, Positive, RigDescription
 from gonio.typing import Floats
-from gonio_sweeps import expected, fisher, lack_of_fit
-from gonio_sweeps.candidates import candidates, fill, from_nearest, nearby, places, read, snake, spread
+from gonio_sweeps import covering, expected, fisher, lack_of_fit
+from gonio_sweeps.candidates import candidates, from_nearest, nearby, places, read, snake, spread
 from gonio_sweeps.online import Online, Values
 
 if TYPE_CHECKING:
@@ -54,18 +53,20 @@ GROWTH = 0.6
 """A batch adds this part of the points so far: later ones are chosen with better knowledge."""
 SMALLEST, LARGEST = 12, 25
 """Points of a batch, at least and at most: each ends with a visit to the reference."""
+COVERS = ("covering", "filling")
+"""Modes of batches that only cover: the model is wrong, or no point tells more of its parameters."""
 COVERING = 0.2
 """Part of a batch that covers, whatever the model says."""
 DEAREST = 0.25
 """Part of the time that is left which one point may take, at most."""
-STEPS_DEG = tuple(60.0 / 1.05**k for k in range(120))
-"""Steps that a covering may have, once the model is found wrong."""
-LATER = 0.9
-"""Part of the time that is left which a batch of it may take, after the first one: levels are known roughly."""
-SAME_PLACE = 0.03
-"""Candidates so close to what was measured (`gonio_sweeps.candidates.places`) are measured: an encoder's step or so."""
+HALF, LATER, LAST = 0.5, 0.9, 4
+"""Part of the time that is left which a batch may take that lowers the curves' errors; and from which on it may take
+more: levels are known then."""
 REPEATS = 3
 """Visits to one point in a batch, at most: what a repeat cannot tell is that the model is wrong beside it."""
+SEARCHES, MANY = 6, 30
+"""Short searches that a fit begins with; and before a model is found wrong. Chosen points lie in a few places, where
+lobes of other widths may look alike."""
 DRAWS = 4
 """Parameters that are drawn from what the fit leaves open, beside its own."""
 OTHER_MODES = 4
@@ -248,13 +249,12 @@ class Parameters:
         return self.choose(
             self._online.values(run),
             spent_s=expected.spent_s(self._durations, run),
-            look=len(run.batches),
-            covering=any(batch.why.get("mode") == "covering" for batch in run.batches),
+            modes=[str(batch.why.get("mode")) for batch in run.batches],
             reduced=lambda: reduction.reduce(run),
         )
 
     def choose(
-        self, values: Values, *, spent_s: float, look: int, covering: bool, reduced: Callable[[], pd.DataFrame]
+        self, values: Values, *, spent_s: float, modes: Sequence[str], reduced: Callable[[], pd.DataFrame]
     ) -> Choice:
         """What is measured next.
 
@@ -264,27 +264,26 @@ class Parameters:
             All so far.
         spent_s
             Rig time so far [s].
-        look
-            How often this was asked before.
-        covering
-            Whether the model was found wrong before.
+        modes
+            What the batches before this one were for, in turn: `mode` of what the journal keeps of them.
         reduced
             Gives the measurement table of the run so far.
         """
-        began = covering
-        known = None if covering else self.fitted(values)
+        look, wrong = len(modes), "covering" in modes
+        known = None if wrong else self.fitted(values)
         why: dict[str, Any] = {"spent_s": round(spent_s, 1), "values": len(values)}
         said = []
+        if known is not None and known.test.rejects(look):  # unless it is the search that has failed
+            known = min(known, self.fitted(values, MANY) or known, key=lambda one: one.test.chi_square)
         if known is not None:
             why |= self._of_fit(known)
             if known.test.rejects(look):
-                covering = True
+                wrong = True
                 said.append(
                     f"{self._settings.model} does not describe the values (chi-square {known.test.chi_square:.3g} of "
                     f"{known.test.degrees_of_freedom}, p = {known.test.p_value:.2g}): all further points cover"
                 )
-        why["mode"] = "covering" if covering else "parameters"
-        if known is not None and not covering:
+        if known is not None and not wrong:
             said.append(self._progress(known.result))
             if self._reached(self._ratios(known.result) / CLOSE) and len(known.modes) == 1:
                 final = self._final(reduced(), known.result)
@@ -295,12 +294,18 @@ class Parameters:
                 worse = min(max(worse, 1.0 / WORST), WORST) if math.isfinite(worse) else WORST
                 known = replace(known, result=replace(known.result, spread=final.spread), worse=worse)
         left_s = self._budget_s - spent_s
-        picked, gains = self._cover(values, left_s, began) if covering else self._pick(values, known, left_s)
+        picked, gains = ([], {}) if wrong else self._pick(values, known, left_s)
+        why["mode"] = "covering" if wrong else "parameters"
+        if not picked and not gains.get("cut"):
+            picked, gains = self._cover(values, left_s, sum(mode in COVERS for mode in modes))
+            if not wrong:
+                why["mode"] = "filling"
+                said.append("no point tells more of the parameters: all next points cover")
         why |= gains
         if not picked:
             said.insert(0, "the budget is spent" if gains.get("cut") else "no point adds anything")
-            wrong = f" ({self._settings.model} does not describe the sample)" if covering else ""
-            return Choice((), why, f"enough{wrong}: " + "; ".join(said))
+            at_fault = f" ({self._settings.model} does not describe the sample)" if wrong else ""
+            return Choice((), why, f"enough{at_fault}: " + "; ".join(said))
         points = [self.candidates.points[k] for k in picked]
         ordered = tuple(points[k] for k in snake(points))
         said.append(f"{len(ordered)} points next, {gains['cover']} of them to cover")
@@ -321,7 +326,7 @@ class Parameters:
             receiver_solid_angle_sr=float(solid_angle_of_cone(math.radians(lens))),
         )
 
-    def fitted(self, values: Values) -> Known | None:
+    def fitted(self, values: Values, searches: int = SEARCHES) -> Known | None:
         """The fit to all values, with what errors of the angles do by the model itself; None where it is impossible."""
         free = len(self._problem.free)
         if len(values) <= free + 1:
@@ -331,7 +336,7 @@ class Parameters:
         u = np.hypot(values.u_noise, 0.003 * np.abs(values.brdf))
         data = self._observed(values, Covariance(np.maximum(u, 1e-12), common, names))
         try:
-            result = fit(data, replace(self._request, searches=2), name="the values so far")
+            result = fit(data, replace(self._request, searches=searches), name="the values so far")
         except DataError:
             return None
         sights = fisher.Sights(data, values.poses, self._description)
@@ -423,35 +428,30 @@ class Parameters:
 
     # ---- choosing ----
 
-    def _cover(self, values: Values, left_s: float, began: bool) -> tuple[list[int], dict[str, Any]]:
-        """The candidates that make the largest step of all curves as small as the time that is left allows.
+    def _cover(self, values: Values, left_s: float, stage: int) -> tuple[list[int], dict[str, Any]]:
+        """The candidates of a batch that covers; so many of these were measured before.
 
         The first of these batches is small: how dark the sample is where nothing was measured nobody knows before.
         """
         seen, here = self._seen(values, None), reference_pose(self._description)
-        points, place = self.candidates.points, places(values.directions)
-        measured = set(np.flatnonzero(from_nearest(self._places, place) < SAME_PLACE).tolist())
+        points = self.candidates.points
+        known = covering.Curves.of(
+            points, self._places, places(values.directions), values.brdf, values.u_noise, seen.u_rel
+        )
         open_to = np.flatnonzero(seen.seconds < DEAREST * max(left_s, 0.0)).tolist()
-        some = [points[k] for k in open_to]
-        known = {n for n, k in enumerate(open_to) if k in measured}
-        most, share = (len(points), LATER) if began else (3 * LARGEST, DEAREST)
-
-        def fits(batch: list[int]) -> bool:
-            return len(batch) <= most and self._batch_s(batch, seen, here) <= share * left_s
-
-        def with_steps(number: int) -> list[int]:
-            return [open_to[n] for n in fill(some, known, STEPS_DEG[number])]
-
-        fine = bisect_left(range(len(STEPS_DEG)), True, key=lambda n: not fits(with_steps(n)))
-        batch = with_steps(fine - 1) if fine else []
-        finer = with_steps(fine) if fine < len(STEPS_DEG) else []
         numbers: dict[str, Any] = {"gain": None}
-        if not batch and finer:  # not all of them: some, evenly
-            for count in range(min(len(finer), most), 0, -1):
-                batch = [finer[k] for k in np.linspace(0, len(finer) - 1, count).round().astype(int)]
-                if fits(batch):
-                    break
-                batch = []
+
+        def fits(share: float, most: int) -> Callable[[list[int]], bool]:
+            return lambda batch: len(batch) <= most and self._batch_s(batch, seen, here) <= share * left_s
+
+        batch, finer = [], True
+        if stage == 0:
+            batch, finer = covering.evenly(known, open_to, fits(DEAREST, 3 * LARGEST))
+        elif stage == 1:
+            batch, finer = covering.evenly(known, open_to, fits(covering.EVENLY, len(points)))
+        if not batch:
+            cost = seen.seconds + 0.2 * self._durations.moves_s(here, self.candidates.poses)
+            batch = covering.by_errors(known, open_to, cost, fits(HALF if stage < LAST else LATER, len(points)))
         if (finer and not batch) or len(open_to) < len(points):
             numbers["cut"] = True
         numbers["cover"] = len(batch)
