@@ -283,6 +283,7 @@ class Parameters:
                     f"{self._settings.model} does not describe the values (chi-square {known.test.chi_square:.3g} of "
                     f"{known.test.degrees_of_freedom}, p = {known.test.p_value:.2g}): all further points cover"
                 )
+        why["mode"] = "covering" if wrong else "parameters"
         if known is not None and not wrong:
             said.append(self._progress(known.result))
             if self._reached(self._ratios(known.result) / CLOSE) and len(known.modes) == 1:
@@ -295,7 +296,6 @@ class Parameters:
                 known = replace(known, result=replace(known.result, spread=final.spread), worse=worse)
         left_s = self._budget_s - spent_s
         picked, gains = ([], {}) if wrong else self._pick(values, known, left_s)
-        why["mode"] = "covering" if wrong else "parameters"
         if not picked and not gains.get("cut"):
             picked, gains = self._cover(values, left_s, sum(mode in COVERS for mode in modes))
             if not wrong:
