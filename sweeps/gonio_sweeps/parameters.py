@@ -49,7 +49,7 @@ FIRST = 5
 FEWEST, MOST = 12, 30
 AROUND_MIRROR_DEG = 45.0
 """The first points lie so close to the mirror direction: farther away metals are dark, and a point takes minutes."""
-GROWTH = 0.6
+GROWTH = 1.0
 """A batch adds this part of the points so far: later ones are chosen with better knowledge."""
 SMALLEST, LARGEST = 12, 25
 """Points of a batch, at least and at most: each ends with a visit to the reference."""
@@ -75,7 +75,7 @@ ALLOWED = 12.0
 """Solutions whose chi-square is larger than the best one's by less than this are not ruled out."""
 APART = 5.0
 """Solutions differ where a parameter does by so many standard uncertainties."""
-AIM = 0.97
+AIM = 0.985
 """A batch ends where it is expected to bring the uncertainties to this part of their targets."""
 CLOSE = 1.25
 """Where the quick fit's uncertainties are within this factor of their targets the run is reduced and fitted in full, as
