@@ -77,7 +77,7 @@ APART = 5.0
 """Solutions differ where a parameter does by so many standard uncertainties."""
 AIM = 0.985
 """A batch ends where it is expected to bring the uncertainties to this part of their targets."""
-CLOSE = 1.25
+CLOSE = 1.5
 """Where the quick fit's uncertainties are within this factor of their targets the run is reduced and fitted in full, as
 `gonio fit` will do it: its uncertainties decide."""
 WORST = 3.0
@@ -298,7 +298,7 @@ class Parameters:
         picked, gains = ([], {}) if wrong else self._pick(values, known, left_s)
         if not picked and not gains.get("cut"):
             picked, gains = self._cover(values, left_s, sum(mode in COVERS for mode in modes))
-            if not wrong:
+            if picked and not wrong:
                 why["mode"] = "filling"
                 said.append("no point tells more of the parameters: all next points cover")
         why |= gains
@@ -444,7 +444,8 @@ class Parameters:
         def fits(share: float, most: int) -> Callable[[list[int]], bool]:
             return lambda batch: len(batch) <= most and self._batch_s(batch, seen, here) <= share * left_s
 
-        batch, finer = [], True
+        batch: list[int] = []
+        finer = True
         if stage == 0:
             batch, finer = covering.evenly(known, open_to, fits(DEAREST, 3 * LARGEST))
         elif stage == 1:

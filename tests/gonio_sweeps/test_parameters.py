@@ -11,15 +11,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from gonio_analysis.fitting.fit import fit
 from gonio_sweeps import expected
 from gonio_sweeps.candidates import read
 from gonio_sweeps.online import Online, Values
 from gonio_sweeps.parameters import LARGEST, Parameters
 
-from gonio import models
+from gonio import measurement, models
 from gonio.acquisition.choosing import Choice, about, chooser_of
 from gonio.acquisition.measure import carry_out, find_rig
-from gonio.acquisition.plan import Plan, Point, load_plan
+from gonio.acquisition.plan import Plan, Point, canonical, load_plan
 from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, Interrupted
 from gonio.geometry import Directions
@@ -147,6 +148,35 @@ def test_a_wrong_model_is_noticed_and_then_points_cover(tmp_path: Path) -> None:
     assert spent.message == "enough (oren-nayar does not describe the sample): the budget is spent"
 
 
+def test_where_no_point_tells_more_of_the_parameters_the_rest_of_the_budget_covers(tmp_path: Path) -> None:
+    """A matt sample has no lobe whose width could be told: he-torrance describes it with its matt base alone."""
+    made = chooser(tmp_path, 'model = "he-torrance"\nior = "Al"\nu_rel = { sigma0_um = 0.01 }')
+    bench = Bench(models.Lambert(albedo=0.6), 6)
+    choices = grow(made, bench, 4)
+    modes = [choice.why["mode"] for choice in choices]
+    assert "filling" in modes
+    filling = choices[modes.index("filling")]
+    assert len(filling.points) > LARGEST
+    assert "no point tells more of the parameters" in filling.message
+    seen = [(p.theta_i_deg, p.theta_r_deg, p.phi_r_deg) for p in filling.points]
+    assert len(set(seen)) == len(seen)
+
+
+def test_points_in_few_places_do_not_mislead_the_search(tmp_path: Path) -> None:
+    """A search from two starts ends at sigma0_um = 100 here, and the right model would be found wrong."""
+    made = chooser(tmp_path, 'model = "he-torrance"\nior = "Al"\nu_rel = { tau_um = 0.001 }')
+    bench = Bench(models.HeTorrance(sigma0_um=0.28, tau_um=1.77, ior="Al", diffuse_albedo=0.0), 7)
+    bench.measure(tuple(canonical(75.0, 0.0, r, 180.0) for r in (80.0, 81.0, 82.0, 64.0, 72.0, 31.0) for _ in range(8)))
+    bench.measure(tuple(canonical(60.0, 0.0, r, 180.0) for r in (65.0, 85.0, 51.0, 22.0)))
+    bench.measure(
+        tuple(canonical(i, 0.0, r, 180.0) for i, r in ((10.0, 10.0), (10.0, 60.0), (30.0, 36.0), (30.0, 83.0)))
+    )
+    found = made.fitted(bench.values)
+    assert found is not None
+    assert found.result.parameters["sigma0_um"].value == pytest.approx(0.28, rel=0.02)
+    assert found.test.p_value > 1e-3
+
+
 def test_the_same_values_give_the_same_choice(tmp_path: Path) -> None:
     keys = MATTE.format(albedo=1e-4, sigma=1e-2)
     bench = Bench(models.OrenNayar(albedo=0.5, sigma_deg=25.0), 4)
@@ -253,6 +283,7 @@ def test_a_run_reaches_its_target_and_stopping_it_changes_nothing(tmp_path: Path
         assert found == pytest.approx(there, abs=1e-9), "what encoders will show is known before"
     zeros = reduce(whole).attrs["provenance"]["zeros_rad"]
     assert zeros == {name: pytest.approx(math.radians(0.02)) for name in ("theta_i_zero", "theta_r_zero")}
+    assert_a_file_keeps_what_a_fit_needs(whole, tmp_path / "brdf.csv")
     for stopped_after in (whole.batches[0].first_step - 1, whole.batches[0].first_step + 3):
         out = tmp_path / f"stopped-{stopped_after}"
         with pytest.raises(Interrupted):
@@ -260,6 +291,22 @@ def test_a_run_reaches_its_target_and_stopping_it_changes_nothing(tmp_path: Path
         again = measured(plan, out, resume=True)
         assert [batch for batch in again.batches] == [batch for batch in whole.batches], "and for the same reasons"
         assert list(again.steps()) == list(whole.steps())
+
+
+def assert_a_file_keeps_what_a_fit_needs(run: Run, path: Path) -> None:
+    table = reduce(run)
+    step = math.radians(SMALL.arms.light.encoder_step_deg) / math.sqrt(12.0)
+    readings = table.attrs["provenance"]["readings_rad"]
+    assert readings == {name: pytest.approx(step) for name in ("theta_i_zero", "theta_r_zero")}
+    assert (table["u_angles"] <= table["u_random"]).all()
+    measurement.write(table, path)
+    again = measurement.read(path)
+    assert again.attrs["provenance"]["zeros_rad"] == table.attrs["provenance"]["zeros_rad"]
+    np.testing.assert_array_equal(again["u_angles"].to_numpy(), table["u_angles"].to_numpy())
+    in_memory, of_file = fit(table, "oren-nayar"), fit(again, "oren-nayar")
+    assert of_file.parameters == in_memory.parameters, "to the last bit"
+    table.attrs["provenance"] = {}
+    assert fit(table.drop(columns="u_angles"), "oren-nayar").covariance[0, 0] != in_memory.covariance[0, 0]
 
 
 def test_spent_time_is_that_of_the_frames_that_were_taken(tmp_path: Path) -> None:
