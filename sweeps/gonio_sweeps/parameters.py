@@ -57,6 +57,10 @@ COVERS = ("covering", "filling")
 """Modes of batches that only cover: the model is wrong, or no point tells more of its parameters."""
 COVERING = 0.2
 """Part of a batch that covers, whatever the model says."""
+OUT_OF_REACH = 0.5
+"""The same where the targets are out of reach of the budget."""
+CHEAP = 0.25
+"""What is chosen for a model costs as much as this part of the candidates at most, as a rule."""
 DEAREST = 0.25
 """Part of the time that is left which one point may take, at most."""
 HALF, LATER, LAST = 0.5, 0.9, 4
@@ -469,7 +473,8 @@ class Parameters:
         cost = seen.seconds + EVERY_S + 0.2 * way  # most ways are those between neighbours
         affordable = cost < DEAREST * max(left_s, 0.0)
         measured = [places(values.directions)] if len(values) else []
-        share = count if known is None else round(COVERING * count)
+        part = 1.0 if known is None else OUT_OF_REACH if self._out_of_reach(values, known, left_s, cost) else COVERING
+        share = round(part * count)
         picked: list[int] = []
         gain = math.nan
         if known is not None:
@@ -477,7 +482,7 @@ class Parameters:
             apart = self._telling_apart(known, (count - share) // 2, open_to)
             picked, gain = self._informative(values, known, count - share - len(apart), open_to)
             picked += apart
-            share = min(share, math.ceil(COVERING / (1.0 - COVERING) * len(picked)))
+            share = min(share, math.ceil(part / (1.0 - part) * len(picked)))
         at = np.concatenate([*measured, self._places[picked]]) if measured else self._places[picked]
         distance = np.minimum(from_nearest(self._places, at), 1e3)
         cover: list[int] = []
@@ -501,6 +506,13 @@ class Parameters:
         if batch:
             numbers["batch_s"] = round(self._batch_s(batch, seen, here), 1)
         return batch, numbers
+
+    def _out_of_reach(self, values: Values, known: Known, left_s: float, cost: Floats) -> bool:
+        """Whether the targets would take more points than there is time for; what is known grows as their number."""
+        ratios = self._ratios(known.result)
+        if not np.isfinite(ratios).any():
+            return False
+        return len(values) * (float(np.nanmax(ratios)) ** 2 - 1.0) > left_s / float(np.quantile(cost, CHEAP))
 
     def _batch_s(self, batch: list[int], seen: expected.Visits, here: Pose) -> float:
         order = [batch[k] for k in snake([self.candidates.points[k] for k in batch])]

@@ -148,18 +148,31 @@ def test_a_wrong_model_is_noticed_and_then_points_cover(tmp_path: Path) -> None:
     assert spent.message == "enough (oren-nayar does not describe the sample): the budget is spent"
 
 
-def test_where_no_point_tells_more_of_the_parameters_the_rest_of_the_budget_covers(tmp_path: Path) -> None:
-    """A matt sample has no lobe whose width could be told: he-torrance describes it with its matt base alone."""
-    made = chooser(tmp_path, 'model = "he-torrance"\nior = "Al"\nu_rel = { sigma0_um = 0.01 }')
+def test_where_no_point_tells_more_of_the_parameters_the_rest_of_the_budget_covers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = chooser(tmp_path, 'model = "lambert"\nu_rel = { albedo = 1e-5 }')
     bench = Bench(models.Lambert(albedo=0.6), 6)
-    choices = grow(made, bench, 4)
-    modes = [choice.why["mode"] for choice in choices]
-    assert "filling" in modes
-    filling = choices[modes.index("filling")]
+    monkeypatch.setattr("gonio_sweeps.parameters.LEAST_GAIN", 10.0)  # as after very many points
+    choices = grow(made, bench, 2)
+    assert [choice.why["mode"] for choice in choices] == ["filling"] * 2
+    filling = choices[0]
     assert len(filling.points) > LARGEST
     assert "no point tells more of the parameters" in filling.message
     seen = [(p.theta_i_deg, p.theta_r_deg, p.phi_r_deg) for p in filling.points]
     assert len(set(seen)) == len(seen)
+
+
+def test_half_of_the_points_cover_where_the_target_is_out_of_reach(tmp_path: Path) -> None:
+    bench = Bench(models.OrenNayar(albedo=0.5, sigma_deg=25.0), 8)
+    covers = {}
+    for sigma in (0.1, 1e-6):
+        made = chooser(tmp_path, MATTE.format(albedo=0.05, sigma=sigma))
+        bench.measure(() if bench.brdf else tuple(made.first([])))
+        choice = made.choose(bench.values, spent_s=60.0, modes=[], reduced=nobody)
+        covers[sigma] = choice.why["cover"] / len(choice.points)
+    assert covers[0.1] <= 0.3
+    assert covers[1e-6] == pytest.approx(0.5, abs=0.05)
 
 
 def test_points_in_few_places_do_not_mislead_the_search(tmp_path: Path) -> None:
