@@ -50,7 +50,7 @@ SMALLEST, LARGEST = 12, 25
 """Points of a batch, at least and at most: each ends with a visit to the reference."""
 COVERS = ("covering", "filling")
 """Modes of batches that only cover: the model is wrong, or no point tells more of its parameters."""
-COVERING = 0.2
+COVERING = 0.15
 """Part of a batch that covers, whatever the model says."""
 OUT_OF_REACH = 0.5
 """The same where the targets are out of reach of the budget."""
@@ -65,7 +65,7 @@ REPEATS = 3
 """Visits to one point in a batch, at most: what a repeat cannot tell is that the model is wrong beside it."""
 DRAWS = 4
 """Parameters that are drawn from what the fit leaves open, beside its own."""
-AIM = 0.985
+AIM = 1.0
 """A batch ends where it is expected to bring the uncertainties to this part of their targets."""
 CLOSE = 1.5
 """Where the quick fit's uncertainties are within this factor of their targets the run is reduced and fitted in full, as
