@@ -60,7 +60,7 @@ wavelength_nm = [500]
 how = "parameters"
 budget_h = %g
 model = "he-torrance"
-ior = "Al"
+ior = "%s"
 u_rel = { sigma0_um = %g, tau_um = %g }
 theta_i_deg = %s
 theta_r_deg = { start = -85, stop = 85, step = %g }
@@ -70,11 +70,11 @@ PEAK = 1e-3
 """Angles where a curve is below this part of its highest value are not judged."""
 
 
-def chooser(budget_s: float, u_rel: float, theta_i: Sequence[float], step: float) -> Parameters:
+def chooser(budget_s: float, u_rel: float, theta_i: Sequence[float], step: float, ior: str = "Al") -> Parameters:
     """That of a plan for he-torrance."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "plan.toml"
-        path.write_text(PLAN % (budget_s / 3600.0, u_rel, u_rel, json.dumps(theta_i), step))
+        path.write_text(PLAN % (budget_s / 3600.0, ior, u_rel, u_rel, json.dumps(theta_i), step))
         made = chooser_of(load_plan(path), RIG)[1]
     assert isinstance(made, Parameters)
     return made
@@ -212,7 +212,7 @@ def alarms(designs: int, draws: int, seed: int, truth: Any) -> None:
     small, accused, total = {level: 0 for level in (0.1, 0.05, 0.01, 0.003, 0.001)}, 0, 0
     looks = 0
     for design in range(seed, seed + designs):
-        made = chooser(3600.0, 0.0014, FOUR, 1.0)
+        made = chooser(3600.0, 0.0014, FOUR, 1.0, truth.ior)
         grown = grow(made, Bench(truth, design, Durations(RIG, made._bands)))
         for draw in range(draws):
             again = Bench(truth, 100_000 * design + draw, grown.bench.durations)
@@ -239,9 +239,9 @@ def pulls(count: int, seed: int, truth: Any) -> None:
     """See the module."""
     found = []
     for number in range(seed, seed + count):
-        made = chooser(3600.0, 0.0013, FOUR, 1.0)
+        made = chooser(3600.0, 0.0013, FOUR, 1.0, truth.ior)
         grown = grow(made, Bench(truth, number, Durations(RIG, made._bands)))
-        result = fit(table(made, grown.bench.values()), "he-torrance", ior="Al")
+        result = fit(table(made, grown.bench.values()), "he-torrance", ior=truth.ior)
         of = [result.parameters[name] for name in ("sigma0_um", "tau_um")]
         true = (truth.sigma0_um, truth.tau_um)
         found.append([(e.value - t) / (e.u or math.nan) for e, t in zip(of, true, strict=True)])
@@ -328,9 +328,10 @@ def main() -> None:
     parser.add_argument("--samples", nargs="*", default=list(SAMPLES))
     parser.add_argument("--sigma0-um", type=float, default=0.28)
     parser.add_argument("--tau-um", type=float, default=1.77)
+    parser.add_argument("--ior", default="Al")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
-    truth = models.HeTorrance(sigma0_um=given.sigma0_um, tau_um=given.tau_um, ior="Al", diffuse_albedo=0.0)
+    truth = models.HeTorrance(sigma0_um=given.sigma0_um, tau_um=given.tau_um, ior=given.ior, diffuse_albedo=0.0)
     if given.what == "alarms":
         alarms(given.designs, given.draws, given.seed, truth)
     elif given.what == "pulls":

@@ -58,7 +58,7 @@ CHEAP = 0.25
 """What is chosen for a model costs as much as this part of the candidates at most, as a rule."""
 DEAREST = 0.25
 """Part of the time that is left which one point may take, at most."""
-HALF, LATER, LAST = 0.5, 0.9, 4
+HALF, LATER, LAST = 0.5, 0.95, 3
 """Part of the time that is left which a batch may take that lowers the curves' errors; and from which on it may take
 more: levels are known then."""
 REPEATS = 3
