@@ -15,6 +15,8 @@ A table is a `pandas.DataFrame` with one row a direction pair, wavelength and po
   deviation of that cause. The covariance of the values is diag(u_random^2) + sum over causes of s s^T;
 - `m01` to `m33`, only where Mueller matrices were measured: their elements over the first one (docs/conventions.md),
   NaN where unknown, and `u_m01` to `u_m33`, their standard uncertainties;
+- `u_angles`, only where a run chose its points: the part of `u_random` that errors of the angles make. Such points are
+  too few to tell it well, and a model that is fitted knows it better;
 - `flag`: "" or the reason why the row must not be used.
 
 `frame.attrs` holds the rest: `quantity`, `source_solid_angle_sr`, `receiver_solid_angle_sr` (None where unknown),
@@ -37,7 +39,7 @@ from gonio.disk import only_file
 from gonio.errors import ConfigError, DataError
 from gonio.formats import own_columns, rt300s
 from gonio.formats.native import check, check_columns, meta_path
-from gonio.formats.reader import ANGLES, COLUMNS, MAX_BYTES, MUELLER, U_MUELLER, reflection_only
+from gonio.formats.reader import ANGLES, COLUMNS, MAX_BYTES, MUELLER, U_ANGLES, U_MUELLER, reflection_only
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -313,7 +315,7 @@ def unpolarised(frame: pd.DataFrame) -> pd.DataFrame:
         rows["u_random"] = np.sqrt(squares.sum(min_count=len(complete)).to_numpy()) / 2.0
         rows["u_brdf"] = np.sqrt(rows["u_random"] ** 2 + (rows[causes] ** 2).sum(axis=1))
         rows["flag"] = groups["flag"].max().to_numpy()
-        rows[[name for name in (*MUELLER, *U_MUELLER) if name in rows.columns]] = np.nan  # was one state's
+        rows[[name for name in (*MUELLER, *U_MUELLER, U_ANGLES) if name in rows.columns]] = np.nan  # was one state's
         left = pd.concat([left.drop(part.index), rows]).sort_index()
         count += len(rows)
     if not count:

@@ -28,6 +28,7 @@ from gonio.formats.reader import (
     MUELLER,
     POLARISATIONS,
     SIDES,
+    U_ANGLES,
     U_MUELLER,
     Attributes,
     Format,
@@ -242,7 +243,7 @@ def check(frame: pd.DataFrame, where: Any) -> None:
     demand(words, "polarisation", f"one of {', '.join(POLARISATIONS)}")
     value = frame["brdf"].to_numpy(np.float64)
     demand(np.isfinite(value) | flagged, "brdf", "a row without a flag needs a finite value [1/sr]")
-    for column in ("u_brdf", "u_random"):
+    for column in ("u_brdf", "u_random", *([U_ANGLES] if U_ANGLES in frame.columns else [])):
         u = frame[column].to_numpy(np.float64)
         known = (u >= 0) & np.isfinite(u)
         demand(np.isnan(u) | known | flagged, column, "a standard uncertainty [1/sr] >= 0, or NaN where it is unknown")

@@ -37,7 +37,9 @@ MUELLER = tuple(f"m{i}{j}" for i in range(4) for j in range(4) if i or j)
 """Columns of a table that holds Mueller matrices: their elements over the first one, which is `brdf` (conventions)."""
 U_MUELLER = tuple(f"u_{name}" for name in MUELLER)
 """Their standard uncertainties, where they are stated."""
-EXTRA = ("sample", "side", *MUELLER, *U_MUELLER)
+U_ANGLES = "u_angles"
+"""The part of `u_random` that errors of the angles make: of tables whose points are too few to tell it themselves."""
+EXTRA = ("sample", "side", *MUELLER, *U_MUELLER, U_ANGLES)
 """Columns that only some tables have."""
 MAX_BYTES = 2**28
 """No file above this size is opened; formats whose readers need many bytes of memory a byte have less."""

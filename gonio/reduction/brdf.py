@@ -30,9 +30,9 @@ from gonio.reduction.table import (
     GEOMETRY,
     BandResult,
     Inputs,
-    angle_axes,
     assemble,
     camera_causes,
+    encoder_steps,
     notes_on_camera,
     notes_on_damage,
     notes_on_darks,
@@ -207,7 +207,7 @@ def level(
             f"{run.path / 'run.toml'}: the rig has neither reference.albedo (above 0) nor reference.table: "
             "nothing says how bright the white reference is"
         )
-    encoder = _encoder_steps(description)
+    encoder = encoder_steps(description)
     landing = sum(_change_of_cosine(description, visits[0], axis, u) ** 2 for axis, u in encoder.items())
     variances = np.array([visit.variance for visit in visits]) + landing * rates**2
     times = np.array([visit.time_s for visit in visits])
@@ -268,7 +268,7 @@ def _columns(
     whose blur by the angles' errors is only bounded, and of those whose slope the plan's steps are too coarse to tell.
     """
     description = frames.description
-    encoder, zeros = _encoder_steps(description), zero_uncertainties(description)
+    encoder, zeros = encoder_steps(description), zero_uncertainties(description)
     times = np.array([point.time_s for point in points])
     k = fitted.at(times)
     brdf = np.array([point.rate for point in points]) / k
@@ -305,6 +305,8 @@ def _columns(
     columns |= {"geometry_causes": of_angles.geometry} | common
     columns |= {name: np.sqrt(part) for name, part in parts.items()} | known
     columns["geometry_slopes"] = np.sqrt(doubts)
+    of_readings = sum(parts[name] for name in ("encoder", "zeros_even", "spike_blur", "coarse_steps")) - doubts
+    columns["u_angles"] = np.sqrt(np.maximum(of_readings, 0.0))
     columns["coarse"] = steep.astype(float)
     return columns, goals[bounded], goals[steep]
 
@@ -337,7 +339,7 @@ def _errors_of_angles(
     """The changes by every axis's reading and zero, and by what a calibration leaves open of the geometry."""
     description, columns = frames.description, {}
     odd_all, steps, even_steps, even_zeros, unresolved = np.zeros((5, len(points)))
-    for axis, u in _encoder_steps(description).items():
+    for axis, u in encoder_steps(description).items():
         odd, even, doubt = _effects(description, curves, points, axis, u)
         odd_all, steps, even_steps = odd_all + odd**2, steps + odd**2, even_steps + even**2
         unresolved = unresolved + doubt**2
@@ -411,15 +413,6 @@ def _share_geometry(results: list[BandResult]) -> None:
         result.columns.update(zip(names, columns[rows].T, strict=True))
         result.columns["geometry"] = np.sqrt(result.columns["geometry"] ** 2 + rest[rows])
         result.columns["u_random"] = np.sqrt(u[rows] ** 2 + rest[rows])
-
-
-def _encoder_steps(description: RigDescription) -> dict[str, float]:
-    """Standard uncertainty [rad] of a reading: in whole steps, uniform over one step, and with the encoder's noise."""
-    axes = {
-        name: math.hypot(math.radians(axis.encoder_step_deg) / math.sqrt(12.0), math.radians(axis.encoder_noise_deg))
-        for name, axis in angle_axes(description).items()
-    }
-    return {name: u for name, u in axes.items() if u > 0}
 
 
 def _moved(description: RigDescription, pose: Pose, axis: str, by: float) -> Directions:

@@ -106,6 +106,15 @@ def zero_uncertainties(description: RigDescription) -> dict[str, float]:
     return {name: u for name, u in axes.items() if u > 0 or name in ("light", "camera")}
 
 
+def encoder_steps(description: RigDescription) -> dict[str, float]:
+    """Standard uncertainty [rad] of a reading: in whole steps, uniform over one step, and with the encoder's noise."""
+    axes = {
+        name: math.hypot(math.radians(axis.encoder_step_deg) / math.sqrt(12.0), math.radians(axis.encoder_noise_deg))
+        for name, axis in angle_axes(description).items()
+    }
+    return {name: u for name, u in axes.items() if u > 0}
+
+
 def camera_causes(description: RigDescription) -> dict[str, Floats]:
     """Independent directions of the calibration's covariance of the camera, in `camera_parameters`, by their columns.
 
@@ -137,7 +146,8 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
     causes += GEOMETRY[: results[0].geometry.shape[1]]
     causes += [name for name in LIGHT if any(name in result.columns for result in results)]
     causes += camera_causes(description)
-    numbers = [*ANGLES, "brdf", "u_brdf", "u_random", *causes]
+    chosen = _angles_of_chosen(run)
+    numbers = [*ANGLES, "brdf", "u_brdf", "u_random", *causes, *(["u_angles"] if chosen else [])]
     values = np.full((len(numbers), len(plan), len(results)), math.nan)
     values[: len(ANGLES)] = plan[list(ANGLES)].to_numpy(dtype=float).T[..., None]
     flags = np.empty((len(plan), len(results)), dtype=object)
@@ -181,7 +191,7 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
             "seed": run.seed,
             "reference": [_account(result) for result in results],
             "filling": filling(description),
-            **_zeros_of_chosen(run),
+            **chosen,
             **({"laboratory": run.laboratory} if run.laboratory else {}),
             **({"calibrations": used} if (used := _calibrations(description)) else {}),
             **({"merge": [result.merged for result in results]} if description.acquisition.by_pixels else {}),
@@ -205,16 +215,20 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
     return frame
 
 
-def _zeros_of_chosen(run: Run) -> dict[str, dict[str, float]]:
-    """Of a run that chose its points: uncertainties of the arms' zeros [rad] by their causes.
+def _angles_of_chosen(run: Run) -> dict[str, dict[str, float]]:
+    """Of a run that chose its points: uncertainties of the arms' zeros, and of their readings [rad], by causes.
 
-    Its points are too few and too irregular to tell all slopes: a fitted model tells what the zeros do.
+    Its points are too few and too irregular to tell all slopes: a fitted model tells what errors of the angles do.
     """
     if not run.batches or filling(run.description) == "under":
         return {}
     zeros = zero_uncertainties(run.description)
-    known = {CAUSES[axis].removeprefix("s_"): zeros[axis] for axis in ("light", "camera") if zeros[axis] > 0.0}
-    return {"zeros_rad": known} if known else {}
+    names = {axis: CAUSES[axis].removeprefix("s_") for axis in ("light", "camera")}
+    steps = encoder_steps(run.description)
+    return {
+        "zeros_rad": {name: zeros[axis] for axis, name in names.items() if zeros[axis] > 0.0},
+        "readings_rad": {name: steps[axis] for axis, name in names.items() if axis in steps},
+    }
 
 
 def _of_band(result: BandResult, flags: list[str], clipped: float) -> list[Check]:

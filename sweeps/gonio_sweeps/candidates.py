@@ -84,6 +84,20 @@ def candidates(plan: Plan, description: RigDescription, given: dict[str, Any]) -
     return Candidates(tuple(p for p, _ in reached), tuple(pose for _, pose in reached), out)
 
 
+def read(description: RigDescription, poses: Sequence[Pose]) -> tuple[Pose, ...]:
+    """What the encoders will show at poses: whole steps, the nearest to the goals."""
+    out = []
+    for pose in poses:
+        shown = {}
+        for name, axis in description.axes().items():
+            step, offset = math.radians(axis.encoder_step_deg), math.radians(axis.zero_offset_deg)
+            known = offset if axis.zero_offset_known else 0.0
+            if step > 0.0:
+                shown[name] = round((getattr(pose, name) + known) / step) * step - known
+        out.append(replace(pose, **shown))
+    return tuple(out)
+
+
 def places(directions: Directions) -> Floats:
     """Coordinates (n, 3) in which points should lie about evenly: dense at the mirror direction, wider away from it."""
     omega = directions.from_mirror
@@ -143,7 +157,7 @@ def snake(points: list[Point]) -> list[int]:
     out: list[int] = []
     for number, of in enumerate(sorted({_curve(p) for p in points})):
         here = [k for k, p in enumerate(points) if _curve(p) == of]
-        out += sorted(here, key=lambda k: _signed(points[k]), reverse=bool(number % 2))
+        out += sorted(here, key=lambda k: signed_deg(points[k]), reverse=bool(number % 2))
     return out
 
 
@@ -151,26 +165,45 @@ def _curve(p: Point) -> tuple[float, float]:
     return p.theta_i_deg, (p.phi_r_deg - p.phi_i_deg) % 180.0
 
 
-def _signed(p: Point) -> float:
+def signed_deg(p: Point) -> float:
+    """The angle of reflection [deg], positive on the side of the mirror direction."""
     return p.theta_r_deg if 90.0 < (p.phi_r_deg - p.phi_i_deg) % 360.0 <= 270.0 else -p.theta_r_deg
 
 
-def fill(points: Sequence[Point], measured: Collection[int], step_deg: float) -> list[int]:
+def from_mirror_deg(p: Point) -> float:
+    """How far a point lies from the mirror direction along its curve [deg]; 180 where that is not in it."""
+    return abs(signed_deg(p) - p.theta_i_deg) if _curve(p)[1] % 180.0 == 0.0 else 180.0
+
+
+def curves(points: Sequence[Point]) -> list[list[int]]:
+    """The points of each incidence and azimuth, by the angle of reflection."""
+    lines: dict[tuple[float, float], list[int]] = {}
+    for k, p in enumerate(points):
+        lines.setdefault(_curve(p), []).append(k)
+    return [sorted(lines[of], key=lambda k: signed_deg(points[k])) for of in sorted(lines)]
+
+
+def fill(
+    points: Sequence[Point], measured: Collection[int], step_deg: float, near_mirror_deg: float = 0.0
+) -> list[int]:
     """Points that are still to be measured so that no curve has a step larger than this: gaps are divided evenly.
 
-    Both ends of a curve are taken, and those beside what is missing in it, such as the cone around retro.
+    Both ends of a curve are taken, and those beside what is missing in it, such as the cone around retro. Closer to the
+    mirror direction than `near_mirror_deg` the steps are half as large.
     """
     out: list[int] = []
-    for of in sorted({_curve(p) for p in points}):
-        line = sorted((k for k, p in enumerate(points) if _curve(p) == of), key=lambda k: _signed(points[k]))
-        at = np.array([_signed(points[k]) for k in line])
+    for line in curves(points):
+        at = np.array([signed_deg(points[k]) for k in line])
+        dense = np.where([from_mirror_deg(points[k]) < near_mirror_deg for k in line], 2.0, 1.0)
+        along = np.concatenate([[0.0], np.cumsum(0.5 * (dense[1:] + dense[:-1]) * np.diff(at))])
         steps = np.diff(at)
         missing = np.flatnonzero(steps > 1.5 * np.median(steps)) if steps.size else np.zeros(0, dtype=int)
         ends = {0, len(line) - 1, *missing.tolist(), *(missing + 1).tolist()}
         there = sorted(ends | {n for n, k in enumerate(line) if k in measured})
         wanted = ends.copy()
         for a, b in itertools.pairwise(there):
-            parts = math.ceil((at[b] - at[a]) / step_deg - 1e-9)
-            wanted |= {a + int(np.argmin(abs(at[a : b + 1] - x))) for x in np.linspace(at[a], at[b], parts + 1)}
+            parts = math.ceil((along[b] - along[a]) / step_deg - 1e-9)
+            even = np.linspace(along[a], along[b], parts + 1)
+            wanted |= {a + int(np.argmin(abs(along[a : b + 1] - x))) for x in even}
         out += [line[n] for n in sorted(wanted) if line[n] not in measured]
     return out

@@ -11,14 +11,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from gonio_analysis.fitting.fit import fit
 from gonio_sweeps import expected
-from gonio_sweeps.online import Values
+from gonio_sweeps.candidates import read
+from gonio_sweeps.online import Online, Values
 from gonio_sweeps.parameters import LARGEST, Parameters
 
-from gonio import models
+from gonio import measurement, models
 from gonio.acquisition.choosing import Choice, about, chooser_of
 from gonio.acquisition.measure import carry_out, find_rig
-from gonio.acquisition.plan import Plan, Point, load_plan
+from gonio.acquisition.plan import Plan, Point, canonical, load_plan
 from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, Interrupted
 from gonio.geometry import Directions
@@ -101,8 +103,8 @@ def grow(made: Parameters, bench: Bench, batches: int) -> list[Choice]:
     bench.measure(tuple(made.first([])))
     out: list[Choice] = []
     for look in range(batches):
-        covering = any(choice.why["mode"] == "covering" for choice in out)
-        out.append(made.choose(bench.values, spent_s=60.0 * look, look=look, covering=covering, reduced=nobody))
+        modes = [choice.why["mode"] for choice in out]
+        out.append(made.choose(bench.values, spent_s=60.0 * look, modes=modes, reduced=nobody))
         bench.measure(out[-1].points)
     return out
 
@@ -136,14 +138,56 @@ def test_a_wrong_model_is_noticed_and_then_points_cover(tmp_path: Path) -> None:
     assert choices[0].why["p_value"] < 1e-6
     assert choices[0].message.startswith("oren-nayar does not describe the values (chi-square")
     assert [choice.why["mode"] for choice in choices] == ["covering"] * 2, "it stays so"
-    assert len(choices[0].points) == 3 * LARGEST
+    assert 2 * LARGEST < len(choices[0].points) <= 3 * LARGEST
     seen = [(p.theta_i_deg, p.theta_r_deg, p.phi_r_deg) for choice in choices for p in choice.points]
     assert len(set(seen)) == len(seen), "covering does not repeat what was measured"
     assert all(choice.why["batch_s"] < 360.0 for choice in choices), "levels are those of the values, not of the model"
-    spent = made.choose(bench.values, spent_s=1799.0, look=3, covering=True, reduced=nobody)
+    spent = made.choose(bench.values, spent_s=1799.0, modes=["covering"] * 3, reduced=nobody)
     assert not spent.points
     assert not spent.met
     assert spent.message == "enough (oren-nayar does not describe the sample): the budget is spent"
+
+
+def test_where_no_point_tells_more_of_the_parameters_the_rest_of_the_budget_covers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = chooser(tmp_path, 'model = "lambert"\nu_rel = { albedo = 1e-5 }')
+    bench = Bench(models.Lambert(albedo=0.6), 6)
+    monkeypatch.setattr("gonio_sweeps.parameters.LEAST_GAIN", 10.0)  # as after very many points
+    choices = grow(made, bench, 2)
+    assert [choice.why["mode"] for choice in choices] == ["filling"] * 2
+    filling = choices[0]
+    assert len(filling.points) > LARGEST
+    assert "no point tells more of the parameters" in filling.message
+    seen = [(p.theta_i_deg, p.theta_r_deg, p.phi_r_deg) for p in filling.points]
+    assert len(set(seen)) == len(seen)
+
+
+def test_half_of_the_points_cover_where_the_target_is_out_of_reach(tmp_path: Path) -> None:
+    bench = Bench(models.OrenNayar(albedo=0.5, sigma_deg=25.0), 8)
+    covers = {}
+    for sigma in (0.1, 1e-6):
+        made = chooser(tmp_path, MATTE.format(albedo=0.05, sigma=sigma))
+        bench.measure(() if bench.brdf else tuple(made.first([])))
+        choice = made.choose(bench.values, spent_s=60.0, modes=[], reduced=nobody)
+        covers[sigma] = choice.why["cover"] / len(choice.points)
+    assert covers[0.1] <= 0.3
+    assert covers[1e-6] == pytest.approx(0.5, abs=0.05)
+
+
+def test_points_in_few_places_do_not_mislead_the_search(tmp_path: Path) -> None:
+    """A search from two starts ends at sigma0_um = 100 here, and the right model would be found wrong."""
+    made = chooser(tmp_path, 'model = "he-torrance"\nior = "Al"\nu_rel = { tau_um = 0.001 }')
+    bench = Bench(models.HeTorrance(sigma0_um=0.28, tau_um=1.77, ior="Al", diffuse_albedo=0.0), 7)
+    bench.measure(tuple(canonical(75.0, 0.0, r, 180.0) for r in (80.0, 81.0, 82.0, 64.0, 72.0, 31.0) for _ in range(8)))
+    bench.measure(tuple(canonical(60.0, 0.0, r, 180.0) for r in (65.0, 85.0, 51.0, 22.0)))
+    bench.measure(
+        tuple(canonical(i, 0.0, r, 180.0) for i, r in ((10.0, 10.0), (10.0, 60.0), (30.0, 36.0), (30.0, 83.0)))
+    )
+    found = made.fitted(bench.values)
+    assert found is not None
+    assert found.result.parameters["sigma0_um"].value == pytest.approx(0.28, rel=0.02)
+    assert found.test.p_value > 1e-3
 
 
 def test_the_same_values_give_the_same_choice(tmp_path: Path) -> None:
@@ -152,7 +196,7 @@ def test_the_same_values_give_the_same_choice(tmp_path: Path) -> None:
     first = chooser(tmp_path, keys)
     bench.measure(tuple(first.first([])))
     choices = [
-        made.choose(bench.values, spent_s=50.0, look=0, covering=False, reduced=nobody)
+        made.choose(bench.values, spent_s=50.0, modes=[], reduced=nobody)
         for made in (first, first, chooser(tmp_path, keys))
     ]
     assert choices[0] == choices[1] == choices[2]
@@ -164,7 +208,7 @@ def test_a_batch_stays_within_the_budget(tmp_path: Path) -> None:
     bench = Bench(models.OrenNayar(albedo=0.5, sigma_deg=25.0), 5)
     bench.measure(tuple(made.first([])))
     for left_s in (40.0, 25.0, 12.0, 5.0):
-        choice = made.choose(bench.values, spent_s=1800.0 - left_s, look=0, covering=False, reduced=nobody)
+        choice = made.choose(bench.values, spent_s=1800.0 - left_s, modes=[], reduced=nobody)
         assert choice.why.get("batch_s", 0.0) <= left_s
     assert not choice.points
     assert "the budget is spent" in choice.message
@@ -245,8 +289,14 @@ def test_a_run_reaches_its_target_and_stopping_it_changes_nothing(tmp_path: Path
     assert end["met"]
     assert end["why"]["u_final"]["sigma_deg"] <= 0.2
     assert len(whole.batches) >= 1
+    shown = Online(whole.bands[0]).values(whole).poses
+    goals = [step.goal for step in whole.steps() if step.kind == "point"]
+    for name in AXES:
+        found, there = ([getattr(pose, name) for pose in poses] for poses in (shown, read(SMALL, goals)))
+        assert found == pytest.approx(there, abs=1e-9), "what encoders will show is known before"
     zeros = reduce(whole).attrs["provenance"]["zeros_rad"]
     assert zeros == {name: pytest.approx(math.radians(0.02)) for name in ("theta_i_zero", "theta_r_zero")}
+    assert_a_file_keeps_what_a_fit_needs(whole, tmp_path / "brdf.csv")
     for stopped_after in (whole.batches[0].first_step - 1, whole.batches[0].first_step + 3):
         out = tmp_path / f"stopped-{stopped_after}"
         with pytest.raises(Interrupted):
@@ -254,6 +304,22 @@ def test_a_run_reaches_its_target_and_stopping_it_changes_nothing(tmp_path: Path
         again = measured(plan, out, resume=True)
         assert [batch for batch in again.batches] == [batch for batch in whole.batches], "and for the same reasons"
         assert list(again.steps()) == list(whole.steps())
+
+
+def assert_a_file_keeps_what_a_fit_needs(run: Run, path: Path) -> None:
+    table = reduce(run)
+    step = math.radians(SMALL.arms.light.encoder_step_deg) / math.sqrt(12.0)
+    readings = table.attrs["provenance"]["readings_rad"]
+    assert readings == {name: pytest.approx(step) for name in ("theta_i_zero", "theta_r_zero")}
+    assert (table["u_angles"] <= table["u_random"]).all()
+    measurement.write(table, path)
+    again = measurement.read(path)
+    assert again.attrs["provenance"]["zeros_rad"] == table.attrs["provenance"]["zeros_rad"]
+    np.testing.assert_array_equal(again["u_angles"].to_numpy(), table["u_angles"].to_numpy())
+    in_memory, of_file = fit(table, "oren-nayar"), fit(again, "oren-nayar")
+    assert of_file.parameters == in_memory.parameters, "to the last bit"
+    table.attrs["provenance"] = {}
+    assert fit(table.drop(columns="u_angles"), "oren-nayar").covariance[0, 0] != in_memory.covariance[0, 0]
 
 
 def test_spent_time_is_that_of_the_frames_that_were_taken(tmp_path: Path) -> None:

@@ -80,6 +80,10 @@ class Observations:
     zeros_rad: Mapping[str, float] = field(default_factory=dict)
     """Standard uncertainties [rad] of the arms' zeros by their causes, where the model shall tell what they do
     (`gonio_analysis.fitting.angle_zeros`)."""
+    readings_rad: Mapping[str, float] = field(default_factory=dict)
+    """The same of the encoders' readings, by the cause of the same arm; with `u_angles`."""
+    u_angles: Floats = field(default_factory=lambda: np.zeros(0))
+    """(n,) The part of the independent uncertainties [1/sr] that errors of the angles make; empty where unknown."""
     u_rel_assumed: float | None = None
     """Relative uncertainty that somebody assumes, where the table states none: `covariance` is then made from it."""
 
@@ -143,7 +147,8 @@ class Observations:
         """Some of the values."""
         arrays = ("directions", "wavelength_nm", "brdf", "rows")
         covariance = self.covariance.take(rows) if self.covariance is not None else None
-        taken = {name: getattr(self, name)[rows] for name in (*arrays, *(("part",) if self.parts else ()))}
+        some = [name for name in ("part", "u_angles") if getattr(self, name).size]
+        taken = {name: getattr(self, name)[rows] for name in (*arrays, *some)}
         return replace(self, covariance=covariance, **taken)
 
     def at(self, wavelength_nm: float) -> Observations:
@@ -258,17 +263,27 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
         receiver_solid_angle_sr=cones["receiver"] or 0.0,
         omitted=omitted,
         notes=tuple(notes),
-        zeros_rad=_zeros(table),
+        zeros_rad=_angles(table, "zeros_rad"),
+        readings_rad=_angles(table, "readings_rad"),
+        u_angles=_of_angles(table, keep),
         u_rel_assumed=assumed,
     )
 
 
-def _zeros(table: pd.DataFrame) -> dict[str, float]:
-    """`zeros_rad` of the provenance; nothing where it holds something else."""
+def _angles(table: pd.DataFrame, key: str) -> dict[str, float]:
+    """Uncertainties of angles that the provenance names; nothing where it holds something else."""
     provenance = table.attrs.get("provenance")
-    zeros = provenance.get("zeros_rad") if isinstance(provenance, Mapping) else None
-    known = zeros.items() if isinstance(zeros, Mapping) else ()
+    stated = provenance.get(key) if isinstance(provenance, Mapping) else None
+    known = stated.items() if isinstance(stated, Mapping) else ()
     return {str(name): float(u) for name, u in known if isinstance(u, float | int) and 0.0 < u < 0.1}
+
+
+def _of_angles(table: pd.DataFrame, keep: npt.NDArray[np.intp]) -> Floats:
+    """The column `u_angles` of some rows; nothing where a table has none, or a row lacks it."""
+    if "u_angles" not in table.columns:
+        return np.zeros(0)
+    u = table["u_angles"].to_numpy(np.float64)[keep]
+    return u if np.isfinite(u).all() else np.zeros(0)
 
 
 def together(several: Mapping[str, Observations]) -> Observations:

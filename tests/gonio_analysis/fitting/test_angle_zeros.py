@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -85,3 +86,28 @@ def test_errors_of_a_zero_are_within_what_the_fit_states() -> None:
     # the zero was wrong by two standard deviations at most, and noise adds about one
     assert max(map(abs, pulls["named"])) < 3.5
     assert max(map(abs, pulls["unnamed"])) > 5.0, "the test tells the difference"
+
+
+def test_the_model_tells_what_readings_do() -> None:
+    """What a table has added for them goes, and what the model says comes: much on a flank, and nothing on a level."""
+    made = named(table())
+    made.attrs["provenance"]["readings_rad"] = {"theta_i_zero": 0.5 * U, "theta_r_zero": U}
+    noise = made["u_random"].to_numpy()
+    made["u_angles"] = 0.05 * made["brdf"]
+    made["u_random"] = np.hypot(noise, made["u_angles"])
+    data = observations(made, "the table")
+    found = by_model(data, TRUTH, f(data.directions.theta_i, data.directions.signed)).covariance
+    assert found is not None
+    theta_i, signed = data.directions.theta_i, data.directions.signed
+    of_i, of_r = (
+        0.5 * (f(theta_i + a, signed + b) * np.cos(theta_i + a) - f(theta_i - a, signed - b) * np.cos(theta_i - a))
+        for a, b in ((0.5 * U, 0.0), (0.0, U))
+    )
+    slopes = np.hypot(of_i, of_r) / np.cos(theta_i)
+    # beside slopes there is what is bent: a fifth of the noise at the top of the lobe, elsewhere next to nothing
+    assert found.random == pytest.approx(np.hypot(noise, slopes), rel=0.06)
+    assert found.random[np.argmax(slopes)] > 5.0 * noise[np.argmax(slopes)]
+    kept = by_model(replace(data, u_angles=np.zeros(0)), TRUTH, data.brdf).covariance
+    assert kept is not None
+    assert kept.random == pytest.approx(made["u_random"].to_numpy())
+    assert data.take(np.arange(3)).u_angles.size == 3

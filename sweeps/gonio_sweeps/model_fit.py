@@ -1,0 +1,230 @@
+"""What the values so far say of the model: its parameters, how well they are known, and whether it is the right one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from gonio_analysis.commands import read_ior
+from gonio_analysis.fitting.fit import FitResult, fit
+from gonio_analysis.fitting.forward import apparent
+from gonio_analysis.fitting.objective import alone
+from gonio_analysis.fitting.observations import Observations
+from gonio_analysis.fitting.problem import FitRequest, Problem, pose
+from gonio_analysis.fitting.search import refine
+from gonio_analysis.fitting.value_covariance import Covariance
+from pydantic import Field, field_validator
+
+from gonio.config import Strict
+from gonio.errors import DataError
+from gonio.geometry import solid_angle_of_cone
+from gonio.rig.description import Positive, RigDescription
+from gonio.typing import Floats
+from gonio_sweeps import fisher, lack_of_fit
+from gonio_sweeps.online import Values
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SEARCHES, MANY = 6, 30
+"""Short searches that a fit begins with; and before a model is found wrong. Chosen points lie in a few places, where
+lobes of other widths may look alike."""
+OTHER_MODES = 4
+"""Starting points from which other solutions are looked for."""
+ALLOWED = 12.0
+"""Solutions whose chi-square is larger than the best one's by less than this are not ruled out."""
+APART = 5.0
+"""Solutions differ where a parameter does by so many standard uncertainties."""
+
+
+class Settings(Strict):
+    """The keys of `[adaptive]` with how = "parameters", beside `how` and `budget_h`."""
+
+    model: str
+    """As `gonio fit --model`."""
+    ior: str | float | tuple[float, float] | None = None
+    """A material, n, or [n, k]; or text, as in `gonio fit --ior 1.37+7.6j`."""
+    fix: dict[str, str | float] = Field(default_factory=dict)
+    free: tuple[str, ...] = ()
+    slopes: int = 1
+    wavelength_nm: Positive | None = None
+    """Where the plan has several: the one that the model is fitted at; by default the nearest to 550 nm."""
+    u: dict[str, Positive] = Field(default_factory=dict)
+    """Standard uncertainty wanted of each parameter, in its own unit."""
+    u_rel: dict[str, Positive] = Field(default_factory=dict)
+    """The same, relative to its value."""
+    theta_i_deg: Any = None
+    theta_r_deg: Any = None
+    dphi_deg: Any = None
+    """The candidates, as in a `[[sweep]]`."""
+
+    @field_validator("ior", mode="before")
+    @classmethod
+    def _index(cls, value: object) -> object:
+        if isinstance(value, bool):
+            raise ValueError('give a material as "Al", a number n, [n, k], or text as "1.37+7.6j"')
+        return tuple(value) if isinstance(value, list) else value
+
+    @property
+    def index(self) -> complex | str | None:
+        """What `ior` stands for."""
+        if self.ior is None or isinstance(self.ior, str):
+            return read_ior(self.ior)
+        n, k = self.ior if isinstance(self.ior, tuple) else (self.ior, 0.0)
+        return read_ior(f"{n:.17g}{k:+.17g}j")
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a fit to all values so far says."""
+
+    result: FitResult
+    data: Observations
+    sights: fisher.Sights
+    rows: fisher.Rows
+    modes: list[tuple[Floats, float]]
+    """Solutions that are not ruled out, as points of the search scale, with their weights; the best one first."""
+    test: lack_of_fit.Verdict
+    worse: float = 1.0
+    """The uncertainties of a full reduction and fit, over those of the quick one: targets are harder by so much."""
+
+
+class ModelFit:
+    """Fits of the model that `[adaptive]` names, to the values of a run that grows.
+
+    Raises
+    ------
+    ConfigError
+        The settings name no model, or one of its parameters is wrong.
+    """
+
+    def __init__(self, settings: Settings, description: RigDescription, wavelength_nm: float) -> None:
+        self.settings, self.wavelength_nm = settings, wavelength_nm
+        self._description = description
+        self.problem = pose(self._request)
+
+    @property
+    def _request(self) -> FitRequest:
+        s = self.settings
+        return FitRequest(s.model, ior=s.index, fix=s.fix, free=s.free, slopes=s.slopes)
+
+    def observed(self, values: Values, covariance: Covariance) -> Observations:
+        """Values with a covariance, as fits take them."""
+        lamp, lens = self._description.lamp.half_angle_deg, self._description.camera.lens_half_angle_deg
+        return Observations(
+            directions=values.directions,
+            wavelength_nm=np.full(len(values), self.wavelength_nm),
+            brdf=values.brdf,
+            covariance=covariance,
+            rows=np.arange(len(values)),
+            source_solid_angle_sr=float(solid_angle_of_cone(math.radians(lamp))),
+            receiver_solid_angle_sr=float(solid_angle_of_cone(math.radians(lens))),
+        )
+
+    def fitted(self, values: Values, searches: int = SEARCHES) -> Known | None:
+        """The fit to all values, with what errors of the angles do by the model itself; None where it is impossible."""
+        free = len(self.problem.free)
+        if len(values) <= free + 1:
+            return None
+        names = tuple(values.common)
+        common = np.stack([values.common[name] for name in names], axis=1)
+        u = np.hypot(values.u_noise, 0.003 * np.abs(values.brdf))
+        data = self.observed(values, Covariance(np.maximum(u, 1e-12), common, names))
+        try:
+            result = fit(data, replace(self._request, searches=searches), name="the values so far")
+        except DataError:
+            return None
+        sights = fisher.Sights(data, values.poses, self._description)
+        rows = sights.rows(self.problem, result.vector)
+        u = np.hypot(values.u_noise, rows.u_landing)
+        causes = (*names, *rows.of_angles)
+        columns = np.concatenate([common, np.stack(list(rows.of_angles.values()), axis=1)], axis=1)
+        data = self.observed(values, Covariance(np.maximum(u, 1e-12), columns, causes))
+        start = result.problem.values(result.vector)
+        result = fit(data, replace(self._request, start=[start]), name="the values so far")
+        assert data.covariance is not None
+        lower, upper = self.problem.bounds
+        inside = (result.vector > lower + 1e-6) & (result.vector < upper - 1e-6)
+        test = lack_of_fit.judge(
+            values.brdf - result.predicted,
+            rows.parameters[:, inside],
+            result.predicted,
+            result.goal.weights or data.covariance,
+            values.directions,
+        )
+        return Known(result, data, sights, rows, self._modes(result, data), test)
+
+    def _modes(self, result: FitResult, data: Observations) -> list[tuple[Floats, float]]:
+        """The fit's solution, and others that the values do not rule out."""
+        problem, goal = self.problem, alone(data)
+        starts = [problem.vector({"k": 1.0, **start}) for start in problem.family.starts(data)]
+        cost = [float((goal.residual(apparent(problem.model(x), data, quick=True)) ** 2).sum()) for x in starts]
+        here, best = refine(problem, data, goal, result.vector, quick=True, limit=20)
+        lower, upper = problem.bounds
+        u = np.sqrt(np.diag(result.spread))
+        apart = APART * np.clip(np.where(np.isfinite(u), u, np.inf), 1e-3 * (upper - lower), 0.2 * (upper - lower))
+        found, out = [here], [(result.vector, 1.0)]
+        for k in np.argsort(cost, kind="stable")[:OTHER_MODES]:
+            vector, half = refine(problem, data, goal, starts[k], quick=True, limit=25)
+            more = 2.0 * (half - best)
+            if more < ALLOWED and all((np.abs(vector - other) > apart).any() for other in found):
+                found.append(vector)
+                out.append((vector, math.exp(-0.5 * max(more, 0.0))))
+        return out
+
+    def final(self, table: pd.DataFrame, result: FitResult) -> FitResult:
+        """What `gonio fit` will say of the run."""
+        start = result.problem.values(result.vector)
+        return fit(table, replace(self._request, start=[start], wavelength_nm=self.wavelength_nm))
+
+    # ---- targets ----
+
+    def targets(self, problem: Problem, vector: Floats) -> Floats:
+        """The wanted standard uncertainties on the search scale; NaN where none is stated."""
+        values, slope = problem.values(vector), problem.slope(vector)
+        out = np.full(vector.size, math.nan)
+        for k, name in enumerate(problem.free):
+            if name in self.settings.u:
+                out[k] = self.settings.u[name] / max(abs(slope[k]), 1e-300)
+            elif name in self.settings.u_rel:
+                out[k] = self.settings.u_rel[name] * abs(values[name]) / max(abs(slope[k]), 1e-300)
+        return out
+
+    def ratios(self, result: FitResult) -> Floats:
+        """Uncertainty over target of every parameter; NaN without a target."""
+        return np.sqrt(np.diag(result.spread)) / np.maximum(self.targets(result.problem, result.vector), 1e-300)
+
+    def reached(self, ratios: Floats) -> bool:
+        """Whether all targets are met; never where none is stated."""
+        return bool(np.isfinite(ratios).any() and np.nanmax(ratios) <= 1.0)
+
+    def progress(self, result: FitResult) -> str:
+        """What is known of the parameters, for a person."""
+        out = []
+        for name in result.free:
+            e = result.parameters[name]
+            wanted = self.settings.u.get(name)
+            if wanted is None and name in self.settings.u_rel:
+                wanted = self.settings.u_rel[name] * abs(e.value)
+            u = "unknown" if e.u is None else f"{e.u:.2g}"
+            out.append(f"{name} = {e.value:.4g} +- {u}" + (f" (wanted {wanted:.2g})" if wanted is not None else ""))
+        return ", ".join(out)
+
+    def of_fit(self, known: Known) -> dict[str, Any]:
+        """What the journal keeps of a fit."""
+        result, test = known.result, known.test
+        return {
+            "fit": {name: float(f"{result.parameters[name].value:.6g}") for name in result.free},
+            "u": {name: short(result.parameters[name].u) for name in result.free},
+            "modes": len(known.modes),
+            "chi_square": short(test.chi_square),
+            "degrees_of_freedom": test.degrees_of_freedom,
+            "p_value": short(test.p_value),
+        }
+
+
+def short(value: float | None) -> float | None:
+    """Three digits, for the journal."""
+    return None if value is None or not math.isfinite(value) else float(f"{value:.3g}")

@@ -1,0 +1,93 @@
+"""Coverings where no model is trusted: even ones, and those by the errors of the curves."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+
+import numpy as np
+from gonio_sweeps.candidates import places
+from gonio_sweeps.covering import Curves, by_errors, evenly
+
+from gonio.acquisition.plan import Point, canonical
+from gonio.geometry import Directions
+
+POINTS = [canonical(30.0, 0.0, float(x), 180.0) for x in range(-80, 81)]
+ALL = list(range(len(POINTS)))
+NOISE = 0.005
+
+
+def at(points: list[Point]) -> np.ndarray:
+    if not points:
+        return np.zeros((0, 3))
+    rows = [(p.theta_i_deg, p.phi_i_deg, p.theta_r_deg, p.phi_r_deg) for p in points]
+    return places(Directions.from_degrees(*zip(*rows, strict=True)))
+
+
+def known(f: Callable[[float], float], visited: list[int], seed: int = 0) -> Curves:
+    """Visits to points, with noise."""
+    rng = np.random.default_rng(seed)
+    true = np.array([f(float(ALL[k] - 80)) for k in visited])
+    u = NOISE * true
+    brdf = true + u * rng.normal(size=true.size)
+    return Curves.of(POINTS, at(POINTS), at([POINTS[k] for k in visited]), brdf, u, np.full(len(POINTS), NOISE))
+
+
+def fewer_than(most: int) -> Callable[[list[int]], bool]:
+    return lambda batch: len(batch) <= most
+
+
+def test_even_steps_are_half_as_large_about_the_mirror_direction() -> None:
+    batch, finer = evenly(known(lambda x: 0.2, []), ALL, fewer_than(30))
+    assert 20 < len(batch) <= 30
+    assert finer
+    signed = np.array(sorted(k - 80 for k in batch))
+    steps = np.diff(signed)
+    about = np.abs(0.5 * (signed[1:] + signed[:-1]) - 30.0)
+    # candidates lie a degree apart
+    assert steps[about < 12.0].max() <= 0.5 * steps[about > 20.0].max() + 1.0
+    assert {0, 160} <= set(batch), "the ends"
+
+
+def test_a_resolved_curve_is_visited_again() -> None:
+    visited = list(range(0, 161, 5))
+    batch = by_errors(known(lambda x: 0.2 * math.exp(-((x / 60.0) ** 2)), visited), ALL, np.ones(161), fewer_than(33))
+    again = sum(k in visited for k in batch)
+    # noise is what is left; leaving a point out departs by noise too, and may ask for some points between
+    assert again > 0.7 * len(batch)
+    counts = np.bincount(np.searchsorted(visited, [k for k in batch if k in visited]), minlength=33)
+    assert counts.max() <= 3, "evenly"
+
+
+def test_gaps_beside_a_narrow_lobe_are_divided() -> None:
+    visited = list(range(0, 161, 5))
+    batch = by_errors(
+        known(lambda x: 0.1 + 2.0 * math.exp(-(((x - 22.0) / 4.0) ** 2)), visited), ALL, np.ones(161), fewer_than(16)
+    )
+    new = [k - 80 for k in batch if k not in visited]
+    assert len(new) >= 8
+    assert all(2 < x < 42 for x in new), "where the lobe is"
+
+
+def test_points_that_are_dear_are_left_to_the_end() -> None:
+    visited = list(range(0, 161, 5))
+    cost = np.where(np.arange(161) < 80, 100.0, 1.0)
+    batch = by_errors(known(lambda x: 0.2, visited), ALL, cost, fewer_than(16))
+    assert min(batch) >= 80
+
+
+def test_nothing_is_taken_that_does_not_fit_or_is_not_open() -> None:
+    visited = list(range(0, 161, 5))
+    one = known(lambda x: 0.2, visited)
+    assert by_errors(one, ALL, np.ones(161), lambda batch: not batch) == []
+    assert by_errors(one, [], np.ones(161), fewer_than(16)) == []
+    assert set(by_errors(one, ALL[:81], np.ones(161), fewer_than(16))) <= set(ALL[:81])
+    assert evenly(one, [], fewer_than(16)) == ([], False)
+
+
+def test_a_curve_that_is_known_as_well_as_the_reference_is_left_alone() -> None:
+    visited = list(itertools.chain.from_iterable([k] * 40 for k in range(0, 161, 5)))
+    rng = known(lambda x: 0.2, visited)
+    exact = Curves(rng.points, rng.visits, np.where(rng.visits > 0, math.log(0.2), 0.0), rng.u)
+    assert by_errors(exact, ALL, np.ones(161), fewer_than(16)) == []
