@@ -14,7 +14,7 @@ from gonio.acquisition.remaining import REMEMBERED, Remaining, TimeLeft
 from gonio.acquisition.run import Run
 from gonio.errors import GonioError
 
-AGAIN_S = 1.0
+AGAIN_S = 2.0
 """It is worked out at most so often."""
 
 

@@ -251,7 +251,7 @@ class Server:
         self._http.routes, self._http.events, self._http.token = dict(routes), events, self.token.encode()
         self._http.hosts = _hosts(host, self.port)
         self._http.wildcard = _is_wildcard(str(self._http.server_address[0]))
-        self._thread = threading.Thread(target=self._http.serve_forever, args=(0.1,), name="server", daemon=True)
+        self._thread = threading.Thread(target=self._http.serve_forever, args=(0.5,), name="server", daemon=True)
 
     @property
     def address(self) -> str:

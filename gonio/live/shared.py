@@ -42,6 +42,8 @@ class Now:
     """Steps that were not reduced then."""
     frame: list[Any] | None = None
     """The name of the frame of which there is a picture, and the number of its step."""
+    left: list[float] | None = None
+    """How long the rest of the run takes, and the standard uncertainty of that [s]; None where nobody knows."""
     problem: str = ""
     bands: list[dict[str, Any]] = field(default_factory=list)
     """By band: `name`; the newest `values` (the four angles [deg], BRDF and its standard uncertainty [1/sr]) of all

@@ -14,20 +14,17 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 
+from gonio.acquisition.run import Run
 from gonio.errors import GonioError
 from gonio.geometry import IN_PLANE, Directions
 from gonio.live.follow import Follower
 from gonio.live.server import BATCH, Content, EventLog, Request
 from gonio.live.shared import CURVES, FRAME, Now, Shared
 from gonio.live.story import Story, is_one_of_many, rounded, shortened
-
-if TYPE_CHECKING:
-    from gonio.acquisition.run import Run
-    from gonio.live.left import Left
 
 POLL_S = 0.2
 """The journal is looked at so often."""
@@ -67,12 +64,13 @@ class Watched:
         """Whether the run is shown although nobody looks at a page."""
         self.problem = ""
         self._follower = Follower(path)
-        self._left: Left | None = None
         self._tried = -LOOK_S
         self._news = threading.Condition()
         self._ended = False
         self._life = 0
         """Goes up where all is read anew."""
+        self._lived: tuple[float, bool | None] = -LOOK_S, None
+        """When it was looked whether the process that measures lives, and whether it did."""
         self.stands = self.status()
         """How the run stood when that was told last."""
         self._thread = threading.Thread(target=self._follow, name="follow", daemon=True)
@@ -131,11 +129,8 @@ class Watched:
             if self.run is None and events and time.monotonic() - self._tried >= LOOK_S:
                 self._tried = time.monotonic()
                 self._open()
-            short, out = self._follower.unread > UNREAD, []
-            for event in events:
-                out.append(("journal", self.story.take(event, short=short)))
-                if self._left is not None:
-                    self._left.take(event, self.story.took_s)
+            short = self._follower.unread > UNREAD
+            out = [("journal", self.story.take(event, short=short)) for event in events]
             if out:
                 new = True
                 self.log.append(*out)
@@ -144,15 +139,12 @@ class Watched:
     def _begin_anew(self) -> None:
         """Another journal is in the place of the one that was read."""
         self._life = self._follower.lives
-        self.story, self.run, self.values, self._tried, self._left = Story(), None, Now(), -LOOK_S, None
+        self.story, self.run, self.values, self._tried = Story(), None, Now(), -LOOK_S
         self.log.restart()
         self.log.tell("hello", {"journal": self._follower.identity})
 
     def _open(self) -> None:
         """Read what was asked for, now that the run has begun."""
-        from gonio.acquisition.run import Run
-        from gonio.live.left import Left
-
         try:
             run = Run.open(self.path)
             planned = run.planned
@@ -168,7 +160,7 @@ class Watched:
                 left_out[flag, reason] = left_out.get((flag, reason), 0) + 1
         directions = Directions.from_degrees(*planned.angles_deg.T)
         most = sorted(left_out.items(), key=lambda item: -item[1])[:12]
-        self.run, self._left = run, Left(self.path)
+        self.run = run
         self.log.tell(
             "run",
             {
@@ -192,10 +184,10 @@ class Watched:
     def status(self) -> dict[str, Any]:
         """How the run stands now, in what JSON can hold; for the thread that follows it."""
         story, now = self.story, time.time()
-        state, why = story.state(now, None if story.stopped else self._follower.writer_lives())
+        state, why = story.state(now, None if story.stopped else self._writer_lives())
         step_s = story.step_s
         going = state in GOING
-        left = self._left.now() if going and self._left is not None else None
+        left = self.values.left if going else None
         out: dict[str, Any] = {
             "state": state,
             "why": "; ".join(text for text in (why, self._follower.damaged, self.problem) if text),
@@ -205,8 +197,8 @@ class Watched:
             "points": story.points,
             "flagged": story.flagged,
             "step_s": rounded(step_s, 3) if step_s is not None else None,
-            "left_s": round(left.seconds) if left is not None else None,
-            "left_u_s": rounded(left.u_seconds, 2) if left is not None else None,
+            "left_s": left[0] if left is not None else None,
+            "left_u_s": left[1] if left is not None else None,
             "sittings": [[round(s.began, 3), round(s.last, 3), s.steps] for s in story.sittings],
             "frame": self.values.frame[0] if self.values.frame else None,
             "frame_step": self.values.frame[1] if self.values.frame else None,
@@ -216,6 +208,14 @@ class Watched:
             out["free_bytes"] = rounded(float(room.f_bavail * room.f_frsize), 3)
             out["needed_bytes"] = rounded(story.bytes_left, 3) if going else None
         return out
+
+    def _writer_lives(self) -> bool | None:
+        """As its follower says it, of late: the kernel's list of locks is not asked for every step."""
+        asked_s, lives = self._lived
+        if not lives or time.monotonic() - asked_s >= LOOK_S:
+            lives = self._follower.writer_lives()
+            self._lived = time.monotonic(), lives
+        return lives
 
     # --- values and the last frame -----------------------------------------------------------------------------------
 
@@ -231,7 +231,7 @@ class Watched:
             self.log.tell("curves", {"version": found.version})
         if found.problem != before.problem:
             self.log.tell("problem", {"text": found.problem})
-        if found.frame != before.frame:
+        if found.frame != before.frame or found.left != before.left:
             self.tell()
 
     def curves(self, request: Request) -> Content:

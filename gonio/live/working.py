@@ -22,10 +22,11 @@ from gonio.acquisition.run import Run
 from gonio.disk import only_file
 from gonio.errors import GonioError
 from gonio.live.follow import Follower
+from gonio.live.left import Left
 from gonio.live.picture import png
 from gonio.live.provisional import Provisional, Values
 from gonio.live.shared import CURVES, FRAME, LOOKED, LOOKED_S, NOW, Now
-from gonio.live.story import Story
+from gonio.live.story import Story, rounded
 from gonio.rig.dng import read_raw
 
 SHARE = 0.02
@@ -75,6 +76,7 @@ class Worker:
     def _begin_anew(self) -> None:
         self._life, self._story = self._follower.lives, Story()
         self._provisional: Provisional | None = None
+        self._left: Left | None = None
         self._first: dict[int, int] = {}
         """Where darks and visits to the reference begin in the journal, by their steps; they are reduced first."""
         self._points: dict[int, int] = {}
@@ -101,7 +103,7 @@ class Worker:
                 self._look()
                 busy = self._story.state(time.time(), self._lives())[0] in BUSY
                 with self._turn(wait) if busy and self._has_work() else contextlib.nullcontext():
-                    worked = self._work_once()
+                    worked = self._work_once(busy)
                     if not busy:
                         owed, over = 0.0, wait(0.0 if worked else POLL_S)
                         continue
@@ -152,6 +154,8 @@ class Worker:
                 self._open()
             for event, place in zip(events, self._follower.places, strict=True):
                 self._story.note(event)
+                if self._left is not None:
+                    self._left.take(event, self._story.took_s)
                 kind = event.get("event")
                 if kind == "step":
                     number = int(event["step"])
@@ -175,7 +179,7 @@ class Worker:
             self._story.every, self._story.angles_deg = run.description.reference.every, run.planned.angles_deg
         except GonioError:  # `gonio.live.watching` says so
             return
-        self._provisional = Provisional(run)
+        self._provisional, self._left = Provisional(run), Left(self.path)
 
     # --- working -----------------------------------------------------------------------------------------------------
 
@@ -185,8 +189,8 @@ class Worker:
             shown is not None and self._now.frame != [shown[0], int(shown[1]["step"])]
         )  # fmt: skip
 
-    def _work_once(self) -> bool:
-        """Some steps, the values where it is time to hand them on, and a picture; whether there is more to do."""
+    def _work_once(self, busy: bool) -> bool:
+        """Some steps, the values where it is time to hand them on, a picture, the time left; whether there is more."""
         if self._provisional is None:
             return False
         began = time.process_time()
@@ -202,6 +206,10 @@ class Worker:
             told = True
         if now - self._pictured_s >= PICTURE_S:
             told = self._picture(self._provisional.run) or told
+        if busy and self._left is not None and not self._follower.unread:
+            found = self._left.now()
+            left = None if found is None else [float(round(found.seconds)), rounded(found.u_seconds, 2)]
+            told, self._now.left = told or left != self._now.left, left
         if told:
             self._now.journal = self._follower.identity
             write(self.out / NOW, self._now.encode())

@@ -160,7 +160,7 @@ def test_while_the_run_goes_on_it_rests_most_of_the_time(
     played: Played, out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = iter(range(10_000))
-    monkeypatch.setattr(working.time, "process_time", lambda: 0.01 * next(clock))  # each look at it is 10 ms of work
+    monkeypatch.setattr("time.process_time", lambda: 0.01 * next(clock))  # each look at it is 10 ms of work
     monkeypatch.setattr(working, "LONGEST_S", 1e6)
     played.go_on(8)
     with measuring(played.path):
