@@ -69,8 +69,8 @@ def watchers(run: Path, count: int, clients: bool, state: Path) -> Iterator[list
     """So many processes that watch a run; their ids."""
     with ExitStack() as running:
         started = []
-        for k in range(count):
-            environment = dict(os.environ, XDG_STATE_HOME=str(state / str(k)))
+        environment = dict(os.environ, XDG_STATE_HOME=str(state), XDG_RUNTIME_DIR="")
+        for _ in range(count):
             watcher = subprocess.Popen([*GONIO, "watch", str(run)], stdout=subprocess.PIPE, env=environment, text=True)
             running.callback(watcher.wait)
             running.callback(watcher.terminate)
@@ -81,7 +81,17 @@ def watchers(run: Path, count: int, clients: bool, state: Path) -> Iterator[list
             if clients:
                 threading.Thread(target=drain, args=(address.replace("/?", "/events?"),), daemon=True).start()
         time.sleep(2.0)  # what was there before is read
-        yield [watcher.pid for watcher in started]
+        yield family({watcher.pid for watcher in started})
+
+
+def family(processes: set[int]) -> list[int]:
+    """Processes and those that they have begun: one of the watchers has values worked out by another process."""
+    out = set(processes)
+    for entry in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            if int(entry.read_text().rpartition(")")[2].split()[1]) in processes:
+                out.add(int(entry.parent.name))
+    return sorted(out)
 
 
 def drain(address: str) -> None:

@@ -7,9 +7,11 @@ the same run takes both again, if the port is free.
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import json
 import os
+import stat
 import tempfile
 from pathlib import Path
 
@@ -20,8 +22,29 @@ def folder() -> Path:
     return (Path(home) if os.path.isabs(home) else Path.home() / ".local" / "state") / "gonio" / "pages"
 
 
+def _name(what: Path) -> str:
+    return hashlib.sha256(os.fsencode(what.absolute())).hexdigest()[:24]
+
+
 def _file(what: Path) -> Path:
-    return folder() / f"{hashlib.sha256(os.fsencode(what.absolute())).hexdigest()[:24]}.json"
+    return folder() / f"{_name(what)}.json"
+
+
+def private(what: Path) -> Path:
+    """A folder that all watchers of a run by one user share, made where it is absent.
+
+    Raises
+    ------
+    OSError
+        It cannot be made, or others could write or read there.
+    """
+    runtime = os.environ.get("XDG_RUNTIME_DIR", "")
+    made = (Path(runtime) / "gonio" if os.path.isabs(runtime) else folder()) / _name(what)
+    made.mkdir(mode=0o700, parents=True, exist_ok=True)
+    there = os.lstat(made)
+    if not stat.S_ISDIR(there.st_mode) or there.st_uid != os.getuid() or there.st_mode & 0o077:
+        raise PermissionError(errno.EPERM, "is open to others", str(made))
+    return made
 
 
 def recall(what: Path) -> tuple[int, str | None]:

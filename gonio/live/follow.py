@@ -33,6 +33,10 @@ class Follower:
         """What is wrong with a line that others follow; nothing is read beyond it."""
         self.lives = 0
         """How many files were read here: another one tells another story."""
+        self.places: list[int] = []
+        """Where the events that were handed out last begin in the file."""
+        self.unread = 0
+        """Bytes that followed what was handed out last, when it was looked at."""
         self._file: tuple[int, int] | None = None
         self._seen: tuple[int, int] | None = None
         self._at = self._number = 0
@@ -43,7 +47,10 @@ class Follower:
         return "" if self._file is None else f"{self._file[0]:x}-{self._file[1]:x}"
 
     def poll(self) -> Iterator[list[Event]]:
-        """Events that were not there before, in pieces; after a change of `lives` they are all of another journal."""
+        """Events that were not there before, in pieces; after a change of `lives` they are all of another journal.
+
+        Whoever takes some of the pieces gets those that follow next time.
+        """
         try:
             there = os.stat(self.path)
         except OSError:
@@ -55,25 +62,27 @@ class Follower:
         looks = there.st_size, there.st_mtime_ns
         if looks == self._seen:
             return
-        self._seen = looks
+        self._seen = None
         try:
             with open(self.path, "rb", opener=only_file) as journal:
                 if os.fstat(journal.fileno()).st_ino != file[1]:
-                    self._seen = None  # replaced meanwhile: next time
-                    return
+                    return  # replaced meanwhile: next time
                 journal.seek(self._at)
                 rest = b""
                 while some := journal.read(PIECE):
                     *lines, rest = (rest + some).split(b"\n")
+                    self.unread = there.st_size - journal.tell()
                     yield self._events(lines, more=bool(rest))
                     if self.damaged:
-                        return
+                        break
+            self._seen = looks
         except OSError as error:
-            self._seen, self.damaged = None, f"{self.path}: cannot be read: {error.strerror}"
+            self.damaged = f"{self.path}: cannot be read: {error.strerror}"
 
     def _events(self, lines: list[bytes], *, more: bool) -> list[Event]:
         """The events of whole lines; a bad one at the end is torn, and will be cut off or written again."""
         out = []
+        self.places = []
         for k, line in enumerate(lines):
             event = decode(line + b"\n", self._number)
             if event is None:
@@ -81,9 +90,21 @@ class Follower:
                     self.damaged = f"line {self._number + 1} of the journal is damaged: gonio run repair"
                 break
             out.append(event)
+            self.places.append(self._at)
             self._at += len(line) + 1
             self._number += 1
         return out
+
+    def event_at(self, place: int) -> Event | None:
+        """An event that was handed out before, by where it begins; None where that is not so any more."""
+        try:
+            with open(self.path, "rb", opener=only_file) as journal:
+                if os.fstat(journal.fileno()).st_ino != (self._file or (0, 0))[1]:
+                    return None
+                journal.seek(place)
+                return decode(journal.readline())
+        except OSError:
+            return None
 
     def writer_lives(self) -> bool | None:
         """Whether a process holds the journal for writing; None where this machine does not tell.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from itertools import islice
 from pathlib import Path
 
 from gonio.acquisition.journal import Event
@@ -13,7 +14,7 @@ from gonio.acquisition.remaining import REMEMBERED, Remaining, TimeLeft
 from gonio.acquisition.run import Run
 from gonio.errors import GonioError
 
-AGAIN_S = 1.0
+AGAIN_S = 2.0
 """It is worked out at most so often."""
 
 
@@ -24,6 +25,8 @@ class Left:
         self._path = path
         self._one = threading.Lock()
         self._recent: deque[tuple[Event, float | None]] = deque(maxlen=REMEMBERED)
+        self._new = 0
+        """Steps that came since the estimate was told."""
         self._remaining: Remaining | None = None
         self._found: TimeLeft | None = None
         self._looked_s = -AGAIN_S
@@ -33,8 +36,7 @@ class Left:
         with self._one:
             if event.get("event") == "step":
                 self._recent.append((event, took_s))
-                if self._remaining is not None:
-                    self._remaining.took(StepRecord.from_json(event), took_s)
+                self._new += 1
             elif event.get("event") in ("session", "chosen", "lost"):
                 self._remaining, self._looked_s = None, -AGAIN_S  # other steps are left than those that it knows
 
@@ -45,6 +47,9 @@ class Left:
                 try:
                     if self._remaining is None:
                         self._remaining = self._begin()
+                    else:
+                        self._tell(self._remaining, min(self._new, REMEMBERED))
+                    self._new = 0
                     self._found = self._remaining.left
                 except GonioError:  # the run is damaged: `gonio.live.watching` says so
                     self._found = None
@@ -55,6 +60,10 @@ class Left:
         run = Run.open(self._path)
         out = Remaining.of_run(run)
         if run.sample is not None:  # of a simulated rig nobody but us has looked at the clock
-            for event, took_s in self._recent:
-                out.took(StepRecord.from_json(event), took_s)
+            self._tell(out, len(self._recent))
         return out
+
+    def _tell(self, remaining: Remaining, newest: int) -> None:
+        """Tell the estimate of the newest steps; what it has learnt from older ones it would have forgotten."""
+        for event, took_s in islice(self._recent, len(self._recent) - newest, None):
+            remaining.took(StepRecord.from_json(event), took_s)

@@ -8,20 +8,23 @@ reduce`.
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
 from gonio.errors import GonioError
 from gonio.geometry import Directions
 from gonio.reduction.count_rates import Reduced, RunFrames
-from gonio.reduction.growing import so_far
+from gonio.reduction.growing import of_rates
 from gonio.rig.description import Band
 from gonio.typing import Floats
 
+COLUMNS = 8
 SPARE = 0.5
 """Around what the steps look at, the dark signal is kept for so much more: later poses look beside it."""
 
@@ -32,7 +35,7 @@ class Values:
 
     band: Band
     steps: list[int]
-    points: list[int]
+    points: npt.NDArray[np.int_]
     directions: Directions
     brdf: Floats
     """1/sr."""
@@ -42,20 +45,41 @@ class Values:
     """Of each visit to the reference: its step, its level over that of the first, standard uncertainty of that."""
 
 
+class _Band:
+    """What is kept of a band's steps: of points, which are many, plain numbers."""
+
+    def __init__(self) -> None:
+        self.visits: dict[int, Reduced] = {}
+        """By their steps."""
+        self.rows: dict[int, int] = {}
+        """Where the numbers of a point stand, by its step."""
+        self.numbers = array("d")
+        """Of each point its number in the plan, rate, variance, time and the four angles [rad]."""
+
+    def add(self, step: int, found: Reduced) -> None:
+        if found.point is None:
+            self.visits[step] = found
+            return
+        at = found.directions
+        angles = (float(a) for a in (at.theta_i, at.phi_i, at.theta_r, at.phi_r))
+        self.rows[step] = len(self.numbers) // COLUMNS
+        self.numbers.extend((found.point, found.rate, found.variance, found.time_s, *angles))
+
+    def drop(self, step: int) -> None:
+        self.visits.pop(step, None)
+        self.rows.pop(step, None)
+
+
 class Provisional:
     """The steps of a run, reduced as they come."""
 
     def __init__(self, run: Run) -> None:
-        self._run = run
+        self.run = run
         self._dark: list[StepRecord] = []
         self._around: list[StepRecord] = []
         """Steps that show how far over the sensor the others look."""
         self._frames: RunFrames | None = None
-        self._rates: dict[int, list[Reduced | None]] = {}
-        self._flags: dict[int, dict[str, str]] = {}
-
-    def __len__(self) -> int:
-        return len(self._rates)
+        self._bands = [_Band() for _ in run.bands]
 
     def add(self, step: StepRecord) -> None:
         """One more step; raises `GonioError` where its frames cannot be reduced."""
@@ -66,43 +90,46 @@ class Provisional:
             return
         if self._frames is None or not self._frames.knows(step):
             self._around.append(step)
-            self._frames = RunFrames(self._run, [*self._dark, *self._around], SPARE)
-        found = [self._frames.reduce(step, band) for band in self._run.bands]
-        self._rates[step.step] = [one if isinstance(one, Reduced) else None for one in found]
+            self._frames = RunFrames(self.run, [*self._dark, *self._around], SPARE)
+        found = [self._frames.reduce(step, band) for band in self.run.bands]
+        for kept, one in zip(self._bands, found, strict=True):
+            kept.drop(step.step)
+            if isinstance(one, Reduced):
+                kept.add(step.step, one)
 
     def drop(self, steps: Iterable[int]) -> None:
         """Steps count no more."""
         for number in steps:
-            self._rates.pop(number, None)
+            for kept in self._bands:
+                kept.drop(number)
 
     def values(self) -> list[Values]:
         """What is known by now, a band each; none before the first visit to the reference."""
         if self._frames is None:
             return []
         out = []
-        for k, band in enumerate(self._run.bands):
-            taken = [(number, rates[k]) for number, rates in sorted(self._rates.items())]
-            points = [(number, r) for number, r in taken if r is not None and r.point is not None]
-            visited = [(number, r) for number, r in taken if r is not None and r.point is None]
-            visits = [r for _, r in visited]
+        for band, kept in zip(self.run.bands, self._bands, strict=True):
+            visited = sorted(kept.visits.items(), key=lambda pair: pair[1].time_s)
+            visits = [visit for _, visit in sorted(visited)]
             if not visits:
                 continue
+            steps = sorted(kept.rows)
+            numbers = np.array(kept.numbers).reshape(-1, COLUMNS)[[kept.rows[step] for step in steps]]
+            point, rate, variance, time_s, *angles = numbers.reshape(-1, COLUMNS).T
             try:
-                known = so_far(self._frames.run, [r for _, r in points], visits, band)
+                known = of_rates(self._frames.run, rate, time_s, Directions(*angles), visits, band)
             except GonioError:  # a visit without light, say: `gonio reduce` says it
                 continue
-            noise = np.array([r.variance for _, r in points]) / known.level**2
             shared = sum((by**2 for by in known.common.values()), known.u_visits**2)
-            first = min(visits, key=lambda visit: visit.time_s)
             out.append(
                 Values(
                     band,
-                    [number for number, _ in points],
-                    [int(r.point) for _, r in points if r.point is not None],
+                    steps,
+                    point.astype(int),
                     known.directions,
                     known.brdf,
-                    np.sqrt(noise + shared),
-                    [(number, *_over(r, first)) for number, r in sorted(visited, key=lambda pair: pair[1].time_s)],
+                    np.sqrt(variance / known.level**2 + shared),
+                    [(number, *_over(visit, visited[0][1])) for number, visit in visited],
                 )
             )
         return out

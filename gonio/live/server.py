@@ -55,6 +55,8 @@ RETRY_MS = 1000
 """A browser asks again so long after a stream broke."""
 BATCH = 256
 """Events that a client is sent at once."""
+WHOLE = 2000
+"""So many events are kept whole; of older ones the least is, where their log says what that is."""
 PIECE = 65536
 """Bytes that a client has to take within `SLOW_S`."""
 LOOPBACK = "127.0.0.1"
@@ -108,9 +110,16 @@ class Event(NamedTuple):
 
 
 class EventLog:
-    """What happened, in order, for any number of clients."""
+    """What happened, in order, for any number of clients.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    shorten
+        Makes of an event's data what is kept of it once `WHOLE` others have followed; by default all.
+    """
+
+    def __init__(self, shorten: Callable[[bytes], bytes] | None = None) -> None:
+        self._shorten = shorten
         self._news = threading.Condition()
         self._events: list[tuple[str, bytes]] = []
         self._told: dict[str, tuple[int, bytes]] = {}
@@ -122,16 +131,22 @@ class EventLog:
     def __len__(self) -> int:
         return len(self._events)
 
-    def events(self, number: int) -> list[Event]:
-        """All that was appended beyond a number."""
+    def events(self, number: int, most: int | None = None) -> list[Event]:
+        """What was appended beyond a number; so many of it at most."""
         with self._news:
-            return [Event(k, kind, line) for k, (kind, line) in enumerate(self._events[number:], number + 1)]
+            some = self._events[number:] if most is None else self._events[number : number + most]
+            return [Event(k, kind, line) for k, (kind, line) in enumerate(some, number + 1)]
 
     def append(self, *events: tuple[str, Any]) -> None:
         """Add events (a kind, and what JSON can hold); the first of all has the id 1."""
         lines = [(kind, _json(data)) for kind, data in events]
         with self._news:
             self._events += lines
+            if self._shorten is not None:
+                old = len(self._events) - WHOLE
+                for k in range(max(0, old - len(lines)), max(0, old)):
+                    kind, line = self._events[k]
+                    self._events[k] = kind, self._shorten(line)
             self._news.notify_all()
 
     def tell(self, kind: str, data: Any) -> None:
@@ -236,7 +251,7 @@ class Server:
         self._http.routes, self._http.events, self._http.token = dict(routes), events, self.token.encode()
         self._http.hosts = _hosts(host, self.port)
         self._http.wildcard = _is_wildcard(str(self._http.server_address[0]))
-        self._thread = threading.Thread(target=self._http.serve_forever, args=(0.1,), name="server", daemon=True)
+        self._thread = threading.Thread(target=self._http.serve_forever, args=(0.5,), name="server", daemon=True)
 
     @property
     def address(self) -> str:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import datetime
 import math
+import sys
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from gonio.acquisition.journal import Event
+from gonio.typing import Floats
 
 RECENT = 64
 """Steps whose durations tell how long the next ones take."""
@@ -18,6 +22,8 @@ STOPS = {"end": "ended", "interrupted": "interrupted", "device_error": "failed"}
 SILENT_S = 60.0
 """A run that lives writes a line so often, or every `LATE` steps."""
 LATE = 10.0
+KEPT = 50
+"""Of steps that are long ago each so-many-th is told in full; with them time series have points enough."""
 OWN = ("n", "event", "wall", "crc")
 
 
@@ -43,18 +49,20 @@ class Story:
     """
 
     every: int = 0
-    angles_deg: list[Sequence[float]] = field(default_factory=list)
+    angles_deg: Sequence[Sequence[float]] | Floats = ()
+    chosen_deg: list[Sequence[float]] = field(default_factory=list)
+    """The same of the points that were chosen as the run grew; they follow those of the plan."""
     done: dict[int, str] = field(default_factory=dict)
     """The steps that count, and what they are."""
     total: int = 0
     """Steps of the run, as far as it is known."""
+    points: int = 0
+    """How many of the steps that count are points."""
     sittings: list[Sitting] = field(default_factory=list)
     flagged: int = 0
     last: Event | None = None
-    latest_frame: tuple[str, int] | None = None
-    """The name of the last frame that shows something, and the number of its step."""
     last_shown: tuple[str, Event] | None = None
-    """That name, and the whole step."""
+    """The name of the last frame that shows something, and its step."""
     why: dict[str, str] = field(default_factory=dict)
     """For what the run waits, by rule."""
     visits_s: dict[int, float] = field(default_factory=dict)
@@ -67,22 +75,32 @@ class Story:
     _waited: bool = True
     _bytes: int = 0
 
-    def take(self, event: Event) -> dict[str, Any]:
-        """One more event; what a page has to know of it."""
-        kind, at = str(event.get("event", "")), seconds(event.get("wall"))
+    def take(self, event: Event, *, short: bool = False) -> dict[str, Any]:
+        """One more event; what a page has to know of it, or the least of that of a step among very many."""
+        self.note(event)
+        kind = str(event.get("event", ""))
+        if short and is_one_of_many(event):
+            return shortened(event)
         out: dict[str, Any] = {"n": event["n"], "event": kind, "wall": event.get("wall", "")}
-        if self.sittings:
-            self.sittings[-1].last = at
         if kind == "step":
-            out |= self._step(event, at)
+            out |= self._told(event)
         else:
-            self._other(kind, event, at)
             out["text"] = said(event)
             if kind in ("chosen", "enough"):
                 out["why"] = reasons(event.get("why"))
                 out["points_deg"] = event.get("points", [])
-        self.last = event
         return out
+
+    def note(self, event: Event) -> None:
+        """One more event."""
+        kind, at = str(event.get("event", "")), seconds(event.get("wall"))
+        if self.sittings:
+            self.sittings[-1].last = at
+        if kind == "step":
+            self._step(event, at)
+        else:
+            self._other(kind, event, at)
+        self.last = event
 
     def _other(self, kind: str, event: Event, at: float) -> None:
         if kind == "session":
@@ -91,11 +109,11 @@ class Story:
             self.stopped, self.why = "", {}
         elif kind == "chosen":
             points = event.get("points", [])
-            self.angles_deg += points
+            self.chosen_deg += points
             self.total += len(points) + (math.ceil(len(points) / self.every) if self.every else 1)
         elif kind == "lost":
             for number in event.get("steps", []):
-                self.done.pop(int(number), None)
+                self._count(int(number), None)
         elif kind in PAUSES:
             self.why[str(event.get("rule", kind))] = str(event.get("message", ""))
             self._waited = True
@@ -105,34 +123,36 @@ class Story:
             self.stopped = STOPS[kind]
             self.why = {kind: str(event["message"])} if event.get("message") else {}
 
-    def _step(self, event: Event, at: float) -> dict[str, Any]:
+    def _step(self, event: Event, at: float) -> None:
         before, self.took_s = self.last, None
         if before is not None and not self._waited:
             self.took_s = at - seconds(before.get("wall"))
             self._durations.append(self.took_s)
         self._waited, self.stopped, self.why = False, "", {}
-        number, point, flag = int(event["step"]), event.get("point"), str(event.get("flag", ""))
-        self.done[number] = str(event.get("kind", ""))
+        number = int(event["step"])
+        self._count(number, sys.intern(str(event.get("kind", ""))))
         if event.get("kind") == "reference":
             self.visits_s[number] = at
         self.total = max(self.total, len(self.done))
         if self.sittings:
             self.sittings[-1].steps += 1
-        self.flagged += bool(flag)
+        self.flagged += bool(event.get("flag"))
         frames = event.get("frames", [])
         self._bytes += sum(int(frame.get("bytes") or 0) for frame in frames)
-        lit = [frame for frame in frames if frame.get("lamp")]
-        exposure = max((float(frame["exposure_s"]) for frame in lit), default=0.0)
+        shown = max(_lit(frames) or frames, key=lambda frame: float(frame["exposure_s"]), default=None)
+        if shown is not None:
+            self.last_shown = str(shown["file"]), event
+
+    def _told(self, event: Event) -> dict[str, Any]:
+        point, frames = event.get("point"), event.get("frames", [])
+        exposure = max((float(frame["exposure_s"]) for frame in _lit(frames)), default=0.0)
         levels = event.get("level_per_s") or {}
         level = max((float(v) for v in levels.values()), default=0.0)
-        shown = max(lit or frames, key=lambda frame: float(frame["exposure_s"]), default=None)
-        if shown is not None:
-            self.latest_frame, self.last_shown = (str(shown["file"]), number), (str(shown["file"]), event)
         out: dict[str, Any] = {
-            "step": number,
+            "step": int(event["step"]),
             "kind": event.get("kind"),
             "point": point,
-            "flag": flag,
+            "flag": str(event.get("flag", "")),
             "frames": len(frames),
             "exposure_s": exposure,
             "levels_per_s": {name: rounded(value, 5) for name, value in levels.items()},
@@ -140,9 +160,27 @@ class Story:
             "pose_deg": {name: rounded(math.degrees(a), 7) for name, a in event.get("pose", {}).items()},
             "health": [[*row[:2], rounded(row[2], 5), *row[3:4]] for row in event.get("health", [])],
         }
-        if isinstance(point, int) and 0 <= point < len(self.angles_deg):
-            out["angles_deg"] = list(self.angles_deg[point])
-        return out
+        angles = self.angles(point)
+        return out if angles is None else out | {"angles_deg": angles}
+
+    def _count(self, number: int, kind: str | None) -> None:
+        """A step counts as what it is, or no more."""
+        before = self.done.pop(number, None)
+        if kind is not None:
+            self.done[number] = kind
+        self.points += (kind == "point") - (before == "point")
+
+    def angles(self, point: Any) -> list[float] | None:
+        """The four angles of a point [deg]; None for what is no point of this run."""
+        if not isinstance(point, int) or not 0 <= point < len(self.angles_deg) + len(self.chosen_deg):
+            return None
+        planned = len(self.angles_deg)
+        return list(map(float, self.angles_deg[point] if point < planned else self.chosen_deg[point - planned]))
+
+    def every_angle(self) -> Floats:
+        """The four angles of every point so far [deg], shape (points, 4)."""
+        parts = [np.asarray(a, dtype=float).reshape(-1, 4) for a in (self.angles_deg, self.chosen_deg)]
+        return np.concatenate(parts)
 
     @property
     def step_s(self) -> float | None:
@@ -179,6 +217,20 @@ class Story:
                 return "silent", f"nothing was written for {ago(silent)}: it takes long, or its process is gone"
             return "running", f"nothing was written for {ago(silent)}"
         return "running", ""
+
+
+def is_one_of_many(event: Mapping[str, Any]) -> bool:
+    """Whether a page can do without the whole of an event, once it is long ago."""
+    return event.get("event") == "step" and not event.get("flag") and bool(event["n"] % KEPT)
+
+
+def shortened(event: Mapping[str, Any]) -> dict[str, Any]:
+    """The least that a page has to know of a step."""
+    return {key: event.get(key) for key in ("n", "event", "step", "kind", "point")}
+
+
+def _lit(frames: Sequence[Event]) -> list[Event]:
+    return [frame for frame in frames if frame.get("lamp")]
 
 
 def seconds(wall: Any) -> float:

@@ -6,6 +6,7 @@ import sys
 import threading
 from typing import TYPE_CHECKING, Any
 
+from gonio.live.server import BATCH
 from gonio.live.story import ago
 
 if TYPE_CHECKING:
@@ -40,16 +41,18 @@ def _panel(watched: Watched) -> None:
 def _lines(watched: Watched) -> None:
     told, number, steps = ("", ""), 0, 0
     while True:
-        status = watched.status()
-        for event in watched.events_after(number):
-            number += 1
-            if event["event"] != "step":
-                print(f"{_clock(event)}  {event_line(event)}", flush=True)
-                continue
-            steps += 1
-            part = max(status["total"] // LINES, 1)
-            if event["flag"] or steps % part == 0:
-                print(f"{_clock(event)}  {step_line(event)}", flush=True)
+        status = watched.stands
+        while events := watched.events_after(number):
+            for event in events:
+                number += 1
+                if event["event"] != "step":
+                    print(f"{_clock(event)}  {event_line(event)}", flush=True)
+                    continue
+                steps += 1
+                part = max(status["total"] // LINES, 1)
+                if event.get("flag") or steps % part == 0:
+                    print(f"{_clock(event)}  {step_line(event)}", flush=True)
+            status = watched.stands
         if told != (status["state"], status["why"]):
             told = status["state"], status["why"]
             print(summary(status), flush=True)
@@ -84,9 +87,9 @@ def step_line(event: dict[str, Any]) -> str:
     if "angles_deg" in event:
         theta_i, phi_i, theta_r, phi_r = event["angles_deg"]
         what += f", theta_i {theta_i:g}, theta_r {theta_r:g}, dphi {(phi_r - phi_i) % 360:g} deg"
-    if event["kind"] != "dark" and not event["flag"]:
+    if event["kind"] != "dark" and not event.get("flag") and "level" in event:
         what += f"; {100 * event['level']:.0f} % of full scale in {event['exposure_s']:.3g} s"
-    return what + (f"  [{event['flag']}]" if event["flag"] else "")
+    return what + (f"  [{event['flag']}]" if event.get("flag") else "")
 
 
 def event_line(event: dict[str, Any]) -> str:
@@ -98,22 +101,18 @@ def event_line(event: dict[str, Any]) -> str:
 def values_lines(watched: Watched, most: int = LISTED) -> list[str]:
     """The newest provisional values, the newest last."""
     out = []
-    for values in watched.values:
-        name = f"{values.band.name}: " if len(watched.values) > 1 else ""
-        for k in range(max(0, len(values.points) - most), len(values.points)):
-            angles = watched.story.angles_deg[values.points[k]]
-            where = f"theta_i {angles[0]:g}, theta_r {angles[2]:g}, dphi {(angles[3] - angles[1]) % 360:g} deg"
-            out.append(f"{name}{where}: {values.brdf[k]:.4g} ± {values.u[k]:.2g} 1/sr")
+    for band in watched.values.bands:
+        name = f"{band['name']}: " if len(watched.values.bands) > 1 else ""
+        for theta_i, phi_i, theta_r, phi_r, brdf, u in band["values"][-most:]:
+            where = f"theta_i {theta_i:g}, theta_r {theta_r:g}, dphi {(phi_r - phi_i) % 360:g} deg"
+            out.append(f"{name}{where}: {brdf:.4g} ± {u:.2g} 1/sr")
     return out
 
 
 def drift_line(watched: Watched) -> str:
     """How far the last visit to the reference lies from the first, in each band."""
-    parts = []
-    for values in watched.values:
-        _, ratio, u = values.visits[-1]
-        parts.append(f"{values.band.name} {100 * (ratio - 1):+.2f} ± {100 * u:.2f} %")
-    return ", ".join(parts)
+    visits = ((band["name"], *band["visit"]) for band in watched.values.bands)
+    return ", ".join(f"{name} {100 * (ratio - 1):+.2f} ± {100 * u:.2f} %" for name, ratio, u in visits)
 
 
 def render(watched: Watched) -> RenderableType:
@@ -124,10 +123,10 @@ def render(watched: Watched) -> RenderableType:
     from rich.table import Table
     from rich.text import Text
 
-    status, rows = watched.status(), Table.grid(padding=(0, 2))
+    status, rows = watched.stands, Table.grid(padding=(0, 2))
     rows.add_column(style="dim", no_wrap=True)
     rows.add_column()
-    events = watched.events_after(max(0, len(watched.log) - 400))
+    events = watched.events_after(max(0, len(watched.log) - BATCH))
     step = next((event for event in reversed(events) if event["event"] == "step"), None)
 
     def row(name: str, text: str) -> None:
@@ -139,10 +138,10 @@ def render(watched: Watched) -> RenderableType:
         told = [f"{d} {q.replace('_', ' ')} {v}{u}" for d, q, v, u in step["health"] if u != "deg" and v is not None]
         if told:
             row("devices", "  ".join(told))
-    if watched.values:
+    if watched.values.bands:
         row("reference", f"{drift_line(watched)} since the first visit")
         row("values", "\n".join([*values_lines(watched), "provisional"]))
-    flags = [event for event in events if event["event"] == "step" and event["flag"]]
+    flags = [event for event in events if event["event"] == "step" and event.get("flag")]
     if flags:
         row("flagged", "\n".join(step_line(event) for event in flags[-LISTED:]))
     others = [event for event in events if event["event"] != "step"]

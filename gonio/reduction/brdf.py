@@ -123,7 +123,7 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
     points = [step for step in steps if isinstance(step, Reduced) and step.point is not None]
     visits = [step for step in steps if isinstance(step, Reduced) and step.point is None]
     rejected = [step for step in steps if isinstance(step, Rejected)]
-    fitted, reference = level(frames.run, points, visits, band)
+    fitted, reference = level(frames.run, np.array([point.time_s for point in points]), visits, band)
     columns, untold, coarse = _columns_of_sides(frames, points, visits[0], fitted, reference.u_rel, band)
     geometry = columns.pop("geometry_causes")
     light_and_lens.add(frames.description, columns, [point.pose for point in points], visits[0].pose, band)
@@ -180,10 +180,8 @@ def _merged(frames: RunFrames, band: Band, points: list[Reduced], visits: list[R
     }
 
 
-def level(
-    run: Run, points: list[Reduced], visits: list[Reduced], band: Band
-) -> tuple[white_reference.Level, Reference]:
-    """The signal per unit BRDF over time, and the reference's BRDF; see `reduce_in_parts` for what raises."""
+def level(run: Run, wanted_s: Floats, visits: list[Reduced], band: Band) -> tuple[white_reference.Level, Reference]:
+    """The signal per unit BRDF at some times, and the reference's BRDF; see `reduce_in_parts` for what raises."""
     description, reference = run.description, run.description.reference
     if not visits:
         raise DataError(f"{run.path}: no usable visit to the white reference in band {band.name}; see its frames")
@@ -211,8 +209,7 @@ def level(
     landing = sum(_change_of_cosine(description, visits[0], axis, u) ** 2 for axis, u in encoder.items())
     variances = np.array([visit.variance for visit in visits]) + landing * rates**2
     times = np.array([visit.time_s for visit in visits])
-    wanted = np.array([point.time_s for point in points])
-    fitted = white_reference.fit(times, rates / known, variances / known**2, wanted, run.lit_anew_s)
+    fitted = white_reference.fit(times, rates / known, variances / known**2, wanted_s, run.lit_anew_s)
     return fitted, Reference(float(known.mean()), u_rel)
 
 

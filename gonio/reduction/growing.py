@@ -10,7 +10,7 @@ errors of the angles do to each value.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ class SoFar:
     """The values of one band; arrays run over the points as they were given."""
 
     points: tuple[Reduced, ...]
+    """Empty where only their rates were given."""
     directions: Directions
     """What the encoders read."""
     time_s: Floats
@@ -51,20 +52,34 @@ def so_far(run: Run, points: Sequence[Reduced], visits: Sequence[Reduced], band:
     ConfigError
         The reference's table is missing, or neither a table nor an albedo is given.
     """
-    fitted, reference = brdf.level(run, list(points), list(visits), band)
-    times = np.array([point.time_s for point in points])
-    level = fitted.at(times)
-    value = np.array([point.rate for point in points]) / level
+    out = of_rates(
+        run,
+        np.array([point.rate for point in points]),
+        np.array([point.time_s for point in points]),
+        Directions.stack([point.directions for point in points]),
+        visits,
+        band,
+    )
+    return replace(out, points=tuple(points))
+
+
+def of_rates(
+    run: Run, rate: Floats, time_s: Floats, directions: Directions, visits: Sequence[Reduced], band: Band
+) -> SoFar:
+    """`so_far` of points of which only this is kept: their rates [e-/s], times and directions."""
+    fitted, reference = brdf.level(run, time_s, list(visits), band)
+    level = fitted.at(time_s)
+    value = rate / level
     return SoFar(
-        points=tuple(points),
-        directions=Directions.stack([point.directions for point in points]),
-        time_s=times,
+        points=(),
+        directions=directions,
+        time_s=time_s,
         level=level,
         brdf=value,
-        u_visits=value * fitted.extra(times) / level,
+        u_visits=value * fitted.extra(time_s) / level,
         common={
             "s_reference": value * reference.u_rel,
-            "s_reference_noise": -value * fitted.noise(times) / level,
-            "s_lamp_drift": -value * fitted.drift(times) / level,
+            "s_reference_noise": -value * fitted.noise(time_s) / level,
+            "s_lamp_drift": -value * fitted.drift(time_s) / level,
         },
     )

@@ -6,50 +6,44 @@ import contextlib
 import os
 import sys
 import threading
+from importlib.resources import files
 from pathlib import Path
 from typing import NoReturn
 
 from gonio.cli import console
 from gonio.errors import ConfigError
 from gonio.live import address, terminal
-from gonio.live.server import Content, Request, Route, Server
+from gonio.live.server import Content, Route, Server
 from gonio.live.watching import Watched
+
+WORK = "from gonio_analysis.report.watching import work; work()"
+COMMAND = (sys.executable, "-P", "-c", WORK)
+"""Begins the process that works out values: what draws takes seconds to be imported, and nobody may look."""
 
 
 class Shown:
     """A run that is followed, and the routes of its page."""
 
     def __init__(self, run: Path) -> None:
-        self.watched = Watched(run, self._changed)
+        self.watched = Watched(run, COMMAND)
         self.routes: dict[str, Route] = {
-            "/": self._page,
-            "/curves": self._curves,
+            "/": lambda request: Content(page(request.nonce), "text/html"),
+            "/curves": self.watched.curves,
             "/frame": self.watched.picture,
         }
-        self._version = 0
-        self._made: tuple[int, bytes] | None = None
-        self._one = threading.Lock()
 
-    def _changed(self, watched: Watched) -> None:
-        self._version += 1
-        watched.log.tell("curves", {"version": self._version})
 
-    def _page(self, request: Request) -> Content:
-        from gonio_analysis.report.watching import page  # what draws takes seconds to be imported: nobody may look
+def page(nonce: str) -> bytes:
+    """The page as HTML; its style and its programs carry a nonce."""
+    text = _file("watch.html")
+    parts = {"nonce": nonce, "style": "watch.css", "viewer": "viewer.js", "program": "watch.js"}
+    for name, part in parts.items():
+        text = text.replace("{{" + name + "}}", nonce if name == "nonce" else _file(part))
+    return text.encode()
 
-        return Content(page(request.nonce), "text/html")
 
-    def _curves(self, request: Request) -> Content:
-        """The newest values, made when they are asked for."""
-        from gonio_analysis.report.watching import encoded, so_far
-
-        with self._one:
-            if self._made is None or self._made[0] != self._version:
-                version, watched = self._version, self.watched
-                story, name = watched.story, watched.path.absolute().name
-                shown = so_far(name, watched.values, story.angles_deg, story.visits_s, watched.behind)
-                self._made = version, encoded(shown)
-            return Content(self._made[1], "application/json")
+def _file(name: str) -> str:
+    return files("gonio_analysis").joinpath("report", name).read_text(encoding="utf-8")
 
 
 def watch(run: Path, host: str, port: int | None, text: bool) -> None:

@@ -50,6 +50,7 @@
   function take(event) {
     if (event.event === "step") {
       steps += 1;
+      if (!event.wall) return; // of very many steps the least is told
       const t = Date.parse(event.wall) / 3.6e6;
       if (event.kind !== "dark") levels.push([t, event.level]);
       for (const [device, quantity, value, unit] of event.health || []) {

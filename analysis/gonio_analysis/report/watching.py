@@ -1,24 +1,25 @@
-"""The page of `gonio watch`, and what its plots show of a run so far."""
+"""What the plots of the page of `gonio watch` show of a run so far."""
 
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping, Sequence
-from importlib.resources import files
+from pathlib import Path
 from typing import TypedDict
 
 import numpy as np
 
 from gonio import geometry
 from gonio.geometry import IN_PLANE, SAME_ANGLE, Directions
+from gonio.live import working
 from gonio.live.provisional import Values
-from gonio.live.story import rounded
+from gonio.live.story import Story, rounded
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import MOST_CURVES, curves, groups, labels, selection
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.value_covariance import independent
 from gonio_analysis.plots import thinning
-from gonio_analysis.report.html import program
 from gonio_analysis.report.viewer import MOST_LISTED, View, WaveView, points
 
 NAME = "so far"
@@ -53,23 +54,10 @@ class SoFar(TypedDict):
     says: str
 
 
-def page(nonce: str) -> bytes:
-    """The page as HTML; its style and its programs carry a nonce."""
-    text = _file("watch.html")
-    parts = {"nonce": nonce, "style": _file("watch.css"), "viewer": program(), "program": _file("watch.js")}
-    for name, part in parts.items():
-        text = text.replace("{{" + name + "}}", part)
-    return text.encode()
-
-
-def _file(name: str) -> str:
-    return files("gonio_analysis.report").joinpath(name).read_text(encoding="utf-8")
-
-
 def so_far(
     name: str,
     known: Sequence[Values],
-    nominal_deg: Sequence[Sequence[float]],
+    nominal_deg: Floats,
     visits_s: Mapping[int, float],
     behind: int,
 ) -> SoFar:
@@ -136,9 +124,9 @@ def so_far(
     return {"view": view, "maps": maps, "visits": visits, "says": says}
 
 
-def _observations(values: Values, nominal_deg: Sequence[Sequence[float]]) -> Observations:
+def _observations(values: Values, nominal_deg: Floats) -> Observations:
     """Values at the angles that were asked for, those in front of the sample alone."""
-    asked = np.array([nominal_deg[point] for point in values.points], dtype=float).reshape(-1, 4)
+    asked = nominal_deg[values.points]
     usable = np.isfinite(values.brdf) & (asked[:, 2] <= 90.0)
     rows = np.flatnonzero(usable)
     return Observations(
@@ -172,3 +160,13 @@ def _short(value: Floats | float) -> float:
 def encoded(shown: SoFar) -> bytes:
     """As the page reads it."""
     return json.dumps(shown, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
+
+
+def work() -> None:
+    """The process that works out a run's values: arguments are the run and the folder for what is found."""
+    run, out = map(Path, sys.argv[1:])
+
+    def draw(story: Story, values: Sequence[Values], behind: int) -> bytes:
+        return encoded(so_far(run.name, values, story.every_angle(), story.visits_s, behind))
+
+    working.serve(run, out, draw)

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from gonio.acquisition.journal import Event
-from gonio.live.story import Story, ago, reasons, said, seconds
+from gonio.live.story import KEPT, Story, ago, is_one_of_many, reasons, said, seconds, shortened
 
 BEGAN = 1_800_000_000.0
 
@@ -60,7 +60,8 @@ def test_a_step_says_what_a_page_shows(told: Told) -> None:
     assert event["pose_deg"] == {"light": pytest.approx(28.64789)}
     assert (event["level"], event["exposure_s"]) == (pytest.approx(0.6), 0.5)
     assert event["health"] == [["camera", "temperature", 31.25, "C"], ["lamp", "state", "on", ""]]
-    assert told.story.latest_frame == ("5.dng", 5)
+    assert told.story.last_shown is not None
+    assert (told.story.last_shown[0], told.story.last_shown[1]["step"]) == ("5.dng", 5)
 
 
 def test_a_pause_has_its_reason_and_does_not_count_as_a_step(told: Told) -> None:
@@ -124,8 +125,25 @@ def test_why_points_were_chosen_is_said_in_words() -> None:
 
 
 def test_steps_that_are_taken_back_are_left_again(told: Told) -> None:
+    before = told.story.points
     told.take("lost", 50.0, steps=[3, 4], frames=["3.dng is missing"])
     assert sorted(told.story.done) == [0, 1, 2]
+    assert told.story.points == before - 2
+    told.step(3, 60.0)
+    told.step(3, 61.0)
+    assert told.story.points == before - 1, "a step counts once"
+
+
+def test_of_very_many_steps_the_least_is_told_and_of_flagged_ones_and_some_others_all() -> None:
+    long_ago = {"event": "step", "step": 7, "kind": "point", "point": 6, "flag": "", "wall": wall(0.0), "frames": []}
+    assert shortened(long_ago | {"n": 8}) == {"n": 8, "event": "step", "step": 7, "kind": "point", "point": 6}
+    assert is_one_of_many(long_ago | {"n": 8})
+    assert not is_one_of_many(long_ago | {"n": KEPT})
+    assert not is_one_of_many(long_ago | {"n": 8, "flag": "moved"})
+    assert not is_one_of_many(long_ago | {"n": 8, "event": "suspended"})
+    story = Story()
+    assert story.take(long_ago | {"n": 8}, short=True) == shortened(long_ago | {"n": 8})
+    assert story.points == 1
 
 
 def test_an_event_that_nobody_knows_says_what_it_holds() -> None:

@@ -12,6 +12,7 @@ from gonio.live import terminal
 from gonio.live.watching import Watched
 from tests.gonio.live.runs import Played
 from tests.gonio.live.test_watching import until
+from tests.gonio.live.test_working import worked
 
 
 @pytest.fixture
@@ -21,10 +22,10 @@ def ended(played: Played) -> Iterator[Watched]:
     assert flagged is not None
     played.lines[4] = encode(flagged | {"flag": "moved"})
     played.go_on(100)
-    with Watched(played.path) as watched:
+    with Watched(played.path) as watched, worked(played.path, watched.shared.folder):
         watched.wanted = True
-        until(lambda: len(watched.log) == len(played.lines) and watched.behind == 0)
-        until(lambda: len(watched.values) == 2 and len(watched.values[0].points) == 15)
+        until(lambda: len(watched.log) == len(played.lines) and watched.stands["state"] == "ended")
+        until(lambda: [band["count"] for band in watched.values.bands] == [15, 15])
         yield watched
 
 

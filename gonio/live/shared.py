@@ -1,0 +1,143 @@
+"""What one process works out for all watchers of a run by one user: a folder of its own, and how it is begun.
+
+A watcher that somebody looks at says so by the time of the file `looked`. Whoever gets the lock on the file `lock`
+begins the process (`gonio.live.working`), and hands it the lock. It ends with the watcher that began it; then another
+one begins it again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import subprocess
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gonio.live import address
+
+NOW, CURVES, FRAME, LOOKED, LOCK = "now.json", "curves.json", "frame.png", "looked", "lock"
+LOOKED_S = 5.0
+"""So long after the last look it is worked on."""
+LOOK_S = 1.0
+"""A watcher says so often that somebody looks."""
+AGAIN_S = 10.0
+"""A process that failed is begun again after so long."""
+
+
+@dataclass
+class Now:
+    """What has been worked out so far."""
+
+    journal: str = ""
+    """Of which journal (`gonio.live.follow.Follower.identity`)."""
+    version: int = 0
+    """Of the values; 0 before there are any."""
+    behind: int = 0
+    """Steps that were not reduced then."""
+    frame: list[Any] | None = None
+    """The name of the frame of which there is a picture, and the number of its step."""
+    left: list[float] | None = None
+    """How long the rest of the run takes, and the standard uncertainty of that [s]; None where nobody knows."""
+    problem: str = ""
+    bands: list[dict[str, Any]] = field(default_factory=list)
+    """By band: `name`; the newest `values` (the four angles [deg], BRDF and its standard uncertainty [1/sr]) of all
+    `count`; and of the last `visit` to the reference, its level over that of the first and the uncertainty of that."""
+
+    def encode(self) -> bytes:
+        """As it lies in the file."""
+        return json.dumps(asdict(self)).encode()
+
+
+class Shared:
+    """What is worked out for a run.
+
+    Parameters
+    ----------
+    run
+        The folder of the run.
+    command
+        What begins the process that works it out; the two folders are added. Where there is none, another one does.
+    """
+
+    def __init__(self, run: Path, command: Sequence[str] = ()) -> None:
+        self._run, self._command = run, command
+        self._own: tempfile.TemporaryDirectory[str] | None = None
+        try:
+            self.folder = address.private(run)
+        except OSError:  # then it is worked out for this watcher alone
+            self._own = tempfile.TemporaryDirectory(prefix="gonio-watch-")
+            self.folder = Path(self._own.name)
+        self.problem = ""
+        self._child: subprocess.Popen[bytes] | None = None
+        self._looked_s = self._next_s = -1e9
+        self._seen: tuple[int, int] | None = None
+
+    def look(self) -> Now | None:
+        """Say that somebody looks; what has been worked out, where that is new."""
+        now_s = time.monotonic()
+        if now_s - self._looked_s >= LOOK_S:
+            self._looked_s = now_s
+            with contextlib.suppress(OSError):
+                (self.folder / LOOKED).touch(mode=0o600)
+            self._begin(now_s)
+        try:
+            there = os.stat(self.folder / NOW)
+            seen = there.st_ino, there.st_mtime_ns
+            if seen == self._seen:
+                return None
+            found = Now(**json.loads((self.folder / NOW).read_bytes()))
+        except (OSError, ValueError, TypeError):
+            return None  # there is none yet, or another version of this program has written it
+        self._seen = seen
+        return found
+
+    def read(self, name: str) -> bytes | None:
+        """A file of what has been worked out; None where there is none."""
+        try:
+            return (self.folder / name).read_bytes()
+        except OSError:
+            return None
+
+    def _begin(self, now_s: float) -> None:
+        """Begin the process where nobody has."""
+        if not self._command or now_s < self._next_s:
+            return
+        if self._child is not None:
+            ended = self._child.poll()
+            if ended is None:
+                return
+            self.problem = f"the values cannot be worked out: their process has ended ({ended})"
+            assert self._child.stdin is not None
+            self._child.stdin.close()
+            self._child, self._next_s = None, now_s + AGAIN_S
+            return
+        with contextlib.suppress(OSError), open(self.folder / LOCK, "ab") as lock:
+            os.chmod(lock.fileno(), 0o600)
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._child = subprocess.Popen(
+                [*self._command, str(self._run.absolute()), str(self.folder)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                pass_fds=[lock.fileno()],
+                start_new_session=True,  # Ctrl-C ends it through its input, which ends with the watcher
+            )
+
+    def close(self) -> None:
+        """End the process that was begun here."""
+        if self._child is not None:
+            assert self._child.stdin is not None
+            self._child.stdin.close()
+            try:
+                self._child.wait(0.5)
+            except subprocess.TimeoutExpired:
+                self._child.kill()
+                self._child.wait()
+            self._child = None
+        if self._own is not None:
+            self._own.cleanup()
